@@ -1,0 +1,111 @@
+"""`longreach bench ...`: one subcommand per claim."""
+
+import statistics
+import time
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from longreach import bench_position
+from machine.chain import chain_of
+from machine.inverse import inverse_all, inverse_nearest
+from machine.kinematics import tcp_jacobian, tcp_pose
+from server.settings import read_machine
+
+app = typer.Typer(no_args_is_help=True)
+console = Console(width=200)
+
+
+@app.command()
+def position(
+    preset: Annotated[str, typer.Option(help="ideal, realistic or paper")] = "realistic",
+    method: Annotated[str, typer.Option(help="ours or paper")] = "ours",
+    n: Annotated[int, typer.Option(help="how many seeds")] = 20,
+    seed: Annotated[int, typer.Option(help="first seed")] = 1,
+    folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = Path("runs/bench"),
+) -> None:
+    """Position n seeds end to end and compare image-based with true errors."""
+    cases = bench_position.bench(preset, method, n, seed, folder, console)
+    console.print(bench_position.summary(cases))
+    seconds = [case.duration_s for case in cases if case.steps]
+    for moves in (1, 2, 3):
+        count = sum(bench_position.inside(case, moves) for case in cases)
+        console.print(f"truly inside 5 mm and 1 deg within {moves} moves: {count} of {len(cases)}")
+    if method == "paper":
+        count = sum(bench_position.pattern_of_paper(case) for case in cases)
+        console.print(f"pattern of the paper's Table 4: {count} of {len(cases)}")
+    if seconds:
+        console.print(
+            f"seconds: median {statistics.median(seconds):.0f}, max {max(seconds):.0f}; N reached {len(cases)}"
+        )
+
+
+@app.command()
+def kinematics(
+    n: Annotated[int, typer.Option(help="random joint vectors")] = 1000,
+    seed: Annotated[int, typer.Option(help="seed")] = 1,
+    machine: Annotated[str, typer.Option(help="machine file or name")] = "hiab033",
+) -> None:
+    """Inverse recovers random joint vectors; microseconds per call."""
+    chain = chain_of(read_machine(machine))
+    rng = np.random.default_rng(seed)
+    qs = rng.uniform(chain.q_min, chain.q_max, (n, chain.n))
+    poses = [tcp_pose(chain, q) for q in qs]
+    tcp_jacobian(chain, qs[0])
+    nearest = [inverse_nearest(chain, T, q) for T, q in zip(poses, qs, strict=True)]
+    recovered = sum(
+        found.q is not None and np.allclose(found.q, q, atol=1e-7) for found, q in zip(nearest, qs, strict=True)
+    )
+    worst = max(float(np.abs(tcp_pose(chain, branch.q) - T).max()) for T in poses for branch in inverse_all(chain, T))
+    console.print(f"inverse recovered {recovered} of {n}; worst branch reproduces its pose to {worst:.1e}")
+    for name, call in (
+        ("forward", lambda i: tcp_pose(chain, qs[i])),
+        ("jacobian", lambda i: tcp_jacobian(chain, qs[i])),
+        ("inverse, 8 branches", lambda i: inverse_all(chain, poses[i])),
+        ("inverse, nearest", lambda i: inverse_nearest(chain, poses[i], qs[i])),
+    ):
+        console.print(f"{name:22s} {_micros(call, n):8.1f} us per call")
+
+
+def _micros(call, n: int) -> float:
+    started = time.perf_counter()
+    for i in range(n):
+        call(i)
+    return (time.perf_counter() - started) / n * 1e6
+
+
+@app.command()
+def plant(
+    seconds: Annotated[float, typer.Option(help="simulated seconds")] = 20.0,
+    preset: Annotated[str, typer.Option(help="which preset")] = "realistic",
+    seed: Annotated[int, typer.Option(help="seed")] = 1,
+) -> None:
+    """Real-time factor of the fine plant on one core."""
+    from sim_plc.plant.bench import bench_plant
+
+    console.print(bench_plant(seconds, preset, seed))
+
+
+@app.command()
+def render(
+    n: Annotated[int, typer.Option(help="stereo pairs")] = 50,
+    seed: Annotated[int, typer.Option(help="seed")] = 1,
+) -> None:
+    """Stereo pairs rendered per second."""
+    from sim_plc.camera.bench import bench_render
+
+    console.print(bench_render(n, seed))
+
+
+def table_of(rows: list[tuple[str, ...]], headings: tuple[str, ...], title: str) -> Table:
+    """A plain table."""
+    table = Table(title=title, title_justify="left")
+    for heading in headings:
+        table.add_column(heading)
+    for row in rows:
+        table.add_row(*row)
+    return table

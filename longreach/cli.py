@@ -1,0 +1,78 @@
+"""`longreach`: one command, one subcommand per thing a person does."""
+
+import logging
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from longreach import bench, demo, position, record_command, sim_command
+from server.errors import ServerError
+from server.settings import ServerSettings, read_settings
+from server.version import __version__
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, help="Precise positioning of long-reach manipulators.")
+app.command("sim")(sim_command.sim)
+app.command("position")(position.position)
+app.command("demo")(demo.demo)
+app.add_typer(bench.app, name="bench", help="Measure; every figure in the README comes from here.")
+app.add_typer(record_command.app, name="recording", help="Check, convert and recover recordings.")
+
+SettingsFile = Annotated[Path | None, typer.Option("--settings", help="TOML settings file; defaults when absent")]
+
+
+@app.callback()
+def setup(verbose: Annotated[bool, typer.Option("--verbose", help="log what happens")] = False) -> None:
+    """Set up logging for every subcommand."""
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING, format="%(asctime)s %(levelname)s %(name)s: %(message)s"
+    )
+
+
+@app.command()
+def serve(
+    settings_file: SettingsFile = None,
+    host: Annotated[str | None, typer.Option(help="address to listen on")] = None,
+    port: Annotated[int | None, typer.Option(help="port to listen on")] = None,
+    plc_host: Annotated[str | None, typer.Option(help="the PLC's address")] = None,
+    plc_port: Annotated[int | None, typer.Option(help="the PLC's UDP port")] = None,
+    plc_local_port: Annotated[int | None, typer.Option(help="our UDP port")] = None,
+    camera_url: Annotated[str | None, typer.Option(help="multipart stream of side-by-side JPEG")] = None,
+    runs: Annotated[str | None, typer.Option(help="folder for recordings")] = None,
+) -> None:
+    """Start the server: panel, REST, link and vision processes."""
+    from server.app import serve as run_server
+
+    settings = _with_options(
+        read_settings(settings_file),
+        {
+            "http": {"host": host, "port": port},
+            "plc": {"host": plc_host, "port": plc_port, "local_port": plc_local_port},
+            "camera": {"kind": "http", "url": camera_url} if camera_url else {},
+            "recording": {"folder": runs},
+        },
+    )
+    Console(stderr=True).print(f"longreach {__version__}: panel at http://{settings.http.host}:{settings.http.port}/")
+    run_server(settings)
+
+
+def _with_options(settings: ServerSettings, options: dict[str, dict[str, object]]) -> ServerSettings:
+    data = settings.model_dump()
+    for section, values in options.items():
+        given = {name: value for name, value in values.items() if value is not None}
+        data[section] = given if "kind" in given else {**data[section], **given}
+    return ServerSettings.model_validate(data)
+
+
+def main() -> None:
+    """Entry point: expected errors become one clear line and exit code 2."""
+    try:
+        app()
+    except ServerError as error:
+        Console(stderr=True).print(f"[bold red]longreach:[/] {error}")
+        raise SystemExit(2) from error
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""`longreach demo`: simulated machine and server as separate processes, and the panel's address."""
+
+import time
+import webbrowser
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from longreach.fleet_client import JobClient, JobRefusedError
+from longreach.processes import Stack, StackPorts
+
+
+def demo(
+    preset: Annotated[str, typer.Option(help="ideal, realistic or paper")] = "realistic",
+    seed: Annotated[int, typer.Option(help="which machine is drawn")] = 1,
+    port: Annotated[int, typer.Option(help="port of the panel")] = 8080,
+    browser: Annotated[bool, typer.Option(help="open the panel in a browser if there is one")] = True,
+    seconds: Annotated[float, typer.Option(help="end after this time; 0 = on Ctrl-C")] = 0.0,
+) -> None:
+    """Start everything on this computer and show where the panel is."""
+    console = Console()
+    ports = StackPorts.free()
+    ports = StackPorts(http=port, plc=ports.plc, plc_local=ports.plc_local, camera=ports.camera)
+    started = time.monotonic()
+    with Stack(ports, preset=preset, seed=seed, log_folder=Path("runs") / "demo-logs", runs=Path("runs")) as stack:
+        try:
+            with console.status("starting simulated machine and server (the first start compiles the plant)"):
+                JobClient(stack.url).wait_ready(180.0)
+        except JobRefusedError as error:
+            console.print(f"[bold red]not started:[/] {error}; see runs/demo-logs")
+            raise typer.Exit(1) from error
+        took_s = time.monotonic() - started
+        console.print(f"[bold green]ready[/] after {took_s:.0f} s: open [bold]{stack.url}/[/]   (Ctrl-C ends it)")
+        console.print(f"or without hands:  longreach position --url {stack.url}")
+        if browser:
+            webbrowser.open(stack.url)
+        _wait(stack, seconds)
+
+
+def _wait(stack: Stack, seconds: float) -> None:
+    deadline = time.monotonic() + seconds if seconds > 0.0 else float("inf")
+    try:
+        while time.monotonic() < deadline:
+            for name, process in stack.processes.items():
+                if process.poll() is not None:
+                    raise typer.Exit(f"{name} ended with code {process.returncode}; see runs/demo-logs")
+            time.sleep(0.3)
+    except KeyboardInterrupt:
+        return

@@ -1,0 +1,63 @@
+"""`longreach position`: the whole look-then-move loop over REST, with progress and the table of errors."""
+
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from longreach.fleet_client import JobClient, JobRefusedError
+
+
+def position(
+    url: Annotated[str, typer.Option(help="the server")] = "http://127.0.0.1:8080",
+    method: Annotated[str, typer.Option(help="ours or paper")] = "ours",
+    owner: Annotated[str, typer.Option(help="who asks")] = "cli",
+    keep_calibration: Annotated[bool, typer.Option(help="use the calibration at hand, if any")] = False,
+    wait_s: Annotated[float, typer.Option(help="how long to wait for the server to be ready")] = 30.0,
+) -> None:
+    """Position the tool on its target: look, orient, calibrate, then look and move until inside tolerance."""
+    console = Console()
+    client = JobClient(url)
+    body = {"kind": "position", "method": method, "owner": owner, "recalibrate": not keep_calibration}
+    try:
+        client.wait_ready(wait_s)
+        with console.status("positioning") as status:
+            finished = client.run(body, lambda event: _show(console, status, event))
+    except JobRefusedError as error:
+        console.print(f"[bold red]refused:[/] {error}")
+        raise typer.Exit(2) from error
+    except KeyboardInterrupt:
+        client.stop()
+        console.print("[bold]stopped[/]")
+        raise typer.Exit(130) from None
+    if finished.state != "done":
+        console.print(f"[bold red]{finished.state}:[/] {finished.reason}")
+        raise typer.Exit(1)
+    console.print(error_table(finished.result))
+    steps = ", ".join(f"{name} {seconds:.0f} s" for name, seconds in finished.result["seconds_by_step"])
+    console.print(f"{finished.result['reason']}; {finished.elapsed_s:.0f} s in all ({steps})")
+    if not finished.result["reached"]:
+        raise typer.Exit(1)
+
+
+def _show(console: Console, status: Any, event: dict[str, Any]) -> None:
+    status.update(event["text"])
+    console.print(f"[dim]{event['elapsed_s']:6.1f} s[/]  {event['text']}")
+
+
+def error_table(result: dict[str, Any]) -> Table:
+    """Errors before and after each step, image-based."""
+    table = Table(title="error of the tool against its goal (by the camera)", title_justify="left")
+    for heading in ("step", "x mm", "y mm", "z mm", "rotation deg", "path mm", "s", "trims"):
+        table.add_column(heading, justify="right" if heading != "step" else "left")
+    _row(table, "start", result["start"], "", "", "")
+    for move in result["moves"]:
+        name = "orientation" if move["kind"] == "orientation" else f"move {move['number']}"
+        _row(table, name, move["after"], f"{move['length_mm']:.0f}", f"{move['duration_s']:.1f}", str(move["trims"]))
+    return table
+
+
+def _row(table: Table, name: str, error: dict[str, float], path: str, seconds: str, trims: str) -> None:
+    axes = [f"{error[f'{axis}_mm']:+.1f} ± {error[f'sigma_{axis}_mm']:.1f}" for axis in "xyz"]
+    table.add_row(name, *axes, f"{error['rotation_deg']:.2f} ± {error['sigma_rotation_deg']:.2f}", path, seconds, trims)

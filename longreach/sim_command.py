@@ -1,0 +1,43 @@
+"""`longreach sim`: the simulated machine, PLC and stereo camera."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from sim_plc.process import SimSettings, run_sim
+
+from server.settings import read_machine_text
+
+
+def sim(
+    preset: Annotated[str, typer.Option(help="ideal, realistic or paper")] = "realistic",
+    seed: Annotated[int, typer.Option(help="which machine is drawn")] = 1,
+    machine: Annotated[str, typer.Option(help="machine file, or the name of a shipped one")] = "hiab033",
+    plc_host: Annotated[str, typer.Option(help="address the PLC listens on")] = "127.0.0.1",
+    plc_port: Annotated[int, typer.Option(help="UDP port the PLC listens on")] = 50110,
+    framing: Annotated[str, typer.Option(help="raw or eap")] = "raw",
+    camera_host: Annotated[str, typer.Option(help="address the camera serves on")] = "127.0.0.1",
+    camera_port: Annotated[int, typer.Option(help="HTTP port of the camera")] = 8090,
+    camera_rate_hz: Annotated[float, typer.Option(help="stereo pairs a second")] = 15.0,
+    truth_log: Annotated[Path | None, typer.Option(help="folder for the truth, which the server never sees")] = None,
+) -> None:
+    """Start the simulated machine in real time, until Ctrl-C."""
+    Console(stderr=True).print(
+        f"simulated machine '{preset}', seed {seed}: PLC on udp {plc_host}:{plc_port}, "
+        f"camera on http://{camera_host}:{camera_port}/stream"
+    )
+    run_sim(
+        SimSettings(
+            machine_text=read_machine_text(machine),
+            preset=preset,
+            seed=seed,
+            plc_host=plc_host,
+            plc_port=plc_port,
+            framing=framing,
+            camera_host=camera_host,
+            camera_port=camera_port,
+            camera_rate_hz=camera_rate_hz,
+            truth_log=truth_log,
+        )
+    )

@@ -1,0 +1,275 @@
+"""The machine as its file describes it: frozen dataclasses, and the strict reader of machine.toml text.
+
+Reading the file itself is a shell's work; here is only text -> `Machine`.
+"""
+
+import tomllib
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from machine.errors import MachineFileError
+from machine.rotations import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One actuated joint: classic DH row, limits, and the nominal velocity actuator and controller. SI units."""
+
+    name: str
+    a_m: float
+    d_m: float
+    alpha_rad: float
+    theta_offset_rad: float
+    q_min_rad: float
+    q_max_rad: float
+    qd_max_rad_s: float
+    qdd_max_rad_s2: float
+    velocity_gain_rad_s: float
+    valve_frequency_hz: float
+    valve_damping: float
+    kp_frac_per_rad: float
+    pt1_tau_s: float
+    mass_kg: float
+    com_m: tuple[float, float, float]
+    encoder_counts_rev: int
+
+
+@dataclass(frozen=True, slots=True)
+class StereoCamera:
+    """Two parallel pinhole eyes with one lens model; OpenCV axes and pixel centres (top left pixel centre is 0, 0)."""
+
+    width_px: int
+    height_px: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+    distortion: tuple[float, float, float, float, float]  # k1, k2, p1, p2, k3
+    baseline_m: float
+    rate_hz: float
+    rectified: bool
+
+    @property
+    def matrix(self) -> Array:
+        """Camera matrix (3, 3) [px]."""
+        return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class Marker:
+    """One square fiducial: id, printed side [m], what it sits on, and its pose there."""
+
+    marker_id: int
+    side_m: float
+    on: Literal["tool", "ooi"]
+    T_on_marker: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """The whole nominal machine. Joints from the base; `T_flange_tcp` is link 7 of the paper's Table 1."""
+
+    name: str
+    gravity_base_m_s2: Array
+    tcp_speed_max_m_s: float
+    joints: tuple[Joint, ...]
+    T_flange_tcp: Array
+    T_tcp_tool: Array
+    camera: StereoCamera
+    T_tcp_cam_left: Array
+    dictionary: str
+    markers: tuple[Marker, ...]
+    plc_cycle_s: float
+    plc_log_cycle_s: float
+    transport_delay_s: float
+
+    def markers_on(self, on: Literal["tool", "ooi"]) -> tuple[Marker, ...]:
+        """The markers that sit on one object."""
+        return tuple(marker for marker in self.markers if marker.on == on)
+
+
+def _frozen(values: object, shape: tuple[int, ...]) -> Array:
+    array = np.array(values, dtype=float).reshape(shape)
+    array.setflags(write=False)
+    return array
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=False, allow_inf_nan=False)
+
+
+Pose16 = Annotated[list[float], Field(min_length=16, max_length=16)]
+Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+Positive = Annotated[float, Field(gt=0.0)]
+
+
+class _MachineSection(_Strict):
+    name: str
+    gravity_base_m_s2: Vector3 = [0.0, 0.0, -9.81]
+    tcp_speed_max_m_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.15
+
+
+class _JointSection(_Strict):
+    name: str
+    type: Literal["revolute"]
+    dh_convention: Literal["classic"]
+    a_m: Annotated[float, Field(ge=-20.0, le=20.0)]
+    d_m: Annotated[float, Field(ge=-20.0, le=20.0)]
+    alpha_deg: Annotated[float, Field(ge=-180.0, le=180.0)]
+    theta_offset_deg: Annotated[float, Field(ge=-360.0, le=360.0)]
+    q_min_deg: Annotated[float, Field(ge=-360.0, le=360.0)]
+    q_max_deg: Annotated[float, Field(ge=-360.0, le=360.0)]
+    qd_max_deg_s: Positive
+    qdd_max_deg_s2: Positive
+    velocity_gain_rad_s: Positive
+    valve_frequency_hz: Positive
+    valve_damping: Positive
+    kp_frac_per_rad: Positive
+    pt1_tau_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
+    mass_kg: Annotated[float, Field(ge=0.0)] = 0.0
+    com_m: Vector3 = [0.0, 0.0, 0.0]
+    encoder_counts_rev: Annotated[int, Field(gt=0)] = 262144
+
+
+class _ToolSection(_Strict):
+    T_flange_tcp: Pose16
+    T_tcp_tool: Pose16
+
+
+class _CameraSection(_Strict):
+    width_px: Annotated[int, Field(gt=0, le=8192)]
+    height_px: Annotated[int, Field(gt=0, le=8192)]
+    fx_px: Positive
+    fy_px: Positive
+    cx_px: float
+    cy_px: float
+    distortion: Annotated[list[float], Field(min_length=5, max_length=5)] = [0.0] * 5
+    baseline_m: Positive
+    rate_hz: Positive
+    rectified: bool
+    T_tcp_cam_left: Pose16
+
+
+class _MarkerSection(_Strict):
+    id: Annotated[int, Field(ge=0)]
+    side_m: Annotated[float, Field(gt=0.0, le=2.0)]
+    on: Literal["tool", "ooi"]
+    T_on_marker: Pose16
+
+
+class _MarkersSection(_Strict):
+    dictionary: str
+    marker: list[_MarkerSection]
+
+
+class _PlcSection(_Strict):
+    cycle_s: Positive
+    log_cycle_s: Positive
+    transport_delay_s: Annotated[float, Field(ge=0.0)] = 0.0
+
+
+class _MachineFile(_Strict):
+    machine: _MachineSection
+    joint: Annotated[list[_JointSection], Field(min_length=1, max_length=8)]
+    tool: _ToolSection
+    camera: _CameraSection
+    markers: _MarkersSection
+    plc: _PlcSection
+
+
+def _joint(section: _JointSection) -> Joint:
+    if section.q_min_deg >= section.q_max_deg:
+        raise MachineFileError(
+            f"joint '{section.name}': q_min_deg = {section.q_min_deg} "
+            f"must be below q_max_deg = {section.q_max_deg} [deg]"
+        )
+    rad = np.deg2rad
+    return Joint(
+        name=section.name,
+        a_m=section.a_m,
+        d_m=section.d_m,
+        alpha_rad=float(rad(section.alpha_deg)),
+        theta_offset_rad=float(rad(section.theta_offset_deg)),
+        q_min_rad=float(rad(section.q_min_deg)),
+        q_max_rad=float(rad(section.q_max_deg)),
+        qd_max_rad_s=float(rad(section.qd_max_deg_s)),
+        qdd_max_rad_s2=float(rad(section.qdd_max_deg_s2)),
+        velocity_gain_rad_s=section.velocity_gain_rad_s,
+        valve_frequency_hz=section.valve_frequency_hz,
+        valve_damping=section.valve_damping,
+        kp_frac_per_rad=section.kp_frac_per_rad,
+        pt1_tau_s=section.pt1_tau_s,
+        mass_kg=section.mass_kg,
+        com_m=(section.com_m[0], section.com_m[1], section.com_m[2]),
+        encoder_counts_rev=section.encoder_counts_rev,
+    )
+
+
+def _pose(values: list[float], subject: str) -> Array:
+    T = _frozen(values, (4, 4))
+    rotation = T[:3, :3]
+    error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if error > 1e-6 or np.linalg.det(rotation) < 0 or not np.allclose(T[3], [0, 0, 0, 1]):
+        raise MachineFileError(
+            f"{subject} is not a pose: its rotation departs from orthonormal by {error:.2e} (limit 1e-6) "
+            "or is mirrored; give 16 numbers, row by row"
+        )
+    return T
+
+
+def _marker(section: _MarkerSection) -> Marker:
+    T = _pose(section.T_on_marker, f"marker {section.id}: T_on_marker")
+    return Marker(marker_id=section.id, side_m=section.side_m, on=section.on, T_on_marker=T)
+
+
+def _first_error(error: ValidationError) -> str:
+    first = error.errors()[0]
+    where = ".".join(str(part) for part in first["loc"])
+    return f"{where} = {first['input']!r}: {first['msg']}"
+
+
+def parse_machine_toml(text: str) -> Machine:
+    """The machine that a machine.toml text describes.
+
+    Raises: MachineFileError naming the field, its value and the bound.
+    """
+    try:
+        sections = _MachineFile.model_validate(tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise MachineFileError(f"machine file is not TOML: {error}") from error
+    except ValidationError as error:
+        raise MachineFileError(f"machine file: {_first_error(error)}") from error
+    ids = [marker.id for marker in sections.markers.marker]
+    if len(set(ids)) != len(ids):
+        raise MachineFileError(f"markers.marker: ids {ids} repeat; every marker needs an id of its own")
+    camera = sections.camera
+    k1, k2, p1, p2, k3 = camera.distortion
+    return Machine(
+        name=sections.machine.name,
+        gravity_base_m_s2=_frozen(sections.machine.gravity_base_m_s2, (3,)),
+        tcp_speed_max_m_s=sections.machine.tcp_speed_max_m_s,
+        joints=tuple(_joint(section) for section in sections.joint),
+        T_flange_tcp=_pose(sections.tool.T_flange_tcp, "tool.T_flange_tcp"),
+        T_tcp_tool=_pose(sections.tool.T_tcp_tool, "tool.T_tcp_tool"),
+        camera=StereoCamera(
+            width_px=camera.width_px,
+            height_px=camera.height_px,
+            fx_px=camera.fx_px,
+            fy_px=camera.fy_px,
+            cx_px=camera.cx_px,
+            cy_px=camera.cy_px,
+            distortion=(k1, k2, p1, p2, k3),
+            baseline_m=camera.baseline_m,
+            rate_hz=camera.rate_hz,
+            rectified=camera.rectified,
+        ),
+        T_tcp_cam_left=_pose(camera.T_tcp_cam_left, "camera.T_tcp_cam_left"),
+        dictionary=sections.markers.dictionary,
+        markers=tuple(_marker(section) for section in sections.markers.marker),
+        plc_cycle_s=sections.plc.cycle_s,
+        plc_log_cycle_s=sections.plc.log_cycle_s,
+        transport_delay_s=sections.plc.transport_delay_s,
+    )

@@ -1,0 +1,395 @@
+"""The PC's end of the link: one session from HELLO to its end. Sans-IO; a new connection is a new object.
+
+The shell hands in datagrams (`receive`), asks every 20 ms for the next one (`send`) and lets time pass (`poll`).
+Requests are wishes, repeated in every command until the PLC's state shows them fulfilled: no single datagram matters.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+
+from protocol.client_events import (
+    ClientEvent,
+    ClientPhase,
+    Closed,
+    Dropped,
+    GateRefused,
+    RejectSeen,
+    StateReceived,
+    TrajectoryEnded,
+)
+from protocol.clock_offset import ClockOffset
+from protocol.codec import decode_state, encode_command
+from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode, reject_text
+from protocol.errors import LocalProtocolError, RemoteProtocolError
+from protocol.framing import Framing
+from protocol.gate import GateView, Refusal, check_trajectory, gate
+from protocol.limits import LimitTable, axis_mask, cfg_id
+from protocol.messages import ZEROS, Command, Knot, State
+from protocol.playback import Playback, Window
+from protocol.sequence import SequenceKind, classify_sequence, next_sequence
+from protocol.timeouts import (
+    COMMAND_LOST,
+    GOOD_COMMANDS_TO_ARM,
+    HELLO_PERIOD,
+    LINK_CLOSED,
+    START_WAIT,
+    STATE_LATE,
+    STATE_LOST,
+)
+
+_PHASES = {
+    PlcState.BOOT: ClientPhase.DISARMED,
+    PlcState.DISARMED: ClientPhase.DISARMED,
+    PlcState.LINKED: ClientPhase.LINKED,
+    PlcState.HOLD: ClientPhase.ARMED,
+    PlcState.RUN: ClientPhase.RUNNING,
+    PlcState.STOPPING: ClientPhase.STOPPING,
+    PlcState.FAULT: ClientPhase.FAULT,
+    PlcState.LOCAL: ClientPhase.LOCAL,
+}
+_NO_FLAGS = CommandFlag(0)
+_MOVING = (PlcState.RUN, PlcState.STOPPING)
+
+
+class _Wish(Enum):
+    NONE = "none"
+    ARM = "arm"
+    RESET = "reset"
+    DISARM = "disarm"
+
+
+@dataclass(frozen=True, slots=True)
+class _Stop:
+    """A stop under way: wanted since command `first_seq`."""
+
+    reason: str
+    first_seq: int
+
+
+@dataclass(slots=True)
+class _Run:
+    """A trajectory under way."""
+
+    playback: Playback
+    first_seq: int
+    t_asked_ns: int
+    started: bool = False
+
+
+@dataclass(slots=True)
+class ClientCounters:
+    """What this end has seen."""
+
+    sent: int = 0
+    received: int = 0
+    lost: int = 0
+    stale: int = 0  # duplicates and late ones
+    bad: int = 0
+    rejected: int = 0
+
+
+def _after(seq: int, first: int) -> bool:
+    """Whether `seq` is `first` or newer, across the wrap."""
+    return (seq - first) % 0x1_0000_0000 < 0x8000_0000
+
+
+@dataclass(slots=True)
+class ClientLink:
+    """One session with one PLC. `session` is a fresh random non-zero number; `t_mono_ns` the PC's monotonic clock."""
+
+    table: LimitTable
+    framing: Framing
+    session: int
+    speed_override: float = 1.0
+    state: State | None = None  # newest usable one
+    clock: ClockOffset = field(default_factory=ClockOffset)
+    counters: ClientCounters = field(default_factory=ClientCounters)
+    last_reject: str = ""
+    closed: bool = False
+    linked: bool = False
+    _t_state_ns: int = 0
+    _seq: int = 0
+    _t_hello_ns: int | None = None
+    _wish: _Wish = _Wish.NONE
+    _stop: _Stop | None = None
+    _run: _Run | None = None
+    _pending: list[ClientEvent] = field(default_factory=list)
+
+    # --- what the shell may look at -------------------------------------------------------------------------------
+
+    def age_ns(self, t_mono_ns: int) -> int:
+        """Age of the newest state; very large before the first."""
+        return t_mono_ns - self._t_state_ns if self.state else 1 << 62
+
+    def phase(self, t_mono_ns: int) -> ClientPhase:
+        """How far the connection has come."""
+        if self.closed or self.state is None or self.age_ns(t_mono_ns) > STATE_LOST.ns:
+            return ClientPhase.OFFLINE
+        if self.linked or self.state.plc_state in (PlcState.FAULT, PlcState.LOCAL):
+            return _PHASES[self.state.plc_state]
+        return ClientPhase.DISARMED
+
+    @property
+    def busy(self) -> bool:
+        """Whether a trajectory or a stop is under way."""
+        moving = self.linked and self.state is not None and self.state.plc_state in _MOVING
+        return self._run is not None or self._stop is not None or moving
+
+    # --- requests ---------------------------------------------------------------------------------------------------
+
+    def request_arm(self) -> None:
+        """Arm as soon as the link is proven. Wishes end with the session; `cancel_wish` ends them before."""
+        self._wish = _Wish.ARM
+
+    def request_reset(self) -> None:
+        """Ask for a latched fault to be cleared; never restarts motion."""
+        self._wish = _Wish.RESET
+
+    def request_disarm(self) -> None:
+        """Ramp down if moving, then leave the armed state; the session ends with it."""
+        self._wish = _Wish.DISARM
+
+    def cancel_wish(self) -> None:
+        """Stop asking for arm, reset or disarm."""
+        self._wish = _Wish.NONE
+
+    def request_run(self, traj_id: int, knots: Sequence[Knot], t_mono_ns: int) -> tuple[Refusal, ...]:
+        """Play a trajectory from the present reference; refusals (nothing is sent then) or nothing.
+
+        Raises: LocalProtocolError: not holding, or another motion is under way.
+        """
+        phase = self.phase(t_mono_ns)
+        if phase is not ClientPhase.ARMED or self.busy or self.state is None:
+            raise LocalProtocolError(
+                f"trajectory {traj_id}: PLC link is {phase.value}, must be armed and idle; arm or wait"
+            )
+        refusals = check_trajectory(knots, self.state.q_ref, self.table)
+        if not refusals:
+            self._run = _Run(Playback(traj_id, tuple(knots)), next_sequence(self._seq), t_mono_ns)
+        return refusals
+
+    def request_stop(self, reason: str) -> None:
+        """Ramp down along the path and hold: sent until the PLC has acknowledged it and is at rest."""
+        if self._stop is None:
+            self._stop = _Stop(reason, next_sequence(self._seq))
+
+    # --- input ------------------------------------------------------------------------------------------------------
+
+    def receive(self, datagram: bytes, t_mono_ns: int) -> list[ClientEvent]:
+        """What one datagram leads to; any bytes give events, never an exception."""
+        if self.closed:
+            return []
+        try:
+            state = decode_state(self.framing.unwrap(datagram))
+        except RemoteProtocolError as error:
+            self.counters.bad += 1
+            return [Dropped(error.code, error.text)]
+        if state.session == self.session:
+            return self._own_state(state, t_mono_ns)
+        if self.linked:
+            return self._foreign_state(state, t_mono_ns)
+        return self._unlinked_state(state, t_mono_ns)
+
+    def poll(self, t_mono_ns: int) -> list[ClientEvent]:
+        """What the passing of time leads to."""
+        events, self._pending = self._pending, []
+        run = self._run
+        if run and not run.started and t_mono_ns - run.t_asked_ns > START_WAIT.ns:
+            self.request_stop("the PLC did not start the trajectory within 1 s")
+        if not self.linked or self.closed:
+            return events
+        age_ns = self.age_ns(t_mono_ns)
+        if age_ns > STATE_LOST.ns and run:
+            self.request_stop(f"no state from the PLC for {STATE_LOST.ns // 1_000_000} ms")
+        if age_ns > LINK_CLOSED.ns:
+            events += self._close("no state from the PLC for 1 s")
+        return events
+
+    def send(self, t_mono_ns: int) -> bytes | None:
+        """The next datagram, or None if nothing is due."""
+        if self.closed:
+            return None
+        if not self.linked:
+            return self._hello(t_mono_ns)
+        return self._emit(self._gated(self._draft(t_mono_ns), t_mono_ns))
+
+    # --- states -----------------------------------------------------------------------------------------------------
+
+    def _own_state(self, state: State, t_mono_ns: int) -> list[ClientEvent]:
+        if self.linked and self.state:
+            sequenced = classify_sequence(self.state.seq, state.seq)
+            if sequenced.kind is SequenceKind.JUMP:
+                self.counters.bad += 1
+                return [Dropped(RejectCode.SEQ_JUMP, f"state {state.seq} after {self.state.seq}")]
+            if not sequenced.usable:
+                self.counters.stale += 1
+                return []
+            self.counters.lost += sequenced.lost
+        self.linked = True
+        if state.t_pc_echo_ns:
+            t_plc_receive_ns = state.t_send_ns - state.rx_age_us * 1000
+            self.clock.add(state.t_pc_echo_ns, t_plc_receive_ns, state.t_send_ns, t_mono_ns)
+        events = [*self._take(state, t_mono_ns), *self._rejects(state)]
+        return events + self._progress(state)
+
+    def _foreign_state(self, state: State, t_mono_ns: int) -> list[ClientEvent]:
+        """Another session's state while ours was open: late from before it, or the PLC has ended ours."""
+        if self.state and state.t_send_ns <= self.state.t_send_ns:
+            self.counters.stale += 1
+            return []
+        disarmed = self._wish is _Wish.DISARM
+        events = self._take(state, t_mono_ns)
+        return events + self._close("disarmed" if disarmed else "the PLC has ended the session; connect and arm again")
+
+    def _unlinked_state(self, state: State, t_mono_ns: int) -> list[ClientEvent]:
+        """The PLC is there, but not in session with us (yet): show it, and why it refused our HELLO."""
+        if self.state and state.t_send_ns <= self.state.t_send_ns:
+            self.counters.stale += 1
+            return []
+        return [*self._take(state, t_mono_ns), *self._rejects(state)]
+
+    def _take(self, state: State, t_mono_ns: int) -> list[ClientEvent]:
+        self.counters.received += 1
+        self.state, self._t_state_ns = state, t_mono_ns
+        return [StateReceived(state, t_mono_ns)]
+
+    def _rejects(self, state: State) -> list[ClientEvent]:
+        if state.reject_count == self.counters.rejected:
+            return []
+        self.counters.rejected = state.reject_count
+        if not state.reject_code:
+            return []
+        self.last_reject = reject_text(state.reject_code)
+        return [RejectSeen(state.reject_code, state.reject_seq, self.last_reject)]
+
+    # --- progress of what was asked for -------------------------------------------------------------------------------
+
+    def _progress(self, state: State) -> list[ClientEvent]:
+        self._progress_wish(state)
+        events = self._progress_run(state) if self._run else []
+        stop = self._stop
+        if stop and not self._run and state.plc_state not in _MOVING and _after(state.ack_seq, stop.first_seq):
+            self._stop = None
+        return events
+
+    def _progress_wish(self, state: State) -> None:
+        armed = state.plc_state in (PlcState.HOLD, *_MOVING)
+        done = (self._wish is _Wish.ARM and armed) or (
+            self._wish is _Wish.RESET and state.plc_state is not PlcState.FAULT
+        )
+        if done:
+            self._wish = _Wish.NONE
+
+    def _progress_run(self, state: State) -> list[ClientEvent]:
+        run = self._run
+        if run is None:
+            return []
+        mine = state.traj_id == run.playback.traj_id
+        if mine and state.plc_state in _MOVING:
+            run.started = True
+        if state.plc_state in _MOVING:
+            return []
+        if run.playback.reached(state) and state.plc_state is PlcState.HOLD:
+            return self._ended(True, "reached", state)
+        if state.plc_state is not PlcState.HOLD:
+            return self._ended(False, f"PLC went to {state.plc_state.name}", state)
+        if self._stop and _after(state.ack_seq, self._stop.first_seq):
+            return self._ended(False, self._stop.reason, state)
+        if run.started and mine:
+            return self._ended(False, self._why_stopped(state, run), state)
+        if state.reject_count and _after(state.reject_seq, run.first_seq):
+            return self._ended(False, f"the PLC refused the trajectory: {reject_text(state.reject_code)}", state)
+        return []
+
+    def _why_stopped(self, state: State, run: _Run) -> str:
+        if self._stop:
+            return self._stop.reason
+        if state.reject_count and _after(state.reject_seq, run.first_seq):
+            return f"the PLC stopped: {reject_text(state.reject_code)}"
+        return "the PLC stopped by itself (underrun or silence); plan again from the present reference"
+
+    def _ended(self, reached: bool, reason: str, state: State) -> list[ClientEvent]:
+        run, self._run = self._run, None
+        return [TrajectoryEnded(run.playback.traj_id, reached, reason, state.t_send_ns)] if run else []
+
+    def _close(self, reason: str) -> list[ClientEvent]:
+        events = self._ended(False, reason, self.state) if self.state else []
+        self.closed, self._stop, self._wish = True, None, _Wish.NONE
+        return [*events, Closed(reason)]
+
+    # --- output -------------------------------------------------------------------------------------------------------
+
+    def _hello(self, t_mono_ns: int) -> bytes | None:
+        if self._t_hello_ns is not None and t_mono_ns - self._t_hello_ns < HELLO_PERIOD.ns:
+            return None
+        self._t_hello_ns = t_mono_ns
+        return self._emit(self._command(t_mono_ns, Mode.HEARTBEAT, hello=True))
+
+    def _draft(self, t_mono_ns: int) -> Command:
+        """What we would like to send: the most careful wish first."""
+        state, age_ns = self.state, self.age_ns(t_mono_ns)
+        if state is None or self._stop or age_ns > STATE_LOST.ns:
+            return self._command(t_mono_ns, Mode.STOP)
+        if self._wish is _Wish.DISARM:
+            return self._command(t_mono_ns, Mode.DISARM)
+        if age_ns > STATE_LATE.ns:
+            return self._command(t_mono_ns, Mode.HEARTBEAT)
+        if self._run and state.plc_state in (PlcState.HOLD, PlcState.RUN):
+            return self._command(t_mono_ns, Mode.TRAJECTORY, self._run.playback.window(state))
+        if self._wish is _Wish.RESET and state.plc_state is PlcState.FAULT:
+            return self._command(t_mono_ns, Mode.RESET)
+        proven = state.rx_ok >= GOOD_COMMANDS_TO_ARM
+        if self._wish is _Wish.ARM and state.plc_state is PlcState.LINKED and proven:
+            return self._command(t_mono_ns, Mode.ARM)
+        return self._command(t_mono_ns, Mode.HEARTBEAT)
+
+    def _command(self, t_mono_ns: int, mode: Mode, window: Window | None = None, hello: bool = False) -> Command:
+        own = self.state if self.linked else None
+        return Command(
+            session=self.session,
+            seq=next_sequence(self._seq),
+            t_send_ns=t_mono_ns,
+            mode=mode,
+            hello=hello,
+            arm_nonce=own.nonce if own else 0,
+            ack_plc_seq=own.seq if own else 0,
+            t_plc_echo_ns=own.t_send_ns if own else 0,
+            axis_mask=axis_mask(self.table),
+            cfg_id=cfg_id(self.table),
+            timeout_us=COMMAND_LOST.ns // 1000,
+            speed_override=self.speed_override,
+            traj_id=self._run.playback.traj_id if self._run and window else 0,
+            knot_first=window.knot_first if window else 0,
+            interp=Interp.QUINTIC if window else Interp.NONE,
+            cmd_flags=window.flags if window else _NO_FLAGS,
+            knots=window.knots if window else (),
+        )
+
+    def _gated(self, command: Command, t_mono_ns: int) -> Command:
+        state = self.state
+        view = GateView(
+            plc_state=state.plc_state if state else PlcState.BOOT,
+            state_age_ns=self.age_ns(t_mono_ns),
+            session=state.session if state else 0,
+            nonce=state.nonce if state else 0,
+            q_ref=state.q_ref if state else ZEROS,
+            knot_before=self._knot_before(command),
+        )
+        verdict = gate(command, view, self.table)
+        if verdict.refusals:
+            text = "; ".join(refusal.text for refusal in verdict.refusals)
+            self._pending.append(GateRefused(text))
+            self.request_stop(f"motion gate: {text}")
+        return verdict.sent
+
+    def _knot_before(self, command: Command) -> Knot | None:
+        if self._run is None or command.knot_first == 0:
+            return None
+        return self._run.playback.knots[command.knot_first - 1]
+
+    def _emit(self, command: Command) -> bytes:
+        datagram = self.framing.wrap(encode_command(command), command.seq)
+        self._seq = command.seq
+        self.counters.sent += 1
+        return datagram

@@ -1,0 +1,200 @@
+"""Bytes to messages and back. Non-finite numbers are refused both ways; bad bytes are a MalformedError."""
+
+import math
+import struct
+import zlib
+from itertools import chain
+from typing import Any
+
+from protocol import layout
+from protocol.codes import CommandFlag, HeaderFlag, Interp, LinkState, MessageType, Mode, PlcState, RejectCode
+from protocol.errors import LocalProtocolError, MalformedError
+from protocol.layout import Block
+from protocol.messages import Command, Knot, State
+
+_CRC = struct.Struct("<I")
+_HEADER_ONLY = {"magic", "ver_major", "msg_type", "hdr_len", "payload_len", "layout_id", "reserved", "crc"}
+_STATE_FIELDS = tuple(f.name for f in layout.STATE_BODY.fields if f.name not in _HEADER_ONLY)
+_KNOTS_OFFSET = 80
+_EMPTY_KNOT = bytes(layout.KNOT_SIZE)
+
+
+def _pack(block: Block, values: dict[str, Any]) -> bytes:
+    flat: list[Any] = []
+    for field in block.fields:
+        value = values[field.name]
+        if field.count == 1 or field.iec == "USINT":
+            flat.append(value)
+        elif len(value) == field.count:
+            flat.extend(value)
+        else:
+            raise LocalProtocolError(f"{block.name}.{field.name}: {len(value)} values, the wire carries {field.count}")
+    try:
+        return block.codec.pack(*flat)
+    except (struct.error, OverflowError, TypeError) as error:
+        raise LocalProtocolError(f"{block.name}: a value does not fit its field: {error}") from error
+
+
+def _unpack(block: Block, payload: bytes, offset: int) -> dict[str, Any]:
+    flat = block.codec.unpack_from(payload, offset)
+    values: dict[str, Any] = {}
+    i = 0
+    for field in block.fields:
+        if field.count == 1 or field.iec == "USINT":
+            values[field.name] = flat[i]
+            i += 1
+        else:
+            values[field.name] = flat[i : i + field.count]
+            i += field.count
+    return values
+
+
+def _header(message: Command | State, magic: int, msg_type: MessageType, size: int) -> bytes:
+    values = {
+        "magic": magic,
+        "ver_major": layout.VERSION_MAJOR,
+        "ver_minor": message.ver_minor,
+        "msg_type": msg_type,
+        "hdr_len": layout.HEADER_SIZE,
+        "payload_len": size,
+        "flags": message.flags,
+        "layout_id": layout.LAYOUT_ID,
+        "session": message.session,
+        "seq": message.seq,
+        "t_send_ns": message.t_send_ns,
+    }
+    return _pack(layout.HEADER, values)
+
+
+def _sealed(payload: bytes) -> bytes:
+    """The payload with the CRC-32 of everything before it in its last 4 bytes."""
+    return payload[:-4] + _CRC.pack(zlib.crc32(payload[:-4]))
+
+
+def _require_finite(values: chain[float], subject: str) -> None:
+    if not all(map(math.isfinite, values)):
+        raise LocalProtocolError(
+            f"{subject}: a number is NaN or infinite, which would stop the PLC; nothing was encoded"
+        )
+
+
+def encode_command(command: Command) -> bytes:
+    """The 1304 bytes of a command or HELLO.
+
+    Raises: LocalProtocolError: a non-finite number, too many knots, or a value outside its field's range.
+    """
+    if len(command.knots) > layout.KNOTS_PER_COMMAND:
+        raise LocalProtocolError(f"command: {len(command.knots)} knots, at most {layout.KNOTS_PER_COMMAND} fit")
+    floats = chain((command.speed_override,), *((*k.q, *k.qd, *k.qdd) for k in command.knots))
+    _require_finite(floats, f"command {command.seq}")
+    body = {f.name: getattr(command, f.name, 0) for f in layout.COMMAND_BODY.fields}
+    body["knot_count"] = len(command.knots)
+    knots = [_pack(layout.KNOT, {"t_ns": k.t_ns, "q": k.q, "qd": k.qd, "qdd": k.qdd}) for k in command.knots]
+    knots += [_EMPTY_KNOT] * (layout.KNOTS_PER_COMMAND - len(knots))
+    msg_type = MessageType.HELLO if command.hello else MessageType.COMMAND
+    header = _header(command, layout.COMMAND_MAGIC, msg_type, layout.COMMAND_SIZE)
+    tail = _pack(layout.COMMAND_TAIL, {"auth_tag": command.auth_tag, "reserved": 0, "crc": 0})
+    return _sealed(b"".join((header, _pack(layout.COMMAND_BODY, body), *knots, tail)))
+
+
+def encode_state(state: State) -> bytes:
+    """The 568 bytes of a state.
+
+    Raises: LocalProtocolError: a non-finite number or a value outside its field's range.
+    """
+    arrays = (state.q, state.qd, state.q_ref, state.qd_ref, state.valve_cmd, state.p_a, state.p_b)
+    scalars = (state.p_supply, state.p_tank, state.t_oil, state.speed_scale)
+    _require_finite(chain(scalars, *arrays), f"state {state.seq}")
+    body = {name: getattr(state, name) for name in _STATE_FIELDS} | {"reserved": 0, "crc": 0}
+    header = _header(state, layout.STATE_MAGIC, MessageType.STATE, layout.STATE_SIZE)
+    return _sealed(header + _pack(layout.STATE_BODY, body))
+
+
+def _checked_header(payload: bytes, magic: int, size: int, types: tuple[MessageType, ...]) -> dict[str, Any]:
+    """Receive rule 2 up to the CRC, in this order: the first failure counts."""
+    if len(payload) != size:
+        raise MalformedError(RejectCode.LENGTH, f"payload of {len(payload)} bytes, must be {size}")
+    header = _unpack(layout.HEADER, payload, 0)
+    expected = (
+        ("magic", magic, RejectCode.MAGIC),
+        ("ver_major", layout.VERSION_MAJOR, RejectCode.VERSION),
+        ("layout_id", layout.LAYOUT_ID, RejectCode.LAYOUT),
+        ("payload_len", size, RejectCode.LENGTH),
+        ("hdr_len", layout.HEADER_SIZE, RejectCode.LENGTH),
+    )
+    for name, value, code in expected:
+        if header[name] != value:
+            raise MalformedError(code, f"{name} = {header[name]:#x}, must be {value:#x}")
+    crc = zlib.crc32(memoryview(payload)[:-4])
+    if _CRC.unpack_from(payload, size - 4)[0] != crc:
+        raise MalformedError(RejectCode.CRC, f"CRC-32 does not match its {size - 4} bytes")
+    if header["msg_type"] not in types:
+        raise MalformedError(
+            RejectCode.MSG_TYPE, f"msg_type = {header['msg_type']}, expected {[int(t) for t in types]}"
+        )
+    return header
+
+
+def _finite_or_refuse(values: chain[float]) -> None:
+    if not all(map(math.isfinite, values)):
+        raise MalformedError(RejectCode.NOT_FINITE, "a number is NaN or infinite")
+
+
+def _number(kind: type[Any], value: int, name: str) -> Any:
+    try:
+        return kind(value)
+    except ValueError:
+        raise MalformedError(RejectCode.VALUE, f"{name} = {value} is no {kind.__name__}") from None
+
+
+def decode_command(payload: bytes) -> Command:
+    """The command or HELLO in 1304 bytes; unused knots are dropped.
+
+    Raises: MalformedError (a RemoteProtocolError) with the code of the first rule that fails; nothing else.
+    """
+    types = (MessageType.COMMAND, MessageType.HELLO)
+    header = _checked_header(payload, layout.COMMAND_MAGIC, layout.COMMAND_SIZE, types)
+    body = _unpack(layout.COMMAND_BODY, payload, layout.COMMAND_BODY.offset)
+    starts = range(_KNOTS_OFFSET, layout.COMMAND_TAIL.offset, layout.KNOT_SIZE)
+    knots = [_unpack(layout.KNOT, payload, start) for start in starts]
+    _finite_or_refuse(chain((body["speed_override"],), *(chain(k["q"], k["qd"], k["qdd"]) for k in knots)))
+    count = body.pop("knot_count")
+    if count > layout.KNOTS_PER_COMMAND:
+        raise MalformedError(RejectCode.VALUE, f"knot_count = {count}, at most {layout.KNOTS_PER_COMMAND}")
+    body["mode"] = _number(Mode, body["mode"], "mode")
+    body["interp"] = _number(Interp, body["interp"], "interp")
+    body["cmd_flags"] = CommandFlag(body["cmd_flags"])
+    return Command(
+        session=header["session"],
+        seq=header["seq"],
+        t_send_ns=header["t_send_ns"],
+        ver_minor=header["ver_minor"],
+        flags=HeaderFlag(header["flags"]),
+        hello=header["msg_type"] == MessageType.HELLO,
+        knots=tuple(Knot(**knot) for knot in knots[:count]),
+        auth_tag=_unpack(layout.COMMAND_TAIL, payload, layout.COMMAND_TAIL.offset)["auth_tag"],
+        **body,
+    )
+
+
+def decode_state(payload: bytes) -> State:
+    """The state in 568 bytes.
+
+    Raises: MalformedError (a RemoteProtocolError) with the code of the first rule that fails; nothing else.
+    """
+    header = _checked_header(payload, layout.STATE_MAGIC, layout.STATE_SIZE, (MessageType.STATE,))
+    body = _unpack(layout.STATE_BODY, payload, layout.STATE_BODY.offset)
+    values = {name: body[name] for name in _STATE_FIELDS}
+    arrays = (body[name] for name in ("q", "qd", "q_ref", "qd_ref", "valve_cmd", "p_a", "p_b"))
+    _finite_or_refuse(chain((body["p_supply"], body["p_tank"], body["t_oil"], body["speed_scale"]), *arrays))
+    values["plc_state"] = _number(PlcState, body["plc_state"], "plc_state")
+    values["link_state"] = _number(LinkState, body["link_state"], "link_state")
+    values["mode_active"] = _number(Mode, body["mode_active"], "mode_active")
+    return State(
+        session=header["session"],
+        seq=header["seq"],
+        t_send_ns=header["t_send_ns"],
+        ver_minor=header["ver_minor"],
+        flags=HeaderFlag(header["flags"]),
+        **values,
+    )

@@ -1,0 +1,200 @@
+"""Where every field lies on the wire: one table with explicit offsets; structs, layout id and documentation follow.
+
+All little endian. The order makes natural alignment and packing the same, so pack_mode on the PLC does not matter
+(a test asks ctypes).
+"""
+
+import hashlib
+import struct
+from dataclasses import dataclass
+
+AXES = 8
+KNOTS_PER_COMMAND = 6
+HEADER_SIZE = 32
+KNOT_SIZE = 200
+COMMAND_SIZE = 1304
+STATE_SIZE = 568
+VERSION_MAJOR = 1
+VERSION_MINOR = 0
+COMMAND_MAGIC = 0x31434D48  # "HMC1" in memory order
+STATE_MAGIC = 0x31534D48  # "HMS1"
+
+_CODES = {
+    "USINT": ("B", 1),
+    "UINT": ("H", 2),
+    "UDINT": ("I", 4),
+    "ULINT": ("Q", 8),
+    "REAL": ("f", 4),
+    "LREAL": ("d", 8),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """One field: byte offset in the payload (in a knot: from its first byte), IEC 61131-3 type, name, array length."""
+
+    offset: int
+    iec: str
+    name: str
+    count: int = 1
+
+    @property
+    def size(self) -> int:
+        """Bytes on the wire."""
+        return _CODES[self.iec][1] * self.count
+
+    @property
+    def format(self) -> str:
+        """Its part of a struct format; a byte array travels as bytes."""
+        if self.iec == "USINT" and self.count > 1:
+            return f"{self.count}s"
+        code = _CODES[self.iec][0]
+        return code if self.count == 1 else f"{self.count}{code}"
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Consecutive fields; `codec` packs and unpacks them in order."""
+
+    name: str
+    fields: tuple[Field, ...]
+    codec: struct.Struct
+
+    @property
+    def offset(self) -> int:
+        """Byte offset of the first field."""
+        return self.fields[0].offset
+
+
+def _block(name: str, end: int, *fields: Field) -> Block:
+    """A block whose fields follow each other without a gap up to `end`; anything else is a mistake in the table."""
+    expected = fields[0].offset
+    for field in fields:
+        if field.offset != expected:
+            raise ValueError(
+                f"layout {name}.{field.name}: offset {field.offset}, but the field before ends at {expected}"
+            )
+        expected += field.size
+    if expected != end:
+        raise ValueError(f"layout {name}: ends at {expected}, must end at {end}")
+    return Block(name, fields, struct.Struct("<" + "".join(field.format for field in fields)))
+
+
+HEADER = _block(
+    "header",
+    32,
+    Field(0, "UDINT", "magic"),
+    Field(4, "USINT", "ver_major"),
+    Field(5, "USINT", "ver_minor"),
+    Field(6, "USINT", "msg_type"),
+    Field(7, "USINT", "hdr_len"),
+    Field(8, "UINT", "payload_len"),
+    Field(10, "UINT", "flags"),
+    Field(12, "UDINT", "layout_id"),
+    Field(16, "UDINT", "session"),
+    Field(20, "UDINT", "seq"),
+    Field(24, "ULINT", "t_send_ns"),
+)
+
+COMMAND_BODY = _block(
+    "command",
+    80,
+    Field(32, "UDINT", "arm_nonce"),
+    Field(36, "UDINT", "ack_plc_seq"),
+    Field(40, "ULINT", "t_plc_echo_ns"),
+    Field(48, "UINT", "mode"),
+    Field(50, "UINT", "axis_mask"),
+    Field(52, "UDINT", "cfg_id"),
+    Field(56, "UDINT", "traj_id"),
+    Field(60, "UDINT", "knot_first"),
+    Field(64, "USINT", "knot_count"),
+    Field(65, "USINT", "interp"),
+    Field(66, "UINT", "cmd_flags"),
+    Field(68, "UDINT", "timeout_us"),
+    Field(72, "LREAL", "speed_override"),
+)
+
+KNOT = _block(
+    "knot",
+    KNOT_SIZE,
+    Field(0, "ULINT", "t_ns"),
+    Field(8, "LREAL", "q", AXES),
+    Field(72, "LREAL", "qd", AXES),
+    Field(136, "LREAL", "qdd", AXES),
+)
+
+COMMAND_TAIL = _block(
+    "command tail",
+    COMMAND_SIZE,
+    Field(1280, "USINT", "auth_tag", 16),
+    Field(1296, "UDINT", "reserved"),
+    Field(1300, "UDINT", "crc"),
+)
+
+STATE_BODY = _block(
+    "state",
+    STATE_SIZE,
+    Field(32, "UDINT", "nonce"),
+    Field(36, "UDINT", "ack_seq"),
+    Field(40, "ULINT", "t_pc_echo_ns"),
+    Field(48, "UDINT", "rx_age_us"),
+    Field(52, "UDINT", "plc_cycle"),
+    Field(56, "UINT", "plc_cycle_us"),
+    Field(58, "USINT", "plc_state"),
+    Field(59, "USINT", "link_state"),
+    Field(60, "UINT", "mode_active"),
+    Field(62, "UINT", "axis_mask"),
+    Field(64, "ULINT", "fault_bits"),
+    Field(72, "ULINT", "warn_bits"),
+    Field(80, "UDINT", "cfg_id"),
+    Field(84, "UINT", "reject_code"),
+    Field(86, "UINT", "reject_count"),
+    Field(88, "UDINT", "reject_seq"),
+    Field(92, "UDINT", "traj_id"),
+    Field(96, "UDINT", "knot_playing"),
+    Field(100, "UDINT", "knot_last"),
+    Field(104, "ULINT", "t_play_ns"),
+    Field(112, "UDINT", "buffer_us"),
+    Field(116, "UDINT", "underruns"),
+    Field(120, "UDINT", "rx_ok"),
+    Field(124, "UDINT", "rx_lost"),
+    Field(128, "UDINT", "rx_dup"),
+    Field(132, "UDINT", "rx_late"),
+    Field(136, "UDINT", "rx_bad"),
+    Field(140, "UDINT", "wd_trips"),
+    Field(144, "LREAL", "q", AXES),
+    Field(208, "LREAL", "qd", AXES),
+    Field(272, "LREAL", "q_ref", AXES),
+    Field(336, "LREAL", "qd_ref", AXES),
+    Field(400, "REAL", "valve_cmd", AXES),
+    Field(432, "REAL", "p_a", AXES),
+    Field(464, "REAL", "p_b", AXES),
+    Field(496, "UDINT", "axis_status", AXES),
+    Field(528, "REAL", "p_supply"),
+    Field(532, "REAL", "p_tank"),
+    Field(536, "REAL", "t_oil"),
+    Field(540, "REAL", "speed_scale"),
+    Field(544, "USINT", "auth_tag", 16),
+    Field(560, "UDINT", "reserved"),
+    Field(564, "UDINT", "crc"),
+)
+
+BLOCKS = (HEADER, COMMAND_BODY, KNOT, COMMAND_TAIL, STATE_BODY)
+
+
+def _schema_text() -> str:
+    """The canonical text of the layout: its hash names the layout, so any change of a field changes the id."""
+    lines = [f"HMLINK {VERSION_MAJOR} axes {AXES} knots {KNOTS_PER_COMMAND} command {COMMAND_SIZE} state {STATE_SIZE}"]
+    for block in BLOCKS:
+        lines += [f"{block.name} {f.offset} {f.iec}[{f.count}] {f.name}" for f in block.fields]
+    return "\n".join(lines) + "\n"
+
+
+SCHEMA_TEXT = _schema_text()
+LAYOUT_ID = int.from_bytes(hashlib.sha256(SCHEMA_TEXT.encode("ascii")).digest()[:4], "little")
+
+
+def offsets_markdown(block: Block) -> str:
+    """One block as a documentation table."""
+    rows = [f"| {f.offset} | {f.iec}{f'[{f.count}]' if f.count > 1 else ''} | {f.name} |" for f in block.fields]
+    return "\n".join(["| off | type | field |", "|---|---|---|", *rows])

@@ -1,0 +1,85 @@
+"""The limits both ends hold the knots against, and the id by which they make sure to hold the same ones."""
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+from protocol.errors import LocalProtocolError
+from protocol.layout import AXES
+from protocol.timeouts import KNOT_SPACING_MAX_NS, KNOT_SPACING_MIN_NS, START_TOLERANCE_RAD
+
+
+class JointLimits(Protocol):
+    """What a joint of a machine description must offer (machine.description.Joint does)."""
+
+    @property
+    def name(self) -> str:
+        """Joint name."""
+        ...
+
+    @property
+    def q_min_rad(self) -> float:
+        """Lower end of the range [rad]."""
+        ...
+
+    @property
+    def q_max_rad(self) -> float:
+        """Upper end of the range [rad]."""
+        ...
+
+    @property
+    def qd_max_rad_s(self) -> float:
+        """Largest speed [rad/s]."""
+        ...
+
+    @property
+    def qdd_max_rad_s2(self) -> float:
+        """Largest acceleration [rad/s^2]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class AxisLimits:
+    """One axis: range [rad], speed [rad/s], acceleration [rad/s^2]."""
+
+    name: str
+    q_min: float
+    q_max: float
+    qd_max: float
+    qdd_max: float
+
+
+@dataclass(frozen=True, slots=True)
+class LimitTable:
+    """All axes in use, 1..8, and the rules on knots that go with them."""
+
+    axes: tuple[AxisLimits, ...]
+    spacing_min_ns: int = KNOT_SPACING_MIN_NS
+    spacing_max_ns: int = KNOT_SPACING_MAX_NS
+    start_tolerance_rad: float = START_TOLERANCE_RAD
+
+
+def limits_of(joints: Iterable[JointLimits]) -> LimitTable:
+    """The table of a machine's joints.
+
+    Raises: LocalProtocolError: not 1..8 joints.
+    """
+    axes = tuple(AxisLimits(j.name, j.q_min_rad, j.q_max_rad, j.qd_max_rad_s, j.qdd_max_rad_s2) for j in joints)
+    if not 1 <= len(axes) <= AXES:
+        raise LocalProtocolError(f"machine: {len(axes)} joints, the link carries 1..{AXES}; leave the others out")
+    return LimitTable(axes)
+
+
+def axis_mask(table: LimitTable) -> int:
+    """One bit per axis in use."""
+    return (1 << len(table.axes)) - 1
+
+
+def cfg_id(table: LimitTable) -> int:
+    """First 4 bytes of SHA-256 over the table's canonical text (floats as exact hexadecimal), little endian."""
+    lines = [f"spacing {table.spacing_min_ns} {table.spacing_max_ns} start {table.start_tolerance_rad.hex()}"]
+    for axis in table.axes:
+        numbers = " ".join(float(x).hex() for x in (axis.q_min, axis.q_max, axis.qd_max, axis.qdd_max))
+        lines.append(f"{axis.name} {numbers}")
+    return int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:4], "little")

@@ -1,0 +1,53 @@
+"""Which knots the next command carries: the sliding window over one trajectory, paced by what the PLC reports. Pure."""
+
+from dataclasses import dataclass
+
+from protocol.codes import CommandFlag
+from protocol.layout import KNOTS_PER_COMMAND
+from protocol.messages import Knot, State
+from protocol.timeouts import RING_KNOTS
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A command's share of the trajectory."""
+
+    knot_first: int
+    knots: tuple[Knot, ...]
+    before: Knot | None
+    flags: CommandFlag
+
+
+@dataclass(frozen=True, slots=True)
+class Playback:
+    """One trajectory on its way to the PLC."""
+
+    traj_id: int
+    knots: tuple[Knot, ...]
+
+    @property
+    def last(self) -> int:
+        """Index of the last knot."""
+        return len(self.knots) - 1
+
+    def window(self, state: State) -> Window:
+        """The first knots that the PLC lacks, while its ring has room; else the next unplayed ones again."""
+        first = self._first(state)
+        knots = self.knots[first : first + KNOTS_PER_COMMAND]
+        flags = CommandFlag.START
+        if first + len(knots) > self.last:
+            flags |= CommandFlag.LAST_IS_END
+        return Window(first, knots, self.knots[first - 1] if first else None, flags)
+
+    def _first(self, state: State) -> int:
+        if state.traj_id != self.traj_id:
+            return 0
+        missing = state.knot_last + 1
+        room = missing + KNOTS_PER_COMMAND - state.knot_playing <= RING_KNOTS
+        wanted = missing if missing <= self.last and room else state.knot_playing
+        # a command near the end is filled up from before it, so that it always carries as much as it can
+        return max(0, min(wanted, self.last + 1 - KNOTS_PER_COMMAND))
+
+    def reached(self, state: State) -> bool:
+        """Whether the PLC has played this trajectory to its last knot."""
+        return state.traj_id == self.traj_id and state.t_play_ns >= self.knots[-1].t_ns

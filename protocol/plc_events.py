@@ -1,0 +1,67 @@
+"""What the PLC's end of the link hands up to the PLC's logic."""
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from enum import Enum
+
+from protocol.codes import PlcState, RejectCode
+from protocol.messages import Command
+from protocol.plc_states import PlcEvent
+
+
+class Effect(Enum):
+    """What an accepted command asks the PLC logic to do."""
+
+    KEEPALIVE = "keepalive"
+    ARM = "arm"
+    LOAD = "load"
+    STOP = "stop"
+    QUICK_STOP = "quick_stop"
+    RESET = "reset"
+    DISARM = "disarm"
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """A command passed every rule and fed the watchdog."""
+
+    command: Command
+    effect: Effect
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """A datagram was refused; it fed nothing and changed nothing."""
+
+    code: RejectCode
+    seq: int
+    source: Hashable
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class StateChanged:
+    """The state machine moved."""
+
+    old: PlcState
+    new: PlcState
+    event: PlcEvent
+
+
+@dataclass(frozen=True, slots=True)
+class SessionOpened:
+    """A valid HELLO opened a session; states go to `source` from now on."""
+
+    session: int
+    source: Hashable
+
+
+@dataclass(frozen=True, slots=True)
+class SessionVoid:
+    """The session is over; a new HELLO is needed."""
+
+    session: int
+    reason: str
+
+
+PlcLinkEvent = Accepted | Rejected | StateChanged | SessionOpened | SessionVoid

@@ -1,0 +1,370 @@
+"""The PLC's end of the link: receive rules, session, watchdog and the state machine. Sans-IO; knows nothing of joints.
+
+The rules are applied in the order of docs/plc-link.md; the first failure counts and nothing else happens.
+Written apart from the client's end: both share codec and sequence rule only.
+"""
+
+from collections.abc import Callable, Hashable
+from dataclasses import asdict, dataclass, field
+
+from protocol.codec import decode_command, encode_state
+from protocol.codes import CommandFlag, HeaderFlag, LinkState, Mode, PlcState, RejectCode, WarnBit
+from protocol.errors import RefusedError, RemoteProtocolError, SessionError
+from protocol.framing import Framing
+from protocol.messages import Command, PlcStatus, State
+from protocol.plc_events import Accepted, Effect, PlcLinkEvent, Rejected, SessionOpened, SessionVoid, StateChanged
+from protocol.plc_states import ARMED_STATES, PlcEvent, next_state
+from protocol.sequence import SequenceKind, classify_sequence, next_sequence
+from protocol.timeouts import COMMAND_LATE, COMMAND_LOST, ECHO_STALE, GOOD_COMMANDS_TO_ARM, SESSION_VOID
+
+CommandCheck = Callable[[Command, PlcState], RejectCode]
+
+
+def accept_all(command: Command, state: PlcState) -> RejectCode:
+    """The check of a PLC without limits: for tests of the link alone."""
+    del command, state
+    return RejectCode.NONE
+
+
+@dataclass(frozen=True, slots=True)
+class PlcLinkSettings:
+    """What the link needs to know of its machine."""
+
+    cfg_id: int
+    simulation: bool = False
+
+
+@dataclass(slots=True)
+class _Counters:
+    ok: int = 0
+    lost: int = 0
+    dup: int = 0
+    late: int = 0
+    bad: int = 0
+    trips: int = 0
+
+
+@dataclass(slots=True)
+class _LastReject:
+    code: RejectCode = RejectCode.NONE
+    count: int = 0
+    seq: int = 0
+
+
+@dataclass(slots=True)
+class _Session:
+    """What is known of the PC while a session is open; a void session is a fresh object with id 0."""
+
+    session: int = 0
+    source: Hashable = None
+    last_seq: int = 0
+    good: int = 0
+    accepted_ns: int = 0
+    pc_time_ns: int = 0
+    timeout_ns: int = COMMAND_LOST.ns
+    traj_id: int = 0  # newest trajectory seen
+    spent: bool = False  # that trajectory has ended or was stopped
+    late: bool = False
+    newer_minor: bool = False
+
+
+_SAFE_MODES = frozenset({Mode.STOP, Mode.QUICK_STOP, Mode.DISARM})
+# SERVO is reserved: refused everywhere in this version.
+_LEGAL: dict[PlcState, frozenset[Mode]] = {
+    PlcState.BOOT: frozenset(),
+    PlcState.DISARMED: frozenset(),
+    PlcState.LINKED: frozenset({Mode.HEARTBEAT, Mode.ARM, Mode.HOLD}) | _SAFE_MODES,
+    PlcState.HOLD: frozenset({Mode.HEARTBEAT, Mode.ARM, Mode.HOLD, Mode.TRAJECTORY}) | _SAFE_MODES,
+    PlcState.RUN: frozenset({Mode.HEARTBEAT, Mode.HOLD, Mode.TRAJECTORY}) | _SAFE_MODES,
+    PlcState.STOPPING: frozenset({Mode.HEARTBEAT, Mode.HOLD, Mode.TRAJECTORY}) | _SAFE_MODES,
+    PlcState.FAULT: frozenset({Mode.HEARTBEAT, Mode.HOLD, Mode.RESET}) | _SAFE_MODES,
+    PlcState.LOCAL: frozenset({Mode.HEARTBEAT, Mode.HOLD}) | _SAFE_MODES,
+}
+_EFFECTS = {
+    Mode.ARM: Effect.ARM,
+    Mode.HOLD: Effect.STOP,
+    Mode.STOP: Effect.STOP,
+    Mode.QUICK_STOP: Effect.QUICK_STOP,
+    Mode.RESET: Effect.RESET,
+    Mode.DISARM: Effect.DISARM,
+}
+_EVENTS = {
+    Effect.ARM: PlcEvent.ARM,
+    Effect.STOP: PlcEvent.SOFT_STOP,
+    Effect.QUICK_STOP: PlcEvent.QUICK_STOP,
+    Effect.RESET: PlcEvent.RESET,
+    Effect.DISARM: PlcEvent.DISARM,
+}
+
+
+def _us(ns: int) -> int:
+    """Nanoseconds as microseconds, limited to what a UDINT holds."""
+    return min(max(ns, 0) // 1000, 0xFFFF_FFFF)
+
+
+@dataclass(slots=True)
+class PlcLink:
+    """One PLC's link over its whole life; sessions come and go in it. `t_plc_ns` is the PLC's own monotonic clock."""
+
+    settings: PlcLinkSettings
+    framing: Framing
+    draw_nonce: Callable[[], int]
+    check: CommandCheck = accept_all
+    state: PlcState = PlcState.BOOT
+    peer: Hashable = None  # where states go: the source of the last valid HELLO
+    nonce: int = 0
+    state_seq: int = 0
+    _session: _Session = field(default_factory=_Session)
+    _counters: _Counters = field(default_factory=_Counters)
+    _reject: _LastReject = field(default_factory=_LastReject)
+
+    @property
+    def session(self) -> int:
+        """The open session's number; 0 while there is none."""
+        return self._session.session
+
+    def age_ns(self, t_plc_ns: int) -> int:
+        """Time since the last accepted command: what the watchdog watches. 0 without a session."""
+        return t_plc_ns - self._session.accepted_ns if self.session else 0
+
+    def receive(self, datagram: bytes, t_plc_ns: int, source: Hashable = None) -> list[PlcLinkEvent]:
+        """What one datagram from `source` leads to; any bytes give events, never an exception."""
+        seq = 0
+        try:
+            command = decode_command(self.framing.unwrap(datagram))
+            seq = command.seq
+            if command.hello and (not self.session or command.session != self.session):
+                return self._open_session(command, t_plc_ns, source)
+            return self._command(command, t_plc_ns, source)
+        except RemoteProtocolError as error:
+            return self._refuse(error, seq, source, t_plc_ns)
+
+    def poll(self, t_plc_ns: int) -> list[PlcLinkEvent]:
+        """What silence leads to; call it every cycle, after the cycle's datagrams."""
+        if not self.session:
+            return []
+        events: list[PlcLinkEvent] = []
+        age_ns = self.age_ns(t_plc_ns)
+        if age_ns > self._session.timeout_ns and not self._session.late:
+            self._session.late = True
+            self._session.spent = True  # also what was only prefilled
+            self._counters.trips += 1
+            if self.state is PlcState.RUN:
+                events += self.apply(PlcEvent.SOFT_STOP, t_plc_ns)
+        if age_ns > SESSION_VOID.ns:
+            events += self._void(t_plc_ns)
+        return events
+
+    def apply(self, event: PlcEvent, t_plc_ns: int) -> list[PlcLinkEvent]:
+        """Move the state machine: for what only the PLC's logic knows (END, AT_REST, FAULT, LOCAL_ON, ...).
+
+        Raises: IllegalTransitionError: the table has no such pair; nothing changed.
+        """
+        del t_plc_ns
+        old, new = self.state, next_state(self.state, event)
+        self.state = new
+        if old is PlcState.RUN and new is not PlcState.RUN:
+            self._session.spent = True  # motion never resumes by itself
+        if old is new:
+            return []
+        events: list[PlcLinkEvent] = [StateChanged(old, new, event)]
+        if new is PlcState.DISARMED:
+            events += self._close_session(event.value)
+            self._renew_nonce()
+        return events
+
+    def send(self, status: PlcStatus, t_plc_ns: int) -> bytes:
+        """The next state datagram; send it to `peer`."""
+        self.state_seq = next_sequence(self.state_seq)
+        state = self._state(status, t_plc_ns)
+        return self.framing.wrap(encode_state(state), state.seq)
+
+    def _state(self, status: PlcStatus, t_plc_ns: int) -> State:
+        values = asdict(status)
+        simulation = values.pop("simulation") or self.settings.simulation
+        values["warn_bits"] |= self._warnings(t_plc_ns)
+        session, counters = self._session, self._counters
+        return State(
+            session=session.session,
+            seq=self.state_seq,
+            t_send_ns=t_plc_ns,
+            plc_state=self.state,
+            flags=HeaderFlag.SIMULATION if simulation else HeaderFlag(0),
+            nonce=self.nonce,
+            ack_seq=session.last_seq,
+            t_pc_echo_ns=session.pc_time_ns,
+            rx_age_us=_us(self.age_ns(t_plc_ns)),
+            link_state=self._link_state(t_plc_ns),
+            cfg_id=self.settings.cfg_id,
+            reject_code=self._reject.code,
+            reject_count=self._reject.count & 0xFFFF,
+            reject_seq=self._reject.seq,
+            rx_ok=counters.ok,
+            rx_lost=counters.lost,
+            rx_dup=counters.dup,
+            rx_late=counters.late,
+            rx_bad=counters.bad,
+            wd_trips=counters.trips,
+            **values,
+        )
+
+    def _link_state(self, t_plc_ns: int) -> LinkState:
+        if not self.session:
+            return LinkState.NO_SESSION
+        age_ns = self.age_ns(t_plc_ns)
+        if age_ns > self._session.timeout_ns:
+            return LinkState.LOST
+        return LinkState.LATE if age_ns > COMMAND_LATE.ns else LinkState.FRESH
+
+    def _warnings(self, t_plc_ns: int) -> int:
+        link = self._link_state(t_plc_ns)
+        bits = WarnBit.NEWER_MINOR if self._session.newer_minor else WarnBit(0)
+        if link is LinkState.LATE:
+            bits |= WarnBit.LINK_LATE
+        if link is LinkState.LOST:
+            bits |= WarnBit.LINK_LOST
+        return int(bits)
+
+    def _open_session(self, hello: Command, t_plc_ns: int, source: Hashable) -> list[PlcLinkEvent]:
+        """A HELLO with a number that is not the open session's."""
+        if self.session or not hello.session:
+            raise SessionError(
+                RejectCode.SESSION, f"session {hello.session:#x} refused: {self.session:#x} is open, or it is 0"
+            )
+        if self.state is PlcState.BOOT:
+            raise RefusedError(RejectCode.MODE_ILLEGAL, "HELLO while booting; wait for DISARMED")
+        self.peer = source  # from here on the PC is told why, even if refused below
+        self._check_cfg(hello)
+        events = self.apply(PlcEvent.HELLO, t_plc_ns)
+        self._session = _Session(session=hello.session, source=source, last_seq=hello.seq)
+        self._counters = _Counters()
+        self._reject = _LastReject()
+        self.state_seq = 0
+        self._feed(hello, t_plc_ns)
+        return [SessionOpened(hello.session, source), *events]
+
+    def _command(self, command: Command, t_plc_ns: int, source: Hashable) -> list[PlcLinkEvent]:
+        session = self._session
+        if not self.session or command.session != self.session:
+            raise SessionError(
+                RejectCode.SESSION, f"session {command.session:#x} is not the open one ({self.session:#x})"
+            )
+        if source != session.source:
+            raise SessionError(RejectCode.SOURCE, f"sent from {source}, the session was opened from {session.source}")
+        sequenced = classify_sequence(session.last_seq, command.seq)
+        if sequenced.kind is SequenceKind.DUPLICATE:
+            self._counters.dup += 1
+            return []
+        if sequenced.kind is SequenceKind.LATE:
+            self._counters.late += 1
+            return []
+        if not sequenced.usable:
+            raise SessionError(RejectCode.SEQ_JUMP, f"sequence {command.seq} after {session.last_seq}")
+        mode = Mode.HEARTBEAT if command.hello else command.mode
+        self._check_rules(command, mode, t_plc_ns)
+        self._counters.lost += sequenced.lost
+        return self._take(command, mode, t_plc_ns)
+
+    def _check_rules(self, command: Command, mode: Mode, t_plc_ns: int) -> None:
+        """Rules 5 and 6; a stop needs neither a seeing PC nor equal limits."""
+        if mode not in _LEGAL[self.state]:
+            raise RefusedError(RejectCode.MODE_ILLEGAL, f"mode {mode.name} in state {self.state.name}")
+        if mode in _SAFE_MODES:
+            return
+        self._check_echo(command, t_plc_ns)
+        self._check_cfg(command)
+        if mode is Mode.ARM:
+            self._check_arm(command)
+        if mode is Mode.TRAJECTORY and command.traj_id < max(self._session.traj_id, 1):
+            raise RefusedError(RejectCode.TRAJ_ID, f"trajectory {command.traj_id} after {self._session.traj_id}")
+        if self._is_spent(command, mode):
+            return
+        code = self.check(command, self.state)
+        if code is not RejectCode.NONE:
+            raise RefusedError(code, f"mode {mode.name} refused by the PLC's own check")
+
+    def _check_echo(self, command: Command, t_plc_ns: int) -> None:
+        unarmed = self.state not in ARMED_STATES
+        if unarmed and command.ack_plc_seq == 0 and command.mode is not Mode.ARM:
+            return  # the PC has not seen a state of this session yet
+        age_ns = t_plc_ns - command.t_plc_echo_ns
+        if not 0 <= age_ns <= ECHO_STALE.ns:
+            raise SessionError(
+                RejectCode.ECHO_STALE, f"the PC's newest state is {age_ns / 1e6:.0f} ms old, limit 250 ms"
+            )
+
+    def _check_cfg(self, command: Command) -> None:
+        if command.cfg_id != self.settings.cfg_id:
+            raise RefusedError(RejectCode.CFG, f"cfg_id {command.cfg_id:#010x}, here {self.settings.cfg_id:#010x}")
+
+    def _check_arm(self, command: Command) -> None:
+        if command.arm_nonce != self.nonce:
+            raise RefusedError(RejectCode.NONCE, f"nonce {command.arm_nonce:#x} is not the present one")
+        if self.state is PlcState.LINKED and self._session.good < GOOD_COMMANDS_TO_ARM:
+            raise RefusedError(
+                RejectCode.LINK_NOT_PROVEN, f"{self._session.good} good commands, {GOOD_COMMANDS_TO_ARM} needed"
+            )
+
+    def _is_spent(self, command: Command, mode: Mode) -> bool:
+        """Whether this is a repetition of a trajectory that is over: it keeps the link alive and does nothing else."""
+        return mode is Mode.TRAJECTORY and command.traj_id == self._session.traj_id and self._session.spent
+
+    def _take(self, command: Command, mode: Mode, t_plc_ns: int) -> list[PlcLinkEvent]:
+        """An accepted command: feed the watchdog, move the state machine, hand it up."""
+        self._feed(command, t_plc_ns)
+        if mode is Mode.TRAJECTORY:
+            return self._take_trajectory(command, t_plc_ns)
+        effect = _EFFECTS.get(mode, Effect.KEEPALIVE)
+        accepted: list[PlcLinkEvent] = [Accepted(command, effect)]
+        event = _EVENTS.get(effect)
+        return accepted if event is None else [*self.apply(event, t_plc_ns), *accepted]
+
+    def _take_trajectory(self, command: Command, t_plc_ns: int) -> list[PlcLinkEvent]:
+        if self.state is PlcState.STOPPING or self._is_spent(command, Mode.TRAJECTORY):
+            return [Accepted(command, Effect.KEEPALIVE)]
+        if self.state is PlcState.RUN and command.traj_id != self._session.traj_id:
+            return [*self.apply(PlcEvent.SOFT_STOP, t_plc_ns), Accepted(command, Effect.KEEPALIVE)]
+        self._session.traj_id = command.traj_id
+        self._session.spent = False
+        events: list[PlcLinkEvent] = []
+        if self.state is PlcState.HOLD and CommandFlag.START in command.cmd_flags:
+            events = self.apply(PlcEvent.START, t_plc_ns)
+        return [*events, Accepted(command, Effect.LOAD)]
+
+    def _feed(self, command: Command, t_plc_ns: int) -> None:
+        session = self._session
+        session.last_seq = command.seq
+        session.accepted_ns = t_plc_ns
+        session.pc_time_ns = command.t_send_ns
+        session.good += 1
+        session.late = False
+        session.newer_minor = command.ver_minor > 0
+        asked_ns = command.timeout_us * 1000
+        session.timeout_ns = min(max(asked_ns, COMMAND_LATE.ns), COMMAND_LOST.ns) if asked_ns else COMMAND_LOST.ns
+        self._counters.ok += 1
+
+    def _refuse(self, error: RemoteProtocolError, seq: int, source: Hashable, t_plc_ns: int) -> list[PlcLinkEvent]:
+        """Note a refusal. A PC that has gone blind is stopped: the one rule whose failure moves the state."""
+        self._counters.bad += 1
+        self._reject.code, self._reject.seq = error.code, seq
+        self._reject.count += 1
+        events: list[PlcLinkEvent] = [Rejected(error.code, seq, source, error.text)]
+        if error.code is RejectCode.ECHO_STALE and self.state is PlcState.RUN:
+            events += self.apply(PlcEvent.SOFT_STOP, t_plc_ns)
+        return events
+
+    def _void(self, t_plc_ns: int) -> list[PlcLinkEvent]:
+        """One second of silence: the session ends, except while a ramp is still under way."""
+        events = self.apply(PlcEvent.VOID, t_plc_ns)
+        if self.state in (PlcState.STOPPING, PlcState.RUN) or not self.session:
+            return events
+        return events + self._close_session(PlcEvent.VOID.value)
+
+    def _close_session(self, reason: str) -> list[PlcLinkEvent]:
+        closed = self._session.session
+        self._session = _Session()
+        return [SessionVoid(closed, reason)] if closed else []
+
+    def _renew_nonce(self) -> None:
+        drawn = self.draw_nonce() & 0xFFFF_FFFF
+        self.nonce = drawn if drawn not in (0, self.nonce) else (drawn + 1) % 0xFFFF_FFFF + 1

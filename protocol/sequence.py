@@ -1,0 +1,48 @@
+"""The sequence rule of both directions: what a new number means after the last accepted one."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from protocol.timeouts import SEQUENCE_JUMP
+
+
+class SequenceKind(Enum):
+    """What a sequence number is, seen from the last accepted one."""
+
+    NEXT = "next"
+    GAP = "gap"
+    DUPLICATE = "duplicate"
+    LATE = "late"
+    JUMP = "jump"
+
+
+@dataclass(frozen=True, slots=True)
+class Sequenced:
+    """The verdict; `lost` counts the numbers skipped (GAP only)."""
+
+    kind: SequenceKind
+    lost: int = 0
+
+    @property
+    def usable(self) -> bool:
+        """Whether the datagram is newer than all before, and near enough to belong to them."""
+        return self.kind in (SequenceKind.NEXT, SequenceKind.GAP)
+
+
+def classify_sequence(last: int, seq: int) -> Sequenced:
+    """Compare as signed 32-bit difference, so the wrap at 2^32 is no event."""
+    delta = (seq - last + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
+    if delta == 1:
+        return Sequenced(SequenceKind.NEXT)
+    if 2 <= delta <= SEQUENCE_JUMP:
+        return Sequenced(SequenceKind.GAP, lost=delta - 1)
+    if delta == 0:
+        return Sequenced(SequenceKind.DUPLICATE)
+    if -SEQUENCE_JUMP <= delta < 0:
+        return Sequenced(SequenceKind.LATE)
+    return Sequenced(SequenceKind.JUMP)
+
+
+def next_sequence(seq: int) -> int:
+    """The number after `seq`, wrapping at 2^32."""
+    return (seq + 1) % 0x1_0000_0000

@@ -1,0 +1,92 @@
+"""Every time limit of the link in one table, each with its reason; docs/plc-link.md prints it, a test compares."""
+
+from dataclasses import dataclass
+
+MS = 1_000_000  # nanoseconds
+
+
+@dataclass(frozen=True, slots=True)
+class Timeout:
+    """One time limit: who watches it, how long, what happens then and why this long."""
+
+    name: str
+    watched_by: str
+    ns: int
+    action: str
+    reason: str
+
+
+COMMAND_PERIOD = Timeout(
+    "command period",
+    "PC",
+    20 * MS,
+    "next command is sent",
+    "50 Hz: ten may be lost within the 300 ms of knots in one command",
+)
+HELLO_PERIOD = Timeout(
+    "hello period", "PC", 100 * MS, "HELLO again", "quick to connect, 10 datagrams a second while waiting"
+)
+STATE_PERIOD = Timeout("state period", "PLC", 10 * MS, "next state is sent", "the PLC's log cycle")
+COMMAND_LATE = Timeout(
+    "command late", "PLC", 100 * MS, "warning LINK_LATE", "five commands missing: visible before it hurts"
+)
+COMMAND_LOST = Timeout(
+    "command lost",
+    "PLC",
+    250 * MS,
+    "RUN -> STOPPING -> HOLD",
+    "shorter than the 300 ms of knots: the ramp starts on the path",
+)
+SESSION_VOID = Timeout(
+    "session void",
+    "PLC",
+    1000 * MS,
+    "HOLD, LINKED -> DISARMED",
+    "a restarted PC gets in again after a second; motion needs ARM",
+)
+ECHO_STALE = Timeout(
+    "echo stale",
+    "PLC",
+    250 * MS,
+    "command refused, RUN -> STOPPING",
+    "a PC that does not see the machine must not move it",
+)
+STATE_LATE = Timeout("state late", "PC", 100 * MS, "no new knots, heartbeats only", "ten states missing")
+STATE_LOST = Timeout("state lost", "PC", 250 * MS, "STOP is sent, link counts as offline", "same bound as the PLC's")
+LINK_CLOSED = Timeout(
+    "link closed", "PC", 1000 * MS, "session given up, HELLO with a new one", "same bound as the PLC's"
+)
+START_WAIT = Timeout(
+    "start wait", "PC", 1000 * MS, "trajectory counts as not started, STOP is sent", "fifty commands unanswered"
+)
+STOP_ON_EXIT = Timeout(
+    "stop on exit", "PC", 500 * MS, "process ends", "a ramp takes less; the PLC's watchdog follows anyway"
+)
+
+ALL = (
+    COMMAND_PERIOD,
+    HELLO_PERIOD,
+    STATE_PERIOD,
+    COMMAND_LATE,
+    COMMAND_LOST,
+    SESSION_VOID,
+    ECHO_STALE,
+    STATE_LATE,
+    STATE_LOST,
+    LINK_CLOSED,
+    START_WAIT,
+    STOP_ON_EXIT,
+)
+
+GOOD_COMMANDS_TO_ARM = 25  # half a second of a working link before the machine may be armed
+SEQUENCE_JUMP = 1000  # 20 s of commands: a larger step is not loss but another sender
+RING_KNOTS = 64  # knots that the PLC can hold: 3.2 s at 50 ms
+KNOT_SPACING_MIN_NS = 5 * MS
+KNOT_SPACING_MAX_NS = 200 * MS
+START_TOLERANCE_RAD = 1e-5  # 0.05 mm at 5 m: rounding, not distance
+
+
+def table_markdown() -> str:
+    """The table for the documentation."""
+    rows = [f"| {t.name} | {t.watched_by} | {t.ns // MS} | {t.action} | {t.reason} |" for t in ALL]
+    return "\n".join(["| Time limit | Watched by | ms | Then | Why |", "|---|---|---|---|---|", *rows])

@@ -1,0 +1,198 @@
+"""What a recording holds, what it lacks, and what each lack costs the gap diagnosis."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from machine.description import parse_machine_toml
+from machine.errors import MachineError
+from recording.content import Recording, column
+from recording.opening import read_run
+from recording.rows import MarkerCorners, OdometryRow, PlcState, Row, Sent, StaticPoint, TrackerPoint
+
+GAP_FACTOR = 3.0  # a step in time beyond this many median steps is a gap
+
+
+@dataclass(frozen=True, slots=True)
+class SignalCheck:
+    """One kind of rows: how many, how fast, how long, with how many gaps."""
+
+    name: str
+    rows: int
+    rate_hz: float
+    duration_s: float
+    gaps: int
+
+
+@dataclass(frozen=True, slots=True)
+class Lack:
+    """A missing signal. `cost` says what can no longer be told apart, and `remedy` how to get it."""
+
+    signal: str
+    cost: str
+    remedy: str
+
+
+@dataclass(frozen=True, slots=True)
+class CheckReport:
+    """`usable`: at least one stage of the gap can be looked at."""
+
+    path: Path
+    complete: bool
+    signals: tuple[SignalCheck, ...]
+    lacks: tuple[Lack, ...]
+    problems: tuple[str, ...]
+    usable: bool
+    images: int
+
+
+def _has(recording: Recording, name: str) -> bool:
+    """Whether a field of the PLC's rows has any number in it."""
+    return any(value == value and value != () for value in (getattr(row, name) for row in recording.of(PlcState)))
+
+
+def _link_side(recording: Recording) -> bool:
+    return bool(recording.of(MarkerCorners) or recording.of(TrackerPoint) or recording.of(StaticPoint))
+
+
+_NEEDS: tuple[tuple[str, Callable[[Recording], bool], str, str], ...] = (
+    (
+        "sent.csv",
+        lambda recording: bool(recording.of(Sent)),
+        "stage link cannot be looked at: delay and loss between PC and PLC stay unknown",
+        "log the reference as the PC sends it",
+    ),
+    (
+        "plc.csv q_ref",
+        lambda recording: _has(recording, "q_ref_rad"),
+        "stages link, controller and actuator merge",
+        "log the reference that the PLC works with",
+    ),
+    (
+        "plc.csv q",
+        lambda recording: _has(recording, "q_rad"),
+        "no stage after link can be looked at",
+        "log the encoders",
+    ),
+    (
+        "plc.csv u",
+        lambda recording: _has(recording, "u_frac"),
+        "stages controller and actuator merge: dead band and controller gain cannot be told apart",
+        "log the valve commands",
+    ),
+    (
+        "plc.csv p_a, p_b",
+        lambda recording: _has(recording, "p_a_pa") and _has(recording, "p_b_pa"),
+        "inside stage actuator, friction cannot be told from flow effects",
+        "log the pressures of both chambers",
+    ),
+    (
+        "plc.csv p_supply",
+        lambda recording: _has(recording, "p_supply_pa"),
+        "pump sharing and flow gain cannot be told apart",
+        "log the supply pressure",
+    ),
+    (
+        "markers.csv, tracker.csv or static.csv",
+        _link_side,
+        "stages joint, structure and camera cannot be looked at: nothing was measured behind the encoders",
+        "record the camera or an external tracker",
+    ),
+    (
+        "tracker.csv or static.csv",
+        lambda recording: bool(recording.of(TrackerPoint) or recording.of(StaticPoint)),
+        "stages structure and camera merge: the camera alone cannot say whether it or the boom is wrong",
+        "measure a few poses at rest by an external tracker",
+    ),
+    (
+        "odometry.csv",
+        lambda recording: bool(recording.of(OdometryRow)),
+        "the camera's motion is known only while it sees markers",
+        "switch odometry on, or leave the wall in view",
+    ),
+    (
+        "segments with repeat_of",
+        lambda recording: any(segment.repeat_of for segment in recording.run.segments),
+        "the noise floor must be guessed: no command was repeated",
+        "repeat at least one command three times and name it in run.toml",
+    ),
+    (
+        "machine.toml",
+        lambda recording: bool(recording.machine_toml),
+        "there is no nominal machine to compare with",
+        "put the nominal machine's file into the recording",
+    ),
+)
+
+_TIMES: tuple[tuple[type[Row], str], ...] = (
+    (Sent, "t_pc_s"),
+    (PlcState, "t_plc_s"),
+    (MarkerCorners, "t_camera_s"),
+    (OdometryRow, "t_camera_s"),
+    (TrackerPoint, "t_plc_s"),
+)
+
+
+def check_recording(path: Path) -> CheckReport:
+    """Look through the recording at this path.
+
+    Raises: RecordingError when it cannot be read at all.
+    """
+    recording = read_run(path)
+    signals = [_signal(row_type, name, recording) for row_type, name in _TIMES if recording.of(row_type)]
+    static = recording.of(StaticPoint)
+    if static:
+        signals.append(SignalCheck("static", len(static), 0.0, 0.0, 0))
+    lacks = tuple(Lack(name, cost, remedy) for name, is_there, cost, remedy in _NEEDS if not is_there(recording))
+    missing = {lack.signal for lack in lacks}
+    return CheckReport(
+        path=path,
+        complete=recording.complete,
+        signals=tuple(signals),
+        lacks=lacks,
+        problems=tuple(_problems(recording)),
+        usable="machine.toml" not in missing and ("plc.csv q" not in missing or bool(static)),
+        images=recording.images,
+    )
+
+
+def _signal(row_type: type[Row], time_name: str, recording: Recording) -> SignalCheck:
+    rows = recording.of(row_type)
+    times_s = np.unique(column(rows, time_name))  # markers share their pair's time
+    steps_s = np.diff(times_s[np.isfinite(times_s)])
+    median_s = float(np.median(steps_s)) if len(steps_s) else 0.0
+    gaps = int(np.sum(steps_s > GAP_FACTOR * median_s)) if median_s > 0.0 else 0
+    duration_s = float(steps_s.sum())
+    rate_hz = len(steps_s) / duration_s if duration_s > 0.0 else 0.0
+    return SignalCheck(row_type.topic.strip("/"), len(rows), rate_hz, duration_s, gaps)
+
+
+def _problems(recording: Recording) -> list[str]:
+    problems: list[str] = []
+    if not recording.complete:
+        problems.append("the file was cut; `longreach recording recover` writes a whole one of what is left")
+    for row_type, name in _TIMES:
+        times_s = column(recording.of(row_type), name)
+        back = int(np.sum(np.diff(times_s) < 0.0))
+        if back:
+            problems.append(f"{row_type.topic.strip('/')}: {name} runs backwards {back} times; sort the rows by time")
+    problems += _machine_problems(recording)
+    if recording.run.plc_to_pc_offset_s is None and recording.of(Sent):
+        problems.append("run.toml has no clocks.plc_to_pc_offset_s: the link's delay is known but for a constant")
+    return problems
+
+
+def _machine_problems(recording: Recording) -> list[str]:
+    if not recording.machine_toml:
+        return []
+    try:
+        machine = parse_machine_toml(recording.machine_toml)
+    except MachineError as error:
+        return [f"machine.toml cannot be used as a full machine: {error}"]
+    plc = recording.of(PlcState)
+    joints = max((len(row.q_rad) for row in plc), default=0)
+    if joints and joints != len(machine.joints):
+        return [f"plc.csv has {joints} joints, machine.toml {len(machine.joints)}; both must agree"]
+    return []

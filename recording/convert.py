@@ -1,0 +1,55 @@
+"""MCAP <-> folder of CSV files."""
+
+import math
+from pathlib import Path
+
+from recording.content import Attachment, Recording
+from recording.errors import RecordingError
+from recording.folder import write_folder
+from recording.opening import read_run
+from recording.rows import Row
+from recording.run import RunInfo
+from recording.writer import RunWriter
+
+
+def convert(source: Path, target: Path) -> Recording:
+    """Write the other form of `source`: a target named *.mcap becomes MCAP, any other a folder. Returns what was read.
+
+    Raises: RecordingError when the source cannot be read, or the target exists already.
+    """
+    if target.exists():
+        raise RecordingError(f"{target} exists already; choose another name")
+    recording = read_run(source)
+    if target.suffix == ".mcap":
+        write_mcap(recording, target)
+    else:
+        write_folder(recording, target)
+    return recording
+
+
+def write_mcap(recording: Recording, path: Path) -> None:
+    """Write a recording's numbers as MCAP. Times become UTC by the run's clock offsets, as far as they are known."""
+    attachments = [*recording.attachments]
+    if recording.machine_toml:
+        attachments.insert(0, Attachment("machine.toml", "application/toml", recording.machine_toml.encode()))
+    to_utc_s = recording.run.pc_to_utc_offset_s or 0.0
+    writer = RunWriter(path, recording.run, attachments, recording.metadata, mono_to_utc_ns=round(to_utc_s * 1e9))
+    for entry in recording.log:
+        writer.log(entry.level, entry.text, entry.t_utc_ns - round(to_utc_s * 1e9))
+    for row in recording.rows:
+        writer.row(row, pc_time_ns(row, recording.run))
+    report = writer.close(recording.run)
+    if report.error:
+        raise RecordingError(report.error)
+
+
+def pc_time_ns(row: Row, run: RunInfo) -> int:
+    """A row's time on the PC's clock [ns], never below 0; 0 for rows without a time."""
+    clocks = {
+        "t_pc_s": 0.0,
+        "t_camera_s": run.camera_to_pc_offset_s or 0.0,
+        "t_plc_s": run.plc_to_pc_offset_s or 0.0,
+    }
+    own = [getattr(row, name) + offset_s for name, offset_s in clocks.items() if hasattr(row, name)]
+    t_s = own[0] if own else 0.0
+    return round(max(t_s, 0.0) * 1e9) if math.isfinite(t_s) else 0

@@ -1,0 +1,161 @@
+"""The folder form: run.toml, machine.toml and one CSV file per numeric channel."""
+
+import csv as csv_format
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from recording.content import Attachment, Recording
+from recording.errors import RecordingError
+from recording.rows import CSV_ROW_TYPES, MISSING_COUNT, NAN, Floats, Row, csv_fields
+from recording.run import RunInfo, run_from_toml, run_to_toml
+
+
+def write_folder(recording: Recording, folder: Path) -> None:
+    """Write a recording's numbers as a folder of CSV files; images and channels without a CSV form are left out."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "run.toml").write_text(run_to_toml(recording.run), encoding="utf-8")
+        if recording.machine_toml:
+            (folder / "machine.toml").write_text(recording.machine_toml, encoding="utf-8")
+        for attachment in recording.attachments:
+            (folder / Path(attachment.name).name).write_bytes(attachment.data)
+        for row_type in CSV_ROW_TYPES:
+            rows = recording.of(row_type)
+            if rows:
+                _write_csv(folder / row_type.file, row_type, rows)
+    except OSError as error:
+        raise RecordingError(f"folder {folder}: {error.strerror}; choose a folder that can be written") from error
+
+
+def _is_joints(row_type: type[Row], name: str) -> bool:
+    return get_type_hints(row_type)[name] == Floats
+
+
+def _write_csv(path: Path, row_type: type[Row], rows: Sequence[Row]) -> None:
+    header: list[str] = []
+    widths: list[tuple[str, int]] = []  # field, its number of columns (0: a scalar)
+    for name, pattern in csv_fields(row_type):
+        if not _is_joints(row_type, name):
+            header.append(pattern)
+            widths.append((name, 0))
+            continue
+        width = max(len(getattr(row, name)) for row in rows)
+        header += [pattern.replace("{j}", str(j)) for j in range(1, width + 1)]
+        widths.append((name, width))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv_format.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(_cells(row, widths) for row in rows)
+
+
+def _cells(row: Row, widths: list[tuple[str, int]]) -> list[str]:
+    cells: list[str] = []
+    for name, width in widths:
+        value = getattr(row, name)
+        values = (value,) if not isinstance(value, tuple) else (*value, *[NAN] * (width - len(value)))
+        cells += [_cell(each) for each in values]
+    return cells
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return "" if math.isnan(value) else repr(value)
+    return "" if value == MISSING_COUNT else str(value)
+
+
+def read_folder(folder: Path) -> Recording:
+    """The recording in a folder. Every file but run.toml and machine.toml is optional.
+
+    Raises: RecordingError naming file, line, column and value.
+    """
+    run_file = folder / "run.toml"
+    if not run_file.is_file():
+        raise RecordingError(f"folder {folder} has no run.toml; it may hold just [run] name, but must be there")
+    machine_file = folder / "machine.toml"
+    rows: list[Row] = []
+    for row_type in CSV_ROW_TYPES:
+        path = folder / row_type.file
+        if path.is_file():
+            rows += _read_csv(path, row_type)
+    known = {"run.toml", "machine.toml", *(row_type.file for row_type in CSV_ROW_TYPES)}
+    others = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.name not in known]
+    return Recording(
+        form="folder",
+        run=_read_run(run_file),
+        machine_toml=machine_file.read_text(encoding="utf-8") if machine_file.is_file() else "",
+        rows=tuple(rows),
+        attachments=tuple(Attachment(path.name, _media_type(path), path.read_bytes()) for path in others),
+    )
+
+
+def _read_run(path: Path) -> RunInfo:
+    return run_from_toml(path.read_text(encoding="utf-8"))
+
+
+def _media_type(path: Path) -> str:
+    return "application/json" if path.suffix == ".json" else "application/xml"
+
+
+def _read_csv(path: Path, row_type: type[Row]) -> list[Row]:
+    with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets like to write a byte order mark
+        reader = csv_format.reader(file)
+        header = [name.strip() for name in next(reader, [])]
+        take = _row_reader(path, row_type, header)
+        return [take(number, cells) for number, cells in enumerate(reader, start=2) if any(cells)]
+
+
+def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[[int, list[str]], Row]:
+    hints = get_type_hints(row_type)
+    places = {name: _places(pattern, header) for name, pattern in csv_fields(row_type)}
+    first = next(iter(places))
+    if not places[first]:
+        raise RecordingError(f"{path}: column '{csv_fields(row_type)[0][1]}' is missing; the file cannot be placed")
+
+    def take(number: int, cells: list[str]) -> Row:
+        values: dict[str, Any] = {}
+        for name, columns in places.items():
+            texts = [cells[place] if place < len(cells) else "" for place in columns]
+            values[name] = _value(hints[name], texts, f"{path}, line {number}, {name}")
+        return row_type(**values)
+
+    return take
+
+
+def _places(pattern: str, header: list[str]) -> list[int]:
+    """Where a field's columns are; for joints in the order of their numbers, without gaps."""
+    if "{j}" not in pattern:
+        return [header.index(pattern)] if pattern in header else []
+    finder = re.compile(re.escape(pattern).replace(re.escape("{j}"), r"(\d{1,2})"))
+    found = {int(match[1]): place for place, name in enumerate(header) if (match := finder.fullmatch(name))}
+    if set(found) != set(range(1, len(found) + 1)):
+        raise RecordingError(f"columns '{pattern}': joints {sorted(found)}; they must count from 1 without gaps")
+    return [found[joint] for joint in sorted(found)]
+
+
+def _value(kind: object, texts: list[str], where: str) -> object:
+    if kind is str:
+        return texts[0].strip() if texts else ""
+    numbers = [_number(text, where) for text in texts]
+    if kind == Floats:
+        return () if _all_missing(numbers) else tuple(numbers)
+    if kind is int:
+        missing = not numbers or math.isnan(numbers[0])
+        return MISSING_COUNT if missing else int(numbers[0])
+    return numbers[0] if numbers else NAN
+
+
+def _all_missing(numbers: Iterable[float]) -> bool:
+    return all(math.isnan(number) for number in numbers)
+
+
+def _number(text: str, where: str) -> float:
+    text = text.strip()
+    if not text:
+        return NAN
+    try:
+        return float(text)
+    except ValueError as error:
+        raise RecordingError(f"{where}: '{text[:40]}' is not a number; leave a missing one empty") from error

@@ -1,0 +1,68 @@
+"""Rows as protobuf messages, built from the row classes: no compiler, no generated files."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any, get_type_hints
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto as FieldProto
+from google.protobuf.message import Message
+
+from recording.rows import ROW_TYPES, Floats, Row
+
+PACKAGE = "longreach"
+
+_TYPES = {
+    float: (FieldProto.TYPE_DOUBLE, FieldProto.LABEL_OPTIONAL),
+    int: (FieldProto.TYPE_INT64, FieldProto.LABEL_OPTIONAL),
+    str: (FieldProto.TYPE_STRING, FieldProto.LABEL_OPTIONAL),
+    bool: (FieldProto.TYPE_BOOL, FieldProto.LABEL_OPTIONAL),
+    Floats: (FieldProto.TYPE_DOUBLE, FieldProto.LABEL_REPEATED),
+}
+
+
+def _file_of(row_type: type[Row]) -> descriptor_pb2.FileDescriptorProto:
+    """One file per message, so that a channel's schema holds nothing but itself."""
+    file = descriptor_pb2.FileDescriptorProto(
+        name=f"{PACKAGE}/{row_type.__name__}.proto", package=PACKAGE, syntax="proto3"
+    )
+    message = file.message_type.add(name=row_type.__name__)
+    hints = get_type_hints(row_type)
+    for number, column in enumerate(fields(row_type), start=1):
+        kind, label = _TYPES[hints[column.name]]
+        message.field.add(name=column.name, number=number, type=kind, label=label, json_name=column.name)
+    return file
+
+
+class RowCodec:
+    """Row <-> protobuf bytes of one channel."""
+
+    def __init__(self, row_type: type[Row]) -> None:
+        file = _file_of(row_type)
+        pool = descriptor_pool.DescriptorPool()
+        pool.Add(file)
+        self.row_type = row_type
+        self.schema_name = f"{PACKAGE}.{row_type.__name__}"
+        self.schema = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+        self._names = tuple(column.name for column in fields(row_type))
+        hints = get_type_hints(row_type)
+        self._repeated = frozenset(name for name in self._names if hints[name] is Floats or hints[name] == Floats)
+        descriptor = pool.FindMessageTypeByName(self.schema_name)
+        self._message: Callable[..., Message] = message_factory.GetMessageClass(descriptor)
+
+    def encode(self, row: Row) -> bytes:
+        """The row as protobuf bytes."""
+        return self._message(**{name: getattr(row, name) for name in self._names}).SerializeToString()
+
+    def decode(self, data: bytes) -> Row:
+        """The row of protobuf bytes; fields that are not there take protobuf's defaults."""
+        message = self._message()
+        message.ParseFromString(data)
+        values: dict[str, Any] = {name: getattr(message, name) for name in self._names}
+        for name in self._repeated:
+            values[name] = tuple(values[name])
+        return self.row_type(**values)
+
+
+#: One codec per numeric channel, by topic.
+CODECS = {row_type.topic: RowCodec(row_type) for row_type in ROW_TYPES}

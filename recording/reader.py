@@ -1,0 +1,128 @@
+"""Reading MCAP recordings, whole or cut."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
+from mcap.exceptions import McapError
+from mcap.records import Attachment as McapAttachment
+from mcap.records import Channel, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader
+
+from recording.content import Attachment, LogEntry, Recording
+from recording.errors import RecordingError
+from recording.foxglove import LEVELS
+from recording.messages import CODECS
+from recording.rows import Row
+from recording.run import RunInfo, run_from_toml
+from recording.writer import IMAGE_TOPIC, LOG_TOPIC
+
+# What the MCAP reader raises on bytes that end or are damaged; its decompressors have errors of their own.
+CUT_ERRORS = (McapError, EOFError, struct.error, zlib.error, ValueError, KeyError, OSError)
+
+LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
+
+
+class RecordStream:
+    """The records of an MCAP file in order, until its end or its first damage. `cut` tells which."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.cut = False
+        self.reason = ""
+
+    def __iter__(self) -> Iterator[McapRecord]:
+        try:
+            stream = self._path.open("rb")
+        except OSError as error:
+            raise RecordingError(f"recording {self._path}: {error.strerror}") from error
+        with stream:
+            ended = False
+            records = StreamReader(stream, record_size_limit=None).records
+            while True:
+                try:
+                    record = next(records)
+                except StopIteration:
+                    break
+                except Exception as error:
+                    self._judge(error)
+                    break
+                ended = type(record).__name__ == "Footer"
+                yield record
+            self.cut = self.cut or not ended
+
+    def _judge(self, error: Exception) -> None:
+        if not isinstance(error, CUT_ERRORS) and type(error).__module__.split(".")[0] not in ("zstandard", "lz4"):
+            raise error
+        self.cut, self.reason = True, str(error) or type(error).__name__
+
+
+def read_mcap(path: Path) -> Recording:
+    """The numbers, log and attachments of an MCAP file; of a cut file what can be read.
+
+    Raises: RecordingError when it is no MCAP file or holds nothing of ours.
+    """
+    stream = RecordStream(path)
+    collected = _Collected()
+    for record in stream:
+        collected.take(record)
+    if not collected.any_record:
+        raise RecordingError(f"recording {path} is not an MCAP file: {stream.reason or 'it is empty'}")
+    return collected.recording(complete=not stream.cut)
+
+
+class _Collected:
+    def __init__(self) -> None:
+        self._channels: dict[int, Channel] = {}
+        self._rows: list[Row] = []
+        self._log: list[LogEntry] = []
+        self._attachments: dict[str, Attachment] = {}
+        self._metadata: list[tuple[str, str]] = []
+        self._images = 0
+        self.any_record = False
+
+    def take(self, record: McapRecord) -> None:
+        self.any_record = True
+        match record:
+            case Channel():
+                self._channels[record.id] = record
+            case Message():
+                self._message(record)
+            case McapAttachment():  # a later one of the same name is the better one
+                self._attachments[record.name] = Attachment(record.name, record.media_type, record.data)
+            case Metadata():
+                self._metadata += [(f"{record.name}.{key}", value) for key, value in record.metadata.items()]
+
+    def _message(self, record: Message) -> None:
+        topic = self._channels[record.channel_id].topic
+        try:
+            if topic in CODECS:
+                self._rows.append(CODECS[topic].decode(record.data))
+            elif topic == LOG_TOPIC:
+                entry: Any = Log.FromString(record.data)
+                level = LEVEL_NAMES.get(int(entry.level), "unknown")
+                self._log.append(LogEntry(record.log_time, level, entry.message))
+            elif topic == IMAGE_TOPIC:
+                self._images += 1
+        except DecodeError as error:
+            raise RecordingError(f"channel {topic}: a message is not what its schema says: {error}") from error
+
+    def recording(self, complete: bool) -> Recording:
+        attachments = dict(self._attachments)
+        run = attachments.pop("run.toml", None)
+        machine = attachments.pop("machine.toml", None)
+        return Recording(
+            form="mcap",
+            run=RunInfo(name="") if run is None else run_from_toml(run.data.decode()),
+            machine_toml="" if machine is None else machine.data.decode(),
+            rows=tuple(self._rows),
+            log=tuple(self._log),
+            attachments=tuple(attachments.values()),
+            metadata=tuple(self._metadata),
+            images=self._images,
+            complete=complete,
+        )

@@ -1,0 +1,72 @@
+"""Repairing a file that was cut by a crash or a full disk."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from mcap.records import Attachment as McapAttachment
+from mcap.records import Channel, Message, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+
+from recording.errors import RecordingError
+from recording.reader import RecordStream
+
+
+@dataclass(frozen=True, slots=True)
+class RecoverReport:
+    """What was saved. `was_complete`: there was nothing to repair."""
+
+    messages: int
+    attachments: int
+    was_complete: bool
+    reason: str  # where reading ended, in the reader's words
+
+
+def recover(source: Path, target: Path) -> RecoverReport:
+    """Copy everything readable of `source`, images included, into a whole file with an index.
+
+    Raises: RecordingError when nothing can be read, or the target exists already.
+    """
+    if target.exists():
+        raise RecordingError(f"{target} exists already; choose another name")
+    stream = RecordStream(source)
+    copier = _Copier()
+    with target.open("xb") as file:
+        copier.copy(stream, Writer(file, compression=CompressionType.ZSTD))
+    if copier.messages + copier.attachments == 0:
+        target.unlink()
+        raise RecordingError(f"recording {source}: nothing can be read: {stream.reason or 'it is empty'}")
+    return RecoverReport(copier.messages, copier.attachments, not stream.cut, stream.reason)
+
+
+class _Copier:
+    def __init__(self) -> None:
+        self.messages = 0
+        self.attachments = 0
+        self._schemas: dict[int, int] = {0: 0}
+        self._channels: dict[int, int] = {}
+
+    def copy(self, stream: RecordStream, writer: Writer) -> None:
+        writer.start(profile="", library="longreach recover")
+        for record in stream:
+            match record:
+                case Schema() if record.id not in self._schemas:
+                    self._schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+                case Channel() if record.id not in self._channels:
+                    self._channels[record.id] = writer.register_channel(
+                        record.topic, record.message_encoding, self._schemas[record.schema_id], record.metadata
+                    )
+                case Message():
+                    self._message(writer, record)
+                case McapAttachment():
+                    self.attachments += 1
+                    writer.add_attachment(
+                        record.create_time, record.log_time, record.name, record.media_type, record.data
+                    )
+                case Metadata():
+                    writer.add_metadata(record.name, record.metadata)
+        writer.finish()
+
+    def _message(self, writer: Writer, record: Message) -> None:
+        self.messages += 1
+        channel = self._channels[record.channel_id]
+        writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)

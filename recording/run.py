@@ -1,0 +1,114 @@
+"""run.toml: what a recording is, its clocks and its segments."""
+
+import json
+import math
+import tomllib
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from recording.errors import RecordingError
+
+FORMAT_VERSION = 1
+
+SegmentKind = Literal[
+    "repeat", "multisine", "steps", "sweep", "staircase", "workcycle", "static", "hold", "positioning"
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A stretch of the run on the PLC's clock; segments with the same `repeat_of` are repeats of one command."""
+
+    name: str
+    kind: SegmentKind
+    t_start_plc_s: float
+    t_end_plc_s: float
+    repeat_of: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RunInfo:
+    """The content of run.toml. Offsets: t_pc = t_plc + offset, t_pc = t_camera + offset; None when not known."""
+
+    name: str
+    started_utc: str = ""
+    seed: int | None = None
+    plc_to_pc_offset_s: float | None = None
+    camera_to_pc_offset_s: float | None = None
+    pc_to_utc_offset_s: float | None = None
+    segments: tuple[Segment, ...] = ()
+    format_version: int = FORMAT_VERSION
+
+
+def _line(name: str, value: object) -> str:
+    """One TOML line; JSON's strings and numbers are TOML's."""
+    return f"{name} = {json.dumps(value)}\n"
+
+
+def run_to_toml(run: RunInfo) -> str:
+    """run.toml text."""
+    text = "[run]\n" + _line("name", run.name) + _line("started_utc", run.started_utc)
+    if run.seed is not None:
+        text += _line("seed", run.seed)
+    text += _line("format_version", run.format_version) + "\n[clocks]\n"
+    for name in ("plc_to_pc_offset_s", "camera_to_pc_offset_s", "pc_to_utc_offset_s"):
+        value = getattr(run, name)
+        if value is not None:
+            text += _line(name, value)
+    for segment in run.segments:
+        text += "\n[[segment]]\n" + _line("name", segment.name) + _line("kind", segment.kind)
+        text += _line("t_start_plc_s", segment.t_start_plc_s) + _line("t_end_plc_s", segment.t_end_plc_s)
+        text += _line("repeat_of", segment.repeat_of) if segment.repeat_of else ""
+    return text
+
+
+def run_from_toml(text: str) -> RunInfo:
+    """The content of run.toml text; keys that are not ours are passed over, since others write this file too.
+
+    Raises: RecordingError naming the field that is missing or wrong.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RecordingError(f"run.toml is not TOML: {error}") from error
+    run, clocks = data.get("run", {}), data.get("clocks", {})
+    segments = data.get("segment", [])
+    if not isinstance(run, dict) or not isinstance(clocks, dict) or not isinstance(segments, list):
+        raise RecordingError("run.toml: [run] and [clocks] must be tables and [[segment]] a list of tables")
+    version = run.get("format_version", FORMAT_VERSION)
+    if not isinstance(version, int) or not 1 <= version <= FORMAT_VERSION:
+        raise RecordingError(f"run.toml: format_version = {version!r}; this program reads 1..{FORMAT_VERSION}")
+    seed = run.get("seed")
+    return RunInfo(
+        name=str(run.get("name", "")),
+        started_utc=str(run.get("started_utc", "")),
+        seed=seed if isinstance(seed, int) else None,
+        plc_to_pc_offset_s=_optional(clocks, "plc_to_pc_offset_s"),
+        camera_to_pc_offset_s=_optional(clocks, "camera_to_pc_offset_s"),
+        pc_to_utc_offset_s=_optional(clocks, "pc_to_utc_offset_s"),
+        segments=tuple(_segment(number, segment) for number, segment in enumerate(segments, start=1)),
+        format_version=version,
+    )
+
+
+def _number(value: object, subject: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise RecordingError(f"run.toml: {subject} = {value!r} is not a finite number [s]")
+    return float(value)
+
+
+def _optional(table: dict[str, Any], name: str) -> float | None:
+    return None if name not in table else _number(table[name], f"clocks.{name}")
+
+
+def _segment(number: int, data: Any) -> Segment:
+    if not isinstance(data, dict):
+        raise RecordingError(f"run.toml: segment {number} is not a table")
+    kind: Any = data.get("kind")
+    if kind not in get_args(SegmentKind):
+        raise RecordingError(f"run.toml: segment {number}: kind = {kind!r}; one of {', '.join(get_args(SegmentKind))}")
+    start = _number(data.get("t_start_plc_s"), f"segment {number}: t_start_plc_s")
+    end = _number(data.get("t_end_plc_s"), f"segment {number}: t_end_plc_s")
+    if end < start:
+        raise RecordingError(f"run.toml: segment {number}: t_end_plc_s = {end} s lies before t_start_plc_s = {start} s")
+    return Segment(str(data.get("name", "")), kind, start, end, str(data.get("repeat_of", "")))

@@ -1,0 +1,229 @@
+"""Writing one run as MCAP: a queue, a thread, one file that is readable up to its last chunk whatever happens.
+
+Under pressure images are dropped first and counted; numbers never: a full queue makes their giver wait.
+"""
+
+import logging
+import queue
+import threading
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from google.protobuf.message import Message
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from machine.description import StereoCamera
+from recording.content import Attachment
+from recording.errors import RecordingError
+from recording.foxglove import FramePose, calibration_message, image_message, log_message, transforms_message
+from recording.messages import CODECS
+from recording.rows import Row
+from recording.run import RunInfo, run_to_toml
+
+QUEUE_ENTRIES = 50_000  # minutes of numbers
+IMAGES_MAX = 16  # waiting images; a disk that is further behind loses images
+CHUNK_BYTES = 256 * 1024
+FLUSH_S = 1.0  # at most this much is lost when the process is killed
+CLOSE_S = 30.0
+
+IMAGE_TOPIC = "/camera/left"
+CALIBRATION_TOPIC = "/camera/left/calibration"
+TRANSFORM_TOPIC = "/tf"
+LOG_TOPIC = "/log"
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    topic: str
+    content: Row | Message
+    log_ns: int
+    publish_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class WriterReport:
+    """What became of a run's file."""
+
+    path: Path
+    messages: int
+    images_dropped: int
+    error: str  # empty when everything was written
+
+
+class RunWriter:
+    """One run's file. Times given are the PC's monotonic clock [ns]; the file carries UTC."""
+
+    def __init__(
+        self,
+        path: Path,
+        run: RunInfo,
+        attachments: Sequence[Attachment] = (),
+        metadata: Sequence[tuple[str, str]] = (),
+        mono_to_utc_ns: int | None = None,
+    ) -> None:
+        self.path = path
+        self._mono_to_utc_ns = time.time_ns() - time.monotonic_ns() if mono_to_utc_ns is None else mono_to_utc_ns
+        self._queue: queue.Queue[_Entry | None] = queue.Queue(QUEUE_ENTRIES)
+        self._images_waiting = 0
+        self._lock = threading.Lock()
+        self._error = ""
+        self._messages = 0
+        self.images_dropped = 0
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._stream: BinaryIO = path.open("xb", buffering=0)
+        except OSError as error:
+            raise RecordingError(f"recording {path}: {error.strerror}; choose a folder that can be written") from error
+        self._writer = McapWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+        self._channels: dict[str, int] = {}
+        self._sequence: dict[str, int] = {}
+        self._writer.start(profile="", library="longreach")
+        self._attach(Attachment("run.toml", "application/toml", run_to_toml(run).encode()))
+        for attachment in attachments:
+            self._attach(attachment)
+        self._writer.add_metadata("longreach", dict(metadata))
+        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+        self._thread.start()
+
+    @property
+    def error(self) -> str:
+        """Why the file is no longer written; empty while it is."""
+        return self._error
+
+    def row(self, row: Row, t_mono_ns: int, t_source_mono_ns: int | None = None) -> None:
+        """Write numbers. `t_source_mono_ns`: the source's own stamp mapped to the PC's clock."""
+        self._put_number(row.topic, row, t_mono_ns, t_source_mono_ns)
+
+    def transforms(self, poses: Sequence[FramePose], t_mono_ns: int) -> None:
+        """Write edges of the transform tree."""
+        self._put_number(TRANSFORM_TOPIC, transforms_message(poses, self._utc(t_mono_ns)), t_mono_ns)
+
+    def log(self, level: str, text: str, t_mono_ns: int) -> None:
+        """Write one line of the log; level is debug, info, warning or error."""
+        self._put_number(LOG_TOPIC, log_message(level, text, self._utc(t_mono_ns)), t_mono_ns)
+
+    def camera(self, camera: StereoCamera, width_px: int, t_mono_ns: int) -> None:
+        """Write the left eye's intrinsics for images of this width."""
+        message = calibration_message(camera, self._utc(t_mono_ns), width_px)
+        self._put_number(CALIBRATION_TOPIC, message, t_mono_ns)
+
+    def image(self, jpeg: bytes, t_mono_ns: int, t_source_mono_ns: int) -> bool:
+        """Write the left image unless the writer is behind; whether it was taken."""
+        with self._lock:
+            taken = self._images_waiting < IMAGES_MAX and self._queue.qsize() < QUEUE_ENTRIES // 2
+            if not taken:
+                self.images_dropped += 1
+                return False
+            self._images_waiting += 1
+        self._put_number(IMAGE_TOPIC, image_message(jpeg, self._utc(t_source_mono_ns)), t_mono_ns, t_source_mono_ns)
+        return True
+
+    def close(self, run: RunInfo | None = None) -> WriterReport:
+        """Write what waits, the final run.toml and the index. The file is complete afterwards."""
+        if self._thread.is_alive():
+            self._queue.put(None)
+            self._thread.join(CLOSE_S)
+        if self._thread.is_alive():
+            self._error = self._error or f"writer did not come to its end within {CLOSE_S:.0f} s"
+        elif not self._stream.closed:
+            self._finish(run)
+        return WriterReport(self.path, self._messages, self.images_dropped, self._error)
+
+    def _finish(self, run: RunInfo | None) -> None:
+        try:
+            if not self._error:
+                if run is not None:
+                    self._attach(Attachment("run.toml", "application/toml", run_to_toml(run).encode()))
+                self._writer.add_metadata("longreach/end", {"images_dropped": str(self.images_dropped)})
+                self._writer.finish()
+        except OSError as error:
+            self._fail(error)
+        finally:
+            self._stream.close()
+
+    def _utc(self, t_mono_ns: int) -> int:
+        return t_mono_ns + self._mono_to_utc_ns
+
+    def _put_number(
+        self, topic: str, content: Row | Message, t_mono_ns: int, t_source_mono_ns: int | None = None
+    ) -> None:
+        if self._error or self._stream.closed:
+            return
+        publish_ns = t_mono_ns if t_source_mono_ns is None else t_source_mono_ns
+        self._queue.put(_Entry(topic, content, self._utc(t_mono_ns), self._utc(publish_ns)))
+
+    def _work(self) -> None:
+        """Thread: entries from the queue to the file, a chunk at least every FLUSH_S."""
+        flushed_s = time.monotonic()
+        running = True
+        while running:
+            try:
+                entry = self._queue.get(timeout=FLUSH_S)
+                running = entry is not None
+                if entry is not None:
+                    self._take(entry)
+            except queue.Empty:
+                pass
+            if time.monotonic() - flushed_s >= FLUSH_S and not self._error:
+                flushed_s = time.monotonic()
+                self._guarded_flush()
+
+    def _take(self, entry: _Entry) -> None:
+        if entry.topic == IMAGE_TOPIC:
+            with self._lock:
+                self._images_waiting -= 1
+        if self._error:
+            return  # keep emptying the queue, so that nobody waits for a full disk
+        try:
+            self._write(entry)
+        except OSError as error:
+            self._fail(error)
+
+    def _guarded_flush(self) -> None:
+        try:
+            self._writer.flush()
+        except OSError as error:
+            self._fail(error)
+
+    def _fail(self, error: OSError) -> None:
+        self._error = f"recording {self.path}: {error.strerror or error}; what was written so far can be recovered"
+        _log.error(self._error)
+
+    def _write(self, entry: _Entry) -> None:
+        content = entry.content
+        data = CODECS[entry.topic].encode(content) if isinstance(content, Row) else content.SerializeToString()
+        number = self._sequence.get(entry.topic, 0)
+        self._sequence[entry.topic] = number + 1
+        self._writer.add_message(
+            channel_id=self._channel(entry),
+            log_time=entry.log_ns,
+            data=data,
+            publish_time=entry.publish_ns,
+            sequence=number,
+        )
+        self._messages += 1
+
+    def _channel(self, entry: _Entry) -> int:
+        if entry.topic not in self._channels:
+            name, schema = _schema_of(entry.topic, entry.content)
+            schema_id = self._writer.register_schema(name, "protobuf", schema)
+            self._channels[entry.topic] = self._writer.register_channel(entry.topic, "protobuf", schema_id)
+        return self._channels[entry.topic]
+
+    def _attach(self, attachment: Attachment) -> None:
+        now_ns = time.time_ns()
+        self._writer.add_attachment(now_ns, now_ns, attachment.name, attachment.media_type, attachment.data)
+
+
+def _schema_of(topic: str, content: Row | Message) -> tuple[str, bytes]:
+    if isinstance(content, Row):
+        codec = CODECS[topic]
+        return codec.schema_name, codec.schema
+    return content.DESCRIPTOR.full_name, build_file_descriptor_set(type(content)).SerializeToString()

@@ -1,0 +1,115 @@
+"""Jobs over REST: one POST per kind of job, its state, and its story as server-sent events."""
+
+import asyncio
+import json
+import time
+from collections.abc import AsyncIterator
+from typing import Annotated
+
+from fastapi import APIRouter, Body, Header
+from fastapi.responses import JSONResponse, StreamingResponse
+
+from server.api.problems import problem
+from server.api.state_view import job_view
+from server.api.views import (
+    CalibrateRequest,
+    ExecuteRequest,
+    JobView,
+    LookRequest,
+    OrientRequest,
+    ParkRequest,
+    PositionRequest,
+    PreviewRequest,
+    Problem,
+    RetractRequest,
+    ReturnRequest,
+)
+from server.jobs.engine import Job
+from server.jobs.service import JobService
+
+AnyJobRequest = Annotated[
+    LookRequest
+    | OrientRequest
+    | CalibrateRequest
+    | PreviewRequest
+    | ExecuteRequest
+    | PositionRequest
+    | RetractRequest
+    | ReturnRequest
+    | ParkRequest,
+    Body(discriminator="kind"),
+]
+EVENT_POLL_S = 0.1
+
+
+def jobs_router(service: JobService) -> APIRouter:
+    """Routes under /v1/jobs and /v1/stop."""
+    router = APIRouter(prefix="/v1", tags=["jobs"])
+    refused = {409: {"model": Problem}, 422: {"model": Problem}, 503: {"model": Problem}}
+
+    @router.post("/jobs", status_code=202, response_model=JobView, responses=refused)
+    async def start_job(request: AnyJobRequest) -> JSONResponse:
+        """Start a job; 202 with its Location, 409 when another one runs or a plan is refused."""
+        job = service.start(request)
+        headers = {"Location": f"/v1/jobs/{job.job_id}"}
+        return JSONResponse(job_view(job).model_dump(mode="json"), status_code=202, headers=headers)
+
+    @router.get("/jobs", response_model=list[JobView])
+    async def list_jobs() -> list[JobView]:
+        """The last jobs, newest last, without their stories."""
+        return [job_view(job, events_from=10**9) for job in service.engine.jobs]
+
+    @router.get("/jobs/{job_id}", response_model=JobView, responses={404: {"model": Problem}})
+    async def read_job(job_id: str) -> JobView | JSONResponse:
+        """A job with its story and, at its end, its result."""
+        job = service.engine.find(job_id)
+        return job_view(job) if job else _unknown(job_id)
+
+    @router.get("/jobs/{job_id}/events", responses={404: {"model": Problem}}, response_model=None)
+    async def follow_job(
+        job_id: str, last_event_id: Annotated[str | None, Header()] = None
+    ) -> StreamingResponse | JSONResponse:
+        """The story as server-sent events; resumes behind Last-Event-ID; ends with the job."""
+        job = service.engine.find(job_id)
+        if job is None:
+            return _unknown(job_id)
+        seen = int(last_event_id) if last_event_id and last_event_id.isdecimal() else 0
+        return StreamingResponse(_story(job, seen), media_type="text/event-stream")
+
+    @router.post("/stop", response_model=JobView | None)
+    async def stop() -> JobView | None:
+        """Stop motion (software) and the running job; from anyone, at any time."""
+        await service.engine.stop("stopped over REST")
+        return job_view(service.engine.current) if service.engine.current else None
+
+    @router.post("/disarm", status_code=204)
+    async def disarm() -> None:
+        """Leave the armed state."""
+        await service.cell.link.disarm()
+
+    @router.post("/reset", status_code=204)
+    async def reset() -> None:
+        """Clear a latched PLC fault; never restarts motion."""
+        await service.cell.link.reset()
+
+    return router
+
+
+async def _story(job: Job, seen: int) -> AsyncIterator[str]:
+    keep_alive = time.monotonic()
+    while True:
+        view = job_view(job, events_from=seen)
+        for event in view.events:
+            seen = event.number
+            yield f"id: {event.number}\nevent: progress\ndata: {event.model_dump_json()}\n\n"
+        if job.ended:
+            yield f"event: end\ndata: {json.dumps(job_view(job).model_dump(mode='json'))}\n\n"
+            return
+        if time.monotonic() - keep_alive > 10.0:
+            keep_alive = time.monotonic()
+            yield ": still here\n\n"
+        await asyncio.sleep(EVENT_POLL_S)
+
+
+def _unknown(job_id: str) -> JSONResponse:
+    return problem(404, "Unknown job", f"no job {job_id[:32]!r} among the last 200", "unknown_job")

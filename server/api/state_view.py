@@ -1,0 +1,220 @@
+"""From the cell to the one state view: ages, units, and why a step is not possible now."""
+
+import time
+from dataclasses import asdict
+
+import numpy as np
+
+from server.api.views import (
+    CalibrationView,
+    CameraView,
+    ErrorView,
+    JobEventView,
+    JobView,
+    LinkView,
+    LookView,
+    MarkerViewOut,
+    MoveView,
+    PlanView,
+    StateView,
+)
+from server.cell import Cell
+from server.jobs.context import PlanContext
+from server.jobs.engine import Job, JobEngine
+from server.jobs.knowledge import PreviewedPlan
+from server.jobs.plans.live_error import live_error
+from server.jobs.records import ErrorMm, MoveRecord
+from server.version import __version__
+
+CAMERA_SILENT_MS = 1000.0
+
+
+def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext) -> StateView:
+    """The state as of now."""
+    latest = cell.link.latest
+    joints = cell.machine.joints
+    n = len(joints)
+    degrees = [round(float(np.rad2deg(value)), 4) for value in (latest.q_rad if latest else [0.0] * n)]
+    references = [round(float(np.rad2deg(value)), 4) for value in (latest.q_ref_rad if latest else [0.0] * n)]
+    knowledge, goal = cell.knowledge, cell.settings.position
+    return StateView(
+        version=__version__,
+        mode=cell.settings.mode,
+        machine=cell.machine.name,
+        joint_names=[joint.name for joint in joints],
+        q_deg=degrees,
+        q_ref_deg=references,
+        q_min_deg=[float(np.rad2deg(joint.q_min_rad)) for joint in joints],
+        q_max_deg=[float(np.rad2deg(joint.q_max_rad)) for joint in joints],
+        link=_link(cell),
+        camera=_camera(cell),
+        markers=_markers(cell),
+        live_error=_error(live_error(cell, ctx)),
+        look=_look(cell),
+        calibration=CalibrationView(**asdict(knowledge.calibration)) if knowledge.calibration else None,
+        plan=plan_view(knowledge.previewed) if knowledge.previewed else None,
+        moves=[move_view(move) for move in knowledge.moves],
+        job=job_view(engine.current) if engine.current else None,
+        tolerance_mm=goal.tolerance_mm,
+        tolerance_deg=goal.tolerance_deg,
+        stand_off_mm=goal.stand_off_mm,
+        steps=steps(cell, engine),
+    )
+
+
+def steps(cell: Cell, engine: JobEngine) -> dict[str, str]:
+    """For each step the reason why it is not possible now; empty when it is."""
+    common = _blocked(cell, engine)
+    look, plan = cell.knowledge.last_look, cell.knowledge.previewed
+    no_look = "" if look is not None and look.error is not None else "look first"
+    expired = plan is not None and time.monotonic_ns() > plan.expires_ns
+    no_plan = "preview first" if plan is None else ("the preview has expired: preview again" if expired else "")
+    return {
+        "look": common,
+        "orient": common or no_look,
+        "calibrate": common or no_look,
+        "preview": common or no_look,
+        "execute": common or no_plan,
+        "position": common,
+        "retract": common,
+        "return": common or ("" if cell.knowledge.q_start is not None else "nothing has moved yet"),
+        "park": common,
+        "stop": "",
+    }
+
+
+def _blocked(cell: Cell, engine: JobEngine) -> str:
+    job = engine.current
+    if job is not None and not job.ended:
+        return f"{job.kind} of {job.owner} is {job.state.value}"
+    phase = cell.link.health.phase.value
+    if phase in ("offline", "fault", "local"):
+        return {
+            "offline": "the PLC does not answer: check its program, cable and address",
+            "fault": "the PLC reports a fault: clear its cause, then reset",
+            "local": "the machine is on its local lever",
+        }[phase]
+    return ""
+
+
+def _link(cell: Cell) -> LinkView:
+    health, latest = cell.link.health, cell.link.latest
+    total = max(1, health.received + health.lost)
+    age_ms = None if latest is None else (time.monotonic_ns() - latest.t_mono_ns) * 1e-6
+    return LinkView(
+        phase=health.phase.value,
+        age_ms=None if age_ms is None else round(age_ms, 1),
+        lost_pct=round(100.0 * health.lost / total, 2),
+        round_trip_ms=round(health.round_trip_ms, 2),
+        plc_state=latest.plc_state if latest else "unknown",
+        buffer_ms=round(latest.buffer_us * 1e-3, 1) if latest else 0.0,
+        underruns=latest.underruns if latest else 0,
+        fault_bits=latest.fault_bits if latest else 0,
+        simulation=latest.simulation if latest else False,
+        last_reject=health.last_reject,
+    )
+
+
+def _camera(cell: Cell) -> CameraView:
+    report = cell.vision.latest
+    if report is None:
+        return CameraView(fps=0.0, age_ms=None, process_ms=0.0, skipped=0, warnings=["no image yet"])
+    age_ms = (time.monotonic_ns() - report.t_receive_mono_ns) * 1e-6
+    warnings = list(report.warnings)
+    if age_ms > CAMERA_SILENT_MS:
+        warnings.append(f"no new image for {age_ms / 1e3:.1f} s: check the camera and its cable")
+    return CameraView(
+        fps=round(report.fps, 1),
+        age_ms=round(age_ms, 1),
+        process_ms=round(report.process_ms, 1),
+        skipped=report.skipped,
+        warnings=warnings,
+    )
+
+
+def _markers(cell: Cell) -> list[MarkerViewOut]:
+    report = cell.vision.latest
+    if report is None:
+        return []
+    return [
+        MarkerViewOut(
+            marker_id=view.marker_id,
+            corners_px=np.round(view.corners_left_px, 2).tolist(),
+            residual_px=round(float(np.nan_to_num(view.residual_rms_px)), 3),
+            used=view.used,
+            reason=view.reason,
+        )
+        for view in report.observation.views
+        if view.corners_left_px is not None
+    ]
+
+
+def _look(cell: Cell) -> LookView | None:
+    taken = cell.knowledge.last_look
+    if taken is None:
+        return None
+    record = taken.record
+    return LookView(
+        status=record.status,
+        reason=record.reason,
+        error=_error(record.error),
+        n_used=record.n_used,
+        spread_mm=round(float(np.nan_to_num(record.spread_mm)), 3),
+        age_s=round((time.monotonic_ns() - record.t_mono_ns) * 1e-9, 1),
+    )
+
+
+def _error(error: ErrorMm | None) -> ErrorView | None:
+    if error is None:
+        return None
+    return ErrorView(**{name: round(value, 3) for name, value in asdict(error).items()})
+
+
+def plan_view(previewed: PreviewedPlan) -> PlanView:
+    """The previewed plan as the operator checks it."""
+    plan = previewed.plan
+    points = plan.Ts_base_tcp[:, :3, 3]
+    picked = points[np.linspace(0, len(points) - 1, min(len(points), 60)).astype(int)]
+    return PlanView(
+        plan_hash=previewed.plan_hash,
+        expires_in_s=round((previewed.expires_ns - time.monotonic_ns()) * 1e-9, 1),
+        length_mm=round(plan.length_m * 1e3, 1),
+        duration_s=round(plan.duration_s, 2),
+        tcp_speed_max_mm_s=round(plan.tcp_speed_max_m_s * 1e3, 1),
+        clearance_mm=round(plan.clearance_m * 1e3, 1) if np.isfinite(plan.clearance_m) else None,
+        sigma_min=round(plan.sigma_min, 4),
+        joint_travel_deg=[round(float(value), 2) for value in np.rad2deg(plan.joint_travel_rad)],
+        predicted_sigma_mm=[round(value, 2) for value in previewed.predicted_sigma_mm],
+        before=ErrorView(**asdict(previewed.before)),
+        path_base_m=np.round(picked, 4).tolist(),
+        q_goal_rad=[float(value) for value in previewed.q_goal],
+    )
+
+
+def move_view(move: MoveRecord) -> MoveView:
+    """One executed move."""
+    return MoveView.model_validate(asdict(move) | {"predicted_sigma_mm": list(move.predicted_sigma_mm)})
+
+
+def job_view(job: Job, events_from: int = 0) -> JobView:
+    """A job with its story from an event number on."""
+    return JobView(
+        job_id=job.job_id,
+        kind=job.kind,
+        owner=job.owner,
+        state=job.state.value,
+        code=job.code,
+        reason=job.reason,
+        elapsed_s=round(job.elapsed_s, 2),
+        events=[JobEventView(**asdict(event)) for event in job.events if event.number > events_from],
+        result=_result(job.result),
+    )
+
+
+def _result(result: object) -> object:
+    if result is None or isinstance(result, str):
+        return result
+    if isinstance(result, PreviewedPlan):
+        return plan_view(result).model_dump()
+    record = getattr(result, "record", result)  # LookTaken carries its record
+    return asdict(record)

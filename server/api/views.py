@@ -1,0 +1,243 @@
+"""What goes out over REST and WebSocket: strict models, units in every name."""
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class View(BaseModel):
+    """Base of all views: nothing beyond the declared fields."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class LinkView(View):
+    """The PLC link."""
+
+    phase: str
+    age_ms: float | None
+    lost_pct: float
+    round_trip_ms: float
+    plc_state: str
+    buffer_ms: float
+    underruns: int
+    fault_bits: int
+    simulation: bool
+    last_reject: str
+
+
+class CameraView(View):
+    """The camera and the vision process."""
+
+    fps: float
+    age_ms: float | None
+    process_ms: float
+    skipped: int
+    warnings: list[str]
+
+
+class MarkerViewOut(View):
+    """One marker in the left image: corners in px of the full image."""
+
+    marker_id: int
+    corners_px: list[list[float]]
+    residual_px: float
+    used: bool
+    reason: str
+
+
+class ErrorView(View):
+    """Tool minus goal in OOI axes."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    rotation_deg: float
+    sigma_x_mm: float
+    sigma_y_mm: float
+    sigma_z_mm: float
+    sigma_rotation_deg: float
+    distance_mm: float
+
+
+class LookView(View):
+    """The last look."""
+
+    status: str
+    reason: str
+    error: ErrorView | None
+    n_used: int
+    spread_mm: float
+    age_s: float
+
+
+class CalibrationView(View):
+    """The local calibration."""
+
+    method: str
+    status: str
+    reason: str
+    sigma_deg: float
+    from_nominal_deg: float
+    time_offset_ms: float
+    residual_rms_mm: float
+    n_used: int
+    observability: float
+    duration_s: float
+
+
+class PlanView(View):
+    """The previewed plan: what Execute would do."""
+
+    plan_hash: str
+    expires_in_s: float
+    length_mm: float
+    duration_s: float
+    tcp_speed_max_mm_s: float
+    clearance_mm: float | None
+    sigma_min: float
+    joint_travel_deg: list[float]
+    predicted_sigma_mm: list[float]
+    before: ErrorView
+    path_base_m: list[list[float]]
+    q_goal_rad: list[float]
+
+
+class MoveView(View):
+    """One executed orientation step or move."""
+
+    number: int
+    kind: Literal["orientation", "move"]
+    before: ErrorView
+    after: ErrorView | None
+    predicted_sigma_mm: list[float]
+    length_mm: float
+    duration_s: float
+    trims: int
+    t_rest_plc_ns: int
+
+
+class JobEventView(View):
+    """One line of a job's story."""
+
+    number: int
+    elapsed_s: float
+    name: str
+    current: float
+    target: float
+    unit: str
+    text: str
+
+
+class JobView(View):
+    """A job."""
+
+    job_id: str
+    kind: str
+    owner: str
+    state: str
+    code: str
+    reason: str
+    elapsed_s: float
+    events: list[JobEventView]
+    result: Any = None
+
+
+class StateView(View):
+    """Everything that one screen needs, at one instant."""
+
+    version: str
+    mode: Literal["SIM", "REAL"]
+    machine: str
+    joint_names: list[str]
+    q_deg: list[float]
+    q_ref_deg: list[float]
+    q_min_deg: list[float]
+    q_max_deg: list[float]
+    link: LinkView
+    camera: CameraView
+    markers: list[MarkerViewOut]
+    live_error: ErrorView | None
+    look: LookView | None
+    calibration: CalibrationView | None
+    plan: PlanView | None
+    moves: list[MoveView]
+    job: JobView | None
+    tolerance_mm: float
+    tolerance_deg: float
+    stand_off_mm: float
+    steps: dict[str, str] = Field(description="why a step's button is disabled; empty text = enabled")
+
+
+class Problem(View):
+    """RFC 9457 problem details."""
+
+    type: str = "about:blank"
+    title: str
+    status: int
+    detail: str
+    code: str
+
+
+class JobRequest(View):
+    """Body of a job request without parameters of its own."""
+
+    owner: str = Field(default="operator", min_length=1, max_length=64)
+
+
+class LookRequest(JobRequest):
+    """Look: pose error between tool and goal."""
+
+    kind: Literal["look"] = "look"
+
+
+class OrientRequest(JobRequest):
+    """Turn the tool to the OOI (orientation steps)."""
+
+    kind: Literal["orient"]
+
+
+class CalibrateRequest(JobRequest):
+    """Drive the calibration path and match trajectories."""
+
+    kind: Literal["calibrate"]
+
+
+class PreviewRequest(JobRequest):
+    """Plan one move from the last look; nothing moves."""
+
+    kind: Literal["preview"]
+
+
+class ExecuteRequest(JobRequest):
+    """Execute the previewed plan of that hash."""
+
+    kind: Literal["execute"]
+    plan_hash: str = Field(min_length=16, max_length=16, pattern="^[0-9a-f]{16}$")
+
+
+class PositionRequest(JobRequest):
+    """The whole loop."""
+
+    kind: Literal["position"]
+    method: Literal["ours", "paper"] = "ours"
+    recalibrate: bool = True
+
+
+class RetractRequest(JobRequest):
+    """Back away from the wall along the tool's axis."""
+
+    kind: Literal["retract"]
+    distance_mm: float = Field(default=300.0, ge=10.0, le=1000.0)
+
+
+class ReturnRequest(JobRequest):
+    """Back to where the last run began."""
+
+    kind: Literal["return"]
+
+
+class ParkRequest(JobRequest):
+    """Fold the machine."""
+
+    kind: Literal["park"]

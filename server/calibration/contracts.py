@@ -1,0 +1,63 @@
+"""What a local calibration takes and gives."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class CalibrationStatus(Enum):
+    """How an estimate ended; only OK may be used."""
+
+    OK = "ok"
+    TOO_FEW = "too_few"
+    DEGENERATE = "degenerate"
+    POOR_FIT = "poor_fit"
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTrack:
+    """Left camera from odometry: times (n,) [s, camera clock mapped to the PC], `Ts_vo_cam` (n, 4, 4)."""
+
+    t_s: Array
+    Ts_vo_cam: Array
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderTrack:
+    """Encoder-based TCP: times (m,) [s, PLC clock mapped to the PC], `Ts_base_tcp` (m, 4, 4)."""
+
+    t_s: Array
+    Ts_base_tcp: Array
+
+
+@dataclass(frozen=True, slots=True)
+class MountRotation:
+    """Rotation of the camera against the TCP, with its covariance (3, 3) [rad^2] (left perturbation, TCP axes)."""
+
+    R_tcp_cam: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class CameraRotationEstimate:
+    """The local calibration: how camera vectors turn into base vectors, here and now.
+
+    `R_tcp_cam` with covariance (3, 3) [rad^2] (left perturbation, TCP axes) is what is carried to other orientations:
+    R_base_cam = R_base_tcp @ R_tcp_cam. None unless status is OK.
+    """
+
+    status: CalibrationStatus
+    reason: str
+    method: str
+    R_tcp_cam: Array | None
+    covariance: Array | None
+    time_offset_s: float  # add to the camera track's time to get the encoder track's
+    residual_rms_mm: float
+    residual_max_mm: float
+    n_used: int
+    observability: float  # smallest information eigenvalue of the path over the largest, 0..1
+    path_length_m: float

@@ -1,0 +1,110 @@
+"""From a look to a reference: the paper's eq. 20-22, and the default full-pose reference about the tool marker."""
+
+import numpy as np
+
+from machine.poses import inverse_pose, pose, transform_points
+from machine.rotations import geodesic_angle, skew
+from server.calibration.checks import require_covariance, require_pose, require_rotation
+from server.calibration.contracts import Array
+
+
+def position_reference_paper(
+    T_base_tcp: Array, R_base_cam: Array, p_cam_tool: Array, p_cam_ooi: Array, stand_off_m: float
+) -> Array:
+    """Reference pose of the TCP by eq. 20-22: a pure translation, the orientation is held.
+
+    Model:   C_p_delta = p_O - p_T - (0, 0, b) (21); p_lc = R_fm R_cfa C_p_delta (20); p_ref = p_lc + B_p_T (22).
+    Args:    T_base_tcp: present pose by the encoders (4, 4); R_base_cam: R_fm R_cfa (3, 3); p_cam_tool, p_cam_ooi: as
+             seen (3,) [m]; stand_off_m: b, along the camera's z [m].
+    Returns: T_base_tcp_ref, (4, 4).
+    Raises:  CalibrationInputError: not a pose or rotation.
+    Source:  Makinen et al. 2023, eq. 20-22.
+    """
+    T = require_pose(T_base_tcp, "T_base_tcp")
+    p_delta = np.asarray(p_cam_ooi) - np.asarray(p_cam_tool) - np.array([0.0, 0.0, stand_off_m])  # eq. 21
+    p_lc = require_rotation(R_base_cam, "R_base_cam") @ p_delta  # eq. 20
+    return pose(T[:3, :3], p_lc + T[:3, 3])  # eq. 22
+
+
+def reference_from_look(
+    T_base_tcp_ref: Array, R_tcp_cam: Array, T_tcp_tool: Array, T_cam_tool: Array, T_cam_ooi: Array, T_ooi_goal: Array
+) -> Array:
+    """Reference pose that puts the tool marker on its goal, measured as a step from where the TCP was last commanded.
+
+    Model:   R_base_cam = R_base_tcp_ref R_tcp_cam; T_cam_goal = T_cam_ooi T_ooi_goal; step of the marker d = R_base_cam
+             (p_goal - p_tool); turn Q = R_base_cam R_cam_goal R_cam_tool^T R_base_cam^T; R_goal = Q R_base_tcp_ref;
+             p_goal = p_base_tool + d - R_goal p_tcp_tool: the turn is about the marker, so it does not move it.
+    Args:    T_base_tcp_ref: nominal kinematics of the last commanded joints (4, 4); R_tcp_cam: the local calibration
+             (3, 3); T_tcp_tool: nominal, its lever arm is used; T_cam_tool, T_cam_ooi: the look; T_ooi_goal: the
+             tool's wanted pose, R = I, p = (x, y, b).
+    Returns: T_base_tcp_goal, (4, 4), in the same (commanded) space.
+    Raises:  CalibrationInputError: not a pose or rotation.
+    Source:  Makinen et al. 2023, eq. 7-8 and 20-22, joined and made frame-consistent.
+    """
+    T_ref = require_pose(T_base_tcp_ref, "T_base_tcp_ref")
+    T_cam_goal = require_pose(T_cam_ooi, "T_cam_ooi") @ require_pose(T_ooi_goal, "T_ooi_goal")
+    T_tool = require_pose(T_cam_tool, "T_cam_tool")
+    lever = require_pose(T_tcp_tool, "T_tcp_tool")[:3, 3]
+    R_base_cam = T_ref[:3, :3] @ require_rotation(R_tcp_cam, "R_tcp_cam")
+    step = R_base_cam @ (T_cam_goal[:3, 3] - T_tool[:3, 3])
+    turn = R_base_cam @ T_cam_goal[:3, :3] @ T_tool[:3, :3].T @ R_base_cam.T
+    R_goal = turn @ T_ref[:3, :3]
+    p_base_tool = transform_points(T_ref, lever[None])[0]
+    return pose(R_goal, p_base_tool + step - R_goal @ lever)
+
+
+def look_error_covariance(
+    T_cam_tool: Array, T_cam_ooi: Array, T_ooi_goal: Array, tool_covariance: Array, ooi_covariance: Array
+) -> Array:
+    """Covariance of the measured tool-to-goal vector, from the look alone.
+
+    Model:   p_goal = p_ooi + R_cam_ooi g, so an OOI turn acts through the lever g; tool and OOI are independent.
+    Args:    poses as in `reference_from_look`; covariances (6, 6): rotation vector [rad], then translation [m], camera
+             axes.
+    Returns: (3, 3) [m^2], camera axes.
+    Raises:  CalibrationInputError: not a pose or covariance.
+    """
+    C_tool = require_covariance(tool_covariance, 6, "tool_covariance")
+    C_ooi = require_covariance(ooi_covariance, 6, "ooi_covariance")
+    require_pose(T_cam_tool, "T_cam_tool")
+    lever = require_pose(T_cam_ooi, "T_cam_ooi")[:3, :3] @ np.asarray(T_ooi_goal)[:3, 3]
+    J = np.hstack((-skew(lever), np.eye(3)))
+    return C_tool[3:, 3:] + J @ C_ooi @ J.T
+
+
+def predicted_error_covariance(
+    rotation_covariance: Array,
+    R_tcp_cam: Array,
+    T_cam_tool: Array,
+    T_cam_ooi: Array,
+    T_ooi_goal: Array,
+    tool_covariance: Array,
+    ooi_covariance: Array,
+    sigma_stretch_frac: float = 0.01,
+    sigma_floor_m: float = 0.0007,
+) -> Array:
+    """Covariance of the tool's position error after the move, told before it.
+
+    Model:   e = delta x d + stretch |d| + look + floor; d: step of the marker, delta: error of the camera's rotation,
+             stretch: local length error of kinematics and odometry, floor: standstill, backlash, markers.
+    Args:    rotation_covariance: of R_tcp_cam (3, 3) [rad^2], TCP axes; the look as in `look_error_covariance`;
+             sigma_stretch_frac: sd of the relative length error, each axis; sigma_floor_m: sd each axis [m].
+    Returns: (3, 3) [m^2], OOI axes; its diagonal's root is the predicted one sigma of x, y, z.
+    Raises:  CalibrationInputError: not a pose, rotation or covariance.
+    """
+    R_cam_tcp = require_rotation(R_tcp_cam, "R_tcp_cam").T
+    in_camera = R_cam_tcp @ require_covariance(rotation_covariance, 3, "rotation_covariance") @ R_cam_tcp.T
+    goal = (np.asarray(T_cam_ooi) @ require_pose(T_ooi_goal, "T_ooi_goal"))[:3, 3]
+    d = goal - require_pose(T_cam_tool, "T_cam_tool")[:3, 3]
+    look = look_error_covariance(T_cam_tool, T_cam_ooi, T_ooi_goal, tool_covariance, ooi_covariance)
+    isotropic = (sigma_stretch_frac**2 * float(d @ d) + sigma_floor_m**2) * np.eye(3)
+    total = skew(d) @ in_camera @ skew(d).T + look + isotropic
+    R_ooi_cam = np.asarray(T_cam_ooi)[:3, :3].T
+    return R_ooi_cam @ total @ R_ooi_cam.T
+
+
+def goal_error(T_cam_tool: Array, T_cam_ooi: Array, T_ooi_goal: Array) -> tuple[Array, float]:
+    """Tool minus goal as seen: position in OOI axes (3,) [m], and the geodesic angle [rad]."""
+    T_ooi_tool = inverse_pose(require_pose(T_cam_ooi, "T_cam_ooi")) @ require_pose(T_cam_tool, "T_cam_tool")
+    goal = require_pose(T_ooi_goal, "T_ooi_goal")
+    return T_ooi_tool[:3, 3] - goal[:3, 3], geodesic_angle(goal[:3, :3], T_ooi_tool[:3, :3])

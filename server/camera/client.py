@@ -1,0 +1,250 @@
+"""The server's end of the vision process: starts it, keeps it alive, and turns its reports into looks and tracks."""
+
+import asyncio
+import logging
+import multiprocessing
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from multiprocessing.connection import Connection  # on POSIX; Windows has another class of the same face
+from multiprocessing.process import BaseProcess
+from typing import cast
+
+from machine.description import Machine
+from server.calibration.contracts import CameraTrack
+from server.camera.contracts import (
+    FrameReport,
+    OdometryCommand,
+    PoseSourceCommand,
+    PoseSourceName,
+    QuitCommand,
+    VisionCommand,
+    VisionMessage,
+    VisionSettings,
+)
+from server.camera.errors import CameraError
+from server.camera.looking import LookCollector
+from server.camera.process import run_vision
+from server.camera.tracking import TrackCollector
+from server.vision.contracts import Look, OdometryPose
+
+KEEP_REPORTS = 600  # 40 s at 15 Hz
+FRESH_S = 0.5  # a stream without a report for longer is silent
+QUIT_S = 4.0
+RESTART_S = 1.0
+ODOMETRY_START_S = 20.0  # the first pair may compile
+
+_log = logging.getLogger(__name__)
+
+OnReport = Callable[[FrameReport], None]
+
+
+class VisionClient:
+    """Used from one asyncio loop. Reports arrive on that loop."""
+
+    def __init__(self, settings: VisionSettings, machine: Machine) -> None:
+        self._settings = settings
+        self._machine = machine
+        self._reports: deque[FrameReport] = deque(maxlen=KEEP_REPORTS)
+        self._listeners: list[OnReport] = []
+        self._arrived = asyncio.Event()
+        self._process: BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._restart: asyncio.TimerHandle | None = None
+        self._pose_source: PoseSourceName = "stereo"
+        self._track: TrackCollector | None = None
+        self.stream_text = "camera: vision process is starting"
+        self.latest_preview: tuple[bytes, int] | None = None
+        self.last_odometry: tuple[OdometryPose, ...] = ()
+        self.restarts = 0
+
+    @property
+    def latest(self) -> FrameReport | None:
+        """The newest report, however old."""
+        return self._reports[-1] if self._reports else None
+
+    @property
+    def age_s(self) -> float:
+        """Time since the newest pair was received [s]; inf before the first."""
+        return float("inf") if self.latest is None else (time.monotonic_ns() - self.latest.t_receive_mono_ns) * 1e-9
+
+    @property
+    def process_id(self) -> int | None:
+        """Of the vision process, while it runs."""
+        return self._process.pid if self._process is not None else None
+
+    def reports_since(self, t_mono_ns: int) -> list[FrameReport]:
+        """Kept reports of pairs received at or after this time, oldest first."""
+        return [report for report in self._reports if report.t_receive_mono_ns >= t_mono_ns]
+
+    def on_report(self, callback: OnReport) -> None:
+        """Call this with every report, on the loop."""
+        self._listeners.append(callback)
+
+    async def start(self) -> None:
+        """Start the vision process; does not wait for the camera."""
+        self._loop = asyncio.get_running_loop()
+        await asyncio.to_thread(self._spawn)
+
+    async def close(self) -> None:
+        """End the vision process, by force if it does not listen."""
+        self._loop = None
+        if self._restart is not None:
+            self._restart.cancel()
+        process, pipe = self._process, self._pipe
+        self._process = self._pipe = None
+        if process is None or pipe is None:
+            return
+        try:
+            pipe.send(QuitCommand())
+        except OSError:
+            _log.info("vision process was already gone")
+        await asyncio.to_thread(process.join, QUIT_S)
+        if process.is_alive():
+            process.kill()
+            await asyncio.to_thread(process.join, 1.0)
+        pipe.close()
+
+    async def set_pose_source(self, name: PoseSourceName) -> None:
+        """Find marker poses by both eyes, or by the left eye alone (the paper's way)."""
+        if name != self._pose_source:
+            self._pose_source = name
+            self._send(PoseSourceCommand(name))
+
+    async def look(self, n_pairs: int, timeout_s: float, spread_max_mm: float) -> Look:
+        """Robust mean over `n_pairs` fresh pairs; tries until the tool is at rest or time is up."""
+        from server.vision.look import average_look
+
+        collector = LookCollector(
+            n_pairs=n_pairs,
+            t_from_ns=time.monotonic_ns() + int(self._settings.exposure_slack_s * 1e9),
+            pose_source=self._pose_source,
+            average=lambda pairs: average_look(pairs, spread_max_mm),
+        )
+        finished: asyncio.Future[Look] = asyncio.get_running_loop().create_future()
+
+        def collect(report: FrameReport) -> None:
+            look = collector.add(report) if not finished.done() else None
+            if look is not None:
+                finished.set_result(look)
+
+        self._listeners.append(collect)
+        try:
+            return await asyncio.wait_for(finished, timeout_s)
+        except TimeoutError:
+            return collector.at_timeout(timeout_s, self._silence_text())
+        finally:
+            self._listeners.remove(collect)
+
+    async def start_odometry(self) -> None:
+        """Start the camera's own trajectory; returns with its first pose.
+
+        Raises: CameraError when no pair comes.
+        """
+        self._track = track = TrackCollector()
+        self._send(OdometryCommand(on=True))
+        try:
+            await asyncio.wait_for(self._until(lambda: bool(track.poses)), ODOMETRY_START_S)
+        except TimeoutError:
+            raise CameraError(
+                f"odometry gave no pose within {ODOMETRY_START_S:.0f} s; {self._silence_text() or 'check the camera'}"
+            ) from None
+
+    async def stop_odometry(self) -> CameraTrack:
+        """End the trajectory, after the pairs exposed until now have come. Its poses stay in `last_odometry`."""
+        track, t_end_ns = self._track, time.monotonic_ns()
+        if track is None:
+            raise CameraError("odometry was not started; start it first")
+        try:
+            await asyncio.wait_for(self._until(lambda: self._has_mapped(t_end_ns)), FRESH_S)
+        except TimeoutError:
+            _log.warning("no pair after the end of the odometry run within %.1f s", FRESH_S)
+        self._track = None
+        self._send(OdometryCommand(on=False))
+        self.last_odometry = tuple(track.poses)
+        return track.track()
+
+    def _has_mapped(self, t_ns: int) -> bool:
+        return self.latest is not None and self.latest.t_exposure_mapped_ns >= t_ns
+
+    async def _until(self, condition: Callable[[], bool]) -> None:
+        while not condition():
+            self._arrived.clear()
+            await self._arrived.wait()
+
+    def _silence_text(self) -> str:
+        if self.stream_text:
+            return self.stream_text
+        return f"last pair {self.age_s:.1f} s ago" if self.age_s > FRESH_S else ""
+
+    def _send(self, command: VisionCommand) -> None:
+        if self._pipe is None:
+            raise CameraError("vision process is not running; it is being started again")
+        try:
+            self._pipe.send(command)
+        except OSError as error:
+            raise CameraError("vision process has ended; it is being started again") from error
+
+    def _spawn(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = cast("tuple[Connection, Connection]", context.Pipe())
+        process = context.Process(
+            target=run_vision, args=(theirs, self._settings, self._machine), name="longreach-vision", daemon=True
+        )
+        process.start()
+        theirs.close()
+        self._process, self._pipe = process, ours
+        threading.Thread(target=self._read, args=(ours,), name="vision-reports", daemon=True).start()
+
+    def _read(self, pipe: Connection) -> None:
+        """Thread: messages from the process to the loop."""
+        while True:
+            try:
+                message: VisionMessage | None = pipe.recv()
+            except (EOFError, OSError):
+                message = None
+            loop = self._loop
+            if loop is None or loop.is_closed():
+                return
+            try:
+                loop.call_soon_threadsafe(self._receive, message, pipe)
+            except RuntimeError:  # the loop closed between the check and the call
+                return
+            if message is None:
+                return
+
+    def _receive(self, message: VisionMessage | None, pipe: Connection) -> None:
+        if message is None:
+            self._lost(pipe)
+        elif isinstance(message, FrameReport):
+            self._take(message)
+        else:
+            self.stream_text = message.text
+            _log.info("camera: %s", message.text or "pictures arrive")
+
+    def _take(self, report: FrameReport) -> None:
+        self._reports.append(report)
+        if report.preview_jpeg is not None:
+            self.latest_preview = (report.preview_jpeg, report.t_receive_mono_ns)
+        if self._track is not None:
+            self._track.add(report)
+        self.stream_text = ""
+        self._arrived.set()
+        for listener in tuple(self._listeners):
+            listener(report)
+
+    def _lost(self, pipe: Connection) -> None:
+        """The vision process died: say so and start another."""
+        if self._loop is None or pipe is not self._pipe:
+            return
+        code = self._process.exitcode if self._process is not None else None
+        self.stream_text = f"vision process ended unexpectedly (exit code {code}); starting it again"
+        _log.error(self.stream_text)
+        self._pipe = None
+        pipe.close()
+        self.restarts += 1
+        self._pose_source = "stereo"
+        self._track = None if self._track is None else TrackCollector()  # its start frame is lost
+        self._restart = self._loop.call_later(RESTART_S, self._spawn)

@@ -1,0 +1,163 @@
+"""What the vision process is given and what it tells: frozen data, since it crosses a process boundary."""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from server.vision.contracts import Image, OdometryPose, PairObservation
+
+PoseSourceName = Literal["stereo", "mono"]
+
+
+@dataclass(frozen=True, slots=True)
+class HttpSource:
+    """Multipart JPEG over HTTP, left and right side by side."""
+
+    url: str
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSource:
+    """A video device that gives side-by-side frames."""
+
+    index: int
+    width_px: int = 2560
+    height_px: int = 720
+    rate_hz: float = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class FileSource:
+    """A video file of side-by-side frames, played once at its own rate."""
+
+    path: str
+
+
+@dataclass(frozen=True, slots=True)
+class FolderSource:
+    """Two sets of image files in name order, played once. Names of 16 or more digits are stamps in ns (EuRoC)."""
+
+    left_glob: str
+    right_glob: str
+    rate_hz: float
+
+
+SourceSettings = HttpSource | DeviceSource | FileSource | FolderSource
+
+
+@dataclass(frozen=True, slots=True)
+class VisionSettings:
+    """How the vision process works.
+
+    `mask_scale`: the tool marker's square is blown up by this much to cover the tool's plate in odometry.
+    `exposure_slack_s`: a mapped exposure may lie this much behind the true one (the camera's smallest latency).
+    """
+
+    source: SourceSettings
+    threads: int = 2
+    preview_width_px: int = 960
+    preview_quality: int = 75
+    preview_rate_hz: float = 10.0
+    clock_window_s: float = 20.0
+    mask_scale: float = 2.0
+    exposure_slack_s: float = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class StereoFrame:
+    """One raw stereo pair. Grey (h, w) uint8 views of one buffer; `t_exposure_ns` on the camera's clock.
+
+    `connection` counts the connections of the source: a new one may have a new clock.
+    """
+
+    left: Image
+    right: Image
+    t_exposure_ns: int
+    t_receive_mono_ns: int
+    sequence: int
+    connection: int = 0
+
+
+class StereoSource(Protocol):
+    """Anything that gives stereo pairs, the newest first."""
+
+    @property
+    def skipped(self) -> int:
+        """Pairs passed over so far because newer ones were there."""
+        ...
+
+    @property
+    def state(self) -> str:
+        """Empty while all is well, else what is wrong and what is done about it."""
+        ...
+
+    @property
+    def ended(self) -> bool:
+        """Whether no pair will ever come again."""
+        ...
+
+    def read(self, timeout_s: float) -> StereoFrame | None:
+        """The newest pair not yet given out; None when none came in time."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the camera."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class FrameReport:
+    """One processed pair.
+
+    `t_exposure_mapped_ns`: the exposure on the PC's monotonic clock, late by the camera's smallest latency.
+    `warnings` forbid the use of this pair in a look; `skipped` counts since the start of the process.
+    """
+
+    observation: PairObservation
+    t_receive_mono_ns: int
+    t_exposure_mapped_ns: int
+    sequence: int
+    pose_source: PoseSourceName
+    odometry: OdometryPose | None
+    fps: float
+    process_ms: float
+    skipped: int
+    warnings: tuple[str, ...]
+    sharpness: float
+    preview_jpeg: bytes | None
+    preview_width_px: int = 0
+
+    @property
+    def usable(self) -> bool:
+        """Whether the images are fit for a look."""
+        return not self.warnings
+
+
+@dataclass(frozen=True, slots=True)
+class StreamNotice:
+    """The source's state has changed; empty text means it is well again."""
+
+    t_mono_ns: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryCommand:
+    """Switch odometry on (from a fresh start frame) or off."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PoseSourceCommand:
+    """Choose how marker poses are found."""
+
+    name: PoseSourceName
+
+
+@dataclass(frozen=True, slots=True)
+class QuitCommand:
+    """End the vision process."""
+
+
+VisionCommand = OdometryCommand | PoseSourceCommand | QuitCommand
+VisionMessage = FrameReport | StreamNotice

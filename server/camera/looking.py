@@ -1,0 +1,80 @@
+"""When a look is complete: collects fresh pairs and says what they are worth. No clock, no process."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from server.camera.contracts import FrameReport, PoseSourceName
+from server.vision.contracts import Look, LookStatus, PairObservation
+
+Average = Callable[[Sequence[PairObservation]], Look]
+
+FAILED_BATCHES = 2  # a look that fails by what it shows, not by motion, gets one more batch of pairs
+
+
+@dataclass(slots=True)
+class LookCollector:
+    """Takes reports until the newest `n_pairs` give a good look.
+
+    A pair counts when it was exposed after `t_from_ns`, by the wanted pose source, and its images are healthy.
+    """
+
+    n_pairs: int
+    t_from_ns: int
+    pose_source: PoseSourceName
+    average: Average
+    best: Look | None = None
+    unusable: int = 0
+    last_warning: str = ""
+    _pairs: list[PairObservation] = field(default_factory=list)
+    _new: int = 0
+    _failed: int = 0
+
+    def add(self, report: FrameReport) -> Look | None:
+        """The finished look, or None when more pairs are wanted."""
+        if report.t_exposure_mapped_ns < self.t_from_ns or report.pose_source != self.pose_source:
+            return None
+        if not report.usable:
+            self.unusable += 1
+            self.last_warning = report.warnings[0]
+            return None
+        self._pairs = [*self._pairs, report.observation][-self.n_pairs :]
+        self._new += 1
+        if len(self._pairs) < self.n_pairs or self._new < self._wanted_new():
+            return None
+        return self._judge()
+
+    def _wanted_new(self) -> int:
+        """After a first try, half a batch of new pairs before the next one."""
+        return self.n_pairs if self.best is None else max(1, self.n_pairs // 2)
+
+    def _judge(self) -> Look | None:
+        self._new = 0
+        self.best = look = self.average(tuple(self._pairs))
+        if look.status is LookStatus.OK:
+            return look
+        if look.status is not LookStatus.NOT_AT_REST:
+            self._failed += 1
+        return look if self._failed >= FAILED_BATCHES else None
+
+    def at_timeout(self, timeout_s: float, stream_text: str) -> Look:
+        """What to answer when time is up: the last verdict, or why there were too few pairs."""
+        if self.best is not None:
+            return self.best
+        if self.unusable:
+            reason = f"{self.unusable} pairs were unusable: {self.last_warning}"
+        else:
+            reason = stream_text or "the camera stream is too slow or silent"
+        text = f"{len(self._pairs)} of {self.n_pairs} pairs within {timeout_s:.1f} s; {reason}"
+        return Look(
+            status=LookStatus.NO_IMAGES,
+            reason=text,
+            T_cam_tool=None,
+            T_cam_ooi=None,
+            tool_covariance=None,
+            ooi_covariance=None,
+            n_pairs=len(self._pairs),
+            n_used=0,
+            t_first_ns=self._pairs[0].t_exposure_ns if self._pairs else 0,
+            t_last_ns=self._pairs[-1].t_exposure_ns if self._pairs else 0,
+            spread_mm=0.0,
+        )

@@ -1,0 +1,116 @@
+"""One stereo pair in, one report out: health, marker poses, odometry, preview."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Protocol
+
+import cv2
+
+from server.camera.clock import CameraClock
+from server.camera.contracts import FrameReport, PoseSourceName, StereoFrame, VisionSettings
+from server.camera.health import ImageHealth, sharpness
+from server.camera.masking import ToolMask
+from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
+
+RATE_FRAMES = 30  # the frame rate is averaged over this many pairs
+
+
+class Odometry(Protocol):
+    """What the pipeline asks of a stereo odometry."""
+
+    def process(
+        self,
+        left: Image,
+        right: Image,
+        t_exposure_ns: int,
+        mask_polygons_left: Sequence[Array] = (),
+        mask_polygons_right: Sequence[Array] = (),
+    ) -> OdometryPose:
+        """Pose of the left camera in the odometry's start frame."""
+        ...
+
+
+class VisionPipeline:
+    """Holds what must be remembered from pair to pair; knows neither camera nor process."""
+
+    def __init__(
+        self,
+        settings: VisionSettings,
+        tool_ids: Sequence[int],
+        pose_sources: Mapping[PoseSourceName, ObjectPoseSource],
+        make_odometry: Callable[[], Odometry],
+    ) -> None:
+        self._settings = settings
+        self._pose_sources = pose_sources
+        self._make_odometry = make_odometry
+        self._pose_source: PoseSourceName = "stereo"
+        self._odometry: Odometry | None = None
+        self._clock = CameraClock(settings.clock_window_s)
+        self._health = ImageHealth()
+        self._mask = ToolMask(tool_ids, settings.mask_scale)
+        self._receive_ns: deque[int] = deque(maxlen=RATE_FRAMES)
+        self._preview_ns = 0
+
+    def use_pose_source(self, name: PoseSourceName) -> None:
+        """Find marker poses in this way from the next pair on."""
+        self._pose_source = name
+
+    def switch_odometry(self, on: bool) -> None:
+        """On: a new odometry with a start frame of its own; off: none."""
+        self._odometry = self._make_odometry() if on else None
+
+    def process(self, frame: StereoFrame, skipped: int) -> FrameReport:
+        """Everything this pair tells. Never raises on what the images show."""
+        started_s = time.perf_counter()
+        warnings = self._health.check(frame)
+        mapped_ns = self._clock.map(frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection)
+        observation = self._pose_sources[self._pose_source].observe(frame.left, frame.right, frame.t_exposure_ns)
+        self._mask.update(observation.views)
+        odometry = None if warnings else self._follow(frame)
+        preview = self._preview(frame)
+        self._receive_ns.append(frame.t_receive_mono_ns)
+        return FrameReport(
+            observation=observation,
+            t_receive_mono_ns=frame.t_receive_mono_ns,
+            t_exposure_mapped_ns=mapped_ns,
+            sequence=frame.sequence,
+            pose_source=self._pose_source,
+            odometry=odometry,
+            fps=self._rate_hz(),
+            process_ms=(time.perf_counter() - started_s) * 1e3,
+            skipped=skipped,
+            warnings=warnings,
+            sharpness=sharpness(frame.left),
+            preview_jpeg=preview,
+            preview_width_px=self._preview_width_px(frame.left),
+        )
+
+    def _follow(self, frame: StereoFrame) -> OdometryPose | None:
+        if self._odometry is None:
+            return None
+        return self._odometry.process(
+            frame.left,
+            frame.right,
+            frame.t_exposure_ns,
+            mask_polygons_left=self._mask.left,
+            mask_polygons_right=self._mask.right,
+        )
+
+    def _rate_hz(self) -> float:
+        span_ns = self._receive_ns[-1] - self._receive_ns[0]
+        return (len(self._receive_ns) - 1) * 1e9 / span_ns if span_ns > 0 else 0.0
+
+    def _preview_width_px(self, image: Image) -> int:
+        return min(self._settings.preview_width_px, image.shape[1])
+
+    def _preview(self, frame: StereoFrame) -> bytes | None:
+        settings = self._settings
+        if frame.t_receive_mono_ns - self._preview_ns < 1e9 / settings.preview_rate_hz:
+            return None
+        self._preview_ns = frame.t_receive_mono_ns
+        width_px = self._preview_width_px(frame.left)
+        size = (width_px, round(frame.left.shape[0] * width_px / frame.left.shape[1]))
+        small = cv2.resize(frame.left, size, interpolation=cv2.INTER_AREA)
+        good, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, settings.preview_quality])
+        return jpeg.tobytes() if good else None

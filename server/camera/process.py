@@ -1,0 +1,114 @@
+"""The vision process: reads the camera, newest pair first, and reports every pair it has worked on.
+
+It ends when it is told to, or when the server's end of the pipe is gone.
+"""
+
+import logging
+import signal
+import time
+from multiprocessing.connection import Connection
+
+import cv2
+import numpy as np
+
+from machine.description import Machine
+from server.camera.contracts import (
+    OdometryCommand,
+    PoseSourceCommand,
+    QuitCommand,
+    StereoSource,
+    StreamNotice,
+    VisionCommand,
+    VisionSettings,
+)
+from server.camera.errors import CameraError
+from server.camera.pipeline import VisionPipeline
+from server.camera.sources.opening import open_source
+
+READ_TIMEOUT_S = 0.1  # how soon a command is heard when no pictures come
+
+_log = logging.getLogger(__name__)
+
+
+def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline:
+    """The pipeline with the marker detector and odometry of this machine, warmed up."""
+    from server.vision.aruco import ArucoPoseSource  # late: only this process needs these
+    from server.vision.mono_aruco import MonoArucoPoseSource
+    from server.vision.odometry import StereoOdometry
+
+    stereo, mono = ArucoPoseSource(machine), MonoArucoPoseSource(machine)
+    blank = np.zeros((machine.camera.height_px, machine.camera.width_px), np.uint8)
+    stereo.observe(blank, blank, 0)
+    tool_ids = [marker.marker_id for marker in machine.markers_on("tool")]
+    return VisionPipeline(settings, tool_ids, {"stereo": stereo, "mono": mono}, lambda: StereoOdometry(machine.camera))
+
+
+def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> None:
+    """Entry point of the process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends us in its own order
+    cv2.setNumThreads(settings.threads)
+    try:
+        pipeline = build_pipeline(settings, machine)
+        source = open_source(settings.source)
+    except CameraError as error:
+        _tell_and_wait(pipe, str(error))
+        return
+    try:
+        VisionLoop(pipe, source, pipeline).run()
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        _log.info("the server is gone; vision ends")
+    finally:
+        source.close()
+
+
+def _tell_and_wait(pipe: Connection, text: str) -> None:
+    """A source that can never work: say so, and stay until told to quit instead of being started again and again."""
+    try:
+        pipe.send(StreamNotice(time.monotonic_ns(), text))
+        while not isinstance(pipe.recv(), QuitCommand):
+            pass
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        return
+
+
+class VisionLoop:
+    """Commands in, pairs through the pipeline, reports out."""
+
+    def __init__(self, pipe: Connection, source: StereoSource, pipeline: VisionPipeline) -> None:
+        self._pipe = pipe
+        self._source = source
+        self._pipeline = pipeline
+        self._state = ""
+        self._quit = False
+
+    def run(self) -> None:
+        """Until QuitCommand; EOFError or BrokenPipeError when the server is gone."""
+        while not self._quit:
+            self.step(READ_TIMEOUT_S)
+
+    def step(self, timeout_s: float) -> None:
+        """One turn: all waiting commands, then at most one pair."""
+        while self._pipe.poll(0.0):
+            self._obey(self._pipe.recv())
+        frame = None if self._quit else self._source.read(timeout_s)
+        if self._source.ended and frame is None and not self._quit:
+            self._quit = self._pipe.poll(timeout_s) and self._obey(self._pipe.recv())
+        self._tell_state()
+        if frame is not None:
+            self._pipe.send(self._pipeline.process(frame, self._source.skipped))
+
+    def _tell_state(self) -> None:
+        state = self._source.state
+        if state != self._state:
+            self._state = state
+            self._pipe.send(StreamNotice(time.monotonic_ns(), state))
+
+    def _obey(self, command: VisionCommand) -> bool:
+        match command:
+            case OdometryCommand(on=on):
+                self._pipeline.switch_odometry(on)
+            case PoseSourceCommand(name=name):
+                self._pipeline.use_pose_source(name)
+            case QuitCommand():
+                self._quit = True
+        return self._quit

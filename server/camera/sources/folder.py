@@ -1,0 +1,62 @@
+"""Stereo pairs from two sets of image files, as KITTI and EuRoC store them."""
+
+import glob
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from server.camera.contracts import FolderSource, StereoFrame
+from server.camera.errors import CameraError
+from server.camera.sources.pacing import Pacing
+from server.vision.contracts import Image
+
+STAMP_DIGITS = 16  # a name with at least this many digits is a stamp in ns, not a number
+
+
+class FolderStereoSource:
+    """Pairs in name order, played once at the given rate."""
+
+    def __init__(self, settings: FolderSource) -> None:
+        self._lefts = sorted(glob.glob(settings.left_glob))
+        self._rights = sorted(glob.glob(settings.right_glob))
+        if not self._lefts or len(self._lefts) != len(self._rights):
+            raise CameraError(
+                f"image folder: {len(self._lefts)} left files by '{settings.left_glob}' and {len(self._rights)} right "
+                f"files by '{settings.right_glob}'; both must be equal and above 0"
+            )
+        self._pacing = Pacing(settings.rate_hz)
+        self._period_ns = int(1e9 / settings.rate_hz)
+        self._number = 0
+        self.skipped = 0
+        self.state = ""
+
+    @property
+    def ended(self) -> bool:
+        """Whether the last pair has been given out."""
+        return self._number >= len(self._lefts)
+
+    def read(self, timeout_s: float) -> StereoFrame | None:
+        """The next pair, when it is due."""
+        if self.ended or not self._pacing.wait(timeout_s):
+            return None
+        left_file, right_file = self._lefts[self._number], self._rights[self._number]
+        left, right = _grey(left_file), _grey(right_file)
+        stem = Path(left_file).stem
+        stamped = stem.isdigit() and len(stem) >= STAMP_DIGITS
+        t_exposure_ns = int(stem) if stamped else self._number * self._period_ns
+        self._number += 1
+        if self.ended:
+            self.state = f"image folder: end after {self._number} pairs"
+        return StereoFrame(left, right, t_exposure_ns, time.monotonic_ns(), self._number)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+def _grey(path: str) -> Image:
+    picture = cv2.imread(path, cv2.IMREAD_GRAYSCALE)
+    if picture is None:
+        raise CameraError(f"image file '{path}' cannot be read; give PNG or JPEG files")
+    return np.asarray(picture, np.uint8)

@@ -1,0 +1,36 @@
+"""Odometry poses of one run, and the camera track that calibration wants."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from server.calibration.contracts import CameraTrack
+from server.camera.contracts import FrameReport
+from server.vision.contracts import OdometryPose, OdometryStatus
+
+
+@dataclass(slots=True)
+class TrackCollector:
+    """Takes reports while odometry runs."""
+
+    poses: list[OdometryPose] = field(default_factory=list)
+    _offsets_ns: list[int] = field(default_factory=list)
+
+    def add(self, report: FrameReport) -> None:
+        """Keep this report's odometry, if it has one."""
+        if report.odometry is not None:
+            self.poses.append(report.odometry)
+            self._offsets_ns.append(report.t_exposure_mapped_ns - report.observation.t_exposure_ns)
+
+    def track(self) -> CameraTrack:
+        """The camera's own trajectory without lost poses.
+
+        One clock offset serves the whole track (the median of those seen): an offset that is refined on the way
+        would bend the track's time.
+        """
+        kept = [pose for pose in self.poses if pose.status is not OdometryStatus.LOST]
+        if not kept:
+            return CameraTrack(t_s=np.zeros(0), Ts_vo_cam=np.zeros((0, 4, 4)))
+        offset_ns = int(np.median(self._offsets_ns))
+        t_s = np.array([(pose.t_exposure_ns + offset_ns) * 1e-9 for pose in kept])
+        return CameraTrack(t_s=t_s, Ts_vo_cam=np.stack([pose.T_vo_cam for pose in kept]))

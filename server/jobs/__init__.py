@@ -1,0 +1,1 @@
+"""Jobs: plans as generators of small requests, run by one engine."""

@@ -1,0 +1,187 @@
+"""The one engine that runs plans: it acts, remembers that it moved the machine, and stops it on every ending."""
+
+import asyncio
+import logging
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+from uuid import uuid4
+
+from server.errors import BusyError, JobFailedError, ServerError
+from server.jobs.performer import Performer
+from server.jobs.requests import Plan, Progress, Record
+from server.link.errors import LinkError
+
+log = logging.getLogger(__name__)
+
+STOP_BOUND_S = (
+    3.0  # longest wait for the ramp when a job ends early: |qd|/qdd_stop is below 0.5 s, the rest is the link
+)
+
+
+class JobState(Enum):
+    """Life of a job; the last three are ends."""
+
+    RUNNING = "running"
+    STOPPING = "stopping"
+    DONE = "done"
+    FAILED = "failed"
+    STOPPED = "stopped"
+
+
+@dataclass(frozen=True, slots=True)
+class JobEvent:
+    """One line of a job's story; `number` lets a late subscriber resume."""
+
+    number: int
+    elapsed_s: float
+    name: str
+    current: float
+    target: float
+    unit: str
+    text: str
+
+
+@dataclass(slots=True)
+class Job:
+    """One run of one plan, with its story and its end."""
+
+    job_id: str
+    kind: str
+    owner: str
+    state: JobState = JobState.RUNNING
+    reason: str = ""
+    code: str = ""
+    result: Any = None
+    started_unix_s: float = field(default_factory=time.time)
+    started_mono_s: float = field(default_factory=time.monotonic)
+    ended_mono_s: float | None = None
+    events: list[JobEvent] = field(default_factory=list)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the job has reached an end."""
+        return self.state in (JobState.DONE, JobState.FAILED, JobState.STOPPED)
+
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds since the start, up to the end."""
+        return (self.ended_mono_s or time.monotonic()) - self.started_mono_s
+
+
+class JobEngine:
+    """Runs one motion job at a time. Busy is an error that names who is."""
+
+    def __init__(self, performer: Performer) -> None:
+        self._performer = performer
+        self._task: asyncio.Task[None] | None = None
+        self._listeners: list[Callable[[Job, JobEvent], None]] = []
+        self.current: Job | None = None
+        self.jobs: deque[Job] = deque(maxlen=200)
+
+    def on_event(self, listener: Callable[[Job, JobEvent], None]) -> None:
+        """Call `listener(job, event)` for everything that happens to any job, on the event loop."""
+        self._listeners.append(listener)
+
+    def find(self, job_id: str) -> Job | None:
+        """The job of that id among the last 200."""
+        return next((job for job in self.jobs if job.job_id == job_id), None)
+
+    def submit(self, kind: str, plan: Plan, owner: str) -> Job:
+        """Start a plan now.
+
+        Raises: BusyError naming the running job and its owner.
+        """
+        if self.current is not None and not self.current.ended:
+            plan.close()
+            busy = self.current
+            raise BusyError(
+                f"job {busy.job_id} ({busy.kind}) of {busy.owner} is {busy.state.value} since {busy.elapsed_s:.0f} s; "
+                "wait for its end or stop it"
+            )
+        job = Job(job_id=uuid4().hex[:12], kind=kind, owner=owner)
+        self.current = job
+        self.jobs.append(job)
+        self._task = asyncio.create_task(self._run(job, plan), name=f"job-{job.kind}-{job.job_id}")
+        return job
+
+    async def stop(self, reason: str) -> None:
+        """Stop the motion and whatever job runs; always allowed. Returns when the job has ended."""
+        job, task = self.current, self._task
+        if job is not None and not job.ended and task is not None:
+            job.state, job.reason = JobState.STOPPING, reason
+            self._tell(job, "stopping", 0.0, 1.0, "", reason)
+            task.cancel()
+            await asyncio.wait({task}, timeout=STOP_BOUND_S)
+        await self._performer.stop_motion(reason)
+
+    async def close(self) -> None:
+        """End everything: the machine is left holding."""
+        await self.stop("server is closing")
+
+    async def _run(self, job: Job, plan: Plan) -> None:
+        self._tell(job, "started", 0.0, 1.0, "", f"{job.kind} started for {job.owner}")
+        try:
+            job.result = await self._drive(job, plan)
+            self._end(job, JobState.DONE, "")
+        except asyncio.CancelledError:
+            await self._stop_safely(job.reason or "job cancelled")
+            self._end(job, JobState.STOPPED, job.reason or "cancelled")
+            raise
+        except (ServerError, LinkError) as error:
+            await self._stop_safely(str(error))
+            job.code = getattr(error, "code", "link")
+            self._end(job, JobState.FAILED, str(error))
+        except Exception as error:  # outermost loop of the shell: a defect must still leave the machine holding
+            log.exception("job %s (%s) failed by a defect", job.job_id, job.kind)
+            await self._stop_safely("internal error")
+            job.code = "internal"
+            self._end(job, JobState.FAILED, f"internal error: {error!r}; see the server's log")
+        finally:
+            plan.close()
+
+    async def _drive(self, job: Job, plan: Plan) -> object:
+        reply: object = None
+        while True:
+            try:
+                request = plan.send(reply)
+            except StopIteration as end:
+                return end.value
+            if isinstance(request, Progress):
+                self._tell(job, request.name, request.current, request.target, request.unit, request.text)
+                reply = None
+            elif isinstance(request, Record):
+                self._performer.record(request)
+                if request.text:
+                    self._tell(job, "record", 0.0, 0.0, "", request.text)
+                reply = None
+            else:
+                reply = await self._performer.perform(request)
+
+    async def _stop_safely(self, reason: str) -> None:
+        """Ask for the ramp even while being cancelled: shielded, and bounded in time."""
+        if not self._performer.may_be_moving:
+            return
+        stop = asyncio.ensure_future(self._performer.stop_motion(reason))
+        try:
+            await asyncio.wait_for(asyncio.shield(stop), STOP_BOUND_S)
+        except (TimeoutError, LinkError) as error:
+            log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
+
+    def _end(self, job: Job, state: JobState, reason: str) -> None:
+        job.state, job.reason, job.ended_mono_s = state, reason, time.monotonic()
+        self._tell(job, "ended", 1.0, 1.0, "", f"{state.value}{': ' + reason if reason else ''}")
+
+    def _tell(self, job: Job, name: str, current: float, target: float, unit: str, text: str) -> None:
+        event = JobEvent(len(job.events) + 1, round(job.elapsed_s, 3), name, current, target, unit, text)
+        job.events.append(event)
+        for listener in self._listeners:
+            listener(job, event)
+
+
+def failed(reason: str, code: str) -> JobFailedError:
+    """The error a plan raises to end its job with a reason and a stable code."""
+    return JobFailedError(reason, code)

@@ -1,0 +1,59 @@
+"""What the server has learnt since it started: last look, local calibration, previewed plan, start of the run."""
+
+import hashlib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from server.calibration.contracts import Array, CameraRotationEstimate
+from server.jobs.records import CalibrationRecord, ErrorMm, LookRecord, MoveRecord
+from server.jobs.requests import MachineReading
+from server.motion.contracts import PathPlan
+from server.vision.contracts import Look
+
+
+@dataclass(frozen=True, slots=True)
+class LookTaken:
+    """A look with the joints it was taken at; they belong together or not at all."""
+
+    look: Look
+    reading: MachineReading
+    error: ErrorMm | None
+    record: LookRecord
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewedPlan:
+    """A plan that was shown. It is executed by its hash only, before it expires, from the reference it starts at."""
+
+    plan: PathPlan
+    plan_hash: str
+    q_ref_start: Array
+    q_goal: Array
+    T_base_tcp_goal: Array
+    before: ErrorMm
+    predicted_sigma_mm: tuple[float, float, float]
+    t_made_ns: int
+    expires_ns: int
+
+
+@dataclass(slots=True)
+class Knowledge:
+    """Mutable on purpose: the one place where jobs leave what later jobs build on."""
+
+    last_look: LookTaken | None = None
+    mount: CameraRotationEstimate | None = None
+    calibration: CalibrationRecord | None = None
+    previewed: PreviewedPlan | None = None
+    q_start: Array | None = None
+    T_base_ooi: Array | None = None
+    moves: list[MoveRecord] = field(default_factory=list)
+
+
+def plan_hash(plan: PathPlan) -> str:
+    """Short fingerprint of what would be sent: an Execute that names another plan fires nothing."""
+    digest = hashlib.sha256()
+    if plan.trajectory is not None:
+        for part in (plan.trajectory.t_s, plan.trajectory.q, plan.trajectory.qd, plan.trajectory.qdd):
+            digest.update(np.ascontiguousarray(part, dtype=np.float64).tobytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,145 @@
+"""The performer: how each request of a plan is carried out on link, camera and recorder."""
+
+import asyncio
+import time
+
+import numpy as np
+from machine.kinematics import tcp_poses
+
+from server.calibration.contracts import Array, EncoderTrack
+from server.cell import Cell
+from server.errors import JobFailedError
+from server.jobs.requests import (
+    Arm,
+    MachineReading,
+    Move,
+    ReadMachine,
+    Record,
+    Request,
+    Settle,
+    StartOdometry,
+    StopOdometry,
+    TakeLook,
+)
+from server.link.contracts import LinkPhase, PlcSample
+
+READING_S = 0.1
+SILENT_S = 0.25  # PLC state older than this is no state
+REST_WINDOW_S = 0.4
+REST_SPEED_RAD_S = 2e-4  # 0.8 mm/s at 4 m
+REST_LAG_RAD_S = 1e-4
+
+
+class Performer:
+    """Carries out requests; knows whether the machine may be moving on our behalf."""
+
+    def __init__(self, cell: Cell) -> None:
+        self._cell = cell
+        self._odometry_from_ns = 0
+        self.may_be_moving = False
+
+    async def perform(self, request: Request) -> object:
+        """Carry out one request and return its reply; expected failures raise ServerError or LinkError."""
+        match request:
+            case ReadMachine():
+                return self._reading()
+            case Arm():
+                return await self._arm()
+            case Move():
+                return await self._move(request)
+            case Settle():
+                return await self._settle()
+            case TakeLook():
+                return await self._look(request)
+            case StartOdometry():
+                return await self._start_odometry()
+            case StopOdometry():
+                return await self._stop_odometry()
+        raise TypeError(f"no way to perform {type(request).__name__}")
+
+    def record(self, request: Record) -> None:
+        """Hand a finding to the recorder."""
+        self._cell.recorder.record(request.item)
+
+    async def stop_motion(self, reason: str) -> None:
+        """Ramp down and hold."""
+        await self._cell.link.stop(reason)
+        self.may_be_moving = False
+
+    def _fresh_samples(self, window_s: float) -> list[PlcSample]:
+        now = time.monotonic_ns()
+        samples = self._cell.link.samples_since(now - int(window_s * 1e9))
+        latest = self._cell.link.latest
+        if latest is None or now - latest.t_mono_ns > SILENT_S * 1e9:
+            age = "never heard" if latest is None else f"{(now - latest.t_mono_ns) / 1e6:.0f} ms old"
+            raise JobFailedError(
+                f"PLC state is {age} (limit {SILENT_S * 1e3:.0f} ms); check cable, PLC program and [plc] settings",
+                "plc_silent",
+            )
+        return samples or [latest]
+
+    def _reading(self) -> MachineReading:
+        samples = self._fresh_samples(READING_S)
+        return MachineReading(
+            q_rad=np.mean([sample.q_rad for sample in samples], axis=0),
+            q_ref_rad=np.array(samples[-1].q_ref_rad),
+            t_plc_ns=samples[-1].t_plc_ns,
+            t_mono_ns=samples[-1].t_mono_ns,
+        )
+
+    async def _arm(self) -> None:
+        if self._cell.link.health.phase is not LinkPhase.ARMED:
+            self._fresh_samples(READING_S)
+            await self._cell.link.arm()
+
+    async def _move(self, request: Move) -> None:
+        self.may_be_moving = True
+        ended = await self._cell.link.run(request.trajectory)
+        self.may_be_moving = False
+        if not ended.reached:
+            raise JobFailedError(f"{request.purpose}: motion ended early: {ended.reason}", "motion_ended_early")
+
+    async def _settle(self) -> MachineReading:
+        timeout_s = self._cell.settings.position.settle_timeout_s
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline:
+            samples = self._fresh_samples(REST_WINDOW_S)
+            if _at_rest(samples):
+                return self._reading()
+            await asyncio.sleep(0.05)
+        raise JobFailedError(
+            f"encoders did not come to rest within {timeout_s:.0f} s (limit {REST_SPEED_RAD_S:.0e} rad/s); "
+            "look for a limit cycle or a leaking valve",
+            "not_at_rest",
+        )
+
+    async def _look(self, request: TakeLook) -> object:
+        await self._cell.vision.set_pose_source(request.source)
+        look = self._cell.settings.look
+        return await self._cell.vision.look(request.pairs, look.timeout_s, look.spread_max_mm)
+
+    async def _start_odometry(self) -> None:
+        self._odometry_from_ns = time.monotonic_ns()
+        await self._cell.vision.start_odometry()
+
+    async def _stop_odometry(self) -> object:
+        camera = await self._cell.vision.stop_odometry()
+        samples = self._cell.link.samples_since(self._odometry_from_ns - int(0.5e9))
+        return camera, self._encoder_track(samples)
+
+    def _encoder_track(self, samples: list[PlcSample]) -> EncoderTrack:
+        offset_ns = self._cell.link.plc_to_pc_offset_ns
+        t_s = np.array([(sample.t_plc_ns + offset_ns) * 1e-9 for sample in samples])
+        qs: Array = np.array([sample.q_rad for sample in samples])
+        return EncoderTrack(t_s=t_s, Ts_base_tcp=tcp_poses(self._cell.chain, qs))
+
+
+def _at_rest(samples: list[PlcSample]) -> bool:
+    """Whether encoders moved less than the rest speed over at least 80 % of the window, references included."""
+    span_s = (samples[-1].t_plc_ns - samples[0].t_plc_ns) * 1e-9
+    if span_s < 0.8 * REST_WINDOW_S:
+        return False
+    qs = np.array([sample.q_rad for sample in samples])
+    moved = float(np.max(qs.max(axis=0) - qs.min(axis=0)))
+    referenced = max(abs(value) for value in samples[-1].qd_ref_rad_s)
+    return moved / span_s < REST_SPEED_RAD_S and referenced < REST_LAG_RAD_S

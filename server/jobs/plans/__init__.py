@@ -1,0 +1,1 @@
+"""The plans: look, orient, calibrate, move, position, return. Pure generators."""

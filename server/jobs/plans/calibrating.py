@@ -1,0 +1,96 @@
+"""Calibrate locally (section 3.2.2): drive a short path, match the camera's own trajectory to the encoders' TCP."""
+
+from collections.abc import Generator
+
+import numpy as np
+
+from machine.rotations import geodesic_angle
+from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate, CameraTrack, EncoderTrack
+from server.calibration.orientation import prior_from_tool_marker
+from server.calibration.trajectory_matching import estimate_camera_rotation
+from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken
+from server.jobs.plans.driving import trim
+from server.jobs.plans.planning import onto_reference
+from server.jobs.records import CalibrationRecord
+from server.jobs.requests import (
+    Arm,
+    MachineReading,
+    Move,
+    Progress,
+    Record,
+    Request,
+    Settle,
+    StartOdometry,
+    StopOdometry,
+    expect,
+)
+from server.motion.calibration_paths import plan_calibration_path
+from server.motion.contracts import PathPlan, PlanStatus
+
+
+def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, CalibrationRecord]:
+    """Drive the path with odometry on, match, and keep the result as the mount's rotation here."""
+    reading = expect((yield Settle()), MachineReading)
+    plan = plan_path(ctx, reading)
+    if plan.status is not PlanStatus.OK or plan.trajectory is None:
+        raise JobFailedError(f"calibration path: {plan.reason}", f"plan_{plan.status.value}")
+    text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s while the camera measures its own way"
+    yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
+    yield Arm()
+    yield StartOdometry()
+    yield Move(plan.trajectory, "calibration path")
+    yield from trim(ctx, reading.q_rad, "calibration path")
+    tracks = expect((yield StopOdometry()), tuple)
+    camera, encoder = tracks
+    estimate = match(ctx, taken, camera, encoder)
+    record = describe_calibration(ctx, estimate, plan.duration_s)
+    yield Record(estimate)
+    if estimate.status is not CalibrationStatus.OK:
+        raise JobFailedError(f"calibration failed ({estimate.status.value}): {estimate.reason}", "calibration_failed")
+    ctx.knowledge.mount = estimate
+    ctx.knowledge.calibration = record
+    text = f"camera rotation known to {record.sigma_deg:.2f} deg, clock offset {record.time_offset_ms:.0f} ms"
+    yield Progress("calibrate", plan.duration_s, plan.duration_s, "s", text)
+    return record
+
+
+def plan_path(ctx: PlanContext, reading: MachineReading) -> PathPlan:
+    """The calibration path of the method, from where the machine stands, back to it."""
+    kind = "paper" if ctx.method == "paper" else "folded"
+    plan = plan_calibration_path(ctx.machine, reading.q_rad, kind, ctx.wall, ctx.knowledge.T_base_ooi)
+    return onto_reference(plan, reading)
+
+
+def match(ctx: PlanContext, taken: LookTaken, camera: CameraTrack, encoder: EncoderTrack) -> CameraRotationEstimate:
+    """Trajectory matching, ours or the paper's."""
+    T_tcp_cam = ctx.machine.T_tcp_cam_left
+    if ctx.method == "paper":
+        return estimate_camera_rotation_paper(camera, encoder, T_tcp_cam)
+    prior = None
+    if taken.look.T_cam_tool is not None:
+        sigma_rad = float(np.deg2rad(ctx.settings.position.sigma_tool_mount_deg))
+        prior = prior_from_tool_marker(ctx.machine.T_tcp_tool[:3, :3], taken.look.T_cam_tool[:3, :3], sigma_rad)
+    return estimate_camera_rotation(camera, encoder, T_tcp_cam, prior)
+
+
+def describe_calibration(ctx: PlanContext, estimate: CameraRotationEstimate, duration_s: float) -> CalibrationRecord:
+    """The estimate in the operator's units; NaN-free so that it can go out as JSON."""
+    sigma_deg = from_nominal_deg = 0.0
+    if estimate.R_tcp_cam is not None and estimate.covariance is not None:
+        sigma_deg = float(np.rad2deg(np.sqrt(np.linalg.eigvalsh(estimate.covariance).max())))
+        from_nominal_deg = float(np.rad2deg(geodesic_angle(ctx.machine.T_tcp_cam_left[:3, :3], estimate.R_tcp_cam)))
+    return CalibrationRecord(
+        method=estimate.method,
+        status=estimate.status.value,
+        reason=estimate.reason,
+        sigma_deg=sigma_deg,
+        from_nominal_deg=from_nominal_deg,
+        time_offset_ms=estimate.time_offset_s * 1e3,
+        residual_rms_mm=estimate.residual_rms_mm,
+        n_used=estimate.n_used,
+        observability=estimate.observability,
+        duration_s=duration_s,
+    )

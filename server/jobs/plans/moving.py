@@ -1,0 +1,121 @@
+"""Preview and execute one look-then-move."""
+
+from collections.abc import Generator
+
+import numpy as np
+
+from machine.rotations import Array
+from server.calibration.reference import position_reference_paper, predicted_error_covariance, reference_from_look
+from server.errors import JobFailedError, PlanRefusedError
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken, PreviewedPlan, plan_hash
+from server.jobs.plans.driving import drive
+from server.jobs.plans.looking import good_look, mount_rotation
+from server.jobs.plans.planning import plan_to
+from server.jobs.records import MoveRecord
+from server.jobs.requests import MachineReading, Progress, ReadMachine, Record, Request, expect
+from server.motion.contracts import PlanStatus
+
+MOVED_RAD = 2e-3  # joints further than this from where the look was taken make it stale
+SAME_REFERENCE_RAD = 1e-6
+
+
+def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
+    """Plan one move from a look: nothing moves.
+
+    Raises: JobFailedError with the planner's reason when there is no admissible path.
+    """
+    if taken.error is None:
+        raise JobFailedError(f"no usable look: {taken.record.reason}; look again", "no_look")
+    T_goal = move_goal(ctx, taken)
+    plan = plan_to(ctx, taken.reading, T_goal)
+    if plan.status is not PlanStatus.OK:
+        raise JobFailedError(f"preview: {plan.reason}", f"plan_{plan.status.value}")
+    previewed = PreviewedPlan(
+        plan=plan,
+        plan_hash=plan_hash(plan),
+        q_ref_start=taken.reading.q_ref_rad,
+        q_goal=plan.q_end,
+        T_base_tcp_goal=T_goal,
+        before=taken.error,
+        predicted_sigma_mm=predicted_sigma_mm(ctx, taken),
+        t_made_ns=t_now_ns,
+        expires_ns=t_now_ns + int(ctx.settings.position.plan_expires_s * 1e9),
+    )
+    ctx.knowledge.previewed = previewed
+    return previewed
+
+
+def move_goal(ctx: PlanContext, taken: LookTaken) -> Array:
+    """T_base_tcp of the goal by the method: the whole pose (ours), or eq. 20-22 with held orientation (paper)."""
+    look, T_base_tcp = taken.look, ctx.tcp(taken.reading.q_rad)
+    R_tcp_cam = mount_rotation(ctx, taken)
+    if look.T_cam_tool is None or look.T_cam_ooi is None:
+        raise JobFailedError("no poses in the look; look again", "look_rejected")
+    if ctx.method == "paper":
+        b_m = ctx.settings.position.stand_off_mm * 1e-3
+        R_base_cam = T_base_tcp[:3, :3] @ R_tcp_cam
+        return position_reference_paper(T_base_tcp, R_base_cam, look.T_cam_ooi[:3, 3], look.T_cam_tool[:3, 3], b_m)
+    return reference_from_look(
+        T_base_tcp, R_tcp_cam, ctx.machine.T_tcp_tool, look.T_cam_tool, look.T_cam_ooi, ctx.T_ooi_goal
+    )
+
+
+def predicted_sigma_mm(ctx: PlanContext, taken: LookTaken) -> tuple[float, float, float]:
+    """One sigma of the error after the move, in OOI axes [mm]: the look's own and the rotation's times the distance."""
+    mount = ctx.knowledge.mount
+    sigma_rad = np.deg2rad(ctx.settings.position.sigma_tool_mount_deg)
+    rotation = mount.covariance if mount is not None and mount.covariance is not None else np.eye(3) * sigma_rad**2
+    covariance = predicted_error_covariance(taken.look, rotation, mount_rotation(ctx, taken), ctx.T_ooi_goal)
+    sigma_mm = np.sqrt(np.diag(covariance)) * 1e3
+    return float(sigma_mm[0]), float(sigma_mm[1]), float(sigma_mm[2])
+
+
+def check_executable(previewed: PreviewedPlan | None, wanted_hash: str, t_now_ns: int) -> PreviewedPlan:
+    """The previewed plan, if it is the one named and still fresh.
+
+    Raises: PlanRefusedError saying which of the two it is not.
+    """
+    if previewed is None:
+        raise PlanRefusedError("no plan was previewed; preview first")
+    if previewed.plan_hash != wanted_hash:
+        raise PlanRefusedError(f"plan {wanted_hash} is not the previewed one ({previewed.plan_hash}); preview again")
+    if t_now_ns > previewed.expires_ns:
+        age_s = (t_now_ns - previewed.t_made_ns) * 1e-9
+        raise PlanRefusedError(f"plan {wanted_hash} is {age_s:.0f} s old and has expired; look and preview again")
+    return previewed
+
+
+def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generator[Request, object, LookTaken]:
+    """Run a previewed plan, rest, trim, look again. Returns the look after the move."""
+    ctx.knowledge.previewed = None  # a plan fires once
+    reading = expect((yield ReadMachine()), MachineReading)
+    _check_not_moved(reading, previewed)
+    if ctx.knowledge.q_start is None:
+        ctx.knowledge.q_start = reading.q_rad
+    yield Progress("execute", number, ctx.settings.position.moves_max, "moves", f"move {number}")
+    trims = yield from drive(ctx, previewed.plan, f"move {number}")
+    taken = yield from good_look(ctx)
+    record = MoveRecord(
+        number=number,
+        kind="move",
+        before=previewed.before,
+        after=taken.error,
+        predicted_sigma_mm=previewed.predicted_sigma_mm,
+        length_mm=previewed.plan.length_m * 1e3,
+        duration_s=previewed.plan.duration_s,
+        trims=trims,
+        t_rest_plc_ns=taken.record.t_plc_ns,
+    )
+    ctx.knowledge.moves.append(record)
+    yield Record(record)
+    return taken
+
+
+def _check_not_moved(reading: MachineReading, previewed: PreviewedPlan) -> None:
+    shift = float(np.abs(reading.q_ref_rad - previewed.q_ref_start).max())
+    if shift > SAME_REFERENCE_RAD:
+        raise PlanRefusedError(
+            f"the machine's reference moved by {np.rad2deg(shift):.3f} deg since the preview "
+            f"(limit {np.rad2deg(SAME_REFERENCE_RAD):.5f} deg); look and preview again"
+        )

@@ -1,0 +1,75 @@
+"""Orientation adjustment (section 3.1): turn the tool about its marker until its axes are the OOI's."""
+
+from collections.abc import Generator
+
+import numpy as np
+
+from machine.poses import pose
+from machine.rotations import Array
+from server.calibration.orientation import orientation_reference, orientation_reference_paper
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken
+from server.jobs.plans.driving import drive
+from server.jobs.plans.looking import good_look
+from server.jobs.plans.planning import plan_to
+from server.jobs.records import MoveRecord
+from server.jobs.requests import Progress, Record, Request
+
+GOOD_ENOUGH_DEG = 0.6  # below this a step costs time and brings nothing: the later moves correct it on the way
+
+
+def orient(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, LookTaken]:
+    """Orientation steps until good enough or out of steps. Returns the last look."""
+    for step in range(1, ctx.settings.position.orientation_steps_max + 1):
+        if taken.error is None or taken.error.rotation_deg < GOOD_ENOUGH_DEG:
+            break
+        before = taken
+        yield Progress(
+            "orient", step, ctx.settings.position.orientation_steps_max, "steps", "turning the tool to the OOI"
+        )
+        T_goal = orientation_goal(ctx, taken)
+        plan = plan_to(ctx, taken.reading, T_goal)
+        trims = yield from drive(ctx, plan, f"orientation step {step}")
+        taken = yield from good_look(ctx)
+        record = MoveRecord(
+            number=step,
+            kind="orientation",
+            before=_error(before),
+            after=taken.error,
+            predicted_sigma_mm=(0.0, 0.0, 0.0),
+            length_mm=plan.length_m * 1e3,
+            duration_s=plan.duration_s,
+            trims=trims,
+            t_rest_plc_ns=taken.record.t_plc_ns,
+        )
+        ctx.knowledge.moves.append(record)
+        yield Record(record)
+        if ctx.method == "paper":
+            break  # the paper turns once
+    return taken
+
+
+def orientation_goal(ctx: PlanContext, taken: LookTaken) -> Array:
+    """T_base_tcp that turns the tool to the OOI about the tool marker, which stays where it is."""
+    look = taken.look
+    if look.T_cam_tool is None or look.T_cam_ooi is None:
+        raise JobFailedError("no poses in the look; look again", "look_rejected")
+    T_base_tcp = ctx.tcp(taken.reading.q_rad)
+    R_cam_tool, R_cam_ooi = look.T_cam_tool[:3, :3], look.T_cam_ooi[:3, :3]
+    if ctx.method == "paper":
+        # "camera axes = TCP axes": eq. 8 turns in camera axes, carried into ours by the nominal mount.
+        R_tcp_cam = ctx.machine.T_tcp_cam_left[:3, :3]
+        R_base_cam = orientation_reference_paper(T_base_tcp[:3, :3] @ R_tcp_cam, R_cam_ooi, R_cam_tool)
+        R_ref = R_base_cam @ R_tcp_cam.T
+    else:
+        R_ref = orientation_reference(T_base_tcp[:3, :3], ctx.machine.T_tcp_tool[:3, :3], R_cam_tool, R_cam_ooi)
+    p_tcp_tool = ctx.machine.T_tcp_tool[:3, 3]
+    p_base_tool = T_base_tcp[:3, 3] + T_base_tcp[:3, :3] @ p_tcp_tool
+    return pose(R_ref, np.asarray(p_base_tool - R_ref @ p_tcp_tool))
+
+
+def _error(taken: LookTaken):
+    if taken.error is None:
+        raise JobFailedError(f"look failed: {taken.record.reason}", "look_rejected")
+    return taken.error

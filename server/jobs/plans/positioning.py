@@ -1,0 +1,115 @@
+"""The whole loop: look, orient, calibrate, then look-then-move until inside the tolerance."""
+
+import time
+from collections.abc import Callable, Generator
+
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken
+from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.looking import good_look
+from server.jobs.plans.moving import execute, preview
+from server.jobs.plans.orienting import orient
+from server.jobs.records import CalibrationRecord, ErrorMm, PositionResult
+from server.jobs.requests import MachineReading, Progress, ReadMachine, Request
+
+Clock = Callable[[], int]
+
+
+def position(
+    ctx: PlanContext, recalibrate: bool, clock_ns: Clock = time.monotonic_ns
+) -> Generator[Request, object, PositionResult]:
+    """Bring the tool to the goal. Ends reached, or not reached with the reason; a failed look fails the job."""
+    watch = _StopWatch(clock_ns)
+    reading = yield ReadMachine()
+    if isinstance(reading, MachineReading):
+        ctx.knowledge.q_start = reading.q_rad
+    ctx.knowledge.moves.clear()
+    if recalibrate:
+        ctx.knowledge.mount = None
+    taken = first = yield from good_look(ctx)
+    watch.lap("look")
+    taken = yield from orient(ctx, taken)
+    watch.lap("orient")
+    calibration = ctx.knowledge.calibration if ctx.knowledge.mount is not None else None
+    if ctx.knowledge.mount is None:
+        calibration = yield from calibrate(ctx, taken)
+        watch.lap("calibrate")
+        taken = yield from good_look(ctx)
+        watch.lap("look after calibration")
+    taken = yield from _move_until_inside(ctx, taken, watch, clock_ns)
+    return _result(ctx, first, taken, calibration, watch)
+
+
+def _move_until_inside(
+    ctx: PlanContext, taken: LookTaken, watch: "_StopWatch", clock_ns: Clock
+) -> Generator[Request, object, LookTaken]:
+    goal = ctx.settings.position
+    for number in range(1, goal.moves_max + 1):
+        if inside(ctx, taken):
+            break
+        previewed = preview(ctx, taken, clock_ns())
+        taken = yield from execute(ctx, previewed, number)
+        watch.lap(f"move {number}")
+        error = error_of(taken)
+        yield Progress("error", error.distance_mm, goal.tolerance_mm, "mm", f"after move {number}")
+    return taken
+
+
+def inside(ctx: PlanContext, taken: LookTaken) -> bool:
+    """Whether the look puts the tool inside the tolerance, two sigma to spare."""
+    goal = ctx.settings.position
+    return error_of(taken).inside(goal.tolerance_mm, goal.tolerance_deg)
+
+
+def error_of(taken: LookTaken) -> ErrorMm:
+    """The error of a look that has one."""
+    if taken.error is None:
+        raise JobFailedError(f"look failed: {taken.record.reason}", "look_rejected")
+    return taken.error
+
+
+def _result(
+    ctx: PlanContext, first: LookTaken, last: LookTaken, calibration: CalibrationRecord | None, watch: "_StopWatch"
+) -> PositionResult:
+    goal = ctx.settings.position
+    reached = inside(ctx, last)
+    moves = tuple(ctx.knowledge.moves)
+    count = sum(1 for move in moves if move.kind == "move")
+    reason = f"inside +-{goal.tolerance_mm:g} mm and {goal.tolerance_deg:g} deg after {count} moves"
+    if not reached:
+        reason = (
+            f"not inside +-{goal.tolerance_mm:g} mm after {count} moves (limit {goal.moves_max}); "
+            "calibrate and try again"
+        )
+    return PositionResult(
+        reached=reached,
+        reason=reason,
+        tolerance_mm=goal.tolerance_mm,
+        tolerance_deg=goal.tolerance_deg,
+        start=error_of(first),
+        end=error_of(last),
+        moves=moves,
+        calibration=calibration,
+        t_start_plc_ns=first.record.t_plc_ns,
+        duration_s=watch.total_s,
+        seconds_by_step=tuple(watch.laps),
+    )
+
+
+class _StopWatch:
+    """Seconds by step, on the given clock."""
+
+    def __init__(self, clock_ns: Clock) -> None:
+        self._clock_ns = clock_ns
+        self._start_ns = self._last_ns = clock_ns()
+        self.laps: list[tuple[str, float]] = []
+
+    def lap(self, name: str) -> None:
+        now_ns = self._clock_ns()
+        self.laps.append((name, round((now_ns - self._last_ns) * 1e-9, 2)))
+        self._last_ns = now_ns
+
+    @property
+    def total_s(self) -> float:
+        return round((self._last_ns - self._start_ns) * 1e-9, 2)

@@ -1,0 +1,50 @@
+"""Retract from the wall, return to where the run began, park."""
+
+from collections.abc import Generator
+
+import numpy as np
+
+from machine.poses import pose
+from machine.rotations import Array
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.plans.driving import drive
+from server.jobs.plans.planning import onto_reference, plan_to
+from server.jobs.requests import MachineReading, Request, Settle, expect
+from server.motion.point_to_point import plan_joint_move
+
+
+def retract(ctx: PlanContext, distance_mm: float) -> Generator[Request, object, str]:
+    """Back away from the wall along the tool's axis (z_tcp points back)."""
+    reading = expect((yield Settle()), MachineReading)
+    T_base_tcp = ctx.tcp(reading.q_rad)
+    away = T_base_tcp[:3, 2] * distance_mm * 1e-3
+    plan = plan_to(ctx, reading, pose(T_base_tcp[:3, :3], T_base_tcp[:3, 3] + away), one_sided=False)
+    yield from drive(ctx, plan, "retract")
+    return f"retracted by {distance_mm:.0f} mm"
+
+
+def return_to_start(ctx: PlanContext) -> Generator[Request, object, str]:
+    """Back along a joint path to where the last run began."""
+    if ctx.knowledge.q_start is None:
+        raise JobFailedError("no run has begun yet, so there is no start to return to", "no_start")
+    yield from _to_joints(ctx, ctx.knowledge.q_start, "return to start")
+    return "at the start of the run"
+
+
+def park(ctx: PlanContext) -> Generator[Request, object, str]:
+    """Retract by 300 mm if a wall is near, then fold to the middle of the lift and tilt ranges."""
+    if ctx.wall is not None:
+        yield from retract(ctx, 300.0)
+    reading = expect((yield Settle()), MachineReading)
+    q_park = np.array(reading.q_rad)
+    q_park[1:3] = np.deg2rad([55.0, -125.0])
+    q_park[4] = q_park[1] + q_park[2]
+    yield from _to_joints(ctx, q_park, "park")
+    return "parked"
+
+
+def _to_joints(ctx: PlanContext, q_goal: Array, purpose: str) -> Generator[Request, object, None]:
+    reading = expect((yield Settle()), MachineReading)
+    plan = plan_joint_move(ctx.machine, reading.q_rad, q_goal, ctx.wall)
+    yield from drive(ctx, onto_reference(plan, reading), purpose)

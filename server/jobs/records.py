@@ -1,0 +1,89 @@
+"""What jobs leave behind: errors, moves, results; units in the names, since they go out over REST and into recordings."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorMm:
+    """Tool minus goal in OOI axes [mm], geodesic rotation [deg], each with one sigma."""
+
+    x_mm: float
+    y_mm: float
+    z_mm: float
+    rotation_deg: float
+    sigma_x_mm: float
+    sigma_y_mm: float
+    sigma_z_mm: float
+    sigma_rotation_deg: float
+    distance_mm: float
+
+    def inside(self, tolerance_mm: float, tolerance_deg: float) -> bool:
+        """Whether every axis and the rotation are inside the tolerance with two sigma to spare."""
+        axes = ((self.x_mm, self.sigma_x_mm), (self.y_mm, self.sigma_y_mm), (self.z_mm, self.sigma_z_mm))
+        position = all(abs(error) + 2.0 * sigma <= tolerance_mm for error, sigma in axes)
+        return position and self.rotation_deg + 2.0 * self.sigma_rotation_deg <= tolerance_deg
+
+
+@dataclass(frozen=True, slots=True)
+class LookRecord:
+    """One look as the operator sees it."""
+
+    status: str
+    reason: str
+    error: ErrorMm | None
+    n_used: int
+    spread_mm: float
+    t_plc_ns: int
+    t_mono_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class MoveRecord:
+    """One orientation step or one look-then-move, with the errors before and after it.
+
+    `t_rest_plc_ns` is the PLC's time of the look after the move: a bench joins the simulator's truth there afterwards.
+    """
+
+    number: int
+    kind: Literal["orientation", "move"]
+    before: ErrorMm
+    after: ErrorMm | None
+    predicted_sigma_mm: tuple[float, float, float]
+    length_mm: float
+    duration_s: float
+    trims: int
+    t_rest_plc_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRecord:
+    """The local calibration in the operator's units."""
+
+    method: str
+    status: str
+    reason: str
+    sigma_deg: float
+    from_nominal_deg: float
+    time_offset_ms: float
+    residual_rms_mm: float
+    n_used: int
+    observability: float
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class PositionResult:
+    """The end of a positioning job."""
+
+    reached: bool
+    reason: str
+    tolerance_mm: float
+    tolerance_deg: float
+    start: ErrorMm
+    end: ErrorMm
+    moves: tuple[MoveRecord, ...]
+    calibration: CalibrationRecord | None
+    t_start_plc_ns: int
+    duration_s: float
+    seconds_by_step: tuple[tuple[str, float], ...]

@@ -1,0 +1,98 @@
+"""What a plan may ask of the engine: small frozen requests; `reply = yield Request(...)`.
+
+A plan is a plain generator: it decides, the engine acts. So every plan runs in tests without a clock or a socket.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+from server.calibration.contracts import Array, CameraRotationEstimate
+from server.jobs.records import MoveRecord
+from server.motion.contracts import JointTrajectory, PathPlan
+
+
+@dataclass(frozen=True, slots=True)
+class ReadMachine:
+    """Reply: MachineReading, averaged over the last 100 ms. Fails the job when the PLC is silent."""
+
+
+@dataclass(frozen=True, slots=True)
+class MachineReading:
+    """Joints at rest or in motion, as the PLC last told."""
+
+    q_rad: Array
+    q_ref_rad: Array
+    t_plc_ns: int
+    t_mono_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """Arm the PLC unless it is armed already. Reply: None."""
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Play a trajectory of the reference to its end. Reply: None; a stop or refusal fails the job."""
+
+    trajectory: JointTrajectory
+    purpose: str
+
+
+@dataclass(frozen=True, slots=True)
+class Settle:
+    """Wait until the encoders rest. Reply: MachineReading at rest; fails after the settle timeout."""
+
+
+@dataclass(frozen=True, slots=True)
+class TakeLook:
+    """Robust mean over pairs at standstill. Reply: Look (a failed look is a reply, not an error)."""
+
+    pairs: int
+    source: Literal["stereo", "mono"] = "stereo"
+
+
+@dataclass(frozen=True, slots=True)
+class StartOdometry:
+    """Start the camera's own trajectory. Reply: None."""
+
+
+@dataclass(frozen=True, slots=True)
+class StopOdometry:
+    """Reply: (CameraTrack, EncoderTrack) since StartOdometry, both on the PC clock."""
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Tell everybody how far the job has come. Reply: None."""
+
+    name: str
+    current: float
+    target: float
+    unit: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """Put a finding into the recording and the job's own list. Reply: None."""
+
+    item: MoveRecord | CameraRotationEstimate | PathPlan
+    text: str = ""
+
+
+Request = ReadMachine | Arm | Move | Settle | TakeLook | StartOdometry | StopOdometry | Progress | Record
+
+#: A plan yields requests, is sent their replies, and returns its result.
+Plan = Generator[Request, object, object]
+
+
+Reply = TypeVar("Reply")
+
+
+def expect(reply: object, expected: type[Reply]) -> Reply:
+    """The engine's reply, which must be of the type that the request promises; anything else is a defect."""
+    if not isinstance(reply, expected):
+        raise TypeError(f"reply is {type(reply).__name__}, expected {expected.__name__}")
+    return reply

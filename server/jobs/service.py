@@ -1,0 +1,109 @@
+"""From a request to a plan: the one place that knows which plan serves which kind of job."""
+
+import time
+from collections.abc import Generator
+
+from server.api.views import (
+    CalibrateRequest,
+    ExecuteRequest,
+    LookRequest,
+    OrientRequest,
+    ParkRequest,
+    PositionRequest,
+    PreviewRequest,
+    RetractRequest,
+    ReturnRequest,
+)
+from server.cell import Cell
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.engine import Job, JobEngine, JobEvent
+from server.jobs.knowledge import LookTaken, PreviewedPlan
+from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.looking import take_look
+from server.jobs.plans.moving import check_executable, execute, preview
+from server.jobs.plans.orienting import orient
+from server.jobs.plans.positioning import position
+from server.jobs.plans.returning import park, retract, return_to_start
+from server.jobs.requests import Plan, Progress, Request
+
+JobBody = (
+    LookRequest
+    | OrientRequest
+    | CalibrateRequest
+    | PreviewRequest
+    | ExecuteRequest
+    | PositionRequest
+    | RetractRequest
+    | ReturnRequest
+    | ParkRequest
+)
+
+
+class JobService:
+    """Starts jobs for the API and follows them with a recording."""
+
+    def __init__(self, cell: Cell, engine: JobEngine) -> None:
+        self.cell = cell
+        self.engine = engine
+        self.context = PlanContext(cell.machine, cell.chain, cell.settings, cell.knowledge)
+        engine.on_event(self._record)
+
+    def start(self, body: JobBody) -> Job:
+        """Check what can be checked now, then start the job.
+
+        Raises: BusyError, PlanRefusedError, JobFailedError when it may not start; nothing moves then.
+        """
+        plan = self._plan(body)
+        return self.engine.submit(body.kind, plan, body.owner)
+
+    def _plan(self, body: JobBody) -> Plan:
+        ctx = self.context
+        match body:
+            case LookRequest():
+                return take_look(ctx)
+            case OrientRequest():
+                return orient(ctx, self._last_look())
+            case CalibrateRequest():
+                return calibrate(ctx, self._last_look())
+            case PreviewRequest():
+                return _previewing(ctx, self._last_look())
+            case ExecuteRequest():
+                previewed = check_executable(ctx.knowledge.previewed, body.plan_hash, time.monotonic_ns())
+                return execute(ctx, previewed, 1 + sum(move.kind == "move" for move in ctx.knowledge.moves))
+            case PositionRequest():
+                return position(ctx.with_method(body.method), body.recalibrate)
+            case RetractRequest():
+                return retract(ctx, body.distance_mm)
+            case ReturnRequest():
+                return return_to_start(ctx)
+            case ParkRequest():
+                return park(ctx)
+
+    def _last_look(self) -> LookTaken:
+        """The last look, if it may still be acted upon: never move on a stale look."""
+        taken, limit_s = self.cell.knowledge.last_look, self.cell.settings.look.age_max_s
+        if taken is None or taken.error is None:
+            raise JobFailedError("there is no good look yet; look first", "no_look")
+        age_s = (time.monotonic_ns() - taken.record.t_mono_ns) * 1e-9
+        if age_s > limit_s:
+            raise JobFailedError(
+                f"the last look is {age_s:.0f} s old (limit {limit_s:.0f} s); look again", "stale_look"
+            )
+        return taken
+
+    def _record(self, job: Job, event: JobEvent) -> None:
+        recorder = self.cell.recorder
+        if event.name == "started":
+            recorder.start(f"{job.kind}-{job.job_id}", self.cell.settings.model_dump_json(), self.cell.machine_text)
+        recorder.event("info" if job.code == "" else "error", event.text)
+        if event.name == "ended":
+            recorder.result(job.result if job.result is not None else job.reason)
+            recorder.stop()
+
+
+def _previewing(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, PreviewedPlan]:
+    previewed = preview(ctx, taken, time.monotonic_ns())
+    text = f"{previewed.plan.length_m * 1e3:.0f} mm in {previewed.plan.duration_s:.1f} s, plan {previewed.plan_hash}"
+    yield Progress("preview", 1.0, 1.0, "", text)
+    return previewed

@@ -1,0 +1,264 @@
+"""The server's handle on the PLC link: arm, run a trajectory, stop, and the samples that come back."""
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from machine.description import Machine
+from protocol.limits import limits_of
+from server.link.contracts import (
+    ArmRequest,
+    DisarmRequest,
+    HealthReport,
+    LinkHealth,
+    LinkPhase,
+    LinkReport,
+    LinkRequest,
+    MotionEnded,
+    PlcSample,
+    ResetRequest,
+    RunRefused,
+    RunRequest,
+    SamplesReport,
+    StopRequest,
+)
+from server.link.errors import LinkError, LinkRefusedError, LinkSilentError
+from server.link.knots import knots_of
+from server.link.samples import SampleCallback, SampleRing
+from server.link.settings import LinkSettings, framing_of
+from server.link.supervised import SupervisedProcess
+from server.motion.contracts import JointTrajectory
+
+_LOG = logging.getLogger(__name__)
+_ARM_REPEAT_S = 0.3
+_START_S = 15.0  # spawning a Python process on a busy small computer
+_STOP_S = 3.0  # the slowest ramp takes half a second
+_RESTART_S = 1.0
+_HEALTH_STALE_NS = 1_000_000_000
+_ARMED = (LinkPhase.ARMED, LinkPhase.RUNNING, LinkPhase.STOPPING)
+_MOVING = (LinkPhase.RUNNING, LinkPhase.STOPPING)
+_NO_HEALTH = LinkHealth(LinkPhase.OFFLINE, 3.6e6, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, "", 0)
+
+
+class LinkClient:
+    """Owns the link process: starts it, restarts it if it dies, ends it. All methods belong to one event loop."""
+
+    def __init__(self, settings: LinkSettings, machine: Machine) -> None:
+        framing_of(settings)  # a wrong NetId is told now, not by a dead process
+        self._settings = settings
+        self._table = limits_of(machine.joints)
+        self._ring = SampleRing()
+        self._process: SupervisedProcess | None = None
+        self._health, self._t_health_ns = _NO_HEALTH, 0
+        self._offset_ns: int | None = None
+        self._changed = asyncio.Event()
+        self._traj_id = 0
+        self._motion: asyncio.Future[MotionEnded] | None = None
+        self._restart: asyncio.Task[None] | None = None
+        self._closing = False
+
+    # --- life -------------------------------------------------------------------------------------------------------
+
+    async def start(self) -> None:
+        """Start the link process and wait until it reports; whether the PLC answers shows in `health`.
+
+        Raises: LinkSilentError: the process did not come up.
+        """
+        await self._spawn()
+        if not await self._until(lambda: self._t_health_ns > 0, _START_S):
+            await self.close()
+            raise LinkSilentError(
+                f"the link process did not report within {_START_S:.0f} s; see the log for its reason"
+            )
+
+    async def close(self) -> None:
+        """End the link process; a moving machine is ramped down first."""
+        self._closing = True
+        if self._restart:
+            self._restart.cancel()
+        if self._process:
+            process, self._process = self._process, None
+            await process.end()
+        self._end_motion("the link was closed")
+
+    async def _spawn(self) -> None:
+        process = SupervisedProcess(self._settings, self._table, self._on_report, lambda: self._on_gone(process))
+        self._process = process
+        await process.start()
+
+    # --- what is known ----------------------------------------------------------------------------------------------
+
+    @property
+    def health(self) -> LinkHealth:
+        """The newest health; OFFLINE if the link process itself is silent for a second."""
+        if time.monotonic_ns() - self._t_health_ns > _HEALTH_STALE_NS:
+            return replace(self._health, phase=LinkPhase.OFFLINE, error=self._health.error or "link process is silent")
+        return self._health
+
+    @property
+    def latest(self) -> PlcSample | None:
+        """The newest PLC sample, however old."""
+        return self._ring.latest
+
+    def samples_since(self, t_mono_ns: int) -> list[PlcSample]:
+        """The samples received after a time, at most three minutes of them."""
+        return self._ring.since(t_mono_ns)
+
+    def on_sample(self, callback: SampleCallback) -> Callable[[], None]:
+        """Call back for every sample (in the event loop, so be quick); the answer unsubscribes."""
+        return self._ring.subscribe(callback)
+
+    @property
+    def plc_to_pc_offset_ns(self) -> int | None:
+        """t_pc = t_plc + offset, monotonic clocks; None before the first exchange."""
+        return self._offset_ns
+
+    @property
+    def process_id(self) -> int | None:
+        """Of the link process, for the operator's eyes and for tests."""
+        return self._process.pid if self._process else None
+
+    # --- commands ---------------------------------------------------------------------------------------------------
+
+    async def arm(self, timeout_s: float = 5.0) -> None:
+        """Open a session and arm; returns when the PLC holds. Needs local enable at the machine.
+
+        Raises: LinkSilentError, LinkRefusedError: with the PLC's last reject.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        while self.health.phase not in _ARMED:
+            if self.health.phase in (LinkPhase.FAULT, LinkPhase.LOCAL):
+                raise LinkRefusedError(self._why_not_armed())
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0:
+                raise (LinkSilentError if self.health.phase is LinkPhase.OFFLINE else LinkRefusedError)(
+                    self._why_not_armed()
+                )
+            await self._request(ArmRequest())
+            await self._until(lambda: self.health.phase in _ARMED, min(left_s, _ARM_REPEAT_S))
+
+    async def run(self, trajectory: JointTrajectory) -> MotionEnded:
+        """Play a trajectory from the present reference and wait for its end. Cancelled: stops the machine first.
+
+        Raises: LinkRefusedError: not armed, busy, or the motion gate says no. LinkSilentError: the process is gone.
+        """
+        if self._motion is not None:
+            raise LinkRefusedError("a trajectory is under way; wait for its end or stop it")
+        if self.health.phase is not LinkPhase.ARMED:
+            raise LinkRefusedError(f"PLC link is {self.health.phase.value}, must be armed and at rest; arm first")
+        knots = knots_of(trajectory, len(self._table.axes))
+        self._traj_id += 1
+        self._motion = asyncio.get_running_loop().create_future()
+        try:
+            await self._request(RunRequest(self._traj_id, knots))
+            return await self._motion
+        except asyncio.CancelledError:
+            await asyncio.shield(asyncio.ensure_future(self.stop("the job was cancelled")))
+            raise
+        finally:
+            self._motion = None
+
+    async def stop(self, reason: str) -> None:
+        """Ramp down along the path and hold; returns when the PLC is at rest, at the latest after 3 s.
+
+        If the PLC is not heard or the process is gone, its watchdog has stopped the machine: that is logged, not raised.
+        """
+        try:
+            await self._request(StopRequest(reason))
+        except LinkSilentError as error:
+            _LOG.warning("stop (%s) could not be sent, the PLC stops by its watchdog: %s", reason, error)
+            return
+        await self._until(lambda: self.health.phase not in _MOVING, 0.1)  # a report newer than the request
+        if not await self._until(lambda: self.health.phase not in _MOVING, _STOP_S):
+            raise LinkError(
+                f"stop ({reason}): PLC still {self.health.phase.value} after {_STOP_S:.0f} s; use the emergency stop"
+            )
+
+    async def disarm(self) -> None:
+        """Leave the armed state (ramping down first if it moves).
+
+        Raises: LinkError: still armed after 3 s.
+        """
+        if self.health.phase not in _ARMED:
+            return
+        await self._request(DisarmRequest())
+        if not await self._until(lambda: self.health.phase not in _ARMED, _STOP_S):
+            raise LinkError(f"disarm: PLC still {self.health.phase.value} after {_STOP_S:.0f} s; use the local switch")
+
+    async def reset(self) -> None:
+        """Clear a latched fault; nothing moves, arm again afterwards.
+
+        Raises: LinkRefusedError: the fault is still there after 3 s.
+        """
+        if self.health.phase is not LinkPhase.FAULT:
+            return
+        await self._request(ResetRequest())
+        if not await self._until(lambda: self.health.phase is not LinkPhase.FAULT, _STOP_S):
+            raise LinkRefusedError(f"reset: the fault is still there ({self.health.last_reject}); remove its cause")
+
+    # --- inside -----------------------------------------------------------------------------------------------------
+
+    async def _request(self, request: LinkRequest) -> None:
+        if self._process is None:
+            raise LinkSilentError("the link is not started")
+        await self._process.request(request)
+
+    async def _until(self, wanted: Callable[[], bool], timeout_s: float) -> bool:
+        """Whether it comes true in time; looked at after every report."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not wanted():
+                    await self._changed.wait()
+        except TimeoutError:
+            return wanted()
+        return True
+
+    def _why_not_armed(self) -> str:
+        health, settings = self.health, self._settings
+        where = f"{settings.plc_host}:{settings.plc_port}"
+        if health.phase is LinkPhase.OFFLINE:
+            reason = health.error or "is it on, and are address, port and framing right?"
+            return f"PLC silent: no state from {where}; {reason}"
+        if health.phase is LinkPhase.LOCAL:
+            return "PLC is in LOCAL: the lever at the machine has it; release the lever, then arm"
+        if health.phase is LinkPhase.FAULT:
+            bits = self.latest.fault_bits if self.latest else 0
+            return f"PLC is in FAULT (bits {bits:#x}): remove the cause and reset, then arm"
+        return f"PLC {where} did not arm, link is {health.phase.value}: {health.last_reject or 'no reason given'}"
+
+    def _on_report(self, report: LinkReport) -> None:
+        match report:
+            case SamplesReport(samples=samples):
+                self._ring.extend(samples)
+            case HealthReport(health=health, plc_to_pc_offset_ns=offset_ns):
+                self._health, self._t_health_ns = health, time.monotonic_ns()
+                self._offset_ns = offset_ns if offset_ns is not None else self._offset_ns
+            case MotionEnded(traj_id=traj_id):
+                if self._motion and not self._motion.done() and traj_id == self._traj_id:
+                    self._motion.set_result(report)
+            case RunRefused(traj_id=traj_id, reason=reason):
+                if self._motion and not self._motion.done() and traj_id == self._traj_id:
+                    self._motion.set_exception(LinkRefusedError(reason))
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def _on_gone(self, process: SupervisedProcess) -> None:
+        """The link process died: whatever moved is stopped by the PLC's watchdog; start a new process."""
+        if self._closing or process is not self._process:
+            return
+        _LOG.error("link process %s died; starting a new one in %s s", process.pid, _RESTART_S)
+        self._health = replace(self._health, phase=LinkPhase.OFFLINE, error="link process died, restarting")
+        self._end_motion("the link process died; the PLC ramps to a hold by itself")
+        self._restart = asyncio.ensure_future(self._respawn(process))
+
+    async def _respawn(self, dead: SupervisedProcess) -> None:
+        await dead.end()
+        await asyncio.sleep(_RESTART_S)
+        await self._spawn()
+
+    def _end_motion(self, reason: str) -> None:
+        if self._motion and not self._motion.done():
+            t_plc_ns = self.latest.t_plc_ns if self.latest else 0
+            self._motion.set_result(MotionEnded(self._traj_id, False, reason, t_plc_ns))

@@ -1,0 +1,136 @@
+"""What the link process tells the server, and what the server asks of it: plain frozen data between processes."""
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class LinkPhase(Enum):
+    """How far the connection to the PLC has come."""
+
+    OFFLINE = "offline"  # no state datagram for 250 ms
+    DISARMED = "disarmed"  # states arrive, no session
+    LINKED = "linked"  # session open, not armed
+    ARMED = "armed"  # holding; a trajectory may be sent
+    RUNNING = "running"
+    STOPPING = "stopping"
+    FAULT = "fault"
+    LOCAL = "local"
+
+
+@dataclass(frozen=True, slots=True)
+class PlcSample:
+    """One PLC state as the server uses it. `t_mono_ns` is the PC's receive time; joints only, n values each, SI."""
+
+    t_plc_ns: int
+    t_mono_ns: int
+    seq: int
+    q_rad: tuple[float, ...]
+    qd_rad_s: tuple[float, ...]
+    q_ref_rad: tuple[float, ...]
+    qd_ref_rad_s: tuple[float, ...]
+    valve_frac: tuple[float, ...]
+    pressure_a_pa: tuple[float, ...]
+    pressure_b_pa: tuple[float, ...]
+    pressure_supply_pa: float
+    oil_temperature_c: float
+    plc_state: str
+    traj_id: int
+    knot_playing: int
+    t_play_ns: int
+    buffer_us: int
+    underruns: int
+    fault_bits: int
+    reject_code: int
+    simulation: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LinkHealth:
+    """Counters and timing of the link process, for the panel and the metrics."""
+
+    phase: LinkPhase
+    age_ms: float
+    sent: int
+    received: int
+    lost: int
+    rejected: int
+    lateness_p50_us: float
+    lateness_p99_us: float
+    lateness_max_us: float
+    round_trip_ms: float
+    last_reject: str
+    session: int
+    warning: str = ""  # why timing may be worse than it should be; empty: nothing to say
+    buffer_min_us: int = 0  # smallest buffer depth of the newest trajectory while it ran
+    receive_timestamps: str = "kernel"  # or "process": who stamped the received datagrams
+    error: str = ""  # why the link cannot work at all at the moment (name not found, ...)
+
+
+@dataclass(frozen=True, slots=True)
+class MotionEnded:
+    """A trajectory came to its end: reached, stopped, or why not."""
+
+    traj_id: int
+    reached: bool
+    reason: str
+    t_plc_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ArmRequest:
+    """Open a session if needed and arm; answered by phases in LinkHealth. Lapses unless repeated within `valid_s`."""
+
+    valid_s: float = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """Play this trajectory from the present reference. Knots: (t_ns, q, qd, qdd); gate-checked before anything is sent."""
+
+    traj_id: int
+    knots: tuple[tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StopRequest:
+    """Ramp down along the path and hold; always accepted."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class ResetRequest:
+    """Clear a latched fault; never restarts motion."""
+
+
+@dataclass(frozen=True, slots=True)
+class DisarmRequest:
+    """Leave the armed state."""
+
+
+@dataclass(frozen=True, slots=True)
+class SamplesReport:
+    """The PLC states received since the last report, oldest first; `dropped` were lost in a full queue."""
+
+    samples: tuple[PlcSample, ...]
+    dropped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class HealthReport:
+    """The link's health, ten times a second and at every change of phase; t_pc = t_plc + offset (None: not known)."""
+
+    health: LinkHealth
+    plc_to_pc_offset_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class RunRefused:
+    """A trajectory was refused before anything was sent."""
+
+    traj_id: int
+    reason: str
+
+
+LinkRequest = ArmRequest | RunRequest | StopRequest | ResetRequest | DisarmRequest
+LinkReport = SamplesReport | HealthReport | MotionEnded | RunRefused

@@ -1,0 +1,20 @@
+"""A planned trajectory as the knots of a run request."""
+
+from server.link.errors import LinkRefusedError
+from server.motion.contracts import JointTrajectory
+
+KnotTuple = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+
+
+def knots_of(trajectory: JointTrajectory, joints: int) -> tuple[KnotTuple, ...]:
+    """The trajectory's own knots, times in whole nanoseconds; nothing is resampled.
+
+    Raises: LinkRefusedError: shapes do not fit the machine.
+    """
+    n = len(trajectory.t_s)
+    for name, array in (("q", trajectory.q), ("qd", trajectory.qd), ("qdd", trajectory.qdd)):
+        if array.shape != (n, joints):
+            raise LinkRefusedError(f"trajectory.{name}: shape {array.shape}, must be {(n, joints)} (knots, joints)")
+    times_ns = [round(float(t) * 1e9) for t in trajectory.t_s]
+    rows = zip(times_ns, trajectory.q.tolist(), trajectory.qd.tolist(), trajectory.qdd.tolist(), strict=True)
+    return tuple((t, tuple(q), tuple(qd), tuple(qdd)) for t, q, qd, qdd in rows)

@@ -1,0 +1,272 @@
+"""The link process: 50 commands a second to the PLC at absolute deadlines, states back to the server; nothing else.
+
+It dies with its parent. Every ending goes the same way: STOP is sent for at most 0.5 s, then the PLC's watchdog
+takes over.
+"""
+
+import gc
+import os
+import secrets
+import selectors
+import signal
+import time
+from multiprocessing.connection import Connection
+from types import FrameType
+
+from protocol.client_events import (
+    ClientEvent,
+    ClientPhase,
+    Closed,
+    GateRefused,
+    RejectSeen,
+    StateReceived,
+    TrajectoryEnded,
+)
+from protocol.client_link import ClientLink
+from protocol.codes import PlcState
+from protocol.errors import LocalProtocolError
+from protocol.limits import LimitTable
+from protocol.messages import Knot, axes8
+from protocol.timeouts import STOP_ON_EXIT
+from server.link.contracts import (
+    ArmRequest,
+    DisarmRequest,
+    HealthReport,
+    LinkHealth,
+    LinkPhase,
+    LinkRequest,
+    MotionEnded,
+    ResetRequest,
+    RunRefused,
+    RunRequest,
+    StopRequest,
+)
+from server.link.lateness import Lateness, LatenessFigures
+from server.link.outbox import Outbox
+from server.link.priority import raise_priority
+from server.link.resolver import Resolver
+from server.link.sample import sample_of
+from server.link.settings import LinkSettings, framing_of
+from server.link.udp_end import Address, UdpEnd
+
+_HEALTH_NS = 100_000_000
+_RESOLVE_NS = 1_000_000_000
+_REFUSALS_SHOWN = 3
+_AGE_SHOWN_NS = 3_600_000_000_000  # "never" is shown as an hour
+
+
+class LinkProcess:
+    """The loop and what it holds. `run` returns when the process should end."""
+
+    def __init__(self, pipe: Connection, settings: LinkSettings, table: LimitTable, parent_pid: int) -> None:
+        self._pipe, self._settings, self._table, self._parent_pid = pipe, settings, table, parent_pid
+        self._udp = UdpEnd((settings.local_host, settings.local_port))
+        self._outbox = Outbox(pipe)
+        self._resolver = Resolver(settings.plc_host, settings.plc_port)
+        self._warning = raise_priority()
+        self._lateness, self._figures = Lateness(), LatenessFigures()
+        self._link = self._new_link()
+        self._address: Address | None = None
+        self._phase = ClientPhase.OFFLINE
+        self._past_sent = self._past_received = self._past_lost = self._rejected = 0
+        self._buffer_min_us = 0
+        self._last_reject = ""
+        self._arm_until_ns: int | None = None
+        self._next_health_ns = self._next_resolve_ns = 0
+        self._leaving: str | None = None
+
+    def leave(self, reason: str) -> None:
+        """Stop the machine if it moves, then end; safe to call from a signal handler."""
+        self._leaving = self._leaving or reason
+
+    def run(self) -> None:
+        """The loop: wait for a datagram, a request or the next deadline, whichever comes first."""
+        period_ns = round(1e9 / self._settings.command_hz)
+        with selectors.SelectSelector() as selector:  # select waits to the microsecond, epoll to the millisecond
+            selector.register(self._udp, selectors.EVENT_READ, self._drain)
+            selector.register(self._pipe, selectors.EVENT_READ, self._take_requests)
+            deadline_ns = time.monotonic_ns() + period_ns
+            give_up_ns: int | None = None
+            while give_up_ns is None or (self._link.busy and time.monotonic_ns() < give_up_ns):
+                wait_s = max(0, deadline_ns - time.monotonic_ns()) / 1e9
+                for key, _ in selector.select(wait_s):
+                    key.data()
+                    if self._leaving:
+                        self._forget_pipe(selector)
+                now_ns = time.monotonic_ns()
+                if now_ns >= deadline_ns:
+                    self._tick(now_ns, deadline_ns)
+                    missed = (now_ns - deadline_ns) // period_ns
+                    deadline_ns += (missed + 1) * period_ns  # no burst after a stall
+                if self._leaving and give_up_ns is None:
+                    give_up_ns = now_ns + STOP_ON_EXIT.ns
+                    if self._phase in (ClientPhase.RUNNING, ClientPhase.STOPPING, ClientPhase.ARMED) or self._link.busy:
+                        self._link.request_stop(self._leaving)
+        self._udp.close()
+
+    def _forget_pipe(self, selector: selectors.BaseSelector) -> None:
+        """A pipe at its end is always readable: look away from it."""
+        if self._pipe in (key.fileobj for key in selector.get_map().values()):
+            selector.unregister(self._pipe)
+
+    def _new_link(self) -> ClientLink:
+        session = secrets.randbelow(0xFFFF_FFFF) + 1
+        return ClientLink(
+            self._table, framing_of(self._settings), session, speed_override=self._settings.speed_override
+        )
+
+    # --- time -------------------------------------------------------------------------------------------------------
+
+    def _tick(self, now_ns: int, deadline_ns: int) -> None:
+        self._watch_parent()
+        if self._arm_until_ns is not None and now_ns > self._arm_until_ns:
+            self._arm_until_ns = None
+            self._link.cancel_wish()
+        self._handle(self._link.poll(now_ns), now_ns)
+        self._find_plc(now_ns)
+        datagram = self._link.send(now_ns) if self._address else None
+        if datagram and self._address:
+            self._udp.send(datagram, self._address)
+            self._lateness.add(time.monotonic_ns() - deadline_ns)
+        self._outbox.flush()
+        if now_ns >= self._next_health_ns or self._link.phase(now_ns) is not self._phase:
+            self._report_health(now_ns)
+
+    def _watch_parent(self) -> None:
+        if os.getppid() != self._parent_pid or self._outbox.broken:
+            self.leave("the server is gone")
+
+    def _find_plc(self, now_ns: int) -> None:
+        """The address may change only while no session is open."""
+        if self._link.linked:
+            return
+        self._address = self._resolver.address
+        if now_ns >= self._next_resolve_ns and self._link.phase(now_ns) is ClientPhase.OFFLINE:
+            self._next_resolve_ns = now_ns + _RESOLVE_NS
+            self._resolver.refresh()
+
+    # --- input ------------------------------------------------------------------------------------------------------
+
+    def _drain(self) -> None:
+        for datagram, t_mono_ns, source in self._udp.drain():
+            if self._address and source[0] == self._address[0]:
+                self._handle(self._link.receive(datagram, t_mono_ns), t_mono_ns)
+
+    def _take_requests(self) -> None:
+        try:
+            while self._pipe.poll():
+                self._request(self._pipe.recv())
+        except (EOFError, OSError):
+            self.leave("the server is gone")
+
+    def _request(self, request: LinkRequest) -> None:
+        match request:
+            case ArmRequest(valid_s=valid_s):
+                self._arm_until_ns = time.monotonic_ns() + round(valid_s * 1e9)
+                self._link.request_arm()
+            case RunRequest():
+                self._start(request)
+            case StopRequest(reason=reason):
+                self._arm_until_ns = None
+                self._link.cancel_wish()
+                self._link.request_stop(reason)
+            case ResetRequest():
+                self._arm_until_ns = None
+                self._link.request_reset()
+            case DisarmRequest():
+                self._arm_until_ns = None
+                self._link.request_disarm()
+
+    def _start(self, request: RunRequest) -> None:
+        try:
+            knots = tuple(Knot(t, axes8(q), axes8(qd), axes8(qdd)) for t, q, qd, qdd in request.knots)
+            refusals = self._link.request_run(request.traj_id, knots, time.monotonic_ns())
+        except LocalProtocolError as error:
+            self._outbox.report(RunRefused(request.traj_id, str(error)))
+            return
+        if refusals:
+            shown = "; ".join(refusal.text for refusal in refusals[:_REFUSALS_SHOWN])
+            more = len(refusals) - _REFUSALS_SHOWN
+            text = f"motion gate: {shown}" + (f"; and {more} more" if more > 0 else "")
+            self._outbox.report(RunRefused(request.traj_id, text))
+            return
+        self._buffer_min_us = 0
+
+    # --- events -----------------------------------------------------------------------------------------------------
+
+    def _handle(self, events: list[ClientEvent], t_mono_ns: int) -> None:
+        for event in events:
+            match event:
+                case StateReceived(state=state, t_mono_ns=t_received_ns):
+                    self._outbox.add_sample(sample_of(state, t_received_ns, len(self._table.axes)))
+                    self._note_buffer(state.plc_state, state.buffer_us)
+                case TrajectoryEnded(traj_id=traj_id, reached=reached, reason=reason, t_plc_ns=t_plc_ns):
+                    self._report_health(t_mono_ns)
+                    self._outbox.report(MotionEnded(traj_id, reached, reason, t_plc_ns))
+                case RejectSeen(text=text, seq=seq):
+                    self._rejected += 1
+                    self._last_reject = f"{text} (command {seq})"
+                case GateRefused(text=text):
+                    self._rejected += 1
+                    self._last_reject = f"motion gate: {text}"
+                case Closed():
+                    self._renew()
+                case _:  # Dropped: counted by the link
+                    pass
+
+    def _note_buffer(self, plc_state: PlcState, buffer_us: int) -> None:
+        if plc_state is PlcState.RUN:
+            self._buffer_min_us = min(self._buffer_min_us or buffer_us, buffer_us)
+
+    def _renew(self) -> None:
+        """A closed link is replaced; a wish to arm that has not lapsed goes on."""
+        counters = self._link.counters
+        self._past_sent += counters.sent
+        self._past_received += counters.received
+        self._past_lost += counters.lost
+        self._link = self._new_link()
+        if self._arm_until_ns is not None:
+            self._link.request_arm()
+
+    def _report_health(self, now_ns: int) -> None:
+        if now_ns >= self._next_health_ns:
+            self._next_health_ns = now_ns + _HEALTH_NS
+            self._figures = self._lateness.figures()
+        self._phase = self._link.phase(now_ns)
+        self._outbox.report(HealthReport(self._health(now_ns), self._link.clock.offset_ns))
+
+    def _health(self, now_ns: int) -> LinkHealth:
+        counters, figures = self._link.counters, self._figures
+        age_ns = self._link.age_ns(now_ns)
+        return LinkHealth(
+            phase=LinkPhase(self._phase.value),
+            age_ms=min(age_ns, _AGE_SHOWN_NS) / 1e6,
+            sent=self._past_sent + counters.sent,
+            received=self._past_received + counters.received,
+            lost=self._past_lost + counters.lost,
+            rejected=self._rejected,
+            lateness_p50_us=figures.p50_us,
+            lateness_p99_us=figures.p99_us,
+            lateness_max_us=figures.max_us,
+            round_trip_ms=self._link.clock.delay_ns / 1e6,
+            last_reject=self._last_reject,
+            session=self._link.session if self._link.linked else 0,
+            warning=self._warning,
+            buffer_min_us=self._buffer_min_us,
+            receive_timestamps="kernel" if self._udp.kernel_stamps else "process",
+            error=self._resolver.error,
+        )
+
+
+def link_process_main(pipe: Connection, settings: LinkSettings, table: LimitTable, parent_pid: int) -> None:
+    """The entry point of the spawned process; `parent_pid` is whose child it must remain."""
+    process = LinkProcess(pipe, settings, table, parent_pid)
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        del frame
+        process.leave(f"link process got {signal.Signals(number).name}")
+
+    signal.signal(signal.SIGTERM, on_signal)
+    signal.signal(signal.SIGINT, on_signal)
+    gc.freeze()  # nothing that exists now will go; later collections stay short
+    process.run()

@@ -1,0 +1,145 @@
+"""Calibration paths: the paper's line-like planar one (eq. 17-19), and a folded, asymmetric, closed 3-D one."""
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from machine.chain import chain_of
+from machine.description import Machine
+from machine.kinematics import tcp_pose
+from machine.poses import pose
+from server.motion.contracts import Array, PathPlan, PlanStatus, Wall
+from server.motion.joint_path import straight_poses
+from server.motion.point_to_point import plan_through
+from server.motion.refusal import MotionInputError, Refusal, refused_plan, require_joints
+from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
+from server.motion.visibility_cone import markers_in_view
+from server.motion.wall_clearance import wall_refusal
+
+#: Corners in TCP axes [m]: x up, y left, z back from the wall. About 1.0 m in six legs of 14 to 21 cm, no two parallel, none mirrored.
+FOLDED_M = (
+    (0.13, 0.04, 0.00),
+    (0.11, -0.11, 0.10),
+    (-0.07, -0.09, 0.02),
+    (-0.10, 0.06, 0.10),
+    (0.05, 0.12, 0.08),
+    (0.00, 0.00, 0.00),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationPathSettings:
+    """What a calibration path keeps to, and the paper's own numbers."""
+
+    ooi_distance_min_m: float = 0.25
+    scales: tuple[float, ...] = (1.0, 0.85, 0.7, 0.55, 0.45)
+    view_margin_px: float = 10.0
+    markers_min: int = 1
+    paper_lengths_m: tuple[float, ...] = (0.12, 0.06, 0.10, 0.05, 0.14, 0.03)
+    paper_xi_rad: float = float(np.pi / 4)
+    paper_return: bool = True
+
+
+DEFAULT_PATH_SETTINGS = CalibrationPathSettings()
+
+
+def folded_corners() -> Array:
+    """Corners of the folded path as offsets in TCP axes (6, 3) [m]; the last is the start again."""
+    return np.array(FOLDED_M)
+
+
+def paper_corners(path: CalibrationPathSettings = DEFAULT_PATH_SETTINGS) -> Array:
+    """Corners of the paper's path as offsets in TCP axes (n, 3) [m].
+
+    Model:   x_{i+1} = x_i + L_i cos(xi) n + L_i sin(xi) s (17-19), xi alternating between 0 and pi/4, n = x_tcp, s =
+             y_tcp.
+    Source:  Makinen et al. 2023, eq. 17-19; the lengths are ours, the paper gives none. The way back is a last straight
+             leg.
+    """
+    lengths = np.array(path.paper_lengths_m)
+    xi = path.paper_xi_rad * (np.arange(len(lengths)) % 2)
+    steps = np.column_stack((lengths * np.cos(xi), lengths * np.sin(xi), np.zeros(len(lengths))))  # eq. 17-19
+    corners = np.cumsum(steps, axis=0)
+    return np.vstack((corners, np.zeros(3))) if path.paper_return else corners
+
+
+def plan_calibration_path(
+    machine: Machine,
+    q_start: Array,
+    kind: Literal["folded", "paper"] = "folded",
+    settings: PlanSettings = DEFAULT_PLAN_SETTINGS,
+    wall: Wall | None = None,
+    T_base_ooi_estimate: Array | None = None,
+    R_tcp_cam_nominal: Array | None = None,
+    path: CalibrationPathSettings = DEFAULT_PATH_SETTINGS,
+) -> PathPlan:
+    """A calibration path from the present reference and back to it, orientation held, that keeps view, wall and limits.
+
+    Model:   corners in TCP axes; when not feasible they are mirrored (left-right, up-down), then shrunk, until they
+             are.
+    Args:    q_start: present reference (joints,) [rad]; T_base_ooi_estimate: for view and distance, or None;
+             R_tcp_cam_nominal: of the camera, the machine's own if None; path: margins and the paper's lengths.
+    Returns: the plan; the first refusal met at the smallest scale when nothing is feasible.
+    Raises:  MotionInputError: shapes, values that are not finite, unknown kind.
+    """
+    if kind not in ("folded", "paper"):
+        raise MotionInputError(f"calibration path '{kind}' is unknown; give 'folded' or 'paper'")
+    chain = chain_of(machine)
+    q = require_joints(q_start, chain.n, "q_start")
+    T_start = tcp_pose(chain, q)
+    R_tcp_cam = machine.T_tcp_cam_left[:3, :3] if R_tcp_cam_nominal is None else R_tcp_cam_nominal
+    corners = folded_corners() if kind == "folded" else paper_corners(path)
+    refusal: Refusal | None = None
+    tried = np.array([T_start])
+    for scale, up, left in product(path.scales, (1.0, -1.0), (1.0, -1.0)):
+        Ts = _poses(T_start, scale * corners * np.array([up, left, 1.0]))
+        refusal = _place_refusal(machine, T_start, Ts, wall, T_base_ooi_estimate, R_tcp_cam, path, settings)
+        if refusal is None:
+            plan = plan_through(machine, q, Ts, settings, wall)
+            if plan.status is PlanStatus.OK:
+                return plan
+            refusal, tried = Refusal(plan.status, plan.reason), plan.Ts_base_tcp
+    smallest = f"no calibration path, mirrored or shrunk to {100 * path.scales[-1]:.0f} %, is possible here: "
+    status, reason = (refusal.status, refusal.reason) if refusal else (PlanStatus.INVALID, "no scale was given")
+    return refused_plan(Refusal(status, smallest + reason), q, tried)
+
+
+def _poses(T_start: Array, offsets_tcp: Array) -> list[Array]:
+    R = T_start[:3, :3]
+    return [pose(R, T_start[:3, 3] + R @ offset) for offset in offsets_tcp]
+
+
+def _place_refusal(
+    machine: Machine,
+    T_start: Array,
+    Ts: list[Array],
+    wall: Wall | None,
+    T_base_ooi: Array | None,
+    R_tcp_cam: Array,
+    path: CalibrationPathSettings,
+    settings: PlanSettings,
+) -> Refusal | None:
+    """What speaks against these corners before any joint is computed: wall, nearness to the OOI, view."""
+    legs = [straight_poses(a, b, settings)[::4] for a, b in zip([T_start, *Ts[:-1]], Ts, strict=True)]
+    along = np.concatenate([*legs, np.array([Ts[-1]])])
+    _, too_near = wall_refusal(along, machine.T_tcp_tool, wall)
+    if too_near is not None or T_base_ooi is None:
+        return too_near
+    markers = along[:, :3, 3] + along[:, :3, :3] @ machine.T_tcp_tool[:3, 3]
+    distances = np.minimum(*(np.linalg.norm(p - T_base_ooi[:3, 3], axis=1) for p in (along[:, :3, 3], markers)))
+    if distances.min() < path.ooi_distance_min_m:
+        text = (
+            f"tool would come to {1e3 * distances.min():.0f} mm from the OOI while calibrating, limit "
+            f"{1e3 * path.ooi_distance_min_m:.0f} mm; retract first"
+        )
+        return Refusal(PlanStatus.WALL, text)
+    seen = markers_in_view(machine, along, T_base_ooi, R_tcp_cam, path.view_margin_px)
+    if seen[0] >= path.markers_min and seen.min() < path.markers_min:
+        text = (
+            f"camera would see {seen.min():.0f} of the OOI's markers, at least {path.markers_min} needed; "
+            "start with the OOI nearer the middle of the image"
+        )
+        return Refusal(PlanStatus.OUT_OF_VIEW, text)
+    return None

@@ -1,0 +1,36 @@
+"""How far the tool stays from the wall along a path."""
+
+import numpy as np
+
+from server.motion.contracts import Array, PlanStatus, Wall
+from server.motion.refusal import Refusal
+
+
+def clearances(Ts_base_tcp: Array, T_tcp_tool: Array, wall: Wall) -> Array:
+    """Distance to the wall of whichever is nearer, tool tip (tcp origin) or tool marker.
+
+    Args:    Ts_base_tcp: (m, 4, 4); T_tcp_tool: (4, 4); wall: plane with its normal towards the machine.
+    Returns: (m,) [m], negative behind the wall.
+    """
+    normal = np.asarray(wall.normal_base) / np.linalg.norm(wall.normal_base)
+    tips = Ts_base_tcp[:, :3, 3]
+    markers = tips + Ts_base_tcp[:, :3, :3] @ T_tcp_tool[:3, 3]
+    return np.minimum((tips - wall.point_base) @ normal, (markers - wall.point_base) @ normal)
+
+
+def wall_refusal(Ts_base_tcp: Array, T_tcp_tool: Array, wall: Wall | None) -> tuple[float, Refusal | None]:
+    """Smallest clearance [m] along a path, and the refusal when it is too small and smaller than where the path starts.
+
+    A path that starts too near may lead away, never nearer.
+    """
+    if wall is None:
+        return float("inf"), None
+    distance = clearances(Ts_base_tcp, T_tcp_tool, wall)
+    smallest = float(distance.min())
+    if smallest >= min(wall.clearance_min_m, float(distance[0]) - 1e-4) - 1e-9:
+        return smallest, None
+    reason = (
+        f"tool comes to {1e3 * smallest:.0f} mm from the wall, limit {1e3 * wall.clearance_min_m:.0f} mm; "
+        "choose a larger stand-off, or look again if the wall is elsewhere"
+    )
+    return smallest, Refusal(PlanStatus.WALL, reason)

@@ -1,0 +1,198 @@
+"""The recorder: what link, camera and jobs tell, into one MCAP file per run."""
+
+import logging
+import os
+import platform
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+from machine.chain import chain_of
+from machine.description import Machine
+from recording.content import Attachment
+from recording.errors import RecordingError
+from recording.rows import NAN, Floats, Row, Sent
+from recording.run import RunInfo, Segment, SegmentKind
+from recording.writer import RunWriter, WriterReport
+from server.calibration.contracts import CameraRotationEstimate
+from server.camera.contracts import FrameReport
+from server.link.contracts import PlcSample
+from server.motion.contracts import PathPlan
+from server.recorder_rows import calibration_row, finding, frame_poses, look_row, plan_row, plc_row, report_rows
+from server.version import __version__
+from server.vision.contracts import Look
+
+TRANSFORM_PERIOD_NS = 100_000_000
+CAMERA_PERIOD_NS = 1_000_000_000  # the camera's intrinsics are repeated, so that a reader may start anywhere
+
+_log = logging.getLogger(__name__)
+
+
+class Recorder:
+    """Takes everything all the time, writes it while a run is on. A failing disk never stops a job: see `problem`."""
+
+    def __init__(self, folder: Path, machine: Machine, *, images: bool = True) -> None:
+        self._folder = folder
+        self._machine = machine
+        self._chain = chain_of(machine)
+        self._images = images
+        self._writer: RunWriter | None = None
+        self._run = RunInfo(name="")
+        self._plc_offset_ns: int | None = None
+        self._camera_offset_ns: int | None = None
+        self._last_plc_ns = 0
+        self._segments: list[Segment] = []
+        self._open_segment: tuple[str, SegmentKind, str, int] | None = None
+        self._transforms_ns = 0
+        self._camera_ns = 0
+        self.problem = ""
+        self.last_report: WriterReport | None = None
+
+    @property
+    def recording(self) -> bool:
+        """Whether a run is on."""
+        return self._writer is not None
+
+    def start(
+        self,
+        run_id: str,
+        settings_json: str,
+        machine_toml: str,
+        seed: int | None = None,
+        urdf: str | None = None,
+    ) -> None:
+        """Begin a run's file; a run that is on is closed first."""
+        self.stop()
+        now = datetime.now(UTC)
+        utc_minus_mono_s = (time.time_ns() - time.monotonic_ns()) * 1e-9
+        self._run = RunInfo(run_id, now.isoformat(timespec="seconds"), seed, pc_to_utc_offset_s=utc_minus_mono_s)
+        self._plc_offset_ns = self._camera_offset_ns = None
+        self._segments, self._open_segment = [], None
+        attachments = [
+            Attachment("machine.toml", "application/toml", machine_toml.encode()),
+            Attachment("settings.json", "application/json", settings_json.encode()),
+        ]
+        if urdf is not None:
+            attachments.append(Attachment("machine.urdf", "application/xml", urdf.encode()))
+        path = self._folder / f"{now:%Y%m%dT%H%M%S}-{run_id}.mcap"
+        try:
+            self._writer = RunWriter(path, self._run, attachments, self._metadata(seed))
+            self.problem = ""
+        except RecordingError as error:
+            self.problem = str(error)
+            _log.error("%s; the run goes on without a recording", error)
+
+    def _metadata(self, seed: int | None) -> list[tuple[str, str]]:
+        return [
+            ("longreach", __version__),
+            ("python", platform.python_version()),
+            ("git_revision", os.environ.get("LONGREACH_GIT_REVISION", "unknown")),
+            ("seed", "" if seed is None else str(seed)),
+        ]
+
+    def sample(self, sample: PlcSample) -> None:
+        """A PLC state."""
+        self._last_plc_ns = sample.t_plc_ns
+        writer = self._writer
+        if writer is None:
+            return
+        offset_ns = sample.t_mono_ns - sample.t_plc_ns
+        self._plc_offset_ns = offset_ns if self._plc_offset_ns is None else min(offset_ns, self._plc_offset_ns)
+        writer.row(plc_row(sample), sample.t_mono_ns, sample.t_plc_ns + self._plc_offset_ns)
+        if sample.t_mono_ns - self._transforms_ns >= TRANSFORM_PERIOD_NS:
+            self._transforms_ns = sample.t_mono_ns
+            writer.transforms(frame_poses(self._chain, self._machine.T_tcp_cam_left, sample.q_rad), sample.t_mono_ns)
+
+    def report(self, report: FrameReport) -> None:
+        """A processed stereo pair."""
+        writer = self._writer
+        if writer is None:
+            return
+        self._camera_offset_ns = report.t_exposure_mapped_ns - report.observation.t_exposure_ns
+        for row in report_rows(report):
+            writer.row(row, report.t_receive_mono_ns, report.t_exposure_mapped_ns)
+        if self._images and report.preview_jpeg is not None:
+            self._image(writer, report.preview_jpeg, report)
+
+    def _image(self, writer: RunWriter, jpeg: bytes, report: FrameReport) -> None:
+        writer.image(jpeg, report.t_receive_mono_ns, report.t_exposure_mapped_ns)
+        if report.t_receive_mono_ns - self._camera_ns >= CAMERA_PERIOD_NS:
+            self._camera_ns = report.t_receive_mono_ns
+            writer.camera(self._machine.camera, report.preview_width_px, report.t_receive_mono_ns)
+
+    def sent(self, seq: int, q_sent_rad: Floats, t_mono_ns: int) -> None:
+        """The reference as it was sent."""
+        self._row(Sent(t_mono_ns * 1e-9, seq, q_sent_rad), t_mono_ns)
+
+    def event(self, level: str, text: str) -> None:
+        """One line of the log; level is debug, info, warning or error."""
+        if self._writer is not None:
+            self._writer.log(level, text, time.monotonic_ns())
+
+    def look(self, look: Look, error: Floats = (NAN, NAN, NAN, NAN)) -> None:
+        """A look, with its error x, y, z [mm] and rotation [deg] when it gave one."""
+        now_ns = time.monotonic_ns()
+        self._row(look_row(look, now_ns * 1e-9, error), now_ns)
+
+    def calibration(self, estimate: CameraRotationEstimate) -> None:
+        """A local calibration."""
+        now_ns = time.monotonic_ns()
+        self._row(calibration_row(estimate, now_ns * 1e-9), now_ns)
+
+    def plan(self, plan: PathPlan) -> None:
+        """A planned path."""
+        now_ns = time.monotonic_ns()
+        self._row(plan_row(plan, now_ns * 1e-9), now_ns)
+
+    def record(self, item: object, text: str = "") -> None:
+        """A finding of a job, each kind in its own channel; what has none goes to /findings as JSON."""
+        match item:
+            case CameraRotationEstimate():
+                self.calibration(item)
+            case PathPlan():
+                self.plan(item)
+            case Look():
+                self.look(item)
+            case _:
+                now_ns = time.monotonic_ns()
+                self._row(finding(item, now_ns * 1e-9, text), now_ns)
+
+    def result(self, result: object) -> None:
+        """How the run ended."""
+        self.record(result, "result")
+
+    def begin_segment(self, name: str, kind: SegmentKind, repeat_of: str = "") -> None:
+        """From the latest PLC state on, what happens belongs to this segment."""
+        self.end_segment()
+        self._open_segment = (name, kind, repeat_of, self._last_plc_ns)
+
+    def end_segment(self) -> None:
+        """Close the segment that is open, if any."""
+        if self._open_segment is not None:
+            name, kind, repeat_of, start_ns = self._open_segment
+            self._segments.append(Segment(name, kind, start_ns * 1e-9, self._last_plc_ns * 1e-9, repeat_of))
+            self._open_segment = None
+
+    def stop(self) -> Path | None:
+        """Close the run's file and return it; None when no run was on."""
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return None
+        self.end_segment()
+        report = writer.close(
+            RunInfo(
+                name=self._run.name,
+                started_utc=self._run.started_utc,
+                seed=self._run.seed,
+                plc_to_pc_offset_s=None if self._plc_offset_ns is None else self._plc_offset_ns * 1e-9,
+                camera_to_pc_offset_s=None if self._camera_offset_ns is None else self._camera_offset_ns * 1e-9,
+                pc_to_utc_offset_s=self._run.pc_to_utc_offset_s,
+                segments=tuple(self._segments),
+            )
+        )
+        self.last_report, self.problem = report, report.error
+        return report.path
+
+    def _row(self, row: Row, t_mono_ns: int) -> None:
+        if self._writer is not None:
+            self._writer.row(row, t_mono_ns)

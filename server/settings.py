@@ -1,0 +1,153 @@
+"""The server's settings: one TOML file, read once, strict; every number with its unit in its name."""
+
+import tomllib
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from machine.description import Machine, parse_machine_toml
+from server.errors import SettingsError
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+Port = Annotated[int, Field(ge=1, le=65535)]
+LocalPort = Annotated[int, Field(ge=0, le=65535)]
+
+
+class HttpSettings(_Strict):
+    """Where the panel and the REST interface listen."""
+
+    host: str = "127.0.0.1"
+    port: LocalPort = 8080
+
+
+class PlcSettings(_Strict):
+    """The link to the PLC."""
+
+    host: str = "127.0.0.1"
+    port: Port = 50110
+    local_host: str = "0.0.0.0"
+    local_port: LocalPort = 50111
+    framing: Literal["raw", "eap"] = "raw"
+
+
+class HttpCameraSettings(_Strict):
+    """A camera served over HTTP as multipart JPEG, side by side."""
+
+    kind: Literal["http"] = "http"
+    url: str = "http://127.0.0.1:8090/stream"
+
+
+class DeviceCameraSettings(_Strict):
+    """A UVC device that gives side-by-side frames, such as a ZED2."""
+
+    kind: Literal["device"]
+    index: Annotated[int, Field(ge=0, le=63)] = 0
+
+
+class FileCameraSettings(_Strict):
+    """A video file of side-by-side frames."""
+
+    kind: Literal["file"]
+    path: str
+
+
+CameraSettings = Annotated[HttpCameraSettings | DeviceCameraSettings | FileCameraSettings, Field(discriminator="kind")]
+
+
+class LookSettings(_Strict):
+    """How a look is taken and when it counts."""
+
+    pairs: Annotated[int, Field(ge=1, le=600)] = 20
+    timeout_s: Annotated[float, Field(gt=0.0, le=120.0)] = 12.0
+    spread_max_mm: Annotated[float, Field(gt=0.0, le=50.0)] = 1.0
+    age_max_s: Annotated[float, Field(gt=0.0, le=600.0)] = 60.0
+
+
+class PositionSettings(_Strict):
+    """The goal and what counts as reached."""
+
+    tolerance_mm: Annotated[float, Field(gt=0.0, le=100.0)] = 5.0
+    tolerance_deg: Annotated[float, Field(gt=0.0, le=20.0)] = 1.0
+    stand_off_mm: Annotated[float, Field(ge=50.0, le=1000.0)] = 100.0
+    offset_x_mm: Annotated[float, Field(ge=-300.0, le=300.0)] = 0.0
+    offset_y_mm: Annotated[float, Field(ge=-300.0, le=300.0)] = 0.0
+    moves_max: Annotated[int, Field(ge=1, le=10)] = 4
+    orientation_steps_max: Annotated[int, Field(ge=0, le=5)] = 2
+    wall_clearance_mm: Annotated[float, Field(ge=10.0, le=1000.0)] = 50.0
+    plan_expires_s: Annotated[float, Field(gt=0.0, le=600.0)] = 60.0
+    settle_timeout_s: Annotated[float, Field(gt=0.0, le=120.0)] = 15.0
+    sigma_tool_mount_deg: Annotated[float, Field(gt=0.0, le=20.0)] = 2.0
+    sigma_systematic_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.7
+    sigma_systematic_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.15
+
+
+class RecordingSettings(_Strict):
+    """Where runs are written."""
+
+    folder: str = "runs"
+    images: bool = True
+
+
+class ServerSettings(_Strict):
+    """Everything the server needs to know before it starts."""
+
+    machine_file: str = "hiab033"
+    mode: Literal["SIM", "REAL"] = "SIM"
+    http: HttpSettings = HttpSettings()
+    plc: PlcSettings = PlcSettings()
+    camera: CameraSettings = HttpCameraSettings()
+    look: LookSettings = LookSettings()
+    position: PositionSettings = PositionSettings()
+    recording: RecordingSettings = RecordingSettings()
+
+
+def read_settings(path: Path | None) -> ServerSettings:
+    """Settings from a TOML file, or the defaults when there is none.
+
+    Raises: SettingsError naming the field, its value, the bound and the unit.
+    """
+    if path is None:
+        return ServerSettings()
+    try:
+        return ServerSettings.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise SettingsError(f"settings file {path}: {error.strerror}; give an existing TOML file") from error
+    except tomllib.TOMLDecodeError as error:
+        raise SettingsError(f"settings file {path} is not TOML: {error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(str(part) for part in first["loc"])
+        unit = _unit_of(field)
+        raise SettingsError(f"settings file {path}: {field} = {first['input']!r}: {first['msg']}{unit}") from error
+
+
+def _unit_of(field: str) -> str:
+    units = {"_mm": "mm", "_deg": "deg", "_s": "s", "_hz": "Hz", "_frac": "fraction 0..1"}
+    for ending, unit in units.items():
+        if field.endswith(ending):
+            return f" [{unit}]"
+    return ""
+
+
+def read_machine_text(name_or_path: str) -> str:
+    """Text of a shipped machine (by name, such as "hiab033") or of a machine file (by path)."""
+    shipped = files("machine") / "machines" / f"{name_or_path}.toml"
+    if shipped.is_file():
+        return shipped.read_text(encoding="utf-8")
+    try:
+        return Path(name_or_path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise SettingsError(
+            f"machine file '{name_or_path}': {error.strerror}; give a path or the name of a shipped machine (hiab033)"
+        ) from error
+
+
+def read_machine(name_or_path: str) -> Machine:
+    """The nominal machine of a shipped name or a file."""
+    return parse_machine_toml(read_machine_text(name_or_path))

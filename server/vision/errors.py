@@ -1,0 +1,17 @@
+"""The vision package's errors: broken contracts only. What an image shows is a status, never an error."""
+
+
+class VisionError(Exception):
+    """Base of vision's errors: names subject, value, limit, unit and remedy."""
+
+
+class UnknownDictionaryError(VisionError):
+    """A marker dictionary that does not exist."""
+
+
+class ImageFormatError(VisionError):
+    """An image that is no grey 8-bit picture of the camera's size."""
+
+
+class NoMarkersError(VisionError):
+    """A machine file without the markers that a pose source needs."""

@@ -1,0 +1,231 @@
+"""The stereo renderer: wall, OOI markers, motion blur, tool, point spread, noise; one step per line."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.camera import project
+from machine.description import StereoCamera
+from machine.poses import inverse_pose, pose
+from machine.rotations import Array
+from sim_plc.camera.boards import Board, marker_board, paint_board, shank_board
+from sim_plc.camera.exposure import PoseHistory, StaticPose, key_poses
+from sim_plc.camera.eye import EyeRays, eye_rays
+from sim_plc.camera.sensor import add_noise, motion_blur, noise_bank, point_spread
+from sim_plc.camera.texture import Grey, TextureLevel, best_level, rock_texture, texture_levels
+from sim_plc.camera.wall import Relief, node_map, paint_map, texel_map, wall_relief
+
+if TYPE_CHECKING:
+    from sim_plc.world import CameraTruth, SceneTruth, World
+
+_N_SHUTTER_KEYS = 5  # poses per exposure; at 11 ms readout 2.75 ms apart, where lines between them are good to 1e-6 rad
+_NOISE_BANK_SEED = 0x6E6F697365
+
+
+@dataclass(frozen=True, slots=True)
+class RenderSetup:
+    """What the renderer needs of a world; made by hand where no world is at hand."""
+
+    camera: "CameraTruth"
+    scene: "SceneTruth"
+    dictionary: str = "DICT_4X4_50"
+
+
+@dataclass(frozen=True, slots=True)
+class ToolPatch:
+    """The tool as one eye sees it, always the same: picture = ink + (1 - cover) * what lies behind."""
+
+    roi: tuple[int, int, int, int]  # u0, v0, u1, v1
+    ink: NDArray[np.float32]
+    see_through: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Eye:
+    """One eye of the stereo camera, ready to render."""
+
+    rays: EyeRays
+    T_tcp_cam: Array
+    tool: ToolPatch | None
+
+
+@lru_cache(maxsize=2)
+def _levels(seed: int, contrast_frac: float) -> tuple[TextureLevel, ...]:
+    return texture_levels(rock_texture(seed, contrast_frac))
+
+
+@lru_cache(maxsize=1)
+def _bank() -> NDArray[np.int8]:
+    return noise_bank(np.random.default_rng(_NOISE_BANK_SEED))
+
+
+@lru_cache(maxsize=4)
+def _rays(camera: StereoCamera) -> EyeRays:
+    return eye_rays(camera)
+
+
+def tool_patch(rays: EyeRays, boards: tuple[Board, ...], T_tcp_cam: Array) -> ToolPatch | None:
+    """The tool's boards over black and over white give ink and cover at once; None when the eye does not see them."""
+    shape = (rays.camera.height_px, rays.camera.width_px)
+    black, white = np.zeros(shape, np.uint8), np.full(shape, 255, np.uint8)
+    keys = np.repeat(T_tcp_cam[None], 2, axis=0)
+    for board in boards:
+        paint_board(black, rays, board, keys)
+        paint_board(white, rays, board, keys)
+    see_through = (white.astype(np.float32) - black) / np.float32(255.0)
+    v, u = np.nonzero(see_through < 1.0)
+    if v.size == 0:
+        return None
+    roi = int(u.min()), int(v.min()), int(u.max()) + 1, int(v.max()) + 1
+    window = np.s_[roi[1] : roi[3], roi[0] : roi[2]]
+    return ToolPatch(roi, black[window].astype(np.float32), see_through[window].copy())
+
+
+def paint_tool(image: Grey, patch: ToolPatch) -> None:
+    """Lay the tool over a picture, in place."""
+    u0, v0, u1, v1 = patch.roi
+    window = image[v0:v1, u0:u1]
+    window[:] = (patch.ink + patch.see_through * window + np.float32(0.5)).astype(np.uint8)
+
+
+def far_to_near(boards: tuple[Board, ...], T_object_cam: Array) -> list[Board]:
+    """Boards in painter's order: the farthest from the camera first."""
+    return sorted(boards, key=lambda board: -float(np.linalg.norm(board.T_object_board[:3, 3] - T_object_cam[:3, 3])))
+
+
+class StageTimes:
+    """Seconds spent per named stage since the start; `mark` ends a stage."""
+
+    def __init__(self, clock: Callable[[], float] = perf_counter) -> None:
+        self.total_s: dict[str, float] = {}
+        self._clock = clock
+        self._last = clock()
+
+    def restart(self) -> None:
+        """The next stage begins now."""
+        self._last = self._clock()
+
+    def mark(self, stage: str) -> None:
+        """The stage that ran since the last mark has this name."""
+        now = self._clock()
+        self.total_s[stage] = self.total_s.get(stage, 0.0) + now - self._last
+        self._last = now
+
+
+class StereoRenderer:
+    """Renders stereo pairs of one world. Not thread safe; one instance per thread."""
+
+    def __init__(self, world: "World | RenderSetup") -> None:
+        """Builds texture, relief, rays and the constant picture of the tool (about 2 s)."""
+        self._camera = world.camera
+        self._scene = scene = world.scene
+        dictionary = world.dictionary if isinstance(world, RenderSetup) else world.nominal.dictionary
+        self._levels = _levels(scene.texture_seed, scene.texture_contrast_frac)
+        self._relief = wall_relief(scene.texture_seed, scene.wall_relief_m, scene.wall_offset_m)
+        self._T_ooi_base = inverse_pose(scene.T_base_ooi)
+        self._ooi_boards = tuple(marker_board(dictionary, marker, np.eye(4)) for marker in scene.ooi_markers)
+        plates = tuple(marker_board(dictionary, marker, scene.T_tcp_tool) for marker in scene.tool_markers)
+        self.tool_boards = tuple(shank_board(plate) for plate in plates) + plates
+        T_left_right = pose(np.eye(3), np.array([self._camera.left.baseline_m, 0.0, 0.0]))
+        T_tcp_cam_right = self._camera.T_tcp_cam_left @ T_left_right
+        self.eyes = (
+            self._eye(self._camera.left, self._camera.T_tcp_cam_left),
+            self._eye(self._camera.right, T_tcp_cam_right),
+        )
+        self.times = StageTimes()
+
+    def _eye(self, camera: StereoCamera, T_tcp_cam: Array) -> Eye:
+        rays = _rays(camera)
+        return Eye(rays, T_tcp_cam, tool_patch(rays, self.tool_boards, T_tcp_cam))
+
+    @property
+    def relief(self) -> Relief:
+        """The wall's height field."""
+        return self._relief
+
+    @property
+    def levels(self) -> tuple[TextureLevel, ...]:
+        """The wall's texture, finest first."""
+        return self._levels
+
+    @property
+    def ooi_boards(self) -> tuple[Board, ...]:
+        """The OOI's boards, in OOI axes."""
+        return self._ooi_boards
+
+    def Ts_ooi_cam(self, eye: Eye, Ts_base_tcp: Array) -> Array:
+        """Camera poses in the OOI for tool poses (n, 4, 4)."""
+        return np.ascontiguousarray(self._T_ooi_base @ Ts_base_tcp @ eye.T_tcp_cam)
+
+    def render(self, poses: PoseHistory, t_mid_ns: int, rng: np.random.Generator) -> tuple[Grey, Grey]:
+        """One raw stereo pair (left, right), each (height, width) uint8.
+
+        Args:    poses: true tool poses around the exposure. t_mid_ns: mid-exposure of the middle row, true time [ns].
+                 rng: this frame's noise.
+        """
+        self.times.restart()
+        Ts_base_tcp = key_poses(poses, t_mid_ns, self._camera.readout_s, _N_SHUTTER_KEYS)
+        half_ns = round(0.5e9 * self._camera.exposure_s)
+        ends = np.stack([poses.pose_at(t_mid_ns - half_ns), poses.pose_at(t_mid_ns + half_ns)])
+        self.times.mark("poses")
+        return self._picture(self.eyes[0], Ts_base_tcp, ends, rng), self._picture(self.eyes[1], Ts_base_tcp, ends, rng)
+
+    def render_static(self, T_base_tcp: Array, rng: np.random.Generator | None = None) -> tuple[Grey, Grey]:
+        """A pair with the tool at rest; noise from `rng`, or seed 0."""
+        return self.render(StaticPose(T_base_tcp), 0, np.random.default_rng(0) if rng is None else rng)
+
+    def sharp(self, eye: Eye, Ts_base_tcp: Array) -> Grey:
+        """Wall and OOI in one eye, before motion, point spread, tool and noise. `Ts_base_tcp` at the key rows."""
+        keys = self.Ts_ooi_cam(eye, Ts_base_tcp)
+        image = self._wall(eye, keys)
+        self.times.mark("wall")
+        for board in far_to_near(self._ooi_boards, keys[len(keys) // 2]):
+            paint_board(image, eye.rays, board, keys)
+        self.times.mark("markers")
+        return image
+
+    def _wall(self, eye: Eye, keys: Array) -> Grey:
+        camera, rays = eye.rays.camera, eye.rays
+        image = np.empty((camera.height_px, camera.width_px), np.uint8)
+        relief = self._relief
+        flat = self._scene.wall_relief_m == 0.0
+        points = node_map(rays.nodes, rays.step_px, camera.height_px, keys, relief.heights, relief.mean_z_m, flat)
+        level = self._levels[best_level(self._levels, self._footprint(camera, keys[len(keys) // 2]))]
+        paint_map(texel_map(points, level), rays.step_px, level.image, image)
+        return image
+
+    def _footprint(self, camera: StereoCamera, T_ooi_cam: Array) -> float:
+        """Side of a pixel on the wall at the picture's middle [m]."""
+        return self._depth(T_ooi_cam) / camera.fx_px
+
+    def _depth(self, T_ooi_cam: Array) -> float:
+        """Depth of the wall along the optical axis [m], 0.05 to 30."""
+        towards = min(float(T_ooi_cam[2, 2]), -1e-3)
+        return float(np.clip((self._relief.mean_z_m - T_ooi_cam[2, 3]) / towards, 0.05, 30.0))
+
+    def _streak(self, eye: Eye, ends_base_tcp: Array) -> Array:
+        """How far the wall's middle moves in the picture during the exposure, (2,) [px]."""
+        start, end = self.Ts_ooi_cam(eye, ends_base_tcp)
+        middle = start[:3, 3] + start[:3, 2] * self._depth(start)
+        seen = np.stack([T[:3, :3].T @ (middle - T[:3, 3]) for T in (start, end)])
+        pixels = project(eye.rays.camera, seen)
+        return pixels[1] - pixels[0]
+
+    def _picture(self, eye: Eye, Ts_base_tcp: Array, ends: Array, rng: np.random.Generator) -> Grey:
+        image = self.sharp(eye, Ts_base_tcp)
+        if self._camera.exposure_s > 0.0:
+            image = motion_blur(image, self._streak(eye, ends))
+        self.times.mark("motion blur")
+        if eye.tool is not None:
+            paint_tool(image, eye.tool)
+        self.times.mark("tool")
+        image = point_spread(image, self._camera.psf_px)
+        self.times.mark("point spread")
+        add_noise(image, _bank(), self._camera.noise_grey, rng)
+        self.times.mark("noise")
+        return image

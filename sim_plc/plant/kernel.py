@@ -1,0 +1,142 @@
+"""The plant's inner loop: one millisecond in four steps of oil, friction, structure and multibody, compiled."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from machine.rotations import Array
+from sim_plc.plant.aba import aba
+from sim_plc.plant.backlash import play
+from sim_plc.plant.cylinder import lookup
+from sim_plc.plant.friction import lugre_step
+from sim_plc.plant.hydraulics import VAPOUR_PA, opening, pump_flow, spool_step, valve_flows
+
+SUBSTEPS = 4
+STEP_S = 1e-3 / SUBSTEPS
+STOP_STIFFNESS_NM_RAD = 2e6  # end stops [A]: a 10 kN m push goes 0.3 deg in
+STOP_DAMPING_NM_S_RAD = 2e4
+
+# Columns of `Parameters.joint`, one row per motor joint
+(
+    OMEGA, ZETA, RATE, DEAD_BAND, HYSTERESIS, FLOW_GAIN,
+    AREA_A, AREA_B, DEAD_A, DEAD_B, STROKE, LEAKAGE,
+    COULOMB, STATIC, VISCOUS, STRIBECK, BRISTLE_K, BRISTLE_D,
+    STOP_LOW, STOP_HIGH, HALF_PLAY, TABLE_Q0, TABLE_STEP, GAIN,
+) = range(24)  # fmt: skip
+# Entries of `Parameters.oil`
+BULK, LAMINAR, P_SET, P_TANK, RIPPLE, RIPPLE_OMEGA, RIPPLE_PHASE, FLOW_MAX, DROOP, ACCUMULATOR = range(10)
+# Columns of `State.joint`
+SPOOL, SPOOL_RATE, HELD_COMMAND, P_A, P_B, BRISTLE, OUTPUT = range(7)
+# Entries of `State.shared`
+P_SUPPLY, TIME = range(2)
+
+
+class Parameters(NamedTuple):
+    """Everything constant, as arrays the compiled loop can take."""
+
+    tree_R: Array
+    tree_p: Array
+    mass: Array
+    com: Array
+    inertia: Array
+    armature: Array
+    gravity: Array
+    motors: Array
+    flexes: Array
+    flex_k: Array
+    flex_c: Array
+    joint: Array  # (6, 24)
+    table_y: Array
+    table_lever: Array
+    oil: Array
+
+
+class State(NamedTuple):
+    """Everything that changes, changed in place."""
+
+    q: Array  # (11,)
+    qd: Array
+    joint: Array  # (6, 7)
+    shared: Array
+    tau: Array  # scratch
+    qdd: Array
+    work: Array
+
+
+@njit(cache=True, error_model="numpy")
+def _actuator_step(j: int, q: float, qd: float, u: float, p_supply: float, par: Parameters, state: State) -> float:
+    """Step valve, chambers and friction of joint j; leaves its torque in state.tau, returns its flow out of the supply."""
+    c, s = par.joint[j], state.joint[j]
+    s[HELD_COMMAND] = play(s[HELD_COMMAND], u, c[HYSTERESIS])
+    s[SPOOL], s[SPOOL_RATE] = spool_step(
+        s[SPOOL], s[SPOOL_RATE], s[HELD_COMMAND], c[OMEGA], c[ZETA], c[RATE], STEP_S
+    )
+    y = lookup(par.table_y[j], c[TABLE_Q0], c[TABLE_STEP], q)
+    lever = lookup(par.table_lever[j], c[TABLE_Q0], c[TABLE_STEP], q)
+    yd = lever * qd
+    flow_a, flow_b, drawn = valve_flows(
+        opening(s[SPOOL], c[DEAD_BAND]), c[FLOW_GAIN], s[P_A], s[P_B], p_supply, par.oil[P_TANK], par.oil[LAMINAR]
+    )
+    leak = c[LEAKAGE] * (s[P_A] - s[P_B])
+    rate_a = par.oil[BULK] / (c[DEAD_A] + c[AREA_A] * y) * (flow_a - c[AREA_A] * yd - leak)
+    rate_b = par.oil[BULK] / (c[DEAD_B] + c[AREA_B] * (c[STROKE] - y)) * (flow_b + c[AREA_B] * yd + leak)
+    s[P_A] = max(s[P_A] + STEP_S * rate_a, VAPOUR_PA)
+    s[P_B] = max(s[P_B] + STEP_S * rate_b, VAPOUR_PA)
+    s[BRISTLE], friction = lugre_step(
+        s[BRISTLE], yd, c[COULOMB], c[STATIC], c[VISCOUS], c[STRIBECK], c[BRISTLE_K], c[BRISTLE_D], STEP_S
+    )
+    torque = lever * (s[P_A] * c[AREA_A] - s[P_B] * c[AREA_B] - friction)
+    if q < c[STOP_LOW]:
+        torque += STOP_STIFFNESS_NM_RAD * (c[STOP_LOW] - q) - STOP_DAMPING_NM_S_RAD * min(qd, 0.0)
+    elif q > c[STOP_HIGH]:
+        torque += STOP_STIFFNESS_NM_RAD * (c[STOP_HIGH] - q) - STOP_DAMPING_NM_S_RAD * max(qd, 0.0)
+    state.tau[par.motors[j]] = torque
+    return drawn
+
+
+@njit(cache=True, error_model="numpy")
+def advance(par: Parameters, state: State, command: Array, n_ms: int) -> None:
+    """Advance the fine plant by n_ms with the valve commands held.
+
+    Args:    command: (6,) fraction of full command; clipped to -1..1.
+    """
+    oil, shared, q, qd = par.oil, state.shared, state.q, state.qd
+    for _ in range(n_ms * SUBSTEPS):
+        ripple = oil[RIPPLE] * np.sin(oil[RIPPLE_OMEGA] * shared[TIME] + oil[RIPPLE_PHASE])
+        p_supply = shared[P_SUPPLY] + ripple
+        drawn = 0.0
+        for j in range(par.motors.shape[0]):
+            i = par.motors[j]
+            u = min(max(command[j], -1.0), 1.0)
+            drawn += _actuator_step(j, q[i], qd[i], u, p_supply, par, state)
+        for k in range(par.flexes.shape[0]):
+            i = par.flexes[k]
+            state.tau[i] = -par.flex_k[k] * q[i] - par.flex_c[k] * qd[i]
+        aba(
+            par.tree_R, par.tree_p, par.mass, par.com, par.inertia, par.armature, par.gravity,
+            q, qd, state.tau, state.work, state.qdd,
+        )  # fmt: skip
+        for i in range(q.shape[0]):
+            qd[i] += STEP_S * state.qdd[i]
+            q[i] += STEP_S * qd[i]
+        for j in range(par.motors.shape[0]):
+            state.joint[j, OUTPUT] = play(state.joint[j, OUTPUT], q[par.motors[j]], par.joint[j, HALF_PLAY])
+        pumped = pump_flow(shared[P_SUPPLY], oil[P_SET], oil[DROOP], oil[FLOW_MAX])
+        shared[P_SUPPLY] = max(shared[P_SUPPLY] + STEP_S * (pumped - drawn) / oil[ACCUMULATOR], oil[P_TANK])
+        shared[TIME] += STEP_S
+
+
+@njit(cache=True, error_model="numpy")
+def advance_rigid(par: Parameters, state: State, command: Array, n_ms: int) -> None:
+    """Advance the rigid plant: qd = velocity gain * x, x'' = wn^2 (u - x) - 2 z wn x' (the nominal model, nothing else)."""
+    for _ in range(n_ms * SUBSTEPS):
+        for j in range(par.motors.shape[0]):
+            c, s, i = par.joint[j], state.joint[j], par.motors[j]
+            u = min(max(command[j], -1.0), 1.0)
+            s[SPOOL_RATE] += STEP_S * (c[OMEGA] ** 2 * (u - s[SPOOL]) - 2.0 * c[ZETA] * c[OMEGA] * s[SPOOL_RATE])
+            s[SPOOL] += STEP_S * s[SPOOL_RATE]
+            state.qd[i] = c[GAIN] * s[SPOOL]
+            state.q[i] = min(max(state.q[i] + STEP_S * state.qd[i], c[STOP_LOW]), c[STOP_HIGH])
+            s[OUTPUT] = state.q[i]
+        state.shared[TIME] += STEP_S

@@ -1,0 +1,119 @@
+"""The simulated machine in motion: valve commands in, encoder readings, pressures and the true tool pose out."""
+
+import numpy as np
+
+from machine.rotations import Array
+from sim_plc.plant import kernel
+from sim_plc.plant.aba import aba_work
+from sim_plc.plant.parameters import parameters_of
+from sim_plc.plant.statics import frames, gravity_torques, resting_pressures, sagged
+from sim_plc.plant.tree import FLEXES, MOTORS, N_JOINTS, Tree, build_tree
+from sim_plc.plant.truth import PlantTruth
+
+
+class Plant:
+    """One machine, started at rest: sag in place, pressures carrying the weight, valves closed.
+
+    Args:    truth: the machine. q_start: encoder readings at the start, (6,) [rad].
+    Deterministic: the same truth, start and commands give the same motion to the bit.
+    """
+
+    def __init__(self, truth: PlantTruth, q_start: Array) -> None:
+        self.truth = truth
+        self._tree: Tree = build_tree(truth.kinematics, truth.inertia)
+        self._resolution = 2.0 * np.pi / truth.kinematics.encoder_counts_rev
+        q_start = np.asarray(q_start, dtype=float)
+        if q_start.shape != (6,) or not np.all(np.isfinite(q_start)):
+            raise ValueError(f"q_start must be 6 finite angles [rad], got shape {q_start.shape}")
+        q = np.zeros(N_JOINTS)
+        q[MOTORS] = q_start
+        if not truth.rigid:
+            q = sagged(self._tree, truth.inertia.gravity_base_m_s2, q_start, truth.flex.stiffness_nm_rad)
+        self._parameters = parameters_of(truth, self._tree, q)
+        self._state = self._resting_state(q)
+        self._advance = kernel.advance_rigid if truth.rigid else kernel.advance
+
+    def _resting_state(self, q: Array) -> kernel.State:
+        truth = self.truth
+        joint = np.zeros((6, 7))
+        joint[:, kernel.OUTPUT] = q[MOTORS] + 0.5 * truth.kinematics.backlash_rad * truth.kinematics.play_start_frac
+        holding = -gravity_torques(self._tree, truth.inertia.gravity_base_m_s2, q)[MOTORS]
+        for j in range(6):
+            row = self._parameters.joint[j]
+            lever = kernel.lookup(
+                self._parameters.table_lever[j], row[kernel.TABLE_Q0], row[kernel.TABLE_STEP], q[MOTORS[j]]
+            )
+            joint[j, kernel.P_A], joint[j, kernel.P_B] = resting_pressures(
+                holding[j] / lever,
+                row[kernel.AREA_A],
+                row[kernel.AREA_B],
+                truth.supply.pressure_pa,
+                truth.supply.tank_pa,
+            )
+        zeros = np.zeros(N_JOINTS)
+        shared = np.array([truth.supply.pressure_pa, 0.0])
+        return kernel.State(q.copy(), zeros.copy(), joint, shared, zeros.copy(), zeros.copy(), aba_work(N_JOINTS))
+
+    def step(self, valve_command: Array, n_ms: int = 1) -> None:
+        """Advance by n_ms milliseconds with the commands (6,) [fraction of full command, clipped to -1..1] held.
+
+        Raises:  ValueError: wrong shape or a command that is not finite.
+        """
+        command = np.ascontiguousarray(valve_command, dtype=np.float64)
+        if command.shape != (6,) or not np.isfinite(command).all():
+            raise ValueError(f"valve_command must be 6 finite fractions, got {valve_command!r}")
+        self._advance(self._parameters, self._state, command, n_ms)
+
+    @property
+    def t_s(self) -> float:
+        """Simulated time since the start [s]."""
+        return float(self._state.shared[kernel.TIME])
+
+    @property
+    def q_encoder_rad(self) -> Array:
+        """Encoder readings (6,) [rad]: motor angles before flexible joints and play, quantised."""
+        return np.round(self._state.q[MOTORS] / self._resolution) * self._resolution
+
+    @property
+    def qd_rad_s(self) -> Array:
+        """Motor speeds (6,) [rad/s], as a drive with a fast counter would report them."""
+        return self._state.qd[MOTORS]
+
+    @property
+    def pressures_pa(self) -> Array:
+        """Chamber pressures A, B of every joint, (6, 2) [Pa]."""
+        return self._state.joint[:, kernel.P_A : kernel.P_B + 1].copy()
+
+    @property
+    def supply_pressure_pa(self) -> float:
+        """Supply pressure without ripple [Pa]."""
+        return float(self._state.shared[kernel.P_SUPPLY])
+
+    @property
+    def oil_temperature_c(self) -> float:
+        """Oil temperature [deg C], constant."""
+        return self.truth.supply.oil_temperature_c
+
+    @property
+    def spool_frac(self) -> Array:
+        """Spool positions (6,) [fraction of full stroke]."""
+        return self._state.joint[:, kernel.SPOOL].copy()
+
+    @property
+    def q_output_rad(self) -> Array:
+        """True joint angles behind the play (6,) [rad]."""
+        return self._state.joint[:, kernel.OUTPUT].copy()
+
+    @property
+    def q_flex_rad(self) -> Array:
+        """True angles of the flexible joints (5,) [rad]: lift vertical and lateral, tilt vertical and lateral, wrist mount."""
+        return self._state.q[FLEXES]
+
+    def T_base_tcp(self) -> Array:
+        """True pose of the tcp in base (4, 4): through the true DH table, play and bending."""
+        q = self._state.q.copy()
+        q[MOTORS] = self._state.joint[:, kernel.OUTPUT]
+        R, p = frames(self._tree, q)
+        T_base_last = np.eye(4)
+        T_base_last[:3, :3], T_base_last[:3, 3] = R[-1], p[-1]
+        return T_base_last @ self._tree.T_last_tcp

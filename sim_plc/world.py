@@ -1,0 +1,57 @@
+"""One simulated machine in front of one wall: everything that is true and that the server must never see."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.description import Machine, Marker, StereoCamera
+from machine.rotations import Array
+from sim_plc.plant.truth import PlantTruth
+
+
+@dataclass(frozen=True, slots=True)
+class CameraTruth:
+    """The true camera. `left` and `right` carry the true intrinsics (the disparity bias sits in the right eye's cx)."""
+
+    left: StereoCamera
+    right: StereoCamera
+    T_tcp_cam_left: Array
+    clock_offset_s: float  # t_camera = t_true + offset
+    latency_s: float  # from mid-exposure to the first byte on the wire
+    jitter_s: float  # standard deviation of the latency
+    noise_grey: float  # standard deviation at mid grey, 8-bit levels
+    psf_px: float  # standard deviation of the point spread
+    exposure_s: float
+    readout_s: float  # rolling shutter, first to last row
+
+
+@dataclass(frozen=True, slots=True)
+class SceneTruth:
+    """The wall, the OOI on it and the tool marker, as they truly are (printed sizes and places included)."""
+
+    T_base_ooi: Array
+    ooi_markers: tuple[Marker, ...]  # T_on_marker = true T_ooi_marker, side_m = true printed side
+    tool_markers: tuple[Marker, ...]  # T_on_marker = true T_tool_marker
+    T_tcp_tool: Array
+    wall_offset_m: float  # the wall's mean plane is z_ooi = -wall_offset_m
+    wall_relief_m: float  # peak to peak
+    texture_contrast_frac: float
+    texture_seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """A machine drawn from a preset and a seed. `q_start_rad` are encoder readings at the start, at rest."""
+
+    nominal: Machine
+    preset: str
+    seed: int
+    plant: PlantTruth
+    camera: CameraTruth
+    scene: SceneTruth
+    q_start_rad: Array
+
+
+def rng_for(seed: int, stream: str) -> np.random.Generator:
+    """One independent random stream per purpose, keyed by its name."""
+    return np.random.default_rng([seed, *stream.encode()])
