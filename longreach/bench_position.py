@@ -1,4 +1,4 @@
-"""`longreach bench position`: seeds of a preset, end to end over real UDP and rendered images, then joined with the truth.
+"""`longreach bench position`: seeds of a preset, end to end over real UDP and images, then joined with truth.
 
 The server never sees the truth: sim_plc logs it by PLC time, the result of the job names the PLC time of each look,
 and here, after the run, the two are joined.

@@ -45,7 +45,8 @@ def _wait(stack: Stack, seconds: float) -> None:
         while time.monotonic() < deadline:
             for name, process in stack.processes.items():
                 if process.poll() is not None:
-                    raise typer.Exit(f"{name} ended with code {process.returncode}; see runs/demo-logs")
+                    Console(stderr=True).print(f"{name} ended with code {process.returncode}; see runs/demo-logs")
+                    raise typer.Exit(1)
             time.sleep(0.3)
     except KeyboardInterrupt:
         return

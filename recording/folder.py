@@ -10,7 +10,7 @@ from typing import Any, get_type_hints
 from recording.content import Attachment, Recording
 from recording.errors import RecordingError
 from recording.rows import CSV_ROW_TYPES, MISSING_COUNT, NAN, Floats, Row, csv_fields
-from recording.run import RunInfo, run_from_toml, run_to_toml
+from recording.run import run_from_toml, run_to_toml
 
 
 def write_folder(recording: Recording, folder: Path) -> None:
@@ -84,15 +84,18 @@ def read_folder(folder: Path) -> Recording:
     others = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.name not in known]
     return Recording(
         form="folder",
-        run=_read_run(run_file),
-        machine_toml=machine_file.read_text(encoding="utf-8") if machine_file.is_file() else "",
+        run=run_from_toml(_text(run_file)),
+        machine_toml=_text(machine_file) if machine_file.is_file() else "",
         rows=tuple(rows),
         attachments=tuple(Attachment(path.name, _media_type(path), path.read_bytes()) for path in others),
     )
 
 
-def _read_run(path: Path) -> RunInfo:
-    return run_from_toml(path.read_text(encoding="utf-8"))
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path} cannot be read as UTF-8 text: {error}") from error
 
 
 def _media_type(path: Path) -> str:
@@ -100,11 +103,13 @@ def _media_type(path: Path) -> str:
 
 
 def _read_csv(path: Path, row_type: type[Row]) -> list[Row]:
-    with path.open(newline="", encoding="utf-8-sig") as file:  # spreadsheets like to write a byte order mark
-        reader = csv_format.reader(file)
+    reader = csv_format.reader(_text(path).removeprefix("\ufeff").splitlines())  # spreadsheets write a byte order mark
+    try:
         header = [name.strip() for name in next(reader, [])]
         take = _row_reader(path, row_type, header)
         return [take(number, cells) for number, cells in enumerate(reader, start=2) if any(cells)]
+    except csv_format.Error as error:
+        raise RecordingError(f"{path}, line {reader.line_num}: not CSV: {error}") from error
 
 
 def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[[int, list[str]], Row]:

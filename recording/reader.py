@@ -42,7 +42,8 @@ class RecordStream:
             raise RecordingError(f"recording {self._path}: {error.strerror}") from error
         with stream:
             ended = False
-            records = StreamReader(stream, record_size_limit=None).records
+            size_limit = self._path.stat().st_size  # a damaged length must not fill the memory
+            records = StreamReader(stream, validate_crcs=True, record_size_limit=size_limit).records
             while True:
                 try:
                     record = next(records)
@@ -117,8 +118,8 @@ class _Collected:
         machine = attachments.pop("machine.toml", None)
         return Recording(
             form="mcap",
-            run=RunInfo(name="") if run is None else run_from_toml(run.data.decode()),
-            machine_toml="" if machine is None else machine.data.decode(),
+            run=RunInfo(name="") if run is None else run_from_toml(_text(run)),
+            machine_toml="" if machine is None else _text(machine),
             rows=tuple(self._rows),
             log=tuple(self._log),
             attachments=tuple(attachments.values()),
@@ -126,3 +127,12 @@ class _Collected:
             images=self._images,
             complete=complete,
         )
+
+
+def _text(attachment: Attachment) -> str:
+    try:
+        return attachment.data.decode()
+    except UnicodeDecodeError as error:
+        raise RecordingError(
+            f"attachment {attachment.name} is damaged: {error.reason} at byte {error.start}"
+        ) from error

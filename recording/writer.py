@@ -78,7 +78,7 @@ class RunWriter:
         self.images_dropped = 0
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._stream: BinaryIO = path.open("xb", buffering=0)
+            self._stream: BinaryIO = path.open("xb")
         except OSError as error:
             raise RecordingError(f"recording {path}: {error.strerror}; choose a folder that can be written") from error
         self._writer = McapWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from machine.chain import chain_of
 from machine.description import Machine
+from machine.urdf import urdf_text
 from recording.content import Attachment
 from recording.errors import RecordingError
 from recording.rows import NAN, Floats, Row, Sent
@@ -40,6 +41,7 @@ class Recorder:
         self._run = RunInfo(name="")
         self._plc_offset_ns: int | None = None
         self._camera_offset_ns: int | None = None
+        self._first_plc_ns: int | None = None
         self._last_plc_ns = 0
         self._segments: list[Segment] = []
         self._open_segment: tuple[str, SegmentKind, str, int] | None = None
@@ -59,21 +61,19 @@ class Recorder:
         settings_json: str,
         machine_toml: str,
         seed: int | None = None,
-        urdf: str | None = None,
     ) -> None:
         """Begin a run's file; a run that is on is closed first."""
         self.stop()
         now = datetime.now(UTC)
         utc_minus_mono_s = (time.time_ns() - time.monotonic_ns()) * 1e-9
         self._run = RunInfo(run_id, now.isoformat(timespec="seconds"), seed, pc_to_utc_offset_s=utc_minus_mono_s)
-        self._plc_offset_ns = self._camera_offset_ns = None
+        self._plc_offset_ns = self._camera_offset_ns = self._first_plc_ns = None
         self._segments, self._open_segment = [], None
         attachments = [
             Attachment("machine.toml", "application/toml", machine_toml.encode()),
             Attachment("settings.json", "application/json", settings_json.encode()),
+            Attachment("machine.urdf", "application/xml", urdf_text(self._machine).encode()),
         ]
-        if urdf is not None:
-            attachments.append(Attachment("machine.urdf", "application/xml", urdf.encode()))
         path = self._folder / f"{now:%Y%m%dT%H%M%S}-{run_id}.mcap"
         try:
             self._writer = RunWriter(path, self._run, attachments, self._metadata(seed))
@@ -96,6 +96,7 @@ class Recorder:
         writer = self._writer
         if writer is None:
             return
+        self._first_plc_ns = sample.t_plc_ns if self._first_plc_ns is None else self._first_plc_ns
         offset_ns = sample.t_mono_ns - sample.t_plc_ns
         self._plc_offset_ns = offset_ns if self._plc_offset_ns is None else min(offset_ns, self._plc_offset_ns)
         writer.row(plc_row(sample), sample.t_mono_ns, sample.t_plc_ns + self._plc_offset_ns)
@@ -179,6 +180,9 @@ class Recorder:
         if writer is None:
             return None
         self.end_segment()
+        if not self._segments and self._first_plc_ns is not None:  # nobody said what it was: a job of the server
+            span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
+            self._segments.append(Segment(self._run.name, "positioning", *span))
         report = writer.close(
             RunInfo(
                 name=self._run.name,

@@ -13,8 +13,8 @@ from sim_plc.truth_log import TruthLog
 from sim_plc.world import World
 
 CYCLE_NS = 1_000_000
-PLC_NET_ID = bytes([10, 0, 0, 2, 1, 1])
-PC_NET_ID = bytes([10, 0, 0, 1, 1, 1])
+PLC_NET_ID = "10.0.0.2.1.1"
+PC_NET_ID = "10.0.0.1.1.1"
 
 
 def framing_of(kind: str) -> Framing:

@@ -33,9 +33,7 @@ class PoseFeed:
     @classmethod
     def create(cls) -> Self:
         """A new, empty feed."""
-        memory = shared_memory.SharedMemory(create=True, size=64 + SLOTS * SLOT.itemsize)
-        memory.buf[:] = bytes(len(memory.buf))
-        return cls(memory, owner=True)
+        return cls(shared_memory.SharedMemory(create=True, size=64 + SLOTS * SLOT.itemsize), owner=True)
 
     @classmethod
     def attach(cls, name: str) -> Self:

@@ -14,10 +14,24 @@ from sim_plc.world import World
 
 PERIOD_NS = 20_000_000
 FLUSH_ROWS = 25
-COLUMNS = (
-    "t_plc_s t_plc_ns x_ooi_tool_m y_ooi_tool_m z_ooi_tool_m qw qx qy qz error_x_mm error_y_mm error_z_mm "
-    "error_rotation_deg x_base_tcp_m y_base_tcp_m z_base_tcp_m"
-).split()
+COLUMNS = [
+    "t_plc_s",
+    "t_plc_ns",
+    "x_ooi_tool_m",
+    "y_ooi_tool_m",
+    "z_ooi_tool_m",
+    "qw",
+    "qx",
+    "qy",
+    "qz",
+    "error_x_mm",
+    "error_y_mm",
+    "error_z_mm",
+    "error_rotation_deg",
+    "x_base_tcp_m",
+    "y_base_tcp_m",
+    "z_base_tcp_m",
+]
 
 
 class TruthLog:

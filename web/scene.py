@@ -74,8 +74,9 @@ class Scene:
 
     def _add_markers(self) -> None:
         scene = self._server.scene
-        for on, root in (("ooi", "/ooi"), ("tool", "/tool")):
-            for marker_id, corners in object_corners(self._machine.markers_on(on)).items():
+        machine = self._machine
+        for markers, root in ((machine.markers_on("ooi"), "/ooi"), (machine.markers_on("tool"), "/tool")):
+            for marker_id, corners in object_corners(markers).items():
                 segments = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
                 name = f"{root}/marker_{marker_id}"
                 scene.add_line_segments(name, points=segments, colors=(15, 15, 15), thickness=0.008)

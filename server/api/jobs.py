@@ -4,7 +4,7 @@ import asyncio
 import json
 import time
 from collections.abc import AsyncIterator
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Header
 from fastapi.responses import JSONResponse, StreamingResponse
@@ -45,7 +45,11 @@ EVENT_POLL_S = 0.1
 def jobs_router(service: JobService) -> APIRouter:
     """Routes under /v1/jobs and /v1/stop."""
     router = APIRouter(prefix="/v1", tags=["jobs"])
-    refused = {409: {"model": Problem}, 422: {"model": Problem}, 503: {"model": Problem}}
+    refused: dict[int | str, dict[str, Any]] = {
+        409: {"model": Problem},
+        422: {"model": Problem},
+        503: {"model": Problem},
+    }
 
     @router.post("/jobs", status_code=202, response_model=JobView, responses=refused)
     async def start_job(request: AnyJobRequest) -> JSONResponse:

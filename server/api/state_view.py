@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from server.api.views import (
 from server.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.engine import Job, JobEngine
-from server.jobs.knowledge import PreviewedPlan
+from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.live_error import live_error
 from server.jobs.records import ErrorMm, MoveRecord
 from server.version import __version__
@@ -216,5 +217,5 @@ def _result(result: object) -> object:
         return result
     if isinstance(result, PreviewedPlan):
         return plan_view(result).model_dump()
-    record = getattr(result, "record", result)  # LookTaken carries its record
+    record: Any = result.record if isinstance(result, LookTaken) else result
     return asdict(record)

@@ -32,7 +32,7 @@ _log = logging.getLogger(__name__)
 
 def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline:
     """The pipeline with the marker detector and odometry of this machine, warmed up."""
-    from server.vision.aruco import ArucoPoseSource  # late: only this process needs these
+    from server.vision.aruco_source import ArucoPoseSource  # late: only this process needs these
     from server.vision.mono_aruco import MonoArucoPoseSource
     from server.vision.odometry import StereoOdometry
 

@@ -4,8 +4,8 @@ import asyncio
 import time
 
 import numpy as np
-from machine.kinematics import tcp_poses
 
+from machine.kinematics import tcp_poses
 from server.calibration.contracts import Array, EncoderTrack
 from server.cell import Cell
 from server.errors import JobFailedError
@@ -59,7 +59,7 @@ class Performer:
 
     def record(self, request: Record) -> None:
         """Hand a finding to the recorder."""
-        self._cell.recorder.record(request.item)
+        self._cell.recorder.record(request.item, request.text)
 
     async def stop_motion(self, reason: str) -> None:
         """Ramp down and hold."""
@@ -116,7 +116,9 @@ class Performer:
     async def _look(self, request: TakeLook) -> object:
         await self._cell.vision.set_pose_source(request.source)
         look = self._cell.settings.look
-        return await self._cell.vision.look(request.pairs, look.timeout_s, look.spread_max_mm)
+        taken = await self._cell.vision.look(request.pairs, look.timeout_s, look.spread_max_mm)
+        self._cell.recorder.record(taken)
+        return taken
 
     async def _start_odometry(self) -> None:
         self._odometry_from_ns = time.monotonic_ns()
@@ -128,7 +130,7 @@ class Performer:
         return camera, self._encoder_track(samples)
 
     def _encoder_track(self, samples: list[PlcSample]) -> EncoderTrack:
-        offset_ns = self._cell.link.plc_to_pc_offset_ns
+        offset_ns = self._cell.link.plc_to_pc_offset_ns or 0
         t_s = np.array([(sample.t_plc_ns + offset_ns) * 1e-9 for sample in samples])
         qs: Array = np.array([sample.q_rad for sample in samples])
         return EncoderTrack(t_s=t_s, Ts_base_tcp=tcp_poses(self._cell.chain, qs))

@@ -1,4 +1,4 @@
-"""What jobs leave behind: errors, moves, results; units in the names, since they go out over REST and into recordings."""
+"""What jobs leave behind: errors, moves, results; units in the names: they go out over REST and into recordings."""
 
 from dataclasses import dataclass
 from typing import Literal

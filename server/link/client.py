@@ -69,9 +69,7 @@ class LinkClient:
         await self._spawn()
         if not await self._until(lambda: self._t_health_ns > 0, _START_S):
             await self.close()
-            raise LinkSilentError(
-                f"the link process did not report within {_START_S:.0f} s; see the log for its reason"
-            )
+            raise LinkSilentError(f"the link process did not report within {_START_S:.0f} s; the log says why")
 
     async def close(self) -> None:
         """End the link process; a moving machine is ramped down first."""
@@ -133,9 +131,9 @@ class LinkClient:
                 raise LinkRefusedError(self._why_not_armed())
             left_s = deadline_s - time.monotonic()
             if left_s <= 0:
-                raise (LinkSilentError if self.health.phase is LinkPhase.OFFLINE else LinkRefusedError)(
-                    self._why_not_armed()
-                )
+                await self._request(StopRequest("arming was given up"))
+                silent = self.health.phase is LinkPhase.OFFLINE
+                raise (LinkSilentError if silent else LinkRefusedError)(self._why_not_armed())
             await self._request(ArmRequest())
             await self._until(lambda: self.health.phase in _ARMED, min(left_s, _ARM_REPEAT_S))
 
@@ -150,31 +148,36 @@ class LinkClient:
             raise LinkRefusedError(f"PLC link is {self.health.phase.value}, must be armed and at rest; arm first")
         knots = knots_of(trajectory, len(self._table.axes))
         self._traj_id += 1
-        self._motion = asyncio.get_running_loop().create_future()
+        motion = self._motion = asyncio.get_running_loop().create_future()
         try:
             await self._request(RunRequest(self._traj_id, knots))
-            return await self._motion
+            return await asyncio.shield(motion)
         except asyncio.CancelledError:
-            await asyncio.shield(asyncio.ensure_future(self.stop("the job was cancelled")))
+            await asyncio.shield(self.stop("the job was cancelled"))
             raise
         finally:
             self._motion = None
+            if not motion.cancel() and not motion.cancelled():
+                motion.exception()  # looked at: asyncio need not warn of it
 
     async def stop(self, reason: str) -> None:
         """Ramp down along the path and hold; returns when the PLC is at rest, at the latest after 3 s.
 
-        If the PLC is not heard or the process is gone, its watchdog has stopped the machine: that is logged, not raised.
+        If the PLC is not heard or the process is gone, its watchdog stops the machine: that is logged, not raised.
         """
+        motion = self._motion
+
+        def at_rest() -> bool:
+            return self.health.phase not in _MOVING and (motion is None or motion.done())
+
         try:
             await self._request(StopRequest(reason))
         except LinkSilentError as error:
             _LOG.warning("stop (%s) could not be sent, the PLC stops by its watchdog: %s", reason, error)
             return
-        await self._until(lambda: self.health.phase not in _MOVING, 0.1)  # a report newer than the request
-        if not await self._until(lambda: self.health.phase not in _MOVING, _STOP_S):
-            raise LinkError(
-                f"stop ({reason}): PLC still {self.health.phase.value} after {_STOP_S:.0f} s; use the emergency stop"
-            )
+        if not await self._until(at_rest, _STOP_S):
+            phase = self.health.phase.value
+            raise LinkError(f"stop ({reason}): PLC still {phase} after {_STOP_S:.0f} s; use the emergency stop")
 
     async def disarm(self) -> None:
         """Leave the armed state (ramping down first if it moves).
@@ -255,8 +258,12 @@ class LinkClient:
 
     async def _respawn(self, dead: SupervisedProcess) -> None:
         await dead.end()
-        await asyncio.sleep(_RESTART_S)
-        await self._spawn()
+        while not self._closing:
+            await asyncio.sleep(_RESTART_S)
+            try:
+                return await self._spawn()
+            except OSError:
+                _LOG.exception("the link process could not be started; trying again in %s s", _RESTART_S)
 
     def _end_motion(self, reason: str) -> None:
         if self._motion and not self._motion.done():

@@ -85,7 +85,7 @@ class ArmRequest:
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """Play this trajectory from the present reference. Knots: (t_ns, q, qd, qdd); gate-checked before anything is sent."""
+    """Play this trajectory from the present reference; gate-checked first. Knots: (t_ns, q, qd, qdd)."""
 
     traj_id: int
     knots: tuple[tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]

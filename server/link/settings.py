@@ -8,7 +8,7 @@ from protocol.framing import EapFraming, Framing, RawFraming
 
 @dataclass(frozen=True, slots=True)
 class LinkSettings:
-    """Addresses and framing. `local_port` 0: the system chooses; a real TwinCAT wants a fixed one (50111, EAP 34980)."""
+    """Addresses and framing. `local_port` 0: any; a real TwinCAT wants a fixed one (50111, EAP 34980)."""
 
     plc_host: str = "127.0.0.1"
     plc_port: int = 50110

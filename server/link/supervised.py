@@ -31,7 +31,6 @@ class SupervisedProcess:
         on_report: Callable[[LinkReport], None],
         on_gone: Callable[[], None],
     ) -> None:
-        self._on_report, self._on_gone = on_report, on_gone
         self._loop = asyncio.get_running_loop()
         context = multiprocessing.get_context("spawn")
         self._pipe, self._child_pipe = context.Pipe(duplex=True)
@@ -44,6 +43,9 @@ class SupervisedProcess:
         # a thread of its own: a STOP must not queue behind other work of the default executor
         self._writer = ThreadPoolExecutor(1, thread_name_prefix="link-writer")
 
+        args = (self._pipe, self._loop, on_report, on_gone)
+        self._reader = threading.Thread(target=_read, args=args, name="link-reader", daemon=True)
+
     @property
     def pid(self) -> int | None:
         """Of the running process."""
@@ -53,9 +55,7 @@ class SupervisedProcess:
         """Spawn it and begin to read."""
         await asyncio.to_thread(self._process.start)
         self._child_pipe.close()
-        threading.Thread(
-            target=_read, args=(self._pipe, self._loop, self._on_report, self._on_gone), daemon=True
-        ).start()
+        self._reader.start()
 
     async def request(self, request: LinkRequest) -> None:
         """Hand a request over, in order.
@@ -65,9 +65,7 @@ class SupervisedProcess:
         try:
             await self._loop.run_in_executor(self._writer, self._pipe.send, request)
         except (OSError, RuntimeError) as error:
-            raise LinkSilentError(
-                f"the link process is gone ({error}); it restarts by itself, then arm again"
-            ) from error
+            raise LinkSilentError(f"the link process is gone ({error}); it restarts by itself, then arm") from error
 
     async def end(self) -> None:
         """Let it stop the machine and end; killed after 2 s."""
@@ -79,6 +77,7 @@ class SupervisedProcess:
             self._process.kill()
             await asyncio.to_thread(self._process.join)
         self._writer.shutdown(wait=False, cancel_futures=True)
+        await asyncio.to_thread(self._reader.join, _END_S)  # it sees the end of the pipe; only then may the pipe go
         with contextlib.suppress(OSError):
             self._pipe.close()
         self._process.close()

@@ -1,4 +1,4 @@
-"""Approach from one side, so that backlash always lies the same way; and the small trim after a stall in the dead band."""
+"""Approach from one side, so that backlash lies the same way; and the small trim after a stall in the dead band."""
 
 from dataclasses import dataclass, replace
 
@@ -75,7 +75,7 @@ def plan_approach(
     last = joint_leg(machine, chain, path_end(first), q_goal, _slow(settings, approach.last_leg_s), wall)
     if isinstance(last, Refusal):
         return refused_plan(last, q, np.array([tcp_pose(chain, q), goal]))
-    return plan_of(chain, [first, last])
+    return plan_of([first, last])
 
 
 def _slow(settings: PlanSettings, duration_s: float) -> PlanSettings:
@@ -92,9 +92,10 @@ def trim_reference(
 ) -> PathPlan:
     """Small move of the reference by what the encoders still lack: undoes the stall db / K in the valve's dead band.
 
-    Model:   q_ref += gain (q_wanted - q_encoder); a backlash joint that must go back goes back by its play further,
-             then forward. Residuals below the smallest one worth a trim are left alone.
-    Args:    q_ref_end: present reference (joints,) [rad]; q_encoder_residual: wanted minus encoder (joints,) [rad].
+    Model:   q_ref += gain (q_wanted - q_encoder); a backlash joint that must go back goes its play further back, then
+             forward. Residuals below the smallest one worth a trim are left alone.
+    Args:    q_ref_end: present reference (joints,) [rad]; q_encoder_residual: wanted minus encoder
+             (joints,) [rad].
     Returns: a plan of about 1 s (2 s when a joint has to come back from below); INVALID with reason when a residual is
              too large.
     Raises:  MotionInputError: shapes or values that are not finite.
@@ -119,7 +120,7 @@ def trim_reference(
         if isinstance(leg, Refusal):
             return refused_plan(leg, q, tcp_poses(chain, np.array(targets)))
         legs.append(leg)
-    return plan_of(chain, legs)
+    return plan_of(legs)
 
 
 def offset_goal(T_base_tcp: Array, offset_tcp_m: Array) -> Array:

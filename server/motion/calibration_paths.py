@@ -18,7 +18,7 @@ from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
 from server.motion.visibility_cone import markers_in_view
 from server.motion.wall_clearance import wall_refusal
 
-#: Corners in TCP axes [m]: x up, y left, z back from the wall. About 1.0 m in six legs of 14 to 21 cm, no two parallel, none mirrored.
+#: Corners in TCP axes [m]: x up, y left, z back from the wall. 1.0 m in six legs of 14 to 20 cm, no two parallel.
 FOLDED_M = (
     (0.13, 0.04, 0.00),
     (0.11, -0.11, 0.10),

@@ -7,12 +7,12 @@ import numpy as np
 from machine.chain import Chain, chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_pose, tcp_poses
-from server.motion.contracts import Array, JointTrajectory, PathPlan, PlanStatus, Wall
+from server.motion.contracts import Array, PathPlan, PlanStatus, Wall
 from server.motion.joint_limits import range_refusal, singular_refusal
 from server.motion.joint_path import JointPath, joint_line, straight_poses, trace
 from server.motion.refusal import Refusal, refused_plan, require_goal, require_joints
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
-from server.motion.timing import tcp_speed, time_path
+from server.motion.timing import Timed, time_path
 from server.motion.trajectory import join, sample
 from server.motion.wall_clearance import wall_refusal
 
@@ -22,7 +22,7 @@ class Leg:
     """One rest-to-rest piece: its shape, its timed reference, and its smallest clearance [m] and sigma-min."""
 
     path: JointPath
-    trajectory: JointTrajectory
+    timed: Timed
     clearance_m: float
     sigma_min: float
 
@@ -67,7 +67,7 @@ def plan_through(
             return refused_plan(leg, np.asarray(q_start), np.array(tried))
         legs.append(leg)
         q = path_end(leg)
-    return plan_of(chain, legs)
+    return plan_of(legs)
 
 
 def plan_joint_move(
@@ -85,7 +85,7 @@ def plan_joint_move(
     return (
         refused_plan(leg, start, tcp_poses(chain, np.array([start, goal])))
         if isinstance(leg, Refusal)
-        else plan_of(chain, [leg])
+        else plan_of([leg])
     )
 
 
@@ -123,17 +123,17 @@ def _leg(
     clearance, wall_hit = wall_refusal(path.Ts_base_tcp, machine.T_tcp_tool, wall)
     if wall_hit is not None:
         return wall_hit
-    trajectory = time_path(machine, chain, path, settings)
-    if isinstance(trajectory, Refusal):
-        return trajectory
-    _, reference = sample(trajectory, 0.02)
+    timed = time_path(machine, chain, path, settings)
+    if isinstance(timed, Refusal):
+        return timed
+    _, reference = sample(timed.reference, 0.02)
     beyond = range_refusal(machine, np.vstack((path.qs, reference.q)), settings.joint_margin_rad)
-    return beyond if beyond is not None else Leg(path, trajectory, clearance, smallest)
+    return beyond if beyond is not None else Leg(path, timed, clearance, smallest)
 
 
-def plan_of(chain: Chain, legs: list[Leg]) -> PathPlan:
+def plan_of(legs: list[Leg]) -> PathPlan:
     """The plan made of legs that follow one another."""
-    trajectory = join([leg.trajectory for leg in legs])
+    trajectory = join([leg.timed.reference for leg in legs])
     Ts = np.concatenate([leg.path.Ts_base_tcp for leg in legs])
     qs = np.concatenate([leg.path.qs for leg in legs])
     return PathPlan(
@@ -144,7 +144,7 @@ def plan_of(chain: Chain, legs: list[Leg]) -> PathPlan:
         q_end=qs[-1].copy(),
         length_m=sum(leg.path.length_m for leg in legs),
         duration_s=trajectory.duration_s,
-        tcp_speed_max_m_s=tcp_speed(chain, trajectory),
+        tcp_speed_max_m_s=max(leg.timed.tcp_speed_m_s for leg in legs),
         clearance_m=min(leg.clearance_m for leg in legs),
         sigma_min=min(leg.sigma_min for leg in legs),
         joint_travel_rad=np.abs(np.diff(qs, axis=0)).sum(axis=0),

@@ -11,6 +11,7 @@ class PlanSettings:
 
     knot_s: float = 0.05
     limit_share: float = 0.9  # of qd, qdd and TCP speed limits: the rest is for the PLC's rounding and resampling
+    reference_tcp_share: float = 1.3  # of the TCP speed limit, for a shaped reference, which leads the lagging joints
     speed_scale: float = 1.0  # 0..1, of all speeds
     turn_speed_max_rad_s: float = 0.25
     duration_min_s: float = 1.0

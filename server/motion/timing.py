@@ -34,7 +34,7 @@ def time_derivatives(path: JointPath, law: TimeLaw, t_s: Array, duration_s: floa
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """Duration without ramps at even speed, and the ramp on top, both [s]; the plain quintic has no ramp of its own."""
+    """Duration at even speed alone, and the ramp on top, both [s]; the plain quintic has no ramp of its own."""
 
     even_s: float
     ramp_s: float
@@ -45,38 +45,36 @@ class Pace:
         """Time from rest to rest [s]."""
         if not self.shaped:
             return QuinticLaw().peak * self.even_s
-        return max(self.even_s + self.ramp_s, 2.0 * self.even_s)
+        return self.even_s + self.ramp_s
 
     def law(self, duration_s: float) -> TimeLaw:
         """The paper's quintic, or ramps and an even speed when the reference is shaped."""
         return CruiseLaw(min(0.5, self.ramp_s / duration_s)) if self.shaped else QuinticLaw()
 
-    def slower(self, speed: float, acceleration: float) -> "Pace":
-        """The pace that undoes an excess of speed and of (the root of) acceleration."""
+    def slower(self, planned: float, reference: float) -> "Pace":
+        """The pace that undoes an excess of the planned motion (less even speed) and of the reference (softer ramps)."""
         if not self.shaped:
-            factor = max(speed, acceleration, 1.0)
-            return replace(self, even_s=self.even_s * factor)
-        ramp = self.ramp_s * max(acceleration, 1.0)
-        even = self.even_s * max(speed, 1.0)
-        if self.ramp_s >= self.even_s and speed > 1.0:  # no even part: only longer ramps are slower
-            ramp = max(ramp, self.ramp_s * speed)
-        return replace(self, even_s=even, ramp_s=ramp)
+            return replace(self, even_s=self.even_s * max(planned, reference, 1.0))
+        return replace(self, even_s=self.even_s * max(planned, 1.0), ramp_s=self.ramp_s * max(reference, 1.0))
 
 
 def _knots(
     machine: Machine, path: JointPath, law: TimeLaw, duration_s: float, settings: PlanSettings
-) -> JointTrajectory:
+) -> tuple[JointTrajectory, JointTrajectory]:
+    """Knots of the planned motion, and of the reference that asks for it."""
     t = settings.knot_s * np.arange(round(duration_s / settings.knot_s) + 1, dtype=np.float64)
     planned = time_derivatives(path, law, t, float(t[-1]))
+    motion = JointTrajectory(t, *planned[:3])
     q, qd, qdd = shaped(planned, servo_lag_of(machine)) if settings.shape_reference else planned[:3]
-    for rates in (qd, qdd):
+    reference = JointTrajectory(t, q.copy(), qd.copy(), qdd.copy())
+    for rates in (reference.qd, reference.qdd):
         rates[0], rates[-1] = 0.0, 0.0
-    q[0], q[-1] = path.qs[0], path.qs[-1]
-    return JointTrajectory(t, q, qd, qdd)
+    reference.q[0], reference.q[-1] = path.qs[0], path.qs[-1]
+    return motion, reference
 
 
 def tcp_speed(chain: Chain, trajectory: JointTrajectory, step_s: float = 0.025) -> float:
-    """Largest speed of the TCP along the reference [m/s]."""
+    """Largest speed of the TCP along a trajectory [m/s]."""
     t, motion = sample(trajectory, step_s)
     points = tcp_poses(chain, motion.q)[:, :3, 3]
     return float((np.linalg.norm(np.diff(points, axis=0), axis=1) / np.diff(t)).max())
@@ -84,30 +82,41 @@ def tcp_speed(chain: Chain, trajectory: JointTrajectory, step_s: float = 0.025) 
 
 @dataclass(frozen=True, slots=True)
 class Excess:
-    """How much too fast a trajectory is: factors of time by speed and by acceleration (<= 1: obeys), and the worst."""
+    """By what factor of time a trajectory is too fast (<= 1: it obeys), and which limit asks for it most."""
 
-    speed: float
-    acceleration: float
+    factor: float
     worst: str
 
 
-def excess(machine: Machine, chain: Chain, trajectory: JointTrajectory, settings: PlanSettings) -> Excess:
-    """How the reference compares with the limits of joints and TCP, between the knots too."""
+def excess(
+    machine: Machine, chain: Chain, trajectory: JointTrajectory, settings: PlanSettings, tcp_share: float
+) -> Excess:
+    """How a trajectory compares with the limits of joints and TCP, between the knots too.
+
+    Args:    tcp_share: of the machine's TCP speed limit.
+    """
     _, motion = sample(trajectory, 0.01)
     share, scale = settings.limit_share, settings.speed_scale
     v_max = np.array([joint.qd_max_rad_s for joint in machine.joints]) * share * scale
     a_max = np.array([joint.qdd_max_rad_s2 for joint in machine.joints]) * share
     v, a = np.abs(motion.qd).max(axis=0) / v_max, np.sqrt(np.abs(motion.qdd).max(axis=0) / a_max)
-    tcp = tcp_speed(chain, trajectory) / (machine.tcp_speed_max_m_s * share * scale)
     candidates = (
         (float(v.max()), f"speed of joint '{machine.joints[int(v.argmax())].name}'"),
         (float(a.max()), f"acceleration of joint '{machine.joints[int(a.argmax())].name}'"),
-        (tcp, "speed of the TCP"),
+        (tcp_speed(chain, trajectory) / (machine.tcp_speed_max_m_s * tcp_share * scale), "speed of the TCP"),
     )
-    return Excess(max(float(v.max()), tcp), float(a.max()), max(candidates)[1])
+    return Excess(*max(candidates))
 
 
-def time_path(machine: Machine, chain: Chain, path: JointPath, settings: PlanSettings) -> JointTrajectory | Refusal:
+@dataclass(frozen=True, slots=True)
+class Timed:
+    """The reference to send, and the fastest that the TCP is planned to move with it [m/s]."""
+
+    reference: JointTrajectory
+    tcp_speed_m_s: float
+
+
+def time_path(machine: Machine, chain: Chain, path: JointPath, settings: PlanSettings) -> Timed | Refusal:
     """Shortest rest-to-rest trajectory along the path that obeys all limits between the knots too.
 
     Model:   the pace slows by the excess of |qd|, sqrt |qdd| and TCP speed of the (shaped) reference until there is
@@ -128,11 +137,13 @@ def time_path(machine: Machine, chain: Chain, path: JointPath, settings: PlanSet
         duration = settings.knot_s * float(np.ceil(duration / settings.knot_s - 1e-9))
         if duration > settings.duration_max_s:
             break
-        trajectory = _knots(machine, path, pace.law(duration), duration, settings)
-        over = excess(machine, chain, trajectory, settings)
-        if max(over.speed, over.acceleration) <= 1.0:
-            return trajectory
-        pace, worst = pace.slower(1.02 * over.speed, 1.02 * over.acceleration), over.worst
+        motion, reference = _knots(machine, path, pace.law(duration), duration, settings)
+        planned = excess(machine, chain, motion, settings, settings.limit_share)
+        sent = excess(machine, chain, reference, settings, settings.reference_tcp_share)
+        if max(planned.factor, sent.factor) <= 1.0:
+            return Timed(reference, tcp_speed(chain, motion))
+        pace = pace.slower(1.02 * planned.factor, 1.02 * sent.factor)
+        worst = max(planned, sent, key=lambda each: each.factor).worst
     text = (
         f"{worst} asks for {pace.duration_s:.0f} s, limit {settings.duration_max_s:.0f} s; "
         f"move in shorter steps or raise the speed scale ({settings.speed_scale:.2f})"

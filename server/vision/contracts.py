@@ -22,7 +22,7 @@ class PoseStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MarkerView:
-    """One marker in one stereo pair. Corners (4, 2) in raw (distorted) image px, OpenCV order; None = not seen by that eye."""
+    """One marker in one stereo pair. Corners (4, 2) in raw (distorted) px, OpenCV order; None = that eye does not see it."""
 
     marker_id: int
     corners_left_px: Array | None

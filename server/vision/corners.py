@@ -3,18 +3,19 @@
 import cv2
 import numpy as np
 
+from machine.camera import project, undistort_to_rays
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
 from server.vision.edge_fit import fit_corners, side_length_min
-from server.vision.lens import distort, undistort
 
 
 def side_sags(camera: StereoCamera | None, corners_px: Array) -> Array:
     """How far the lens bows each side of a square outward at its middle (4,) [px]; zeros without a camera."""
     if camera is None or not any(camera.distortion):
         return np.zeros(4)
-    rays = undistort(camera, corners_px)
-    middle = distort(camera, 0.5 * (rays + np.roll(rays, -1, axis=0)))
+    rays = undistort_to_rays(camera, corners_px)
+    middle_rays = 0.5 * (rays + np.roll(rays, -1, axis=0))
+    middle = project(camera, np.column_stack([middle_rays, np.ones(4)]))
     along = np.roll(corners_px, -1, axis=0) - corners_px
     outward = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
     return np.sum((middle - corners_px - 0.5 * along) * outward, axis=1)

@@ -69,7 +69,10 @@ def _parameters(image_size_px: int, perimeter_min_px: float) -> "cv2.aruco.Detec
 
 
 def find_markers(
-    image: Image, dictionary: "cv2.aruco.Dictionary", perimeter_min_px: float = 32.0, camera: StereoCamera | None = None,
+    image: Image,
+    dictionary: "cv2.aruco.Dictionary",
+    perimeter_min_px: float = 32.0,
+    camera: StereoCamera | None = None,
     refine: bool = True,
 ) -> tuple[FoundMarker, ...]:
     """Every marker of a dictionary in one grey image (h, w), corners refined; empty when there is none.

@@ -107,9 +107,7 @@ def _intersect(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
 
 
 @njit(cache=True)
-def _refine(
-    image: Image, corners: Array, sags_px: Array, half_px: float, trim: float
-) -> tuple[bool, Array, float]:
+def _refine(image: Image, corners: Array, sags_px: Array, half_px: float, trim: float) -> tuple[bool, Array, float]:
     starts, ends = np.empty((4, 2)), np.empty((4, 2))
     worst = 0.0
     for i in range(4):

@@ -15,3 +15,7 @@ class ImageFormatError(VisionError):
 
 class NoMarkersError(VisionError):
     """A machine file without the markers that a pose source needs."""
+
+
+class NoPoseError(VisionError):
+    """An error to the goal was asked of a look or pair that has no poses."""

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from machine.description import Machine, Marker
+from machine.camera import undistort_to_rays
+from machine.description import Machine
 from machine.poses import inverse_pose
-from server.vision.aruco import detect_safely, image_problem, sightings_of
 from server.vision.contracts import Array, Image, MarkerView, ObjectPose, PairObservation, PoseStatus
 from server.vision.detection import DetectionSettings, EyeDetector
-from server.vision.lens import undistort
-from server.vision.object_pose import NO_RIVAL, ObjectName, PoseSettings, not_seen
+from server.vision.object_pose import NO_RIVAL, ObjectName, not_seen
 from server.vision.planar_pose import planar_poses
+from server.vision.sightings import detect_safely, image_problem, markers_by_object, sightings_of
 
 MONO_SIGMA_PX = 0.5  # of unrefined corners
 
@@ -21,10 +21,7 @@ class MonoArucoPoseSource:
 
     def __init__(self, machine: Machine, settings: DetectionSettings | None = None) -> None:
         self._camera = machine.camera
-        self._markers: dict[ObjectName, tuple[Marker, ...]] = {
-            "tool": machine.markers_on("tool"),
-            "ooi": machine.markers_on("ooi"),
-        }
+        self._markers = markers_by_object(machine)
         wanted = frozenset(marker.marker_id for marker in machine.markers)
         unrefined = replace(settings or DetectionSettings(), refine=False, full_search_every=1)
         self._left = EyeDetector(machine.camera, machine.dictionary, wanted, unrefined)
@@ -36,7 +33,9 @@ class MonoArucoPoseSource:
         tool, ooi = (self._pose(name, seen) for name in ("tool", "ooi"))
         used = {*tool.marker_ids, *ooi.marker_ids}
         views = tuple(
-            MarkerView(one, corners, None, float("nan"), one in used, "" if one in used else "one marker is enough here")
+            MarkerView(
+                one, corners, None, float("nan"), one in used, "" if one in used else "one marker is enough here"
+            )
             for one, corners in sorted(seen.items())
         )
         return PairObservation(t_exposure_ns, tool, ooi, views, (problem,) if problem else ())
@@ -48,7 +47,7 @@ class MonoArucoPoseSource:
         if best is None or best.left_px is None:
             return not_seen(name, f"no marker of the {name} in the left eye")
         marker = best.marker
-        solutions = planar_poses(undistort(self._camera, best.left_px), marker.side_m)
+        solutions = planar_poses(undistort_to_rays(self._camera, best.left_px), marker.side_m)
         if not solutions:
             return not_seen(name, f"marker {marker.marker_id} of the {name} allows no planar pose")
         T_cam_object = solutions[0] @ inverse_pose(marker.T_on_marker)

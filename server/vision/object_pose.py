@@ -1,17 +1,18 @@
-"""Pose of an object from all its visible markers in both eyes: every planar solution tried, ambiguity told, bad ones out."""
+"""Pose of an object from all its visible markers in both eyes: all planar solutions tried, ambiguity told."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
+from machine.camera import undistort_to_rays
 from machine.description import Marker, StereoCamera
+from machine.markers import marker_corners
 from machine.poses import inverse_pose, transform_points
 from machine.rotations import geodesic_angle
 from server.vision.contracts import Array, MarkerView, ObjectPose, PoseStatus
-from server.vision.lens import focal_px, undistort
-from server.vision.planar_pose import marker_corners, planar_poses
+from server.vision.planar_pose import planar_poses
 from server.vision.pose_refinement import PointObservations, RefinedPose, refine_pose
 
 ObjectName = Literal["tool", "ooi"]
@@ -53,10 +54,10 @@ def estimate_object_pose(
 ) -> tuple[ObjectPose, tuple[MarkerView, ...]]:
     """Pose of one object and what became of each of its markers.
 
-    Model:   minimum over T_cam_object of the sum over markers, corners and eyes of |pi(T_cam_object T_object_marker X) - u|^2,
-             started from both planar solutions of every marker in every eye; the margin is the rival minimum's chi2 minus
-             the best one's. The covariance is sigma^2 (J^T J)^-1, sigma at least `settings.sigma_px` and larger where the
-             residuals say so.
+    Model:   minimum over T_cam_object of the sum over markers, corners and eyes of
+             |pi(T_cam_object T_object_marker X) - u|^2, started from both planar solutions of each marker in each eye;
+             the margin is the rival minimum's chi2 minus the best one's. The covariance is sigma^2 (J^T J)^-1, sigma at
+             least `settings.sigma_px` and larger where the residuals say so.
     Args:    sightings: markers seen by at least one eye, corners in raw px.
     Returns: ObjectPose (left camera), and one MarkerView per sighting.
     """
@@ -111,18 +112,20 @@ def epipolar_contradiction(problem: "_Problem", settings: PoseSettings) -> str:
         return f"disparity {disparity:.1f} px is negative; left and right eye are swapped"
     row = float(np.median(np.concatenate(rows)))
     if abs(row) > settings.epipolar_max_px:
-        return f"rows of the two eyes differ by {row:.1f} px (limit {settings.epipolar_max_px:g} px); recalibrate the rig"
+        return (
+            f"rows of the two eyes differ by {row:.1f} px (limit {settings.epipolar_max_px:g} px); recalibrate the rig"
+        )
     return ""
 
 
 def _rays(sighting: Sighting, camera: StereoCamera) -> tuple[Array | None, Array | None]:
-    left = None if sighting.left_px is None else undistort(camera, sighting.left_px)
-    right = None if sighting.right_px is None else undistort(camera, sighting.right_px)
+    left = None if sighting.left_px is None else undistort_to_rays(camera, sighting.left_px)
+    right = None if sighting.right_px is None else undistort_to_rays(camera, sighting.right_px)
     return left, right
 
 
 def _observations(problem: _Problem, indices: Sequence[int]) -> PointObservations:
-    focal = focal_px(problem.camera)
+    focal = np.array([problem.camera.fx_px, problem.camera.fy_px])
     points, seen, eye_x = [], [], []
     for index in indices:
         marker = problem.sightings[index].marker
@@ -212,7 +215,8 @@ def _accepted(
         )
     elif tilt_sigma_deg > settings.tilt_sigma_max_deg:
         status = PoseStatus.ORIENTATION_AMBIGUOUS
-        reason = f"{on}: orientation known to {tilt_sigma_deg:.1f} deg only (limit {settings.tilt_sigma_max_deg:g}); come closer"
+        limit = settings.tilt_sigma_max_deg
+        reason = f"{on}: orientation known to {tilt_sigma_deg:.1f} deg only (limit {limit:g}); come closer"
     ids = tuple(problem.sightings[index].marker.marker_id for index in used)
     return ObjectPose(on, status, reason, best.T_cam_object, covariance, ids, _rms(best), float(margin))
 
@@ -242,10 +246,3 @@ def _views(
         one = problem.sightings[index]
         views[index] = MarkerView(one.marker.marker_id, one.left_px, one.right_px, float("nan"), False, reason)
     return tuple(views[index] for index in sorted(views))
-
-
-def swapped_to_status(found: ObjectPose, status: PoseStatus, reason: str) -> ObjectPose:
-    """The same finding with another verdict; poses go where the verdict forbids their use."""
-    if status in (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS):
-        return replace(found, status=status, reason=reason)
-    return replace(found, status=status, reason=reason, T_cam_object=None, covariance=None)

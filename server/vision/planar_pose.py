@@ -3,15 +3,10 @@
 import cv2
 import numpy as np
 
+from machine.markers import marker_corners
 from machine.poses import pose
 from machine.rotations import nearest_rotation
 from server.vision.contracts import Array
-
-
-def marker_corners(side_m: float) -> Array:
-    """Corners (4, 3) [m] in the marker frame (x right, y up, z out of the print), OpenCV order TL, TR, BR, BL."""
-    half = 0.5 * side_m
-    return np.array([[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]])
 
 
 def planar_poses(rays: Array, side_m: float) -> tuple[Array, ...]:
@@ -30,7 +25,8 @@ def planar_poses(rays: Array, side_m: float) -> tuple[Array, ...]:
         return ()
     found = []
     for rvec, tvec in zip(rvecs[:count], tvecs[:count], strict=True):
-        rotation, position = cv2.Rodrigues(rvec)[0], np.asarray(tvec, dtype=float).reshape(3)
+        rotation = np.asarray(cv2.Rodrigues(rvec)[0], dtype=float)
+        position = np.asarray(tvec, dtype=float).reshape(3)
         if np.isfinite(rotation).all() and np.isfinite(position).all() and position[2] > 0.0:
             found.append(pose(nearest_rotation(rotation), position))
     return tuple(found)

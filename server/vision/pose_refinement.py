@@ -33,7 +33,7 @@ class PointObservations:
 
 @dataclass(frozen=True, slots=True)
 class RefinedPose:
-    """A local minimum: pose, sum of squared residuals [px^2], information J^T J [per px^2] and residuals (n, 2) [px]."""
+    """A local minimum: pose, sum of squared residuals [px^2], information J^T J, residuals (n, 2) [px]."""
 
     T_cam_object: Array
     sum_squares_px2: float

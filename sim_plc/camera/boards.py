@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from machine.camera import project
 from machine.description import Marker
@@ -88,7 +89,7 @@ def _code_of_ray(T: Array, rx: float, ry: float, size: Array, cols: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _paint_edge(
-    T: Array, corners: Array, v: int, u: int, size: Array, cells: Grey, back: int, n: int, under: float
+    T: Array, corners: NDArray[np.float32], v: int, u: int, size: Array, cells: Grey, back: int, n: int, under: float
 ) -> float:
     """Mean grey of n x n rays in one pixel, over what is already there."""
     total, hits = 0.0, 0
@@ -106,12 +107,19 @@ def _paint_edge(
             if code >= 0:
                 hits += 1
                 total += back if back >= 0 else cells[code // cols, code % cols]
-    return (total + (n * n - hits) * under) / (n * n)
+    return float((total + (n * n - hits) * under) / (n * n))
 
 
 @njit(cache=True, nogil=True)
 def _paint_board(
-    out: Grey, corners: Array, keys: Array, cells: Grey, size: Array, back: int, roi: tuple[int, int, int, int], n: int
+    out: Grey,
+    corners: NDArray[np.float32],
+    keys: Array,
+    cells: Grey,
+    size: Array,
+    back: int,
+    roi: tuple[int, int, int, int],
+    n: int,
 ) -> None:
     """Paint one board into its region. Pixels inside one cell take one grey; the others are supersampled.
 

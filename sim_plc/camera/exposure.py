@@ -11,7 +11,7 @@ from machine.rotations import Array
 class PoseHistory(Protocol):
     """True tool poses of the recent past."""
 
-    def pose_at(self, t_ns: int) -> Array:
+    def pose_at(self, t_ns: int, /) -> Array:
         """T_base_tcp (4, 4) at one true time [ns]."""
         ...
 
@@ -22,7 +22,7 @@ class StaticPose:
 
     T_base_tcp: Array
 
-    def pose_at(self, t_ns: int) -> Array:
+    def pose_at(self, t_ns: int, /) -> Array:
         """T_base_tcp, whatever the time."""
         return self.T_base_tcp
 
@@ -36,7 +36,7 @@ def shutter_times_ns(t_mid_ns: int, readout_s: float, n_keys: int) -> list[int]:
 
 
 def key_poses(poses: PoseHistory, t_mid_ns: int, readout_s: float, n_keys: int) -> Array:
-    """T_base_tcp at the key rows of one exposure, shape (n_keys, 4, 4); between keys the renderer interpolates linearly."""
+    """T_base_tcp at the key rows of one exposure, (n_keys, 4, 4); between keys the renderer interpolates linearly."""
     if readout_s == 0.0:
         return np.repeat(poses.pose_at(t_mid_ns)[None], n_keys, axis=0)
     return np.stack([poses.pose_at(t) for t in shutter_times_ns(t_mid_ns, readout_s, n_keys)])

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from machine.camera import undistort_to_rays
@@ -35,15 +35,15 @@ def can_project(points_cam: Array) -> bool:
     return bool(np.all(in_front) and np.all(np.hypot(*points_cam[:, :2].T) < _FOLD_RADIUS * points_cam[:, 2]))
 
 
-def rays_at(camera: StereoCamera, u_px: Array, v_px: Array) -> Array:
+def rays_at(camera: StereoCamera, u_px: ArrayLike, v_px: ArrayLike) -> Array:
     """Normalised coordinates (len(v), len(u), 2) of the pixel grid u x v."""
-    grid = np.stack(np.meshgrid(u_px, v_px), axis=-1)
+    grid = np.stack(np.meshgrid(np.asarray(u_px, float), np.asarray(v_px, float)), axis=-1)
     return undistort_to_rays(camera, grid.reshape(-1, 2)).reshape(grid.shape)
 
 
 def _corner_rays(camera: StereoCamera) -> NDArray[np.float32]:
-    u_px = np.arange(-_SPLINE_STEP_PX, camera.width_px + 2 * _SPLINE_STEP_PX, _SPLINE_STEP_PX, dtype=float)
-    v_px = np.arange(-_SPLINE_STEP_PX, camera.height_px + 2 * _SPLINE_STEP_PX, _SPLINE_STEP_PX, dtype=float)
+    u_px = np.arange(-_SPLINE_STEP_PX, camera.width_px + 2 * _SPLINE_STEP_PX, _SPLINE_STEP_PX)
+    v_px = np.arange(-_SPLINE_STEP_PX, camera.height_px + 2 * _SPLINE_STEP_PX, _SPLINE_STEP_PX)
     coarse = rays_at(camera, u_px, v_px)
     u, v = np.arange(camera.width_px + 1) - 0.5, np.arange(camera.height_px + 1) - 0.5
     both = [RectBivariateSpline(v_px, u_px, coarse[..., k])(v, u) for k in range(2)]

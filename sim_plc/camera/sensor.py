@@ -34,7 +34,7 @@ def _add_noise(image: Grey, bank: NDArray[np.int8], start: int, gain: float, flo
 
 
 def add_noise(image: Grey, bank: NDArray[np.int8], noise_grey: float, rng: np.random.Generator) -> None:
-    """Noise in place: read noise plus shot noise growing with the root of the grey, `noise_grey` at mid grey, clipped."""
+    """Noise in place: read noise plus shot noise (root of the grey), `noise_grey` in all at mid grey; clipped."""
     if noise_grey == 0.0:
         return
     start = int(rng.integers(0, bank.size - image.size))
@@ -46,7 +46,8 @@ def point_spread(image: Grey, psf_px: float) -> Grey:
     if psf_px == 0.0:
         return image
     size = 2 * int(np.ceil(3.0 * psf_px)) + 1
-    return cv2.GaussianBlur(image, (size, size), psf_px, borderType=cv2.BORDER_REPLICATE)
+    blurred = cv2.GaussianBlur(image, (size, size), psf_px, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(blurred, np.uint8)
 
 
 def _short_streak(streak_px: Array) -> NDArray[np.float32]:
@@ -74,4 +75,5 @@ def motion_blur(image: Grey, streak_px: Array) -> Grey:
     """The picture smeared evenly along one streak; unchanged when the streak is shorter than 0.25 px."""
     if not np.hypot(*streak_px) > _MIN_MOTION_PX:
         return image
-    return cv2.filter2D(image, -1, streak_kernel(streak_px), borderType=cv2.BORDER_REPLICATE)
+    smeared = cv2.filter2D(image, -1, streak_kernel(streak_px), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(smeared, np.uint8)

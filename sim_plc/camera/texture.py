@@ -44,7 +44,7 @@ def value_noise(rng: np.random.Generator, rows: int, cols: int, cells_y: int, ce
     size = (round(cols * padded.shape[1] / cells_x), round(rows * padded.shape[0] / cells_y))
     big = cv2.resize(padded, size, interpolation=cv2.INTER_CUBIC)
     top, left = round(pad * rows / cells_y), round(pad * cols / cells_x)
-    return np.ascontiguousarray(big[top : top + rows, left : left + cols])
+    return np.ascontiguousarray(big[top : top + rows, left : left + cols], np.float32)
 
 
 def _octaves(rng: np.random.Generator) -> Field:
@@ -65,7 +65,7 @@ def _doubled(field: Field) -> Field:
     """A periodic field at twice its size."""
     padded = np.pad(field, 1, mode="wrap")
     big = cv2.resize(padded, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(big[2:-2, 2:-2])
+    return np.ascontiguousarray(big[2:-2, 2:-2], np.float32)
 
 
 def _wrapped(points: NDArray[np.int32]) -> list[NDArray[np.int32]]:
@@ -147,7 +147,7 @@ def texture_levels(base: Grey) -> tuple[TextureLevel, ...]:
     for k in range(_N_LEVELS):
         size = (round(cols / 2 ** (k / 2)), round(rows / 2 ** (k / 2)))
         image = base if k == 0 else cv2.resize(base, size, interpolation=cv2.INTER_AREA)
-        padded = np.pad(image, ((0, 1), (0, 1)), mode="wrap")
+        padded = np.pad(np.asarray(image, np.uint8), ((0, 1), (0, 1)), mode="wrap")
         levels.append(TextureLevel(padded, width_m / size[0], height_m / size[1]))
     return tuple(levels)
 

@@ -18,7 +18,7 @@ _FIRST_STEPS = 5  # at the start of a row, where no neighbour gives a first gues
 
 @dataclass(frozen=True, slots=True)
 class Relief:
-    """Height of the rock over the mean plane, periodic, read bilinearly; `heights` (grid + 1, grid + 1) [m], row by y."""
+    """Height of the rock over the mean plane, periodic, bilinear; `heights` (grid + 1, grid + 1) [m], rows along y."""
 
     heights: Array
     mean_z_m: float
@@ -114,7 +114,7 @@ def node_map(
 
 @njit(cache=True, nogil=True)
 def _read_run(flat: Grey, pitch: int, rows: int, cols: int, x: int, y: int, dx: int, dy: int, run: Grey) -> None:
-    """Grey of a short straight run of texels; x, y in 1/65536 texel; bilinear with 8-bit weights; wraps where needed."""
+    """Grey of a short straight run of texels; x, y in 1/65536 texel; bilinear with 8-bit weights; wraps."""
     n = run.size
     low, high = min(y, y + n * dy), max(y, y + n * dy)
     left, right = min(x, x + n * dx), max(x, x + n * dx)

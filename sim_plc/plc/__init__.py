@@ -1,1 +1,1 @@
-"""The PLC's cyclic program: knot ring, playback, ramps, joint controllers, states. Pure: time comes as an argument."""
+"""The PLC's cyclic logic: knot ring, playback, stop ramps, joint controllers, faults. Time and samples come as arguments."""

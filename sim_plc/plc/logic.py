@@ -206,7 +206,8 @@ class PlcLogic:
             self._handle(self.link.apply(PlcEvent.SOFT_STOP, t_plc_ns), t_plc_ns)
 
     def _status(self) -> PlcStatus:
-        sample = self._sample or PlantSample(*(((0.0,) * self._n,) * 4), 0.0, 0.0)
+        zeros = (0.0,) * self._n
+        sample = self._sample or PlantSample(zeros, zeros, zeros, zeros, 0.0, 0.0)
         ring, playback = self._ring, self._playback
         return PlcStatus(
             plc_cycle=self._cycles & 0xFFFF_FFFF,

@@ -6,14 +6,14 @@ import numpy as np
 
 from machine.rotations import geodesic_angle
 from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate, CameraTrack, EncoderTrack
-from server.calibration.orientation import prior_from_tool_marker
+from server.calibration.fusion import prior_from_tool_marker
 from server.calibration.trajectory_matching import estimate_camera_rotation
 from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.driving import trim
-from server.jobs.plans.planning import onto_reference
+from server.jobs.plans.planning import onto_reference, plan_settings
 from server.jobs.records import CalibrationRecord
 from server.jobs.requests import (
     Arm,
@@ -60,7 +60,9 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
 def plan_path(ctx: PlanContext, reading: MachineReading) -> PathPlan:
     """The calibration path of the method, from where the machine stands, back to it."""
     kind = "paper" if ctx.method == "paper" else "folded"
-    plan = plan_calibration_path(ctx.machine, reading.q_rad, kind, ctx.wall, ctx.knowledge.T_base_ooi)
+    plan = plan_calibration_path(
+        ctx.machine, reading.q_rad, kind, plan_settings(ctx), ctx.wall, ctx.knowledge.T_base_ooi
+    )
     return onto_reference(plan, reading)
 
 
@@ -68,7 +70,7 @@ def match(ctx: PlanContext, taken: LookTaken, camera: CameraTrack, encoder: Enco
     """Trajectory matching, ours or the paper's."""
     T_tcp_cam = ctx.machine.T_tcp_cam_left
     if ctx.method == "paper":
-        return estimate_camera_rotation_paper(camera, encoder, T_tcp_cam)
+        return estimate_camera_rotation_paper(camera, encoder, T_tcp_cam[:3, :3])
     prior = None
     if taken.look.T_cam_tool is not None:
         sigma_rad = float(np.deg2rad(ctx.settings.position.sigma_tool_mount_deg))

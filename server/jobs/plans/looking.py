@@ -5,14 +5,13 @@ from collections.abc import Generator
 import numpy as np
 
 from machine.rotations import Array
-from server.calibration.orientation import mount_rotation_of
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.records import ErrorMm, LookRecord
 from server.jobs.requests import MachineReading, Progress, Request, Settle, TakeLook, expect
 from server.vision.contracts import Look, LookStatus
-from server.vision.goal_error import error_to_goal
+from server.vision.goal_error import PoseError, error_to_goal
 
 
 def take_look(ctx: PlanContext) -> Generator[Request, object, LookTaken]:
@@ -50,7 +49,7 @@ def mount_rotation(ctx: PlanContext, taken: LookTaken) -> Array:
         return mount.R_tcp_cam
     if ctx.method == "paper" or taken.look.T_cam_tool is None:
         return ctx.machine.T_tcp_cam_left[:3, :3]
-    return mount_rotation_of(ctx.machine.T_tcp_tool[:3, :3], taken.look.T_cam_tool[:3, :3])
+    return ctx.machine.T_tcp_tool[:3, :3] @ taken.look.T_cam_tool[:3, :3].T
 
 
 def ooi_in_base(ctx: PlanContext, taken: LookTaken) -> Array:
@@ -82,10 +81,13 @@ def _taken(ctx: PlanContext, look: Look, reading: MachineReading) -> LookTaken:
 
 
 def _error(ctx: PlanContext, look: Look) -> ErrorMm | None:
-    """Tool minus goal in OOI axes; systematic sigmas (layout, intrinsics, print) are added to the look's own."""
-    if look.status is not LookStatus.OK or look.T_cam_tool is None or look.T_cam_ooi is None:
+    if look.status is not LookStatus.OK:
         return None
-    found = error_to_goal(look, ctx.T_ooi_goal)
+    return error_in_mm(ctx, error_to_goal(look, ctx.T_ooi_goal))
+
+
+def error_in_mm(ctx: PlanContext, found: PoseError) -> ErrorMm:
+    """The error in the operator's units; systematic sigmas (layout, intrinsics, print) are added to the look's own."""
     sigma_mm = np.hypot(found.sigma_position_m * 1e3, ctx.settings.position.sigma_systematic_mm)
     sigma_deg = np.hypot(np.rad2deg(found.sigma_angle_rad), ctx.settings.position.sigma_systematic_deg)
     x_mm, y_mm, z_mm = found.position_m * 1e3

@@ -55,7 +55,7 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> Array:
     if ctx.method == "paper":
         b_m = ctx.settings.position.stand_off_mm * 1e-3
         R_base_cam = T_base_tcp[:3, :3] @ R_tcp_cam
-        return position_reference_paper(T_base_tcp, R_base_cam, look.T_cam_ooi[:3, 3], look.T_cam_tool[:3, 3], b_m)
+        return position_reference_paper(T_base_tcp, R_base_cam, look.T_cam_tool[:3, 3], look.T_cam_ooi[:3, 3], b_m)
     return reference_from_look(
         T_base_tcp, R_tcp_cam, ctx.machine.T_tcp_tool, look.T_cam_tool, look.T_cam_ooi, ctx.T_ooi_goal
     )
@@ -66,7 +66,18 @@ def predicted_sigma_mm(ctx: PlanContext, taken: LookTaken) -> tuple[float, float
     mount = ctx.knowledge.mount
     sigma_rad = np.deg2rad(ctx.settings.position.sigma_tool_mount_deg)
     rotation = mount.covariance if mount is not None and mount.covariance is not None else np.eye(3) * sigma_rad**2
-    covariance = predicted_error_covariance(taken.look, rotation, mount_rotation(ctx, taken), ctx.T_ooi_goal)
+    look = taken.look
+    if look.T_cam_tool is None or look.T_cam_ooi is None or look.tool_covariance is None or look.ooi_covariance is None:
+        raise JobFailedError("no poses in the look; look again", "look_rejected")
+    covariance = predicted_error_covariance(
+        rotation,
+        mount_rotation(ctx, taken),
+        look.T_cam_tool,
+        look.T_cam_ooi,
+        ctx.T_ooi_goal,
+        look.tool_covariance,
+        look.ooi_covariance,
+    )
     sigma_mm = np.sqrt(np.diag(covariance)) * 1e3
     return float(sigma_mm[0]), float(sigma_mm[1]), float(sigma_mm[2])
 

@@ -10,6 +10,7 @@ from server.jobs.requests import MachineReading
 from server.motion.approach import plan_approach
 from server.motion.contracts import PathPlan
 from server.motion.point_to_point import plan_move
+from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS, PlanSettings
 
 
 def plan_to(ctx: PlanContext, reading: MachineReading, T_base_tcp_goal: Array, one_sided: bool = True) -> PathPlan:
@@ -19,10 +20,15 @@ def plan_to(ctx: PlanContext, reading: MachineReading, T_base_tcp_goal: Array, o
     joints end at the same side of their dead band.
     """
     if one_sided and ctx.method == "ours":
-        plan = plan_approach(ctx.machine, reading.q_rad, T_base_tcp_goal, ctx.wall)
+        plan = plan_approach(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
     else:
-        plan = plan_move(ctx.machine, reading.q_rad, T_base_tcp_goal, ctx.wall)
+        plan = plan_move(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
     return onto_reference(plan, reading)
+
+
+def plan_settings(ctx: PlanContext) -> PlanSettings:
+    """Shaped references for ours, the plain quintic for the paper's method."""
+    return PAPER_PLAN_SETTINGS if ctx.method == "paper" else DEFAULT_PLAN_SETTINGS
 
 
 def onto_reference(plan: PathPlan, reading: MachineReading) -> PathPlan:

@@ -9,7 +9,7 @@ from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.plans.driving import drive
-from server.jobs.plans.planning import onto_reference, plan_to
+from server.jobs.plans.planning import onto_reference, plan_settings, plan_to
 from server.jobs.requests import MachineReading, Request, Settle, expect
 from server.motion.point_to_point import plan_joint_move
 
@@ -46,5 +46,5 @@ def park(ctx: PlanContext) -> Generator[Request, object, str]:
 
 def _to_joints(ctx: PlanContext, q_goal: Array, purpose: str) -> Generator[Request, object, None]:
     reading = expect((yield Settle()), MachineReading)
-    plan = plan_joint_move(ctx.machine, reading.q_rad, q_goal, ctx.wall)
+    plan = plan_joint_move(ctx.machine, reading.q_rad, q_goal, plan_settings(ctx), ctx.wall)
     yield from drive(ctx, onto_reference(plan, reading), purpose)

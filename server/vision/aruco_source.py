@@ -1,19 +1,15 @@
 """Tool and OOI from ArUco or AprilTag markers in both eyes: one implementation of ObjectPoseSource."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-import cv2
-import numpy as np
-
 from machine.description import Machine, Marker
-from server.vision.contracts import Array, Image, MarkerView, ObjectPose, PairObservation
-from server.vision.detection import DetectionSettings, EyeDetection, EyeDetector
-from server.vision.errors import NoMarkersError
-from server.vision.object_pose import ObjectName, PoseSettings, Sighting, estimate_object_pose, not_seen
+from server.vision.contracts import Image, MarkerView, ObjectPose, PairObservation
+from server.vision.detection import DetectionSettings, EyeDetector
+from server.vision.mono_aruco import MonoArucoPoseSource
+from server.vision.object_pose import ObjectName, PoseSettings, estimate_object_pose, not_seen
+from server.vision.sightings import detect_safely, image_problem, markers_by_object, sightings_of
 
-BLACK_MEAN_GREY = 4.0
-SATURATED_FRAC = 0.5
+__all__ = ["ArucoPoseSource", "ArucoSettings", "MonoArucoPoseSource"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,30 +20,12 @@ class ArucoSettings:
     pose: PoseSettings = field(default_factory=PoseSettings)
 
 
-def image_problem(name: str, image: Image) -> str:
-    """Why an eye's image cannot show anything; empty when it can."""
-    if image.ndim != 2 or image.dtype != np.uint8 or image.size == 0:
-        return f"{name} image is {image.shape} {image.dtype}, not a grey 8-bit picture; check the camera source"
-    thumb = image[:: max(1, image.shape[0] // 64), :: max(1, image.shape[1] // 64)]
-    if float(thumb.mean()) < BLACK_MEAN_GREY:
-        return f"{name} image is black; check lens cap, light and exposure"
-    if float((thumb >= 254).mean()) > SATURATED_FRAC:
-        return f"{name} image is saturated; reduce exposure or light"
-    return ""
-
-
 class ArucoPoseSource:
     """Pairs in, poses out. Keeps the last corners of each eye to search near them next time, nothing else."""
 
     def __init__(self, machine: Machine, settings: ArucoSettings | None = None) -> None:
         self._camera = machine.camera
-        self._markers: dict[ObjectName, tuple[Marker, ...]] = {
-            "tool": machine.markers_on("tool"),
-            "ooi": machine.markers_on("ooi"),
-        }
-        for name, markers in self._markers.items():
-            if not markers:
-                raise NoMarkersError(f"machine '{machine.name}' has no marker on the {name}; add a [[markers.marker]]")
+        self._markers = markers_by_object(machine)
         self._settings = settings or ArucoSettings()
         wanted = frozenset(marker.marker_id for marker in machine.markers)
         self._left, self._right = (
@@ -71,24 +49,6 @@ class ArucoPoseSource:
         views.extend(_repeated_views(repeated))
         warnings = (*problems, *(view.reason for view in views if not view.used))
         return PairObservation(t_exposure_ns, poses["tool"], poses["ooi"], tuple(views), tuple(dict.fromkeys(warnings)))
-
-
-def sightings_of(markers: Iterable[Marker], left: dict[int, Array], right: dict[int, Array]) -> tuple[Sighting, ...]:
-    """The markers that at least one eye sees."""
-    return tuple(
-        Sighting(marker, left.get(marker.marker_id), right.get(marker.marker_id))
-        for marker in markers
-        if marker.marker_id in left or marker.marker_id in right
-    )
-
-
-def detect_safely(detector: EyeDetector, image: Image) -> EyeDetection:
-    if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape, default=0) == 0:
-        return EyeDetection({}, frozenset(), full_search=False)
-    try:
-        return detector.detect(image)
-    except cv2.error:  # a shape OpenCV cannot search shows no marker
-        return EyeDetection({}, frozenset(), full_search=False)
 
 
 def _why_not_seen(reason: str, problems: list[str], repeated: frozenset[int], markers: tuple[Marker, ...]) -> str:

@@ -1,0 +1,137 @@
+"""One look from many pairs: rest is checked, outliers are cut, and a failed look says what to do."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from server.vision.contracts import Array, Look, LookStatus, ObjectPose, PairObservation, PoseStatus
+from server.vision.pose_mean import MAD_TO_SIGMA, PoseMean, pose_mean
+
+USABLE = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
+
+
+@dataclass(frozen=True, slots=True)
+class AverageSettings:
+    """When pairs make a look."""
+
+    spread_max_mm: float = 1.0  # robust spread of the tool-to-OOI position over the pairs
+    drift_max_mm: float = 1.0  # first third against last third of the window
+    used_min_frac: float = 0.5  # pairs that must show both objects
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """Spread and drift of the tool-to-OOI position over the window [mm]."""
+
+    spread_mm: float
+    drift_mm: float
+
+
+def average_look(
+    observations: Sequence[PairObservation], spread_max_mm: float = 1.0, settings: AverageSettings | None = None
+) -> Look:
+    """Robust mean of tool and OOI in the left camera over pairs taken at rest.
+
+    Model:   rest: p = position of tool minus OOI per pair; spread = 1.4826 median |p - median|,
+             drift = |median of the last third - of the first|. Then `pose_mean` for each object.
+    Args:    observations: pairs in order of exposure. spread_max_mm: limit of spread and drift [mm] without `settings`.
+    Returns: Look; its poses are None unless status is OK or ORIENTATION_AMBIGUOUS.
+    """
+    limits = settings or AverageSettings(spread_max_mm=spread_max_mm, drift_max_mm=spread_max_mm)
+    if not observations:
+        return _failed(
+            observations, LookStatus.NO_IMAGES, "no stereo pairs came; check the camera source and its cable"
+        )
+    usable = [one for one in observations if one.tool.status in USABLE and one.ooi.status in USABLE]
+    if len(usable) < max(1.0, limits.used_min_frac * len(observations)):
+        return _failed(observations, *_why_unusable(observations))
+    rest = _rest(usable)
+    if rest.spread_mm > limits.spread_max_mm or rest.drift_mm > limits.drift_max_mm:
+        reason = (
+            f"tool moves against the OOI: spread {rest.spread_mm:.2f} mm (limit {limits.spread_max_mm:g} mm), drift "
+            f"{rest.drift_mm:.2f} mm (limit {limits.drift_max_mm:g} mm) over {len(usable)} pairs; "
+            "wait until the boom rests"
+        )
+        return _failed(observations, LookStatus.NOT_AT_REST, reason, rest.spread_mm)
+    clear = [one for one in usable if one.tool.status is PoseStatus.OK and one.ooi.status is PoseStatus.OK]
+    ambiguous = len(clear) < limits.used_min_frac * len(usable)
+    return _averaged(observations, usable if ambiguous else clear, rest, ambiguous)
+
+
+def _averaged(
+    observations: Sequence[PairObservation], taken: Sequence[PairObservation], rest: Rest, ambiguous: bool
+) -> Look:
+    tool, ooi = _mean_of([one.tool for one in taken]), _mean_of([one.ooi for one in taken])
+    both = tool.kept & ooi.kept
+    reason = ""
+    if ambiguous:
+        reason = next(
+            (found.reason for one in taken for found in (one.tool, one.ooi) if found.status is not PoseStatus.OK), ""
+        )
+    return Look(
+        status=LookStatus.ORIENTATION_AMBIGUOUS if ambiguous else LookStatus.OK,
+        reason=reason,
+        T_cam_tool=tool.T_mean,
+        T_cam_ooi=ooi.T_mean,
+        tool_covariance=tool.covariance,
+        ooi_covariance=ooi.covariance,
+        n_pairs=len(observations),
+        n_used=int(both.sum()),
+        t_first_ns=observations[0].t_exposure_ns,
+        t_last_ns=observations[-1].t_exposure_ns,
+        spread_mm=rest.spread_mm,
+    )
+
+
+def _mean_of(found: Sequence[ObjectPose]) -> PoseMean:
+    Ts = np.array([one.T_cam_object for one in found])
+    return pose_mean(Ts, np.array([one.covariance for one in found]))
+
+
+def _vectors_m(observations: Sequence[PairObservation]) -> Array:
+    """From OOI to tool (n, 3) [m] in camera axes: at rest these do not turn, and the OOI's jitter has no lever arm."""
+    tools = np.array([one.tool.T_cam_object for one in observations])
+    oois = np.array([one.ooi.T_cam_object for one in observations])
+    return tools[:, :3, 3] - oois[:, :3, 3]
+
+
+def _rest(observations: Sequence[PairObservation]) -> Rest:
+    positions_mm = _vectors_m(observations) * 1e3
+    distance = np.linalg.norm(positions_mm - np.median(positions_mm, axis=0), axis=1)
+    third = max(1, len(positions_mm) // 3)
+    first, last = np.median(positions_mm[:third], axis=0), np.median(positions_mm[-third:], axis=0)
+    return Rest(MAD_TO_SIGMA * float(np.median(distance)), float(np.linalg.norm(last - first)))
+
+
+def _why_unusable(observations: Sequence[PairObservation]) -> tuple[LookStatus, str]:
+    n = len(observations)
+    for name, status in (("tool", LookStatus.TOOL_NOT_SEEN), ("ooi", LookStatus.OOI_NOT_SEEN)):
+        found = [one.tool if name == "tool" else one.ooi for one in observations]
+        missing = [one for one in found if one.status is PoseStatus.NOT_SEEN]
+        if 2 * len(missing) > n:
+            return status, f"{name} not seen in {len(missing)} of {n} pairs: {missing[-1].reason}"
+    rejected = [found for one in observations for found in (one.tool, one.ooi) if found.status is PoseStatus.REJECTED]
+    if rejected:
+        return LookStatus.REJECTED, f"{len(rejected)} poses rejected in {n} pairs: {rejected[-1].reason}"
+    unseen = [found for one in observations for found in (one.tool, one.ooi) if found.status is PoseStatus.NOT_SEEN]
+    status = LookStatus.TOOL_NOT_SEEN if unseen[-1].on == "tool" else LookStatus.OOI_NOT_SEEN
+    return status, f"tool and OOI together in too few of {n} pairs: {unseen[-1].reason}"
+
+
+def _failed(
+    observations: Sequence[PairObservation], status: LookStatus, reason: str, spread_mm: float = float("nan")
+) -> Look:
+    return Look(
+        status=status,
+        reason=reason,
+        T_cam_tool=None,
+        T_cam_ooi=None,
+        tool_covariance=None,
+        ooi_covariance=None,
+        n_pairs=len(observations),
+        n_used=0,
+        t_first_ns=observations[0].t_exposure_ns if observations else 0,
+        t_last_ns=observations[-1].t_exposure_ns if observations else 0,
+        spread_mm=spread_mm,
+    )

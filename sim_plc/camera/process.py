@@ -1,0 +1,226 @@
+"""The camera process: exposes on a grid of true time, renders, and serves the pictures late by the camera's latency."""
+
+import asyncio
+import logging
+import multiprocessing
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+import uvicorn
+
+from sim_plc.camera.faults import FaultSwitch
+from sim_plc.camera.frames import Frame, FrameHub
+from sim_plc.camera.http_app import camera_app
+from sim_plc.camera.pacing import ExposureGrid, RateGovernor, TrueClock
+from sim_plc.camera.renderer import StereoRenderer
+from sim_plc.camera.texture import Grey
+from sim_plc.pose_feed import PoseFeed, PoseFeedError
+from sim_plc.world import World, rng_for
+
+log = logging.getLogger(__name__)
+
+CAMERA_EPOCH_NS = -3_000_000_000_000  # the camera's clock starts where neither the PLC's nor the PC's does
+_POLL_S = 0.002
+_FPS_WINDOW_S = 2.0
+_SHUTDOWN_S = 1
+
+
+class CameraLoop:
+    """The rendering thread: pose feed in, stamped frames out. `deliver` gets each frame and its due time [mono ns]."""
+
+    def __init__(
+        self,
+        world: World,
+        rate_hz: float,
+        jpeg_quality: int,
+        faults: FaultSwitch,
+        deliver: Callable[[Frame, int], None],
+    ) -> None:
+        self.governor = RateGovernor(rate_hz)
+        self.stop = threading.Event()
+        self.frames = self.late = 0
+        self.error = ""
+        self._grid: ExposureGrid | None = None
+        self._world, self._jpeg_quality, self._faults, self._deliver = world, jpeg_quality, faults, deliver
+        self._clock = TrueClock()
+        self._rng = rng_for(world.seed, "camera")
+        self._done_mono_ns: deque[int] = deque(maxlen=200)
+        self._due_mono_ns = 0
+
+    @property
+    def skipped(self) -> int:
+        """Exposures left out because rendering was behind."""
+        return 0 if self._grid is None else self._grid.skipped
+
+    def fps(self) -> float:
+        """Pictures per second over the last two seconds."""
+        since = time.monotonic_ns() - round(_FPS_WINDOW_S * 1e9)
+        return sum(t >= since for t in tuple(self._done_mono_ns)) / _FPS_WINDOW_S
+
+    def run(self, feed_name: str) -> None:
+        """Until `stop` is set; a failure ends the pictures and is told in `error`."""
+        try:
+            renderer = StereoRenderer(self._world)
+            feed = self._attached(feed_name)
+            if feed is not None:
+                try:
+                    self._run(renderer, feed)
+                finally:
+                    feed.close()
+        except Exception as error:  # the outermost loop of this thread: /healthz tells it
+            log.exception("camera loop ended")
+            self.error = f"{type(error).__name__}: {error}"
+
+    def _attached(self, feed_name: str) -> PoseFeed | None:
+        """The pose feed once it holds poses; None when stopped before."""
+        feed = PoseFeed.attach(feed_name)
+        while not self.stop.is_set():
+            try:
+                feed.latest_t_ns()
+            except PoseFeedError:
+                self.stop.wait(_POLL_S)
+            else:
+                return feed
+        feed.close()
+        return None
+
+    def _run(self, renderer: StereoRenderer, feed: PoseFeed) -> None:
+        camera = self._world.camera
+        half_ns = round(0.5e9 * (camera.readout_s + camera.exposure_s))
+        renderer.render_static(feed.pose_at(feed.latest_t_ns()))  # compiles before the clock counts
+        grid = self._grid = ExposureGrid(feed.latest_t_ns() + half_ns, self.governor.wanted_hz)
+        while True:
+            t_mid_ns = grid.take(feed.latest_t_ns() - half_ns)
+            if not self._wait_for(feed, t_mid_ns + half_ns):
+                return
+            start = time.perf_counter()
+            try:
+                pair = renderer.render(feed, t_mid_ns, self._rng)
+            except PoseFeedError as error:  # starved for longer than the feed reaches back: take the next exposure
+                log.warning("camera: exposure left out: %s", error)
+                continue
+            self._hand_over(*pair, t_mid_ns)
+            if self.governor.worked(time.perf_counter() - start):
+                grid.rate_hz = self.governor.rate_hz
+                log.warning("camera: %.1f pairs/s of %.1f wanted", grid.rate_hz, self.governor.wanted_hz)
+
+    def _wait_for(self, feed: PoseFeed, t_ns: int) -> bool:
+        """Until the feed has reached a time; False when stopped."""
+        while not self.stop.is_set():
+            latest_ns = feed.latest_t_ns()
+            self._clock.saw(latest_ns, time.monotonic_ns())
+            if latest_ns >= t_ns:
+                return True
+            self.stop.wait(max(_POLL_S, min(1e-9 * (t_ns - latest_ns), 0.05)))
+        return False
+
+    def _hand_over(self, left: Grey, right: Grey, t_mid_ns: int) -> None:
+        camera = self._world.camera
+        picture = np.hstack(self._faults.apply(left, right))
+        _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._jpeg_quality])
+        t_exposure_ns = t_mid_ns + round(1e9 * camera.clock_offset_s) + CAMERA_EPOCH_NS
+        latency_s = max(0.0, camera.latency_s + camera.jitter_s * self._rng.standard_normal())
+        due_ns = max(self._clock.mono_ns(t_mid_ns + round(1e9 * latency_s)), self._due_mono_ns + 1)
+        self._due_mono_ns = due_ns
+        self.frames += 1
+        now_ns = time.monotonic_ns()
+        self.late += now_ns > due_ns
+        self._done_mono_ns.append(now_ns)
+        self._deliver(Frame(jpeg.tobytes(), t_exposure_ns, self.frames), due_ns)
+
+
+def health_of(loop: CameraLoop, hub: FrameHub) -> dict[str, Any]:
+    """The state for /healthz; rates in pictures per second."""
+    status = "failed" if loop.error else "ok" if hub.newest is not None else "starting"
+    return {
+        "status": status,
+        "error": loop.error,
+        "rate_hz": loop.governor.wanted_hz,
+        "effective_rate_hz": round(loop.governor.rate_hz, 2),
+        "reduced": loop.governor.reduced,
+        "fps": loop.fps(),
+        "busy_ms": round(1e3 * loop.governor.busy_s, 1),
+        "frames": loop.frames,
+        "skipped": loop.skipped,
+        "late": loop.late,
+        "clients": hub.n_clients,
+        "client_skipped": hub.skipped,
+    }
+
+
+class _Server(uvicorn.Server):
+    """A uvicorn server that ends the streams first, so that shutting down does not wait for the clients."""
+
+    def __init__(self, config: uvicorn.Config, hub: FrameHub) -> None:
+        super().__init__(config)
+        self._hub = hub
+
+    async def shutdown(self, sockets: Any = None) -> None:
+        self._hub.close()
+        await super().shutdown(sockets)
+
+
+def _end_with_parent(server: uvicorn.Server, loop: asyncio.AbstractEventLoop) -> None:
+    """End the server when the process that started this one has died: its sentinel then becomes readable."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def ended() -> None:
+        loop.remove_reader(parent.sentinel)
+        server.should_exit = True
+
+    loop.add_reader(parent.sentinel, ended)
+
+
+async def _serve(
+    world: World, feed_name: str, host: str, port: int, rate_hz: float, jpeg_quality: int, faults: bool
+) -> None:
+    hub = FrameHub()
+    switch = FaultSwitch()
+    loop = asyncio.get_running_loop()
+
+    def deliver(frame: Frame, due_mono_ns: int) -> None:
+        delay_s = max(0.0, 1e-9 * (due_mono_ns - time.monotonic_ns()))
+        loop.call_soon_threadsafe(loop.call_later, delay_s, hub.publish, frame)
+
+    camera = CameraLoop(world, rate_hz, jpeg_quality, switch, deliver)
+    app = camera_app(hub, lambda: health_of(camera, hub), switch if faults else None)
+    config = uvicorn.Config(
+        app, host=host, port=port, log_level="warning", lifespan="off", timeout_graceful_shutdown=_SHUTDOWN_S
+    )
+    server = _Server(config, hub)
+    thread = threading.Thread(target=camera.run, args=(feed_name,), name="camera-loop", daemon=True)
+    thread.start()
+    _end_with_parent(server, loop)
+    try:
+        await server.serve()
+    finally:
+        camera.stop.set()
+        await asyncio.to_thread(thread.join, 2.0)
+
+
+def run_camera(
+    world: World,
+    feed_name: str,
+    host: str,
+    port: int,
+    rate_hz: float,
+    jpeg_quality: int = 95,
+    faults: bool = False,
+) -> None:
+    """Serve the simulated camera until SIGTERM or SIGINT, or until the parent process is gone.
+
+    Args:    world: what there is to see. feed_name: pose feed of the PLC process. rate_hz: wanted pairs per second.
+             faults: whether POST /fault is obeyed.
+    """
+    cv2.setNumThreads(1)  # leaves the other core to the PLC process and the server
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, signal.SIG_IGN)  # uvicorn handles them while it serves, then raises them again
+    asyncio.run(_serve(world, feed_name, host, port, rate_hz, jpeg_quality, faults))

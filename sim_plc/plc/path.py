@@ -1,0 +1,126 @@
+"""The path between knots and how it is run through: quintic segments, and a path speed that every joint can follow.
+
+A path is a ring of knots: `times` (64,) [s] and `knots` (64, 3, n) with q, qd, qdd; index k lives in slot k % 64.
+The path parameter sigma is the trajectory's own time [s]; rate = d sigma / dt is 1 at full speed.
+"""
+
+import numpy as np
+from numba import njit
+
+from machine.rotations import Array
+from protocol.timeouts import RING_KNOTS
+
+SIZE = RING_KNOTS
+_STILL = 1e-9  # rad/s: a joint this slow bounds nothing
+_UNBOUNDED = 1e12
+
+
+@njit(cache=True)
+def path_point(times: Array, knots: Array, k: int, sigma: float, out: Array) -> None:
+    """Point of the segment from knot k to k + 1 at path time sigma [s], into out (3, n).
+
+    Model:   q(x) = q0 + v0 x + a0/2 x^2 + c3 x^3 + c4 x^4 + c5 x^5, x = (sigma - t_k) / T in 0..1, with q, q', q'' of both
+             knots met: position, speed and acceleration are continuous over knots.
+    Returns: out[0] = q, out[1] = dq/dsigma, out[2] = d2q/dsigma2 [rad, s].
+    """
+    a, b = k % SIZE, (k + 1) % SIZE
+    T = times[b] - times[a]
+    x = (sigma - times[a]) / T
+    for j in range(knots.shape[2]):
+        q0, v0, a0 = knots[a, 0, j], knots[a, 1, j] * T, knots[a, 2, j] * T * T
+        h = knots[b, 0, j] - q0 - v0 - 0.5 * a0
+        dv = knots[b, 1, j] * T - v0 - a0
+        da = knots[b, 2, j] * T * T - a0
+        c3 = 10.0 * h - 4.0 * dv + 0.5 * da
+        c4 = -15.0 * h + 7.0 * dv - da
+        c5 = 6.0 * h - 3.0 * dv + 0.5 * da
+        out[0, j] = q0 + x * (v0 + x * (0.5 * a0 + x * (c3 + x * (c4 + x * c5))))
+        out[1, j] = (v0 + x * (a0 + x * (3.0 * c3 + x * (4.0 * c4 + x * 5.0 * c5)))) / T
+        out[2, j] = (a0 + x * (6.0 * c3 + x * (12.0 * c4 + x * 20.0 * c5))) / (T * T)
+
+
+@njit(cache=True)
+def _next_rate(point: Array, rate: float, target: float, dt: float, qdd_max: Array) -> float:
+    """The rate nearest to target after dt with every joint inside its acceleration limit.
+
+    Model:   |q'' rate^2 + q' rate'| <= qdd_max for every joint bounds rate' from both sides.
+    """
+    low, high = -_UNBOUNDED, _UNBOUNDED
+    for j in range(point.shape[1]):
+        v, a = point[1, j], point[2, j] * rate * rate
+        if abs(v) > _STILL:
+            bound = qdd_max[j] / abs(v)
+            low = max(low, -bound - a / v)
+            high = min(high, bound - a / v)
+    slowest = rate + min(low, 0.0) * dt
+    fastest = rate + max(high, 0.0) * dt
+    return max(min(max(target, slowest), fastest), 0.0)
+
+
+@njit(cache=True)
+def advance(
+    times: Array,
+    knots: Array,
+    last: int,
+    k: int,
+    sigma: float,
+    rate: float,
+    target: float,
+    dt: float,
+    qdd_max: Array,
+    out: Array,
+) -> tuple[int, float, float]:
+    """Move dt along the path with the rate going to target; never past knot `last`.
+
+    Args:    k, sigma [s], rate: segment, path time and rate now; qdd_max: (n,) [rad/s2]; out: (3, n), written.
+    Returns: k, sigma, rate after dt; out holds q_ref, qd_ref, qdd_ref [rad, s].
+    """
+    path_point(times, knots, k, sigma, out)
+    new_rate = _next_rate(out, rate, target, dt, qdd_max)
+    sigma = min(sigma + 0.5 * (rate + new_rate) * dt, times[last % SIZE])
+    while k + 1 < last and sigma >= times[(k + 1) % SIZE]:
+        k += 1
+    path_point(times, knots, k, sigma, out)
+    for j in range(out.shape[1]):
+        out[2, j] = out[2, j] * new_rate * new_rate + out[1, j] * (new_rate - rate) / dt
+        out[1, j] *= new_rate
+    return k, sigma, new_rate
+
+
+@njit(cache=True)
+def stop_time(
+    times: Array,
+    knots: Array,
+    last: int,
+    k: int,
+    sigma: float,
+    rate: float,
+    dt: float,
+    qdd_max: Array,
+    limit_s: float,
+) -> float:
+    """Time to rest along the path, braking as hard as the joints allow [s]; -1 if longer than limit_s or off its end."""
+    out = np.empty((3, knots.shape[2]))
+    elapsed = 0.0
+    end = times[last % SIZE]
+    while rate > 0.0:
+        if elapsed > limit_s or sigma >= end:
+            return -1.0
+        k, sigma, rate = advance(times, knots, last, k, sigma, rate, 0.0, dt, qdd_max, out)
+        elapsed += dt
+    return elapsed
+
+
+@njit(cache=True)
+def ramp_down(out: Array, decel: Array, dt: float) -> bool:
+    """Move dt with every joint braking by decel (n,) [rad/s2]; out (3, n) holds q, qd, qdd. Returns whether any moves on."""
+    moving = False
+    for j in range(out.shape[1]):
+        before = out[1, j]
+        step = decel[j] * dt
+        after = max(before - step, 0.0) if before > 0.0 else min(before + step, 0.0)
+        out[0, j] += 0.5 * (before + after) * dt
+        out[1, j] = after
+        out[2, j] = (after - before) / dt
+        moving = moving or after != 0.0
+    return moving

@@ -1,0 +1,242 @@
+"""The link process over real UDP against a small PLC in a thread. Bounds are coarse: the machine may be busy."""
+
+import asyncio
+import os
+import signal
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from link_toy_plc import ToyPlc, smooth_knots
+
+from machine.description import Machine, parse_machine_toml
+from protocol.codes import PlcState
+from protocol.framing import EapFraming, RawFraming
+from protocol.limits import limits_of
+from protocol.messages import axes8
+from protocol.plc_states import PlcEvent
+from server.link.client import LinkClient
+from server.link.contracts import LinkPhase
+from server.link.errors import LinkRefusedError, LinkSilentError
+from server.link.settings import LinkSettings
+from server.motion.contracts import JointTrajectory
+
+pytestmark = pytest.mark.system
+NET_IDS = ("10.0.0.1.1.1", "10.0.0.2.1.1")
+
+
+@pytest.fixture(scope="module")
+def machine() -> Machine:
+    text = (Path(__file__).parents[2] / "machine" / "machines" / "hiab033.toml").read_text()
+    return parse_machine_toml(text)
+
+
+class PlcThread:
+    """A ToyPlc on a real socket, its own clock an hour ahead."""
+
+    EPOCH_NS = 3_600_000_000_000
+
+    def __init__(self, machine: Machine, framing: str) -> None:
+        self.plc = ToyPlc(limits_of(machine.joints), EapFraming.for_plc(*NET_IDS) if framing == "eap" else RawFraming())
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(0.001)
+        self.mute = self.done = False
+        self.thread = threading.Thread(target=self._run)
+        self.thread.start()
+
+    def _run(self) -> None:
+        while not self.done:
+            try:
+                datagram, source = self.socket.recvfrom(2048)
+            except TimeoutError:
+                datagram, source = b"", None
+            t_ns = time.monotonic_ns() + self.EPOCH_NS
+            if datagram:
+                self.plc.receive(datagram, t_ns, source)
+            for answer, peer in self.plc.cycle(t_ns):
+                if not self.mute:
+                    self.socket.sendto(answer, peer)  # type: ignore[arg-type]
+
+    def close(self) -> None:
+        self.done = True
+        self.thread.join()
+        self.socket.close()
+
+
+@pytest.fixture(params=["raw", "eap"])
+def plc(request: pytest.FixtureRequest, machine: Machine) -> Iterator[PlcThread]:
+    thread = PlcThread(machine, request.param)
+    thread.framing = request.param  # type: ignore[attr-defined]
+    yield thread
+    thread.close()
+
+
+def settings_for(plc: PlcThread) -> LinkSettings:
+    return LinkSettings(
+        plc_host="127.0.0.1",
+        plc_port=plc.socket.getsockname()[1],
+        local_host="127.0.0.1",
+        framing=plc.framing,  # type: ignore[attr-defined]
+        pc_net_id=NET_IDS[0],
+        plc_net_id=NET_IDS[1],
+    )
+
+
+def trajectory(joints: int, step_rad: float, duration_s: float, q_start: float = 0.0) -> JointTrajectory:
+    knots = smooth_knots(axes8((q_start,) * joints), axes8((q_start + step_rad,) * joints), duration_s)
+    arrays = [np.array([getattr(k, name)[:joints] for k in knots]) for name in ("q", "qd", "qdd")]
+    return JointTrajectory(np.array([k.t_ns for k in knots]) / 1e9, *arrays)
+
+
+async def until(condition, timeout_s: float) -> bool:  # type: ignore[no-untyped-def]
+    end = time.monotonic() + timeout_s
+    while not condition() and time.monotonic() < end:
+        await asyncio.sleep(0.01)
+    return condition()
+
+
+async def test_arm_run_cancel_and_disarm(plc: PlcThread, machine: Machine) -> None:
+    plc.plc.q_ref = axes8((0.0, 0.0, -0.5, 0.0, 0.0, 0.0))  # tilt's range does not contain zero
+    link = LinkClient(settings_for(plc), machine)
+    seen = []
+    await link.start()
+    try:
+        unsubscribe = link.on_sample(seen.append)
+        await link.arm(timeout_s=10.0)
+        assert link.health.phase is LinkPhase.ARMED
+        start = np.array(plc.plc.q_ref[:6])
+        path = trajectory(6, 0.05, 1.0)
+        path = JointTrajectory(path.t_s, path.q + start, path.qd, path.qdd)
+
+        ended = await link.run(path)
+        assert ended.reached, ended.reason
+        assert link.latest is not None
+        np.testing.assert_allclose(link.latest.q_ref_rad, start + 0.05, atol=1e-12)  # rad
+        unsubscribe()
+
+        # clocks: an hour apart, found to 20 ms
+        assert link.plc_to_pc_offset_ns is not None
+        assert abs(link.plc_to_pc_offset_ns + PlcThread.EPOCH_NS) < 20e6  # ns
+        samples = link.samples_since(0)
+        assert len(samples) > 50
+        assert all(b.t_mono_ns >= a.t_mono_ns for a, b in zip(samples, samples[1:], strict=False))
+        assert seen[0] in samples
+
+        # a cancelled run leaves the PLC at rest before the reference's end
+        back = JointTrajectory(path.t_s * 3, path.q[::-1].copy(), -path.qd[::-1] / 3, path.qdd[::-1] / 9)
+        t_s = np.arange(0, 3.0001, 0.15)
+        assert np.allclose(back.t_s, t_s)
+        task = asyncio.ensure_future(link.run(back))
+        assert await until(lambda: plc.plc.link.state is PlcState.RUN, 3.0)
+        await asyncio.sleep(0.3)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert plc.plc.link.state is PlcState.HOLD
+        assert plc.plc.t_play_ns < 2.9e9
+
+        # a trajectory that does not start at the reference is refused by our own gate, in words
+        with pytest.raises(LinkRefusedError, match="plan from q_ref"):
+            await link.run(back)
+
+        await link.disarm()
+        assert await until(lambda: link.health.phase is LinkPhase.LINKED, 3.0)  # a new session, not armed
+        assert link.health.sent > 50
+    finally:
+        await link.close()
+
+
+@pytest.fixture
+def raw_plc(machine: Machine) -> Iterator[PlcThread]:
+    thread = PlcThread(machine, "raw")
+    thread.framing = "raw"  # type: ignore[attr-defined]
+    thread.plc.q_ref = axes8((0.0, 0.0, -0.5, 0.0, 0.0, 0.0))
+    yield thread
+    thread.close()
+
+
+def long_path(plc: PlcThread) -> JointTrajectory:
+    path = trajectory(6, 0.4, 20.0)
+    return JointTrajectory(path.t_s, path.q + np.array(plc.plc.q_ref[:6]), path.qd, path.qdd)
+
+
+async def test_killed_link_process_ends_the_motion_and_is_replaced(raw_plc: PlcThread, machine: Machine) -> None:
+    link = LinkClient(settings_for(raw_plc), machine)
+    await link.start()
+    try:
+        await link.arm(timeout_s=10.0)
+        task = asyncio.ensure_future(link.run(long_path(raw_plc)))
+        assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 3.0)
+        killed = link.process_id
+        assert killed is not None
+        os.kill(killed, signal.SIGKILL)
+        ended = await asyncio.wait_for(task, 5.0)
+        assert not ended.reached
+        assert "link process died" in ended.reason
+        assert await until(lambda: raw_plc.plc.link.state is not PlcState.RUN, 1.0)
+        assert await until(lambda: link.health.phase is LinkPhase.LINKED, 15.0)  # restarted, linked, not armed
+        assert link.process_id != killed
+        await link.arm(timeout_s=5.0)  # motion needs ARM again
+    finally:
+        await link.close()
+
+
+async def test_terminated_link_process_sends_a_stop(raw_plc: PlcThread, machine: Machine) -> None:
+    link = LinkClient(settings_for(raw_plc), machine)
+    await link.start()
+    await link.arm(timeout_s=10.0)
+    task = asyncio.ensure_future(link.run(long_path(raw_plc)))
+    assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 3.0)
+    await link.close()
+    ended = await asyncio.wait_for(task, 3.0)
+    assert not ended.reached
+    stops = [e for e in raw_plc.plc.events if getattr(e, "event", None) is PlcEvent.SOFT_STOP]
+    assert stops
+    accepted = [e.command.mode.name for e in raw_plc.plc.events if hasattr(e, "command")]
+    assert "STOP" in accepted  # stopped by word, not by silence
+
+
+async def test_silent_plc_is_told_in_words(machine: Machine) -> None:
+    link = LinkClient(LinkSettings(plc_host="127.0.0.1", plc_port=9, local_host="127.0.0.1"), machine)
+    await link.start()
+    try:
+        assert link.health.phase is LinkPhase.OFFLINE
+        with pytest.raises(LinkSilentError, match=r"PLC silent: no state from 127\.0\.0\.1:9"):
+            await link.arm(timeout_s=0.5)
+    finally:
+        await link.close()
+
+
+async def test_missing_enable_is_told_in_words(raw_plc: PlcThread, machine: Machine) -> None:
+    raw_plc.plc.enable = False
+    link = LinkClient(settings_for(raw_plc), machine)
+    await link.start()
+    try:
+        with pytest.raises(LinkRefusedError, match="local enable missing"):
+            await link.arm(timeout_s=2.5)
+        raw_plc.plc.enable = True
+        await asyncio.sleep(1.0)
+        assert raw_plc.plc.link.state is not PlcState.HOLD  # given up means given up
+    finally:
+        await link.close()
+
+
+async def test_plc_that_falls_silent_ends_the_motion(raw_plc: PlcThread, machine: Machine) -> None:
+    link = LinkClient(settings_for(raw_plc), machine)
+    await link.start()
+    try:
+        await link.arm(timeout_s=10.0)
+        task = asyncio.ensure_future(link.run(long_path(raw_plc)))
+        assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 3.0)
+        raw_plc.mute = True
+        ended = await asyncio.wait_for(task, 5.0)
+        assert not ended.reached
+        assert "no state from the PLC" in ended.reason
+        assert raw_plc.plc.link.state is not PlcState.RUN
+    finally:
+        await link.close()

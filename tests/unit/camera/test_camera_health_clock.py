@@ -1,0 +1,92 @@
+"""Health of images, the camera's clock, and the tool's mask."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from camera_stand_in import picture
+
+from server.camera.clock import CameraClock
+from server.camera.contracts import StereoFrame
+from server.camera.health import ImageHealth, sharpness
+from server.camera.masking import ToolMask, blown_up
+from server.camera.sources.side_by_side import split_side_by_side
+from server.vision.contracts import MarkerView
+
+MS = 1_000_000
+
+
+def frame(number: int, left: int = 90, right: int = 100, seed: int | None = None) -> StereoFrame:
+    eyes = split_side_by_side(picture(left, right, number if seed is None else seed))
+    return StereoFrame(*eyes, t_exposure_ns=number * 66 * MS, t_receive_mono_ns=number * 66 * MS, sequence=number)
+
+
+def test_healthy_images_give_no_warning() -> None:
+    health = ImageHealth()
+    assert [health.check(frame(number)) for number in range(5)] == [()] * 5
+
+
+@pytest.mark.parametrize(
+    ("sick", "text"),
+    [
+        (frame(2, 0, 0), "both eyes are black"),
+        (frame(2, 90, 0), "right eye is black"),
+        (frame(2, 0, 90), "left eye is black"),
+        (frame(2, 255, 100), "saturated"),
+        (frame(2, seed=1), "left image repeats"),
+        (replace(frame(2), t_exposure_ns=66 * MS), "does not advance"),
+        (replace(frame(2), t_exposure_ns=0), "backwards by 66.0 ms"),
+    ],
+)
+def test_sick_images_are_named(sick: StereoFrame, text: str) -> None:
+    health = ImageHealth()
+    health.check(frame(1))
+    assert text in "; ".join(health.check(sick))
+
+
+def test_a_new_connection_may_have_a_new_clock() -> None:
+    health = ImageHealth()
+    health.check(frame(9))
+    assert health.check(replace(frame(1), connection=2)) == ()
+
+
+def test_blur_lowers_sharpness() -> None:
+    rng = np.random.default_rng(1)
+    sharp = rng.integers(0, 255, (80, 80)).astype(np.uint8)
+    blurred = (sharp[:-1, :-1] // 4 + sharp[1:, :-1] // 4 + sharp[:-1, 1:] // 4 + sharp[1:, 1:] // 4).astype(np.uint8)
+    assert sharpness(blurred) < 0.6 * sharpness(sharp)
+
+
+def test_clock_keeps_the_smallest_latency_and_forgets() -> None:
+    rng = np.random.default_rng(2)
+    clock = CameraClock(window_s=10.0)
+    offset_ns, smallest_ns = 5_000_000_000_000, 30 * MS
+    errors = []
+    for number in range(900):
+        t_camera = number * 66 * MS
+        latency = smallest_ns + int(rng.exponential(8.0) * MS)
+        mapped = clock.map(t_camera, t_camera + offset_ns + latency)
+        errors.append(mapped - (t_camera + offset_ns + smallest_ns))
+    assert min(errors[50:]) >= 0
+    assert max(errors[50:]) < 1.0 * MS
+    drifted = [clock.map(number * 66 * MS, number * 66 * MS + offset_ns + 50 * MS) for number in range(900, 1200)]
+    assert drifted[-1] == 1199 * 66 * MS + offset_ns + 50 * MS  # the old minimum has left the window
+
+
+def test_clock_starts_afresh_after_a_jump_or_a_new_connection() -> None:
+    clock = CameraClock(window_s=10.0)
+    clock.map(0, 100 * MS)
+    assert clock.map(10_000 * MS, 300 * MS) == 300 * MS
+    assert clock.map(10_001 * MS, 900 * MS, connection=2) == 900 * MS
+
+
+def test_mask_covers_the_tool_and_remembers_it() -> None:
+    corners = np.array([[10.0, 10.0], [20.0, 10.0], [20.0, 20.0], [10.0, 20.0]])
+    np.testing.assert_allclose(blown_up(corners, 2.0), [[5, 5], [25, 5], [25, 25], [5, 25]], atol=1e-12)
+    mask = ToolMask([10], 2.0)
+    mask.update([MarkerView(10, corners, None, 0.1, True, ""), MarkerView(1, corners, corners, 0.1, True, "")])
+    assert len(mask.left) == 1
+    assert mask.right == ()
+    mask.update([MarkerView(10, None, corners + 3.0, 0.1, True, "")])
+    np.testing.assert_allclose(mask.left[0], blown_up(corners, 2.0), atol=1e-12)
+    np.testing.assert_allclose(mask.right[0], blown_up(corners + 3.0, 2.0), atol=1e-12)

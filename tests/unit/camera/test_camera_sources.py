@@ -1,0 +1,162 @@
+"""Every kind of source gives pairs, the newest first, and comes back after a loss."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from camera_stand_in import CameraStandIn, jpeg_of, part_of, picture
+
+from server.camera.contracts import FileSource, FolderSource, HttpSource
+from server.camera.errors import CameraError, StreamError
+from server.camera.sources.http import HttpStereoSource
+from server.camera.sources.newest import Newest
+from server.camera.sources.opening import open_source
+from server.camera.sources.side_by_side import decode_side_by_side, split_side_by_side
+
+WAIT_S = 10.0
+
+
+def test_http_pairs_carry_stamps_and_halves() -> None:
+    with CameraStandIn() as camera:
+        source = HttpStereoSource(HttpSource(camera.url))
+        camera.send(part_of(jpeg_of(picture(50, 200)), 123_456, 3))
+        frame = source.read(WAIT_S)
+        source.close()
+    assert frame is not None
+    assert (frame.t_exposure_ns, frame.sequence, frame.connection) == (123_456, 3, 1)
+    assert frame.left.shape == frame.right.shape == (60, 80)
+    assert abs(float(frame.left.mean()) - 50.0) < 2.0  # grey levels
+    assert abs(float(frame.right.mean()) - 200.0) < 2.0
+
+
+def test_http_gives_the_newest_and_counts_the_rest() -> None:
+    with CameraStandIn() as camera:
+        source = HttpStereoSource(HttpSource(camera.url))
+        body = jpeg_of(picture(90, 90))
+        camera.send(b"".join(part_of(body, number, number) for number in range(1, 21)))
+        seen: list[int] = []
+        while not seen or seen[-1] < 20:
+            frame = source.read(WAIT_S)
+            assert frame is not None
+            seen.append(frame.sequence)
+        source.close()
+    assert seen == sorted(seen)
+    assert source.skipped == 20 - len(seen)
+
+
+def test_http_without_stamps_uses_the_time_of_arrival() -> None:
+    with CameraStandIn() as camera:
+        source = HttpStereoSource(HttpSource(camera.url))
+        camera.send(part_of(jpeg_of(picture(90, 90)), None, None))
+        frame = source.read(WAIT_S)
+        source.close()
+    assert frame is not None
+    assert frame.t_exposure_ns == frame.t_receive_mono_ns
+    assert frame.sequence == 1
+
+
+def test_http_comes_back_after_a_lost_stream_and_after_garbage() -> None:
+    with CameraStandIn() as camera:
+        source = HttpStereoSource(HttpSource(camera.url))
+        assert "connecting" in source.state
+        body = jpeg_of(picture(90, 90))
+        camera.send(part_of(body, 1, 1))
+        assert source.read(WAIT_S) is not None
+        assert source.state == ""
+        camera.hang_up()
+        camera.send(part_of(body, 2, 2))  # waits for the new connection
+        frame = source.read(WAIT_S)
+        assert frame is not None
+        assert (frame.sequence, frame.connection) == (2, 2)
+        camera._connected.clear()
+        assert camera._client is not None
+        camera._client.sendall(b"garbage" * 2000)
+        camera.send(part_of(body, 3, 3))
+        frame = source.read(WAIT_S)
+        assert frame is not None
+        assert (frame.sequence, frame.connection) == (3, 3)
+        source.close()
+
+
+def test_http_passes_over_a_broken_picture() -> None:
+    with CameraStandIn() as camera:
+        source = HttpStereoSource(HttpSource(camera.url))
+        camera.send(part_of(b"not a jpeg", 1, 1))
+        assert source.read(WAIT_S) is None
+        assert "not a JPEG" in source.state
+        camera.send(part_of(jpeg_of(picture(90, 90)), 2, 2))
+        frame = source.read(WAIT_S)
+        assert frame is not None
+        assert frame.sequence == 2
+        source.close()
+
+
+def test_http_url_is_checked() -> None:
+    with pytest.raises(CameraError, match="not http"):
+        HttpStereoSource(HttpSource("rtsp://camera/stream"))
+
+
+def test_newest_keeps_one_and_counts() -> None:
+    box: Newest[int] = Newest()
+    assert box.take(0.0) is None
+    for number in range(5):
+        box.put(number)
+    assert box.take(0.0) == 4
+    assert box.take(0.0) is None
+    assert box.skipped == 4
+
+
+def test_odd_width_and_damaged_jpeg_are_refused() -> None:
+    with pytest.raises(StreamError, match="odd"):
+        split_side_by_side(np.zeros((10, 11), np.uint8))
+    with pytest.raises(StreamError, match="not a JPEG"):
+        decode_side_by_side(b"\xff\xd8 no")
+
+
+def test_folder_in_name_order_with_stamps(tmp_path: Path) -> None:
+    for eye in ("left", "right"):
+        (tmp_path / eye).mkdir()
+        for number in range(3):
+            grey = 40 * number + (20 if eye == "right" else 0)
+            name = f"{1_403_636_579_763_555_584 + number * 50_000_000}.png"
+            cv2.imwrite(str(tmp_path / eye / name), np.full((10, 12), grey, np.uint8))
+    source = open_source(FolderSource(f"{tmp_path}/left/*.png", f"{tmp_path}/right/*.png", rate_hz=1e4))
+    frames = [source.read(1.0) for _ in range(3)]
+    assert source.ended
+    assert source.read(0.0) is None
+    assert "end after 3" in source.state
+    for number, frame in enumerate(frames):
+        assert frame is not None
+        assert frame.t_exposure_ns == 1_403_636_579_763_555_584 + number * 50_000_000
+        assert (frame.left[0, 0], frame.right[0, 0]) == (40 * number, 40 * number + 20)
+
+
+def test_folder_with_unequal_eyes_is_refused(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((4, 4), np.uint8))
+    with pytest.raises(CameraError, match="1 left files"):
+        open_source(FolderSource(f"{tmp_path}/*.png", f"{tmp_path}/*.jpg", rate_hz=10.0))
+
+
+def test_video_file_gives_every_frame(tmp_path: Path) -> None:
+    path = str(tmp_path / "clip.avi")
+    writer = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*"MJPG"), 100.0, (160, 60))
+    for number in range(4):
+        frame = np.hstack([np.full((60, 80, 3), 30 + 40 * number, np.uint8), np.full((60, 80, 3), 10, np.uint8)])
+        writer.write(frame)
+    writer.release()
+    source = open_source(FileSource(path))
+    frames = [source.read(1.0) for _ in range(4)]
+    assert source.read(1.0) is None
+    assert source.ended
+    source.close()
+    for number, frame in enumerate(frames):
+        assert frame is not None
+        assert frame.t_exposure_ns == pytest.approx(number * 10_000_000, abs=1)
+        assert float(frame.left.mean()) == pytest.approx(30 + 40 * number, abs=3.0)  # grey levels after MJPG
+        assert float(frame.right.mean()) == pytest.approx(10, abs=3.0)
+
+
+def test_missing_video_file_is_refused() -> None:
+    with pytest.raises(CameraError, match="cannot be opened"):
+        open_source(FileSource("no/such/file.avi"))
