@@ -67,8 +67,7 @@ def run_case(preset: str, method: str, seed: int, folder: Path) -> Case:
     )
     started = time.monotonic()
     try:
-        with stack:
-            client = JobClient(stack.url)
+        with stack, JobClient(stack.url) as client:
             client.wait_ready(READY_S)
             started = time.monotonic()
             finished = client.run({"kind": "position", "method": method, "owner": "bench"})

@@ -26,8 +26,8 @@ def demo(
     started = time.monotonic()
     with Stack(ports, preset=preset, seed=seed, log_folder=Path("runs") / "demo-logs", runs=Path("runs")) as stack:
         try:
-            with console.status("starting simulated machine and server (the first start compiles the plant)"):
-                JobClient(stack.url).wait_ready(180.0)
+            with console.status("starting (the first time, the plant is compiled)"), JobClient(stack.url) as client:
+                client.wait_ready(180.0)
         except JobRefusedError as error:
             console.print(f"[bold red]not started:[/] {error}; see runs/demo-logs")
             raise typer.Exit(1) from error

@@ -31,6 +31,8 @@ def position(
         client.stop()
         console.print("[bold]stopped[/]")
         raise typer.Exit(130) from None
+    finally:
+        client.close()
     if finished.state != "done":
         console.print(f"[bold red]{finished.state}:[/] {finished.reason}")
         raise typer.Exit(1)

@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from sim_plc.process import SimSettings, run_sim
 
 from server.settings import read_machine_text
 
@@ -23,6 +22,8 @@ def sim(
     truth_log: Annotated[Path | None, typer.Option(help="folder for the truth, which the server never sees")] = None,
 ) -> None:
     """Start the simulated machine in real time, until Ctrl-C."""
+    from sim_plc.process import SimSettings, run_sim  # here, so that the server's process never loads the simulator
+
     Console(stderr=True).print(
         f"simulated machine '{preset}', seed {seed}: PLC on udp {plc_host}:{plc_port}, "
         f"camera on http://{camera_host}:{camera_port}/stream"

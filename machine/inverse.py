@@ -7,12 +7,14 @@ import numpy as np
 
 from machine.chain import Chain
 from machine.errors import MachineError
-from machine.kinematics import link_poses, sigma_min, tcp_jacobian
+from machine.inverse_kernel import solve_angles, unwrap
+from machine.kinematics import sigma_min, tcp_jacobian
 from machine.poses import inverse_pose
-from machine.rotations import Array, rotation_about
+from machine.rotations import Array
 
 ALPHAS_RAD = np.deg2rad([90.0, 0.0, 90.0, 90.0, -90.0, 90.0])  # the twists of Table 1, which the closed form needs
-WRIST_SINGULAR = 1e-9  # |sin theta5| below which theta4 and theta6 share one axis
+SINGULAR = 1e-4  # sin of an angle, or [m]; nearer, 1e-6 of noise in the wanted pose turns a joint by half a degree
+ROTATION_TOLERANCE = 1e-6  # how far a wanted pose may be from orthonormal
 
 
 class InverseStatus(Enum):
@@ -47,26 +49,32 @@ def inverse_all(chain: Chain, T_base_tcp: Array, q_near: Array | None = None) ->
 
     Model:   wrist centre from the pose, three arm angles from it (two shoulders x two elbows), then ZYZ wrist angles
              (two flips). Angles are unwrapped to the turn nearest `q_near` that lies inside the limits.
-    Args:    chain: twists as Table 1. T_base_tcp: wanted pose (4, 4). q_near: (6,) [rad]; middle of the ranges if None.
+    Args:    chain: twists as Table 1. T_base_tcp: wanted pose (4, 4). q_near: (6,) [rad]; middle of the ranges if
+             None; at theta5 = 0 it also chooses theta4.
     Returns: up to eight branches; none when out of reach.
-    Raises:  MachineError when the chain has other twists, or the pose is not finite.
+    Raises:  MachineError: the chain has other twists, T_base_tcp is not a pose, or q_near is not finite.
     """
-    _check(chain, T_base_tcp)
-    near = (chain.q_min + chain.q_max) / 2.0 if q_near is None else np.asarray(q_near, dtype=float)
-    T_base_6 = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
-    z5 = T_base_6[:3, 1]  # axis of joint 6, since alpha_6 = 90 deg
-    p_wrist = T_base_6[:3, 3] - chain.d[5] * z5
+    _check_chain(chain)
+    _check_pose(T_base_tcp)
+    q_near = (chain.q_min + chain.q_max) / 2.0 if q_near is None else _checked_near(q_near)
+    T_base_flange = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
+    count, thetas = solve_angles(chain.a, chain.d, T_base_flange, q_near + chain.theta_offset)
     branches: list[Branch] = []
-    for arm in _arm_angles(chain, p_wrist):
-        for wrist in _wrist_angles(chain, arm, T_base_6, near):
-            q = _nearest_turn(np.concatenate([arm, wrist]) - chain.theta_offset, near, chain)
-            inside = bool(np.all(q >= chain.q_min - 1e-9) and np.all(q <= chain.q_max + 1e-9))
-            branches.append(Branch(q=q, inside_limits=inside))
+    for theta in thetas[:count]:
+        q = theta - chain.theta_offset
+        inside = bool(unwrap(q, q_near + 0.0, chain.q_min, chain.q_max))
+        branches.append(Branch(q=q, inside_limits=inside))
     return tuple(branches)
 
 
 def inverse_nearest(chain: Chain, T_base_tcp: Array, q_near: Array) -> InverseResult:
-    """The branch inside the joint limits with the least largest joint travel from q_near (6,) [rad]."""
+    """The branch inside the joint limits with the least largest joint travel from q_near.
+
+    Args:    T_base_tcp: wanted pose (4, 4). q_near: (6,) [rad], where the machine stands.
+    Returns: status OK with q (6,) [rad]; SINGULAR with q when the wrist, the booms or the slew are (nearly) singular
+             there; OUT_OF_REACH or JOINT_LIMIT without q. The reason names joint, value, limit, unit and remedy.
+    Raises:  MachineError as `inverse_all`.
+    """
     branches = inverse_all(chain, T_base_tcp, q_near)
     if not branches:
         return InverseResult(InverseStatus.OUT_OF_REACH, _reach_reason(chain, T_base_tcp), None, 0.0)
@@ -76,71 +84,39 @@ def inverse_nearest(chain: Chain, T_base_tcp: Array, q_near: Array) -> InverseRe
         return InverseResult(InverseStatus.JOINT_LIMIT, _limit_reason(chain, closest.q), None, 0.0)
     best = min(inside, key=lambda branch: float(np.abs(branch.q - q_near).max()))
     smallest = sigma_min(tcp_jacobian(chain, best.q))
-    if abs(np.sin(best.q[4] + chain.theta_offset[4])) < WRIST_SINGULAR:
-        reason = "joint 5 is at 0 deg: the wrist is singular; turn the tool out of the tilt boom's line"
-        return InverseResult(InverseStatus.SINGULAR, reason, best.q, smallest)
-    return InverseResult(InverseStatus.OK, "", best.q, smallest)
+    reason = _singular_reason(chain, best.q, T_base_tcp)
+    status = InverseStatus.SINGULAR if reason else InverseStatus.OK
+    return InverseResult(status, reason, best.q, smallest)
 
 
-def _check(chain: Chain, T_base_tcp: Array) -> None:
-    if chain.n != 6 or not np.allclose(chain.alpha, ALPHAS_RAD, atol=1e-9) or chain.a[3:].any() or chain.d[4] != 0.0:
+def _check_chain(chain: Chain) -> None:
+    if chain.n != 6 or np.abs(chain.alpha - ALPHAS_RAD).max() > 1e-9 or chain.a[3:].any() or chain.d[4] != 0.0:
         raise MachineError(
             "the closed-form inverse needs six joints with the twists of Table 1 (90, 0, 90, 90, -90, 90 deg) and a "
-            "spherical wrist (a4 = a5 = a6 = d5 = 0)"
+            f"spherical wrist (a4 = a5 = a6 = d5 = 0); alpha is {np.rad2deg(chain.alpha).round(3)} deg, "
+            f"a {chain.a} m, d {chain.d} m"
         )
+    if chain.a[1] == 0.0 or np.hypot(chain.a[2], chain.d[3]) == 0.0:
+        raise MachineError("the closed-form inverse needs two booms of some length: a2, and a3 or d4, above 0 m")
+
+
+def _check_pose(T_base_tcp: Array) -> None:
     if T_base_tcp.shape != (4, 4) or not np.isfinite(T_base_tcp).all():
         raise MachineError(f"wanted pose has shape {T_base_tcp.shape} or is not finite; give a finite (4, 4) pose")
+    R = T_base_tcp[:3, :3]
+    error = float(np.abs(R @ R.T - np.eye(3)).max())
+    if error > ROTATION_TOLERANCE or np.dot(np.cross(R[0], R[1]), R[2]) < 0.0:
+        raise MachineError(
+            f"wanted pose is no pose: its rotation departs from orthonormal by {error:.1e} (limit "
+            f"{ROTATION_TOLERANCE:.0e}) or is mirrored; make it a rotation first"
+        )
 
 
-def _arm_angles(chain: Chain, p_wrist: Array) -> list[Array]:
-    """theta 1..3 that put the wrist centre at p_wrist."""
-    x, y, z = p_wrist
-    radius = float(np.hypot(x, y))
-    lateral = chain.d[1] + chain.d[2]
-    if radius < abs(lateral) or radius < 1e-9:
-        return []
-    forearm = float(np.hypot(chain.a[2], chain.d[3]))
-    bend = float(np.arctan2(chain.d[3], chain.a[2]))
-    side = float(np.arcsin(lateral / radius))
-    azimuth = float(np.arctan2(y, x))
-    solutions = []
-    for theta1 in (azimuth + side, azimuth + np.pi - side):
-        u = x * np.cos(theta1) + y * np.sin(theta1) - chain.a[0]
-        v = z - chain.d[0]
-        cosine = (u * u + v * v - chain.a[1] ** 2 - forearm**2) / (2.0 * chain.a[1] * forearm)
-        if abs(cosine) > 1.0 + 1e-12:
-            continue
-        for elbow in (np.arccos(np.clip(cosine, -1.0, 1.0)), -np.arccos(np.clip(cosine, -1.0, 1.0))):
-            reach = np.arctan2(forearm * np.sin(elbow), chain.a[1] + forearm * np.cos(elbow))
-            solutions.append(np.array([theta1, np.arctan2(v, u) - reach, bend + elbow]))
-    return solutions
-
-
-def _wrist_angles(chain: Chain, arm: Array, T_base_6: Array, near: Array) -> list[Array]:
-    """theta 4..6 for given arm angles: Rz(t4) Ry(-t5) Rz(t6) = R_3_6 Rx(-90 deg)."""
-    q = np.zeros(6)
-    q[:3] = arm - chain.theta_offset[:3]
-    R_base_3 = link_poses(chain, q)[3][:3, :3]
-    M = R_base_3.T @ T_base_6[:3, :3] @ rotation_about("x", -np.pi / 2.0)
-    sine = float(np.hypot(M[0, 2], M[1, 2]))
-    if sine < WRIST_SINGULAR:
-        theta5 = 0.0 if M[2, 2] > 0.0 else np.pi
-        theta4 = near[3] + chain.theta_offset[3]
-        turned = rotation_about("y", theta5) @ rotation_about("z", -theta4) @ M  # Rz(t6)
-        return [np.array([theta4, theta5, np.arctan2(turned[1, 0], turned[0, 0])])]
-    up = np.array([np.arctan2(-M[1, 2], -M[0, 2]), np.arctan2(sine, M[2, 2]), np.arctan2(-M[2, 1], M[2, 0])])
-    down = np.array([np.arctan2(M[1, 2], M[0, 2]), np.arctan2(-sine, M[2, 2]), np.arctan2(M[2, 1], -M[2, 0])])
-    return [up, down]
-
-
-def _nearest_turn(q: Array, near: Array, chain: Chain) -> Array:
-    """Each angle plus the whole turns that bring it nearest `near`, preferring turns inside the limits."""
-    turn = 2.0 * np.pi
-    base = q + turn * np.round((near - q) / turn)
-    candidates = base + turn * np.array([[-1.0], [0.0], [1.0]])
-    outside = (candidates < chain.q_min - 1e-9) | (candidates > chain.q_max + 1e-9)
-    cost = np.abs(candidates - near) + 1e3 * outside
-    return candidates[np.argmin(cost, axis=0), np.arange(len(q))]
+def _checked_near(q_near: Array) -> Array:
+    q_near = np.asarray(q_near, dtype=float)
+    if q_near.shape != (6,) or not np.isfinite(q_near).all():
+        raise MachineError(f"q_near is {q_near}; give six finite joint angles [rad]")
+    return q_near
 
 
 def _excess(chain: Chain, q: Array) -> Array:
@@ -151,15 +127,53 @@ def _limit_reason(chain: Chain, q: Array) -> str:
     j = int(np.argmax(_excess(chain, q)))
     value, low, high = np.rad2deg([q[j], chain.q_min[j], chain.q_max[j]])
     return (
-        f"joint {j + 1} would have to be at {value:.1f} deg (limits {low:.1f} .. {high:.1f} deg); "
+        f"{chain.label(j)} would have to be at {value:.1f} deg, limits {low:.1f} .. {high:.1f} deg; "
         "move the base or the target, or turn the tool"
     )
 
 
 def _reach_reason(chain: Chain, T_base_tcp: Array) -> str:
-    distance = float(np.linalg.norm(T_base_tcp[:3, 3] - np.array([0.0, 0.0, chain.d[0]])))
-    longest = float(chain.a[0] + chain.a[1] + np.hypot(chain.a[2], chain.d[3]) + chain.d[5])
+    """The wrist centre's distance from the lift joint against what the two booms can span."""
+    T_base_flange = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
+    x, y, z = T_base_flange[:3, 3] - chain.d[5] * T_base_flange[:3, 1]
+    lateral = abs(float(chain.d[1] + chain.d[2]))
+    radius = float(np.hypot(x, y))
+    if radius < lateral:
+        return (
+            f"the wrist centre would be {radius:.3f} m from the slew axis, where the booms, {lateral:.3f} m beside it, "
+            "cannot come; move the target away from the slew axis"
+        )
+    ahead = float(np.sqrt(radius * radius - lateral * lateral)) - chain.a[0]
+    distance = float(np.hypot(ahead, z - chain.d[0]))
+    forearm = float(np.hypot(chain.a[2], chain.d[3]))
+    shortest, longest = abs(chain.a[1] - forearm), chain.a[1] + forearm
+    remedy = "move the base or the target nearer" if distance > longest else "move the target further away"
     return (
-        f"the target is {distance:.2f} m from the shoulder; the arm reaches at most {longest:.2f} m "
-        "and not every orientation there: move the base or the target nearer"
+        f"the wrist centre would be {distance:.2f} m from {chain.label(1)}, which spans {shortest:.2f} m and "
+        f"reaches at most {longest:.2f} m; {remedy}"
     )
+
+
+def _singular_reason(chain: Chain, q: Array, T_base_tcp: Array) -> str:
+    """Which of the three singularities q is at; empty when at none."""
+    theta = q + chain.theta_offset
+    if abs(np.sin(theta[4])) < SINGULAR:
+        return (
+            f"{chain.label(4)} is at {np.rad2deg(q[4]):.3f} deg, where {chain.label(3)} and {chain.label(5)} turn "
+            f"about one axis (limit {np.rad2deg(SINGULAR):.3f} deg); turn the tool out of the tilt boom's line"
+        )
+    bend = float(np.arctan2(chain.d[3], chain.a[2]))
+    if abs(np.sin(theta[2] - bend)) < SINGULAR:
+        return (
+            f"{chain.label(2)} is at {np.rad2deg(q[2]):.3f} deg, where the booms are in line (limit "
+            f"{np.rad2deg(SINGULAR):.3f} deg from it); move the target nearer to the base"
+        )
+    T_base_flange = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
+    centre = T_base_flange[:2, 3] - chain.d[5] * T_base_flange[:2, 1]
+    beside = np.sqrt(max(0.0, float(centre @ centre) - float(chain.d[1] + chain.d[2]) ** 2))
+    if beside < SINGULAR:
+        return (
+            f"the wrist centre is {beside:.5f} m from where {chain.label(0)} can turn freely (limit {SINGULAR:g} m); "
+            "move the target away from the slew axis"
+        )
+    return ""

@@ -1,4 +1,8 @@
-"""Forward kinematics and geometric Jacobian of a classic-DH chain (paper eq. 23-24)."""
+"""Forward kinematics and geometric Jacobian of a classic-DH chain (paper eq. 1-2 and 23-24).
+
+The kernels are compiled, with bodies that run as plain Python too (`kernel.py_func`). They get the joint angles as a
+fresh array, `q + theta_offset`, so that a read-only or strided q compiles nothing anew.
+"""
 
 import numpy as np
 from numba import njit
@@ -9,74 +13,117 @@ from machine.rotations import Array
 
 
 @njit(cache=True)
+def _multiply(left: Array, right: Array, out: Array) -> None:
+    """4x4 pose product, written out: the last row of a pose is (0, 0, 0, 1)."""
+    for i in range(3):
+        for j in range(4):
+            out[i, j] = left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]
+        out[i, 3] += left[i, 3]
+    out[3, 3] = 1.0
+
+
+@njit(cache=True)
 def _link_poses(a: Array, d: Array, alpha: Array, theta: Array) -> Array:
     n = a.shape[0]
     poses = np.zeros((n + 1, 4, 4))
-    poses[0] = np.eye(4)
+    T_i = np.zeros((4, 4))
+    for i in range(4):
+        poses[0, i, i] = 1.0
     for i in range(n):
         c, s = np.cos(theta[i]), np.sin(theta[i])
         ca, sa = np.cos(alpha[i]), np.sin(alpha[i])
-        T_i = np.array(
-            [  # eq. 24
-                [c, -s * ca, s * sa, a[i] * c],
-                [s, c * ca, -c * sa, a[i] * s],
-                [0.0, sa, ca, d[i]],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
-        poses[i + 1] = poses[i] @ T_i  # eq. 23
+        T_i[0, 0], T_i[0, 1], T_i[0, 2], T_i[0, 3] = c, -s * ca, s * sa, a[i] * c  # eq. 24
+        T_i[1, 0], T_i[1, 1], T_i[1, 2], T_i[1, 3] = s, c * ca, -c * sa, a[i] * s
+        T_i[2, 1], T_i[2, 2], T_i[2, 3] = sa, ca, d[i]
+        _multiply(poses[i], T_i, poses[i + 1])  # eq. 23
     return poses
 
 
 @njit(cache=True)
-def _jacobian(poses: Array, p_tcp: Array) -> Array:
-    n = poses.shape[0] - 1
+def _tcp_pose(a: Array, d: Array, alpha: Array, theta: Array, T_flange_tcp: Array) -> Array:
+    T_base_tcp = np.zeros((4, 4))
+    _multiply(_link_poses(a, d, alpha, theta)[-1], T_flange_tcp, T_base_tcp)  # eq. 23, i = 7
+    return T_base_tcp
+
+
+@njit(cache=True)
+def _tcp_poses(a: Array, d: Array, alpha: Array, thetas: Array, T_flange_tcp: Array) -> Array:
+    Ts = np.zeros((thetas.shape[0], 4, 4))
+    for k in range(thetas.shape[0]):
+        _multiply(_link_poses(a, d, alpha, thetas[k])[-1], T_flange_tcp, Ts[k])
+    return Ts
+
+
+@njit(cache=True)
+def _tcp_jacobian(a: Array, d: Array, alpha: Array, theta: Array, T_flange_tcp: Array) -> Array:
+    n = a.shape[0]
+    poses = _link_poses(a, d, alpha, theta)
+    T_base_tcp = np.zeros((4, 4))
+    _multiply(poses[n], T_flange_tcp, T_base_tcp)
     J = np.zeros((6, n))
     for i in range(n):
-        z = poses[i, :3, 2]
-        r = p_tcp - poses[i, :3, 3]
-        J[0, i] = z[1] * r[2] - z[2] * r[1]
-        J[1, i] = z[2] * r[0] - z[0] * r[2]
-        J[2, i] = z[0] * r[1] - z[1] * r[0]
-        J[3:, i] = z
+        zx, zy, zz = poses[i, 0, 2], poses[i, 1, 2], poses[i, 2, 2]
+        rx = T_base_tcp[0, 3] - poses[i, 0, 3]
+        ry = T_base_tcp[1, 3] - poses[i, 1, 3]
+        rz = T_base_tcp[2, 3] - poses[i, 2, 3]
+        J[0, i], J[1, i], J[2, i] = zy * rz - zz * ry, zz * rx - zx * rz, zx * ry - zy * rx  # z_(i-1) x (p - p_(i-1))
+        J[3, i], J[4, i], J[5, i] = zx, zy, zz
     return J
 
 
-def _checked(chain: Chain, q: Array) -> Array:
+def _theta(chain: Chain, q: Array) -> Array:
+    """DH angles of joint angles (n,) [rad], shape checked."""
     q = np.asarray(q, dtype=float)
     if q.shape != (chain.n,):
         raise MachineError(f"joint vector has shape {q.shape}; the chain has {chain.n} joints: give ({chain.n},) [rad]")
+    return q + chain.theta_offset
+
+
+def _finite(result: Array, q: Array) -> Array:
+    """The kernel's result; one angle that is not finite makes its first and last numbers NaN."""
     if not np.isfinite(q).all():
-        raise MachineError(f"joint vector {q} [rad] is not finite; check the encoder reading")
-    return q
+        raise MachineError(f"joint vector {np.asarray(q)} [rad] is not finite; check the encoder reading")
+    return result
 
 
 def link_poses(chain: Chain, q: Array) -> Array:
     """Poses of base and all link frames in base.
 
+    Model:   T_base_link_i = T_1 ... T_i, T_i the classic DH transform of Table 1's row i.
     Args:    q: joint angles, shape (n,), unit [rad].
-    Returns: (n + 1, 4, 4), [0] = base, [i] = T_base_link_i.
+    Returns: (n + 1, 4, 4), [0] = base, [i] = T_base_link_i, [n] = T_base_flange; positions [m].
+    Raises:  MachineError: wrong shape, or not finite.
+    Source:  paper eq. 23-24.
     """
-    return _link_poses(chain.a, chain.d, chain.alpha, _checked(chain, q) + chain.theta_offset)
+    return _finite(_link_poses(chain.a, chain.d, chain.alpha, _theta(chain, q)), q)
 
 
 def tcp_pose(chain: Chain, q: Array) -> Array:
-    """T_base_tcp (4, 4) at q (n,) [rad] (paper eq. 23, link 7 included)."""
-    return link_poses(chain, q)[-1] @ chain.T_flange_tcp
+    """T_base_tcp (4, 4) at q (n,) [rad], position [m] (paper eq. 23, link 7 included)."""
+    return _finite(_tcp_pose(chain.a, chain.d, chain.alpha, _theta(chain, q), chain.T_flange_tcp), q)
 
 
 def tcp_poses(chain: Chain, qs: Array) -> Array:
     """Ts_base_tcp (m, 4, 4) at joint vectors (m, n) [rad]."""
-    return np.array([tcp_pose(chain, q) for q in qs]).reshape(-1, 4, 4)
+    qs = np.asarray(qs, dtype=float)
+    if qs.ndim != 2 or qs.shape[1] != chain.n:
+        raise MachineError(f"joint vectors have shape {qs.shape}; the chain has {chain.n} joints: give (m, {chain.n})")
+    thetas = np.ascontiguousarray(qs + chain.theta_offset)
+    return _finite(_tcp_poses(chain.a, chain.d, chain.alpha, thetas, chain.T_flange_tcp), qs)
 
 
 def tcp_jacobian(chain: Chain, q: Array) -> Array:
-    """Geometric Jacobian J_base_tcp (6, n): linear rows first, base axes, at the tcp (paper eq. 2)."""
-    poses = link_poses(chain, q)
-    p_tcp = poses[-1] @ chain.T_flange_tcp
-    return _jacobian(poses, p_tcp[:3, 3].copy())
+    """Geometric Jacobian of the tcp.
+
+    Model:   (v_base_tcp, w_base_tcp) = J qd; column i = (z_(i-1) x (p_tcp - p_(i-1)), z_(i-1)).
+    Args:    q: joint angles, shape (n,), unit [rad].
+    Returns: J_base_tcp (6, n): linear rows [m/rad] first, then angular rows; base axes, at the tcp.
+    Raises:  MachineError: wrong shape, or not finite.
+    Source:  paper eq. 2.
+    """
+    return _finite(_tcp_jacobian(chain.a, chain.d, chain.alpha, _theta(chain, q), chain.T_flange_tcp), q)
 
 
 def sigma_min(J: Array) -> float:
-    """Smallest singular value of a Jacobian: 0 at a singularity."""
+    """Smallest singular value of a Jacobian (6, n), rows in [m] and [rad] as they are: 0 at a singularity."""
     return float(np.linalg.svd(J, compute_uv=False)[-1])

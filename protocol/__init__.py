@@ -44,7 +44,8 @@ How a PLC uses its end (one cycle; t_plc_ns = the PLC's own monotonic clock, sta
     Accepted(command, effect): effect is KEEPALIVE, ARM, LOAD (put the knots into the ring), STOP, QUICK_STOP, RESET or
     DISARM. StateChanged comes before the Accepted that caused it: the first LOAD with the start flag follows
     StateChanged(HOLD, RUN, START). Without the flag LOAD prefills the ring in HOLD. LOAD is never handed up for a
-    trajectory that has ended or was stopped. A LOAD whose traj_id is new replaces the ring.
+    trajectory that has ended or was stopped. A LOAD whose traj_id is new replaces the ring. Knots below knot_playing
+    come again (the window is a round trip behind): ignore them.
 
 What the PLC logic reports in PlcStatus about playback (the client paces on it):
     traj_id       the trajectory in the ring; stays after its end until the next one is loaded

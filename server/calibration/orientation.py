@@ -46,3 +46,18 @@ def orientation_reference(R_base_tcp: Array, R_tcp_tool: Array, R_cam_tool: Arra
     X = require_rotation(R_tcp_tool, "R_tcp_tool")
     R_tool_ooi = require_rotation(R_cam_tool, "R_cam_tool").T @ require_rotation(R_cam_ooi, "R_cam_ooi")
     return require_rotation(R_base_tcp, "R_base_tcp") @ X @ R_tool_ooi @ X.T
+
+
+def orientation_reference_paper_axes(
+    R_base_tcp: Array, R_tcp_cam_nominal: Array, R_cam_ooi: Array, R_cam_tool: Array
+) -> Array:
+    """Eq. 7-8 with the TCP's axes renamed to lie parallel to the camera's, as on the paper's machine.
+
+    Model:   R_BT' = R_BT N, eq. 7-8 on R_BT', then back by N^T; N = nominal R_tcp_cam. Exact for a nominal mount.
+    Args:    R_base_tcp, R_tcp_cam_nominal, R_cam_ooi, R_cam_tool: each (3, 3).
+    Returns: R_base_tcp_ref, (3, 3).
+    Raises:  CalibrationInputError: an argument is no rotation.
+    Source:  Makinen et al. 2023, eq. 7-8 and section 4.1 (camera parallel to the torsion axis).
+    """
+    N = require_rotation(R_tcp_cam_nominal, "R_tcp_cam_nominal")
+    return orientation_reference_paper(R_base_tcp @ N, R_cam_ooi, R_cam_tool) @ N.T

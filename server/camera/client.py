@@ -196,15 +196,16 @@ class VisionClient:
         process.start()
         theirs.close()
         self._process, self._pipe = process, ours
-        threading.Thread(target=self._read, args=(ours,), name="vision-reports", daemon=True).start()
+        threading.Thread(target=self._read, args=(ours, process), name="vision-reports", daemon=True).start()
 
-    def _read(self, pipe: Connection) -> None:
+    def _read(self, pipe: Connection, process: BaseProcess) -> None:
         """Thread: messages from the process to the loop."""
         while True:
             try:
                 message: VisionMessage | None = pipe.recv()
             except (EOFError, OSError):
                 message = None
+                process.join(1.0)  # so that its exit code is known
             loop = self._loop
             if loop is None or loop.is_closed():
                 return

@@ -22,7 +22,7 @@ from server.camera.contracts import (
     VisionSettings,
 )
 from server.camera.errors import CameraError
-from server.camera.pipeline import VisionPipeline
+from server.camera.pipeline import Odometry, VisionPipeline
 from server.camera.sources.opening import open_source
 
 READ_TIMEOUT_S = 0.1  # how soon a command is heard when no pictures come
@@ -34,13 +34,17 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
     """The pipeline with the marker detector and odometry of this machine, warmed up."""
     from server.vision.aruco_source import ArucoPoseSource  # late: only this process needs these
     from server.vision.mono_aruco import MonoArucoPoseSource
-    from server.vision.odometry import StereoOdometry
+
+    def make_odometry() -> Odometry:
+        from server.vision.odometry import StereoOdometry
+
+        return StereoOdometry(machine.camera)
 
     stereo, mono = ArucoPoseSource(machine), MonoArucoPoseSource(machine)
     blank = np.zeros((machine.camera.height_px, machine.camera.width_px), np.uint8)
     stereo.observe(blank, blank, 0)
     tool_ids = [marker.marker_id for marker in machine.markers_on("tool")]
-    return VisionPipeline(settings, tool_ids, {"stereo": stereo, "mono": mono}, lambda: StereoOdometry(machine.camera))
+    return VisionPipeline(settings, tool_ids, {"stereo": stereo, "mono": mono}, make_odometry)
 
 
 def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from machine.description import Machine, Marker
 from server.vision.contracts import Image, MarkerView, ObjectPose, PairObservation
-from server.vision.detection import DetectionSettings, EyeDetector
+from server.vision.detection import DetectionSettings, EyeDetection, EyeDetector
 from server.vision.mono_aruco import MonoArucoPoseSource
 from server.vision.object_pose import ObjectName, PoseSettings, estimate_object_pose, not_seen
 from server.vision.sightings import detect_safely, image_problem, markers_by_object, sightings_of
@@ -44,22 +44,28 @@ class ArucoPoseSource:
             sightings = sightings_of(usable, found[0].markers, found[1].markers)
             poses[name], object_views = estimate_object_pose(name, sightings, self._camera, self._settings.pose)
             if not sightings:
-                poses[name] = not_seen(name, _why_not_seen(poses[name].reason, problems, repeated, markers))
+                reasons = [*problems, *_why_unused(found, markers)]
+                poses[name] = not_seen(name, "; ".join(reasons) or poses[name].reason)
             views.extend(object_views)
-        views.extend(_repeated_views(repeated))
+        views.extend(_unused_views(found, {view.marker_id for view in views}))
         warnings = (*problems, *(view.reason for view in views if not view.used))
         return PairObservation(t_exposure_ns, poses["tool"], poses["ooi"], tuple(views), tuple(dict.fromkeys(warnings)))
 
 
-def _why_not_seen(reason: str, problems: list[str], repeated: frozenset[int], markers: tuple[Marker, ...]) -> str:
-    twice = sorted(marker.marker_id for marker in markers if marker.marker_id in repeated)
-    if twice:
-        return f"marker ids {twice} are seen twice; cover or remove the copies"
-    return "; ".join(problems) or reason
+def _why_unused(found: tuple[EyeDetection, EyeDetection], markers: tuple[Marker, ...]) -> list[str]:
+    """Why the markers of an object count as not seen although something of them is."""
+    ids = {marker.marker_id for marker in markers}
+    return [view.reason for view in _unused_views(found, set()) if view.marker_id in ids]
 
 
-def _repeated_views(repeated: frozenset[int]) -> list[MarkerView]:
-    return [
-        MarkerView(one, None, None, float("nan"), False, f"marker id {one} is seen at two places; cover or remove one")
-        for one in sorted(repeated)
-    ]
+def _unused_views(found: tuple[EyeDetection, EyeDetection], known: set[int]) -> list[MarkerView]:
+    """Markers that are decoded but not fit for measuring: seen twice, or partly covered in every eye."""
+    left, right = found
+    views = {}
+    for one in sorted({*left.covered, *right.covered} - known):
+        reason = f"marker {one} is partly covered or shaded; clear the view to all four of its sides"
+        views[one] = MarkerView(one, left.covered.get(one), right.covered.get(one), float("nan"), False, reason)
+    for one in sorted(left.repeated_ids | right.repeated_ids):
+        reason = f"marker id {one} is seen at two places; cover or remove one"
+        views[one] = MarkerView(one, None, None, float("nan"), False, reason)
+    return list(views.values())

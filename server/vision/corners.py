@@ -6,7 +6,7 @@ import numpy as np
 from machine.camera import project, undistort_to_rays
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
-from server.vision.edge_fit import fit_corners, side_length_min
+from server.vision.edge_fit import SideFit, fit_corners, side_length_min
 
 
 def side_sags(camera: StereoCamera | None, corners_px: Array) -> Array:
@@ -32,8 +32,10 @@ def corner_search(image: Image, corners_px: Array, cells: int) -> Array:
     return np.where(far[:, None] | ~np.isfinite(found), corners_px, found).astype(np.float64)
 
 
-def refine_corners(image: Image, corners_px: Array, cells: int, camera: StereoCamera | None = None) -> Array:
-    """Refined corners (4, 2) [px] of one marker, OpenCV order; falls back to the corner search for tiny markers.
+def refine_corners(
+    image: Image, corners_px: Array, cells: int, camera: StereoCamera | None = None
+) -> tuple[SideFit, Array]:
+    """Refined corners (4, 2) [px] of one marker, OpenCV order; from the corner search alone where sides are not clean.
 
     Model:   stage 1 corner search to about 0.3 px, stage 2 sides fitted with an error-function edge and intersected.
     Args:    image: grey (h, w). corners_px: detector's corners (4, 2). cells: cells along a side with its border.
@@ -42,5 +44,4 @@ def refine_corners(image: Image, corners_px: Array, cells: int, camera: StereoCa
     height, width = image.shape
     start = np.clip(np.asarray(corners_px, dtype=np.float64), 0.0, [width - 1.0, height - 1.0])
     coarse = corner_search(image, start, cells)
-    fitted = fit_corners(image, coarse, cells, side_sags(camera, coarse))
-    return coarse if fitted is None else fitted
+    return fit_corners(image, coarse, cells, side_sags(camera, coarse))

@@ -1,6 +1,6 @@
 """Square fiducials in one eye: any dictionary by name, regions around the last corners, full searches in between."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
 from server.vision.corners import refine_corners
+from server.vision.edge_fit import SideFit
 from server.vision.errors import UnknownDictionaryError
 
 
@@ -15,7 +16,8 @@ from server.vision.errors import UnknownDictionaryError
 class DetectionSettings:
     """How markers are searched."""
 
-    full_search_every: int = 10  # pairs between full-frame searches while every marker is tracked
+    full_search_every: int = 10  # pairs between full-frame searches while every wanted marker is tracked
+    full_search_missing_every: int = 3  # the same while some are not
     perimeter_min_px: float = 32.0  # smaller quadrilaterals are not decoded
     region_margin_frac: float = 0.5  # of the marker's size, on every side of its last place
     refine: bool = True
@@ -27,13 +29,15 @@ class FoundMarker:
 
     marker_id: int
     corners_px: Array
+    covered: bool = False  # a side is no clean edge; the corners are coarse
 
 
 @dataclass(frozen=True, slots=True)
 class EyeDetection:
-    """What one eye shows: one entry per id, and the ids that were seen at more than one place."""
+    """What one eye shows: one entry per id with clean sides, the covered ones, and the ids seen at more than one place."""
 
     markers: dict[int, Array]
+    covered: dict[int, Array]  # decoded, but a side is no clean edge: something is in front of it
     repeated_ids: frozenset[int]
     full_search: bool
 
@@ -85,12 +89,19 @@ def find_markers(
     corners, ids, _ = detector.detectMarkers(image)
     if ids is None:
         return ()
-    cells = cells_along_side(dictionary)
-    found = []
-    for quad, marker_id in zip(corners, np.asarray(ids).reshape(-1), strict=True):
-        start = np.asarray(quad, dtype=np.float64).reshape(4, 2)
-        found.append(FoundMarker(int(marker_id), refine_corners(image, start, cells, camera) if refine else start))
-    return tuple(found)
+    found = (
+        FoundMarker(int(marker_id), np.asarray(quad, dtype=np.float64).reshape(4, 2))
+        for quad, marker_id in zip(corners, np.asarray(ids).reshape(-1), strict=True)
+    )
+    return tuple(refined(marker, image, dictionary, camera) if refine else marker for marker in found)
+
+
+def refined(
+    marker: FoundMarker, image: Image, dictionary: "cv2.aruco.Dictionary", camera: StereoCamera | None
+) -> FoundMarker:
+    """The marker with sub-pixel corners."""
+    fit, corners = refine_corners(image, marker.corners_px, cells_along_side(dictionary), camera)
+    return FoundMarker(marker.marker_id, corners, fit is SideFit.COVERED)
 
 
 @dataclass(slots=True)
@@ -102,7 +113,7 @@ class EyeDetector:
     wanted: frozenset[int]
     settings: DetectionSettings = field(default_factory=DetectionSettings)
     _dictionary: "cv2.aruco.Dictionary" = field(init=False)
-    _last: dict[int, Array] = field(init=False, default_factory=dict)
+    _last: dict[int, FoundMarker] = field(init=False, default_factory=dict)
     _repeated: frozenset[int] = field(init=False, default=frozenset())
     _since_full: int = field(init=False, default=0)
 
@@ -112,30 +123,36 @@ class EyeDetector:
     def detect(self, image: Image) -> EyeDetection:
         """Wanted markers in the next image of this eye."""
         self._since_full += 1
-        if self._last and self._since_full < self.settings.full_search_every:
-            markers = self._in_regions(image)
-            if len(markers) == len(self._last):
-                self._last = markers
-                return EyeDetection(dict(markers), self._repeated, full_search=False)
+        settings = self.settings
+        complete = len(self._last) == len(self.wanted)
+        pause = settings.full_search_every if complete else settings.full_search_missing_every
+        if self._last and self._since_full < pause:
+            tracked = self._in_regions(image)
+            if len(tracked) == len(self._last):
+                return self._keep(tracked, full_search=False)
         return self._full(image)
+
+    def _keep(self, found: dict[int, FoundMarker], full_search: bool) -> EyeDetection:
+        self._last = found
+        clean = {one.marker_id: one.corners_px for one in found.values() if not one.covered}
+        covered = {one.marker_id: one.corners_px for one in found.values() if one.covered}
+        return EyeDetection(clean, covered, self._repeated, full_search)
 
     def _find(self, image: Image) -> tuple[FoundMarker, ...]:
         return find_markers(image, self._dictionary, self.settings.perimeter_min_px, refine=False)
 
-    def _refined(self, image: Image, corners: Array) -> Array:
-        if not self.settings.refine:
-            return corners
-        return refine_corners(image, corners, cells_along_side(self._dictionary), self.camera)
+    def _refined(self, marker: FoundMarker, image: Image) -> FoundMarker:
+        return refined(marker, image, self._dictionary, self.camera) if self.settings.refine else marker
 
-    def _in_regions(self, image: Image) -> dict[int, Array]:
-        markers = {}
+    def _in_regions(self, image: Image) -> dict[int, FoundMarker]:
+        tracked = {}
         for marker_id, last in self._last.items():
-            corner = self._region(image, last)
-            left, top, right, bottom = corner
+            left, top, right, bottom = self._region(image, last.corners_px)
             for found in self._find(np.ascontiguousarray(image[top:bottom, left:right])):
                 if found.marker_id == marker_id:
-                    markers[marker_id] = self._refined(image, found.corners_px + np.array([left, top]))
-        return markers
+                    moved = FoundMarker(marker_id, found.corners_px + np.array([left, top]))
+                    tracked[marker_id] = self._refined(moved, image)
+        return tracked
 
     def _region(self, image: Image, corners: Array) -> tuple[int, int, int, int]:
         height, width = image.shape
@@ -150,10 +167,5 @@ class EyeDetector:
         found = [marker for marker in self._find(image) if marker.marker_id in self.wanted]
         ids = [marker.marker_id for marker in found]
         self._repeated = frozenset(marker_id for marker_id in ids if ids.count(marker_id) > 1)
-        found = [
-            replace(marker, corners_px=self._refined(image, marker.corners_px))
-            for marker in found
-            if marker.marker_id not in self._repeated
-        ]
-        self._last = {marker.marker_id: marker.corners_px for marker in found}
-        return EyeDetection(dict(self._last), self._repeated, full_search=True)
+        single = (marker for marker in found if marker.marker_id not in self._repeated)
+        return self._keep({marker.marker_id: self._refined(marker, image) for marker in single}, full_search=True)

@@ -24,7 +24,7 @@ NO_RIVAL = float("inf")
 class PoseSettings:
     """What corners are worth and when a pose is believed."""
 
-    sigma_px: float = 0.10  # standard deviation of one corner coordinate
+    sigma_px: float = 0.06  # standard deviation of one corner coordinate
     residual_max_px: float = 2.0  # rms above which the layout and the images contradict each other
     chi2_margin_min: float = 9.0  # 3 sigma between the two planar solutions
     tilt_sigma_max_deg: float = 5.0  # an orientation known worse than this is not one

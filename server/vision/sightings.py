@@ -13,6 +13,7 @@ from server.vision.object_pose import ObjectName, Sighting
 
 BLACK_MEAN_GREY = 4.0
 SATURATED_FRAC = 0.5
+NOTHING = EyeDetection({}, {}, frozenset(), full_search=False)
 
 
 def markers_by_object(machine: Machine) -> dict[ObjectName, tuple[Marker, ...]]:
@@ -51,8 +52,8 @@ def sightings_of(markers: Iterable[Marker], left: dict[int, Array], right: dict[
 def detect_safely(detector: EyeDetector, image: Image) -> EyeDetection:
     """Markers in one image of any kind: what cannot be searched shows none."""
     if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape, default=0) == 0:
-        return EyeDetection({}, frozenset(), full_search=False)
+        return NOTHING
     try:
         return detector.detect(image)
     except cv2.error:  # a shape OpenCV cannot search shows no marker
-        return EyeDetection({}, frozenset(), full_search=False)
+        return NOTHING

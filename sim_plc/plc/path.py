@@ -13,6 +13,7 @@ from protocol.timeouts import RING_KNOTS
 SIZE = RING_KNOTS
 _STILL = 1e-9  # rad/s: a joint this slow bounds nothing
 _UNBOUNDED = 1e12
+AT_REST = 1e-6  # rad/s: the speed at the end of a path, up to rounding
 
 
 @njit(cache=True)
@@ -104,11 +105,34 @@ def stop_time(
     elapsed = 0.0
     end = times[last % SIZE]
     while rate > 0.0:
-        if elapsed > limit_s or sigma >= end:
+        if elapsed > limit_s:
             return -1.0
         k, sigma, rate = advance(times, knots, last, k, sigma, rate, 0.0, dt, qdd_max, out)
         elapsed += dt
+        if sigma >= end and rate > 0.0:
+            return elapsed if np.abs(out[1]).max() < AT_REST else -1.0
     return elapsed
+
+
+@njit(cache=True)
+def starves(
+    times: Array,
+    knots: Array,
+    last: int,
+    k: int,
+    sigma: float,
+    rate: float,
+    target: float,
+    dt: float,
+    qdd_max: Array,
+    limit_s: float,
+) -> bool:
+    """Whether one more cycle towards the target rate would leave too little path to come to rest on."""
+    out = np.empty((3, knots.shape[2]))
+    k, sigma, rate = advance(times, knots, last, k, sigma, rate, target, dt, qdd_max, out)
+    if sigma >= times[last % SIZE]:
+        return True
+    return stop_time(times, knots, last, k, sigma, rate, dt, qdd_max, limit_s) < 0.0
 
 
 @njit(cache=True)

@@ -3,8 +3,10 @@
 A thread reads the stream and keeps the newest complete picture undecoded, so that being late costs no decoding.
 """
 
+import contextlib
 import http.client
 import logging
+import socket
 import threading
 import time
 from dataclasses import dataclass
@@ -44,6 +46,7 @@ class HttpStereoSource:
         self._connection = 0
         self._counted = 0
         self._bad_pictures = 0
+        self._socket: socket.socket | None = None
         self._thread = threading.Thread(target=self._run, name="camera-stream", daemon=True)
         self._thread.start()
 
@@ -85,8 +88,11 @@ class HttpStereoSource:
         )
 
     def close(self) -> None:
-        """End the reading thread."""
+        """End the reading thread, in the midst of its waiting if need be."""
         self._stop.set()
+        with contextlib.suppress(OSError):  # gone already
+            if self._socket is not None:
+                self._socket.shutdown(socket.SHUT_RDWR)
         self._thread.join(SILENCE_S + 1.0)
 
     def _run(self) -> None:
@@ -112,12 +118,14 @@ class HttpStereoSource:
         connection = http.client.HTTPConnection(host, port, timeout=SILENCE_S)
         try:
             connection.request("GET", path)
+            self._socket = connection.sock  # the response takes it over
             response = connection.getresponse()
             if response.status != http.client.OK:
                 raise StreamError(f"HTTP status {response.status} {response.reason}")
             self._connection += 1
             return self._read_parts(response)
         finally:
+            self._socket = None
             connection.close()
 
     def _read_parts(self, response: http.client.HTTPResponse) -> bool:

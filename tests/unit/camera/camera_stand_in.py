@@ -63,8 +63,11 @@ class CameraStandIn:
                 return
             client.recv(4096)
             client.sendall(
-                b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\nConnection: close\r\n\r\n"
+                b"HTTP/1.1 200 OK\r\nContent-Type: multipart/x-mixed-replace; boundary=frame\r\n"
+                b"Connection: close\r\n\r\n"
             )
+            if self._client is not None:
+                self._client.close()
             self._client = client
             self._connected.set()
 

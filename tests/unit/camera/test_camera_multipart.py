@@ -7,7 +7,8 @@ from server.camera.errors import StreamError
 from server.camera.sources.multipart import BODY_LIMIT_BYTES, MultipartParser
 
 STREAM = (
-    b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: 5\r\nX-Exposure-Ns: 1000\r\nX-Sequence: 7\r\n\r\nab\r\nc\r\n"
+    b"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: 5\r\n"
+    b"X-Exposure-Ns: 1000\r\nX-Sequence: 7\r\n\r\nab\r\nc\r\n"
     b"--frame\r\ncontent-length: 3\r\n\r\nxyz\r\n"
     b"--frame\r\nContent-Length: 1\r\nX-Exposure-Ns: -5\r\nX-Sequence: 9\r\n\r\n!\r\n"
 )

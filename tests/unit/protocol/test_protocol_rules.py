@@ -196,7 +196,8 @@ def test_window_prefills_what_the_plc_lacks_while_the_ring_has_room() -> None:
 
 def test_window_at_the_end_carries_the_end_flag() -> None:
     playback = _playback(100)
-    for last in (94, 96, 99):
+    assert playback.window(_plc(7, 90, 99)).knot_first == 90  # all there: the next unplayed ones again
+    for last in (94, 96, 98):
         window = playback.window(_plc(7, 90, last))
         assert window.knot_first + len(window.knots) == 100
         assert len(window.knots) == 6

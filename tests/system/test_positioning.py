@@ -1,0 +1,57 @@
+"""One whole run over real UDP and rendered images, and what happens when something is missing."""
+
+import httpx
+import pytest
+
+from longreach.bench_position import join_truth, read_truth
+from longreach.fleet_client import JobClient, JobRefusedError
+from longreach.processes import Stack, StackPorts
+from recording.opening import read_run
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+READY_S = 180.0
+
+
+def test_position_ends_inside_tolerance_truly_and_leaves_a_recording(tmp_path):
+    truth = tmp_path / "truth"
+    stack = Stack(StackPorts.free(), seed=3, truth_log=truth, runs=tmp_path / "runs", log_folder=tmp_path / "logs")
+    with stack, JobClient(stack.url) as client:
+        client.wait_ready(READY_S)
+        told = []
+        finished = client.run({"kind": "position", "owner": "test"}, told.append)
+    assert finished.state == "done", finished.reason
+    assert finished.result["reached"], finished.result["reason"]
+    last = join_truth(finished.result, read_truth(truth / "truth.csv"))[-1]
+    assert max(abs(value) for value in last.true_mm) <= 5.0
+    assert last.true_deg <= 1.0
+    assert any(event["name"] == "calibrate" for event in told)
+    recordings = list((tmp_path / "runs").glob("*.mcap"))
+    assert len(recordings) == 1
+    assert read_run(recordings[0]).attachment("machine.toml") is not None
+
+
+def test_without_plc_and_camera_it_says_so_and_nothing_starts(tmp_path):
+    stack = Stack(StackPorts.free(), runs=tmp_path / "runs", log_folder=tmp_path / "logs")
+    stack.start_server()
+    try:
+        with JobClient(stack.url) as client, pytest.raises(JobRefusedError, match="PLC does not answer"):
+            client.wait_ready(12.0)
+        with httpx.Client(base_url=stack.url) as http:
+            job = http.post("/v1/jobs", json={"kind": "position"}).json()
+            ended = client_wait(http, job["job_id"])
+            assert ended["state"] == "failed"
+            assert "check cable, PLC program" in ended["reason"]
+            wrong = http.post("/v1/jobs", json={"kind": "execute", "plan_hash": "0" * 16})
+            assert wrong.status_code == 409
+            assert "preview first" in wrong.json()["detail"]
+            assert http.post("/v1/jobs", json={"kind": "fly"}).status_code == 422
+    finally:
+        stack.close()
+
+
+def client_wait(http, job_id):
+    with http.stream("GET", f"/v1/jobs/{job_id}/events", timeout=20.0) as story:
+        for line in story.iter_lines():
+            if line == "event: end":
+                break
+    return http.get(f"/v1/jobs/{job_id}").json()

@@ -1,0 +1,145 @@
+"""The engine: one job at a time, stop on every ending, reasons kept; a stand-in performs the requests."""
+
+import asyncio
+
+import pytest
+
+from server.errors import BusyError, JobFailedError
+from server.jobs.engine import JobEngine, JobState
+from server.jobs.requests import Arm, Move, Progress, Settle
+from server.link.errors import LinkError
+
+
+class StandIn:
+    """Performs requests by a script: an exception is raised, `forever` waits until it is cancelled."""
+
+    def __init__(self, script=None):
+        self.script = script or {}
+        self.performed, self.stops = [], []
+        self.may_be_moving = False
+
+    async def perform(self, request):
+        self.performed.append(type(request).__name__)
+        answer = self.script.get(type(request))
+        if isinstance(request, Move):
+            self.may_be_moving = True
+        if answer == "forever":
+            await asyncio.get_running_loop().create_future()
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def record(self, request):
+        self.performed.append("Record")
+
+    async def stop_motion(self, reason):
+        self.stops.append(reason)
+        self.may_be_moving = False
+
+
+def plan(*requests, result="done"):
+    yield from requests
+    return result
+
+
+MOVE = Move(trajectory=None, purpose="test")
+
+
+async def finish(engine):
+    await asyncio.wait({engine._task})
+    return engine.current
+
+
+async def test_a_plan_runs_to_its_result_and_tells_its_story():
+    stand_in = StandIn()
+    engine = JobEngine(stand_in)
+    heard = []
+    engine.on_event(lambda job, event: heard.append(event.name))
+    job = engine.submit("look", plan(Arm(), Progress("p", 1, 2, "mm", "half"), Settle()), "me")
+    await finish(engine)
+    assert (job.state, job.result, job.reason) == (JobState.DONE, "done", "")
+    assert stand_in.performed == ["Arm", "Settle"]
+    assert heard == ["started", "p", "ended"]
+    assert [event.number for event in job.events] == [1, 2, 3]
+    assert stand_in.stops == []
+
+
+async def test_a_second_job_is_refused_and_names_the_first():
+    engine = JobEngine(StandIn({Settle: "forever"}))
+    first = engine.submit("position", plan(Settle()), "operator")
+    await asyncio.sleep(0)
+    with pytest.raises(BusyError, match=rf"{first.job_id} \(position\) of operator"):
+        engine.submit("look", plan(Settle()), "fleet")
+    await engine.stop("enough")
+    assert first.state is JobState.STOPPED
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (JobFailedError("too far", "plan_out_of_reach"), "plan_out_of_reach"),
+        (LinkError("silent"), "link"),
+        (ValueError("bug"), "internal"),
+    ],
+)
+async def test_every_failure_while_moving_stops_the_machine(error, code):
+    stand_in = StandIn({Move: error})
+    engine = JobEngine(stand_in)
+    job = engine.submit("position", plan(Arm(), MOVE, Settle()), "me")
+    await finish(engine)
+    assert job.state is JobState.FAILED
+    assert job.code == code
+    assert len(stand_in.stops) == 1
+    assert stand_in.performed == ["Arm", "Move"]
+
+
+@pytest.mark.parametrize("stuck_in", [Arm, Move, Settle])
+async def test_stop_at_any_request_ends_the_job_and_stops_the_machine(stuck_in):
+    stand_in = StandIn({stuck_in: "forever"})
+    engine = JobEngine(stand_in)
+    job = engine.submit("position", plan(Arm(), MOVE, Settle()), "me")
+    for _ in range(5):
+        await asyncio.sleep(0)
+    await engine.stop("operator pressed stop")
+    assert job.state is JobState.STOPPED
+    assert job.reason == "operator pressed stop"
+    assert stand_in.stops[-1] == "operator pressed stop"
+    assert not stand_in.may_be_moving
+
+
+async def test_stop_without_a_job_still_stops_the_machine():
+    stand_in = StandIn()
+    await JobEngine(stand_in).stop("from the wall")
+    assert stand_in.stops == ["from the wall"]
+
+
+async def test_a_stop_that_is_never_confirmed_does_not_hang():
+    stand_in = StandIn({Move: "forever"})
+
+    async def refuse(reason):
+        stand_in.stops.append(reason)
+        raise LinkError("no answer")
+
+    stand_in.stop_motion = refuse
+    engine = JobEngine(stand_in)
+    job = engine.submit("position", plan(MOVE), "me")
+    await asyncio.sleep(0)
+    with pytest.raises(LinkError):
+        await engine.stop("now")
+    assert job.state is JobState.STOPPED
+
+
+async def test_a_cancelled_plan_is_closed():
+    closed = []
+
+    def guarded():
+        try:
+            yield Settle()
+        finally:
+            closed.append(True)
+
+    engine = JobEngine(StandIn({Settle: "forever"}))
+    engine.submit("look", guarded(), "me")
+    await asyncio.sleep(0)
+    await engine.stop("x")
+    assert closed == [True]

@@ -1,0 +1,146 @@
+"""The server's recorder: everything it is told lands in one file per run."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine.description import parse_machine_toml
+from recording.check import check_recording
+from recording.opening import read_run
+from recording.rows import CalibrationRow, CameraState, Finding, LookRow, MarkerCorners, MarkerPose, PlanRow, PlcState
+from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate
+from server.camera.contracts import FrameReport
+from server.jobs.records import ErrorMm, MoveRecord
+from server.link.contracts import PlcSample
+from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
+from server.recorder import Recorder
+from server.vision.contracts import Look, LookStatus, MarkerView, ObjectPose, PairObservation, PoseStatus
+
+ROOT = Path(__file__).parents[3]
+MACHINE_TOML = (ROOT / "machine" / "machines" / "hiab033.toml").read_text(encoding="utf-8")
+MACHINE = parse_machine_toml(MACHINE_TOML)
+SIX = (0.1, 0.2, -0.3, 0.4, 0.5, -0.6)
+MS = 1_000_000
+
+
+def sample(number: int) -> PlcSample:
+    t_plc_ns, latency_ns = 10**12 + number * 10 * MS, (2 + number % 3) * MS
+    return PlcSample(
+        t_plc_ns,
+        t_plc_ns + 7 * 10**9 + latency_ns,
+        number,
+        *[SIX] * 7,
+        pressure_supply_pa=2e7,
+        oil_temperature_c=40.0,
+        plc_state="ARMED",
+        traj_id=1,
+        knot_playing=2,
+        t_play_ns=3,
+        buffer_us=4,
+        underruns=0,
+        fault_bits=0,
+        reject_code=0,
+        simulation=True,
+    )
+
+
+def report(number: int) -> FrameReport:
+    t_ns = number * 66 * MS
+    tool = ObjectPose("tool", PoseStatus.OK, "", np.eye(4), np.eye(6) * 4e-6, (10,), 0.1, float("inf"))
+    ooi = ObjectPose("ooi", PoseStatus.NOT_SEEN, "no marker", None, None, (), 0.0, 0.0)
+    corners = np.arange(8.0).reshape(4, 2)
+    views = (MarkerView(10, corners, None, 0.1, True, ""),)
+    seen = PairObservation(t_ns, tool, ooi, views, ("dim",))
+    mapped_ns = t_ns + 9 * 10**9
+    return FrameReport(
+        seen, mapped_ns + 5 * MS, mapped_ns, number, "stereo", None, 15.0, 9.0, 2, ("frozen",), 3.0, b"\xff\xd8", 960
+    )
+
+
+def plan() -> PathPlan:
+    knots = np.zeros((3, 6))
+    path = JointTrajectory(np.array([0.0, 1.0, 2.0]), knots, knots, knots)
+    return PathPlan(
+        PlanStatus.OK, "", path, np.eye(4)[None], np.array(SIX), 0.4, 2.0, 0.1, float("inf"), 0.3, np.array(SIX)
+    )
+
+
+def move() -> MoveRecord:
+    error = ErrorMm(1.0, 2.0, 3.0, 0.4, 0.1, 0.1, 0.1, float("nan"), 500.0)
+    return MoveRecord(1, "move", error, None, (0.1, 0.2, 0.3), 400.0, 12.0, 0, 99)
+
+
+def test_a_run_holds_everything_it_was_told(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, MACHINE)
+    recorder.sample(sample(0))  # before the run: not recorded
+    recorder.start("position-1", '{"mode": "SIM"}', MACHINE_TOML, seed=3)
+    assert recorder.recording
+    for number in range(100):
+        recorder.sample(sample(number))
+        if number % 10 == 0:
+            recorder.report(report(number))
+    recorder.event("warning", "oil is cold")
+    recorder.record(Look(LookStatus.OK, "", np.eye(4), np.eye(4), None, None, 20, 19, 1, 2, 0.4))
+    rotation = CameraRotationEstimate(
+        CalibrationStatus.OK, "", "ours", np.eye(3), np.eye(3) * 1e-8, 0.02, 1.5, 3.0, 120, 0.2, 1.3
+    )
+    recorder.record(rotation)
+    recorder.record(plan())
+    recorder.record(move(), "first move")
+    recorder.result("reached")
+    path = recorder.stop()
+    assert path is not None
+    assert path.name.endswith("-position-1.mcap")
+    assert not recorder.recording
+    assert recorder.problem == ""
+
+    recording = read_run(path)
+    assert recording.complete
+    assert [len(recording.of(kind)) for kind in (PlcState, CameraState, MarkerPose, MarkerCorners)] == [100, 10, 20, 10]
+    assert recording.of(PlcState)[7].q_rad == SIX
+    assert recording.of(MarkerPose)[0].sigma_translation_m == pytest.approx((2e-3, 2e-3, 2e-3), rel=1e-9)
+    assert recording.of(CameraState)[0].warnings == "frozen; dim"
+    assert recording.of(LookRow)[0].n_used == 19
+    assert recording.of(CalibrationRow)[0].time_offset_s == pytest.approx(0.02, abs=1e-12)
+    assert len(recording.of(PlanRow)[0].knot_q_rad) == 18
+    found_move, found_result = recording.of(Finding)
+    assert found_move.kind == "MoveRecord"
+    assert json.loads(found_move.json)["before"]["z_mm"] == 3.0
+    assert json.loads(found_move.json)["before"]["sigma_rotation_deg"] is None
+    assert found_result.text == "reached"
+    assert recording.images == 10
+    assert recording.run.seed == 3
+    assert recording.run.plc_to_pc_offset_s == pytest.approx(7.002, abs=1e-9)
+    assert recording.run.camera_to_pc_offset_s == pytest.approx(9.0, abs=1e-9)
+    assert [segment.kind for segment in recording.run.segments] == ["positioning"]
+    assert recording.run.segments[0].t_end_plc_s == pytest.approx(1000.99, abs=1e-6)
+    assert {attachment.name for attachment in recording.attachments} == {"settings.json", "machine.urdf"}
+    assert check_recording(path).usable
+
+
+def test_segments_name_repeats(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, MACHINE, images=False)
+    recorder.start("excite", "{}", MACHINE_TOML)
+    for repeat in range(2):
+        recorder.sample(sample(100 * repeat))
+        recorder.begin_segment(f"r{repeat}", "repeat", "r0")
+        recorder.sample(sample(100 * repeat + 50))
+    recorder.report(report(1))
+    path = recorder.stop()
+    assert path is not None
+    recording = read_run(path)
+    assert [(segment.name, segment.repeat_of) for segment in recording.run.segments] == [("r0", "r0"), ("r1", "r0")]
+    assert recording.run.segments[1].t_start_plc_s == pytest.approx(1001.0, abs=1e-9)
+    assert recording.images == 0
+
+
+def test_a_folder_that_cannot_be_written_is_told_not_raised(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    recorder = Recorder(tmp_path / "file", MACHINE)
+    recorder.start("x", "{}", MACHINE_TOML)
+    assert "choose a folder" in recorder.problem
+    recorder.sample(sample(0))
+    recorder.event("info", "nothing is written")
+    assert recorder.stop() is None
