@@ -33,6 +33,7 @@ class StepErrors:
     image_deg: float
     true_mm: tuple[float, float, float]
     true_deg: float
+    camera_mm: tuple[float, float, float]  # OOI minus tool in camera axes, z with the stand-off: as the paper's tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +115,8 @@ def join_truth(result: dict[str, Any], truth: dict[str, np.ndarray]) -> list[Ste
         near = np.abs(truth["t_plc_ns"] - t_plc_ns) < int(0.5e9)
         x, y, z, rotation = (float(truth[column][near].mean()) for column in TRUTH_COLUMNS)
         image_mm = (image["x_mm"], image["y_mm"], image["z_mm"])
-        steps.append(StepErrors(name, image_mm, image["rotation_deg"], (x, y, z), rotation))
+        camera_mm = (image["camera_x_mm"], image["camera_y_mm"], image["camera_z_mm"])
+        steps.append(StepErrors(name, image_mm, image["rotation_deg"], (x, y, z), rotation, camera_mm))
     return steps
 
 
@@ -138,7 +140,7 @@ def bench(preset: str, method: str, n: int, seed: int, folder: Path, console: Co
 def _load(path: Path) -> Case:
     data = json.loads(path.read_text(encoding="utf-8"))
     data["steps"] = [
-        StepErrors(**{**step, "image_mm": tuple(step["image_mm"]), "true_mm": tuple(step["true_mm"])})
+        StepErrors(**{name: tuple(value) if isinstance(value, list) else value for name, value in step.items()})
         for step in data["steps"]
     ]
     return Case(**data)
@@ -171,14 +173,22 @@ def pattern_of_paper(case: Case) -> bool:
     steps = {step.name: step for step in case.steps}
     if "move 1" not in steps or "move 2" not in steps:
         return False
-    first, second = steps["move 1"].image_mm, steps["move 2"].image_mm
+    first, second = steps["move 1"].camera_mm, steps["move 2"].camera_mm
     return abs(first[1]) > 10.0 and abs(second[0]) < 5.0 and abs(second[1]) < 5.0
 
 
 def summary(cases: list[Case]) -> Table:
     """Mean absolute errors after each move, image-based and true, beside the paper's Table 4."""
     table = Table(title=f"mean |error| over N = {len(cases)}", title_justify="left")
-    for heading in ("after", "N", "image x y z mm", "true x y z mm", "true rotation deg", "paper x y z mm"):
+    for heading in (
+        "after",
+        "N",
+        "image x y z mm",
+        "true x y z mm",
+        "true rotation deg",
+        "camera axes",
+        "paper, camera axes",
+    ):
         table.add_column(heading)
     for name in ("start", "orientation 1", "orientation 2", "move 1", "move 2", "move 3", "move 4"):
         steps = [step for case in cases for step in case.steps if step.name == name]
@@ -188,8 +198,9 @@ def summary(cases: list[Case]) -> Table:
         true = np.abs([step.true_mm for step in steps]).mean(axis=0)
         rotation = statistics.mean(step.true_deg for step in steps)
         paper = PAPER_TABLE_4.get(name)
-        row = [name, str(len(steps)), _three(image), _three(true), f"{rotation:.2f}"]
-        table.add_row(*row, f"{paper[0]} {paper[1]} {paper[2]} (z with b = 100)" if paper else "")
+        camera = np.abs([step.camera_mm for step in steps]).mean(axis=0)
+        row = [name, str(len(steps)), _three(image), _three(true), f"{rotation:.2f}", _three(camera)]
+        table.add_row(*row, _three(np.array(paper)) if paper else "")
     return table
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.errors import MachineFileError
+from machine.lens import distorted_radius_max
 from machine.rotations import Array
 
 
@@ -98,22 +99,23 @@ def _frozen(values: object, shape: tuple[int, ...]) -> Array:
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=False, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 Pose16 = Annotated[list[float], Field(min_length=16, max_length=16)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0.0)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  # joints name channels and URDF elements
 
 
 class _MachineSection(_Strict):
-    name: str
+    name: Annotated[str, Field(min_length=1, max_length=80)]
     gravity_base_m_s2: Vector3 = [0.0, 0.0, -9.81]
     tcp_speed_max_m_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.15
 
 
 class _JointSection(_Strict):
-    name: str
+    name: Name
     type: Literal["revolute"]
     dh_convention: Literal["classic"]
     a_m: Annotated[float, Field(ge=-20.0, le=20.0)]
@@ -161,7 +163,7 @@ class _MarkerSection(_Strict):
 
 
 class _MarkersSection(_Strict):
-    dictionary: str
+    dictionary: Annotated[str, Field(pattern=r"^DICT_[4-7]X[4-7]_(50|100|250|1000)$")]
     marker: list[_MarkerSection]
 
 
@@ -225,10 +227,71 @@ def _marker(section: _MarkerSection) -> Marker:
     return Marker(marker_id=section.id, side_m=section.side_m, on=section.on, T_on_marker=T)
 
 
-def _first_error(error: ValidationError) -> str:
+def _camera(section: _CameraSection) -> StereoCamera:
+    k1, k2, p1, p2, k3 = section.distortion
+    camera = StereoCamera(
+        width_px=section.width_px,
+        height_px=section.height_px,
+        fx_px=section.fx_px,
+        fy_px=section.fy_px,
+        cx_px=section.cx_px,
+        cy_px=section.cy_px,
+        distortion=(k1, k2, p1, p2, k3),
+        baseline_m=section.baseline_m,
+        rate_hz=section.rate_hz,
+        rectified=section.rectified,
+    )
+    _check_lens(camera)
+    return camera
+
+
+def _check_lens(camera: StereoCamera) -> None:
+    """Refuse a principal point outside the image, and a lens model that folds back inside it."""
+    for name, value, size in (("cx", camera.cx_px, camera.width_px), ("cy", camera.cy_px, camera.height_px)):
+        if not 0.0 <= value <= size - 1.0:
+            raise MachineFileError(f"camera.{name}_px = {value} must lie inside the image, 0 .. {size - 1} [px]")
+    x = max(camera.cx_px, camera.width_px - 1.0 - camera.cx_px) / camera.fx_px
+    y = max(camera.cy_px, camera.height_px - 1.0 - camera.cy_px) / camera.fy_px
+    corner, limit = float(np.hypot(x, y)), distorted_radius_max(camera.distortion)
+    if corner >= limit:
+        raise MachineFileError(
+            f"camera.distortion = {list(camera.distortion)} folds back at {limit:.3f} focal lengths from the axis, but "
+            f"the image's corner is at {corner:.3f}; calibrate the lens with marks out to the corners"
+        )
+
+
+def _check_markers(section: _MarkersSection) -> None:
+    """Refuse repeated ids, ids that the dictionary does not have, and a tool or an OOI without markers."""
+    ids = [marker.id for marker in section.marker]
+    if len(set(ids)) != len(ids):
+        raise MachineFileError(f"markers.marker: ids {ids} repeat; every marker needs an id of its own")
+    size = int(section.dictionary.rsplit("_", 1)[1])
+    for number in ids:
+        if number >= size:
+            raise MachineFileError(
+                f"markers.marker: id = {number} is not in {section.dictionary}, which ends at {size - 1}"
+            )
+    for on in ("tool", "ooi"):
+        if not any(marker.on == on for marker in section.marker):
+            raise MachineFileError(f"markers.marker: none has on = {on!r}; give the {on} at least one marker")
+
+
+def _first_error(error: ValidationError, sections: dict[str, object]) -> str:
+    """Field, value and bound of a file's first fault; a joint or a marker also by its own name."""
     first = error.errors()[0]
-    where = ".".join(str(part) for part in first["loc"])
-    return f"{where} = {first['input']!r}: {first['msg']}"
+    names, part = [], sections
+    for key in first["loc"]:
+        part = _child(part, key)
+        label = part.get("name", part.get("id")) if isinstance(part, dict) else None
+        names.append(f"{key} ({label})" if isinstance(key, int) and label is not None else str(key))
+    value = "" if first["type"] in ("missing", "model_type") else f" = {first['input']!r}"
+    return f"{'.'.join(names)}{value}: {first['msg']}"
+
+
+def _child(part: object, key: int | str) -> object:
+    if isinstance(part, dict):
+        return part.get(key)
+    return part[key] if isinstance(part, list) and isinstance(key, int) and key < len(part) else None
 
 
 def parse_machine_toml(text: str) -> Machine:
@@ -237,16 +300,17 @@ def parse_machine_toml(text: str) -> Machine:
     Raises: MachineFileError naming the field, its value and the bound.
     """
     try:
-        sections = _MachineFile.model_validate(tomllib.loads(text))
+        tables = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise MachineFileError(f"machine file is not TOML: {error}") from error
+    try:
+        sections = _MachineFile.model_validate(tables)
     except ValidationError as error:
-        raise MachineFileError(f"machine file: {_first_error(error)}") from error
-    ids = [marker.id for marker in sections.markers.marker]
-    if len(set(ids)) != len(ids):
-        raise MachineFileError(f"markers.marker: ids {ids} repeat; every marker needs an id of its own")
-    camera = sections.camera
-    k1, k2, p1, p2, k3 = camera.distortion
+        raise MachineFileError(f"machine file: {_first_error(error, tables)}") from error
+    names = [joint.name for joint in sections.joint]
+    if len(set(names)) != len(names):
+        raise MachineFileError(f"joint: names {names} repeat; every joint needs a name of its own")
+    _check_markers(sections.markers)
     return Machine(
         name=sections.machine.name,
         gravity_base_m_s2=_frozen(sections.machine.gravity_base_m_s2, (3,)),
@@ -254,19 +318,8 @@ def parse_machine_toml(text: str) -> Machine:
         joints=tuple(_joint(section) for section in sections.joint),
         T_flange_tcp=_pose(sections.tool.T_flange_tcp, "tool.T_flange_tcp"),
         T_tcp_tool=_pose(sections.tool.T_tcp_tool, "tool.T_tcp_tool"),
-        camera=StereoCamera(
-            width_px=camera.width_px,
-            height_px=camera.height_px,
-            fx_px=camera.fx_px,
-            fy_px=camera.fy_px,
-            cx_px=camera.cx_px,
-            cy_px=camera.cy_px,
-            distortion=(k1, k2, p1, p2, k3),
-            baseline_m=camera.baseline_m,
-            rate_hz=camera.rate_hz,
-            rectified=camera.rectified,
-        ),
-        T_tcp_cam_left=_pose(camera.T_tcp_cam_left, "camera.T_tcp_cam_left"),
+        camera=_camera(sections.camera),
+        T_tcp_cam_left=_pose(sections.camera.T_tcp_cam_left, "camera.T_tcp_cam_left"),
         dictionary=sections.markers.dictionary,
         markers=tuple(_marker(section) for section in sections.markers.marker),
         plc_cycle_s=sections.plc.cycle_s,

@@ -7,7 +7,7 @@ import numpy as np
 
 from machine.chain import Chain
 from machine.errors import MachineError
-from machine.inverse_kernel import solve_angles, unwrap
+from machine.inverse_kernel import rotation_fault, solve_angles, unwrap
 from machine.kinematics import sigma_min, tcp_jacobian
 from machine.poses import inverse_pose
 from machine.rotations import Array
@@ -59,12 +59,9 @@ def inverse_all(chain: Chain, T_base_tcp: Array, q_near: Array | None = None) ->
     q_near = (chain.q_min + chain.q_max) / 2.0 if q_near is None else _checked_near(q_near)
     T_base_flange = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
     count, thetas = solve_angles(chain.a, chain.d, T_base_flange, q_near + chain.theta_offset)
-    branches: list[Branch] = []
-    for theta in thetas[:count]:
-        q = theta - chain.theta_offset
-        inside = bool(unwrap(q, q_near + 0.0, chain.q_min, chain.q_max))
-        branches.append(Branch(q=q, inside_limits=inside))
-    return tuple(branches)
+    qs = thetas[:count] - chain.theta_offset
+    inside = unwrap(qs, q_near + 0.0, chain.q_min, chain.q_max)
+    return tuple(Branch(q=q, inside_limits=bool(fits)) for q, fits in zip(qs, inside, strict=True))
 
 
 def inverse_nearest(chain: Chain, T_base_tcp: Array, q_near: Array) -> InverseResult:
@@ -103,12 +100,11 @@ def _check_chain(chain: Chain) -> None:
 def _check_pose(T_base_tcp: Array) -> None:
     if T_base_tcp.shape != (4, 4) or not np.isfinite(T_base_tcp).all():
         raise MachineError(f"wanted pose has shape {T_base_tcp.shape} or is not finite; give a finite (4, 4) pose")
-    R = T_base_tcp[:3, :3]
-    error = float(np.abs(R @ R.T - np.eye(3)).max())
-    if error > ROTATION_TOLERANCE or np.dot(np.cross(R[0], R[1]), R[2]) < 0.0:
+    error = float(rotation_fault(np.array(T_base_tcp, dtype=float)))
+    if error > ROTATION_TOLERANCE:
         raise MachineError(
             f"wanted pose is no pose: its rotation departs from orthonormal by {error:.1e} (limit "
-            f"{ROTATION_TOLERANCE:.0e}) or is mirrored; make it a rotation first"
+            f"{ROTATION_TOLERANCE:.0e}; inf: mirrored); make it a rotation first"
         )
 
 
@@ -173,7 +169,7 @@ def _singular_reason(chain: Chain, q: Array, T_base_tcp: Array) -> str:
     beside = np.sqrt(max(0.0, float(centre @ centre) - float(chain.d[1] + chain.d[2]) ** 2))
     if beside < SINGULAR:
         return (
-            f"the wrist centre is {beside:.5f} m from where {chain.label(0)} can turn freely (limit {SINGULAR:g} m); "
-            "move the target away from the slew axis"
+            f"the wrist centre is {beside:.5f} m from the slew axis (limit {SINGULAR:g} m), where "
+            f"{chain.label(0)} cannot move it sideways; move the target away from the slew axis"
         )
     return ""

@@ -80,7 +80,7 @@ def _theta(chain: Chain, q: Array) -> Array:
 
 
 def _finite(result: Array, q: Array) -> Array:
-    """The kernel's result; one angle that is not finite makes its first and last numbers NaN."""
+    """The kernel's result, given back only when the joint angles were finite."""
     if not np.isfinite(q).all():
         raise MachineError(f"joint vector {np.asarray(q)} [rad] is not finite; check the encoder reading")
     return result

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from machine.description import Marker
+from machine.errors import MachineError
 from machine.poses import transform_points
 from machine.rotations import Array
 
@@ -13,6 +14,8 @@ CORNER_SIGNS = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-
 
 def marker_corners(side_m: float) -> Array:
     """Corners (4, 3) [m] in the marker's frame (x right, y up, z out of the print): TL, TR, BR, BL."""
+    if not side_m > 0.0:
+        raise MachineError(f"marker side is {side_m} m; give a printed side above 0 m")
     return CORNER_SIGNS * (side_m / 2.0)
 
 

@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from machine.errors import MachineError
+
 Array = NDArray[np.float64]
 
 
@@ -52,7 +54,10 @@ def quat_wxyz_from_rotation(rotation: Array) -> Array:
 
 def rotation_from_quat_wxyz(quat_wxyz: Array) -> Array:
     """Rotation matrix of a quaternion (w, x, y, z); normalised on the way in. Args: (4,). Returns: (3, 3)."""
-    w, x, y, z = np.asarray(quat_wxyz, dtype=float) / np.linalg.norm(quat_wxyz)
+    norm = float(np.linalg.norm(quat_wxyz))
+    if not norm > 0.0:
+        raise MachineError(f"quaternion is {quat_wxyz}; give four finite numbers (w, x, y, z), not all 0")
+    w, x, y, z = np.asarray(quat_wxyz, dtype=float) / norm
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -82,8 +87,9 @@ def geodesic_angle(rotation_a: Array, rotation_b: Array) -> float:
 
 def rotation_about(axis: str, angle_rad: float) -> Array:
     """Elementary rotation about "x", "y" or "z" [rad]. Returns: (3, 3)."""
-    unit = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}[axis]
-    return rotation_from_rotvec(np.array(unit) * angle_rad)
+    if axis not in ("x", "y", "z"):
+        raise MachineError(f"axis is {axis!r}; give 'x', 'y' or 'z'")
+    return rotation_from_rotvec(np.eye(3)["xyz".index(axis)] * angle_rad)
 
 
 def nearest_rotation(matrix: Array) -> Array:

@@ -1,37 +1,41 @@
-"""URDF text generated from the same DH table that the kinematics use, with boxes that look like a crane."""
+"""URDF text generated from the same DH table that the kinematics use, drawn as a crane that a viewer can recognise."""
 
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from machine.description import Joint, Machine
-from machine.poses import pose
-from machine.rotations import Array, rotation_about, rotation_from_rotvec
+from machine.poses import inverse_pose, pose
+from machine.rotations import Array, rotation_about
+from machine.urdf_shapes import DARK, GREY, PAINT, bar, box, origin, tube
 
-THICKNESS_M = (0.34, 0.22, 0.18, 0.14, 0.12, 0.10)
-STEEL = '<material name="paint"><color rgba="0.93 0.66 0.15 1"/></material>'
-DARK = '<material name="dark"><color rgba="0.2 0.22 0.24 1"/></material>'
+THICKNESS_M = (0.30, 0.20, 0.16, 0.13, 0.11, 0.09)  # of the bodies, from the base; drawing only
+PEDESTAL_M = (0.8, 0.8, 0.12)
+SHORTEST_DRAWN_M = 0.02
 
 
 def urdf_text(machine: Machine) -> str:
-    """The machine as URDF: base, link_1..n, tcp, tool, cam_left; joint zeros and limits as in the machine file.
+    """The machine as URDF: joint zeros, limits and speeds as in the machine file.
 
-    Model: classic DH puts a_i, d_i and alpha_i behind the joint's rotation, URDF has its fixed origin before it. So
-    the origin of joint i is the fixed part of row i-1, and joint i turns about z of link i-1 by q_i + offset_i; the
-    offset goes into the origin's rotation about the same axis.
+    Model:   classic DH puts d_i, a_i and alpha_i behind the joint's rotation, URDF has its fixed origin before it. So
+             joint i moves an empty body_i on its axis, T_base_link_(i-1) Rz(theta_i), and link_i, the DH frame, is
+             fixed to it at (a_i, 0, d_i), turned by alpha_i about x. The shapes hang on link_i.
+    Returns: links base, body_1..n, link_1..n, flange, tcp, tool, cam_left, cam_right.
     """
-    parts = [f"<robot name={quoteattr(machine.name)}>", '<link name="base"/>']
-    parent, T_fixed = "base", np.eye(4)
+    parts = [f"<robot name={quoteattr(machine.name)}>", f'<link name="base">{_pedestal()}</link>']
+    parent = "base"
     for number, joint in enumerate(machine.joints, start=1):
-        T_origin = T_fixed @ pose(rotation_about("z", joint.theta_offset_rad), np.zeros(3))
-        parts.append(_revolute(joint, number, parent, T_origin))
-        T_fixed = dh_fixed_part(joint)
-        thickness = THICKNESS_M[min(number, len(THICKNESS_M)) - 1]
-        parts.append(_link(f"link_{number}", T_fixed[:3, 3], thickness))
+        T_link_body = pose(rotation_about("z", joint.theta_offset_rad), np.zeros(3))
+        parts.append(_revolute(joint, number, parent, T_link_body))
+        parts.append(f'<link name="body_{number}"/>')
         parent = f"link_{number}"
-    parts.append(_fixed("tcp", parent, T_fixed @ machine.T_flange_tcp))
-    parts.append(_fixed("tool", "tcp", machine.T_tcp_tool))
-    parts.append(_fixed("cam_left", "tcp", machine.T_tcp_cam_left, _camera_box(machine.camera.baseline_m)))
+        parts.append(_frame(parent, f"body_{number}", dh_fixed_part(joint), _drawing(machine, number)))
+    baseline = np.array([machine.camera.baseline_m, 0.0, 0.0])
+    parts.append(_frame("flange", parent, np.eye(4)))
+    parts.append(_frame("tcp", "flange", machine.T_flange_tcp, _camera_bracket(machine)))
+    parts.append(_frame("tool", "tcp", machine.T_tcp_tool, _marker_plates(machine)))
+    parts.append(_frame("cam_left", "tcp", machine.T_tcp_cam_left, _camera_box(machine.camera.baseline_m)))
+    parts.append(_frame("cam_right", "cam_left", pose(np.eye(3), baseline)))
     parts.append("</robot>")
     return "\n".join(parts)
 
@@ -41,62 +45,71 @@ def dh_fixed_part(joint: Joint) -> Array:
     return pose(rotation_about("x", joint.alpha_rad), np.array([joint.a_m, 0.0, joint.d_m]))
 
 
-def _origin(T: Array) -> str:
-    xyz = " ".join(f"{value:.12g}" for value in T[:3, 3])
-    rpy = " ".join(f"{value:.17g}" for value in _roll_pitch_yaw(T[:3, :3]))
-    return f'<origin xyz="{xyz}" rpy="{rpy}"/>'
-
-
-def _roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
-    """Fixed-axis angles of R = Rz(yaw) Ry(pitch) Rx(roll); at pitch = +-90 deg roll is set to 0."""
-    cosine = float(np.hypot(R[0, 0], R[1, 0]))
-    pitch = float(np.arctan2(-R[2, 0], cosine))
-    if cosine < 1e-12:
-        return 0.0, pitch, float(np.arctan2(-R[0, 1], R[1, 1]))
-    return float(np.arctan2(R[2, 1], R[2, 2])), pitch, float(np.arctan2(R[1, 0], R[0, 0]))
-
-
-def _revolute(joint: Joint, number: int, parent: str, T_origin: Array) -> str:
+def _revolute(joint: Joint, number: int, parent: str, T_parent_body: Array) -> str:
     limit = (
-        f'<limit lower="{joint.q_min_rad:.9g}" upper="{joint.q_max_rad:.9g}" effort="0" '
-        f'velocity="{joint.qd_max_rad_s:.9g}"/>'
+        f'<limit lower="{joint.q_min_rad:.12g}" upper="{joint.q_max_rad:.12g}" effort="0" '
+        f'velocity="{joint.qd_max_rad_s:.12g}"/>'
     )
     return (
-        f'<joint name={quoteattr(joint.name)} type="revolute"><parent link="{parent}"/><child link="link_{number}"/>'
-        f'{_origin(T_origin)}<axis xyz="0 0 1"/>{limit}</joint>'
+        f'<joint name={quoteattr(joint.name)} type="revolute"><parent link="{parent}"/><child link="body_{number}"/>'
+        f'{origin(T_parent_body)}<axis xyz="0 0 1"/>{limit}</joint>'
     )
 
 
-def _link(name: str, along: Array, thickness: float) -> str:
-    """A link drawn as a box from its joint to the end of its DH segment."""
-    length = float(np.linalg.norm(along))
-    if length < 0.02:
-        return (
-            f'<link name="{name}"><visual><geometry><sphere radius="{thickness:.3f}"/></geometry>{DARK}</visual></link>'
-        )
-    T_box = pose(_rotation_taking_z_to(along / length), along / 2.0)
-    box = f'<geometry><box size="{thickness:.3f} {thickness:.3f} {length:.4f}"/></geometry>'
-    hub = f'<visual><geometry><sphere radius="{0.62 * thickness:.3f}"/></geometry>{DARK}</visual>'
-    return f'<link name="{name}"><visual>{_origin(T_box)}{box}{STEEL}</visual>{hub}</link>'
-
-
-def _rotation_taking_z_to(direction: Array) -> Array:
-    z = np.array([0.0, 0.0, 1.0])
-    axis = np.cross(z, direction)
-    sine, cosine = float(np.linalg.norm(axis)), float(direction[2])
-    if sine < 1e-12:
-        return np.eye(3) if cosine > 0 else rotation_about("x", np.pi)
-    return rotation_from_rotvec(axis / sine * np.arctan2(sine, cosine))
-
-
-def _fixed(name: str, parent: str, T: Array, visual: str = "") -> str:
+def _frame(name: str, parent: str, T_parent_frame: Array, visual: str = "") -> str:
+    """A fixed link."""
     return (
         f'<link name="{name}">{visual}</link><joint name="{name}_mount" type="fixed"><parent link="{parent}"/>'
-        f'<child link="{name}"/>{_origin(T)}</joint>'
+        f'<child link="{name}"/>{origin(T_parent_frame)}</joint>'
     )
+
+
+def _drawing(machine: Machine, number: int) -> str:
+    """Shapes of a moving body in its link's frame: a hub on its joint's axis and the DH segments that turn with it.
+
+    a_i always belongs to body i. d_i lies on joint i's axis, so it may be drawn on either side of the joint: the next
+    joint's d is this body's boom (d4, the tilt boom, on body 3), and the first and last keep their own (pillar, tool).
+    """
+    joint, count = machine.joints[number - 1], len(machine.joints)
+    thickness = THICKNESS_M[min(number, len(THICKNESS_M)) - 1]
+    T_link_body = inverse_pose(dh_fixed_part(joint))
+    along_axis = np.array([0.0, 0.0, 1.0])
+    axis, foot, end = T_link_body[:3, :3] @ along_axis, T_link_body[:3, 3], np.zeros(3)
+    corner = foot + joint.d_m * axis
+    half_hub = 0.65 * thickness * axis
+    shapes = [] if number == 1 else [tube(foot - half_hub, foot + half_hub, 0.6 * thickness, DARK)]
+    if number == count:
+        neck = foot + 0.6 * joint.d_m * axis
+        shapes += [tube(foot, neck, 0.5 * thickness, GREY), tube(neck, corner, 0.2 * thickness, DARK)]
+    elif number == 1:
+        shapes.append(tube(foot, corner, 0.5 * thickness, PAINT))
+    if abs(joint.a_m) > SHORTEST_DRAWN_M:
+        shapes.append(bar(corner, end, thickness, PAINT))
+    if number < count - 1 and abs(machine.joints[number].d_m) > SHORTEST_DRAWN_M:
+        shapes.append(bar(end, machine.joints[number].d_m * along_axis, thickness, PAINT))
+    return "".join(shapes)
+
+
+def _pedestal() -> str:
+    return box(pose(np.eye(3), np.array([0.0, 0.0, -PEDESTAL_M[2] / 2.0])), PEDESTAL_M, GREY)
+
+
+def _camera_bracket(machine: Machine) -> str:
+    """From the torsion axis to the middle between the eyes, in the tcp frame."""
+    middle = machine.T_tcp_cam_left @ np.array([machine.camera.baseline_m / 2.0, 0.0, -0.02, 1.0])
+    foot = np.array([0.0, 0.0, middle[2]])
+    return bar(foot, middle[:3], 0.03, DARK) if np.linalg.norm(middle[:3] - foot) > SHORTEST_DRAWN_M else ""
 
 
 def _camera_box(baseline_m: float) -> str:
-    T_box = pose(np.eye(3), np.array([baseline_m / 2.0, 0.0, -0.015]))
-    size = f'<geometry><box size="{baseline_m + 0.05:.3f} 0.03 0.03"/></geometry>'
-    return f"<visual>{_origin(T_box)}{size}{DARK}</visual>"
+    T_cam_box = pose(np.eye(3), np.array([baseline_m / 2.0, 0.0, -0.015]))
+    return box(T_cam_box, (baseline_m + 0.05, 0.03, 0.03), DARK)
+
+
+def _marker_plates(machine: Machine) -> str:
+    """A plate behind each tool marker's print, a fifth wider than the marker."""
+    plates = []
+    for marker in machine.markers_on("tool"):
+        T_tool_plate = marker.T_on_marker @ pose(np.eye(3), np.array([0.0, 0.0, -0.004]))
+        plates.append(box(T_tool_plate, (1.2 * marker.side_m, 1.2 * marker.side_m, 0.006), GREY))
+    return "".join(plates)

@@ -201,3 +201,9 @@ def reject_text(code: int) -> str:
     except ValueError:
         return f"reject code {code}: not known to this version; update the PC"
     return f"{known.name}: {_REJECT_TEXTS[known]}"
+
+
+def rejects_markdown() -> str:
+    """All reject codes as a documentation table."""
+    rows = [f"| {int(code)} | {code.name} | {text} |" for code, text in _REJECT_TEXTS.items()]
+    return "\n".join(["| Code | Name | Meaning and remedy |", "|---|---|---|", *rows])

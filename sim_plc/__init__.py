@@ -1,1 +1,1 @@
-"""The simulated machine: PLC program, plant, stereo camera. Its truth never leaves this package but into the truth log."""
+"""The simulated machine: PLC program, plant, stereo camera. Its truth leaves it in the truth log only."""

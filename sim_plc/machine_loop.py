@@ -1,73 +1,84 @@
-"""Plant and PLC program together, one millisecond at a time; whoever calls decides what time is."""
+"""Plant and PLC program together, one PLC cycle at a time; whoever calls decides what time is."""
 
-import secrets
 from collections.abc import Callable
-
-import numpy as np
+from typing import Literal
 
 from protocol.framing import EapFraming, Framing, RawFraming
 from sim_plc.plant.plant import Plant
-from sim_plc.plc.logic import PlantSample, PlcLogic
+from sim_plc.plc.local_panel import LocalPanel
+from sim_plc.plc.logic import PlcLogic
+from sim_plc.plc.sample import PlantSample
 from sim_plc.pose_feed import PoseFeed
 from sim_plc.truth_log import TruthLog
 from sim_plc.world import World
 
-CYCLE_NS = 1_000_000
-PLC_NET_ID = "10.0.0.2.1.1"
-PC_NET_ID = "10.0.0.1.1.1"
+MS = 1_000_000
+STATE_PERIOD_NS = 10 * MS
+_PRESSURES_EVERY = 10  # cycles: as often as a state is sent
 
 
-def framing_of(kind: str) -> Framing:
-    """The PLC's framing by name, "raw" or "eap"."""
-    return RawFraming() if kind == "raw" else EapFraming.for_plc(PC_NET_ID, PLC_NET_ID)
+def plc_framing(kind: Literal["raw", "eap"], pc_net_id: str, plc_net_id: str) -> Framing:
+    """The PLC's framing by name; raises LocalProtocolError for a bad NetId."""
+    return EapFraming.for_plc(pc_net_id, plc_net_id) if kind == "eap" else RawFraming()
 
 
 class MachineLoop:
-    """The simulated machine: `advance_to(t)` runs every PLC cycle up to t."""
+    """The simulated machine at rest at time `t_start_ns` of the PLC's clock; `cycle` moves it on by one PLC cycle."""
 
     def __init__(
         self,
         world: World,
         framing: Framing,
         t_start_ns: int,
-        draw_nonce: Callable[[], int] | None = None,
-        local_enable: bool = True,
+        draw_nonce: Callable[[], int],
+        panel: LocalPanel | None = None,
     ) -> None:
         self.plant = Plant(world.plant, world.q_start_rad)
-        self.plc = PlcLogic(world.nominal, framing, draw_nonce or (lambda: secrets.randbits(32)), local_enable)
+        self.plc = PlcLogic(world.nominal, framing, draw_nonce, panel)
         self.t_plc_ns = t_start_ns
+        self.cycle_ns = self.plc.settings.cycle_ns
         self.feed: PoseFeed | None = None
         self.truth: TruthLog | None = None
+        self._tank_pa = world.plant.supply.tank_pa
+        self._cycles = 0
+        self._pressures = self.plant.pressures_pa
 
-    def advance_to(self, t_plc_ns: int) -> int:
-        """Run all cycles due by then; returns how many."""
-        count = 0
-        while self.t_plc_ns + CYCLE_NS <= t_plc_ns:
-            self.cycle()
-            count += 1
-        return count
+    def cycle(self) -> bytes | None:
+        """One PLC cycle at `t_plc_ns`, after which plant and clock have moved on by it.
 
-    def cycle(self) -> None:
-        """One millisecond."""
-        self.t_plc_ns += CYCLE_NS
-        valves = self.plc.cycle(self.t_plc_ns, self._sample())
-        self.plant.step(np.array(valves), 1)
-        if self.feed is None and (self.truth is None or not self.truth.due(self.t_plc_ns)):
+        Returns: the state datagram if one is due and a peer is known. Poses and truth go where they are wanted.
+        """
+        t_plc_ns = self.t_plc_ns
+        valves = self.plc.cycle(t_plc_ns, self._sample())
+        due = self.plc.link.peer is not None and t_plc_ns % STATE_PERIOD_NS < self.cycle_ns
+        datagram = self.plc.send(t_plc_ns) if due else None
+        self.plant.step(valves, max(self.cycle_ns // MS, 1))
+        self.t_plc_ns = t_plc_ns + self.cycle_ns
+        self._tell_pose()
+        return datagram
+
+    def _tell_pose(self) -> None:
+        truth, feed = self.truth, self.feed
+        truth_due = truth is not None and truth.due(self.t_plc_ns)
+        if feed is None and not truth_due:
             return
         T_base_tcp = self.plant.T_base_tcp()
-        if self.feed is not None:
-            self.feed.publish(self.t_plc_ns, T_base_tcp)
-        if self.truth is not None and self.truth.due(self.t_plc_ns):
-            self.truth.write(self.t_plc_ns, T_base_tcp, self.plant.q_encoder_rad)
+        if feed is not None:
+            feed.publish(self.t_plc_ns, T_base_tcp)
+        if truth is not None and truth_due:
+            truth.write(self.t_plc_ns, T_base_tcp, self.plant.q_output_rad, self.plant.q_encoder_rad)
 
     def _sample(self) -> PlantSample:
         plant = self.plant
-        pressures = plant.pressures_pa
+        if self._cycles % _PRESSURES_EVERY == 0:
+            self._pressures = plant.pressures_pa
+        self._cycles += 1
         return PlantSample(
-            q_rad=tuple(plant.q_encoder_rad.tolist()),
-            qd_rad_s=tuple(plant.qd_rad_s.tolist()),
-            p_a_pa=tuple(pressures[:, 0].tolist()),
-            p_b_pa=tuple(pressures[:, 1].tolist()),
+            q_rad=plant.q_encoder_rad,
+            qd_rad_s=plant.qd_rad_s,
+            p_a_pa=self._pressures[:, 0],
+            p_b_pa=self._pressures[:, 1],
             p_supply_pa=plant.supply_pressure_pa,
             t_oil_c=plant.oil_temperature_c,
+            p_tank_pa=self._tank_pa,
         )

@@ -1,133 +1,177 @@
 """The simulated machine as processes: PLC and plant in real time here, the camera in a child."""
 
+import gc
 import logging
 import multiprocessing
+import os
+import secrets
 import signal
-import socket
 import time
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing.process import BaseProcess
-from pathlib import Path
 from types import FrameType
+from typing import Literal, cast
 
 from machine.description import parse_machine_toml
-from protocol.codes import PlcState
 from sim_plc.draw_world import draw_world
-from sim_plc.machine_loop import MachineLoop, framing_of
+from sim_plc.machine_loop import MS, MachineLoop, plc_framing
+from sim_plc.plc import path
+from sim_plc.plc.local_panel import EnableMode, LocalPanel
 from sim_plc.pose_feed import PoseFeed
+from sim_plc.real_time import LoopHealth, RealTimeLoop, UdpPort
+from sim_plc.settings import SimSettings, SimSettingsError
 from sim_plc.truth_log import TruthLog
 from sim_plc.world import World
 
+__all__ = ["SimSettings", "SimSettingsError", "run_sim"]
+
 log = logging.getLogger(__name__)
 
-STATE_PERIOD_NS = 10_000_000
-WAKE_S = 0.002
-BATCH_NS = 20_000_000  # at most this much is caught up before the socket is looked at again
-RECEIVE_BATCH = 64
-PLC_EPOCH_NS = 7_000_000_000_000  # the PLC's clock does not start where the PC's does
+_WARM_UP_CYCLES = 3
+_EPOCH_RANGE_S = 100_000
+_HEALTH_NS = 5_000 * MS
+_FIFO_PRIORITY = 20  # below the link process, should both run here
+_NICENESS = -10  # where it is allowed: the PLC's cycles before pictures and panels
+_CAMERA_STOP_S = 3.0
 
 
-@dataclass(frozen=True, slots=True)
-class SimSettings:
-    """What to simulate and where it listens."""
+def run_sim(settings: SimSettings) -> LoopHealth:
+    """Run until SIGTERM or SIGINT; leaves no process and no shared memory behind. Returns how the loop kept up.
 
-    machine_text: str
-    preset: str = "realistic"
-    seed: int = 1
-    plc_host: str = "127.0.0.1"
-    plc_port: int = 50110
-    framing: str = "raw"
-    camera: bool = True
-    camera_host: str = "127.0.0.1"
-    camera_port: int = 8090
-    camera_rate_hz: float = 15.0
-    local_enable: bool = True
-    truth_log: Path | None = None
+    Raises: SimSettingsError, PresetError, MachineFileError before anything is started; OSError: the UDP port is taken.
+    """
+    with _stop_flag() as stopped:
+        world = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
+        panel = LocalPanel(cast(EnableMode, settings.enable))
+        _panel_signals(panel)
+        return _run(settings, world, panel, stopped)
 
 
-class _Stop(Exception):  # noqa: N818 -- a request, not an error
-    """SIGTERM or SIGINT arrived."""
-
-
-def run_sim(settings: SimSettings) -> None:
-    """Run until SIGTERM or SIGINT; leaves no process and no shared memory behind."""
-    world = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
-    _stop_on_signals()
-    feed = PoseFeed.create()
-    camera: BaseProcess | None = None
-    truth = TruthLog(settings.truth_log, world) if settings.truth_log is not None else None
-    try:
+def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callable[[], bool]) -> LoopHealth:
+    framing = plc_framing(cast(Literal["raw", "eap"], settings.framing), settings.pc_net_id, settings.plc_net_id)
+    offset_ns = new_epoch_offset_ns()
+    with ExitStack() as cleanup:
+        udp = UdpPort(settings.plc_host, settings.plc_port)
+        cleanup.callback(udp.close)
+        _warm_up(world)
+        feed = PoseFeed.create(offset_ns)
+        cleanup.callback(feed.close)
+        machine = MachineLoop(world, framing, _cycle_start(offset_ns), lambda: secrets.randbits(32), panel)
+        machine.feed = feed
+        if settings.truth_log is not None:
+            machine.truth = TruthLog(settings.truth_log, world, settings.stand_off_m)
+            cleanup.callback(machine.truth.close)
         camera = _start_camera(world, feed, settings) if settings.camera else None
-        _real_time(world, settings, feed, truth)
-    except _Stop:
-        log.info("stopping")
-    finally:
         if camera is not None:
-            camera.terminate()
-            camera.join(3.0)
-            if camera.is_alive():
-                camera.kill()
-        if truth is not None:
-            truth.close()
-        feed.close()
+            cleanup.callback(_end_camera, camera)
+        log.info("PLC ready on udp %s:%d (%s framing)", *udp.address, settings.framing)
+        machine.t_plc_ns = _cycle_start(offset_ns)
+        loop = RealTimeLoop(machine, udp, offset_ns)
+        _run_first()
+        gc.freeze()
+        loop.run(_watched(stopped, loop.health, camera))
+        log.info("simulated machine stopped: %s", loop.health)
+        return loop.health
 
 
-def _stop_on_signals() -> None:
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        raise _Stop
+def _run_first() -> None:
+    """A PLC is a computer of its own: where it is allowed, its cycles come before everything else here."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(_FIFO_PRIORITY))
+    except (OSError, AttributeError):
+        with suppress(OSError):
+            os.nice(_NICENESS)
 
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
+
+def new_epoch_offset_ns() -> int:
+    """PLC clock minus monotonic clock of one run: the PLC's clock starts where the PC's does not."""
+    return secrets.randbelow(_EPOCH_RANGE_S) * 1000 * MS + 1000 * MS
+
+
+def _cycle_start(offset_ns: int) -> int:
+    return (time.monotonic_ns() + offset_ns) // MS * MS
+
+
+def _warm_up(world: World) -> None:
+    """Compile, or load from the cache, everything the cycle calls, before the clock counts."""
+    machine = MachineLoop(world, plc_framing("raw", "", ""), 1000 * MS, lambda: 1)
+    for _ in range(_WARM_UP_CYCLES):
+        machine.cycle()
+    path.warm_up(machine.plc.settings.qdd_stop)
+    machine.plc.reference.hold(machine.plant.q_encoder_rad)
+    machine.cycle()  # with the controllers on
+    machine.plant.T_base_tcp()
+
+
+def _watched(stopped: Callable[[], bool], health: LoopHealth, camera: BaseProcess | None) -> Callable[[], bool]:
+    """`stopped`, and on the way a line in the log when time was lost or the camera has died."""
+    told_ms, told_camera, next_ns = 0, False, time.monotonic_ns() + _HEALTH_NS
+
+    def asked() -> bool:
+        nonlocal told_ms, told_camera, next_ns
+        if time.monotonic_ns() >= next_ns:
+            next_ns = time.monotonic_ns() + _HEALTH_NS
+            if health.lost_ms > told_ms:
+                told_ms = health.lost_ms
+                log.warning("this computer is too slow for real time: %d ms let go so far", told_ms)
+            if camera is not None and not camera.is_alive() and not told_camera:
+                told_camera = True
+                log.error("the camera process has ended with code %s; the PLC goes on without it", camera.exitcode)
+        return stopped()
+
+    return asked
+
+
+@contextmanager
+def _stop_flag() -> Iterator[Callable[[], bool]]:
+    """SIGTERM and SIGINT set a flag for as long as the block runs."""
+    flagged: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        del frame
+        flagged.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield lambda: bool(flagged)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _panel_signals(panel: LocalPanel) -> None:
+    """SIGUSR1 presses and releases the enable, SIGUSR2 takes and releases the lever: hands at the simulated machine."""
+
+    def enable(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        if panel.enabled:
+            panel.release_enable()
+        else:
+            panel.press_enable()
+
+    def lever(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        panel.lever_taken = not panel.lever_taken
+
+    signal.signal(signal.SIGUSR1, enable)
+    signal.signal(signal.SIGUSR2, lever)
 
 
 def _start_camera(world: World, feed: PoseFeed, settings: SimSettings) -> BaseProcess:
-    from sim_plc.camera.process import run_camera
+    from sim_plc.camera.process import run_camera  # only where a camera is wanted: it brings the renderer and uvicorn
 
     context = multiprocessing.get_context("spawn")
     arguments = (world, feed.name, settings.camera_host, settings.camera_port, settings.camera_rate_hz)
     camera = context.Process(target=run_camera, args=arguments, name="sim-camera", daemon=True)
     camera.start()
+    log.info("camera on http://%s:%d/stream", settings.camera_host, settings.camera_port)
     return camera
 
 
-def _real_time(world: World, settings: SimSettings, feed: PoseFeed, truth: TruthLog | None) -> None:
-    loop = MachineLoop(world, framing_of(settings.framing), plc_now_ns(), local_enable=settings.local_enable)
-    loop.cycle()  # compiles the plant before the clock counts
-    loop.t_plc_ns = plc_now_ns()
-    loop.feed, loop.truth = feed, truth
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind((settings.plc_host, settings.plc_port))
-        udp.setblocking(False)
-        log.info("PLC listens on udp %s:%d", settings.plc_host, settings.plc_port)
-        next_state_ns = 0
-        while True:
-            _drain(udp, loop)
-            now_ns = plc_now_ns()
-            loop.advance_to(min(now_ns, loop.t_plc_ns + BATCH_NS))
-            if loop.t_plc_ns >= next_state_ns:
-                next_state_ns = max(next_state_ns + STATE_PERIOD_NS, loop.t_plc_ns)
-                _send_state(udp, loop)
-            if now_ns - loop.t_plc_ns < BATCH_NS:
-                time.sleep(WAKE_S)
-
-
-def plc_now_ns() -> int:
-    """The PLC's clock."""
-    return time.monotonic_ns() + PLC_EPOCH_NS
-
-
-def _drain(udp: socket.socket, loop: MachineLoop) -> None:
-    for _ in range(RECEIVE_BATCH):
-        try:
-            datagram, source = udp.recvfrom(4096)
-        except (BlockingIOError, ConnectionRefusedError):
-            return
-        loop.plc.receive(datagram, loop.t_plc_ns, source)
-
-
-def _send_state(udp: socket.socket, loop: MachineLoop) -> None:
-    peer = loop.plc.link.peer
-    if peer is not None and loop.plc.state is not PlcState.BOOT:
-        with suppress(BlockingIOError, ConnectionRefusedError):
-            udp.sendto(loop.plc.send(loop.t_plc_ns), peer)  # type: ignore[arg-type]
+def _end_camera(camera: BaseProcess) -> None:
+    camera.terminate()
+    camera.join(_CAMERA_STOP_S)
+    if camera.is_alive():
+        camera.kill()
+        camera.join(_CAMERA_STOP_S)

@@ -14,16 +14,17 @@ from sim_plc.world import World
 
 PERIOD_NS = 20_000_000
 FLUSH_ROWS = 25
+_LISTED = 64  # longer arrays (actuator tables) are derived from shorter ones and only named
 COLUMNS = [
     "t_plc_s",
     "t_plc_ns",
     "x_ooi_tool_m",
     "y_ooi_tool_m",
     "z_ooi_tool_m",
-    "qw",
-    "qx",
-    "qy",
-    "qz",
+    "qw_ooi_tool",
+    "qx_ooi_tool",
+    "qy_ooi_tool",
+    "qz_ooi_tool",
     "error_x_mm",
     "error_y_mm",
     "error_z_mm",
@@ -35,16 +36,22 @@ COLUMNS = [
 
 
 class TruthLog:
-    """truth.csv at 50 Hz and world.json with everything that was drawn. `stand_off_m` is the goal's distance."""
+    """truth.csv at 50 Hz and world.json with everything that was drawn.
+
+    Errors are the tool minus the goal in OOI axes, for a goal `stand_off_m` in front of the OOI with the tool's axes
+    along the OOI's, and the geodesic angle.
+    """
 
     def __init__(self, folder: Path, world: World, stand_off_m: float = 0.1) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "world.json").write_text(json.dumps(_plain(world), indent=1), encoding="utf-8")
+        drawn = {"stand_off_m": stand_off_m, **_plain(world)}
+        (folder / "world.json").write_text(json.dumps(drawn, indent=1), encoding="utf-8")
         self._file = (folder / "truth.csv").open("w", encoding="utf-8", newline="")
         self._rows = csv.writer(self._file)
-        joints = len(world.nominal.joints)
-        self._rows.writerow([*COLUMNS, *(f"q_{j + 1}_rad" for j in range(joints))])
-        self._scene = world.scene
+        joints = range(1, len(world.nominal.joints) + 1)
+        self._rows.writerow([*COLUMNS, *(f"q_true_{j}_rad" for j in joints), *(f"q_encoder_{j}_rad" for j in joints)])
+        self._T_ooi_base = inverse_pose(world.scene.T_base_ooi)
+        self._T_tcp_tool = world.scene.T_tcp_tool
         self._T_ooi_goal = pose(np.eye(3), np.array([0.0, 0.0, stand_off_m]))
         self._next_ns = 0
         self._count = 0
@@ -53,15 +60,16 @@ class TruthLog:
         """Whether a row should be written now."""
         return t_plc_ns >= self._next_ns
 
-    def write(self, t_plc_ns: int, T_base_tcp: Array, q_rad: Array) -> None:
-        """One row."""
+    def write(self, t_plc_ns: int, T_base_tcp: Array, q_true_rad: Array, q_encoder_rad: Array) -> None:
+        """One row; q_true is behind the play, q_encoder what the PLC reads."""
         self._next_ns = t_plc_ns + PERIOD_NS
-        T_ooi_tool = inverse_pose(self._scene.T_base_ooi) @ T_base_tcp @ self._scene.T_tcp_tool
-        position, quat = T_ooi_tool[:3, 3], quat_wxyz_from_rotation(T_ooi_tool[:3, :3])
+        T_ooi_tool = self._T_ooi_base @ T_base_tcp @ self._T_tcp_tool
+        position, quat_wxyz = T_ooi_tool[:3, 3], quat_wxyz_from_rotation(T_ooi_tool[:3, :3])
         error_mm = (position - self._T_ooi_goal[:3, 3]) * 1e3
         angle_deg = np.rad2deg(geodesic_angle(self._T_ooi_goal[:3, :3], T_ooi_tool[:3, :3]))
-        numbers = [*position, *quat, *error_mm, angle_deg, *T_base_tcp[:3, 3], *q_rad]
-        self._rows.writerow([f"{t_plc_ns * 1e-9:.9f}", t_plc_ns, *(f"{value:.9g}" for value in numbers)])
+        numbers = [*position, *quat_wxyz, *error_mm, angle_deg, *T_base_tcp[:3, 3], *q_true_rad, *q_encoder_rad]
+        seconds, rest_ns = divmod(t_plc_ns, 1_000_000_000)
+        self._rows.writerow([f"{seconds}.{rest_ns:09d}", t_plc_ns, *(f"{value:.9g}" for value in numbers)])
         self._count += 1
         if self._count % FLUSH_ROWS == 0:
             self._file.flush()
@@ -72,11 +80,11 @@ class TruthLog:
 
 
 def _plain(value: Any) -> Any:
-    """Dataclasses and arrays as JSON; the texture-free world is small."""
+    """Dataclasses and arrays as JSON."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, np.ndarray):
-        return value.tolist() if value.size <= 64 else f"array {value.shape}"
+        return value.tolist() if value.size <= _LISTED else f"array {value.shape}"
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
     if isinstance(value, (np.floating, np.integer)):

@@ -58,6 +58,9 @@ class ErrorView(View):
     sigma_z_mm: float
     sigma_rotation_deg: float
     distance_mm: float
+    camera_x_mm: float
+    camera_y_mm: float
+    camera_z_mm: float
 
 
 class LookView(View):

@@ -80,7 +80,7 @@ def predicted_error_covariance(
     T_ooi_goal: Array,
     tool_covariance: Array,
     ooi_covariance: Array,
-    sigma_stretch_frac: float = 0.01,
+    sigma_stretch_frac: float = 0.005,
     sigma_floor_m: float = 0.0007,
 ) -> Array:
     """Covariance of the tool's position error after the move, told before it.

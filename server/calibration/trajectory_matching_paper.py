@@ -17,7 +17,7 @@ from server.calibration.hybrid_mixture import MixtureMatch, MixtureSettings, reg
 
 METHOD = "paper"
 DEFAULT_SETTINGS = MixtureSettings()
-_POSES_MAX = 150
+_POSES_MAX = 100
 _PATH_LENGTH_MIN_M = 0.15
 
 

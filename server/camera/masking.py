@@ -13,8 +13,22 @@ def blown_up(corners_px: Array, scale: float) -> Array:
     return middle + scale * (corners_px - middle)
 
 
+SHAFT_PX = 3000.0  # beyond the border of any image
+
+
+def plate_and_shaft(corners_px: Array, scale: float) -> Array:
+    """Polygon (4, 2) [px]: the blown-up marker, drawn out along its own down direction to beyond the image.
+
+    The tool's marker stands upright on the tool, so its holder comes into the image from below the marker.
+    """
+    top_left, top_right, bottom_right, bottom_left = blown_up(corners_px, scale)
+    down = bottom_left - top_left + bottom_right - top_right
+    reach = SHAFT_PX * down / np.linalg.norm(down)
+    return np.array([top_left, top_right, bottom_right + reach, bottom_left + reach])
+
+
 class ToolMask:
-    """Polygons (4, 2) [px] over the tool markers' plates in both eyes.
+    """Polygons (4, 2) [px] over the tool markers' plates and holders in both eyes.
 
     The tool is rigid to the camera, so where it was last seen is where it still is.
     """
@@ -32,7 +46,7 @@ class ToolMask:
                 continue
             for corners, polygons in ((view.corners_left_px, self._left), (view.corners_right_px, self._right)):
                 if corners is not None:
-                    polygons[view.marker_id] = blown_up(np.asarray(corners, float), self._scale)
+                    polygons[view.marker_id] = plate_and_shaft(np.asarray(corners, float), self._scale)
 
     @property
     def left(self) -> tuple[Array, ...]:

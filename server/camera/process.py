@@ -15,6 +15,7 @@ from machine.description import Machine
 from server.camera.contracts import (
     OdometryCommand,
     PoseSourceCommand,
+    PoseSourceName,
     QuitCommand,
     StereoSource,
     StreamNotice,
@@ -24,7 +25,9 @@ from server.camera.contracts import (
 from server.camera.errors import CameraError
 from server.camera.pipeline import Odometry, VisionPipeline
 from server.camera.sources.opening import open_source
+from server.vision.contracts import ObjectPoseSource
 
+WARM_UP_STEP_NS = 66_000_000
 READ_TIMEOUT_S = 0.1  # how soon a command is heard when no pictures come
 
 _log = logging.getLogger(__name__)
@@ -32,19 +35,34 @@ _log = logging.getLogger(__name__)
 
 def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline:
     """The pipeline with the marker detector and odometry of this machine, warmed up."""
-    from server.vision.aruco_source import ArucoPoseSource  # late: only this process needs these
+    from server.vision.aruco_source import ArucoPoseSource
     from server.vision.mono_aruco import MonoArucoPoseSource
+    from server.vision.odometry import StereoOdometry
 
     def make_odometry() -> Odometry:
-        from server.vision.odometry import StereoOdometry
-
         return StereoOdometry(machine.camera)
 
-    stereo, mono = ArucoPoseSource(machine), MonoArucoPoseSource(machine)
-    blank = np.zeros((machine.camera.height_px, machine.camera.width_px), np.uint8)
-    stereo.observe(blank, blank, 0)
+    sources: dict[PoseSourceName, ObjectPoseSource] = {
+        "stereo": ArucoPoseSource(machine),
+        "mono": MonoArucoPoseSource(machine),
+    }
+    _warm_up(machine, sources["stereo"], make_odometry())
     tool_ids = [marker.marker_id for marker in machine.markers_on("tool")]
-    return VisionPipeline(settings, tool_ids, {"stereo": stereo, "mono": mono}, make_odometry)
+    return VisionPipeline(settings, tool_ids, sources, make_odometry)
+
+
+def _warm_up(machine: Machine, source: ObjectPoseSource, odometry: Odometry) -> None:
+    """Compile what is compiled on first use now, on a made-up wall, and not in the midst of the first motion."""
+    camera = machine.camera
+    coarse = np.random.default_rng(0).integers(40, 220, (camera.height_px // 8, camera.width_px // 8 + 8))
+    wall = cv2.resize(coarse.astype(np.uint8), None, fx=8.0, fy=8.0, interpolation=cv2.INTER_CUBIC)
+    for number in range(3):
+        left, right = (
+            np.ascontiguousarray(wall[: camera.height_px, start : start + camera.width_px], np.uint8)
+            for start in (2 * number, 2 * number + 24)
+        )
+        source.observe(left, right, number * WARM_UP_STEP_NS)
+        odometry.process(left, right, number * WARM_UP_STEP_NS)
 
 
 def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> None:

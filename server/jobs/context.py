@@ -12,6 +12,7 @@ from machine.poses import pose
 from machine.rotations import Array
 from server.jobs.knowledge import Knowledge
 from server.motion.contracts import Wall
+from server.motion.lost_motion import first_stall
 from server.settings import ServerSettings
 
 Method = Literal["ours", "paper"]
@@ -34,6 +35,12 @@ class PlanContext:
     def tcp(self, q_rad: Array) -> Array:
         """T_base_tcp of the nominal model."""
         return tcp_pose(self.chain, q_rad)
+
+    @property
+    def stall(self) -> Array:
+        """How far each joint rests from its reference (n,) [rad]: as last seen, or a first guess."""
+        seen = self.knowledge.stall_rad
+        return first_stall(self.machine) if seen is None else seen
 
     @property
     def T_ooi_goal(self) -> Array:

@@ -47,6 +47,7 @@ class Knowledge:
     previewed: PreviewedPlan | None = None
     q_start: Array | None = None
     T_base_ooi: Array | None = None
+    stall_rad: Array | None = None
     moves: list[MoveRecord] = field(default_factory=list)
 
 

@@ -24,7 +24,7 @@ from server.jobs.requests import (
 from server.link.contracts import LinkPhase, PlcSample
 
 READING_S = 0.1
-SILENT_S = 0.25  # PLC state older than this is no state
+SILENT_S = 1.0  # a job gives up then; motion is stopped by link process and PLC, both after 250 ms
 REST_WINDOW_S = 0.4
 REST_SPEED_RAD_S = 2e-4  # 0.8 mm/s at 4 m
 REST_LAG_RAD_S = 1e-4

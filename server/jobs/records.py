@@ -17,6 +17,13 @@ class ErrorMm:
     sigma_z_mm: float
     sigma_rotation_deg: float
     distance_mm: float
+    camera_x_mm: float  # OOI minus tool in camera axes, as the paper's tables give it; z contains the stand-off
+    camera_y_mm: float
+    camera_z_mm: float
+
+    def inside_as_paper(self, tolerance_mm: float) -> bool:
+        """The paper's criterion: x and y in camera axes; depth and rotation are not judged."""
+        return abs(self.camera_x_mm) <= tolerance_mm and abs(self.camera_y_mm) <= tolerance_mm
 
     def inside(self, tolerance_mm: float, tolerance_deg: float) -> bool:
         """Whether every axis and the rotation are inside the tolerance with two sigma to spare."""

@@ -26,7 +26,7 @@ from protocol.client_link import ClientLink
 from protocol.codes import PlcState
 from protocol.errors import LocalProtocolError
 from protocol.limits import LimitTable
-from protocol.messages import Knot, axes8
+from protocol.messages import Knot, State, axes8
 from protocol.timeouts import STOP_ON_EXIT
 from server.link.contracts import (
     ArmRequest,
@@ -69,7 +69,7 @@ class LinkProcess:
         self._address: Address | None = None
         self._phase = ClientPhase.OFFLINE
         self._past_sent = self._past_received = self._past_lost = self._rejected = 0
-        self._buffer_min_us = 0
+        self._buffer_min_us = self._last_knot = 0
         self._last_reject = ""
         self._arm_until_ns: int | None = None
         self._next_health_ns = self._next_resolve_ns = 0
@@ -190,7 +190,7 @@ class LinkProcess:
             text = f"motion gate: {shown}" + (f"; and {more} more" if more > 0 else "")
             self._outbox.report(RunRefused(request.traj_id, text))
             return
-        self._buffer_min_us = 0
+        self._buffer_min_us, self._last_knot = 0, len(knots) - 1
 
     # --- events -----------------------------------------------------------------------------------------------------
 
@@ -199,7 +199,7 @@ class LinkProcess:
             match event:
                 case StateReceived(state=state, t_mono_ns=t_received_ns):
                     self._outbox.add_sample(sample_of(state, t_received_ns, len(self._table.axes)))
-                    self._note_buffer(state.plc_state, state.buffer_us)
+                    self._note_buffer(state)
                 case TrajectoryEnded(traj_id=traj_id, reached=reached, reason=reason, t_plc_ns=t_plc_ns):
                     self._report_health(t_mono_ns)
                     self._outbox.report(MotionEnded(traj_id, reached, reason, t_plc_ns))
@@ -214,9 +214,10 @@ class LinkProcess:
                 case _:  # Dropped: counted by the link
                     pass
 
-    def _note_buffer(self, plc_state: PlcState, buffer_us: int) -> None:
-        if plc_state is PlcState.RUN:
-            self._buffer_min_us = min(self._buffer_min_us or buffer_us, buffer_us)
+    def _note_buffer(self, state: State) -> None:
+        """Only while knots are still to come: towards its end every trajectory empties the ring."""
+        if state.plc_state is PlcState.RUN and state.knot_last < self._last_knot:
+            self._buffer_min_us = min(self._buffer_min_us or state.buffer_us, state.buffer_us)
 
     def _renew(self) -> None:
         """A closed link is replaced; a wish to arm that has not lapsed goes on."""

@@ -31,8 +31,8 @@ class TrimSettings:
     """What a trim may do, and from when on it is worth doing."""
 
     residual_max_rad: float = float(np.deg2rad(3.0))
-    residual_min_rad: float = float(np.deg2rad(0.01))
-    gain: float = 1.0
+    residual_min_rad: float = float(np.deg2rad(0.002))  # 0.15 mm at 4 m, one step of an 18 bit encoder
+    stall_max_rad: float = float(np.deg2rad(1.5))  # a larger offset at rest is no dead band
     leg_s: float = 1.0
 
 
@@ -72,14 +72,15 @@ def plan_approach(
     first = cartesian_leg(machine, chain, q, T_pre, settings, wall)
     if isinstance(first, Refusal):
         return refused_plan(first, q, np.array([tcp_pose(chain, q), goal]))
-    last = joint_leg(machine, chain, path_end(first), q_goal, _slow(settings, approach.last_leg_s), wall)
+    last = joint_leg(machine, chain, path_end(first), q_goal, _creeping(settings, approach.last_leg_s), wall)
     if isinstance(last, Refusal):
         return refused_plan(last, q, np.array([tcp_pose(chain, q), goal]))
     return plan_of([first, last])
 
 
-def _slow(settings: PlanSettings, duration_s: float) -> PlanSettings:
-    return replace(settings, duration_min_s=max(duration_s, settings.duration_min_s))
+def _creeping(settings: PlanSettings, duration_s: float) -> PlanSettings:
+    """Slow and never leading: a shaped reference overshoots its end, which would turn a flank back."""
+    return replace(settings, duration_min_s=max(duration_s, settings.duration_min_s), shape_reference=False)
 
 
 def trim_reference(
@@ -89,15 +90,19 @@ def trim_reference(
     settings: PlanSettings = DEFAULT_PLAN_SETTINGS,
     trim: TrimSettings = DEFAULT_TRIM,
     approach: ApproachSettings = DEFAULT_APPROACH,
+    q_encoder: Array | None = None,
 ) -> PathPlan:
     """Small move of the reference by what the encoders still lack: undoes the stall db / K in the valve's dead band.
 
-    Model:   q_ref += gain (q_wanted - q_encoder); a backlash joint that must go back goes its play further back, then
-             forward. Residuals below the smallest one worth a trim are left alone.
-    Args:    q_ref_end: present reference (joints,) [rad]; q_encoder_residual: wanted minus encoder
-             (joints,) [rad].
-    Returns: a plan of about 1 s (2 s when a joint has to come back from below); INVALID with reason when a residual is
-             too large.
+    Model:   a joint at rest stalls where |q_ref - q| = e, on the side it came from. To end on q_wanted coming with sign
+             s: q_ref = q_wanted + s e, with e = |q_ref - q_encoder| as it stalls now (0 when the encoder is not given:
+             then q_ref += residual, which a reversal makes too short, and the next trim goes on).
+             A joint with backlash that must go back goes its play further, then comes forward again.
+             Residuals below the smallest one worth a trim are left alone.
+    Args:    q_ref_end: present reference (joints,) [rad]; q_encoder_residual: wanted minus encoder (joints,) [rad];
+             q_encoder: where the joints rest (joints,) [rad], or None.
+    Returns: a plan of about 1 s (2 s with a joint coming back from below); INVALID with reason when a residual is too
+             large.
     Raises:  MotionInputError: shapes or values that are not finite.
     """
     chain = chain_of(machine)
@@ -106,24 +111,36 @@ def trim_reference(
     worst = int(np.abs(residual).argmax())
     if abs(residual[worst]) > trim.residual_max_rad:
         text = (
-            f"joint '{machine.joints[worst].name}' lacks {np.rad2deg(residual[worst]):.2f} deg, a trim may move at most "
-            f"{np.rad2deg(trim.residual_max_rad):.1f} deg; look at the joint: it is blocked, unpowered or badly tuned"
+            f"joint '{machine.joints[worst].name}' lacks {np.rad2deg(residual[worst]):.2f} deg, a trim may move "
+            f"at most {np.rad2deg(trim.residual_max_rad):.1f} deg; check the joint: blocked, unpowered, badly tuned?"
         )
         return refused_plan(Refusal(PlanStatus.INVALID, text), q)
-    step = np.where(np.abs(residual) >= trim.residual_min_rad, trim.gain * residual, 0.0)
-    play = _play(chain, approach)
-    back = np.where((step < 0.0) & (play > 0.0), step - play, 0.0)
-    targets = [q + back, q + step] if back.any() else [q + step]
+    targets = _trim_targets(q, residual, _play(chain, approach), trim, q_encoder)
     legs: list[Leg] = []
     for target in targets:
-        leg = joint_leg(machine, chain, path_end(legs[-1]) if legs else q, target, _slow(settings, trim.leg_s), None)
+        start = path_end(legs[-1]) if legs else q
+        leg = joint_leg(machine, chain, start, target, _creeping(settings, trim.leg_s), None)
         if isinstance(leg, Refusal):
             return refused_plan(leg, q, tcp_poses(chain, np.array(targets)))
         legs.append(leg)
     return plan_of(legs)
 
 
+def _trim_targets(
+    q_ref: Array, residual: Array, play: Array, trim: TrimSettings, q_encoder: Array | None
+) -> list[Array]:
+    """The references to go to, one after the other."""
+    worth = np.abs(residual) >= trim.residual_min_rad
+    offset = np.zeros(len(q_ref)) if q_encoder is None else q_ref - np.asarray(q_encoder, dtype=float)
+    stall = np.minimum(np.abs(offset), trim.stall_max_rad)
+    straight = q_ref + residual - offset + np.sign(residual) * stall
+    turns = worth & (residual < 0.0) & (play > 0.0)
+    below = np.where(turns, straight - play, q_ref)
+    forward = np.where(turns, q_ref + residual - offset + stall, np.where(worth, straight, q_ref))
+    return [below, forward] if turns.any() else [forward]
+
+
 def offset_goal(T_base_tcp: Array, offset_tcp_m: Array) -> Array:
-    """Pose shifted along its own axes, such as a retract of 0.2 m along z_tcp. Args: offset (3,) [m]. Returns: (4, 4)."""
+    """Pose (4, 4) shifted along its own axes by (3,) [m], such as a retract of 0.2 m along z_tcp."""
     T = require_goal(T_base_tcp, "T_base_tcp")
     return pose(T[:3, :3], T[:3, 3] + T[:3, :3] @ np.asarray(offset_tcp_m, dtype=float))

@@ -24,7 +24,7 @@ class PlanStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class JointTrajectory:
-    """Knots of the *reference* q_ref(t): times (n,) [s] from 0, positions, velocities, accelerations (n, joints) [rad, s].
+    """Knots of the *reference* q_ref(t): times (n,) [s] from 0; positions, rates, accelerations (n, joints) [rad, s].
 
     Between knots the PLC interpolates with a quintic; first and last knot have zero velocity and acceleration.
     """
@@ -42,7 +42,7 @@ class JointTrajectory:
 
 @dataclass(frozen=True, slots=True)
 class PathPlan:
-    """A planned path; `trajectory` is None unless status is OK. `Ts_base_tcp` (m, 4, 4) is the nominal path for display."""
+    """A planned path; `trajectory` is None unless status is OK. `Ts_base_tcp` (m, 4, 4): nominal path, to show."""
 
     status: PlanStatus
     reason: str
@@ -59,7 +59,7 @@ class PathPlan:
 
 @dataclass(frozen=True, slots=True)
 class Wall:
-    """The wall as known: a plane in base. `normal_base` (3,) points from the wall to the machine; `point_base` (3,) [m] on it."""
+    """The wall as known: a plane through `point_base` (3,) [m]; `normal_base` (3,) points from it to the machine."""
 
     point_base: Array
     normal_base: Array

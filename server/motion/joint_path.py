@@ -8,7 +8,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 
 from machine.chain import Chain
 from machine.description import Machine
-from machine.inverse import inverse_all, inverse_nearest
+from machine.inverse import InverseResult, inverse_all, inverse_nearest
 from machine.kinematics import tcp_poses
 from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec, rotvec_from_rotation
@@ -85,30 +85,27 @@ def trace(machine: Machine, chain: Chain, q_start: Array, Ts: Array, settings: P
     qs = [q_start]
     for k, T in enumerate(Ts[1:], start=1):
         result = inverse_nearest(chain, T, qs[-1])
-        if result.q is None:
-            return _unreachable(result.status.name, result.reason, k / (len(Ts) - 1))
-        if np.abs(result.q - qs[-1]).max() > settings.jump_max_rad:
-            return _jump(machine, chain, T, qs[-1], result.q, settings)
+        if result.q is None or np.abs(result.q - qs[-1]).max() > settings.jump_max_rad:
+            return _branch_end(machine, chain, T, qs[-1], result, k / (len(Ts) - 1))
         qs.append(result.q)
     return _of_samples(chain, np.array(qs))
 
 
-def _jump(machine: Machine, chain: Chain, T: Array, q: Array, q_next: Array, settings: PlanSettings) -> Refusal:
-    """Why the present branch ends here: a joint limit, or a singularity."""
-    nearest = min(inverse_all(chain, T, q), key=lambda branch: float(np.abs(branch.q - q).max()))
-    if not nearest.inside_limits:
+def _branch_end(machine: Machine, chain: Chain, T: Array, q: Array, result: InverseResult, share: float) -> Refusal:
+    """Why the present branch cannot be followed to this pose: a joint limit, out of reach, or a singularity."""
+    where = f"at {100 * share:.0f} % of the path: "
+    branches = inverse_all(chain, T, q)
+    if branches:
+        nearest = min(branches, key=lambda branch: float(np.abs(branch.q - q).max()))
         beyond = range_refusal(machine, np.array([q, nearest.q]), 0.0)
         if beyond is not None:
-            return beyond
-    jump = np.abs(q_next - q)
+            return Refusal(beyond.status, where + beyond.reason)
+    if result.q is None:
+        known = {each.name: each for each in PlanStatus}
+        return Refusal(known.get(result.status.name, PlanStatus.OUT_OF_REACH), where + result.reason)
+    jump = np.abs(result.q - q)
     text = (
-        f"joint '{machine.joints[int(jump.argmax())].name}' would jump {np.rad2deg(jump.max()):.1f} deg between two "
-        f"samples of the path, limit {np.rad2deg(settings.jump_max_rad):.1f} deg; the path passes a singularity: "
-        "approach from another posture"
+        f"joint '{machine.joints[int(jump.argmax())].name}' would jump by {np.rad2deg(jump.max()):.1f} deg, "
+        "the path passes a singularity; approach from another posture"
     )
-    return Refusal(PlanStatus.SINGULAR, text)
-
-
-def _unreachable(status: str, reason: str, share: float) -> Refusal:
-    known = {each.name: each for each in PlanStatus}
-    return Refusal(known.get(status, PlanStatus.OUT_OF_REACH), f"at {100 * share:.0f} % of the path: {reason}")
+    return Refusal(PlanStatus.SINGULAR, where + text)

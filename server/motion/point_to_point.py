@@ -1,6 +1,6 @@
 """Point to point: straight Cartesian moves, joint moves and chains of straight legs, each from rest to rest."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -123,12 +123,22 @@ def _leg(
     clearance, wall_hit = wall_refusal(path.Ts_base_tcp, machine.T_tcp_tool, wall)
     if wall_hit is not None:
         return wall_hit
+    beyond = range_refusal(machine, path.qs, settings.joint_margin_rad)
+    if beyond is not None:
+        return beyond
+    timed = _timed_inside(machine, chain, path, settings)
+    return timed if isinstance(timed, Refusal) else Leg(path, timed, clearance, smallest)
+
+
+def _timed_inside(machine: Machine, chain: Chain, path: JointPath, settings: PlanSettings) -> Timed | Refusal:
+    """Timed reference inside the joint ranges: where a leading one would leave them, the plain one is taken."""
     timed = time_path(machine, chain, path, settings)
-    if isinstance(timed, Refusal):
+    if isinstance(timed, Refusal) or not settings.shape_reference:
         return timed
     _, reference = sample(timed.reference, 0.02)
-    beyond = range_refusal(machine, np.vstack((path.qs, reference.q)), settings.joint_margin_rad)
-    return beyond if beyond is not None else Leg(path, timed, clearance, smallest)
+    if range_refusal(machine, np.vstack((path.qs[:1], reference.q)), 0.0) is None:
+        return timed
+    return time_path(machine, chain, path, replace(settings, shape_reference=False))
 
 
 def plan_of(legs: list[Leg]) -> PathPlan:

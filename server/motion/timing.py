@@ -52,7 +52,7 @@ class Pace:
         return CruiseLaw(min(0.5, self.ramp_s / duration_s)) if self.shaped else QuinticLaw()
 
     def slower(self, planned: float, reference: float) -> "Pace":
-        """The pace that undoes an excess of the planned motion (less even speed) and of the reference (softer ramps)."""
+        """The pace that undoes an excess of the planned motion (less speed) and of the reference (softer ramps)."""
         if not self.shaped:
             return replace(self, even_s=self.even_s * max(planned, reference, 1.0))
         return replace(self, even_s=self.even_s * max(planned, 1.0), ramp_s=self.ramp_s * max(reference, 1.0))

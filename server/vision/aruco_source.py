@@ -8,6 +8,7 @@ from server.vision.detection import DetectionSettings, EyeDetection, EyeDetector
 from server.vision.mono_aruco import MonoArucoPoseSource
 from server.vision.object_pose import ObjectName, PoseSettings, estimate_object_pose, not_seen
 from server.vision.sightings import detect_safely, image_problem, markers_by_object, sightings_of
+from server.vision.warm_up import warm_up_markers
 
 __all__ = ["ArucoPoseSource", "ArucoSettings", "MonoArucoPoseSource"]
 
@@ -27,6 +28,7 @@ class ArucoPoseSource:
         self._camera = machine.camera
         self._markers = markers_by_object(machine)
         self._settings = settings or ArucoSettings()
+        warm_up_markers()
         wanted = frozenset(marker.marker_id for marker in machine.markers)
         self._left, self._right = (
             EyeDetector(machine.camera, machine.dictionary, wanted, self._settings.detection) for _ in range(2)

@@ -22,7 +22,7 @@ class PoseStatus(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MarkerView:
-    """One marker in one stereo pair. Corners (4, 2) in raw (distorted) px, OpenCV order; None = that eye does not see it."""
+    """One marker in one stereo pair. Corners (4, 2) in raw (distorted) px, OpenCV order; None = the eye sees none."""
 
     marker_id: int
     corners_left_px: Array | None

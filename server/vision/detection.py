@@ -1,4 +1,4 @@
-"""Square fiducials in one eye: any dictionary by name, regions around the last corners, full searches in between."""
+"""Markers in one eye, pair after pair: regions around the last corners, full searches in between."""
 
 from dataclasses import dataclass, field
 
@@ -7,9 +7,7 @@ import numpy as np
 
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
-from server.vision.corners import refine_corners
-from server.vision.edge_fit import SideFit
-from server.vision.errors import UnknownDictionaryError
+from server.vision.marker_search import FoundMarker, dictionary_by_name, find_markers, refined
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,84 +22,13 @@ class DetectionSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class FoundMarker:
-    """One decoded marker: id and corners (4, 2) [raw px], OpenCV order."""
-
-    marker_id: int
-    corners_px: Array
-    covered: bool = False  # a side is no clean edge; the corners are coarse
-
-
-@dataclass(frozen=True, slots=True)
 class EyeDetection:
-    """What one eye shows: one entry per id with clean sides, the covered ones, and the ids seen at more than one place."""
+    """What one eye shows: markers with clean sides, covered ones, and the ids seen at more than one place."""
 
     markers: dict[int, Array]
     covered: dict[int, Array]  # decoded, but a side is no clean edge: something is in front of it
     repeated_ids: frozenset[int]
     full_search: bool
-
-
-def dictionary_names() -> tuple[str, ...]:
-    """Names of all ArUco and AprilTag dictionaries that can be given in a machine file."""
-    return tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
-
-
-def dictionary_by_name(name: str) -> "cv2.aruco.Dictionary":
-    """The dictionary of a name such as DICT_4X4_50 or DICT_APRILTAG_36h11.
-
-    Raises: UnknownDictionaryError with the known names.
-    """
-    if name not in dictionary_names():
-        raise UnknownDictionaryError(
-            f"marker dictionary '{name}' is unknown; give one of {', '.join(dictionary_names())}"
-        )
-    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
-
-
-def cells_along_side(dictionary: "cv2.aruco.Dictionary") -> int:
-    """Cells along one side, the black border included."""
-    return int(dictionary.markerSize) + 2
-
-
-def _parameters(image_size_px: int, perimeter_min_px: float) -> "cv2.aruco.DetectorParameters":
-    parameters = cv2.aruco.DetectorParameters()
-    parameters.minMarkerPerimeterRate = float(np.clip(perimeter_min_px / image_size_px, 1e-3, 0.3))
-    parameters.maxMarkerPerimeterRate = 8.0  # a region is hardly larger than its marker
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
-    return parameters
-
-
-def find_markers(
-    image: Image,
-    dictionary: "cv2.aruco.Dictionary",
-    perimeter_min_px: float = 32.0,
-    camera: StereoCamera | None = None,
-    refine: bool = True,
-) -> tuple[FoundMarker, ...]:
-    """Every marker of a dictionary in one grey image (h, w), corners refined; empty when there is none.
-
-    Pixel convention: centre of the top left pixel is (0, 0).
-    """
-    if min(image.shape) < 12:
-        return ()
-    detector = cv2.aruco.ArucoDetector(dictionary, _parameters(max(image.shape), perimeter_min_px))
-    corners, ids, _ = detector.detectMarkers(image)
-    if ids is None:
-        return ()
-    found = (
-        FoundMarker(int(marker_id), np.asarray(quad, dtype=np.float64).reshape(4, 2))
-        for quad, marker_id in zip(corners, np.asarray(ids).reshape(-1), strict=True)
-    )
-    return tuple(refined(marker, image, dictionary, camera) if refine else marker for marker in found)
-
-
-def refined(
-    marker: FoundMarker, image: Image, dictionary: "cv2.aruco.Dictionary", camera: StereoCamera | None
-) -> FoundMarker:
-    """The marker with sub-pixel corners."""
-    fit, corners = refine_corners(image, marker.corners_px, cells_along_side(dictionary), camera)
-    return FoundMarker(marker.marker_id, corners, fit is SideFit.COVERED)
 
 
 @dataclass(slots=True)
@@ -139,7 +66,7 @@ class EyeDetector:
         return EyeDetection(clean, covered, self._repeated, full_search)
 
     def _find(self, image: Image) -> tuple[FoundMarker, ...]:
-        return find_markers(image, self._dictionary, self.settings.perimeter_min_px, refine=False)
+        return find_markers(image, self._dictionary, self.settings.perimeter_min_px)
 
     def _refined(self, marker: FoundMarker, image: Image) -> FoundMarker:
         return refined(marker, image, self._dictionary, self.camera) if self.settings.refine else marker

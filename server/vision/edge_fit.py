@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from server.vision.contracts import Array, Image
+from server.vision.small_algebra import solve_positive
 
 BLUR_MIN_PX, BLUR_MAX_PX = 0.3, 3.0
 ITERATIONS_MAX = 12
@@ -90,7 +91,7 @@ def _fit_side(
         damped = information.copy()
         for j in range(5):
             damped[j, j] += damping * information[j, j] + 1e-9
-        step = np.linalg.solve(damped, -gradient)
+        step = solve_positive(damped, -gradient)
         trial = p + step
         trial[4] = min(max(trial[4], BLUR_MIN_PX), BLUR_MAX_PX)
     if abs(p[0]) > half_px or abs(p[1]) > half_px:

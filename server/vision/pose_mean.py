@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from machine.poses import pose
 from machine.rotations import nearest_rotation, rotation_from_rotvec, rotvec_from_rotation
@@ -19,7 +20,7 @@ class PoseMean:
 
     T_mean: Array
     covariance: Array
-    kept: "np.ndarray[tuple[int], np.dtype[np.bool_]]"
+    kept: NDArray[np.bool_]
 
 
 def deviations(Ts: Array, T_mean: Array) -> Array:

@@ -7,6 +7,7 @@ from numba import njit
 
 from machine.poses import pose
 from server.vision.contracts import Array
+from server.vision.small_algebra import accumulate, apply, point_rows, rotated, solve_positive
 
 DEPTH_MIN_M = 0.02  # nearer points are behind the glass: no pose puts them there
 ITERATIONS_MAX = 40
@@ -43,22 +44,13 @@ class RefinedPose:
 
 
 @njit(cache=True)
-def _rotation_of(w: Array) -> Array:
-    angle = np.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
-    k = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    if angle < 1e-9:
-        return np.eye(3) + k + 0.5 * (k @ k)
-    return np.eye(3) + (np.sin(angle) / angle) * k + ((1.0 - np.cos(angle)) / angle**2) * (k @ k)
-
-
-@njit(cache=True)
 def _residuals(
     rotation: Array, position: Array, points: Array, seen: Array, eye_x: Array, focal: Array
 ) -> tuple[Array, float]:
     residuals = np.empty((len(points), 2))
     total = 0.0
     for i in range(len(points)):
-        x, y, z = rotation @ points[i] + position
+        x, y, z = apply(rotation, points[i]) + position
         if z < DEPTH_MIN_M:
             return residuals, np.inf
         residuals[i, 0] = focal[0] * (x - eye_x[i]) / z - seen[i, 0]
@@ -72,21 +64,12 @@ def _normal_equations(
     rotation: Array, position: Array, points: Array, residuals: Array, eye_x: Array, focal: Array
 ) -> tuple[Array, Array]:
     """J^T J and J^T r for the left perturbation R <- exp(w) R, t <- t + dt."""
-    information = np.zeros((6, 6))
-    gradient = np.zeros(6)
-    row = np.empty((2, 6))
+    information, gradient, rows = np.zeros((6, 6)), np.zeros(6), np.zeros((2, 6))
     for i in range(len(points)):
-        arm = rotation @ points[i]
+        arm = apply(rotation, points[i])
         x, y, z = arm + position
-        fx, fy = focal[0] / z, focal[1] / z
-        row[0, 3], row[0, 4], row[0, 5] = fx, 0.0, -fx * (x - eye_x[i]) / z
-        row[1, 3], row[1, 4], row[1, 5] = 0.0, fy, -fy * y / z
-        for k in range(2):  # d(exp(w) arm)/dw = -[arm]x, so the rotation part is arm x (d residual / d point)
-            row[k, 0] = arm[1] * row[k, 5] - arm[2] * row[k, 4]
-            row[k, 1] = arm[2] * row[k, 3] - arm[0] * row[k, 5]
-            row[k, 2] = arm[0] * row[k, 4] - arm[1] * row[k, 3]
-        information += row.T @ row
-        gradient += row.T @ residuals[i]
+        point_rows(arm, (x - eye_x[i]) / z, y / z, z, focal[0], focal[1], rows)
+        accumulate(rows, residuals[i], 1.0, information, gradient)
     return information, gradient
 
 
@@ -104,8 +87,8 @@ def _minimise(
         damped = information.copy()
         for k in range(6):
             damped[k, k] += damping * information[k, k] + 1e-9
-        step = np.linalg.solve(damped, -gradient)
-        new_rotation = _rotation_of(step[:3]) @ rotation
+        step = solve_positive(damped, -gradient)
+        new_rotation = rotated(rotation, step[:3])
         new_position = position + step[3:]
         new_residuals, new_total = _residuals(new_rotation, new_position, points, seen, eye_x, focal)
         if new_total <= total:

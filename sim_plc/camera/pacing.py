@@ -15,6 +15,7 @@ class RateGovernor:
     def __init__(self, wanted_hz: float) -> None:
         self.wanted_hz = wanted_hz
         self.rate_hz = wanted_hz
+        self.busy_s = 0.0  # median work per picture of the last full window
         self._busy_s: deque[float] = deque(maxlen=_WINDOW)
 
     @property
@@ -22,16 +23,12 @@ class RateGovernor:
         """Whether the rate is below the wanted one."""
         return self.rate_hz < self.wanted_hz
 
-    @property
-    def busy_s(self) -> float:
-        """Median work per picture [s]; 0 before the first."""
-        return median(self._busy_s) if self._busy_s else 0.0
-
     def worked(self, busy_s: float) -> bool:
         """Account for one picture; returns whether the rate has changed."""
         self._busy_s.append(busy_s)
         if len(self._busy_s) < _WINDOW:
             return False
+        self.busy_s = median(self._busy_s)
         possible_hz = min(self.wanted_hz, _LOAD_MAX / max(self.busy_s, 1e-6))
         if self.rate_hz <= possible_hz < min(_RAISE_RATIO * self.rate_hz, self.wanted_hz):
             return False

@@ -108,7 +108,7 @@ class CameraLoop:
             self._hand_over(*pair, t_mid_ns)
             if self.governor.worked(time.perf_counter() - start):
                 grid.rate_hz = self.governor.rate_hz
-                log.warning("camera: %.1f pairs/s of %.1f wanted", grid.rate_hz, self.governor.wanted_hz)
+                log.info("camera: %.1f pairs/s of %.1f wanted", grid.rate_hz, self.governor.wanted_hz)
 
     def _wait_for(self, feed: PoseFeed, t_ns: int) -> bool:
         """Until the feed has reached a time; False when stopped."""

@@ -9,7 +9,7 @@ from machine.rotations import Array
 from sim_plc.camera.texture import Grey
 
 _BANK_SIZE = 1 << 22
-_BANK_UNITS = 24.0  # bank values per standard deviation: +-5.3 sd fit into int8
+_BANK_UNITS = 23.71  # bank values per standard deviation: +-5.3 sd fit into int8; odd, so that sums meet no ties
 _READ_SHARE = 0.3  # part of the variance at mid grey that does not grow with brightness
 _MIN_MOTION_PX = 0.25  # shorter streaks vanish in the point spread
 _SHORT_STREAK_PX = 2.0  # below, a 3 x 3 kernel carries the streak's exact second moments
@@ -17,7 +17,7 @@ _KERNEL_OVERSAMPLE = 64
 
 
 def noise_bank(rng: np.random.Generator) -> NDArray[np.int8]:
-    """Standard normal noise in units of 1 / 24 standard deviation."""
+    """Standard normal noise in units of 1 / 23.71 standard deviation."""
     noise = rng.standard_normal(_BANK_SIZE, dtype=np.float32) * np.float32(_BANK_UNITS)
     return np.clip(np.rint(noise), -127, 127).astype(np.int8)
 

@@ -20,7 +20,7 @@ class Plant:
 
     def __init__(self, truth: PlantTruth, q_start: Array) -> None:
         self.truth = truth
-        self._tree: Tree = build_tree(truth.kinematics, truth.inertia)
+        self.tree: Tree = build_tree(truth.kinematics, truth.inertia)
         self._resolution = 2.0 * np.pi / truth.kinematics.encoder_counts_rev
         q_start = np.asarray(q_start, dtype=float)
         if q_start.shape != (6,) or not np.all(np.isfinite(q_start)):
@@ -28,20 +28,20 @@ class Plant:
         q = np.zeros(N_JOINTS)
         q[MOTORS] = q_start
         if not truth.rigid:
-            q = sagged(self._tree, truth.inertia.gravity_base_m_s2, q_start, truth.flex.stiffness_nm_rad)
-        self._parameters = parameters_of(truth, self._tree, q)
-        self._state = self._resting_state(q)
+            q = sagged(self.tree, truth.inertia.gravity_base_m_s2, q_start, truth.flex.stiffness_nm_rad)
+        self.parameters = parameters_of(truth, self.tree, q)
+        self.state = self._resting_state(q)
         self._advance = kernel.advance_rigid if truth.rigid else kernel.advance
 
     def _resting_state(self, q: Array) -> kernel.State:
         truth = self.truth
         joint = np.zeros((6, 7))
         joint[:, kernel.OUTPUT] = q[MOTORS] + 0.5 * truth.kinematics.backlash_rad * truth.kinematics.play_start_frac
-        holding = -gravity_torques(self._tree, truth.inertia.gravity_base_m_s2, q)[MOTORS]
+        holding = -gravity_torques(self.tree, truth.inertia.gravity_base_m_s2, q)[MOTORS]
         for j in range(6):
-            row = self._parameters.joint[j]
+            row = self.parameters.joint[j]
             lever = kernel.lookup(
-                self._parameters.table_lever[j], row[kernel.TABLE_Q0], row[kernel.TABLE_STEP], q[MOTORS[j]]
+                self.parameters.table_lever[j], row[kernel.TABLE_Q0], row[kernel.TABLE_STEP], q[MOTORS[j]]
             )
             joint[j, kernel.P_A], joint[j, kernel.P_B] = resting_pressures(
                 holding[j] / lever,
@@ -62,32 +62,32 @@ class Plant:
         command = np.ascontiguousarray(valve_command, dtype=np.float64)
         if command.shape != (6,) or not np.isfinite(command).all():
             raise ValueError(f"valve_command must be 6 finite fractions, got {valve_command!r}")
-        self._advance(self._parameters, self._state, command, n_ms)
+        self._advance(self.parameters, self.state, command, n_ms)
 
     @property
     def t_s(self) -> float:
         """Simulated time since the start [s]."""
-        return float(self._state.shared[kernel.TIME])
+        return float(self.state.shared[kernel.TIME])
 
     @property
     def q_encoder_rad(self) -> Array:
         """Encoder readings (6,) [rad]: motor angles before flexible joints and play, quantised."""
-        return np.round(self._state.q[MOTORS] / self._resolution) * self._resolution
+        return np.round(self.state.q[MOTORS] / self._resolution) * self._resolution
 
     @property
     def qd_rad_s(self) -> Array:
         """Motor speeds (6,) [rad/s], as a drive with a fast counter would report them."""
-        return self._state.qd[MOTORS]
+        return self.state.qd[MOTORS]
 
     @property
     def pressures_pa(self) -> Array:
         """Chamber pressures A, B of every joint, (6, 2) [Pa]."""
-        return self._state.joint[:, kernel.P_A : kernel.P_B + 1].copy()
+        return self.state.joint[:, kernel.P_A : kernel.P_B + 1].copy()
 
     @property
     def supply_pressure_pa(self) -> float:
         """Supply pressure without ripple [Pa]."""
-        return float(self._state.shared[kernel.P_SUPPLY])
+        return float(self.state.shared[kernel.P_SUPPLY])
 
     @property
     def oil_temperature_c(self) -> float:
@@ -97,23 +97,23 @@ class Plant:
     @property
     def spool_frac(self) -> Array:
         """Spool positions (6,) [fraction of full stroke]."""
-        return self._state.joint[:, kernel.SPOOL].copy()
+        return self.state.joint[:, kernel.SPOOL].copy()
 
     @property
     def q_output_rad(self) -> Array:
         """True joint angles behind the play (6,) [rad]."""
-        return self._state.joint[:, kernel.OUTPUT].copy()
+        return self.state.joint[:, kernel.OUTPUT].copy()
 
     @property
     def q_flex_rad(self) -> Array:
         """True angles of the flexible joints (5,) [rad]: lift vertical and lateral, tilt vertical and lateral, wrist mount."""
-        return self._state.q[FLEXES]
+        return self.state.q[FLEXES]
 
     def T_base_tcp(self) -> Array:
         """True pose of the tcp in base (4, 4): through the true DH table, play and bending."""
-        q = self._state.q.copy()
-        q[MOTORS] = self._state.joint[:, kernel.OUTPUT]
-        R, p = frames(self._tree, q)
+        q = self.state.q.copy()
+        q[MOTORS] = self.state.joint[:, kernel.OUTPUT]
+        R, p = frames(self.tree, q)
         T_base_last = np.eye(4)
         T_base_last[:3, :3], T_base_last[:3, 3] = R[-1], p[-1]
-        return T_base_last @ self._tree.T_last_tcp
+        return T_base_last @ self.tree.T_last_tcp

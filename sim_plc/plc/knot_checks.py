@@ -1,4 +1,4 @@
-"""What a knot must keep to before the PLC plays it. Written apart from the PC's motion gate, and a little wider than it."""
+"""What a knot must keep to before the PLC plays it. Written apart from the PC's motion gate, a little wider than it."""
 
 from collections.abc import Iterable
 
@@ -18,7 +18,7 @@ def first_of(codes: Iterable[RejectCode]) -> RejectCode:
 
 
 def check_knot(knot: Knot, table: LimitTable) -> RejectCode:
-    """One knot by itself: unused axes zero, q, qd, qdd inside the limits, and room to stop before the end of the range."""
+    """One knot by itself: unused axes zero, q, qd, qdd inside the limits, room to stop before the range ends."""
     n = len(table.axes)
     if any(knot.q[n:]) or any(knot.qd[n:]) or any(knot.qdd[n:]):
         return RejectCode.AXIS_MASK
@@ -51,8 +51,8 @@ def check_step(a: Knot, b: Knot, table: LimitTable) -> RejectCode:
 def segment_peaks(a: Knot, b: Knot, j: int) -> tuple[float, float]:
     """Largest |qd| [rad/s] and |qdd| [rad/s2] of axis j at seven points inside the segment from a to b.
 
-    Model:   the acceleration of the quintic is the cubic p(x) = A0 + x (d0 + x (d1 + x d2)) that meets both accelerations and
-             whose first and second integral meet the steps of speed and position.
+    Model:   the acceleration of the quintic is the cubic p(x) = A0 + x (d0 + x (d1 + x d2)) that meets both
+             accelerations, and whose first and second integral meet the steps of speed and position.
     """
     T = (b.t_ns - a.t_ns) * 1e-9
     a0, a1 = a.qdd[j], b.qdd[j]

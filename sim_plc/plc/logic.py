@@ -1,65 +1,49 @@
-"""The PLC program's cycle: datagrams in, state machine, reference, joint controllers, valve commands and states out."""
+"""The PLC's cycle: datagrams in, state machine, reference, joint controllers, valve commands and states out. Pure."""
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+
+import numpy as np
 
 from machine.description import Machine
-from protocol.codes import AxisBit, FaultBit, Mode, PlcState, RejectCode, WarnBit
+from machine.rotations import Array
+from protocol.codes import FaultBit, Interp, Mode, PlcState, RejectCode
 from protocol.framing import Framing
-from protocol.limits import axis_mask, cfg_id, limits_of
-from protocol.messages import Command, PlcStatus, axes8
-from protocol.plc_events import Accepted, Effect, PlcLinkEvent, StateChanged
+from protocol.limits import axis_mask, cfg_id
+from protocol.messages import Command, axes8
+from protocol.plc_events import Accepted, Effect, PlcLinkEvent, SessionOpened, StateChanged
 from protocol.plc_link import PlcLink, PlcLinkSettings
-from protocol.plc_states import PlcEvent
-from sim_plc.plc.control import JointControllers
-from sim_plc.plc.reference import PlaybackStatus, Ramp, RingPlayback, ramp_from
-from sim_plc.plc.ring import KnotRing
+from protocol.plc_states import ARMED_STATES, PlcEvent
+from sim_plc.plc.joint_control import JointControl
+from sim_plc.plc.knot_ring import KnotRing, PlaybackView
+from sim_plc.plc.local_panel import LocalPanel
+from sim_plc.plc.monitor import Monitor
+from sim_plc.plc.reference import Motion, Reference
+from sim_plc.plc.sample import PlantSample
+from sim_plc.plc.settings import REST_SPEED_RAD_S, plc_settings
+from sim_plc.plc.status import PlcCounters, status_of
 
-SOFT_STOP_FRAC = 0.7  # share of qdd_max used by a normal stop; a quick stop uses all of it
-LAG_ARM_RAD = 0.05  # the reference starts at the joint, so more is a sensor fault
-LAG_FAULT_RAD = 0.7  # beyond any velocity lag |qd| / (kp velocity_gain) of this machine: the joint does not follow
-ARMED = (PlcState.HOLD, PlcState.RUN, PlcState.STOPPING)
 
-
-@dataclass(frozen=True, slots=True)
-class PlantSample:
-    """What the PLC's inputs tell in one cycle."""
-
-    q_rad: tuple[float, ...]
-    qd_rad_s: tuple[float, ...]
-    p_a_pa: tuple[float, ...]
-    p_b_pa: tuple[float, ...]
-    p_supply_pa: float
-    t_oil_c: float
+class PlcNotStartedError(RuntimeError):
+    """A state was asked for before the first cycle."""
 
 
 class PlcLogic:
-    """One PLC. `cycle` is called every PLC cycle with the PLC's own clock; `local_enable` is the key at the machine."""
+    """One PLC program. Call `cycle` once per PLC cycle with the PLC's own clock, `receive` for datagrams before it."""
 
     def __init__(
-        self, machine: Machine, framing: Framing, draw_nonce: Callable[[], int], local_enable: bool = True
+        self, machine: Machine, framing: Framing, draw_nonce: Callable[[], int], panel: LocalPanel | None = None
     ) -> None:
-        self._machine = machine
-        self._n = len(machine.joints)
-        self._table = limits_of(machine.joints)
-        self._mask = axis_mask(self._table)
-        settings = PlcLinkSettings(cfg_id=cfg_id(self._table), simulation=True)
-        self.link = PlcLink(settings, framing, draw_nonce, self._check)
-        self.local_enable = local_enable
-        self._ring = KnotRing(self._table)
-        self._playback = RingPlayback(self._ring)
-        self._controllers = JointControllers(machine.joints, machine.plc_cycle_s)
-        self._cycle_ns = round(machine.plc_cycle_s * 1e9)
-        self._ramp: Ramp | None = None
-        self._q_ref = [0.0] * self._n
-        self._qd_ref = [0.0] * self._n
-        self._valves = [0.0] * self._n
+        self.settings = plc_settings(machine)
+        self.panel = LocalPanel() if panel is None else panel
+        self._mask = axis_mask(self.settings.table)
+        link_settings = PlcLinkSettings(cfg_id=cfg_id(self.settings.table), simulation=True)
+        self.link = PlcLink(link_settings, framing, draw_nonce, self._check)
+        self.ring = KnotRing(self.settings.table)
+        self.reference = Reference(self.settings, self.ring)
+        self.monitor = Monitor(self.settings)
+        self._control = JointControl(self.settings)
         self._sample: PlantSample | None = None
-        self._cycles = 0
-        self._underruns = 0
-        self._faults = FaultBit(0)
-        self._ended_traj = 0
-        self._quick = False
+        self._counters = PlcCounters()
 
     @property
     def state(self) -> PlcState:
@@ -68,182 +52,182 @@ class PlcLogic:
 
     @property
     def q_ref(self) -> tuple[float, ...]:
-        """The reference of the joint controllers [rad]."""
-        return tuple(self._q_ref)
+        """The joint controllers' reference [rad]."""
+        return tuple(self.reference.q.tolist())
 
     @property
     def qd_ref(self) -> tuple[float, ...]:
         """Its velocity [rad/s]."""
-        return tuple(self._qd_ref)
-
-    def receive(self, datagram: bytes, t_plc_ns: int, source: Hashable = None) -> None:
-        """Take one datagram; any bytes may come."""
-        self._handle(self.link.receive(datagram, t_plc_ns, source), t_plc_ns)
-
-    def cycle(self, t_plc_ns: int, sample: PlantSample) -> list[float]:
-        """One cycle: valve commands (n,), fraction of full command."""
-        self._cycles += 1
-        self._sample = sample
-        if self.state is PlcState.BOOT:
-            self._handle(self.link.apply(PlcEvent.BOOTED, t_plc_ns), t_plc_ns)
-        self._handle(self.link.poll(t_plc_ns), t_plc_ns)
-        self._watch_lag(t_plc_ns, sample)
-        self._move_reference(t_plc_ns, sample)
-        self._valves = self._controllers.valves(self._q_ref, sample.q_rad) if self._active else [0.0] * self._n
-        return self._valves
-
-    def send(self, t_plc_ns: int) -> bytes:
-        """The state datagram of this moment."""
-        return self.link.send(self._status(), t_plc_ns)
+        return tuple(self.reference.qd.tolist())
 
     @property
-    def _active(self) -> bool:
-        return self.state in ARMED or (self.state is PlcState.FAULT and self._ramp is not None)
+    def valves(self) -> Array:
+        """Valve commands of the last cycle (n,); a view that the next cycle changes."""
+        return self._control.valves
 
-    def take_fault(self, bit: FaultBit, t_plc_ns: int) -> None:
-        """Latch a fault: ramp down, then valves neutral."""
-        self._faults |= bit
-        self._handle(self.link.apply(PlcEvent.FAULT, t_plc_ns), t_plc_ns)
+    @property
+    def underruns(self) -> int:
+        """How often the knots ran out before the end of a trajectory."""
+        return self._counters.underruns
 
-    def set_local(self, taken: bool, t_plc_ns: int) -> None:
-        """The local lever is taken or released."""
-        event = PlcEvent.LOCAL_ON if taken else PlcEvent.LOCAL_OFF
+    def receive(self, datagram: bytes, t_plc_ns: int, source: Hashable = None) -> list[PlcLinkEvent]:
+        """Take one datagram; any bytes may come. Returns what it led to, for the shell's log."""
+        return self._handle(self.link.receive(datagram, t_plc_ns, source), t_plc_ns)
+
+    def cycle(self, t_plc_ns: int, sample: PlantSample) -> Array:
+        """One cycle: valve commands (n,) [fraction of full command]; a view that the next cycle changes."""
+        self._counters.cycles += 1
+        self._sample = sample
+        if self.link.state is PlcState.BOOT:
+            self._apply(PlcEvent.BOOTED, t_plc_ns)
+        self._watch(sample, t_plc_ns)
+        self._handle(self.link.poll(t_plc_ns), t_plc_ns)
+        self._move(sample, t_plc_ns)
+        if self.reference.motion is Motion.FOLLOW:
+            return self._control.neutral()
+        return self._control.control(self.reference.q, sample.q_rad)
+
+    def send(self, t_plc_ns: int) -> bytes:
+        """The state datagram of this moment; it goes to `link.peer`."""
+        if self._sample is None:
+            raise PlcNotStartedError("PLC: no state before the first cycle")
+        status = status_of(
+            self.settings, self._counters, self.ring, self.reference, self.monitor, self._control.valves, self._sample
+        )
+        return self.link.send(status, t_plc_ns)
+
+    def take_fault(self, faults: FaultBit, t_plc_ns: int) -> None:
+        """Latch faults: ramp down, then valves neutral until RESET and a new arming."""
+        self.monitor.latch(faults)
+        self._apply(PlcEvent.FAULT, t_plc_ns)
+        if FaultBit.SENSOR in faults and self._sample is not None:
+            self.reference.motion = Motion.FOLLOW  # without encoders there is no ramp: valves neutral at once
+
+    # --- one cycle --------------------------------------------------------------------------------------------------
+
+    def _watch(self, sample: PlantSample, t_plc_ns: int) -> None:
+        controlled = self.reference.motion is not Motion.FOLLOW
+        monitor, reference = self.monitor, self.reference
+        self._watch_lever(t_plc_ns)
+        faults = monitor.look(
+            sample.q_rad, sample.qd_rad_s, reference.q, sample.p_supply_pa, sample.t_oil_c, controlled
+        )
+        if self.panel.withdrawn and self.state in ARMED_STATES:
+            faults |= FaultBit.LOCAL_ENABLE_LOST
+        if faults and faults & ~monitor.latched:
+            self.take_fault(faults, t_plc_ns)
+
+    def _watch_lever(self, t_plc_ns: int) -> None:
+        """The local lever overrules the network; it does not overrule a fault."""
+        state, taken = self.state, self.panel.lever_taken
+        if taken and state not in (PlcState.LOCAL, PlcState.FAULT):
+            self._apply(PlcEvent.LOCAL_ON, t_plc_ns)
+        elif not taken and state is PlcState.LOCAL:
+            self._apply(PlcEvent.LOCAL_OFF, t_plc_ns)
+
+    def _move(self, sample: PlantSample, t_plc_ns: int) -> None:
+        reference = self.reference
+        if reference.motion is Motion.FOLLOW:
+            if not (self.monitor.present and self.monitor.present & FaultBit.SENSOR):
+                reference.follow(sample.q_rad)
+            return
+        if reference.starving():
+            self._counters.starved = True
+            self._counters.underruns += 1
+            reference.stop_along_path()
+            self._apply(PlcEvent.SOFT_STOP, t_plc_ns)
+        played = reference.motion is Motion.PLAY
+        if reference.step():
+            reference.settle()
+            if self.state in (PlcState.RUN, PlcState.STOPPING):
+                self._apply(PlcEvent.END if played else PlcEvent.AT_REST, t_plc_ns)
+            if self.state not in ARMED_STATES:
+                reference.follow(sample.q_rad)
+
+    # --- link events ------------------------------------------------------------------------------------------------
+
+    def _apply(self, event: PlcEvent, t_plc_ns: int) -> None:
         self._handle(self.link.apply(event, t_plc_ns), t_plc_ns)
 
-    def _handle(self, events: list[PlcLinkEvent], t_plc_ns: int) -> None:
+    def _handle(self, events: list[PlcLinkEvent], t_plc_ns: int) -> list[PlcLinkEvent]:
         for event in events:
             match event:
-                case StateChanged():
-                    self._enter(event, t_plc_ns)
+                case StateChanged(new=new):
+                    self._enter(event.old, new, event.event)
                 case Accepted(command=command, effect=Effect.LOAD):
                     self._load(command)
-                case Accepted(effect=Effect.QUICK_STOP) if self.state is PlcState.STOPPING and not self._quick:
-                    self._quick = True
-                    self._begin_ramp(t_plc_ns, 1.0)
+                case Accepted(effect=Effect.QUICK_STOP):
+                    self.reference.quick_stop()
                 case Accepted(effect=Effect.RESET):
-                    self._faults = FaultBit(0)
+                    self.monitor.clear()
+                case SessionOpened():
+                    self.ring.clear()
+                    self.reference.rewind()
                 case _:
                     pass
+        return events
 
-    def _enter(self, change: StateChanged, t_plc_ns: int) -> None:
-        old, new = change.old, change.new
+    def _enter(self, old: PlcState, new: PlcState, event: PlcEvent) -> None:
+        reference = self.reference
         if new is PlcState.HOLD and old is PlcState.LINKED:
-            self._hold_here()
-        elif new is PlcState.RUN:
-            self._playback.restart()
-        elif new in (PlcState.STOPPING, PlcState.FAULT) and old in ARMED:
-            self._quick = change.event is PlcEvent.QUICK_STOP
-            self._begin_ramp(t_plc_ns, 1.0 if self._quick else SOFT_STOP_FRAC)
-        elif new in (PlcState.DISARMED, PlcState.LOCAL):
-            self._ramp = None
-
-    def _hold_here(self) -> None:
-        """Arming: the reference is where the joints are."""
-        self._controllers.reset()
-        if self._sample is not None:
-            self._q_ref = list(self._sample.q_rad)
-        self._qd_ref = [0.0] * self._n
-
-    def _begin_ramp(self, t_plc_ns: int, share: float) -> None:
-        stops = tuple(joint.qdd_max_rad_s2 * share for joint in self._machine.joints)
-        self._ramp = ramp_from(self._q_ref, self._qd_ref, t_plc_ns, stops)
+            self._control.neutral()
+            if self._sample is not None:
+                reference.hold(self._sample.q_rad)
+        elif event is PlcEvent.QUICK_STOP:
+            reference.quick_stop()
+        elif old is PlcState.RUN and new is not PlcState.HOLD:
+            reference.stop()
+        if new is PlcState.DISARMED:
+            self.panel.disarmed()
+        if new not in ARMED_STATES and reference.motion is Motion.HOLD and self._sample is not None:
+            reference.follow(self._sample.q_rad)
 
     def _load(self, command: Command) -> None:
-        self._ring.load(command)
+        if command.traj_id != self.ring.traj_id:
+            self.reference.rewind()
+            self._counters.starved = False
+        self.ring.load(command, self._view())
+        self.reference.speed_override = command.speed_override
+        if self.state is PlcState.RUN and self.reference.motion is Motion.HOLD:
+            self.reference.play()
+
+    # --- the last word on a command -----------------------------------------------------------------------------------
+
+    def _view(self) -> PlaybackView:
+        reference = self.reference
+        return PlaybackView(axes8(self.q_ref), reference.knot_playing, reference.t_play_ns)
 
     def _check(self, command: Command, state: PlcState) -> RejectCode:
-        """The program's own last word on a command; changes nothing."""
+        """Whether the PLC's own rules allow a command; changes nothing."""
         match command.mode:
-            case Mode.ARM:
+            case Mode.ARM if state is PlcState.LINKED:
                 return self._check_arm()
             case Mode.RESET:
-                return RejectCode.NONE if not self._lagging() else RejectCode.FAULT_PRESENT
+                return RejectCode.FAULT_PRESENT if self.monitor.present else RejectCode.NONE
             case Mode.TRAJECTORY:
-                if command.axis_mask != self._mask:
-                    return RejectCode.AXIS_MASK
-                return self._ring.check(command, axes8(tuple(self._q_ref)), self._playback.playing)
+                return self._check_trajectory(command, state)
             case _:
                 return RejectCode.NONE
 
     def _check_arm(self) -> RejectCode:
-        if not self.local_enable:
+        sample, settings = self._sample, self.settings
+        if not self.panel.may_arm:
             return RejectCode.ENABLE
-        if self._faults:
+        if self.monitor.latched or self.monitor.present or sample is None:
             return RejectCode.FAULT_PRESENT
-        return RejectCode.NONE if self._sample is not None else RejectCode.LAG
+        if np.any(sample.q_rad < settings.q_min) or np.any(sample.q_rad > settings.q_max):
+            return RejectCode.LIMIT_Q
+        resting = self.reference.motion is Motion.FOLLOW and float(np.abs(sample.qd_rad_s).max()) <= REST_SPEED_RAD_S
+        return RejectCode.NONE if resting else RejectCode.LAG
 
-    def _lagging(self) -> bool:
-        if self._sample is None:
-            return True
-        pairs = zip(self._q_ref, self._sample.q_rad, strict=True)
-        return any(abs(reference - q) > LAG_FAULT_RAD for reference, q in pairs)
-
-    def _watch_lag(self, t_plc_ns: int, sample: PlantSample) -> None:
-        if self.state in ARMED and self._lagging():
-            self.take_fault(FaultBit.LAG, t_plc_ns)
-
-    def _move_reference(self, t_plc_ns: int, sample: PlantSample) -> None:
-        state = self.state
-        if state is PlcState.RUN:
-            self._play(t_plc_ns)
-        elif self._ramp is not None and state in (PlcState.STOPPING, PlcState.FAULT):
-            at_rest, self._q_ref, self._qd_ref = self._ramp.at(t_plc_ns)
-            if at_rest:
-                self._ramp = None
-                self._handle(self.link.apply(PlcEvent.AT_REST, t_plc_ns), t_plc_ns)
-        elif state not in ARMED:
-            self._q_ref, self._qd_ref = list(sample.q_rad), [0.0] * self._n
-
-    def _play(self, t_plc_ns: int) -> None:
-        status, q, qd = self._playback.advance(self._cycle_ns, self._n)
-        if status is not PlaybackStatus.UNDERRUN:
-            self._q_ref, self._qd_ref = q, qd
-        if status is PlaybackStatus.ENDED:
-            self._qd_ref = [0.0] * self._n
-            self._handle(self.link.apply(PlcEvent.END, t_plc_ns), t_plc_ns)
-        elif status is PlaybackStatus.UNDERRUN:
-            self._underruns += 1
-            self._handle(self.link.apply(PlcEvent.SOFT_STOP, t_plc_ns), t_plc_ns)
-
-    def _status(self) -> PlcStatus:
-        zeros = (0.0,) * self._n
-        sample = self._sample or PlantSample(zeros, zeros, zeros, zeros, 0.0, 0.0)
-        ring, playback = self._ring, self._playback
-        return PlcStatus(
-            plc_cycle=self._cycles & 0xFFFF_FFFF,
-            plc_cycle_us=self._cycle_ns // 1000,
-            mode_active=Mode.TRAJECTORY if self.state is PlcState.RUN else Mode.HOLD,
-            axis_mask=self._mask,
-            fault_bits=int(self._faults),
-            warn_bits=int(WarnBit(0)),
-            traj_id=ring.traj_id,
-            knot_playing=playback.playing,
-            knot_last=max(ring.last, 0),
-            t_play_ns=playback.t_play_ns,
-            buffer_us=playback.buffer_ns // 1000,
-            underruns=self._underruns,
-            q=axes8(sample.q_rad),
-            qd=axes8(sample.qd_rad_s),
-            q_ref=axes8(tuple(self._q_ref)),
-            qd_ref=axes8(tuple(self._qd_ref)),
-            valve_cmd=axes8(tuple(self._valves)),
-            p_a=axes8(sample.p_a_pa),
-            p_b=axes8(sample.p_b_pa),
-            axis_status=tuple(self._axis_status(i, sample) for i in range(8)),
-            p_supply=sample.p_supply_pa,
-            p_tank=1e5,
-            t_oil=sample.t_oil_c,
-            simulation=True,
-        )
-
-    def _axis_status(self, i: int, sample: PlantSample) -> int:
-        if i >= self._n:
-            return 0
-        axis, bits = self._table.axes[i], AxisBit.IN_USE
-        if sample.q_rad[i] <= axis.q_min:
-            bits |= AxisBit.AT_Q_MIN
-        if sample.q_rad[i] >= axis.q_max:
-            bits |= AxisBit.AT_Q_MAX
-        if abs(self._valves[i]) >= 1.0:
-            bits |= AxisBit.VALVE_SATURATED
-        return int(bits)
+    def _check_trajectory(self, command: Command, state: PlcState) -> RejectCode:
+        other = command.traj_id != self.ring.traj_id
+        if state is PlcState.STOPPING or (state is PlcState.RUN and other):
+            return RejectCode.NONE  # the link makes a keepalive or a stop of it; no knot is taken
+        if command.interp is not Interp.QUINTIC:
+            return RejectCode.INTERP
+        if command.axis_mask != self._mask:
+            return RejectCode.AXIS_MASK
+        if not 0.0 <= command.speed_override <= 1.0:
+            return RejectCode.OVERRIDE
+        return self.ring.check(command, self._view())

@@ -20,8 +20,8 @@ AT_REST = 1e-6  # rad/s: the speed at the end of a path, up to rounding
 def path_point(times: Array, knots: Array, k: int, sigma: float, out: Array) -> None:
     """Point of the segment from knot k to k + 1 at path time sigma [s], into out (3, n).
 
-    Model:   q(x) = q0 + v0 x + a0/2 x^2 + c3 x^3 + c4 x^4 + c5 x^5, x = (sigma - t_k) / T in 0..1, with q, q', q'' of both
-             knots met: position, speed and acceleration are continuous over knots.
+    Model:   q(x) = q0 + v0 x + a0/2 x^2 + c3 x^3 + c4 x^4 + c5 x^5, x = (sigma - t_k) / T in 0..1, with q, q', q''
+             of both knots met: position, speed and acceleration are continuous over knots.
     Returns: out[0] = q, out[1] = dq/dsigma, out[2] = d2q/dsigma2 [rad, s].
     """
     a, b = k % SIZE, (k + 1) % SIZE
@@ -100,7 +100,7 @@ def stop_time(
     qdd_max: Array,
     limit_s: float,
 ) -> float:
-    """Time to rest along the path, braking as hard as the joints allow [s]; -1 if longer than limit_s or off its end."""
+    """Time to rest along the path, braking as hard as the joints allow [s]; -1: longer than limit_s, or off its end."""
     out = np.empty((3, knots.shape[2]))
     elapsed = 0.0
     end = times[last % SIZE]
@@ -137,7 +137,7 @@ def starves(
 
 @njit(cache=True)
 def ramp_down(out: Array, decel: Array, dt: float) -> bool:
-    """Move dt with every joint braking by decel (n,) [rad/s2]; out (3, n) holds q, qd, qdd. Returns whether any moves on."""
+    """Move dt with every joint braking by decel (n,) [rad/s2]; out (3, n): q, qd, qdd. Returns whether any moves on."""
     moving = False
     for j in range(out.shape[1]):
         before = out[1, j]
@@ -148,3 +148,14 @@ def ramp_down(out: Array, decel: Array, dt: float) -> bool:
         out[2, j] = (after - before) / dt
         moving = moving or after != 0.0
     return moving
+
+
+def warm_up(qdd_max: Array) -> None:
+    """Compile the loops for the joints of `qdd_max` (n,), or load them from the cache, before a clock counts."""
+    n = len(qdd_max)
+    times, knots, out, decel = np.zeros(SIZE), np.zeros((SIZE, 3, n)), np.zeros((3, n)), np.ones(n)
+    times[1] = 1.0
+    advance(times, knots, 1, 0, 0.0, 1.0, 1.0, 1e-3, qdd_max, out)
+    stop_time(times, knots, 1, 0, 0.0, 1.0, 1e-3, qdd_max, 1.0)
+    starves(times, knots, 1, 0, 0.0, 1.0, 1.0, 1e-3, qdd_max, 1.0)
+    ramp_down(out, decel, 1e-3)

@@ -1,86 +1,176 @@
-"""Where the reference comes from: playback of the ring on the PLC's clock, or a ramp to rest."""
+"""The reference of the joint controllers: held, played from the ring, or ramped down; never a step in qd_ref."""
 
-from dataclasses import dataclass, field
 from enum import Enum
 
-from protocol.messages import Knot
-from sim_plc.plc.quintic import Quintic, Vector, quintic_between
-from sim_plc.plc.ring import KnotRing
+import numpy as np
+
+from machine.rotations import Array
+from sim_plc.plc.knot_ring import KnotRing
+from sim_plc.plc.path import AT_REST, SIZE, advance, ramp_down, starves, stop_time
+from sim_plc.plc.settings import PlcSettings
+
+_AT_END_S = 1e-9
 
 
-class PlaybackStatus(Enum):
-    """How far the playback is."""
+class Motion(Enum):
+    """What the reference does."""
 
-    PLAYING = "playing"
-    ENDED = "ended"
-    UNDERRUN = "underrun"
+    FOLLOW = "follow"  # not armed: it is where the joints are
+    HOLD = "hold"
+    PLAY = "play"
+    PATH_STOP = "path stop"  # down to rest along the path
+    JOINT_STOP = "joint stop"  # down to rest along the present direction of motion
 
 
-@dataclass(slots=True)
-class RingPlayback:
-    """Plays the ring's trajectory; `t_play_ns` is time in the trajectory."""
+class Reference:
+    """q_ref, qd_ref, qdd_ref (n,) of the present cycle, and how they go on."""
 
-    ring: KnotRing
-    t_play_ns: int = 0
-    playing: int = 0
-    _segment: tuple[int, Quintic] | None = field(default=None)
-
-    def restart(self) -> None:
-        """Stand before knot 0."""
-        self.t_play_ns, self.playing, self._segment = 0, 0, None
+    def __init__(self, settings: PlcSettings, ring: KnotRing) -> None:
+        self._settings, self._ring = settings, ring
+        self._out = np.zeros((3, settings.n))
+        self._decel = np.zeros(settings.n)
+        self._k, self._sigma, self._rate = 0, 0.0, 0.0
+        # Longer than this no joint needs to stop, so a buffer this deep needs no look ahead
+        slowest = max(axis.qd_max / axis.qdd_max for axis in settings.table.axes)
+        self._look_ahead_s = 2.0 * slowest
+        self.motion = Motion.FOLLOW
+        self.speed_override = 1.0
 
     @property
-    def buffer_ns(self) -> int:
-        """Trajectory time in the ring ahead of the playback."""
-        last = self.ring.knots.get(self.ring.last)
-        return max(0, last.t_ns - self.t_play_ns) if last else 0
+    def q(self) -> Array:
+        """Position [rad]; a view that the next cycle changes."""
+        return self._out[0]
 
-    def advance(self, dt_ns: int, n: int) -> tuple[PlaybackStatus, Vector, Vector]:
-        """Move on by dt and give q_ref, qd_ref; at an underrun they are those of the last moment inside the ring."""
-        ring = self.ring
-        wanted = self.t_play_ns + dt_ns
-        while self.playing < ring.last and wanted >= ring.knots[self.playing + 1].t_ns:
-            self.playing += 1
-        here = ring.knots[self.playing]
-        if self.playing == ring.last:
-            self.t_play_ns = here.t_ns
-            status = PlaybackStatus.ENDED if ring.end == ring.last else PlaybackStatus.UNDERRUN
-            return status, list(here.q[:n]), list(here.qd[:n])
-        self.t_play_ns = wanted
-        ring.forget_before(self.playing)
-        q, qd, _ = self._quintic(here, n).at((wanted - here.t_ns) * 1e-9)
-        return PlaybackStatus.PLAYING, q, qd
+    @property
+    def qd(self) -> Array:
+        """Velocity [rad/s]; a view that the next cycle changes."""
+        return self._out[1]
 
-    def _quintic(self, here: Knot, n: int) -> Quintic:
-        if self._segment is None or self._segment[0] != self.playing:
-            self._segment = (self.playing, quintic_between(here, self.ring.knots[self.playing + 1], n))
-        return self._segment[1]
+    @property
+    def qdd(self) -> Array:
+        """Acceleration [rad/s2]; a view that the next cycle changes."""
+        return self._out[2]
 
+    @property
+    def knot_playing(self) -> int:
+        """Index of the knot that begins the segment being played; the last one's when the end is reached."""
+        ring = self._ring
+        return ring.end if ring.complete and self._at_path_end() else self._k
 
-@dataclass(frozen=True, slots=True)
-class Ramp:
-    """All joints to rest together, along the straight line of their present velocity: no step in qd_ref.
+    @property
+    def t_play_ns(self) -> int:
+        """Time in the trajectory."""
+        return round(self._sigma * 1e9)
 
-    duration = max |qd| / qdd_stop over the joints; q(t) = q0 + qd0 (t - t^2 / (2 duration)).
-    """
+    @property
+    def path_left_s(self) -> float:
+        """Trajectory time in the ring ahead of the playback [s]."""
+        ring = self._ring
+        return max(float(ring.times[ring.last % SIZE]) - self._sigma, 0.0) if ring.last >= 0 else 0.0
 
-    q0: tuple[float, ...]
-    qd0: tuple[float, ...]
-    t0_ns: int
-    duration_s: float
+    @property
+    def rate(self) -> float:
+        """Trajectory seconds per second: 1 at full speed, 0 at rest."""
+        return self._rate
 
-    def at(self, t_ns: int) -> tuple[bool, Vector, Vector]:
-        """Whether at rest, q_ref and qd_ref."""
-        t = min((t_ns - self.t0_ns) * 1e-9, self.duration_s)
-        if self.duration_s <= 0.0:
-            return True, list(self.q0), [0.0] * len(self.q0)
-        left = 1.0 - t / self.duration_s
-        travel = t - 0.5 * t * t / self.duration_s
-        q = [q + qd * travel for q, qd in zip(self.q0, self.qd0, strict=True)]
-        return left <= 0.0, q, [qd * left for qd in self.qd0]
+    def follow(self, q: Array) -> None:
+        """Be where the joints are."""
+        self.motion = Motion.FOLLOW
+        self._hold_at(q)
 
+    def hold(self, q: Array) -> None:
+        """Stay at q."""
+        self.motion = Motion.HOLD
+        self._hold_at(q)
 
-def ramp_from(q: Vector, qd: Vector, t_ns: int, qdd_stop: tuple[float, ...]) -> Ramp:
-    """The ramp that starts now."""
-    duration = max(abs(speed) / stop for speed, stop in zip(qd, qdd_stop, strict=True))
-    return Ramp(tuple(q), tuple(qd), t_ns, duration)
+    def rewind(self) -> None:
+        """Stand before knot 0 of a new trajectory."""
+        self._k, self._sigma, self._rate = 0, 0.0, 0.0
+
+    def play(self) -> None:
+        """Start from knot 0; it is at rest, so full rate at once is no step."""
+        self.rewind()
+        self._rate = self.speed_override
+        self.motion = Motion.PLAY
+
+    def stop(self) -> None:
+        """Ramp down with qdd_stop: along the path if that is as quick and the path is long enough, else straight on."""
+        if self.motion is not Motion.PLAY:
+            return
+        settings, ring = self._settings, self._ring
+        bound_s = float(np.max(np.abs(self.qd) / settings.qdd_stop)) + settings.cycle_s
+        needed_s = stop_time(
+            ring.times, ring.knots, ring.last, self._k, self._sigma, self._rate, settings.cycle_s, settings.qdd_stop,
+            bound_s,
+        )  # fmt: skip
+        if needed_s >= 0.0:
+            self.motion = Motion.PATH_STOP
+        else:
+            self._stop_straight()
+
+    def stop_along_path(self) -> None:
+        """Ramp down on what is left of the path."""
+        if self.motion is Motion.PLAY:
+            self.motion = Motion.PATH_STOP
+
+    def quick_stop(self) -> None:
+        """Every joint to rest by itself, as fast as its own limit allows."""
+        if self.motion in (Motion.PLAY, Motion.PATH_STOP, Motion.JOINT_STOP):
+            self._decel[:] = self._settings.qdd_stop
+            self.motion = Motion.JOINT_STOP
+
+    def starving(self) -> bool:
+        """Whether braking must begin now to be at rest before the last knot, the trajectory's end being unknown."""
+        ring, settings = self._ring, self._settings
+        if self.motion is not Motion.PLAY or ring.complete:
+            return False
+        if self.path_left_s > self._look_ahead_s:
+            return False
+        return starves(
+            ring.times, ring.knots, ring.last, self._k, self._sigma, self._rate, self.speed_override,
+            settings.cycle_s, settings.qdd_stop, 2.0 * self._look_ahead_s,
+        )  # fmt: skip
+
+    def step(self) -> bool:
+        """Move on by one cycle; whether the motion is over (last knot reached, or at rest after a ramp)."""
+        if self.motion is Motion.PLAY:
+            self._advance(self.speed_override)
+            return self._ring.complete and self._at_path_end()
+        if self.motion is Motion.PATH_STOP:
+            self._advance(0.0)
+            if self._rate > 0.0 and self._at_path_end() and float(np.abs(self.qd).max()) > AT_REST:
+                self._stop_straight()  # a path that was cut short under the brake
+                return False
+            return self._rate == 0.0 or self._at_path_end()
+        if self.motion is Motion.JOINT_STOP:
+            return not ramp_down(self._out, self._decel, self._settings.cycle_s)
+        return False
+
+    def settle(self) -> None:
+        """Stay where the motion has ended."""
+        self.motion = Motion.HOLD
+        self._rate = 0.0
+        self._out[1:] = 0.0
+
+    def _hold_at(self, q: Array) -> None:
+        self._out[0] = q
+        self._out[1:] = 0.0
+
+    def _at_path_end(self) -> bool:
+        return self.path_left_s <= _AT_END_S
+
+    def _advance(self, target: float) -> None:
+        ring, settings = self._ring, self._settings
+        self._k, self._sigma, self._rate = advance(
+            ring.times, ring.knots, ring.last, self._k, self._sigma, self._rate, target, settings.cycle_s,
+            settings.qdd_stop, self._out,
+        )  # fmt: skip
+
+    def _stop_straight(self) -> None:
+        """All joints to rest together; a joint that would leave its range that way brakes by its own limit."""
+        settings = self._settings
+        duration_s = max(float(np.max(np.abs(self.qd) / settings.qdd_stop)), settings.cycle_s)
+        q_rest = self.q + 0.5 * self.qd * duration_s
+        outside = (q_rest < settings.q_min) | (q_rest > settings.q_max)
+        self._decel[:] = np.where(outside, settings.qdd_stop, np.abs(self.qd) / duration_s)
+        self.motion = Motion.JOINT_STOP

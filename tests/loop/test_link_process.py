@@ -4,9 +4,12 @@ import asyncio
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -93,9 +96,9 @@ def trajectory(joints: int, step_rad: float, duration_s: float, q_start: float =
     return JointTrajectory(np.array([k.t_ns for k in knots]) / 1e9, *arrays)
 
 
-async def until(condition, timeout_s: float) -> bool:  # type: ignore[no-untyped-def]
+async def until(condition: Callable[[], bool], timeout_s: float) -> bool:
     end = time.monotonic() + timeout_s
-    while not condition() and time.monotonic() < end:
+    while not condition() and time.monotonic() < end:  # noqa: ASYNC110 the PLC thread has no asyncio.Event
         await asyncio.sleep(0.01)
     return condition()
 
@@ -124,7 +127,7 @@ async def test_arm_run_cancel_and_disarm(plc: PlcThread, machine: Machine) -> No
         assert abs(link.plc_to_pc_offset_ns + PlcThread.EPOCH_NS) < 20e6  # ns
         samples = link.samples_since(0)
         assert len(samples) > 50
-        assert all(b.t_mono_ns >= a.t_mono_ns for a, b in zip(samples, samples[1:], strict=False))
+        assert all(b.t_mono_ns >= a.t_mono_ns for a, b in pairwise(samples))
         assert seen[0] in samples
 
         # a cancelled run leaves the PLC at rest before the reference's end
@@ -240,3 +243,58 @@ async def test_plc_that_falls_silent_ends_the_motion(raw_plc: PlcThread, machine
         assert raw_plc.plc.link.state is not PlcState.RUN
     finally:
         await link.close()
+
+
+SERVER = """
+import asyncio, sys
+import numpy as np
+from pathlib import Path
+from machine.description import parse_machine_toml
+from server.link.client import LinkClient
+from server.link.settings import LinkSettings
+from server.motion.contracts import JointTrajectory
+
+async def main():
+    machine = parse_machine_toml(Path(sys.argv[1]).read_text())
+    link = LinkClient(LinkSettings(plc_host="127.0.0.1", plc_port=int(sys.argv[2]), local_host="127.0.0.1"), machine)
+    await link.start()
+    await link.arm(10.0)
+    print(link.process_id, flush=True)
+    await link.run(JointTrajectory(*np.load(sys.argv[3]).values()))
+
+if __name__ == "__main__":
+    asyncio.run(main())
+"""
+
+
+def test_killed_server_takes_the_link_process_with_it_and_the_machine_stops(raw_plc: PlcThread, tmp_path: Path) -> None:
+    script, path_file = tmp_path / "server_to_kill.py", tmp_path / "path.npz"
+    script.write_text(SERVER)
+    path = long_path(raw_plc)
+    np.savez(path_file, path.t_s, path.q, path.qd, path.qdd)
+    toml = Path(__file__).parents[2] / "machine" / "machines" / "hiab033.toml"
+    port = str(raw_plc.socket.getsockname()[1])
+    with subprocess.Popen(
+        [sys.executable, str(script), str(toml), port, str(path_file)], stdout=subprocess.PIPE
+    ) as server:
+        assert server.stdout is not None
+        link_pid = int(server.stdout.readline())
+        wait_for(lambda: raw_plc.plc.link.state is PlcState.RUN, 5.0)
+        server.send_signal(signal.SIGKILL)
+        wait_for(lambda: raw_plc.plc.link.state is not PlcState.RUN, 0.5)
+        wait_for(lambda: not Path(f"/proc/{link_pid}").exists() or "Z" in process_state(link_pid), 3.0)
+        wait_for(lambda: raw_plc.plc.link.state is PlcState.DISARMED, 3.0)
+
+
+def wait_for(condition: Callable[[], bool], timeout_s: float) -> None:
+    end = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end, "not in time"
+        time.sleep(0.005)
+
+
+def process_state(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return "Z"

@@ -12,7 +12,6 @@ from server.calibration.trajectory_matching_paper import estimate_camera_rotatio
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.driving import trim
 from server.jobs.plans.planning import onto_reference, plan_settings
 from server.jobs.records import CalibrationRecord
 from server.jobs.requests import (
@@ -42,7 +41,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     yield Arm()
     yield StartOdometry()
     yield Move(plan.trajectory, "calibration path")
-    yield from trim(ctx, reading.q_rad, "calibration path")
+    yield Settle()
     tracks = expect((yield StopOdometry()), tuple)
     camera, encoder = tracks
     estimate = match(ctx, taken, camera, encoder)
@@ -63,7 +62,7 @@ def plan_path(ctx: PlanContext, reading: MachineReading) -> PathPlan:
     plan = plan_calibration_path(
         ctx.machine, reading.q_rad, kind, plan_settings(ctx), ctx.wall, ctx.knowledge.T_base_ooi
     )
-    return onto_reference(plan, reading)
+    return onto_reference(ctx, plan, reading)
 
 
 def match(ctx: PlanContext, taken: LookTaken, camera: CameraTrack, encoder: EncoderTrack) -> CameraRotationEstimate:

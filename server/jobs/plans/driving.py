@@ -1,50 +1,56 @@
 """Drive: play a path, rest, and trim the reference until the encoders stand where the path meant them to.
 
-A P-controlled valve with a dead band stops short by up to dead band / kp; that is visible at the encoder, so it is
-taken out there, before anybody looks (machine model, dead-band stall).
+A P-controlled valve with a dead band stops short; that is visible at the encoders, so it is taken out there, before
+anybody looks (docs/decisions/0001-trim-on-encoders.md).
 """
 
 from collections.abc import Generator
 
 import numpy as np
 
-from machine.kinematics import tcp_jacobian
 from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
+from server.jobs.plans.planning import play_of, trim_settings
 from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, Settle, expect
-from server.motion.approach import trim_reference
 from server.motion.contracts import PathPlan, PlanStatus
+from server.motion.lost_motion import plan_trim, updated_stall, worth_trimming
 
-TRIMS_MAX = 4
-TRIM_POSITION_M = 0.0004  # what the remaining encoder residual may do at the TCP
-TRIM_ANGLE_RAD = np.deg2rad(0.03)
+TRIMS_MAX = 6
 
 
 def drive(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, int]:
     """Execute a checked plan and trim. Returns the number of trims."""
+    reading = yield from play(ctx, plan, purpose)
+    return (yield from trim(ctx, plan.q_end, reading, purpose))
+
+
+def play(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, MachineReading]:
+    """Execute a checked plan and wait for rest. Returns the joints before it."""
     if plan.status is not PlanStatus.OK or plan.trajectory is None:
         raise JobFailedError(f"{purpose}: {plan.reason}", f"plan_{plan.status.value}")
+    before = expect((yield Settle()), MachineReading)
     yield Arm()
-    yield Progress(
-        "move", 0.0, plan.duration_s, "s", f"{purpose}: {plan.length_m * 1e3:.0f} mm in {plan.duration_s:.1f} s"
-    )
+    text = f"{purpose}: {plan.length_m * 1e3:.0f} mm in {plan.duration_s:.1f} s"
+    yield Progress("move", 0.0, plan.duration_s, "s", text)
     yield Move(plan.trajectory, purpose)
-    return (yield from trim(ctx, plan.q_end, purpose))
+    return before
 
 
-def trim(ctx: PlanContext, q_goal: Array, purpose: str) -> Generator[Request, object, int]:
-    """Shift the reference by what the encoders still lack, until that is below a millimetre's fraction at the TCP."""
+def trim(ctx: PlanContext, q_goal: Array, before: MachineReading, purpose: str) -> Generator[Request, object, int]:
+    """Shift the reference until the encoders lack less than shows at the TCP; learns each joint's stall on the way."""
     for count in range(TRIMS_MAX + 1):
         reading = expect((yield Settle()), MachineReading)
         residual = q_goal - reading.q_rad
-        effect = np.abs(tcp_jacobian(ctx.chain, reading.q_rad)) @ np.abs(residual)
-        if effect[:3].max() < TRIM_POSITION_M and effect[3:].max() < TRIM_ANGLE_RAD:
+        stall = updated_stall(ctx.stall, reading.q_ref_rad, before.q_rad, reading.q_rad, residual)
+        ctx.knowledge.stall_rad = stall
+        if count == TRIMS_MAX or not worth_trimming(ctx.machine, reading.q_rad, residual).any():
             return count
-        if count == TRIMS_MAX:
-            break
-        trajectory = trim_reference(ctx.machine, reading.q_ref_rad, residual)
-        if trajectory.trajectory is None:
-            raise JobFailedError(f"{purpose}: {trajectory.reason}", "trim_refused")
-        yield Move(trajectory.trajectory, f"{purpose}: trim {count + 1}")
+        plan = plan_trim(ctx.machine, reading.q_ref_rad, reading.q_rad, q_goal, stall, play_of(ctx), trim_settings(ctx))
+        if plan.trajectory is None:
+            raise JobFailedError(f"{purpose}: trim: {plan.reason}", "trim_refused")
+        worst = float(np.rad2deg(np.abs(residual).max()))
+        yield Progress("trim", count + 1, TRIMS_MAX, "trims", f"{purpose}: trim, encoders lack up to {worst:.2f} deg")
+        yield Move(plan.trajectory, f"{purpose}: trim {count + 1}")
+        before = reading
     return TRIMS_MAX

@@ -16,5 +16,6 @@ def live_error(cell: Cell, ctx: PlanContext) -> ErrorMm | None:
     tool, ooi = report.observation.tool, report.observation.ooi
     if tool.status is not PoseStatus.OK or ooi.status is not PoseStatus.OK:
         return None
-    found = pair_error(tool, ooi, ctx.T_ooi_goal)
-    return error_in_mm(ctx, found)
+    if tool.T_cam_object is None or ooi.T_cam_object is None:
+        return None
+    return error_in_mm(ctx, pair_error(tool, ooi, ctx.T_ooi_goal), tool.T_cam_object, ooi.T_cam_object)

@@ -83,14 +83,17 @@ def _taken(ctx: PlanContext, look: Look, reading: MachineReading) -> LookTaken:
 def _error(ctx: PlanContext, look: Look) -> ErrorMm | None:
     if look.status is not LookStatus.OK:
         return None
-    return error_in_mm(ctx, error_to_goal(look, ctx.T_ooi_goal))
+    if look.T_cam_tool is None or look.T_cam_ooi is None:
+        return None
+    return error_in_mm(ctx, error_to_goal(look, ctx.T_ooi_goal), look.T_cam_tool, look.T_cam_ooi)
 
 
-def error_in_mm(ctx: PlanContext, found: PoseError) -> ErrorMm:
+def error_in_mm(ctx: PlanContext, found: PoseError, T_cam_tool: Array, T_cam_ooi: Array) -> ErrorMm:
     """The error in the operator's units; systematic sigmas (layout, intrinsics, print) are added to the look's own."""
     sigma_mm = np.hypot(found.sigma_position_m * 1e3, ctx.settings.position.sigma_systematic_mm)
     sigma_deg = np.hypot(np.rad2deg(found.sigma_angle_rad), ctx.settings.position.sigma_systematic_deg)
     x_mm, y_mm, z_mm = found.position_m * 1e3
+    camera_mm = (T_cam_ooi[:3, 3] - T_cam_tool[:3, 3]) * 1e3
     return ErrorMm(
         x_mm=float(x_mm),
         y_mm=float(y_mm),
@@ -101,6 +104,9 @@ def error_in_mm(ctx: PlanContext, found: PoseError) -> ErrorMm:
         sigma_z_mm=float(sigma_mm[2]),
         sigma_rotation_deg=float(sigma_deg),
         distance_mm=float(np.linalg.norm(found.position_m) * 1e3),
+        camera_x_mm=float(camera_mm[0]),
+        camera_y_mm=float(camera_mm[1]),
+        camera_z_mm=float(camera_mm[2]),
     )
 
 

@@ -7,34 +7,43 @@ import numpy as np
 from machine.rotations import Array
 from server.jobs.context import PlanContext
 from server.jobs.requests import MachineReading
-from server.motion.approach import plan_approach
+from server.motion.approach import ApproachSettings, plan_approach
 from server.motion.contracts import PathPlan
+from server.motion.lost_motion import onto_reference as shifted
 from server.motion.point_to_point import plan_move
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS, PlanSettings
 
+LIMIT_SHARE = 0.8  # of the machine's limits: the rest is for taking the reference across the dead bands on the way
+APPROACH = ApproachSettings()
+
 
 def plan_to(ctx: PlanContext, reading: MachineReading, T_base_tcp_goal: Array, one_sided: bool = True) -> PathPlan:
-    """Path from the encoders' pose to the goal, laid onto the reference.
-
-    The reference stands off the encoders by the static stall; keeping that difference along the path makes the
-    joints end at the same side of their dead band.
-    """
+    """Path from the encoders' pose to the goal, laid onto the reference."""
     if one_sided and ctx.method == "ours":
-        plan = plan_approach(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
+        plan = plan_approach(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall, APPROACH)
     else:
         plan = plan_move(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
-    return onto_reference(plan, reading)
+    return onto_reference(ctx, plan, reading)
 
 
 def plan_settings(ctx: PlanContext) -> PlanSettings:
     """Shaped references for ours, the plain quintic for the paper's method."""
-    return PAPER_PLAN_SETTINGS if ctx.method == "paper" else DEFAULT_PLAN_SETTINGS
+    return replace(PAPER_PLAN_SETTINGS if ctx.method == "paper" else DEFAULT_PLAN_SETTINGS, limit_share=LIMIT_SHARE)
 
 
-def onto_reference(plan: PathPlan, reading: MachineReading) -> PathPlan:
-    """The same path, shifted so that its first knot is the present reference exactly."""
+def trim_settings(ctx: PlanContext) -> PlanSettings:
+    """A trim is a small step of the reference itself: plain, and quicker than the servo can follow anyway."""
+    return replace(plan_settings(ctx), shape_reference=False, duration_min_s=0.6)
+
+
+def play_of(ctx: PlanContext) -> Array:
+    """From how far below each joint comes at the end (n,) [rad]."""
+    play = np.array(APPROACH.play_rad)
+    return play if ctx.method == "ours" and len(play) == len(ctx.machine.joints) else np.zeros(len(ctx.machine.joints))
+
+
+def onto_reference(ctx: PlanContext, plan: PathPlan, reading: MachineReading) -> PathPlan:
+    """The same path as a path of the reference: its first knot is the present reference exactly."""
     if plan.trajectory is None:
         return plan
-    q = plan.trajectory.q + (reading.q_ref_rad - plan.trajectory.q[0])
-    q[0] = reading.q_ref_rad
-    return replace(plan, trajectory=replace(plan.trajectory, q=np.ascontiguousarray(q)))
+    return replace(plan, trajectory=shifted(plan.trajectory, reading.q_ref_rad, ctx.stall))

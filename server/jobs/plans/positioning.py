@@ -58,8 +58,10 @@ def _move_until_inside(
 
 def inside(ctx: PlanContext, taken: LookTaken) -> bool:
     """Whether the look puts the tool inside the tolerance, two sigma to spare."""
-    goal = ctx.settings.position
-    return error_of(taken).inside(goal.tolerance_mm, goal.tolerance_deg)
+    goal, error = ctx.settings.position, error_of(taken)
+    if ctx.method == "paper":
+        return error.inside_as_paper(goal.tolerance_mm)
+    return error.inside(goal.tolerance_mm, goal.tolerance_deg)
 
 
 def error_of(taken: LookTaken) -> ErrorMm:

@@ -8,7 +8,7 @@ from machine.poses import pose
 from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
-from server.jobs.plans.driving import drive
+from server.jobs.plans.driving import drive, play
 from server.jobs.plans.planning import onto_reference, plan_settings, plan_to
 from server.jobs.requests import MachineReading, Request, Settle, expect
 from server.motion.point_to_point import plan_joint_move
@@ -20,7 +20,8 @@ def retract(ctx: PlanContext, distance_mm: float) -> Generator[Request, object, 
     T_base_tcp = ctx.tcp(reading.q_rad)
     away = T_base_tcp[:3, 2] * distance_mm * 1e-3
     plan = plan_to(ctx, reading, pose(T_base_tcp[:3, :3], T_base_tcp[:3, 3] + away), one_sided=False)
-    yield from drive(ctx, plan, "retract")
+    yield from play(ctx, plan, "retract")
+    yield Settle()
     return f"retracted by {distance_mm:.0f} mm"
 
 
@@ -47,4 +48,4 @@ def park(ctx: PlanContext) -> Generator[Request, object, str]:
 def _to_joints(ctx: PlanContext, q_goal: Array, purpose: str) -> Generator[Request, object, None]:
     reading = expect((yield Settle()), MachineReading)
     plan = plan_joint_move(ctx.machine, reading.q_rad, q_goal, plan_settings(ctx), ctx.wall)
-    yield from drive(ctx, onto_reference(plan, reading), purpose)
+    yield from drive(ctx, onto_reference(ctx, plan, reading), purpose)

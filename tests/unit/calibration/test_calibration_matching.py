@@ -24,6 +24,7 @@ def trials(path: str, offset_s: float, outliers: float, n: int = 60):
         found = estimate_camera_rotation(case.camera, case.encoder, T_TCP_CAM)
         assert found.status is CalibrationStatus.OK, found.reason
         assert found.R_tcp_cam is not None
+        assert found.covariance is not None
         error = rotvec_from_rotation(case.R_tcp_cam @ found.R_tcp_cam.T)
         degrees.append(np.rad2deg(np.linalg.norm(error)))
         chi2.append(error @ np.linalg.solve(found.covariance, error))
@@ -82,11 +83,13 @@ def test_prior_pulls_by_its_covariance_and_shrinks_the_sum():
     assert loose_found.R_tcp_cam is not None
     assert np.rad2deg(geodesic_angle(tight_found.R_tcp_cam, case.R_tcp_cam)) < 0.06
     assert np.rad2deg(geodesic_angle(loose_found.R_tcp_cam, alone.R_tcp_cam)) < 0.02
+    assert tight_found.covariance is not None
+    assert alone.covariance is not None
     assert np.trace(tight_found.covariance) < np.trace(alone.covariance)
 
 
 def test_fusion_gains_over_both_sources():
-    """Prior of 2 deg from the tool marker and data of the paper's weak path: the sum is better than either, on average."""
+    """Prior of 2 deg from the tool marker, data of the paper's weak path: the sum is better than either."""
     squares = np.zeros(3)
     for seed in range(40):
         case = make_case(paper_offsets(), seed)

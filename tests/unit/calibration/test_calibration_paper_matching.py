@@ -64,7 +64,7 @@ def test_short_or_empty_tracks_are_refused():
     assert few.status is CalibrationStatus.TOO_FEW
     Ts = np.tile(np.eye(4), (50, 1, 1))
     Ts[:, 0, 3] = np.linspace(0, 0.02, 50)
-    still = EncoderTrack(np.arange(50) * 0.1, Ts)
+    still = EncoderTrack(np.linspace(0.0, 4.9, 50), Ts)
     short = estimate_camera_rotation_paper(case.camera, still, R_ASSUMED)
     assert short.status is CalibrationStatus.DEGENERATE
     assert short.R_tcp_cam is None

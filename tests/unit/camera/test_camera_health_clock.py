@@ -9,7 +9,7 @@ from camera_stand_in import picture
 from server.camera.clock import CameraClock
 from server.camera.contracts import StereoFrame
 from server.camera.health import ImageHealth, sharpness
-from server.camera.masking import ToolMask, blown_up
+from server.camera.masking import SHAFT_PX, ToolMask, blown_up, plate_and_shaft
 from server.camera.sources.side_by_side import split_side_by_side
 from server.vision.contracts import MarkerView
 
@@ -83,10 +83,13 @@ def test_clock_starts_afresh_after_a_jump_or_a_new_connection() -> None:
 def test_mask_covers_the_tool_and_remembers_it() -> None:
     corners = np.array([[10.0, 10.0], [20.0, 10.0], [20.0, 20.0], [10.0, 20.0]])
     np.testing.assert_allclose(blown_up(corners, 2.0), [[5, 5], [25, 5], [25, 25], [5, 25]], atol=1e-12)
+    shaft = plate_and_shaft(corners, 2.0)
+    np.testing.assert_allclose(shaft[:2], [[5, 5], [25, 5]], atol=1e-12)
+    np.testing.assert_allclose(shaft[2:], [[25, 25 + SHAFT_PX], [5, 25 + SHAFT_PX]], atol=1e-9)
     mask = ToolMask([10], 2.0)
     mask.update([MarkerView(10, corners, None, 0.1, True, ""), MarkerView(1, corners, corners, 0.1, True, "")])
     assert len(mask.left) == 1
     assert mask.right == ()
     mask.update([MarkerView(10, None, corners + 3.0, 0.1, True, "")])
-    np.testing.assert_allclose(mask.left[0], blown_up(corners, 2.0), atol=1e-12)
-    np.testing.assert_allclose(mask.right[0], blown_up(corners + 3.0, 2.0), atol=1e-12)
+    np.testing.assert_allclose(mask.left[0], plate_and_shaft(corners, 2.0), atol=1e-12)
+    np.testing.assert_allclose(mask.right[0], plate_and_shaft(corners + 3.0, 2.0), atol=1e-12)

@@ -60,7 +60,7 @@ def test_fast_picture_is_the_dense_one(machine: Machine, renderer: StereoRendere
     shift_px = [(g * difference).sum() / (g * g).sum() for g in np.gradient(a)]
     assert np.abs(difference).mean() < 2.5  # grey levels, on texture of 30 to 60 rms
     assert abs(difference.mean()) < 0.5  # grey levels
-    assert np.abs(shift_px).max() < 0.04
+    assert np.abs(shift_px).max() < 0.06  # the map between nodes is bilinear: worst in the corners of an oblique view
 
 
 def test_rolling_shutter_shifts_each_row_by_its_own_time(machine: Machine) -> None:

@@ -1,5 +1,7 @@
 """Texture, relief, and how a sparse map is painted."""
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -37,7 +39,7 @@ def test_levels_keep_the_mean_and_lose_detail(base: np.ndarray) -> None:
     levels = texture_levels(base)
     spreads = [level.image.std() for level in levels]
     assert all(abs(level.image.mean() - base.mean()) < 0.7 for level in levels)
-    assert all(coarse < fine for fine, coarse in zip(spreads, spreads[1:], strict=False))
+    assert all(coarse < fine for fine, coarse in itertools.pairwise(spreads))
     assert best_level(levels, 1e-5) == 0
     assert levels[best_level(levels, 0.0026)].texel_x_m == pytest.approx(0.0016, rel=0.02)  # 1.4 m away
 
@@ -73,7 +75,7 @@ def test_a_map_is_painted_bilinearly_and_wraps() -> None:
     ramp = np.tile(np.arange(columns, dtype=np.uint8) * 3, (rows, 1))
     image = np.pad(ramp, ((0, 1), (0, 1)), mode="wrap")
     out = np.empty((16, 32), np.uint8)
-    u, v = np.meshgrid(step * np.arange(-1, 6), step * np.arange(-1, 4))
+    u, v = np.meshgrid(step * np.arange(-1.0, 6.0), step * np.arange(-1.0, 4.0))
     paint_map(np.stack([0.5 * u + 10.25, 1.0 * v - 40.0], axis=-1), step, image, out)
     expected = 3.0 * (0.5 * np.arange(32) + 10.25)
     assert np.abs(out - expected).max() <= 0.6  # grey levels

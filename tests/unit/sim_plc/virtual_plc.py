@@ -10,7 +10,9 @@ from protocol.codes import PlcState
 from protocol.framing import RawFraming
 from protocol.limits import limits_of
 from protocol.messages import Knot, axes8
-from sim_plc.plc.logic import PlantSample, PlcLogic
+from sim_plc.plc.local_panel import LocalPanel
+from sim_plc.plc.logic import PlcLogic
+from sim_plc.plc.sample import PlantSample
 
 MS = 1_000_000
 MACHINE = parse_machine_toml((files("machine") / "machines" / "hiab033.toml").read_text(encoding="utf-8"))
@@ -22,12 +24,15 @@ GAINS = np.array([joint.velocity_gain_rad_s for joint in MACHINE.joints])
 class VirtualPlc:
     """Steps of 1 ms; `lose(direction, t_ns)` decides which datagrams vanish."""
 
-    def __init__(self, seed=1):
+    def __init__(self, seed=1, panel=None):
         self.t_ns = 10_000 * MS
         rng = np.random.default_rng(seed)
-        self.plc = PlcLogic(MACHINE, RawFraming(), lambda: int(rng.integers(1, 2**32)))
+        self.panel = panel or LocalPanel()
+        self.plc = PlcLogic(MACHINE, RawFraming(), lambda: int(rng.integers(1, 2**32)), self.panel)
         self.client = ClientLink(TABLE, RawFraming(), session=7)
         self.q = np.array(Q_START)
+        self.qd = np.zeros(len(self.q))
+        self.t_oil_c = 40.0
         self.events, self.trace = [], []
         self.silent = False
         self.lose = lambda direction, t_ns: False
@@ -35,11 +40,10 @@ class VirtualPlc:
     def step(self, ms=1):
         for _ in range(ms):
             self.t_ns += MS
-            n = len(self.q)
-            zeros = (0.0,) * n
-            valves = self.plc.cycle(self.t_ns, PlantSample(tuple(self.q), zeros, zeros, zeros, 19e6, 40.0))
-            self.q = self.q + np.array(valves) * GAINS * 1e-3
-            self.trace.append((self.t_ns, self.plc.state, self.plc.q_ref, self.plc.qd_ref, tuple(valves)))
+            zeros = np.zeros(len(self.q))
+            valves = self.plc.cycle(self.t_ns, PlantSample(self.q.copy(), self.qd, zeros, zeros, 19e6, self.t_oil_c))
+            self.trace.append((self.t_ns, self.plc.state, self.plc.q_ref, self.plc.qd_ref, tuple(valves.tolist())))
+            self.q = self.q + valves * GAINS * 1e-3
             if self.t_ns % (10 * MS) == 0 and self.plc.link.peer is not None and not self.lose("state", self.t_ns):
                 self.events += self.client.receive(self.plc.send(self.t_ns), self.t_ns)
             if self.t_ns % (20 * MS) == 0 and not self.silent:
@@ -47,6 +51,11 @@ class VirtualPlc:
                 datagram = self.client.send(self.t_ns)
                 if datagram is not None and not self.lose("command", self.t_ns):
                     self.plc.receive(datagram, self.t_ns, "pc")
+
+    def reconnect(self, session):
+        """A fresh client, as after a crash of the old one."""
+        self.client = ClientLink(TABLE, RawFraming(), session=session)
+        self.silent = False
 
     def arm(self):
         self.step(200)

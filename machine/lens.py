@@ -1,0 +1,29 @@
+"""How far from its axis a lens model with radial terms k1, k2, k3 can be inverted."""
+
+from functools import lru_cache
+
+import numpy as np
+
+Coefficients = tuple[float, float, float, float, float]  # k1, k2, p1, p2, k3
+
+
+@lru_cache(maxsize=64)
+def fold_radius(distortion: Coefficients) -> float:
+    """Largest undistorted radius |(x/z, y/z)| that the radial model maps one to one; infinite if it never folds back.
+
+    Model: r' = r (1 + k1 r^2 + k2 r^4 + k3 r^6) turns where 1 + 3 k1 r^2 + 5 k2 r^4 + 7 k3 r^6 = 0.
+    """
+    k1, k2, _, _, k3 = distortion
+    roots = np.roots(np.trim_zeros([7.0 * k3, 5.0 * k2, 3.0 * k1, 1.0], "f"))
+    turning = roots.real[(np.abs(roots.imag) < 1e-12) & (roots.real > 0.0)]
+    return float(np.sqrt(turning.min())) if turning.size else float("inf")
+
+
+def distorted_radius_max(distortion: Coefficients) -> float:
+    """Largest distorted radius that some ray has: the image must lie inside it. Infinite if the model never folds."""
+    radius = fold_radius(distortion)
+    if np.isinf(radius):
+        return radius
+    k1, k2, _, _, k3 = distortion
+    r2 = radius * radius
+    return radius * (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)))

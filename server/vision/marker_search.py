@@ -1,0 +1,112 @@
+"""Square fiducials in one image: any ArUco or AprilTag dictionary by name."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from machine.description import StereoCamera
+from server.vision.contracts import Array, Image
+from server.vision.corners import refine_corners
+from server.vision.edge_fit import SideFit
+from server.vision.errors import UnknownDictionaryError
+
+SAME_PLACE_FRAC = 0.25  # of a marker's size: closer than that, two finds are one marker
+
+
+@dataclass(frozen=True, slots=True)
+class FoundMarker:
+    """One decoded marker: id and corners (4, 2) [raw px], OpenCV order."""
+
+    marker_id: int
+    corners_px: Array
+    covered: bool = False  # a side is no clean edge; the corners are coarse
+
+
+def dictionary_names() -> tuple[str, ...]:
+    """Names of all ArUco and AprilTag dictionaries that can be given in a machine file."""
+    return tuple(sorted(name for name in dir(cv2.aruco) if name.startswith("DICT_")))
+
+
+def dictionary_by_name(name: str) -> "cv2.aruco.Dictionary":
+    """The dictionary of a name such as DICT_4X4_50 or DICT_APRILTAG_36h11.
+
+    Raises: UnknownDictionaryError with the known names.
+    """
+    if name not in dictionary_names():
+        raise UnknownDictionaryError(
+            f"marker dictionary '{name}' is unknown; give one of {', '.join(dictionary_names())}"
+        )
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def cells_along_side(dictionary: "cv2.aruco.Dictionary") -> int:
+    """Cells along one side, the black border included."""
+    return int(dictionary.markerSize) + 2
+
+
+def _parameters(image_size_px: int, perimeter_min_px: float) -> "cv2.aruco.DetectorParameters":
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.minMarkerPerimeterRate = float(np.clip(perimeter_min_px / image_size_px, 1e-3, 0.3))
+    parameters.maxMarkerPerimeterRate = 8.0  # a region is hardly larger than its marker
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_NONE
+    return parameters
+
+
+def _detect(
+    image: Image, dictionary: "cv2.aruco.Dictionary", parameters: "cv2.aruco.DetectorParameters"
+) -> tuple[FoundMarker, ...]:
+    if min(image.shape) < 12:
+        return ()
+    corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
+    if ids is None:
+        return ()
+    return tuple(
+        FoundMarker(int(marker_id), np.asarray(quad, dtype=np.float64).reshape(4, 2))
+        for quad, marker_id in zip(corners, np.asarray(ids).reshape(-1), strict=True)
+    )
+
+
+def find_markers(
+    image: Image, dictionary: "cv2.aruco.Dictionary", perimeter_min_px: float = 32.0
+) -> tuple[FoundMarker, ...]:
+    """Every marker of a dictionary in one grey image (h, w), corners as the contour gives them (about 0.7 px).
+
+    Pixel convention: the centre of the top left pixel is (0, 0).
+    """
+    return _detect(image, dictionary, _parameters(max(image.shape), perimeter_min_px))
+
+
+def find_all_markers(
+    image: Image, dictionary: "cv2.aruco.Dictionary", perimeter_min_px: float = 20.0
+) -> tuple[FoundMarker, ...]:
+    """As `find_markers`, slow and thorough: more thresholds, and a second pass at twice the size for cells of 2 px."""
+    thorough = _parameters(2 * max(image.shape), perimeter_min_px)
+    thorough.adaptiveThreshWinSizeStep = 4
+    thorough.adaptiveThreshWinSizeMax = 43
+    thorough.perspectiveRemovePixelPerCell = 8
+    found = list(_detect(image, dictionary, thorough))
+    doubled = np.asarray(cv2.resize(image, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC))
+    for marker in _detect(doubled, dictionary, thorough):
+        corners = (marker.corners_px + 0.5) / 2.0 - 0.5  # resize keeps the outer edges, not the pixel centres
+        candidate = FoundMarker(marker.marker_id, corners)
+        if not any(same_place(candidate, other) for other in found):
+            found.append(candidate)
+    return tuple(found)
+
+
+def same_place(one: FoundMarker, other: FoundMarker) -> bool:
+    """Whether two finds are the same printed marker."""
+    if one.marker_id != other.marker_id:
+        return False
+    size = float(np.linalg.norm(one.corners_px[2] - one.corners_px[0]))
+    apart = float(np.linalg.norm(one.corners_px.mean(axis=0) - other.corners_px.mean(axis=0)))
+    return apart < SAME_PLACE_FRAC * size
+
+
+def refined(
+    marker: FoundMarker, image: Image, dictionary: "cv2.aruco.Dictionary", camera: StereoCamera | None
+) -> FoundMarker:
+    """The marker with sub-pixel corners."""
+    fit, corners = refine_corners(image, marker.corners_px, cells_along_side(dictionary), camera)
+    return FoundMarker(marker.marker_id, corners, fit is SideFit.COVERED)

@@ -1,0 +1,139 @@
+"""The ring of 64 knots, keyed by absolute index: what the PLC holds of a trajectory, and what it refuses to take."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protocol.codes import CommandFlag, RejectCode
+from protocol.limits import LimitTable
+from protocol.messages import Axes, Command, Knot
+from protocol.timeouts import MS
+from sim_plc.plc.knot_checks import at_rest, check_knot, check_start, check_step, first_of
+from sim_plc.plc.path import SIZE
+
+FROZEN_NS = 100 * MS  # a knot nearer than this ahead of the playback is not replaced any more
+
+
+@dataclass(frozen=True, slots=True)
+class PlaybackView:
+    """Where the playback stands, as far as the ring must know it."""
+
+    q_ref: Axes
+    playing: int = 0
+    t_play_ns: int = 0
+
+
+class KnotRing:
+    """Knots of one trajectory. `last`: highest index held, without a gap below; -1 = empty. `end`: -1 until known."""
+
+    def __init__(self, table: LimitTable) -> None:
+        n = len(table.axes)
+        self._table = table
+        self._kept: list[Knot | None] = [None] * SIZE
+        self.times = np.zeros(SIZE)
+        self.knots = np.zeros((SIZE, 3, n))
+        self.traj_id, self.first, self.last, self.end = 0, 0, -1, -1
+
+    def clear(self) -> None:
+        """Forget everything: a new session numbers its trajectories anew."""
+        self.traj_id, self.first, self.last, self.end = 0, 0, -1, -1
+
+    @property
+    def complete(self) -> bool:
+        """Whether the trajectory's end is in the ring."""
+        return self.end >= 0 and self.end == self.last
+
+    def knot(self, index: int) -> Knot | None:
+        """The knot of that index, if the ring holds it."""
+        return self._kept[index % SIZE] if self.first <= index <= self.last else None
+
+    def check(self, command: Command, view: PlaybackView) -> RejectCode:
+        """Why this command's knots may not be taken; NONE if they may. Changes nothing."""
+        if command.traj_id != self.traj_id or self.last < 0:
+            return self._check_new(command, view)
+        return self._check_more(command, view)
+
+    def load(self, command: Command, view: PlaybackView) -> None:
+        """Take the knots of a command that was checked in the same cycle."""
+        if command.traj_id != self.traj_id or self.last < 0:
+            self.traj_id, self.first, self.last, self.end = command.traj_id, 0, -1, -1
+        replaced = self._first_replaced(command)
+        if replaced is not None:
+            self.last, self.end = replaced - 1, -1
+        for index, knot in enumerate(command.knots, start=command.knot_first):
+            if index == self.last + 1:
+                self._put(index, knot)
+        self.first = max(self.first, view.playing, self.last - SIZE + 1)
+        if CommandFlag.LAST_IS_END in command.cmd_flags:
+            self.end = command.knot_first + len(command.knots) - 1
+
+    def _put(self, index: int, knot: Knot) -> None:
+        slot, n = index % SIZE, len(self._table.axes)
+        self._kept[slot] = knot
+        self.times[slot] = knot.t_ns * 1e-9
+        self.knots[slot] = knot.q[:n], knot.qd[:n], knot.qdd[:n]
+        self.last = index
+
+    def _check_new(self, command: Command, view: PlaybackView) -> RejectCode:
+        knots = command.knots
+        if command.knot_first != 0:
+            return RejectCode.KNOT_GAP
+        if len(knots) < 2:
+            return RejectCode.VALUE
+        return first_of((check_start(knots[0], view.q_ref, self._table), self._check_numbers(command, 0)))
+
+    def _check_more(self, command: Command, view: PlaybackView) -> RejectCode:
+        count = len(command.knots)
+        if count == 0:
+            return RejectCode.VALUE
+        past_last = command.knot_first + count
+        if command.knot_first > self.last + 1:
+            return RejectCode.KNOT_GAP
+        if past_last - max(view.playing, self.first) > SIZE:
+            return RejectCode.RING_FULL
+        replaced = self._first_replaced(command)
+        if replaced is not None and not self._may_replace(command, replaced, view):
+            return RejectCode.KNOT_CHANGED
+        if replaced is None and self.end >= 0 and not self._same_end(command, past_last - 1):
+            return RejectCode.KNOT_CHANGED
+        fresh = self.last + 1 if replaced is None else replaced
+        return self._check_numbers(command, min(max(fresh - command.knot_first, 0), count))
+
+    def _same_end(self, command: Command, index: int) -> bool:
+        """Whether the command agrees with the end that is known: nothing after it, the flag there and only there."""
+        flagged = CommandFlag.LAST_IS_END in command.cmd_flags
+        return index <= self.end and flagged == (index == self.end)
+
+    def _first_replaced(self, command: Command) -> int | None:
+        """The lowest index that is held with other values than the command brings."""
+        if command.traj_id != self.traj_id:
+            return None
+        for index, knot in enumerate(command.knots, start=command.knot_first):
+            held = self.knot(index)
+            if held is not None and held is not knot and held != knot:
+                return index
+        return None
+
+    def _may_replace(self, command: Command, index: int, view: PlaybackView) -> bool:
+        """Only a tail beyond the frozen horizon, and only when the command says so."""
+        held = self.knot(index)
+        return (
+            CommandFlag.TAIL_REPLACES in command.cmd_flags
+            and held is not None
+            and min(held.t_ns, command.knots[index - command.knot_first].t_ns) >= view.t_play_ns + FROZEN_NS
+            and index > view.playing + 1
+        )
+
+    def _check_numbers(self, command: Command, fresh: int) -> RejectCode:
+        """The command's knots from position `fresh` on, each and against its neighbour before; then the end."""
+        knots = command.knots
+        before = knots[fresh - 1] if fresh else self.knot(command.knot_first - 1) if command.knot_first else None
+        for knot in knots[fresh:]:
+            code = check_knot(knot, self._table)
+            if code is RejectCode.NONE and before is not None:
+                code = check_step(before, knot, self._table)
+            if code is not RejectCode.NONE:
+                return code
+            before = knot
+        ends = CommandFlag.LAST_IS_END in command.cmd_flags
+        return RejectCode.END_NOT_AT_REST if ends and not at_rest(knots[-1]) else RejectCode.NONE

@@ -1,0 +1,41 @@
+"""The controls at the machine itself: enable key and local lever. No network command reaches them."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+EnableMode = Literal["auto", "panel"]
+
+
+@dataclass(slots=True)
+class LocalPanel:
+    """`auto`: the enable is given again by itself after every disarming (for machines that nobody stands beside).
+
+    `panel`: somebody must give it, and after the last disarming: an enable left on does not arm the machine again.
+    """
+
+    mode: EnableMode = "auto"
+    enabled: bool = False
+    lever_taken: bool = False
+    _fresh: bool = False
+
+    def press_enable(self) -> None:
+        """Give the enable: a rising edge."""
+        self.enabled = self._fresh = True
+
+    def release_enable(self) -> None:
+        """Take the enable away; while armed the PLC makes a fault of it."""
+        self.enabled = self._fresh = False
+
+    def disarmed(self) -> None:
+        """The PLC has left the armed states: a new rising edge is needed from now on."""
+        self._fresh = False
+
+    @property
+    def may_arm(self) -> bool:
+        """Whether the enable was given since the last disarming."""
+        return self.mode == "auto" or (self.enabled and self._fresh)
+
+    @property
+    def withdrawn(self) -> bool:
+        """Whether an armed machine must stop because its enable is gone."""
+        return self.mode == "panel" and not self.enabled

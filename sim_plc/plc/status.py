@@ -1,0 +1,86 @@
+"""The PLC's part of the state message, put together every 10 ms."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.rotations import Array
+from protocol.codes import AxisBit, Mode, WarnBit
+from protocol.messages import Axes, PlcStatus, axes8
+from sim_plc.plc.knot_ring import KnotRing
+from sim_plc.plc.monitor import Monitor
+from sim_plc.plc.reference import Motion, Reference
+from sim_plc.plc.sample import PlantSample
+from sim_plc.plc.settings import PlcSettings
+
+_MODES = {
+    Motion.FOLLOW: Mode.HEARTBEAT,
+    Motion.HOLD: Mode.HOLD,
+    Motion.PLAY: Mode.TRAJECTORY,
+    Motion.PATH_STOP: Mode.STOP,
+    Motion.JOINT_STOP: Mode.STOP,
+}
+
+
+@dataclass(slots=True)
+class PlcCounters:
+    """Counted since the start; `starved` tells of the present trajectory."""
+
+    cycles: int = 0
+    underruns: int = 0
+    starved: bool = False
+
+
+def status_of(
+    settings: PlcSettings,
+    counters: PlcCounters,
+    ring: KnotRing,
+    reference: Reference,
+    monitor: Monitor,
+    valves: Array,
+    sample: PlantSample,
+) -> PlcStatus:
+    """The status of this cycle; a reading that is not finite is sent as 0 with the axis' ENCODER_FAULT bit."""
+    warnings = monitor.warnings | (WarnBit.UNDERRUN if counters.starved else WarnBit(0))
+    return PlcStatus(
+        plc_cycle=counters.cycles & 0xFFFF_FFFF,
+        plc_cycle_us=settings.cycle_ns // 1000,
+        mode_active=_MODES[reference.motion],
+        axis_mask=(1 << settings.n) - 1,
+        fault_bits=int(monitor.latched),
+        warn_bits=int(warnings),
+        traj_id=ring.traj_id,
+        knot_playing=reference.knot_playing,
+        knot_last=max(ring.last, 0),
+        t_play_ns=reference.t_play_ns,
+        buffer_us=round(reference.path_left_s * 1e6),
+        underruns=counters.underruns,
+        q=_sent(sample.q_rad),
+        qd=_sent(sample.qd_rad_s),
+        q_ref=_sent(reference.q),
+        qd_ref=_sent(reference.qd),
+        valve_cmd=_sent(valves),
+        p_a=_sent(sample.p_a_pa),
+        p_b=_sent(sample.p_b_pa),
+        axis_status=(*_axis_words(settings, sample.q_rad, reference.q, valves), *(0,) * (8 - settings.n)),
+        p_supply=sample.p_supply_pa,
+        p_tank=sample.p_tank_pa,
+        t_oil=sample.t_oil_c,
+        speed_scale=reference.rate if reference.motion is not Motion.HOLD else reference.speed_override,
+        simulation=True,
+    )
+
+
+def _sent(values: Array) -> Axes:
+    return axes8(tuple(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).tolist()))
+
+
+def _axis_words(settings: PlcSettings, q: Array, q_ref: Array, valves: Array) -> tuple[int, ...]:
+    """axis_status of every joint in use."""
+    words = np.full(settings.n, int(AxisBit.IN_USE))
+    words += int(AxisBit.AT_Q_MIN) * (q <= settings.q_min)
+    words += int(AxisBit.AT_Q_MAX) * (q >= settings.q_max)
+    words += int(AxisBit.VALVE_SATURATED) * (np.abs(valves) >= 1.0)
+    words += int(AxisBit.ENCODER_FAULT) * ~np.isfinite(q)
+    words += int(AxisBit.LAG) * (np.abs(q_ref - q) > settings.lag_warn)
+    return tuple(words.tolist())

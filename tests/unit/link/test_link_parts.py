@@ -1,0 +1,119 @@
+"""The small parts of the server's link: figures, sample ring, conversion, queue to the server."""
+
+import multiprocessing
+
+import numpy as np
+import pytest
+
+from protocol.codes import HeaderFlag, PlcState
+from protocol.errors import LocalProtocolError
+from protocol.framing import EapFraming, RawFraming
+from protocol.messages import State
+from server.link.contracts import MotionEnded, PlcSample, SamplesReport
+from server.link.errors import LinkRefusedError
+from server.link.knots import knots_of
+from server.link.lateness import Lateness
+from server.link.outbox import Outbox
+from server.link.sample import sample_of
+from server.link.samples import SampleRing
+from server.link.settings import LinkSettings, framing_of
+from server.link.udp_end import UdpEnd
+from server.motion.contracts import JointTrajectory
+
+
+def sample(t_mono_ns: int) -> PlcSample:
+    return sample_of(State(1, t_mono_ns, 5, PlcState.HOLD), t_mono_ns, 6)
+
+
+def test_a_sample_carries_the_joints_in_use() -> None:
+    array = tuple(float(i) for i in range(8))
+    state = State(
+        1, 2, 3, PlcState.RUN, HeaderFlag.SIMULATION, q=array, q_ref=array, p_a=array, t_oil=45.0, buffer_us=9
+    )
+    got = sample_of(state, 77, 6)
+    assert got.q_rad == got.q_ref_rad == got.pressure_a_pa == array[:6]
+    assert (got.t_mono_ns, got.t_plc_ns, got.seq, got.plc_state) == (77, 3, 2, "RUN")
+    assert (got.simulation, got.oil_temperature_c) == (True, 45.0)
+
+
+def test_ring_keeps_three_minutes_and_answers_since() -> None:
+    ring = SampleRing()
+    assert ring.latest is None
+    assert ring.since(0) == []
+    heard: list[int] = []
+    unsubscribe = ring.subscribe(lambda s: heard.append(s.t_mono_ns))
+    ring.extend(sample(t) for t in range(1, 18_101))
+    assert ring.latest is not None
+    assert ring.latest.t_mono_ns == 18_100
+    assert [s.t_mono_ns for s in ring.since(18_097)] == [18_098, 18_099, 18_100]
+    assert len(ring.since(0)) == 18_000
+    unsubscribe()
+    ring.extend([sample(20_000)])
+    assert len(heard) == 18_100
+
+
+def test_lateness_percentiles() -> None:
+    lateness = Lateness()
+    assert lateness.figures().max_us == 0.0
+    lateness.add(9_000_000)
+    for late_us in range(1, 1001):
+        lateness.add(late_us * 1000)
+    figures = lateness.figures()
+    assert (figures.p50_us, figures.p99_us, figures.max_us) == (501.0, 991.0, 9000.0)  # us; the window has moved on
+
+
+def test_knots_are_the_trajectorys_own() -> None:
+    t_s = np.array([0.0, 0.05, 0.1])
+    q = np.arange(18, dtype=float).reshape(3, 6)
+    knots = knots_of(JointTrajectory(t_s, q, q * 2, q * 3), 6)
+    assert [k[0] for k in knots] == [0, 50_000_000, 100_000_000]
+    assert knots[1][1:] == (tuple(q[1]), tuple(q[1] * 2), tuple(q[1] * 3))
+    with pytest.raises(LinkRefusedError, match=r"trajectory\.qd: shape \(2, 6\)"):
+        knots_of(JointTrajectory(t_s, q, q[:2], q), 6)
+    with pytest.raises(LinkRefusedError, match="knots, joints"):
+        knots_of(JointTrajectory(t_s, q[:, :5], q, q), 6)
+
+
+def test_settings_choose_the_framing() -> None:
+    assert isinstance(framing_of(LinkSettings()), RawFraming)
+    assert isinstance(framing_of(LinkSettings(framing="eap")), EapFraming)
+    with pytest.raises(LocalProtocolError, match="AMS NetId"):
+        framing_of(LinkSettings(framing="eap", pc_net_id="1.2.3"))
+
+
+def test_a_server_that_does_not_read_costs_samples_not_reports() -> None:
+    reader, writer = multiprocessing.Pipe()
+    outbox = Outbox(writer)
+    try:
+        for t in range(1, 8001):
+            outbox.add_sample(sample(t))
+        ended = MotionEnded(1, True, "reached", 5)
+        outbox.report(ended)
+        got: list[object] = []
+        while not got or got[-1] != ended:
+            assert reader.poll(5.0)
+            got.append(reader.recv())
+        samples = [report for report in got if isinstance(report, SamplesReport)]
+        assert samples[-1].samples[-1].t_mono_ns == 8000  # the newest survive
+        assert samples[-1].dropped + sum(len(report.samples) for report in samples) == 8000
+    finally:
+        reader.close()
+        outbox.report(ended)  # wakes the thread, which sees the broken pipe and ends
+        outbox.report(ended)
+
+
+def test_udp_end_stamps_and_drains() -> None:
+    a, b = UdpEnd(("127.0.0.1", 0)), UdpEnd(("127.0.0.1", 0))
+    try:
+        assert b.drain() == []
+        for i in range(40):
+            assert a.send(bytes([i]), b.local_address)
+        first, second = b.drain(), b.drain()
+        assert (len(first), len(second)) == (32, 8)  # bounded
+        times = [t for _, t, _ in first + second]
+        assert times == sorted(times)
+        assert first[0][2] == a.local_address
+        assert not a.send(b"x", ("255.255.255.255", 1))  # not permitted: loss, not an exception
+    finally:
+        a.close()
+        b.close()
