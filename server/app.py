@@ -25,6 +25,7 @@ from server.recorder import Recorder
 from server.settings import ServerSettings, read_machine_text
 from server.shell_settings import link_settings, vision_settings
 from server.version import __version__
+from server.warm_up import warm_up
 
 
 def build_cell(settings: ServerSettings) -> Cell:
@@ -54,6 +55,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
         cell.vision.on_report(cell.recorder.report)
         await cell.link.start()
         await cell.vision.start()
+        await asyncio.to_thread(warm_up, cell.machine, cell.chain)
         panel = await install_panel_tasks(app)
         try:
             yield

@@ -10,9 +10,9 @@ from enum import Enum
 from typing import Any
 from uuid import uuid4
 
-from server.errors import BusyError, JobFailedError, ServerError
+from server.errors import BusyError, ServerError
 from server.jobs.performer import Performer
-from server.jobs.requests import Plan, Progress, Record
+from server.jobs.requests import Plan, Progress, Record, Request
 from server.link.errors import LinkError
 
 log = logging.getLogger(__name__)
@@ -146,10 +146,9 @@ class JobEngine:
     async def _drive(self, job: Job, plan: Plan) -> object:
         reply: object = None
         while True:
-            try:
-                request = plan.send(reply)
-            except StopIteration as end:
-                return end.value
+            request, result = await _advanced(plan, reply)
+            if request is None:
+                return result
             if isinstance(request, Progress):
                 self._tell(job, request.name, request.current, request.target, request.unit, request.text)
                 reply = None
@@ -182,6 +181,21 @@ class JobEngine:
             listener(job, event)
 
 
-def failed(reason: str, code: str) -> JobFailedError:
-    """The error a plan raises to end its job with a reason and a stable code."""
-    return JobFailedError(reason, code)
+async def _advanced(plan: Plan, reply: object) -> tuple[Request | None, object]:
+    """The plan's next request, or (None, its result). Planning is heavy, so it runs beside the event loop.
+
+    A cancelled job waits for the step to finish: a generator cannot be closed while it runs.
+    """
+    step = asyncio.ensure_future(asyncio.to_thread(_advance, plan, reply))
+    try:
+        return await asyncio.shield(step)
+    except asyncio.CancelledError:
+        await asyncio.wait({step})
+        raise
+
+
+def _advance(plan: Plan, reply: object) -> tuple[Request | None, object]:
+    try:
+        return plan.send(reply), None
+    except StopIteration as end:
+        return None, end.value

@@ -22,6 +22,7 @@ from server.jobs.requests import (
     TakeLook,
 )
 from server.link.contracts import LinkPhase, PlcSample
+from server.motion.contracts import JointTrajectory
 
 READING_S = 0.1
 SILENT_S = 1.0  # a job gives up then; motion is stopped by link process and PLC, both after 250 ms
@@ -94,10 +95,17 @@ class Performer:
 
     async def _move(self, request: Move) -> None:
         self.may_be_moving = True
+        self._record_sent(request.trajectory)
         ended = await self._cell.link.run(request.trajectory)
         self.may_be_moving = False
         if not ended.reached:
             raise JobFailedError(f"{request.purpose}: motion ended early: {ended.reason}", "motion_ended_early")
+
+    def _record_sent(self, trajectory: JointTrajectory) -> None:
+        """The knots as handed to the link, at the times they are meant for."""
+        start_ns = time.monotonic_ns()
+        for number, (t_s, q) in enumerate(zip(trajectory.t_s, trajectory.q, strict=True)):
+            self._cell.recorder.sent(number, tuple(q.tolist()), start_ns + int(t_s * 1e9))
 
     async def _settle(self) -> MachineReading:
         timeout_s = self._cell.settings.position.settle_timeout_s

@@ -44,4 +44,10 @@ def refine_corners(
     height, width = image.shape
     start = np.clip(np.asarray(corners_px, dtype=np.float64), 0.0, [width - 1.0, height - 1.0])
     coarse = corner_search(image, start, cells)
-    return fit_corners(image, coarse, cells, side_sags(camera, coarse))
+    sags = side_sags(camera, coarse)
+    fit, corners = fit_corners(image, coarse, cells, sags)
+    if fit is SideFit.COVERED:  # the search may have run to an inner corner; the contour did not
+        again, from_contour = fit_corners(image, start, cells, sags)
+        if again is SideFit.CLEAN:
+            return again, from_contour
+    return fit, corners

@@ -20,7 +20,12 @@ class FoundMarker:
 
     marker_id: int
     corners_px: Array
-    covered: bool = False  # a side is no clean edge; the corners are coarse
+    fit: SideFit | None = None  # how the refinement ended; None before it. Unless CLEAN the corners are coarse
+
+    @property
+    def covered(self) -> bool:
+        """Whether a side is no clean edge."""
+        return self.fit is SideFit.COVERED
 
 
 def dictionary_names() -> tuple[str, ...]:
@@ -85,13 +90,14 @@ def find_all_markers(
     thorough.adaptiveThreshWinSizeStep = 4
     thorough.adaptiveThreshWinSizeMax = 43
     thorough.perspectiveRemovePixelPerCell = 8
-    found = list(_detect(image, dictionary, thorough))
-    doubled = np.asarray(cv2.resize(image, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC))
-    for marker in _detect(doubled, dictionary, thorough):
-        corners = (marker.corners_px + 0.5) / 2.0 - 0.5  # resize keeps the outer edges, not the pixel centres
-        candidate = FoundMarker(marker.marker_id, corners)
-        if not any(same_place(candidate, other) for other in found):
-            found.append(candidate)
+    doubled = np.asarray(cv2.resize(image, None, fx=2.0, fy=2.0, interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
+    found = [
+        FoundMarker(marker.marker_id, (marker.corners_px + 0.5) / 2.0 - 0.5)  # resize keeps outer edges, not centres
+        for marker in _detect(doubled, dictionary, thorough)
+    ]
+    for marker in _detect(image, dictionary, thorough):
+        if not any(same_place(marker, other) for other in found):
+            found.append(marker)
     return tuple(found)
 
 
@@ -109,4 +115,4 @@ def refined(
 ) -> FoundMarker:
     """The marker with sub-pixel corners."""
     fit, corners = refine_corners(image, marker.corners_px, cells_along_side(dictionary), camera)
-    return FoundMarker(marker.marker_id, corners, fit is SideFit.COVERED)
+    return FoundMarker(marker.marker_id, corners, fit)

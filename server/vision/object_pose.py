@@ -10,7 +10,8 @@ from machine.camera import undistort_to_rays
 from machine.description import Marker, StereoCamera
 from machine.markers import marker_corners
 from machine.poses import inverse_pose, transform_points
-from machine.rotations import geodesic_angle
+from machine.rotations import geodesic_angle, rotvec_from_rotation
+from server.vision.ambiguity import mirrored_pose, profile_sum_squares
 from server.vision.contracts import Array, MarkerView, ObjectPose, PoseStatus
 from server.vision.planar_pose import planar_poses
 from server.vision.pose_refinement import PointObservations, RefinedPose, refine_pose
@@ -18,6 +19,7 @@ from server.vision.pose_refinement import PointObservations, RefinedPose, refine
 ObjectName = Literal["tool", "ooi"]
 SAME_MINIMUM_RAD = np.deg2rad(0.5)
 NO_RIVAL = float("inf")
+RULED_OUT_CHI2 = 9.0  # 3 sigma
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,13 +158,39 @@ def _minima(problem: _Problem, indices: Sequence[int]) -> list[RefinedPose]:
     """Distinct local minima, the best first."""
     observations = _observations(problem, indices)
     refined = [refine_pose(start, observations) for start in _starts(problem, indices)]
-    refined = sorted((one for one in refined if np.isfinite(one.sum_squares_px2)), key=lambda one: one.sum_squares_px2)
+    refined += [refine_pose(_mirrored(one.T_cam_object, observations), observations) for one in _finite(refined)[:1]]
     distinct: list[RefinedPose] = []
-    for one in refined:
+    for one in _finite(refined):
         rotation = one.T_cam_object[:3, :3]
         if all(geodesic_angle(rotation, other.T_cam_object[:3, :3]) > SAME_MINIMUM_RAD for other in distinct):
             distinct.append(one)
     return distinct
+
+
+def _finite(refined: list[RefinedPose]) -> list[RefinedPose]:
+    """Poses in front of the camera, the best first."""
+    return sorted((one for one in refined if np.isfinite(one.sum_squares_px2)), key=lambda one: one.sum_squares_px2)
+
+
+def _mirrored(T_cam_object: Array, observations: PointObservations) -> Array:
+    return mirrored_pose(T_cam_object, observations.points_object, observations.eye_x_m)
+
+
+def _chi2_margin(
+    minima: list[RefinedPose], covariance: Array, variance: float, observations: PointObservations
+) -> float:
+    """Chi2 by which the rival orientation fits worse; inf when there is none.
+
+    The rival is another minimum, or the mirrored orientation where the covariance rules it out: near the frontal view the
+    two minima merge into one flat valley, along which a covariance taken at its bottom is too sure of itself.
+    """
+    best = minima[0]
+    rivals = [one.sum_squares_px2 for one in minima[1:2]]
+    mirrored = _mirrored(best.T_cam_object, observations)
+    apart = rotvec_from_rotation(mirrored[:3, :3] @ best.T_cam_object[:3, :3].T)
+    if apart @ np.linalg.solve(covariance[:3, :3], apart) > RULED_OUT_CHI2:
+        rivals.append(profile_sum_squares(mirrored, observations))
+    return (min(rivals) - best.sum_squares_px2) / variance if rivals else NO_RIVAL
 
 
 def _rms(refined: RefinedPose) -> float:
@@ -204,7 +232,7 @@ def _accepted(
     if covariance is None:
         return _rejected(on, problem, f"{on}: the corners do not determine a pose", _rms(best))[0]
     variance = fitted_variance(best.sum_squares_px2, best.residuals_px.size - 6, settings.sigma_px)
-    margin = NO_RIVAL if len(minima) < 2 else (minima[1].sum_squares_px2 - best.sum_squares_px2) / variance
+    margin = _chi2_margin(minima, covariance, variance, _observations(problem, used))
     status, reason = PoseStatus.OK, ""
     tilt_sigma_deg = float(np.rad2deg(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1])))
     if margin < settings.chi2_margin_min:

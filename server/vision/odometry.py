@@ -85,15 +85,13 @@ class StereoOdometry:
 
         Model:   predict by the last motion; align patches of the oldest keyframes that still see enough; if too few
                  fit, flow from the last pair and PnP-RANSAC give a better start; robust two-view fit over all points.
-        Args:    left, right: raw grey (h, w). Mask polygons (k, 2) [raw px]: what does not belong to the wall (the tool).
+        Args:    left, right: raw grey (h, w). Mask polygons (k, 2) [raw px]: what is not part of the wall (the tool).
         Returns: OdometryPose; covariance by left perturbation in vo axes, then translation. While LOST the last pose
                  stays and its covariance says that nothing is known.
         """
-        if left.shape != self._shape or right.shape != self._shape or left.dtype != np.uint8 or right.dtype != np.uint8:
-            reason = (
-                f"pair is {left.shape} {left.dtype} and {right.shape} {right.dtype}; the camera file says {self._shape}"
-            )
-            return self._lost(t_exposure_ns, reason)
+        if any(image.shape != self._shape or image.dtype != np.uint8 for image in (left, right)):
+            found = f"{left.shape} {left.dtype} and {right.shape} {right.dtype}"
+            return self._lost(t_exposure_ns, f"pair is {found}; the camera file says {self._shape} uint8")
         masks = allowed_mask(self._shape, mask_polygons_left), allowed_mask(self._shape, mask_polygons_right)
         frame = Frame(left, right, masks, t_exposure_ns)
         if self._last is None:

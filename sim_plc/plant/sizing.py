@@ -28,11 +28,12 @@ VALVE_RATE_1_S = 100.0  # A: full stroke in 10 ms
 STOP_MARGIN_RAD = np.deg2rad(1.5)  # A
 ROTOR_KG_M2 = np.array([30.0, 30.0, 30.0, 2.0, 2.0, 1.0])  # A; a body before a spring needs real inertia, else 0.25 ms diverge
 
-# Cylinder friction: E (210 N, 300 N, 330 N s/m, 5 mm/s; the lift cylinder 5 times the Coulomb part). Rotary: A, 1.5 % of stall.
+# Cylinder friction: E (210 N, 300 N, 330 N s/m, 5 mm/s; the lift cylinder 5 times the Coulomb part). Rotary: A, 1.5 % of stall,
+# breakaway 1.2-1.3 times that.
 COULOMB = np.array([340.0, 1050.0, 210.0, 70.0, 70.0, 70.0])
-STATIC = np.array([480.0, 1500.0, 300.0, 100.0, 100.0, 100.0])
+STATIC = np.array([440.0, 1500.0, 300.0, 84.0, 84.0, 84.0])
 VISCOUS = np.array([400.0, 330.0, 330.0, 30.0, 30.0, 30.0])
-STRIBECK = np.array([0.02, 0.005, 0.005, 0.02, 0.02, 0.02])
+STRIBECK = np.array([0.01, 0.005, 0.005, 0.01, 0.01, 0.01])
 BRISTLE_TRAVEL = np.array([2e-4, 5e-5, 5e-5, 3e-4, 3e-4, 3e-4])  # deflection at breakaway [rad or m], A
 MOVED_MASS_MIN = np.array([30.0, 300.0, 500.0, 2.0, 2.0, 1.0])  # rotor inertia seen by the actuator [kg m2 or kg], C
 

@@ -41,11 +41,8 @@ def path_point(times: Array, knots: Array, k: int, sigma: float, out: Array) -> 
 
 
 @njit(cache=True)
-def _next_rate(point: Array, rate: float, target: float, dt: float, qdd_max: Array) -> float:
-    """The rate nearest to target after dt with every joint inside its acceleration limit.
-
-    Model:   |q'' rate^2 + q' rate'| <= qdd_max for every joint bounds rate' from both sides.
-    """
+def _first_guess(point: Array, rate: float, target: float, dt: float, qdd_max: Array) -> float:
+    """The rate nearest to target after dt, from the accelerations now: |q'' rate^2 + q' rate'| <= qdd_max."""
     low, high = -_UNBOUNDED, _UNBOUNDED
     for j in range(point.shape[1]):
         v, a = point[1, j], point[2, j] * rate * rate
@@ -53,9 +50,33 @@ def _next_rate(point: Array, rate: float, target: float, dt: float, qdd_max: Arr
             bound = qdd_max[j] / abs(v)
             low = max(low, -bound - a / v)
             high = min(high, bound - a / v)
-    slowest = rate + min(low, 0.0) * dt
-    fastest = rate + max(high, 0.0) * dt
-    return max(min(max(target, slowest), fastest), 0.0)
+    return max(min(max(target, rate + min(low, 0.0) * dt), rate + max(high, 0.0) * dt), 0.0)
+
+
+@njit(cache=True)
+def _next_rate(point: Array, qd: Array, rate: float, target: float, dt: float, qdd_max: Array) -> float:
+    """The rate nearest to target with which no speed steps by more than qdd_max dt.
+
+    Model:   |q'(sigma after dt) rate_new - qd| <= qdd_max dt for every joint. Keeping the rate is always allowed: what
+             the path itself demands was judged when its knots were taken.
+    """
+    low, high = 0.0, _UNBOUNDED
+    for j in range(point.shape[1]):
+        v = point[1, j]
+        if abs(v) > _STILL:
+            middle, reach = qd[j] / v, qdd_max[j] * dt / abs(v)
+            low = max(low, middle - reach)
+            high = min(high, middle + reach)
+    return max(min(max(target, min(low, rate)), max(high, rate)), 0.0)
+
+
+@njit(cache=True)
+def _move(times: Array, last: int, k: int, sigma: float, ahead: float) -> tuple[int, float]:
+    """Segment and path time `ahead` [s] further on, not past knot `last`."""
+    sigma = min(sigma + ahead, times[last % SIZE])
+    while k + 1 < last and sigma >= times[(k + 1) % SIZE]:
+        k += 1
+    return k, sigma
 
 
 @njit(cache=True)
@@ -76,11 +97,15 @@ def advance(
     Args:    k, sigma [s], rate: segment, path time and rate now; qdd_max: (n,) [rad/s2]; out: (3, n), written.
     Returns: k, sigma, rate after dt; out holds q_ref, qd_ref, qdd_ref [rad, s].
     """
-    path_point(times, knots, k, sigma, out)
-    new_rate = _next_rate(out, rate, target, dt, qdd_max)
-    sigma = min(sigma + 0.5 * (rate + new_rate) * dt, times[last % SIZE])
-    while k + 1 < last and sigma >= times[(k + 1) % SIZE]:
-        k += 1
+    new_rate = rate
+    if target != rate:
+        path_point(times, knots, k, sigma, out)
+        qd = out[1] * rate
+        guess = _first_guess(out, rate, target, dt, qdd_max)
+        k_guess, sigma_guess = _move(times, last, k, sigma, 0.5 * (rate + guess) * dt)
+        path_point(times, knots, k_guess, sigma_guess, out)
+        new_rate = _next_rate(out, qd, rate, target, dt, qdd_max)
+    k, sigma = _move(times, last, k, sigma, 0.5 * (rate + new_rate) * dt)
     path_point(times, knots, k, sigma, out)
     for j in range(out.shape[1]):
         out[2, j] = out[2, j] * new_rate * new_rate + out[1, j] * (new_rate - rate) / dt

@@ -72,7 +72,8 @@ def test_quaternions_are_wxyz_and_scipys_are_xyzw(rotation):
     w, x, y, z = quat_wxyz_from_rotation(rotation)
     scipys = Rotation.from_matrix(rotation).as_quat()
     assert w >= 0.0
-    assert min(np.abs([x, y, z, w] - scipys).max(), np.abs([x, y, z, w] + scipys).max()) < 1e-12
+    ours = np.array([x, y, z, w])
+    assert min(np.abs(ours - scipys).max(), np.abs(ours + scipys).max()) < 1e-12
     assert np.abs(rotation_from_quat_wxyz(np.array([w, x, y, z])) - rotation).max() < 1e-13
     assert np.abs(rotation_from_quat_wxyz(-3.0 * np.array([w, x, y, z])) - rotation).max() < 1e-13
 

@@ -2,7 +2,7 @@
 const ROWS = [
   ["x_mm", "X", "mm", 1],
   ["y_mm", "Y", "mm", 1],
-  ["z_mm", "Z (along the normal)", "mm", 1],
+  ["z_mm", "Z (normal)", "mm", 1],
   ["distance_mm", "distance", "mm", 1],
   ["rotation_deg", "rotation", "deg", 2],
 ];

@@ -30,7 +30,7 @@ function drawMarker(context, marker, scale) {
   context.stroke();
   context.fillStyle = "#ff5d52";
   context.fillRect(points[0][0] - 3, points[0][1] - 3, 6, 6);
-  const text = marker.used ? `${marker.marker_id}  ${marker.residual_px.toFixed(2)} px` : `${marker.marker_id}  ${marker.reason}`;
+  const text = marker.used ? `${marker.marker_id}  ${marker.residual_px.toFixed(2)} px` : `${marker.marker_id} not used`;
   const u = Math.min(...points.map((p) => p[0]));
   const v = Math.min(...points.map((p) => p[1])) - 8;
   context.font = "600 15px system-ui, sans-serif";

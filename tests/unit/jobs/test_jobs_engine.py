@@ -1,6 +1,7 @@
 """The engine: one job at a time, stop on every ending, reasons kept; a stand-in performs the requests."""
 
 import asyncio
+import threading
 
 import pytest
 
@@ -67,7 +68,7 @@ async def test_a_plan_runs_to_its_result_and_tells_its_story():
 async def test_a_second_job_is_refused_and_names_the_first():
     engine = JobEngine(StandIn({Settle: "forever"}))
     first = engine.submit("position", plan(Settle()), "operator")
-    await asyncio.sleep(0)
+    await asyncio.sleep(0.05)
     with pytest.raises(BusyError, match=rf"{first.job_id} \(position\) of operator"):
         engine.submit("look", plan(Settle()), "fleet")
     await engine.stop("enough")
@@ -98,8 +99,7 @@ async def test_stop_at_any_request_ends_the_job_and_stops_the_machine(stuck_in):
     stand_in = StandIn({stuck_in: "forever"})
     engine = JobEngine(stand_in)
     job = engine.submit("position", plan(Arm(), MOVE, Settle()), "me")
-    for _ in range(5):
-        await asyncio.sleep(0)
+    await asyncio.sleep(0.1)
     await engine.stop("operator pressed stop")
     assert job.state is JobState.STOPPED
     assert job.reason == "operator pressed stop"
@@ -123,7 +123,7 @@ async def test_a_stop_that_is_never_confirmed_does_not_hang():
     stand_in.stop_motion = refuse
     engine = JobEngine(stand_in)
     job = engine.submit("position", plan(MOVE), "me")
-    await asyncio.sleep(0)
+    await asyncio.sleep(0.05)
     with pytest.raises(LinkError):
         await engine.stop("now")
     assert job.state is JobState.STOPPED
@@ -140,6 +140,22 @@ async def test_a_cancelled_plan_is_closed():
 
     engine = JobEngine(StandIn({Settle: "forever"}))
     engine.submit("look", guarded(), "me")
-    await asyncio.sleep(0)
+    await asyncio.sleep(0.05)
     await engine.stop("x")
     assert closed == [True]
+
+
+async def test_planning_does_not_hold_up_the_event_loop():
+    release = threading.Event()
+
+    def heavy():
+        release.wait(5.0)
+        yield Settle()
+
+    engine = JobEngine(StandIn())
+    job = engine.submit("look", heavy(), "me")
+    await asyncio.sleep(0.05)  # the loop turns while the plan computes
+    assert job.state is JobState.RUNNING
+    release.set()
+    await finish(engine)
+    assert job.state is JobState.DONE

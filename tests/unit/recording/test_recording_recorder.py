@@ -1,6 +1,7 @@
 """The server's recorder: everything it is told lands in one file per run."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from recording.opening import read_run
 from recording.rows import CalibrationRow, CameraState, Finding, LookRow, MarkerCorners, MarkerPose, PlanRow, PlcState
 from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate
 from server.camera.contracts import FrameReport
-from server.jobs.records import ErrorMm, MoveRecord
 from server.link.contracts import PlcSample
 from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
 from server.recorder import Recorder
@@ -67,9 +67,22 @@ def plan() -> PathPlan:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Error:
+    z_mm: float
+    sigma_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class MoveRecord:
+    before: Error
+    after: Error | None
+    sigma_mm: tuple[float, ...]
+    status: PlanStatus
+
+
 def move() -> MoveRecord:
-    error = ErrorMm(1.0, 2.0, 3.0, 0.4, 0.1, 0.1, 0.1, float("nan"), 500.0)
-    return MoveRecord(1, "move", error, None, (0.1, 0.2, 0.3), 400.0, 12.0, 0, 99)
+    return MoveRecord(Error(3.0, float("nan")), None, (0.1, 0.2), PlanStatus.OK)
 
 
 def test_a_run_holds_everything_it_was_told(tmp_path: Path) -> None:
@@ -107,8 +120,8 @@ def test_a_run_holds_everything_it_was_told(tmp_path: Path) -> None:
     assert len(recording.of(PlanRow)[0].knot_q_rad) == 18
     found_move, found_result = recording.of(Finding)
     assert found_move.kind == "MoveRecord"
-    assert json.loads(found_move.json)["before"]["z_mm"] == 3.0
-    assert json.loads(found_move.json)["before"]["sigma_rotation_deg"] is None
+    before = {"z_mm": 3.0, "sigma_deg": None}
+    assert json.loads(found_move.json) == {"before": before, "after": None, "sigma_mm": [0.1, 0.2], "status": "ok"}
     assert found_result.text == "reached"
     assert recording.images == 10
     assert recording.run.seed == 3

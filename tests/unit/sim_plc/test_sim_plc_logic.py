@@ -23,7 +23,7 @@ Q_END = tuple((np.array(Q_START) + STEP).tolist())
 QD_MAX = np.array([joint.qd_max_rad_s for joint in MACHINE.joints])
 QDD_MAX = np.array([joint.qdd_max_rad_s2 for joint in MACHINE.joints])
 CYCLE_S = 1e-3
-BENDING = 1.02  # of the limit: within a cycle the path bends
+BENDING = 1.002  # of the limit: where the path bends, the guess of where a cycle ends is a little off
 
 
 def armed(**kwargs):

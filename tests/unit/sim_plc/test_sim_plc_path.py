@@ -81,7 +81,7 @@ def test_braking_along_the_path_keeps_to_the_path_and_to_every_limit(seed):
     while rate > 0.0:
         k, sigma, rate = advance(times, knots, last, k, sigma, rate, 0.0, DT, LIMITS, out)
         assert np.abs(out[0] - reference(sigma)).max() < 1e-12
-        assert (np.abs(out[1] - before) <= LIMITS * DT * 1.02).all()  # 2 %: the path bends within a cycle
+        assert (np.abs(out[1] - before) <= LIMITS * DT * 1.002).all()  # 0.2 %: where a cycle ends is guessed
         before, elapsed = out[1].copy(), elapsed + DT
     assert elapsed == pytest.approx(needed, abs=1e-9)
     assert np.abs(before).max() == 0.0
@@ -119,7 +119,7 @@ def test_a_lower_override_slows_down_within_the_limits_and_a_higher_one_speeds_u
     for step in range(1200):
         target = 0.3 if step < 600 else 0.9
         k, sigma, rate = advance(times, knots, 63, k, sigma, rate, target, DT, LIMITS, out)
-        assert (np.abs(out[1] - before) <= LIMITS * DT * 1.02).all()
+        assert (np.abs(out[1] - before) <= LIMITS * DT * 1.002).all()
         before = out[1].copy()
         rates.append(rate)
     assert rates[599] == pytest.approx(0.3)
