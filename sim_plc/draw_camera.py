@@ -10,7 +10,7 @@ from machine.rotations import Array, rotation_from_rotvec
 from sim_plc.presets import spread_of
 from sim_plc.world import CameraTruth, rng_for
 
-# The printed preset gives 5 deg about camera x without a sign. Positive turns the view up and puts the lower markers out of the
+# The preset gives 5 deg about camera x without a sign. Positive turns the view up and puts the lower markers out of the
 # image at the goal, where positioning could not be judged; negative looks down at the tool, as a person would hang it.
 PAPER_MOUNT_AXIS_CAM = np.array([-1.0, 0.0, 0.0])
 
@@ -31,7 +31,7 @@ def draw_mount(machine: Machine, preset: str, rng: np.random.Generator) -> Array
 
 
 def draw_camera(machine: Machine, preset: str, seed: int, T_tcp_cam_left: Array) -> CameraTruth:
-    """The camera of one preset and seed on a given mount. Lens residuals are shared by the eyes; the disparity bias is not."""
+    """The camera of one preset and seed on a given mount. The eyes share all lens residuals but the disparity bias."""
 
     def draw(name: str) -> float:
         return float(spread_of(preset, name).draw(rng_for(seed, name))[0])

@@ -33,13 +33,15 @@ def draw_plant(machine: Machine, preset: str, seed: int) -> PlantTruth:
         kinematics=_kinematics(nominal, preset, seed),
         inertia=inertia,
         flex=FlexTruth(
-            stiffness_nm_rad=np.concatenate([
-                draw("spring_lift", 1),
-                draw("spring_lateral", 1, "spring_lift_lateral"),
-                draw("spring_tilt", 1),
-                draw("spring_lateral", 1, "spring_tilt_lateral"),
-                draw("spring_wrist_mount", 1),
-            ]),
+            stiffness_nm_rad=np.concatenate(
+                [
+                    draw("spring_lift", 1),
+                    draw("spring_lateral", 1, "spring_lift_lateral"),
+                    draw("spring_tilt", 1),
+                    draw("spring_lateral", 1, "spring_tilt_lateral"),
+                    draw("spring_wrist_mount", 1),
+                ]
+            ),
             damping_ratio=draw("spring_damping", 5),
         ),
         valve=sizing.valves(machine, gains, draw("dead_band") * 1e-2, draw("hysteresis") * 1e-2, rigid),

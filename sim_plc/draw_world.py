@@ -1,4 +1,4 @@
-"""One world per preset and seed: draws machine, camera, posture and wall, and rejects scenes no positioning could work in."""
+"""One world per preset and seed: draws machine, camera, posture and wall; rejects scenes that cannot work."""
 
 from dataclasses import dataclass, replace
 
@@ -74,7 +74,9 @@ def draw_world_reported(machine: Machine, preset: str, seed: int) -> tuple[World
                 world = World(machine, preset, seed, plant, camera, scene, q_start)
                 return world, DrawReport(attempt, refused)
         refused[str(reason)] = refused.get(str(reason), 0) + 1
-    raise PresetError(f"no usable scene in {ATTEMPTS_MAX} draws of preset '{preset}', seed {seed}; refused for {refused}")
+    raise PresetError(
+        f"no usable scene in {ATTEMPTS_MAX} draws of preset '{preset}', seed {seed}; refused for {refused}"
+    )
 
 
 def posture_fault(machine: Machine, q_start: Array | None) -> str | None:

@@ -21,9 +21,10 @@ from server.motion.trajectory import join
 
 FIRST_GUESS_FRAC = 0.015  # half width of a servo valve's dead band in fraction of full command, until it is seen
 STALL_MAX_RAD = 0.06  # more is no dead band but a joint that does not follow
-MOVED_RAD = 2e-4  # a joint that turned by more has left its dead band, so where it rests tells the stall
+LOOSE_RAD = float(np.deg2rad(0.3))  # a motion this long breaks stiction, so where it ends tells the stall
 TRAVEL_RAD = 1e-6
-TIP_SHARE_M = 2e-4  # residual of one joint that is not worth a trim, by its effect at the TCP
+TIP_SHARE_M = 5e-4  # residual of one joint that is not worth a trim, by its effect at the TCP
+TURN_LEVER_M = 0.1  # and what its turn does to the tool: 0.5 mm at 0.1 m are 0.3 deg
 RESIDUAL_MIN_RAD = 6e-5  # two counts of an 18-bit encoder
 
 
@@ -65,46 +66,43 @@ def _quintic(u: Array) -> tuple[Array, Array, Array]:
     return 10 * u**3 - 15 * u**4 + 6 * u**5, 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
 
 
-def updated_stall(stall_rad: Array, q_ref: Array, q_before: Array, q_after: Array, residual: Array) -> Array:
-    """What a rest tells about the stall.
+def updated_stall(stall_rad: Array, q_ref: Array, q_rest: Array, direction: Array) -> Array:
+    """What a rest tells about the stall: a joint that came from below rests its stall below the reference.
 
-    A joint that moved rests its stall away from the reference. One that was asked to move and did not has a larger
-    stall than its reference stands off.
+    Args:    direction: of each joint's last motion (n,): +1, -1, or 0 where it tells nothing.
     """
-    travel, off = q_after - q_before, q_ref - q_after
-    moved = np.abs(travel) > MOVED_RAD
-    stuck = ~moved & (residual * off > 0.0)
-    larger = np.maximum(stall_rad, np.abs(off) + np.abs(residual))
-    stall = np.where(moved, np.sign(travel) * off, np.where(stuck, larger, stall_rad))
-    return np.clip(stall, 0.0, STALL_MAX_RAD)
+    seen = np.clip(direction * (q_ref - q_rest), 0.0, STALL_MAX_RAD)
+    return np.where(direction != 0.0, seen, stall_rad)
+
+
+def last_direction(trajectory: JointTrajectory) -> Array:
+    """Direction of each joint in the last leg of a path (n,); 0 where it turned too little to break loose."""
+    resting = np.flatnonzero((np.abs(trajectory.qd) < 1e-9).all(axis=1))
+    begun = resting[resting < len(trajectory.t_s) - 1]
+    travel = trajectory.q[-1] - trajectory.q[begun[-1] if len(begun) else 0]
+    return np.where(np.abs(travel) > LOOSE_RAD, np.sign(travel), 0.0)
 
 
 def worth_trimming(machine: Machine, q: Array, residual: Array) -> NDArray[np.bool_]:
     """Which joints lack so much that the tool shows it: (n,) of bool."""
     J = tcp_jacobian(chain_of(machine), q)
-    lever_m = np.linalg.norm(J[:3], axis=0) + 0.2  # and what the tool turns by
+    lever_m = np.linalg.norm(J[:3], axis=0) + TURN_LEVER_M
     return np.abs(residual) > np.maximum(TIP_SHARE_M / lever_m, RESIDUAL_MIN_RAD)
 
 
 def plan_trim(
     machine: Machine, q_ref: Array, q: Array, q_goal: Array, stall_rad: Array, play_rad: Array, settings: PlanSettings
 ) -> PathPlan:
-    """Small path of the reference after which the encoders stand at q_goal.
+    """Come again from below, by as much as breaks the joint loose, to where the encoders then stand at q_goal.
 
-    Model:   q_ref_new = q_goal + sign(residual) stall. A joint with backlash always ends forward: when it has to go
-             back, it first goes to q_goal - play with the stall on the other side.
-    Args:    q_ref, q, q_goal: (n,) [rad]; q are the encoders at rest. play_rad: (n,), 0 where there is no play.
-    Returns: a plan of one or two legs; as `plan_joint_move` when it is not possible.
+    Model:   stiction lets a small step of the reference pass, then jumps; a motion of half a degree always ends the
+             same stall short. So a joint that lacks goes to q_goal - play - stall, then to q_goal + stall.
+    Args:    q_ref, q, q_goal: (n,) [rad]; q are the encoders at rest. play_rad: how far below it starts (n,).
+    Returns: a plan of two legs; as `plan_joint_move` when it is not possible.
     """
-    residual = require_joints(q_goal - q, len(machine.joints), "residual")
-    lacking = worth_trimming(machine, q, residual)
-    back = lacking & (residual < 0.0) & (play_rad > 0.0)
-    direction = np.where(back, 1.0, np.sign(residual))
-    final = np.where(lacking, q_goal + direction * stall_rad, q_ref)
-    targets = [final]
-    if back.any():
-        targets.insert(0, np.where(back, q_goal - play_rad - stall_rad, np.where(lacking, final, q_ref)))
-    return _through(machine, q_ref, targets, settings)
+    lacking = worth_trimming(machine, q, require_joints(q_goal - q, len(machine.joints), "residual"))
+    below = np.where(lacking, q_goal - play_rad - stall_rad, q_ref)
+    return _through(machine, q_ref, [below, np.where(lacking, q_goal + stall_rad, q_ref)], settings)
 
 
 def _through(machine: Machine, q_ref: Array, targets: list[Array], settings: PlanSettings) -> PathPlan:
@@ -115,8 +113,6 @@ def _through(machine: Machine, q_ref: Array, targets: list[Array], settings: Pla
             return plan
         plans.append(plan)
         here = plan.trajectory.q[-1]
-    if len(plans) == 1:
-        return plans[0]
     first, last = plans
     return PathPlan(
         status=last.status,

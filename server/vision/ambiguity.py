@@ -10,11 +10,12 @@ from server.vision.pose_refinement import PointObservations
 PROFILE_STEPS = 6
 
 
-def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array) -> Array:
+def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array, share: float = 1.0) -> Array:
     """The pose whose normal is mirrored at the line of sight, the points' middle kept in place.
 
     Model:   n' = 2 (n.s) s - n, s from the middle of the seeing eyes to the points' middle: to first order in the
              target's size over its distance both orientations give the same image.
+    Args:    share: of the way to the mirrored pose; 0.5 is the frontal one.
     Source:  Schweighofer and Pinz 2006, section 4.
     """
     middle_object = points_object.mean(axis=0)
@@ -23,11 +24,11 @@ def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array) -> 
     sight = middle - np.array([float(np.mean(eye_x_m)), 0.0, 0.0])
     sight = -sight / np.linalg.norm(sight)
     normal = rotation[:, 2]
-    axis = np.cross(normal, sight)
+    axis = np.asarray(np.cross(normal, sight), dtype=float)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
         return T_cam_object.copy()
-    angle = 2.0 * float(np.arctan2(sine, normal @ sight))
+    angle = 2.0 * share * float(np.arctan2(sine, normal @ sight))
     mirrored = rotation_from_rotvec(axis / sine * angle) @ rotation
     return pose(mirrored, middle - mirrored @ middle_object)
 

@@ -6,7 +6,7 @@ from machine.description import Machine, Marker
 from server.vision.contracts import Image, MarkerView, ObjectPose, PairObservation
 from server.vision.detection import DetectionSettings, EyeDetection, EyeDetector
 from server.vision.mono_aruco import MonoArucoPoseSource
-from server.vision.object_pose import ObjectName, PoseSettings, estimate_object_pose, not_seen
+from server.vision.object_pose import ObjectName, PoseSettings, estimate_object_pose, not_seen, rig_contradiction
 from server.vision.sightings import detect_safely, image_problem, markers_by_object, sightings_of
 from server.vision.warm_up import warm_up_markers
 
@@ -27,6 +27,7 @@ class ArucoPoseSource:
     def __init__(self, machine: Machine, settings: ArucoSettings | None = None) -> None:
         self._camera = machine.camera
         self._markers = markers_by_object(machine)
+        self._all_markers = machine.markers
         self._settings = settings or ArucoSettings()
         warm_up_markers()
         wanted = frozenset(marker.marker_id for marker in machine.markers)
@@ -41,10 +42,14 @@ class ArucoPoseSource:
         poses: dict[ObjectName, ObjectPose] = {}
         views: list[MarkerView] = []
         repeated = found[0].repeated_ids | found[1].repeated_ids
+        everything = sightings_of(self._all_markers, found[0].markers, found[1].markers)
+        contradiction = rig_contradiction(everything, self._camera, self._settings.pose)
         for name, markers in self._markers.items():
             usable = tuple(marker for marker in markers if marker.marker_id not in repeated)
             sightings = sightings_of(usable, found[0].markers, found[1].markers)
-            poses[name], object_views = estimate_object_pose(name, sightings, self._camera, self._settings.pose)
+            poses[name], object_views = estimate_object_pose(
+                name, sightings, self._camera, self._settings.pose, contradiction
+            )
             if not sightings:
                 reasons = [*problems, *_why_unused(found, markers)]
                 poses[name] = not_seen(name, "; ".join(reasons) or poses[name].reason)

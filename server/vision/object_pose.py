@@ -1,6 +1,6 @@
 """Pose of an object from all its visible markers in both eyes: all planar solutions tried, ambiguity told."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,7 +52,7 @@ class _Problem:
 
 
 def estimate_object_pose(
-    on: ObjectName, sightings: Sequence[Sighting], camera: StereoCamera, settings: PoseSettings
+    on: ObjectName, sightings: Sequence[Sighting], camera: StereoCamera, settings: PoseSettings, contradiction: str = ""
 ) -> tuple[ObjectPose, tuple[MarkerView, ...]]:
     """Pose of one object and what became of each of its markers.
 
@@ -60,13 +60,14 @@ def estimate_object_pose(
              |pi(T_cam_object T_object_marker X) - u|^2, started from both planar solutions of each marker in each eye;
              the margin is the rival minimum's chi2 minus the best one's. The covariance is sigma^2 (J^T J)^-1, sigma at
              least `settings.sigma_px` and larger where the residuals say so.
-    Args:    sightings: markers seen by at least one eye, corners in raw px.
+    Args:    sightings: markers seen by at least one eye, corners in raw px. contradiction: why the rig is not to be
+             believed, if known already; otherwise these sightings are asked.
     Returns: ObjectPose (left camera), and one MarkerView per sighting.
     """
     if not sightings:
         return not_seen(on, f"no marker of the {on} in either eye; move or light it so that one is in view"), ()
     problem = _Problem(tuple(sightings), tuple(_rays(sighting, camera) for sighting in sightings), camera)
-    contradiction = epipolar_contradiction(problem, settings)
+    contradiction = contradiction or rig_contradiction(sightings, camera, settings)
     if contradiction:
         return _rejected(on, problem, contradiction, float("nan"))
     minima = _minima(problem, range(len(sightings)))
@@ -100,13 +101,13 @@ def fitted_variance(sum_squares_px2: float, dof: int, sigma_px: float) -> float:
     return float(fitted) if fitted > limit * sigma_px**2 else sigma_px**2
 
 
-def epipolar_contradiction(problem: "_Problem", settings: PoseSettings) -> str:
-    """Why the two eyes cannot belong together as described; empty when they can."""
+def rig_contradiction(sightings: Iterable[Sighting], camera: StereoCamera, settings: PoseSettings) -> str:
+    """Why the two eyes cannot belong together as the camera file says; empty when they can."""
     rows, disparities = [], []
-    for left, right in problem.rays:
+    for left, right in (_rays(sighting, camera) for sighting in sightings):
         if left is not None and right is not None:
-            rows.append((left[:, 1] - right[:, 1]) * problem.camera.fy_px)
-            disparities.append((left[:, 0] - right[:, 0]) * problem.camera.fx_px)
+            rows.append((left[:, 1] - right[:, 1]) * camera.fy_px)
+            disparities.append((left[:, 0] - right[:, 0]) * camera.fx_px)
     if not rows:
         return ""
     disparity = float(np.median(np.concatenate(disparities)))
@@ -172,8 +173,8 @@ def _finite(refined: list[RefinedPose]) -> list[RefinedPose]:
     return sorted((one for one in refined if np.isfinite(one.sum_squares_px2)), key=lambda one: one.sum_squares_px2)
 
 
-def _mirrored(T_cam_object: Array, observations: PointObservations) -> Array:
-    return mirrored_pose(T_cam_object, observations.points_object, observations.eye_x_m)
+def _mirrored(T_cam_object: Array, observations: PointObservations, share: float = 1.0) -> Array:
+    return mirrored_pose(T_cam_object, observations.points_object, observations.eye_x_m, share)
 
 
 def _chi2_margin(
@@ -181,15 +182,16 @@ def _chi2_margin(
 ) -> float:
     """Chi2 by which the rival orientation fits worse; inf when there is none.
 
-    The rival is another minimum, or the mirrored orientation where the covariance rules it out: near the frontal view the
-    two minima merge into one flat valley, along which a covariance taken at its bottom is too sure of itself.
+    A rival is another minimum, or the frontal or mirrored orientation where the covariance rules it out: near the
+    frontal view the two minima merge into one flat valley, along which a covariance taken at its bottom is too sure.
     """
     best = minima[0]
     rivals = [one.sum_squares_px2 for one in minima[1:2]]
-    mirrored = _mirrored(best.T_cam_object, observations)
-    apart = rotvec_from_rotation(mirrored[:3, :3] @ best.T_cam_object[:3, :3].T)
-    if apart @ np.linalg.solve(covariance[:3, :3], apart) > RULED_OUT_CHI2:
-        rivals.append(profile_sum_squares(mirrored, observations))
+    for share in (0.5, 1.0):
+        other = _mirrored(best.T_cam_object, observations, share)
+        apart = rotvec_from_rotation(other[:3, :3] @ best.T_cam_object[:3, :3].T)
+        if apart @ np.linalg.solve(covariance[:3, :3], apart) > RULED_OUT_CHI2:
+            rivals.append(profile_sum_squares(other, observations))
     return (min(rivals) - best.sum_squares_px2) / variance if rivals else NO_RIVAL
 
 

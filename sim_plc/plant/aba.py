@@ -12,7 +12,7 @@ from machine.rotations import Array
 
 @njit(cache=True, error_model="numpy")
 def joint_frames(tree_R: Array, tree_p: Array, q: Array, R: Array, p: Array) -> None:
-    """Orientation R (n, 3, 3) and origin p (n, 3) [m] in base of every joint frame, after its rotation; joint axis = R[:, 2].
+    """Orientation R (n, 3, 3) and origin p (n, 3) [m] of every joint frame in base, after its rotation; axis = R[:, 2].
 
     Model:   R_i = R_{i-1} tree_R_i Rz(q_i), p_i = p_{i-1} + R_{i-1} tree_p_i.
     """
@@ -42,7 +42,7 @@ def _cross(a: Array, ia: int, b: Array, ib: int, out: Array, io: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def _spatial_inertia(R: Array, p: Array, mass: float, com: Array, inertia: Array, out: Array, turned: Array) -> None:
-    """Spatial inertia (6, 6) in base axes about the base origin; `com`, `inertia` about it in the body's joint frame."""
+    """Spatial inertia (6, 6) in base axes about the base origin; `com`, `inertia` about it in the joint frame."""
     cx = p[0] + R[0, 0] * com[0] + R[0, 1] * com[1] + R[0, 2] * com[2]
     cy = p[1] + R[1, 0] * com[0] + R[1, 1] * com[1] + R[1, 2] * com[2]
     cz = p[2] + R[2, 0] * com[0] + R[2, 1] * com[1] + R[2, 2] * com[2]
@@ -145,7 +145,7 @@ def aba(
     U = work[36 * n : 42 * n].reshape(n, 6)
     D = work[42 * n : 43 * n]
     u = work[43 * n : 44 * n]
-    I = work[44 * n : 80 * n].reshape(n, 6, 6)
+    bodies = work[44 * n : 80 * n].reshape(n, 6, 6)
     extra = work[80 * n : 80 * n + 21]
     turned = extra[:9].reshape(3, 3)
     momentum = extra[9:15]
@@ -154,11 +154,11 @@ def aba(
     joint_frames(tree_R, tree_p, q, R, p)
     _velocities(R, p, qd, axis, v, c)
     for i in range(n):
-        _spatial_inertia(R[i], p[i], mass[i], com[i], inertia[i], I[i], turned)
-        _bias_force(I[i], v[i], momentum, force[i])
+        _spatial_inertia(R[i], p[i], mass[i], com[i], inertia[i], bodies[i], turned)
+        _bias_force(bodies[i], v[i], momentum, force[i])
 
     for i in range(n - 1, -1, -1):
-        s, Ui, Ii = axis[i], U[i], I[i]
+        s, Ui, Ii = axis[i], U[i], bodies[i]
         d, projected = armature[i], 0.0
         for a in range(6):
             total = 0.0
@@ -181,7 +181,7 @@ def aba(
             scaled = Ui[a] / d
             for b in range(6):
                 total += Ii[a, b] * c[i, b]
-                I[i - 1, a, b] += Ii[a, b] - scaled * Ui[b]
+                bodies[i - 1, a, b] += Ii[a, b] - scaled * Ui[b]
             force[i - 1, a] += total
 
     acc[:3] = 0.0

@@ -1,4 +1,4 @@
-"""The paper's joint controllers closed around the fine plant, compiled, for tuning and tests; the PLC program has its own."""
+"""The paper's joint controllers closed around the fine plant, compiled: for tuning and tests only."""
 
 from dataclasses import dataclass
 
@@ -6,11 +6,9 @@ import numpy as np
 from numba import njit
 
 from machine.rotations import Array
-from sim_plc.plant import kernel
 from sim_plc.plant.kernel import OUTPUT, Parameters, State, advance
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import frames
-from sim_plc.plant.tree import MOTORS
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ TABLE_POINTS = 361
 
 @dataclass(frozen=True, slots=True)
 class TriangleCylinder:
-    """Cylinder between two pins, `foot_m` and `head_m` away from the joint axis, with `angle_rad` between them at q = 0."""
+    """Cylinder between two pins, `foot_m` and `head_m` from the joint axis, `angle_rad` between them at q = 0."""
 
     foot_m: float
     head_m: float
@@ -34,8 +34,8 @@ class FourBarCylinder:
     foot_m: tuple[float, float]  # cylinder foot on the carrying boom
 
 
-# Lift: pins as on cranes of this class (foot on the pillar, head below the boom); the lever is 0.26-0.32 m for lift 0..60 deg,
-# the stroke used is 0.51 of 0.545 m. Tilt: a four-bar found by a search for an even lever (0.19-0.24 m over -125..-20 deg).
+# Lift: foot on the pillar, head below the boom, as on cranes of this class; lever 0.26-0.32 m for lift 0..60 deg,
+# stroke used 0.52 of 0.545 m. Tilt: a four-bar found by a search for an even lever (0.19-0.24 m over -125..-20 deg).
 LIFT_GEOMETRY = TriangleCylinder(foot_m=1.05, head_m=0.32, angle_rad=np.deg2rad(50.0))
 TILT_GEOMETRY = FourBarCylinder(
     pivot_m=(-0.101, 0.118), rocker_m=0.407, coupler_m=0.284, lug_m=0.205, lug_angle_rad=0.02, foot_m=(-1.392, 0.029)
@@ -97,8 +97,8 @@ def lookup(table: Array, q0: float, step: float, q: float) -> float:
     x = (q - q0) / step
     last = table.shape[0] - 1
     if x <= 0.0:
-        return table[0]
+        return float(table[0])
     if x >= last:
-        return table[last]
+        return float(table[last])
     i = int(x)
-    return table[i] + (x - i) * (table[i + 1] - table[i])
+    return float(table[i] + (x - i) * (table[i + 1] - table[i]))

@@ -18,9 +18,10 @@ def lugre_step(
 ) -> tuple[float, float]:
     """New bristle deflection and friction force.
 
-    Model:   z' = v - s0 |v| z / G(v), G = Fc + (Fs - Fc) exp(-(v/vs)^2), F = s0 z + s1(v) z' + s2 v, with the decay of z taken
-             implicitly (stable at any speed) and s1 fading with speed like G, so that bristle damping acts while sticking.
-    Args:    z: deflection [m or rad]. v: speed. coulomb, static: Fc, Fs. viscous: s2. stribeck: vs. stiffness: s0. damping: s1.
+    Model:   z' = v - s0 |v| z / G(v), G = Fc + (Fs - Fc) exp(-(v/vs)^2), F = s0 z + s1(v) z' + s2 v. The decay of z is
+             implicit (stable at any speed); s1 fades with speed as G does, so that bristles damp while they stick.
+    Args:    z: deflection [m or rad]. v: speed. coulomb, static: Fc, Fs. viscous: s2. stribeck: vs. stiffness: s0.
+             damping: s1.
     Returns: z after dt, force against the motion.
     Source:  Canudas de Wit 1995, eqs 1-3.
     """

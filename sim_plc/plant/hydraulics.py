@@ -7,7 +7,9 @@ VAPOUR_PA = 2e3  # absolute: the oil cannot be pulled below this
 
 
 @njit(cache=True, error_model="numpy")
-def spool_step(x: float, xd: float, u: float, omega: float, damping: float, rate_limit: float, dt: float) -> tuple[float, float]:
+def spool_step(
+    x: float, xd: float, u: float, omega: float, damping: float, rate_limit: float, dt: float
+) -> tuple[float, float]:
     """Spool position and speed after dt.
 
     Model:   x'' = wn^2 (u - x) - 2 z wn x', |x'| limited, |x| <= 1; semi-implicit.

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from machine.rotations import Array
 from sim_plc.plant.aba import aba
@@ -42,8 +43,8 @@ class Parameters(NamedTuple):
     inertia: Array
     armature: Array
     gravity: Array
-    motors: Array
-    flexes: Array
+    motors: NDArray[np.int64]
+    flexes: NDArray[np.int64]
     flex_k: Array
     flex_c: Array
     joint: Array  # (6, 24)
@@ -66,12 +67,10 @@ class State(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def _actuator_step(j: int, q: float, qd: float, u: float, p_supply: float, par: Parameters, state: State) -> float:
-    """Step valve, chambers and friction of joint j; leaves its torque in state.tau, returns its flow out of the supply."""
+    """Step valve, chambers and friction of joint j: torque into state.tau, returns its flow out of the supply."""
     c, s = par.joint[j], state.joint[j]
     s[HELD_COMMAND] = play(s[HELD_COMMAND], u, c[HYSTERESIS])
-    s[SPOOL], s[SPOOL_RATE] = spool_step(
-        s[SPOOL], s[SPOOL_RATE], s[HELD_COMMAND], c[OMEGA], c[ZETA], c[RATE], STEP_S
-    )
+    s[SPOOL], s[SPOOL_RATE] = spool_step(s[SPOOL], s[SPOOL_RATE], s[HELD_COMMAND], c[OMEGA], c[ZETA], c[RATE], STEP_S)
     y = lookup(par.table_y[j], c[TABLE_Q0], c[TABLE_STEP], q)
     lever = lookup(par.table_lever[j], c[TABLE_Q0], c[TABLE_STEP], q)
     yd = lever * qd
@@ -129,7 +128,7 @@ def advance(par: Parameters, state: State, command: Array, n_ms: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def advance_rigid(par: Parameters, state: State, command: Array, n_ms: int) -> None:
-    """Advance the rigid plant: qd = velocity gain * x, x'' = wn^2 (u - x) - 2 z wn x' (the nominal model, nothing else)."""
+    """Advance the rigid plant, the nominal model: qd = velocity gain * x, x'' = wn^2 (u - x) - 2 z wn x'."""
     for _ in range(n_ms * SUBSTEPS):
         for j in range(par.motors.shape[0]):
             c, s, i = par.joint[j], state.joint[j], par.motors[j]

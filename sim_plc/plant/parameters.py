@@ -52,18 +52,20 @@ def _joint_rows(truth: PlantTruth) -> Array:
 def parameters_of(truth: PlantTruth, tree: Tree, q: Array) -> Parameters:
     """All constants of one machine; q (11,) [rad] is where the structural damping is referred to."""
     supply, actuator = truth.supply, truth.actuator
-    oil = np.array([
-        actuator.bulk_modulus_pa,
-        actuator.laminar_pa,
-        supply.pressure_pa,
-        supply.tank_pa,
-        supply.ripple_pa,
-        2.0 * np.pi * supply.ripple_hz,
-        supply.ripple_phase_rad,
-        supply.flow_max_m3_s,
-        supply.droop_pa,
-        supply.accumulator_m3_pa,
-    ])
+    oil = np.array(
+        [
+            actuator.bulk_modulus_pa,
+            actuator.laminar_pa,
+            supply.pressure_pa,
+            supply.tank_pa,
+            supply.ripple_pa,
+            2.0 * np.pi * supply.ripple_hz,
+            supply.ripple_phase_rad,
+            supply.flow_max_m3_s,
+            supply.droop_pa,
+            supply.accumulator_m3_pa,
+        ]
+    )
     contiguous = np.ascontiguousarray
     return Parameters(
         tree_R=contiguous(tree.tree_R),

@@ -106,7 +106,7 @@ class Plant:
 
     @property
     def q_flex_rad(self) -> Array:
-        """True angles of the flexible joints (5,) [rad]: lift vertical and lateral, tilt vertical and lateral, wrist mount."""
+        """True angles of the flexible joints (5,) [rad]: lift (vertical, lateral), tilt (same), wrist mount."""
         return self.state.q[FLEXES]
 
     def T_base_tcp(self) -> Array:

@@ -1,6 +1,6 @@
 """The undisturbed crane of this class: actuator sizes, oil, friction and link inertias, before any preset is drawn.
 
-Marks: E read in a source or measured, K general knowledge, A assumption of this project, C computed from those (docs/plant.md).
+Marks: E read in a source or measured, K general knowledge, A assumption, C computed from those (docs/plant.md).
 """
 
 import numpy as np
@@ -26,10 +26,12 @@ RIPPLE_HZ = 12.0  # A: hunting of the compensator, above the structure's modes
 OIL_C = 40.0  # A
 VALVE_RATE_1_S = 100.0  # A: full stroke in 10 ms
 STOP_MARGIN_RAD = np.deg2rad(1.5)  # A
-ROTOR_KG_M2 = np.array([30.0, 30.0, 30.0, 2.0, 2.0, 1.0])  # A; a body before a spring needs real inertia, else 0.25 ms diverge
+ROTOR_KG_M2 = np.array(
+    [30.0, 30.0, 30.0, 2.0, 2.0, 1.0]
+)  # A; a body before a spring needs real inertia, else 0.25 ms diverge
 
-# Cylinder friction: E (210 N, 300 N, 330 N s/m, 5 mm/s; the lift cylinder 5 times the Coulomb part). Rotary: A, 1.5 % of stall,
-# breakaway 1.2-1.3 times that.
+# Cylinder friction: E (210 N, 300 N, 330 N s/m, 5 mm/s; lift 5 times the Coulomb part).
+# Rotary: A, 1.5 % of stall, breakaway 1.2-1.3 times that.
 COULOMB = np.array([340.0, 1050.0, 210.0, 70.0, 70.0, 70.0])
 STATIC = np.array([440.0, 1500.0, 300.0, 84.0, 84.0, 84.0])
 VISCOUS = np.array([400.0, 330.0, 330.0, 30.0, 30.0, 30.0])
@@ -38,14 +40,16 @@ BRISTLE_TRAVEL = np.array([2e-4, 5e-5, 5e-5, 3e-4, 3e-4, 3e-4])  # deflection at
 MOVED_MASS_MIN = np.array([30.0, 300.0, 500.0, 2.0, 2.0, 1.0])  # rotor inertia seen by the actuator [kg m2 or kg], C
 
 SIZING_POSTURE_RAD = np.deg2rad([0.0, 25.0, -75.0, 0.0, -50.0, 0.0])  # middle of the working postures
-_LINK_SIZE_M = np.array([  # cuboids of even density for the links' inertias, in link DH axes, A
-    [0.35, 1.60, 0.35],
-    [1.95, 0.22, 0.18],
-    [0.18, 0.20, 2.10],
-    [0.22, 0.35, 0.22],
-    [0.20, 0.20, 0.25],
-    [0.30, 0.55, 0.25],
-])
+_LINK_SIZE_M = np.array(
+    [  # cuboids of even density for the links' inertias, in link DH axes, A
+        [0.35, 1.60, 0.35],
+        [1.95, 0.22, 0.18],
+        [0.18, 0.20, 2.10],
+        [0.22, 0.35, 0.22],
+        [0.20, 0.20, 0.25],
+        [0.30, 0.55, 0.25],
+    ]
+)
 
 
 def link_inertias(machine: Machine) -> InertiaTruth:
@@ -120,7 +124,7 @@ def supply(ripple_pa: float, ripple_phase_rad: float) -> SupplyTruth:
 def joint_speeds(tree: Tree, gravity: Array, actuator: ActuatorTruth, gain: Array, q: Array) -> Array:
     """Steady joint speeds at full command, (6, 2) [rad/s] up and down, both positive, at motor angles q (6,) [rad].
 
-    Model:   load = gravity torque over the lever plus or minus nominal Coulomb and viscous friction (two fixed-point rounds).
+    Model:   load = gravity torque over the lever plus or minus nominal Coulomb and viscous friction (fixed point).
     """
     q_all = np.zeros(N_JOINTS)
     q_all[MOTORS] = q
@@ -151,7 +155,9 @@ def flow_gains(machine: Machine, tree: Tree, gravity: Array, actuator: ActuatorT
     return gain
 
 
-def valves(machine: Machine, flow_gain: Array, dead_band_frac: Array, hysteresis_frac: Array, rigid: bool) -> ValveTruth:
+def valves(
+    machine: Machine, flow_gain: Array, dead_band_frac: Array, hysteresis_frac: Array, rigid: bool
+) -> ValveTruth:
     """Valves with the machine file's dynamics; the rigid machine's are not rate limited."""
     return ValveTruth(
         frequency_hz=np.array([joint.valve_frequency_hz for joint in machine.joints]),

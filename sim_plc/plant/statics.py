@@ -29,7 +29,7 @@ def gravity_torques(tree: Tree, gravity: Array, q: Array) -> Array:
 
 
 def sagged(tree: Tree, gravity: Array, q_motor: Array, stiffness: Array) -> Array:
-    """Joint angles (11,) [rad] at rest with the motors held at q_motor (6,): flexible joints where k q_f = gravity torque."""
+    """Joint angles (11,) [rad] at rest with the motors held at q_motor (6,): k q_f = gravity torque at each spring."""
     q = np.zeros(N_JOINTS)
     q[MOTORS] = q_motor
     for _ in range(30):
@@ -49,7 +49,9 @@ def outboard_inertias(tree: Tree, q: Array) -> Array:
     return result
 
 
-def steady_pressures(force: float, area_a: float, area_b: float, supply: float, tank: float, extend: bool) -> tuple[float, float]:
+def steady_pressures(
+    force: float, area_a: float, area_b: float, supply: float, tank: float, extend: bool
+) -> tuple[float, float]:
     """Chamber pressures A, B [Pa] while the actuator moves steadily against `force` through a symmetric valve.
 
     Model:   pA AA - pB AB = F with (pS - pA) AB^2 = (pB - pT) AA^2 when it extends, mirrored when it retracts.
@@ -63,7 +65,7 @@ def steady_pressures(force: float, area_a: float, area_b: float, supply: float, 
 
 
 def resting_pressures(force: float, area_a: float, area_b: float, supply: float, tank: float) -> tuple[float, float]:
-    """Chamber pressures A, B [Pa] that carry `force` with the valve closed: half way between extending and retracting."""
+    """Chamber pressures A, B [Pa] that carry `force` with the valve closed: between extending and retracting."""
     _, b_out = steady_pressures(force, area_a, area_b, supply, tank, True)
     _, b_in = steady_pressures(force, area_a, area_b, supply, tank, False)
     p_b = 0.5 * (b_out + b_in)

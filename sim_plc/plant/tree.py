@@ -8,16 +8,23 @@ from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_about
 from sim_plc.plant.truth import InertiaTruth, KinematicTruth
 
-# Order from the base: slew, lift, lift vertical, lift lateral, tilt, tilt vertical, tilt lateral, wrist mount, wrist 1, 2, 3
+# From the base: slew, lift, lift vertical, lift lateral, tilt, tilt vertical, tilt lateral, wrist mount, wrist 1, 2, 3
 MOTORS = np.array([0, 1, 4, 8, 9, 10])
 FLEXES = np.array([2, 3, 5, 6, 7])
 N_JOINTS = 11
-_BODY_OF_LINK = (0, 3, 6, 8, 9, 10)  # the joint whose body carries link i's mass: booms hang on their lateral flexible joint
+_BODY_OF_LINK = (
+    0,
+    3,
+    6,
+    8,
+    9,
+    10,
+)  # the joint whose body carries link i's mass: booms hang on their lateral flexible joint
 
 
 @dataclass(frozen=True, slots=True)
 class Tree:
-    """Fixed transforms between joint frames and every body's inertia, both in joint frames; `T_last_tcp` closes the chain."""
+    """Fixed transforms between joint frames and body inertias, in joint frames; `T_last_tcp` closes the chain."""
 
     tree_R: Array  # (11, 3, 3)
     tree_p: Array  # (11, 3)
@@ -41,8 +48,8 @@ def _dh_rest(kinematics: KinematicTruth, i: int) -> Array:
 def build_tree(kinematics: KinematicTruth, inertia: InertiaTruth) -> Tree:
     """Tree whose pose at zero flexible angles is the DH chain of the six motor angles.
 
-    Model:   every joint turns about the z axis of its own frame. Vertical bending shares the axis of lift or tilt, lateral
-             bending is across it and across the boom, the wrist mount bends vertically where wrist 1 sits (d4 along the boom).
+    Model:   every joint turns about the z axis of its own frame. Vertical bending shares the axis of lift or tilt,
+             lateral bending is across it and across the boom, the wrist mount bends vertically at d4 along the boom.
     """
     rest = [_dh_rest(kinematics, i) for i in range(6)]
     zero = [_turn("z", float(angle)) for angle in kinematics.theta_zero_rad]

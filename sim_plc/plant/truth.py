@@ -1,4 +1,4 @@
-"""What is true of one simulated machine's mechanics and hydraulics: plain numbers, drawn once, never shown to the server."""
+"""What is true of one simulated machine's mechanics and hydraulics: plain numbers, never shown to the server."""
 
 from dataclasses import dataclass
 
@@ -54,7 +54,7 @@ class ValveTruth:
 
 @dataclass(frozen=True, slots=True)
 class ActuatorTruth:
-    """Cylinders and rotary actuators alike: area [m2 or m3/rad], position y(q) [m or rad] and lever dy/dq [m/rad or 1]."""
+    """Cylinders and rotary actuators: area [m2 or m3/rad], position y(q) [m or rad] and lever dy/dq [m/rad or 1]."""
 
     area_a: Array  # (6,)
     area_b: Array

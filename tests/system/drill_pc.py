@@ -42,6 +42,7 @@ def knots_from(q0, machine):
 
 def main(port):
     machine = parse_machine_toml((files("machine") / "machines" / "hiab033.toml").read_text(encoding="utf-8"))
+    knots_from(np.zeros(len(machine.joints)), machine)  # compiles before the PLC waits for anything
     link = ClientLink(limits_of(machine.joints), RawFraming(), session=time.monotonic_ns() % 0xFFFF_FFFF + 1)
     link.request_arm()
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -60,6 +61,7 @@ def main(port):
         if not asked and link.linked and link.state and link.state.plc_state is PlcState.HOLD:
             asked = True
             knots = knots_from(np.array(link.state.q_ref[: len(machine.joints)]), machine)
+            now_ns = time.monotonic_ns()
             refusals = link.request_run(1, knots, now_ns)
             if refusals:
                 sys.exit("; ".join(refusal.text for refusal in refusals))

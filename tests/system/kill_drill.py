@@ -144,7 +144,9 @@ def figures_of(states: list[State], machine: Machine) -> KillFigures:
         ramp_ms=(rest.t_send_ns - t_ramp_ns) / 1e6,
         ramp_bound_ms=float((speed / qdd_stop).max()) * 1e3,
         machine_still_ms=(max(moving, default=rest.t_send_ns) - t_command_ns) / 1e6,
-        tcp_speed_mm_s=float(np.linalg.norm(path[i_ramp] - path[i_ramp - 3]) / (times[i_ramp] - times[i_ramp - 3]) * 1e12),
+        tcp_speed_mm_s=float(
+            np.linalg.norm(path[i_ramp] - path[i_ramp - 3]) / (times[i_ramp] - times[i_ramp - 3]) * 1e12
+        ),
         tcp_travel_mm=float(np.linalg.norm(path[-1] - path[i_command])) * 1e3,
         tcp_ramp_mm=float(np.linalg.norm(path[-1] - path[i_ramp])) * 1e3,
     )
@@ -194,6 +196,7 @@ def simulator(**settings: object) -> Iterator[tuple[int, multiprocessing.process
 def kill_drill(preset: str = "realistic", seed: int = 1, n: int = 3, start_s: float = 90.0) -> list[KillFigures]:
     """Start a simulator; n times: start a PC end, let it arm and move, kill it somewhere in the move's fast part."""
     machine = parse_machine_toml(machine_text())
+    tcp_pose(chain_of(machine), np.zeros(len(machine.joints)))  # compiles before the relay must be quick
     figures = []
     with simulator(preset=preset, seed=seed) as (plc_port, _):
         relay = Relay(plc_port)

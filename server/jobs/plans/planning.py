@@ -14,7 +14,9 @@ from server.motion.point_to_point import plan_move
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS, PlanSettings
 
 LIMIT_SHARE = 0.8  # of the machine's limits: the rest is for taking the reference across the dead bands on the way
-APPROACH = ApproachSettings()
+#: Every joint ends turning forward, by enough to break its stiction: then its stall is the same each time, and play in
+#: gears lies to the same side.
+APPROACH = ApproachSettings(play_rad=tuple(np.deg2rad([0.5, 0.4, 0.4, 0.6, 0.6, 0.6]).tolist()), last_leg_s=2.0)
 
 
 def plan_to(ctx: PlanContext, reading: MachineReading, T_base_tcp_goal: Array, one_sided: bool = True) -> PathPlan:
@@ -32,14 +34,14 @@ def plan_settings(ctx: PlanContext) -> PlanSettings:
 
 
 def trim_settings(ctx: PlanContext) -> PlanSettings:
-    """A trim is a small step of the reference itself: plain, and quicker than the servo can follow anyway."""
-    return replace(plan_settings(ctx), shape_reference=False, duration_min_s=0.6)
+    """A trim moves the reference itself: plain, and at the pace of a path's last leg."""
+    return replace(plan_settings(ctx), shape_reference=False, duration_min_s=APPROACH.last_leg_s)
 
 
 def play_of(ctx: PlanContext) -> Array:
     """From how far below each joint comes at the end (n,) [rad]."""
-    play = np.array(APPROACH.play_rad)
-    return play if ctx.method == "ours" and len(play) == len(ctx.machine.joints) else np.zeros(len(ctx.machine.joints))
+    n = len(ctx.machine.joints)
+    return np.array((*APPROACH.play_rad, *(APPROACH.play_rad[-1],) * n)[:n])
 
 
 def onto_reference(ctx: PlanContext, plan: PathPlan, reading: MachineReading) -> PathPlan:

@@ -8,7 +8,7 @@ from virtual_plc import MACHINE, MS, Q_START, VirtualPlc, quintic_knots
 
 from protocol.client_events import TrajectoryEnded
 from protocol.codec import decode_state, encode_command
-from protocol.codes import AxisBit, CommandFlag, FaultBit, Interp, Mode, PlcState, RejectCode, WarnBit
+from protocol.codes import AxisBit, CommandFlag, FaultBit, HeaderFlag, Interp, Mode, PlcState, RejectCode, WarnBit
 from protocol.errors import LocalProtocolError
 from protocol.framing import RawFraming
 from protocol.messages import Command, Knot, axes8
@@ -86,7 +86,7 @@ def test_what_the_state_says_of_playback():
     assert state.knot_playing == state.t_play_ns // (50 * MS)
     assert state.knot_last == 40
     assert state.buffer_us == pytest.approx((2_000_000_000 - state.t_play_ns) / 1000, abs=1)
-    assert state.simulation if hasattr(state, "simulation") else True
+    assert HeaderFlag.SIMULATION in state.flags
     virtual.step(1500)
     state = virtual.client.state
     assert (state.traj_id, state.knot_playing, state.t_play_ns, state.buffer_us) == (1, 40, 2_000_000_000, 0)

@@ -48,12 +48,14 @@ def test_rendered_markers_have_no_bias_and_small_noise():
     errors = []
     rng = np.random.default_rng(2)
     for distance_m in (0.45, 0.8):
-        T_ooi_tcp = tcp_in_ooi(distance_m, (0.05, 0.02), (3.0, -4.0, 2.0))
+        T_ooi_tcp = tcp_in_ooi(distance_m, (0.05, 0.15), (3.0, -4.0, 2.0))
         images = renderer().render_static(T_ooi_tcp, rng)
         T_cam_ooi = truth_of(T_ooi_tcp)["ooi"]
         for eye, image in enumerate(images):
             found = {one.marker_id: one for one in find_markers(image, dictionary)}
             for marker in machine().markers_on("ooi"):
+                if marker.marker_id not in found:  # behind the tool
+                    continue
                 one = refined(found[marker.marker_id], image, dictionary, machine().camera)
                 if one.fit is not SideFit.CLEAN:
                     continue
