@@ -39,7 +39,7 @@ _CAMERA_STOP_S = 3.0
 def run_sim(settings: SimSettings) -> LoopHealth:
     """Run until SIGTERM or SIGINT; leaves no process and no shared memory behind. Returns how the loop kept up.
 
-    Raises: SimSettingsError, PresetError, MachineFileError before anything is started; OSError: the UDP port is taken.
+    Raises: SimSettingsError (also when the UDP port is taken), PresetError, MachineFileError: nothing was started.
     """
     with _stop_flag() as stopped:
         world = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
@@ -52,7 +52,7 @@ def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callab
     framing = plc_framing(cast(Literal["raw", "eap"], settings.framing), settings.pc_net_id, settings.plc_net_id)
     offset_ns = new_epoch_offset_ns()
     with ExitStack() as cleanup:
-        udp = UdpPort(settings.plc_host, settings.plc_port)
+        udp = _udp_port(settings)
         cleanup.callback(udp.close)
         _warm_up(world)
         feed = PoseFeed.create(offset_ns)
@@ -82,6 +82,16 @@ def _run_first() -> None:
     except (OSError, AttributeError):
         with suppress(OSError):
             os.nice(_NICENESS)
+
+
+def _udp_port(settings: SimSettings) -> UdpPort:
+    try:
+        return UdpPort(settings.plc_host, settings.plc_port)
+    except OSError as error:
+        raise SimSettingsError(
+            f"plc_host = '{settings.plc_host}', plc_port = {settings.plc_port}: {error.strerror or error}; "
+            "choose another, or stop the simulator that is still running"
+        ) from error
 
 
 def new_epoch_offset_ns() -> int:

@@ -22,6 +22,7 @@ from server.motion.trajectory import join
 FIRST_GUESS_FRAC = 0.015  # half width of a servo valve's dead band in fraction of full command, until it is seen
 STALL_MAX_RAD = 0.06  # more is no dead band but a joint that does not follow
 LOOSE_RAD = float(np.deg2rad(0.3))  # a motion this long breaks stiction, so where it ends tells the stall
+STUCK_SHARE = 0.6  # of the last motion that a joint lacks: then it did not make that motion
 TRAVEL_RAD = 1e-6
 TIP_SHARE_M = 5e-4  # residual of one joint that is not worth a trim, by its effect at the TCP
 TURN_LEVER_M = 0.1  # and what its turn does to the tool: 0.5 mm at 0.1 m are 0.3 deg
@@ -66,13 +67,20 @@ def _quintic(u: Array) -> tuple[Array, Array, Array]:
     return 10 * u**3 - 15 * u**4 + 6 * u**5, 30 * u**2 * (1 - u) ** 2, 60 * u * (1 - u) * (1 - 2 * u)
 
 
-def updated_stall(stall_rad: Array, q_ref: Array, q_rest: Array, direction: Array) -> Array:
-    """What a rest tells about the stall: a joint that came from below rests its stall below the reference.
+def updated_stall(
+    stall_rad: Array, q_ref: Array, q_rest: Array, direction: Array, play_rad: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """What a rest tells about the stall, and which joints did not break loose.
 
-    Args:    direction: of each joint's last motion (n,): +1, -1, or 0 where it tells nothing.
+    A joint that came from below rests its stall below the reference. One that rests much further off than it did
+    before was held by stiction; that tells nothing about its stall.
+    Args:    direction: of each joint's last motion (n,): +1, -1, or 0 where it tells nothing. play_rad: its length (n,).
+    Returns: stall (n,) [rad]; stuck (n,) of bool.
     """
-    seen = np.clip(direction * (q_ref - q_rest), 0.0, STALL_MAX_RAD)
-    return np.where(direction != 0.0, seen, stall_rad)
+    seen = direction * (q_ref - q_rest)
+    stuck = (direction != 0.0) & (seen - stall_rad > STUCK_SHARE * play_rad)
+    learnt = (direction != 0.0) & ~stuck
+    return np.where(learnt, np.clip(seen, 0.0, STALL_MAX_RAD), stall_rad), stuck
 
 
 def last_direction(trajectory: JointTrajectory) -> Array:

@@ -13,7 +13,7 @@ from server.vision.contracts import Array, Image, OdometryPose, OdometryStatus
 from server.vision.odometry_features import allowed_mask, coverage, inside_mask
 from server.vision.odometry_flow import flow
 from server.vision.odometry_keyframe import Keyframe, make_keyframe, match_eyes
-from server.vision.odometry_motion import covariance_in_vo, predict_pose
+from server.vision.odometry_motion import covariance_in_vo, predict_pose, with_scale_error
 from server.vision.odometry_observation import Frame, Observed, observe_map
 from server.vision.odometry_pose import PoseFit, coarse_pose, refine_camera
 from server.vision.warm_up import warm_up_odometry
@@ -36,6 +36,7 @@ class OdometrySettings:
     inliers_good: int = 60
     inliers_min: int = 15
     coverage_good: int = 10  # of 40 cells of the image
+    sigma_scale_frac: float = 0.004  # of the rig's calibration: 0.2 px of disparity at 1.3 m; no pair can show it
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +163,8 @@ class StereoOdometry:
         )
         if self._wants_keyframe(inliers_px):
             self._add_keyframe(frame, T_vo_cam, covariance, inliers_px)
-        return OdometryPose(frame.t_exposure_ns, T_vo_cam, covariance, status, reason, len(inliers_px))
+        reported = with_scale_error(covariance, T_vo_cam[:3, 3], self._settings.sigma_scale_frac)
+        return OdometryPose(frame.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
 
     def _anchor_covariance(self, observed: Observed, fit: PoseFit) -> Array:
         """The keyframes' own covariance, weighted by how many inliers each gave."""

@@ -67,7 +67,7 @@ def run_closed_loop(plant: Plant, gains: Gains, q_ref: Array) -> LoopRun:
     for row, index in enumerate(range(0, n, 10)):
         R, p = frames(plant.tree, angles[index])
         tips[row] = R[-1] @ plant.tree.T_last_tcp[:3, 3] + p[-1]
-    return LoopRun(np.arange(n) * 1e-3, q_ref, q, u, tips)
+    return LoopRun(np.linspace(0.0, (n - 1) * 1e-3, n), q_ref, q, u, tips)
 
 
 def kernel_joints(plant: Plant) -> int:

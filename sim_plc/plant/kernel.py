@@ -106,7 +106,7 @@ def advance(par: Parameters, state: State, command: Array, n_ms: int) -> None:
         p_supply = shared[P_SUPPLY] + ripple
         drawn = 0.0
         for j in range(par.motors.shape[0]):
-            i = par.motors[j]
+            i = int(par.motors[j])
             u = min(max(command[j], -1.0), 1.0)
             drawn += _actuator_step(j, q[i], qd[i], u, p_supply, par, state)
         for k in range(par.flexes.shape[0]):
@@ -120,7 +120,7 @@ def advance(par: Parameters, state: State, command: Array, n_ms: int) -> None:
             qd[i] += STEP_S * state.qdd[i]
             q[i] += STEP_S * qd[i]
         for j in range(par.motors.shape[0]):
-            state.joint[j, OUTPUT] = play(state.joint[j, OUTPUT], q[par.motors[j]], par.joint[j, HALF_PLAY])
+            state.joint[j, OUTPUT] = play(state.joint[j, OUTPUT], q[int(par.motors[j])], par.joint[j, HALF_PLAY])
         pumped = pump_flow(shared[P_SUPPLY], oil[P_SET], oil[DROOP], oil[FLOW_MAX])
         shared[P_SUPPLY] = max(shared[P_SUPPLY] + STEP_S * (pumped - drawn) / oil[ACCUMULATOR], oil[P_TANK])
         shared[TIME] += STEP_S

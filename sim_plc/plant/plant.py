@@ -41,7 +41,7 @@ class Plant:
         for j in range(6):
             row = self.parameters.joint[j]
             lever = kernel.lookup(
-                self.parameters.table_lever[j], row[kernel.TABLE_Q0], row[kernel.TABLE_STEP], q[MOTORS[j]]
+                self.parameters.table_lever[j], row[kernel.TABLE_Q0], row[kernel.TABLE_STEP], float(q[MOTORS[j]])
             )
             joint[j, kernel.P_A], joint[j, kernel.P_B] = resting_pressures(
                 holding[j] / lever,

@@ -39,7 +39,7 @@ STRIBECK = np.array([0.01, 0.005, 0.005, 0.01, 0.01, 0.01])
 BRISTLE_TRAVEL = np.array([2e-4, 5e-5, 5e-5, 3e-4, 3e-4, 3e-4])  # deflection at breakaway [rad or m], A
 MOVED_MASS_MIN = np.array([30.0, 300.0, 500.0, 2.0, 2.0, 1.0])  # rotor inertia seen by the actuator [kg m2 or kg], C
 
-SIZING_POSTURE_RAD = np.deg2rad([0.0, 25.0, -75.0, 0.0, -50.0, 0.0])  # middle of the working postures
+SIZING_POSTURE_RAD = np.deg2rad([0.0, 45.0, -95.0, 0.0, -50.0, 0.0])  # middle of the working postures
 _LINK_SIZE_M = np.array(
     [  # cuboids of even density for the links' inertias, in link DH axes, A
         [0.35, 1.60, 0.35],

@@ -1,4 +1,4 @@
-"""A small PC end for the kill drill: arms, plays one move with a tool speed of 0.15 m/s, prints its duration [s], goes on."""
+"""A small PC end for the kill drill: arms, plays one move at 0.15 m/s, prints its duration [s], goes on listening."""
 
 import socket
 import sys

@@ -119,8 +119,8 @@ def observe_kill(relay: Relay, kill: Callable[[], None], machine: Machine, timeo
 def figures_of(states: list[State], machine: Machine) -> KillFigures:
     """The figures from the PLC's states of the newest stop: RUN, STOPPING, HOLD.
 
-    The state comes every 10 ms; the start of the ramp is where the reference's speed before and in the ramp, both taken as
-    straight lines over two states, meet. The end is the first state at rest: up to 10 ms late.
+    The state comes every 10 ms; the start of the ramp is where the reference's speed before and in the ramp, both taken
+    as straight lines over two states, meet. The end is the first state at rest: up to 10 ms late.
     """
     chain, n = chain_of(machine), len(machine.joints)
     first = max(i for i, state in enumerate(states) if state.plc_state is PlcState.RUN) + 1
@@ -153,7 +153,7 @@ def figures_of(states: list[State], machine: Machine) -> KillFigures:
 
 
 def _meeting_ns(four: list[State], joint: int) -> int:
-    """Where the line through the first two speeds of a joint meets the line through the last two, between the middle two."""
+    """Where the lines through the first and the last two speeds of a joint meet, between the middle two."""
     t = np.array([state.t_send_ns - four[1].t_send_ns for state in four], dtype=float)
     v = np.array([state.qd_ref[joint] for state in four])
     slope_run, slope_ramp = (v[1] - v[0]) / (t[1] - t[0]), (v[3] - v[2]) / (t[3] - t[2])
@@ -165,7 +165,10 @@ def _meeting_ns(four: list[State], joint: int) -> int:
 
 def figures_table(figures: list[KillFigures]) -> str:
     """A table in Markdown."""
-    head = "| kill | ramp starts ms | reference at rest ms | ramp ms | bound ms | still ms | TCP mm/s | TCP travel mm | in ramp mm |"
+    head = (
+        "| kill | ramp starts ms | reference at rest ms | ramp ms | bound ms | still ms "
+        "| TCP mm/s | TCP travel mm | from ramp on mm |"
+    )
     rows = [
         f"| {i} | {f.ramp_start_ms:.0f} | {f.reference_at_rest_ms:.0f} | {f.ramp_ms:.0f} | {f.ramp_bound_ms:.0f} "
         f"| {f.machine_still_ms:.0f} | {f.tcp_speed_mm_s:.0f} | {f.tcp_travel_mm:.1f} | {f.tcp_ramp_mm:.1f} |"

@@ -15,22 +15,24 @@ from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, S
 from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
 from server.motion.lost_motion import last_direction, plan_trim, updated_stall, worth_trimming
 
-TRIMS_MAX = 3
+TRIMS_MAX = 4
+PLAY_MAX_RAD = float(np.deg2rad(2.5))  # 0.13 m at 3 m: further back than that, something else is wrong
 
 
 def drive(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, int]:
     """Execute a checked plan, rest, and trim. Returns the number of trims."""
     trajectory = yield from play(ctx, plan, purpose)
-    direction = last_direction(trajectory)
+    direction, play_rad = last_direction(trajectory), play_of(ctx)
     for count in range(TRIMS_MAX + 1):
         reading = expect((yield Settle()), MachineReading)
-        stall = updated_stall(ctx.stall, reading.q_ref_rad, reading.q_rad, direction)
+        stall, stuck = updated_stall(ctx.stall, reading.q_ref_rad, reading.q_rad, direction, play_rad)
         ctx.knowledge.stall_rad = stall
+        play_rad = np.minimum(np.where(stuck, 2.0 * play_rad, play_rad), PLAY_MAX_RAD)
         residual = plan.q_end - reading.q_rad
         if count == TRIMS_MAX or not worth_trimming(ctx.machine, reading.q_rad, residual).any():
             break
         again = plan_trim(
-            ctx.machine, reading.q_ref_rad, reading.q_rad, plan.q_end, stall, play_of(ctx), trim_settings(ctx)
+            ctx.machine, reading.q_ref_rad, reading.q_rad, plan.q_end, stall, play_rad, trim_settings(ctx)
         )
         if again.trajectory is None:
             raise JobFailedError(f"{purpose}: trim: {again.reason}", "trim_refused")

@@ -16,7 +16,7 @@ from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS, P
 LIMIT_SHARE = 0.8  # of the machine's limits: the rest is for taking the reference across the dead bands on the way
 #: Every joint ends turning forward, by enough to break its stiction: then its stall is the same each time, and play in
 #: gears lies to the same side.
-APPROACH = ApproachSettings(play_rad=tuple(np.deg2rad([0.5, 0.4, 0.4, 0.6, 0.6, 0.6]).tolist()), last_leg_s=2.0)
+APPROACH = ApproachSettings(play_rad=tuple(np.deg2rad([0.8, 0.4, 0.4, 0.6, 0.6, 0.6]).tolist()), last_leg_s=2.0)
 
 
 def plan_to(ctx: PlanContext, reading: MachineReading, T_base_tcp_goal: Array, one_sided: bool = True) -> PathPlan:

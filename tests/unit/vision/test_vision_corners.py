@@ -48,7 +48,7 @@ def test_rendered_markers_have_no_bias_and_small_noise():
     errors = []
     rng = np.random.default_rng(2)
     for distance_m in (0.45, 0.8):
-        T_ooi_tcp = tcp_in_ooi(distance_m, (0.05, 0.15), (3.0, -4.0, 2.0))
+        T_ooi_tcp = tcp_in_ooi(distance_m, (0.05, -0.2), (3.0, -4.0, 2.0))
         images = renderer().render_static(T_ooi_tcp, rng)
         T_cam_ooi = truth_of(T_ooi_tcp)["ooi"]
         for eye, image in enumerate(images):
@@ -62,7 +62,7 @@ def test_rendered_markers_have_no_bias_and_small_noise():
                 corners = transform_points(T_cam_ooi @ marker.T_on_marker, marker_corners(marker.side_m))
                 errors.append(one.corners_px - project_stereo(machine().camera, corners)[eye])
     errors = np.array(errors)
-    assert len(errors) >= 8
+    assert len(errors) >= 10
     assert np.sqrt((errors**2).mean()) < 0.06, "px rms"
     assert np.abs(errors.mean(axis=(0, 1))).max() < 0.02, "px bias"
 

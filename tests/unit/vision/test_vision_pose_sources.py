@@ -16,22 +16,22 @@ from server.vision.errors import NoMarkersError
 
 @pytest.fixture(scope="module")
 def pair_and_truth():
-    T_ooi_tcp = tcp_in_ooi(0.5, (0.02, 0.12), (3.0, -2.0, 4.0))
+    T_ooi_tcp = tcp_in_ooi(0.5, (0.02, -0.2), (3.0, -2.0, 4.0))
     return renderer().render_static(T_ooi_tcp, np.random.default_rng(1)), truth_of(T_ooi_tcp)
 
 
 def test_markers_in_both_eyes_keep_the_contract(pair_and_truth):
     pair, truth = pair_and_truth
     observation = check_contract(ArucoPoseSource(machine()), pair, truth, position_m=3e-4, rotation_rad=2e-3)
-    assert {view.marker_id for view in observation.views if view.used} >= {10}
+    assert {view.marker_id for view in observation.views if view.used} == {1, 2, 3, 10}
     assert observation.warnings == tuple(view.reason for view in observation.views if not view.used)
 
 
 def test_dots_keep_the_same_contract():
     ring = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0, 2 * np.pi, 6, endpoint=False)])
     ring[0] *= 0.6
-    plates = {"tool": (0.06 * ring + [0, 0, 0.01], 6.0), "ooi": (0.2 * ring, 10.0)}
-    T_ooi_tcp = tcp_in_ooi(0.45, (0.1, 0.3), (2.0, 3.0, -5.0))
+    plates = {"tool": (0.06 * ring + [0, 0, 0.01], 6.0), "ooi": (0.15 * ring, 10.0)}
+    T_ooi_tcp = tcp_in_ooi(0.6, (0.3, 0.0), (2.0, 3.0, -5.0))
     truth = truth_of(T_ooi_tcp)
     starts = {name: T @ pose(np.eye(3), np.array([0.004, -0.003, 0.01])) for name, T in truth.items()}
     source = DotPlateSource(machine().camera, plates, starts)
