@@ -19,17 +19,19 @@ TRIMS_MAX = 4
 PLAY_MAX_RAD = float(np.deg2rad(2.5))  # 0.13 m at 3 m: further back than that, something else is wrong
 
 
-def drive(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, int]:
+def drive(
+    ctx: PlanContext, plan: PathPlan, purpose: str, trims_max: int = TRIMS_MAX
+) -> Generator[Request, object, int]:
     """Execute a checked plan, rest, and trim. Returns the number of trims."""
     trajectory = yield from play(ctx, plan, purpose)
     direction, play_rad = last_direction(trajectory), play_of(ctx)
-    for count in range(TRIMS_MAX + 1):
+    for count in range(trims_max + 1):
         reading = expect((yield Settle()), MachineReading)
         stall, stuck = updated_stall(ctx.stall, reading.q_ref_rad, reading.q_rad, direction, play_rad)
         ctx.knowledge.stall_rad = stall
         play_rad = np.minimum(np.where(stuck, 2.0 * play_rad, play_rad), PLAY_MAX_RAD)
         residual = plan.q_end - reading.q_rad
-        if count == TRIMS_MAX or not worth_trimming(ctx.machine, reading.q_rad, residual).any():
+        if count == trims_max or not worth_trimming(ctx.machine, reading.q_rad, residual).any():
             break
         again = plan_trim(
             ctx.machine, reading.q_ref_rad, reading.q_rad, plan.q_end, stall, play_rad, trim_settings(ctx)
@@ -38,7 +40,7 @@ def drive(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, 
             raise JobFailedError(f"{purpose}: trim: {again.reason}", "trim_refused")
         worst = float(np.rad2deg(np.abs(residual).max()))
         text = f"{purpose}: coming again, encoders lack up to {worst:.2f} deg"
-        yield Progress("trim", count + 1, TRIMS_MAX, "trims", text)
+        yield Progress("trim", count + 1, trims_max, "trims", text)
         yield Move(again.trajectory, f"{purpose}: trim {count + 1}")
         direction = last_direction(again.trajectory)
     return count

@@ -9,7 +9,7 @@ from server.calibration.reference import position_reference_paper, predicted_err
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken, PreviewedPlan, plan_hash
-from server.jobs.plans.driving import drive
+from server.jobs.plans.driving import TRIMS_MAX, drive
 from server.jobs.plans.looking import good_look, mount_rotation
 from server.jobs.plans.planning import plan_to
 from server.jobs.records import MoveRecord
@@ -18,6 +18,7 @@ from server.motion.contracts import PlanStatus
 
 MOVED_RAD = 2e-3  # joints further than this from where the look was taken make it stale
 SAME_REFERENCE_RAD = 1e-6
+FAR_M = 0.25  # after a longer move the camera has more to correct than the encoders can show
 
 
 def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
@@ -105,7 +106,8 @@ def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generato
     if ctx.knowledge.q_start is None:
         ctx.knowledge.q_start = reading.q_rad
     yield Progress("execute", number, ctx.settings.position.moves_max, "moves", f"move {number}")
-    trims = yield from drive(ctx, previewed.plan, f"move {number}")
+    far = previewed.plan.length_m > FAR_M
+    trims = yield from drive(ctx, previewed.plan, f"move {number}", trims_max=1 if far else TRIMS_MAX)
     taken = yield from good_look(ctx)
     record = MoveRecord(
         number=number,

@@ -30,7 +30,7 @@ def orient(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, Loo
         )
         T_goal = orientation_goal(ctx, taken)
         plan = plan_to(ctx, taken.reading, T_goal)
-        trims = yield from drive(ctx, plan, f"orientation step {step}")
+        trims = yield from drive(ctx, plan, f"orientation step {step}", trims_max=1)  # only the angle matters
         taken = yield from good_look(ctx)
         record = MoveRecord(
             number=step,
