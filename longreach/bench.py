@@ -8,9 +8,9 @@ from typing import Annotated
 import numpy as np
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from longreach import bench_position
+from longreach.bench_vision import bench_vision_real
 from machine.chain import chain_of
 from machine.inverse import inverse_all, inverse_nearest
 from machine.kinematics import tcp_jacobian, tcp_pose
@@ -101,11 +101,9 @@ def render(
     console.print(bench_render(n, seed))
 
 
-def table_of(rows: list[tuple[str, ...]], headings: tuple[str, ...], title: str) -> Table:
-    """A plain table."""
-    table = Table(title=title, title_justify="left")
-    for heading in headings:
-        table.add_column(heading)
-    for row in rows:
-        table.add_row(*row)
-    return table
+@app.command("vision-real")
+def vision_real(
+    data: Annotated[Path, typer.Option(help="folder with markers/ and stereo/")] = Path("../shared/data"),
+) -> None:
+    """Detector and odometry on real photographs and the KITTI clip."""
+    bench_vision_real(data, console)

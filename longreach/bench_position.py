@@ -139,11 +139,8 @@ def bench(preset: str, method: str, n: int, seed: int, folder: Path, console: Co
 
 def _load(path: Path) -> Case:
     data = json.loads(path.read_text(encoding="utf-8"))
-    data["steps"] = [
-        StepErrors(**{name: tuple(value) if isinstance(value, list) else value for name, value in step.items()})
-        for step in data["steps"]
-    ]
-    return Case(**data)
+    steps = [StepErrors(**step) for step in data.pop("steps")]  # lists where tuples were: read as sequences only
+    return Case(**data, steps=steps)
 
 
 def _line(case: Case) -> str:

@@ -2,12 +2,14 @@
 
 import logging
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from longreach import bench, demo, position, record_command, sim_command
+from machine.errors import MachineError
 from server.errors import ServerError
 from server.settings import ServerSettings, read_settings
 from server.version import __version__
@@ -69,9 +71,14 @@ def main() -> None:
     """Entry point: expected errors become one clear line and exit code 2."""
     try:
         app()
-    except ServerError as error:
-        Console(stderr=True).print(f"[bold red]longreach:[/] {error}")
-        raise SystemExit(2) from error
+    except (ServerError, MachineError) as error:
+        _complain(error)
+
+
+def _complain(error: Exception) -> NoReturn:
+    """One line that says what is wrong and what to do, and exit code 2."""
+    Console(stderr=True).print(f"[bold red]longreach:[/] {escape(str(error))}")
+    raise SystemExit(2) from error
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from server.errors import SettingsError
 from server.settings import read_machine_text
 
 
@@ -19,26 +20,40 @@ def sim(
     camera_host: Annotated[str, typer.Option(help="address the camera serves on")] = "127.0.0.1",
     camera_port: Annotated[int, typer.Option(help="HTTP port of the camera")] = 8090,
     camera_rate_hz: Annotated[float, typer.Option(help="stereo pairs a second")] = 15.0,
+    enable: Annotated[str, typer.Option(help="auto, or panel: SIGUSR1 presses the local enable")] = "auto",
     truth_log: Annotated[Path | None, typer.Option(help="folder for the truth, which the server never sees")] = None,
 ) -> None:
     """Start the simulated machine in real time, until Ctrl-C."""
-    from sim_plc.process import SimSettings, run_sim  # here, so that the server's process never loads the simulator
+    from sim_plc.presets import PresetError
+    from sim_plc.process import (  # here, so that the server's process never loads the simulator
+        SimSettings,
+        SimSettingsError,
+        run_sim,
+    )
 
     Console(stderr=True).print(
         f"simulated machine '{preset}', seed {seed}: PLC on udp {plc_host}:{plc_port}, "
         f"camera on http://{camera_host}:{camera_port}/stream"
     )
-    run_sim(
-        SimSettings(
-            machine_text=read_machine_text(machine),
-            preset=preset,
-            seed=seed,
-            plc_host=plc_host,
-            plc_port=plc_port,
-            framing=framing,
-            camera_host=camera_host,
-            camera_port=camera_port,
-            camera_rate_hz=camera_rate_hz,
-            truth_log=truth_log,
+    try:
+        run_sim(
+            SimSettings(
+                machine_text=read_machine_text(machine),
+                preset=preset,
+                seed=seed,
+                plc_host=plc_host,
+                plc_port=plc_port,
+                framing=framing,
+                camera_host=camera_host,
+                camera_port=camera_port,
+                camera_rate_hz=camera_rate_hz,
+                enable=enable,
+                truth_log=truth_log,
+            )
         )
-    )
+    except (SimSettingsError, PresetError) as error:
+        raise SettingsError(str(error)) from error
+    except OSError as error:
+        raise SettingsError(
+            f"udp {plc_host}:{plc_port}: {error.strerror}; is another simulator running? choose another --plc-port"
+        ) from error

@@ -1,48 +1,37 @@
-"""Approach from one side, so that backlash lies the same way; and the small trim after a stall in the dead band."""
+"""Approach from one side, so that backlash lies the same way."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine.chain import Chain, chain_of
+from machine.chain import chain_of
 from machine.description import Machine
-from machine.kinematics import tcp_pose, tcp_poses
+from machine.kinematics import tcp_pose
 from machine.poses import pose
-from server.motion.contracts import Array, PathPlan, PlanStatus, Wall
+from server.motion.contracts import Array, PathPlan, Wall
 from server.motion.joint_path import straight_poses, trace
-from server.motion.point_to_point import Leg, cartesian_leg, joint_leg, path_end, plan_of
+from server.motion.point_to_point import cartesian_leg, joint_leg, path_end, plan_of
 from server.motion.refusal import Refusal, refused_plan, require_goal, require_joints
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
 
-_SLEW_PLAY_RAD = 0.003  # covers a slew backlash of 2 mrad peak to peak
-_WRIST_PLAY_RAD = float(np.deg2rad(0.4))  # covers a wrist backlash of 0.3 deg peak to peak
+# Enough to break each joint's stiction, and more than its gears' play: slew 2 mrad, wrists 0.3 deg peak to peak.
+_PLAY_RAD: tuple[float, ...] = tuple(np.deg2rad([0.8, 0.4, 0.4, 0.6, 0.6, 0.6]).tolist())
 
 
 @dataclass(frozen=True, slots=True)
 class ApproachSettings:
     """The last leg: by how much each joint comes from below (0: it does not matter), and how slowly."""
 
-    play_rad: tuple[float, ...] = (_SLEW_PLAY_RAD, 0.0, 0.0, _WRIST_PLAY_RAD, _WRIST_PLAY_RAD, _WRIST_PLAY_RAD)
-    last_leg_s: float = 1.5
-
-
-@dataclass(frozen=True, slots=True)
-class TrimSettings:
-    """What a trim may do, and from when on it is worth doing."""
-
-    residual_max_rad: float = float(np.deg2rad(3.0))
-    residual_min_rad: float = float(np.deg2rad(0.002))  # 0.15 mm at 4 m, one step of an 18 bit encoder
-    stall_max_rad: float = float(np.deg2rad(1.5))  # a larger offset at rest is no dead band
-    leg_s: float = 1.0
+    play_rad: tuple[float, ...] = _PLAY_RAD
+    last_leg_s: float = 2.0
 
 
 DEFAULT_APPROACH = ApproachSettings()
-DEFAULT_TRIM = TrimSettings()
 
 
-def _play(chain: Chain, approach: ApproachSettings) -> Array:
-    play = np.array(approach.play_rad, dtype=float)
-    return play if len(play) == chain.n else np.zeros(chain.n)
+def play_of(n: int, approach: ApproachSettings = DEFAULT_APPROACH) -> Array:
+    """From how far below each of n joints comes (n,) [rad]; joints beyond the settings' list come like its last."""
+    return np.array((*approach.play_rad, *(approach.play_rad[-1],) * n)[:n])
 
 
 def plan_approach(
@@ -68,7 +57,7 @@ def plan_approach(
     if isinstance(direct, Refusal):
         return refused_plan(direct, q, np.array([tcp_pose(chain, q), goal]))
     q_goal = direct.qs[-1]
-    T_pre = tcp_pose(chain, q_goal - _play(chain, approach))
+    T_pre = tcp_pose(chain, q_goal - play_of(chain.n, approach))
     first = cartesian_leg(machine, chain, q, T_pre, settings, wall)
     if isinstance(first, Refusal):
         return refused_plan(first, q, np.array([tcp_pose(chain, q), goal]))
@@ -81,63 +70,6 @@ def plan_approach(
 def _creeping(settings: PlanSettings, duration_s: float) -> PlanSettings:
     """Slow and never leading: a shaped reference overshoots its end, which would turn a flank back."""
     return replace(settings, duration_min_s=max(duration_s, settings.duration_min_s), shape_reference=False)
-
-
-def trim_reference(
-    machine: Machine,
-    q_ref_end: Array,
-    q_encoder_residual: Array,
-    settings: PlanSettings = DEFAULT_PLAN_SETTINGS,
-    trim: TrimSettings = DEFAULT_TRIM,
-    approach: ApproachSettings = DEFAULT_APPROACH,
-    q_encoder: Array | None = None,
-) -> PathPlan:
-    """Small move of the reference by what the encoders still lack: undoes the stall db / K in the valve's dead band.
-
-    Model:   a joint at rest stalls where |q_ref - q| = e, on the side it came from. To end on q_wanted coming with sign
-             s: q_ref = q_wanted + s e, with e = |q_ref - q_encoder| as it stalls now (0 when the encoder is not given:
-             then q_ref += residual, which a reversal makes too short, and the next trim goes on).
-             A joint with backlash that must go back goes its play further, then comes forward again.
-             Residuals below the smallest one worth a trim are left alone.
-    Args:    q_ref_end: present reference (joints,) [rad]; q_encoder_residual: wanted minus encoder (joints,) [rad];
-             q_encoder: where the joints rest (joints,) [rad], or None.
-    Returns: a plan of about 1 s (2 s with a joint coming back from below); INVALID with reason when a residual is too
-             large.
-    Raises:  MotionInputError: shapes or values that are not finite.
-    """
-    chain = chain_of(machine)
-    q = require_joints(q_ref_end, chain.n, "q_ref_end")
-    residual = require_joints(q_encoder_residual, chain.n, "q_encoder_residual")
-    worst = int(np.abs(residual).argmax())
-    if abs(residual[worst]) > trim.residual_max_rad:
-        text = (
-            f"joint '{machine.joints[worst].name}' lacks {np.rad2deg(residual[worst]):.2f} deg, a trim may move "
-            f"at most {np.rad2deg(trim.residual_max_rad):.1f} deg; check the joint: blocked, unpowered, badly tuned?"
-        )
-        return refused_plan(Refusal(PlanStatus.INVALID, text), q)
-    targets = _trim_targets(q, residual, _play(chain, approach), trim, q_encoder)
-    legs: list[Leg] = []
-    for target in targets:
-        start = path_end(legs[-1]) if legs else q
-        leg = joint_leg(machine, chain, start, target, _creeping(settings, trim.leg_s), None)
-        if isinstance(leg, Refusal):
-            return refused_plan(leg, q, tcp_poses(chain, np.array(targets)))
-        legs.append(leg)
-    return plan_of(legs)
-
-
-def _trim_targets(
-    q_ref: Array, residual: Array, play: Array, trim: TrimSettings, q_encoder: Array | None
-) -> list[Array]:
-    """The references to go to, one after the other."""
-    worth = np.abs(residual) >= trim.residual_min_rad
-    offset = np.zeros(len(q_ref)) if q_encoder is None else q_ref - np.asarray(q_encoder, dtype=float)
-    stall = np.minimum(np.abs(offset), trim.stall_max_rad)
-    straight = q_ref + residual - offset + np.sign(residual) * stall
-    turns = worth & (residual < 0.0) & (play > 0.0)
-    below = np.where(turns, straight - play, q_ref)
-    forward = np.where(turns, q_ref + residual - offset + stall, np.where(worth, straight, q_ref))
-    return [below, forward] if turns.any() else [forward]
 
 
 def offset_goal(T_base_tcp: Array, offset_tcp_m: Array) -> Array:

@@ -74,7 +74,7 @@ def updated_stall(
 
     A joint that came from below rests its stall below the reference. One that rests much further off than it did
     before was held by stiction; that tells nothing about its stall.
-    Args:    direction: of each joint's last motion (n,): +1, -1, or 0 where it tells nothing. play_rad: its length (n,).
+    Args:    direction: of each joint's last motion (n,): +1, -1, or 0 where it tells nothing; play_rad: its length.
     Returns: stall (n,) [rad]; stuck (n,) of bool.
     """
     seen = direction * (q_ref - q_rest)

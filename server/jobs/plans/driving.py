@@ -10,8 +10,9 @@ import numpy as np
 
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
-from server.jobs.plans.planning import play_of, trim_settings
+from server.jobs.plans.planning import trim_settings
 from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, Settle, expect
+from server.motion.approach import play_of
 from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
 from server.motion.lost_motion import last_direction, plan_trim, updated_stall, worth_trimming
 
@@ -24,15 +25,17 @@ def drive(
 ) -> Generator[Request, object, int]:
     """Execute a checked plan, rest, and trim. Returns the number of trims."""
     trajectory = yield from play(ctx, plan, purpose)
-    direction, play_rad = last_direction(trajectory), play_of(ctx)
-    for count in range(trims_max + 1):
+    direction, play_rad = last_direction(trajectory), play_of(len(ctx.machine.joints))
+    count = 0
+    while True:
         reading = expect((yield Settle()), MachineReading)
         stall, stuck = updated_stall(ctx.stall, reading.q_ref_rad, reading.q_rad, direction, play_rad)
         ctx.knowledge.stall_rad = stall
         play_rad = np.minimum(np.where(stuck, 2.0 * play_rad, play_rad), PLAY_MAX_RAD)
         residual = plan.q_end - reading.q_rad
         if count == trims_max or not worth_trimming(ctx.machine, reading.q_rad, residual).any():
-            break
+            return count
+        count += 1
         again = plan_trim(
             ctx.machine, reading.q_ref_rad, reading.q_rad, plan.q_end, stall, play_rad, trim_settings(ctx)
         )
@@ -40,10 +43,9 @@ def drive(
             raise JobFailedError(f"{purpose}: trim: {again.reason}", "trim_refused")
         worst = float(np.rad2deg(np.abs(residual).max()))
         text = f"{purpose}: coming again, encoders lack up to {worst:.2f} deg"
-        yield Progress("trim", count + 1, trims_max, "trims", text)
-        yield Move(again.trajectory, f"{purpose}: trim {count + 1}")
+        yield Progress("trim", count, trims_max, "trims", text)
+        yield Move(again.trajectory, f"{purpose}: trim {count}")
         direction = last_direction(again.trajectory)
-    return count
 
 
 def play(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, object, JointTrajectory]:

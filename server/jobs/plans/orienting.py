@@ -6,7 +6,7 @@ import numpy as np
 
 from machine.poses import pose
 from machine.rotations import Array
-from server.calibration.orientation import orientation_reference, orientation_reference_paper
+from server.calibration.orientation import orientation_reference, orientation_reference_paper_axes
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
@@ -60,8 +60,7 @@ def orientation_goal(ctx: PlanContext, taken: LookTaken) -> Array:
     if ctx.method == "paper":
         # "camera axes = TCP axes": eq. 8 turns in camera axes, carried into ours by the nominal mount.
         R_tcp_cam = ctx.machine.T_tcp_cam_left[:3, :3]
-        R_base_cam = orientation_reference_paper(T_base_tcp[:3, :3] @ R_tcp_cam, R_cam_ooi, R_cam_tool)
-        R_ref = R_base_cam @ R_tcp_cam.T
+        R_ref = orientation_reference_paper_axes(T_base_tcp[:3, :3], R_tcp_cam, R_cam_ooi, R_cam_tool)
     else:
         R_ref = orientation_reference(T_base_tcp[:3, :3], ctx.machine.T_tcp_tool[:3, :3], R_cam_tool, R_cam_ooi)
     p_tcp_tool = ctx.machine.T_tcp_tool[:3, 3]

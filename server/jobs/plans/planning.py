@@ -2,27 +2,22 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from machine.rotations import Array
 from server.jobs.context import PlanContext
 from server.jobs.requests import MachineReading
-from server.motion.approach import ApproachSettings, plan_approach
+from server.motion.approach import DEFAULT_APPROACH, plan_approach
 from server.motion.contracts import PathPlan
 from server.motion.lost_motion import onto_reference as shifted
 from server.motion.point_to_point import plan_move
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS, PlanSettings
 
 LIMIT_SHARE = 0.8  # of the machine's limits: the rest is for taking the reference across the dead bands on the way
-#: Every joint ends turning forward, by enough to break its stiction: then its stall is the same each time, and play in
-#: gears lies to the same side.
-APPROACH = ApproachSettings(play_rad=tuple(np.deg2rad([0.8, 0.4, 0.4, 0.6, 0.6, 0.6]).tolist()), last_leg_s=2.0)
 
 
 def plan_to(ctx: PlanContext, reading: MachineReading, T_base_tcp_goal: Array, one_sided: bool = True) -> PathPlan:
     """Path from the encoders' pose to the goal, laid onto the reference."""
     if one_sided and ctx.method == "ours":
-        plan = plan_approach(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall, APPROACH)
+        plan = plan_approach(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
     else:
         plan = plan_move(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
     return onto_reference(ctx, plan, reading)
@@ -35,13 +30,7 @@ def plan_settings(ctx: PlanContext) -> PlanSettings:
 
 def trim_settings(ctx: PlanContext) -> PlanSettings:
     """A trim moves the reference itself: plain, and at the pace of a path's last leg."""
-    return replace(plan_settings(ctx), shape_reference=False, duration_min_s=APPROACH.last_leg_s)
-
-
-def play_of(ctx: PlanContext) -> Array:
-    """From how far below each joint comes at the end (n,) [rad]."""
-    n = len(ctx.machine.joints)
-    return np.array((*APPROACH.play_rad, *(APPROACH.play_rad[-1],) * n)[:n])
+    return replace(plan_settings(ctx), shape_reference=False, duration_min_s=DEFAULT_APPROACH.last_leg_s)
 
 
 def onto_reference(ctx: PlanContext, plan: PathPlan, reading: MachineReading) -> PathPlan:

@@ -4,22 +4,21 @@ from collections.abc import Generator
 
 import numpy as np
 
-from machine.poses import pose
 from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.plans.driving import drive, play
 from server.jobs.plans.planning import onto_reference, plan_settings, plan_to
 from server.jobs.requests import MachineReading, Request, Settle, expect
+from server.motion.approach import offset_goal
 from server.motion.point_to_point import plan_joint_move
 
 
 def retract(ctx: PlanContext, distance_mm: float) -> Generator[Request, object, str]:
     """Back away from the wall along the tool's axis (z_tcp points back)."""
     reading = expect((yield Settle()), MachineReading)
-    T_base_tcp = ctx.tcp(reading.q_rad)
-    away = T_base_tcp[:3, 2] * distance_mm * 1e-3
-    plan = plan_to(ctx, reading, pose(T_base_tcp[:3, :3], T_base_tcp[:3, 3] + away), one_sided=False)
+    T_goal = offset_goal(ctx.tcp(reading.q_rad), np.array([0.0, 0.0, distance_mm * 1e-3]))
+    plan = plan_to(ctx, reading, T_goal, one_sided=False)
     yield from play(ctx, plan, "retract")
     yield Settle()
     return f"retracted by {distance_mm:.0f} mm"

@@ -1,0 +1,89 @@
+"""`longreach bench vision-real`: the detector and the odometry on images that nobody rendered."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from server.vision.contracts import Image
+from server.vision.evidence import (
+    grid_figures,
+    odometry_figures,
+    parse_poses,
+    parse_tag_truth,
+    rectified_camera,
+    tag_figures,
+)
+
+KITTI_SIZE_PX = (1226, 370)
+KITTI_LENGTH_M = 60.5  # by two independent odometries; the GPS poses are no translation truth for so short a clip
+
+
+def bench_vision_real(data: Path, console: Console) -> None:
+    """Print recall and corner errors on photographs, rotation and length on the KITTI clip; what is absent is said."""
+    _tags(data / "markers" / "apriltag_photos", console)
+    _grid(data / "markers" / "aruco_photos" / "aruco_grid_iphone.jpg", console)
+    _kitti(data / "stereo" / "kitti_clip", console)
+
+
+def _grey(path: Path) -> Image:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise FileNotFoundError(f"{path} is not an image that OpenCV reads")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def _tags(folder: Path, console: Console) -> None:
+    photographs = sorted(folder.glob("*.jpg"))
+    if not photographs:
+        console.print(f"no photographs in {folder}: skipped")
+        return
+    table = Table(title="AprilTag photographs", title_justify="left")
+    for heading in ("photograph", "listed", "found", "recall", "corner RMS px", "median px", "gross", "false ids"):
+        table.add_column(heading)
+    for path in photographs:
+        found = tag_figures(_grey(path), parse_tag_truth(path.with_suffix(".txt").read_text(encoding="utf-8")))
+        table.add_row(
+            path.name[:18],
+            str(found.n_listed),
+            str(found.n_matched),
+            f"{found.recall:.3f}",
+            f"{found.corner_rms_px:.2f}",
+            f"{found.corner_median_px:.2f}",
+            str(found.n_gross),
+            str(found.n_false),
+        )
+    console.print(table)
+
+
+def _grid(path: Path, console: Console) -> None:
+    if not path.is_file():
+        console.print(f"no {path}: skipped")
+        return
+    found = grid_figures(_grey(path), 400)
+    console.print(
+        f"ArUco phone photograph: {found.n_found} of {found.n_expected} markers of the grid, "
+        f"{found.n_false} false, {found.n_repeated} repeated"
+    )
+
+
+def _kitti(folder: Path, console: Console) -> None:
+    if not folder.is_dir():
+        console.print(f"no {folder}: skipped")
+        return
+    camera = rectified_camera((folder / "calib.txt").read_text(encoding="utf-8"), *KITTI_SIZE_PX)
+    poses = parse_poses((folder / "poses.txt").read_text(encoding="utf-8"))
+    found = odometry_figures(camera, _pairs(folder), poses)
+    off_pct = 100.0 * (found.path_length_m / KITTI_LENGTH_M - 1.0)
+    console.print(
+        f"KITTI clip: {found.n_ok} of {found.n_frames} frames OK, rotation error {found.rotation_mean_deg:.3f} deg per "
+        f"frame, path {found.path_length_m:.2f} m ({off_pct:+.2f} % of {KITTI_LENGTH_M} m)"
+    )
+
+
+def _pairs(folder: Path) -> Iterator[tuple[Image, Image]]:
+    for left in sorted((folder / "image_l").glob("*.png")):
+        yield _grey(left), _grey(folder / "image_r" / left.name)
