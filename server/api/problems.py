@@ -3,6 +3,7 @@
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
 
 from server.api.views import Problem
 from server.errors import BusyError, JobFailedError, PlanRefusedError, ServerError
@@ -27,6 +28,10 @@ def install_problem_handlers(app: FastAPI) -> None:
     @app.exception_handler(LinkError)
     async def link_error(_request: Request, error: LinkError) -> JSONResponse:
         return problem(503, "PLC link", str(error), "link")
+
+    @app.exception_handler(HTTPException)
+    async def refused(_request: Request, error: HTTPException) -> JSONResponse:
+        return problem(error.status_code, "Refused", str(error.detail), "http_error")
 
     @app.exception_handler(RequestValidationError)
     async def invalid(_request: Request, error: RequestValidationError) -> JSONResponse:

@@ -1,0 +1,171 @@
+"""The REST side with a stand-in cell: what it answers to good, bad and impossible requests. No process is started."""
+
+import json
+import time
+
+import httpx
+import numpy as np
+import pytest
+from fastapi import FastAPI
+
+from machine.chain import chain_of
+from server.api.jobs import jobs_router
+from server.api.problems import install_problem_handlers
+from server.api.state import state_router
+from server.cell import Cell
+from server.jobs.engine import JobEngine
+from server.jobs.knowledge import LookTaken, PreviewedPlan
+from server.jobs.records import ErrorMm, LookRecord
+from server.jobs.requests import MachineReading
+from server.jobs.service import JobService
+from server.link.contracts import LinkHealth, LinkPhase
+from server.motion.contracts import PathPlan, PlanStatus
+from server.settings import ServerSettings, read_machine
+
+MACHINE = read_machine("hiab033")
+ERROR = ErrorMm(1, 2, 300, 4, 0.7, 0.7, 0.7, 0.2, 300, 0, 0, 400)
+
+
+class StandInLink:
+    def __init__(self):
+        self.health = LinkHealth(LinkPhase.LINKED, 1.0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, "", 0)
+        self.latest = None
+        self.stops = []
+
+    async def stop(self, reason):
+        self.stops.append(reason)
+
+
+class StandInVision:
+    latest = None
+    latest_preview = None
+
+
+class StandInRecorder:
+    def __getattr__(self, name):
+        return lambda *args, **kwargs: None
+
+
+class StandInPerformer:
+    may_be_moving = False
+
+    def __init__(self, link):
+        self._link = link
+
+    async def perform(self, request):
+        raise AssertionError(f"{request} should not have been reached")
+
+    async def stop_motion(self, reason):
+        await self._link.stop(reason)
+
+
+@pytest.fixture
+def service():
+    cell = Cell(ServerSettings(), MACHINE, chain_of(MACHINE), "", StandInLink(), StandInVision(), StandInRecorder())
+    return JobService(cell, JobEngine(StandInPerformer(cell.link)))
+
+
+@pytest.fixture
+async def client(service):
+    app = FastAPI()
+    install_problem_handlers(app)
+    for router in (state_router, jobs_router):
+        app.include_router(router(service))
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://test") as opened:
+        yield opened
+
+
+def looked(age_s=0.0):
+    t_ns = time.monotonic_ns() - int(age_s * 1e9)
+    reading = MachineReading(np.zeros(6), np.zeros(6), t_ns, t_ns)
+    return LookTaken(None, reading, ERROR, LookRecord("ok", "", ERROR, 20, 0.1, t_ns, t_ns))
+
+
+def previewed(expires_in_s):
+    plan = PathPlan(
+        PlanStatus.OK, "", None, np.eye(4)[None], np.zeros(6), 0.3, 5.0, 0.1, float("inf"), 0.4, np.zeros(6)
+    )
+    now = time.monotonic_ns()
+    expires = now + int(expires_in_s * 1e9)
+    return PreviewedPlan(plan, "0123456789abcdef", np.zeros(6), np.zeros(6), np.eye(4), ERROR, (1, 1, 1), now, expires)
+
+
+async def test_the_state_is_json_even_when_nothing_is_there(client):
+    state = await client.get("/v1/state")
+    assert state.status_code == 200
+    body = json.loads(state.text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert body["camera"]["warnings"] == ["no image yet"]
+    assert body["link"]["age_ms"] is None
+    assert body["steps"]["preview"] == "look first"
+
+
+async def test_an_unknown_wall_and_a_plan_are_json(client, service):
+    service.cell.knowledge.previewed = previewed(60.0)
+    plan = (await client.get("/v1/state")).json()["plan"]
+    assert plan["clearance_mm"] is None
+    assert plan["plan_hash"] == "0123456789abcdef"
+
+
+async def test_readiness_names_its_reasons(client, service):
+    service.cell.link.health = LinkHealth(LinkPhase.OFFLINE, 9e9, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, "", 0)
+    answer = await client.get("/readyz")
+    assert answer.status_code == 503
+    assert "PLC does not answer" in answer.json()["reasons"][0]
+    assert "camera gives no images" in answer.json()["reasons"][1]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"kind": "fly"},
+        {"kind": "execute"},
+        {"kind": "execute", "plan_hash": "../../etc/passwd"},
+        {"kind": "retract", "distance_mm": 5000.0},
+        {"kind": "retract", "distance_mm": "NaN"},
+        {"kind": "look", "owner": ""},
+        {"kind": "look", "surprise": 1},
+        {},
+        [],
+        None,
+    ],
+)
+async def test_malformed_requests_are_problems_and_start_nothing(client, service, body):
+    answer = await client.post("/v1/jobs", json=body)
+    assert answer.status_code == 422
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert answer.json()["code"] == "invalid_request"
+    assert not service.engine.jobs
+
+
+async def test_bytes_that_are_no_json_are_refused(client):
+    answer = await client.post("/v1/jobs", content=b"\xff\xfe{", headers={"content-type": "application/json"})
+    assert answer.status_code == 400
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+@pytest.mark.parametrize("kind", ["orient", "calibrate", "preview"])
+async def test_no_motion_without_a_look_or_on_a_stale_one(client, service, kind):
+    assert "look first" in (await client.post("/v1/jobs", json={"kind": kind})).json()["detail"]
+    service.cell.knowledge.last_look = looked(age_s=120.0)
+    answer = await client.post("/v1/jobs", json={"kind": kind})
+    assert answer.status_code == 409
+    assert answer.json()["code"] == "stale_look"
+    assert not service.engine.jobs
+
+
+async def test_a_stale_or_foreign_plan_is_not_executed(client, service):
+    execute = {"kind": "execute", "plan_hash": "0123456789abcdef"}
+    assert "preview first" in (await client.post("/v1/jobs", json=execute)).json()["detail"]
+    service.cell.knowledge.previewed = previewed(60.0)
+    other = await client.post("/v1/jobs", json={"kind": "execute", "plan_hash": "f" * 16})
+    assert "is not the previewed one" in other.json()["detail"]
+    service.cell.knowledge.previewed = previewed(-1.0)
+    assert "has expired" in (await client.post("/v1/jobs", json=execute)).json()["detail"]
+    assert not service.engine.jobs
+
+
+async def test_unknown_jobs_are_404_and_stop_always_answers(client, service):
+    assert (await client.get("/v1/jobs/nope")).status_code == 404
+    assert (await client.get("/v1/jobs/nope/events")).status_code == 404
+    assert (await client.post("/v1/stop")).status_code == 200
+    assert service.cell.link.stops == ["stopped over REST"]
