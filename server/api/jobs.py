@@ -45,11 +45,7 @@ EVENT_POLL_S = 0.1
 def jobs_router(service: JobService) -> APIRouter:
     """Routes under /v1/jobs and /v1/stop."""
     router = APIRouter(prefix="/v1", tags=["jobs"])
-    refused: dict[int | str, dict[str, Any]] = {
-        409: {"model": Problem},
-        422: {"model": Problem},
-        503: {"model": Problem},
-    }
+    refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (400, 409, 422, 503)}
 
     @router.post("/jobs", status_code=202, response_model=JobView, responses=refused)
     async def start_job(request: AnyJobRequest) -> JSONResponse:
