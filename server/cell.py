@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 from machine.chain import Chain
-
 from machine.description import Machine
 from server.camera.client import VisionClient
 from server.jobs.knowledge import Knowledge
