@@ -5,6 +5,7 @@ Set LONGREACH_SCREENSHOTS to a folder to keep the pictures (the README's are mad
 
 import os
 import shutil
+import time
 from pathlib import Path
 
 import httpx
@@ -95,14 +96,19 @@ def test_an_operator_positions_the_tool_by_clicks(page, stack, tmp_path):
     assert page.locator("#moves tbody tr").count() >= 1
 
 
-def test_stop_is_always_there_and_ends_a_job(page, stack):
+def test_stop_is_always_there_and_ends_a_moving_job(page, stack):
     with httpx.Client(base_url=stack.url) as client:
-        job = client.post("/v1/jobs", json={"kind": "retract", "distance_mm": 200.0}).json()
-        page.wait_for_timeout(2500)
+        job = client.post("/v1/jobs", json={"kind": "return"}).json()  # half a metre, back to the start
+        deadline = time.monotonic() + 60.0
+        while client.get("/v1/state").json()["link"]["phase"] != "running":
+            assert time.monotonic() < deadline
+            page.wait_for_timeout(100)
         page.locator("#stop").click(force=True)  # no waiting for a still picture: an operator does not wait either
-        stopped = "() => /retract stopped/.test(document.getElementById('job').textContent)"
-        page.wait_for_function(stopped, timeout=10_000)
-        assert client.get(f"/v1/jobs/{job['job_id']}").json()["state"] == "stopped"
+        stopped = "() => /return stopped/.test(document.getElementById('job').textContent)"
+        page.wait_for_function(stopped, timeout=20_000)
+        ended = client.get(f"/v1/jobs/{job['job_id']}").json()
+        assert ended["state"] == "stopped"
+        assert client.get("/v1/state").json()["link"]["phase"] == "armed"
 
 
 def test_a_foreign_page_cannot_open_the_live_channel(stack):

@@ -7,6 +7,7 @@ from longreach.bench_position import join_truth, read_truth
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
 from recording.opening import read_run
+from recording.rows import PlcState, Sent
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
 READY_S = 180.0
@@ -27,7 +28,11 @@ def test_position_ends_inside_tolerance_truly_and_leaves_a_recording(tmp_path):
     assert any(event["name"] == "calibrate" for event in told)
     recordings = list((tmp_path / "runs").glob("*.mcap"))
     assert len(recordings) == 1
-    assert read_run(recordings[0]).attachment("machine.toml") is not None
+    run = read_run(recordings[0])
+    assert run.complete
+    assert 'name = "hiab033"' in run.machine_toml
+    assert len(run.of(PlcState)) > 1000  # 100 Hz over the whole run
+    assert len(run.of(Sent)) > 100
 
 
 def test_without_plc_and_camera_it_says_so_and_nothing_starts(tmp_path):

@@ -75,7 +75,7 @@ def test_folded_path_moves_away_from_the_wall_only():
 
 def test_ooi_near_the_images_rim_mirrors_or_shrinks_the_path():
     """All three markers must stay in view: the full path would lose one, a mirrored or smaller one does not."""
-    ooi = ooi_ahead(Q_USUAL, 0.35, up_m=-0.2, left_m=-0.3)
+    ooi = ooi_ahead(Q_USUAL, 0.35, up_m=-0.18, left_m=-0.3)
     strict = replace(DEFAULT_PATH_SETTINGS, markers_min=3)
     R_tcp_cam = machine().T_tcp_cam_left[:3, :3]
     full = plan_calibration_path(machine(), Q_USUAL)
