@@ -1,1 +1,1 @@
-"""TODO"""
+"""REST, live channel and panel on one port."""

@@ -1,1 +1,1 @@
-"""TODO"""
+"""Vision: markers, poses with covariance, looks, stereo odometry. Pure: images and time come as arguments."""
