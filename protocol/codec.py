@@ -7,6 +7,7 @@ from itertools import chain
 from typing import Any
 
 from protocol import layout
+from protocol.authentication import TAG_SIZE, is_authentic, tag_of
 from protocol.codes import CommandFlag, HeaderFlag, Interp, LinkState, MessageType, Mode, PlcState, RejectCode
 from protocol.errors import LocalProtocolError, MalformedError
 from protocol.layout import Block
@@ -15,7 +16,13 @@ from protocol.messages import Command, Knot, State
 _CRC = struct.Struct("<I")
 _HEADER_ONLY = {"magic", "ver_major", "msg_type", "hdr_len", "payload_len", "layout_id", "reserved", "crc"}
 _STATE_FIELDS = tuple(f.name for f in layout.STATE_BODY.fields if f.name not in _HEADER_ONLY)
-_KNOTS_OFFSET = 80
+_SIGNED_END = {
+    layout.COMMAND_SIZE: layout.COMMAND_TAIL.offset,
+    layout.STATE_SIZE: layout.STATE_BODY.offset_of("auth_tag"),
+}
+_HEADER_AT = {field.name: field.offset for field in layout.HEADER.fields}
+_BODY_AT = {field.name: field.offset for field in layout.COMMAND_BODY.fields}
+_FLAGS_AT = struct.Struct("<H")
 _EMPTY_KNOT = bytes(layout.KNOT_SIZE)
 
 
@@ -66,9 +73,14 @@ def _header(message: Command | State, magic: int, msg_type: MessageType, size: i
     return _pack(layout.HEADER, values)
 
 
-def _sealed(payload: bytes) -> bytes:
-    """The payload with the CRC-32 of everything before it in its last 4 bytes."""
-    return payload[:-4] + _CRC.pack(zlib.crc32(payload[:-4]))
+def _sealed(payload: bytes, key: bytes) -> bytes:
+    """The payload with its tag, if there is a key, and the CRC-32 of everything before it in its last 4 bytes."""
+    if key:
+        flags = _FLAGS_AT.unpack_from(payload, _HEADER_AT["flags"])[0] | HeaderFlag.AUTH
+        end = _SIGNED_END[len(payload)]
+        signed = payload[: _HEADER_AT["flags"]] + _FLAGS_AT.pack(flags) + payload[_HEADER_AT["flags"] + 2 : end]
+        payload = signed + tag_of(key, signed) + payload[end + TAG_SIZE :]
+    return payload[:-4] + _CRC.pack(zlib.crc32(memoryview(payload)[:-4]))
 
 
 def _require_finite(values: chain[float], subject: str) -> None:
@@ -78,8 +90,8 @@ def _require_finite(values: chain[float], subject: str) -> None:
         )
 
 
-def encode_command(command: Command) -> bytes:
-    """The 1304 bytes of a command or HELLO.
+def encode_command(command: Command, key: bytes = b"") -> bytes:
+    """The 1304 bytes of a command or HELLO; signed if there is a key.
 
     Raises: LocalProtocolError: a non-finite number, too many knots, or a value outside its field's range.
     """
@@ -94,11 +106,11 @@ def encode_command(command: Command) -> bytes:
     msg_type = MessageType.HELLO if command.hello else MessageType.COMMAND
     header = _header(command, layout.COMMAND_MAGIC, msg_type, layout.COMMAND_SIZE)
     tail = _pack(layout.COMMAND_TAIL, {"auth_tag": command.auth_tag, "reserved": 0, "crc": 0})
-    return _sealed(b"".join((header, _pack(layout.COMMAND_BODY, body), *knots, tail)))
+    return _sealed(b"".join((header, _pack(layout.COMMAND_BODY, body), *knots, tail)), key)
 
 
-def encode_state(state: State) -> bytes:
-    """The 568 bytes of a state.
+def encode_state(state: State, key: bytes = b"") -> bytes:
+    """The 568 bytes of a state; signed if there is a key.
 
     Raises: LocalProtocolError: a non-finite number or a value outside its field's range.
     """
@@ -107,11 +119,13 @@ def encode_state(state: State) -> bytes:
     _require_finite(chain(scalars, *arrays), f"state {state.seq}")
     body = {name: getattr(state, name) for name in _STATE_FIELDS} | {"reserved": 0, "crc": 0}
     header = _header(state, layout.STATE_MAGIC, MessageType.STATE, layout.STATE_SIZE)
-    return _sealed(header + _pack(layout.STATE_BODY, body))
+    return _sealed(header + _pack(layout.STATE_BODY, body), key)
 
 
-def _checked_header(payload: bytes, magic: int, size: int, types: tuple[MessageType, ...]) -> dict[str, Any]:
-    """Receive rule 2 up to the CRC, in this order: the first failure counts."""
+def _checked_header(
+    payload: bytes, magic: int, size: int, types: tuple[MessageType, ...], key: bytes
+) -> dict[str, Any]:
+    """Receive rule 2 up to the message type, in this order: the first failure counts."""
     if len(payload) != size:
         raise MalformedError(RejectCode.LENGTH, f"payload of {len(payload)} bytes, must be {size}")
     header = _unpack(layout.HEADER, payload, 0)
@@ -124,43 +138,65 @@ def _checked_header(payload: bytes, magic: int, size: int, types: tuple[MessageT
     )
     for name, value, code in expected:
         if header[name] != value:
-            raise MalformedError(code, f"{name} = {header[name]:#x}, must be {value:#x}")
-    crc = zlib.crc32(memoryview(payload)[:-4])
-    if _CRC.unpack_from(payload, size - 4)[0] != crc:
-        raise MalformedError(RejectCode.CRC, f"CRC-32 does not match its {size - 4} bytes")
+            raise MalformedError(code, f"{name} = {header[name]:#x}, must be {value:#x}", _HEADER_AT[name])
+    if _CRC.unpack_from(payload, size - 4)[0] != zlib.crc32(memoryview(payload)[:-4]):
+        raise MalformedError(RejectCode.CRC, f"CRC-32 does not match its {size - 4} bytes", size - 4)
+    if key:
+        _check_tag(payload, header["flags"], key)
     if header["msg_type"] not in types:
-        raise MalformedError(
-            RejectCode.MSG_TYPE, f"msg_type = {header['msg_type']}, expected {[int(t) for t in types]}"
-        )
+        text = f"msg_type = {header['msg_type']}, expected {[int(t) for t in types]}"
+        raise MalformedError(RejectCode.MSG_TYPE, text, _HEADER_AT["msg_type"])
     return header
 
 
-def _finite_or_refuse(values: chain[float]) -> None:
-    if not all(map(math.isfinite, values)):
-        raise MalformedError(RejectCode.NOT_FINITE, "a number is NaN or infinite")
+def _check_tag(payload: bytes, flags: int, key: bytes) -> None:
+    end = _SIGNED_END[len(payload)]
+    if not flags & HeaderFlag.AUTH or not is_authentic(key, payload[:end], payload[end : end + TAG_SIZE]):
+        raise MalformedError(RejectCode.AUTH, "not signed with our key", end)
+
+
+def _refuse_not_finite(payload: bytes, block: Block, offset: int) -> None:
+    """Find the number that is not finite, and refuse with its place."""
+    for field in block.fields:
+        if field.iec not in ("LREAL", "REAL"):
+            continue
+        size = field.size // field.count
+        for i, value in enumerate(
+            struct.unpack_from(f"<{field.format}", payload, offset - block.offset + field.offset)
+        ):
+            if not math.isfinite(value):
+                where = offset - block.offset + field.offset + i * size
+                raise MalformedError(RejectCode.NOT_FINITE, f"{block.name} {field.name}[{i}] is NaN or infinite", where)
 
 
 def _number(kind: type[Any], value: int, name: str) -> Any:
     try:
         return kind(value)
     except ValueError:
-        raise MalformedError(RejectCode.VALUE, f"{name} = {value} is no {kind.__name__}") from None
+        raise MalformedError(
+            RejectCode.VALUE, f"{name} = {value} is no {kind.__name__}", _BODY_AT.get(name, 0)
+        ) from None
 
 
-def decode_command(payload: bytes) -> Command:
-    """The command or HELLO in 1304 bytes; unused knots are dropped.
+def decode_command(payload: bytes, key: bytes = b"") -> Command:
+    """The command or HELLO in 1304 bytes; unused knots are dropped. With a key only what is signed with it is taken.
 
-    Raises: MalformedError (a RemoteProtocolError) with the code of the first rule that fails; nothing else.
+    Raises: MalformedError (a RemoteProtocolError) with code and place of the first rule that fails; nothing else.
     """
     types = (MessageType.COMMAND, MessageType.HELLO)
-    header = _checked_header(payload, layout.COMMAND_MAGIC, layout.COMMAND_SIZE, types)
+    header = _checked_header(payload, layout.COMMAND_MAGIC, layout.COMMAND_SIZE, types, key)
     body = _unpack(layout.COMMAND_BODY, payload, layout.COMMAND_BODY.offset)
-    starts = range(_KNOTS_OFFSET, layout.COMMAND_TAIL.offset, layout.KNOT_SIZE)
+    starts = range(layout.KNOTS_OFFSET, layout.COMMAND_TAIL.offset, layout.KNOT_SIZE)
     knots = [_unpack(layout.KNOT, payload, start) for start in starts]
-    _finite_or_refuse(chain((body["speed_override"],), *(chain(k["q"], k["qd"], k["qdd"]) for k in knots)))
+    floats = chain((body["speed_override"],), *(chain(k["q"], k["qd"], k["qdd"]) for k in knots))
+    if not all(map(math.isfinite, floats)):
+        _refuse_not_finite(payload, layout.COMMAND_BODY, layout.COMMAND_BODY.offset)
+        for start in starts:
+            _refuse_not_finite(payload, layout.KNOT, start)
     count = body.pop("knot_count")
     if count > layout.KNOTS_PER_COMMAND:
-        raise MalformedError(RejectCode.VALUE, f"knot_count = {count}, at most {layout.KNOTS_PER_COMMAND}")
+        text = f"knot_count = {count}, at most {layout.KNOTS_PER_COMMAND}"
+        raise MalformedError(RejectCode.VALUE, text, _BODY_AT["knot_count"])
     body["mode"] = _number(Mode, body["mode"], "mode")
     body["interp"] = _number(Interp, body["interp"], "interp")
     body["cmd_flags"] = CommandFlag(body["cmd_flags"])
@@ -177,16 +213,19 @@ def decode_command(payload: bytes) -> Command:
     )
 
 
-def decode_state(payload: bytes) -> State:
-    """The state in 568 bytes.
+def decode_state(payload: bytes, key: bytes = b"") -> State:
+    """The state in 568 bytes. With a key only what is signed with it is taken.
 
-    Raises: MalformedError (a RemoteProtocolError) with the code of the first rule that fails; nothing else.
+    Raises: MalformedError (a RemoteProtocolError) with code and place of the first rule that fails; nothing else.
     """
-    header = _checked_header(payload, layout.STATE_MAGIC, layout.STATE_SIZE, (MessageType.STATE,))
+    header = _checked_header(payload, layout.STATE_MAGIC, layout.STATE_SIZE, (MessageType.STATE,), key)
     body = _unpack(layout.STATE_BODY, payload, layout.STATE_BODY.offset)
     values = {name: body[name] for name in _STATE_FIELDS}
     arrays = (body[name] for name in ("q", "qd", "q_ref", "qd_ref", "valve_cmd", "p_a", "p_b"))
-    _finite_or_refuse(chain((body["p_supply"], body["p_tank"], body["t_oil"], body["speed_scale"]), *arrays))
+    if not all(
+        map(math.isfinite, chain((body["p_supply"], body["p_tank"], body["t_oil"], body["speed_scale"]), *arrays))
+    ):
+        _refuse_not_finite(payload, layout.STATE_BODY, layout.STATE_BODY.offset)
     values["plc_state"] = _number(PlcState, body["plc_state"], "plc_state")
     values["link_state"] = _number(LinkState, body["link_state"], "link_state")
     values["mode_active"] = _number(Mode, body["mode_active"], "mode_active")

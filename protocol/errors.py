@@ -16,12 +16,13 @@ class IllegalTransitionError(LocalProtocolError):
 
 
 class RemoteProtocolError(ProtocolError):
-    """The other side's bytes break a rule; `code` is the reject code that answers them."""
+    """The other side's bytes break a rule; `code` and `offset` (byte of the payload, 0: not told) answer them."""
 
-    def __init__(self, code: RejectCode, text: str) -> None:
+    def __init__(self, code: RejectCode, text: str, offset: int = 0) -> None:
         super().__init__(f"{code.name}: {text}")
         self.code = code
         self.text = text
+        self.offset = offset
 
 
 class FramingError(RemoteProtocolError):

@@ -15,7 +15,7 @@ KNOT_SIZE = 200
 COMMAND_SIZE = 1304
 STATE_SIZE = 568
 VERSION_MAJOR = 1
-VERSION_MINOR = 0
+VERSION_MINOR = 1  # 1.1: reject_offset, servo mode, authentication; new meaning for bytes that 1.0 called reserved
 COMMAND_MAGIC = 0x31434D48  # "HMC1" in memory order
 STATE_MAGIC = 0x31534D48  # "HMS1"
 
@@ -37,6 +37,7 @@ class Field:
     iec: str
     name: str
     count: int = 1
+    first_name: str = ""  # what version 1.0 called it, where a minor version gave it a meaning
 
     @property
     def size(self) -> int:
@@ -64,6 +65,13 @@ class Block:
     def offset(self) -> int:
         """Byte offset of the first field."""
         return self.fields[0].offset
+
+    def offset_of(self, name: str) -> int:
+        """Byte offset of a field; raises KeyError for a name that the block does not have."""
+        for field in self.fields:
+            if field.name == name:
+                return field.offset
+        raise KeyError(f"{self.name} has no field {name}")
 
 
 def _block(name: str, end: int, *fields: Field) -> Block:
@@ -175,18 +183,35 @@ STATE_BODY = _block(
     Field(536, "REAL", "t_oil"),
     Field(540, "REAL", "speed_scale"),
     Field(544, "USINT", "auth_tag", 16),
-    Field(560, "UDINT", "reserved"),
+    Field(560, "UDINT", "reject_offset", first_name="reserved"),
     Field(564, "UDINT", "crc"),
 )
+
+LIMITS = _block(
+    "limits",
+    288,
+    Field(0, "UDINT", "n_axes"),
+    Field(4, "UDINT", "reserved"),
+    Field(8, "ULINT", "spacing_min_ns"),
+    Field(16, "ULINT", "spacing_max_ns"),
+    Field(24, "LREAL", "start_tolerance"),
+    Field(32, "LREAL", "q_min", AXES),
+    Field(96, "LREAL", "q_max", AXES),
+    Field(160, "LREAL", "qd_max", AXES),
+    Field(224, "LREAL", "qdd_max", AXES),
+)  # never sent: what cfg_id is the CRC-32 of
 
 BLOCKS = (HEADER, COMMAND_BODY, KNOT, COMMAND_TAIL, STATE_BODY)
 
 
 def _schema_text() -> str:
-    """The canonical text of the layout: its hash names the layout, so any change of a field changes the id."""
+    """The canonical text of the layout: its hash names the layout, so any change of a field changes the id.
+
+    A minor version may give reserved bytes a meaning; it leaves sizes, offsets and so this text as they are.
+    """
     lines = [f"HMLINK {VERSION_MAJOR} axes {AXES} knots {KNOTS_PER_COMMAND} command {COMMAND_SIZE} state {STATE_SIZE}"]
     for block in BLOCKS:
-        lines += [f"{block.name} {f.offset} {f.iec}[{f.count}] {f.name}" for f in block.fields]
+        lines += [f"{block.name} {f.offset} {f.iec}[{f.count}] {f.first_name or f.name}" for f in block.fields]
     return "\n".join(lines) + "\n"
 
 
@@ -198,3 +223,39 @@ def offsets_markdown(block: Block) -> str:
     """One block as a documentation table."""
     rows = [f"| {f.offset} | {f.iec}{f'[{f.count}]' if f.count > 1 else ''} | {f.name} |" for f in block.fields]
     return "\n".join(["| off | type | field |", "|---|---|---|", *rows])
+
+
+_COMMAND_FIELDS = (*HEADER.fields, *COMMAND_BODY.fields, *COMMAND_TAIL.fields)
+KNOTS_OFFSET = 80
+
+
+def _element(fields: tuple[Field, ...], offset: int) -> tuple[str, str, int] | None:
+    """Name with index, IEC type and start of the element that covers a byte."""
+    for field in fields:
+        if field.offset <= offset < field.offset + field.size:
+            size = field.size // field.count
+            i = (offset - field.offset) // size
+            return f"{field.name}[{i}]" if field.count > 1 else field.name, field.iec, field.offset + i * size
+    return None
+
+
+def command_field_at(offset: int) -> tuple[str, str, int] | None:
+    """Name, IEC type and start of the command's field that covers a byte; None where there is none."""
+    if KNOTS_OFFSET <= offset < COMMAND_TAIL.offset:
+        k, within = divmod(offset - KNOTS_OFFSET, KNOT_SIZE)
+        found = _element(KNOT.fields, within)
+        return (f"knot[{k}].{found[0]}", found[1], KNOTS_OFFSET + k * KNOT_SIZE + found[2]) if found else None
+    return _element(_COMMAND_FIELDS, offset)
+
+
+def command_field_text(payload: bytes, offset: int) -> str:
+    """`name = value` of the field at a byte of a command; empty where there is none."""
+    found = command_field_at(offset) if 0 < offset < len(payload) else None
+    if found is None:
+        return ""
+    name, iec, start = found
+    code, size = _CODES[iec]
+    if start + size > len(payload):
+        return ""
+    value = struct.unpack_from("<" + code, payload, start)[0]
+    return f"{name} = {value:.6g}" if isinstance(value, float) else f"{name} = {value}"

@@ -1,12 +1,12 @@
 """The limits both ends hold the knots against, and the id by which they make sure to hold the same ones."""
 
-import hashlib
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
 from protocol.errors import LocalProtocolError
-from protocol.layout import AXES
+from protocol.layout import AXES, LIMITS
 from protocol.timeouts import KNOT_SPACING_MAX_NS, KNOT_SPACING_MIN_NS, START_TOLERANCE_RAD
 
 
@@ -77,9 +77,8 @@ def axis_mask(table: LimitTable) -> int:
 
 
 def cfg_id(table: LimitTable) -> int:
-    """First 4 bytes of SHA-256 over the table's canonical text (floats as exact hexadecimal), little endian."""
-    lines = [f"spacing {table.spacing_min_ns} {table.spacing_max_ns} start {table.start_tolerance_rad.hex()}"]
-    for axis in table.axes:
-        numbers = " ".join(float(x).hex() for x in (axis.q_min, axis.q_max, axis.qd_max, axis.qdd_max))
-        lines.append(f"{axis.name} {numbers}")
-    return int.from_bytes(hashlib.sha256("\n".join(lines).encode()).digest()[:4], "little")
+    """CRC-32 of the table packed as layout.LIMITS, unused axes 0: a PLC computes it from its own constants."""
+    columns = zip(*((a.q_min, a.q_max, a.qd_max, a.qdd_max) for a in table.axes), strict=True)
+    numbers = [float(x) for column in columns for x in (*column, *(0.0,) * (AXES - len(table.axes)))]
+    head = (len(table.axes), 0, table.spacing_min_ns, table.spacing_max_ns, table.start_tolerance_rad)
+    return zlib.crc32(LIMITS.codec.pack(*head, *numbers))

@@ -82,6 +82,7 @@ class PlcStatus:
     t_oil: float = 0.0
     speed_scale: float = 1.0
     simulation: bool = False
+    dry_run: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,5 +133,6 @@ class State:
     p_tank: float = 0.0
     t_oil: float = 0.0
     speed_scale: float = 1.0
+    reject_offset: int = 0
     auth_tag: bytes = NO_TAG
     ver_minor: int = VERSION_MINOR

@@ -19,6 +19,7 @@ class Effect(Enum):
     QUICK_STOP = "quick_stop"
     RESET = "reset"
     DISARM = "disarm"
+    SERVO = "servo"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,7 @@ class Rejected:
     seq: int
     source: Hashable
     text: str
+    offset: int = 0  # of the field that is to blame, in the payload
 
 
 @dataclass(frozen=True, slots=True)

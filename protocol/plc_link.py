@@ -5,25 +5,27 @@ Written apart from the client's end: both share codec and sequence rule only.
 """
 
 from collections.abc import Callable, Hashable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 
 from protocol.codec import decode_command, encode_state
 from protocol.codes import CommandFlag, HeaderFlag, LinkState, Mode, PlcState, RejectCode, WarnBit
 from protocol.errors import RefusedError, RemoteProtocolError, SessionError
 from protocol.framing import Framing
+from protocol.layout import COMMAND_BODY, HEADER, VERSION_MINOR
 from protocol.messages import Command, PlcStatus, State
+from protocol.objection import Objection
 from protocol.plc_events import Accepted, Effect, PlcLinkEvent, Rejected, SessionOpened, SessionVoid, StateChanged
 from protocol.plc_states import ARMED_STATES, PlcEvent, next_state
 from protocol.sequence import SequenceKind, classify_sequence, next_sequence
 from protocol.timeouts import COMMAND_LATE, COMMAND_LOST, ECHO_STALE, GOOD_COMMANDS_TO_ARM, SESSION_VOID
 
-CommandCheck = Callable[[Command, PlcState], RejectCode]
+CommandCheck = Callable[[Command, PlcState], Objection | None]
 
 
-def accept_all(command: Command, state: PlcState) -> RejectCode:
+def accept_all(command: Command, state: PlcState) -> Objection | None:
     """The check of a PLC without limits: for tests of the link alone."""
     del command, state
-    return RejectCode.NONE
+    return None
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,7 @@ class PlcLinkSettings:
 
     cfg_id: int
     simulation: bool = False
+    key: bytes = b""  # with a key only signed commands are taken, and states are signed
 
 
 @dataclass(slots=True)
@@ -49,6 +52,7 @@ class _LastReject:
     code: RejectCode = RejectCode.NONE
     count: int = 0
     seq: int = 0
+    offset: int = 0
 
 
 @dataclass(slots=True)
@@ -63,20 +67,23 @@ class _Session:
     pc_time_ns: int = 0
     timeout_ns: int = COMMAND_LOST.ns
     traj_id: int = 0  # newest trajectory seen
+    servo: bool = False  # that one is followed in servo mode
     spent: bool = False  # that trajectory has ended or was stopped
     late: bool = False
     newer_minor: bool = False
 
 
+_AT = {f.name: f.offset for block in (HEADER, COMMAND_BODY) for f in block.fields}
+_STATUS_FIELDS = tuple(f.name for f in fields(PlcStatus) if f.name not in ("simulation", "dry_run"))
 _SAFE_MODES = frozenset({Mode.STOP, Mode.QUICK_STOP, Mode.DISARM})
-# SERVO is reserved: refused everywhere in this version.
+_MOTION_MODES = (Mode.TRAJECTORY, Mode.SERVO)
 _LEGAL: dict[PlcState, frozenset[Mode]] = {
     PlcState.BOOT: frozenset(),
     PlcState.DISARMED: frozenset(),
     PlcState.LINKED: frozenset({Mode.HEARTBEAT, Mode.ARM, Mode.HOLD}) | _SAFE_MODES,
-    PlcState.HOLD: frozenset({Mode.HEARTBEAT, Mode.ARM, Mode.HOLD, Mode.TRAJECTORY}) | _SAFE_MODES,
-    PlcState.RUN: frozenset({Mode.HEARTBEAT, Mode.HOLD, Mode.TRAJECTORY}) | _SAFE_MODES,
-    PlcState.STOPPING: frozenset({Mode.HEARTBEAT, Mode.HOLD, Mode.TRAJECTORY}) | _SAFE_MODES,
+    PlcState.HOLD: frozenset({Mode.HEARTBEAT, Mode.ARM, Mode.HOLD, Mode.TRAJECTORY, Mode.SERVO}) | _SAFE_MODES,
+    PlcState.RUN: frozenset({Mode.HEARTBEAT, Mode.HOLD, Mode.TRAJECTORY, Mode.SERVO}) | _SAFE_MODES,
+    PlcState.STOPPING: frozenset({Mode.HEARTBEAT, Mode.HOLD, Mode.TRAJECTORY, Mode.SERVO}) | _SAFE_MODES,
     PlcState.FAULT: frozenset({Mode.HEARTBEAT, Mode.HOLD, Mode.RESET}) | _SAFE_MODES,
     PlcState.LOCAL: frozenset({Mode.HEARTBEAT, Mode.HOLD}) | _SAFE_MODES,
 }
@@ -131,7 +138,7 @@ class PlcLink:
         """What one datagram from `source` leads to; any bytes give events, never an exception."""
         seq = 0
         try:
-            command = decode_command(self.framing.unwrap(datagram))
+            command = decode_command(self.framing.unwrap(datagram), self.settings.key)
             seq = command.seq
             if command.hello and (not self.session or command.session != self.session):
                 return self._open_session(command, t_plc_ns, source)
@@ -177,19 +184,21 @@ class PlcLink:
         """The next state datagram; send it to `peer`."""
         self.state_seq = next_sequence(self.state_seq)
         state = self._state(status, t_plc_ns)
-        return self.framing.wrap(encode_state(state), state.seq)
+        return self.framing.wrap(encode_state(state, self.settings.key), state.seq)
 
     def _state(self, status: PlcStatus, t_plc_ns: int) -> State:
-        values = asdict(status)
-        simulation = values.pop("simulation") or self.settings.simulation
+        values = {name: getattr(status, name) for name in _STATUS_FIELDS}
         values["warn_bits"] |= self._warnings(t_plc_ns)
+        flags = HeaderFlag.SIMULATION if status.simulation or self.settings.simulation else HeaderFlag(0)
+        if status.dry_run:
+            flags |= HeaderFlag.DRY_RUN
         session, counters = self._session, self._counters
         return State(
             session=session.session,
             seq=self.state_seq,
             t_send_ns=t_plc_ns,
             plc_state=self.state,
-            flags=HeaderFlag.SIMULATION if simulation else HeaderFlag(0),
+            flags=flags,
             nonce=self.nonce,
             ack_seq=session.last_seq,
             t_pc_echo_ns=session.pc_time_ns,
@@ -199,6 +208,7 @@ class PlcLink:
             reject_code=self._reject.code,
             reject_count=self._reject.count & 0xFFFF,
             reject_seq=self._reject.seq,
+            reject_offset=self._reject.offset,
             rx_ok=counters.ok,
             rx_lost=counters.lost,
             rx_dup=counters.dup,
@@ -228,11 +238,10 @@ class PlcLink:
     def _open_session(self, hello: Command, t_plc_ns: int, source: Hashable) -> list[PlcLinkEvent]:
         """A HELLO with a number that is not the open session's."""
         if self.session or not hello.session:
-            raise SessionError(
-                RejectCode.SESSION, f"session {hello.session:#x} refused: {self.session:#x} is open, or it is 0"
-            )
+            text = f"session {hello.session:#x} refused: {self.session:#x} is open, or it is 0"
+            raise SessionError(RejectCode.SESSION, text, _AT["session"])
         if self.state is PlcState.BOOT:
-            raise RefusedError(RejectCode.MODE_ILLEGAL, "HELLO while booting; wait for DISARMED")
+            raise RefusedError(RejectCode.MODE_ILLEGAL, "HELLO while booting; wait for DISARMED", _AT["mode"])
         self.peer = source  # from here on the PC is told why, even if refused below
         self._check_cfg(hello)
         events = self.apply(PlcEvent.HELLO, t_plc_ns)
@@ -246,11 +255,11 @@ class PlcLink:
     def _command(self, command: Command, t_plc_ns: int, source: Hashable) -> list[PlcLinkEvent]:
         session = self._session
         if not self.session or command.session != self.session:
-            raise SessionError(
-                RejectCode.SESSION, f"session {command.session:#x} is not the open one ({self.session:#x})"
-            )
+            text = f"session {command.session:#x} is not the open one ({self.session:#x})"
+            raise SessionError(RejectCode.SESSION, text, _AT["session"])
         if source != session.source:
-            raise SessionError(RejectCode.SOURCE, f"sent from {source}, the session was opened from {session.source}")
+            text = f"sent from {source}, the session was opened from {session.source}"
+            raise SessionError(RejectCode.SOURCE, text, _AT["session"])
         sequenced = classify_sequence(session.last_seq, command.seq)
         if sequenced.kind is SequenceKind.DUPLICATE:
             self._counters.dup += 1
@@ -259,7 +268,7 @@ class PlcLink:
             self._counters.late += 1
             return []
         if not sequenced.usable:
-            raise SessionError(RejectCode.SEQ_JUMP, f"sequence {command.seq} after {session.last_seq}")
+            raise SessionError(RejectCode.SEQ_JUMP, f"sequence {command.seq} after {session.last_seq}", _AT["seq"])
         mode = Mode.HEARTBEAT if command.hello else command.mode
         self._check_rules(command, mode, t_plc_ns)
         self._counters.lost += sequenced.lost
@@ -268,20 +277,32 @@ class PlcLink:
     def _check_rules(self, command: Command, mode: Mode, t_plc_ns: int) -> None:
         """Rules 5 and 6; a stop needs neither a seeing PC nor equal limits."""
         if mode not in _LEGAL[self.state]:
-            raise RefusedError(RejectCode.MODE_ILLEGAL, f"mode {mode.name} in state {self.state.name}")
+            text = f"mode {mode.name} in state {self.state.name}"
+            raise RefusedError(RejectCode.MODE_ILLEGAL, text, _AT["mode"])
         if mode in _SAFE_MODES:
             return
         self._check_echo(command, t_plc_ns)
         self._check_cfg(command)
         if mode is Mode.ARM:
             self._check_arm(command)
-        if mode is Mode.TRAJECTORY and command.traj_id < max(self._session.traj_id, 1):
-            raise RefusedError(RejectCode.TRAJ_ID, f"trajectory {command.traj_id} after {self._session.traj_id}")
+        if mode in _MOTION_MODES:
+            self._check_motion(command, mode)
         if self._is_spent(command, mode):
             return
-        code = self.check(command, self.state)
-        if code is not RejectCode.NONE:
-            raise RefusedError(code, f"mode {mode.name} refused by the PLC's own check")
+        objection = self.check(command, self.state)
+        if objection is not None:
+            text = f"mode {mode.name} refused by the PLC's own check"
+            raise RefusedError(objection.code, text, objection.offset)
+
+    def _check_motion(self, command: Command, mode: Mode) -> None:
+        """Numbers of trajectories only rise, and one number keeps to one mode."""
+        session = self._session
+        if command.traj_id < max(session.traj_id, 1):
+            text = f"trajectory {command.traj_id} after {session.traj_id}"
+            raise RefusedError(RejectCode.TRAJ_ID, text, _AT["traj_id"])
+        if command.traj_id == session.traj_id and session.servo is not (mode is Mode.SERVO):
+            text = f"mode {mode.name} with the number of another mode's trajectory"
+            raise RefusedError(RejectCode.MODE_ILLEGAL, text, _AT["mode"])
 
     def _check_echo(self, command: Command, t_plc_ns: int) -> None:
         unarmed = self.state not in ARMED_STATES
@@ -289,47 +310,47 @@ class PlcLink:
             return  # the PC has not seen a state of this session yet
         age_ns = t_plc_ns - command.t_plc_echo_ns
         if not 0 <= age_ns <= ECHO_STALE.ns:
-            raise SessionError(
-                RejectCode.ECHO_STALE, f"the PC's newest state is {age_ns / 1e6:.0f} ms old, limit 250 ms"
-            )
+            text = f"the PC's newest state is {age_ns / 1e6:.0f} ms old, limit 250 ms"
+            raise SessionError(RejectCode.ECHO_STALE, text, _AT["t_plc_echo_ns"])
 
     def _check_cfg(self, command: Command) -> None:
         if command.cfg_id != self.settings.cfg_id:
-            raise RefusedError(RejectCode.CFG, f"cfg_id {command.cfg_id:#010x}, here {self.settings.cfg_id:#010x}")
+            text = f"cfg_id {command.cfg_id:#010x}, here {self.settings.cfg_id:#010x}"
+            raise RefusedError(RejectCode.CFG, text, _AT["cfg_id"])
 
     def _check_arm(self, command: Command) -> None:
         if command.arm_nonce != self.nonce:
-            raise RefusedError(RejectCode.NONCE, f"nonce {command.arm_nonce:#x} is not the present one")
+            text = f"nonce {command.arm_nonce:#x} is not the present one"
+            raise RefusedError(RejectCode.NONCE, text, _AT["arm_nonce"])
         if self.state is PlcState.LINKED and self._session.good < GOOD_COMMANDS_TO_ARM:
-            raise RefusedError(
-                RejectCode.LINK_NOT_PROVEN, f"{self._session.good} good commands, {GOOD_COMMANDS_TO_ARM} needed"
-            )
+            text = f"{self._session.good} good commands, {GOOD_COMMANDS_TO_ARM} needed"
+            raise RefusedError(RejectCode.LINK_NOT_PROVEN, text, _AT["mode"])
 
     def _is_spent(self, command: Command, mode: Mode) -> bool:
         """Whether this is a repetition of a trajectory that is over: it keeps the link alive and does nothing else."""
-        return mode is Mode.TRAJECTORY and command.traj_id == self._session.traj_id and self._session.spent
+        return mode in _MOTION_MODES and command.traj_id == self._session.traj_id and self._session.spent
 
     def _take(self, command: Command, mode: Mode, t_plc_ns: int) -> list[PlcLinkEvent]:
         """An accepted command: feed the watchdog, move the state machine, hand it up."""
         self._feed(command, t_plc_ns)
-        if mode is Mode.TRAJECTORY:
-            return self._take_trajectory(command, t_plc_ns)
+        if mode in _MOTION_MODES:
+            return self._take_motion(command, mode, t_plc_ns)
         effect = _EFFECTS.get(mode, Effect.KEEPALIVE)
         accepted: list[PlcLinkEvent] = [Accepted(command, effect)]
         event = _EVENTS.get(effect)
         return accepted if event is None else [*self.apply(event, t_plc_ns), *accepted]
 
-    def _take_trajectory(self, command: Command, t_plc_ns: int) -> list[PlcLinkEvent]:
-        if self.state is PlcState.STOPPING or self._is_spent(command, Mode.TRAJECTORY):
+    def _take_motion(self, command: Command, mode: Mode, t_plc_ns: int) -> list[PlcLinkEvent]:
+        if self.state is PlcState.STOPPING or self._is_spent(command, mode):
             return [Accepted(command, Effect.KEEPALIVE)]
         if self.state is PlcState.RUN and command.traj_id != self._session.traj_id:
             return [*self.apply(PlcEvent.SOFT_STOP, t_plc_ns), Accepted(command, Effect.KEEPALIVE)]
-        self._session.traj_id = command.traj_id
+        self._session.traj_id, self._session.servo = command.traj_id, mode is Mode.SERVO
         self._session.spent = False
         events: list[PlcLinkEvent] = []
         if self.state is PlcState.HOLD and CommandFlag.START in command.cmd_flags:
             events = self.apply(PlcEvent.START, t_plc_ns)
-        return [*events, Accepted(command, Effect.LOAD)]
+        return [*events, Accepted(command, Effect.SERVO if mode is Mode.SERVO else Effect.LOAD)]
 
     def _feed(self, command: Command, t_plc_ns: int) -> None:
         session = self._session
@@ -338,7 +359,7 @@ class PlcLink:
         session.pc_time_ns = command.t_send_ns
         session.good += 1
         session.late = False
-        session.newer_minor = command.ver_minor > 0
+        session.newer_minor = command.ver_minor > VERSION_MINOR
         asked_ns = command.timeout_us * 1000
         session.timeout_ns = min(max(asked_ns, COMMAND_LATE.ns), COMMAND_LOST.ns) if asked_ns else COMMAND_LOST.ns
         self._counters.ok += 1
@@ -346,9 +367,9 @@ class PlcLink:
     def _refuse(self, error: RemoteProtocolError, seq: int, source: Hashable, t_plc_ns: int) -> list[PlcLinkEvent]:
         """Note a refusal. A PC that has gone blind is stopped: the one rule whose failure moves the state."""
         self._counters.bad += 1
-        self._reject.code, self._reject.seq = error.code, seq
+        self._reject.code, self._reject.seq, self._reject.offset = error.code, seq, error.offset
         self._reject.count += 1
-        events: list[PlcLinkEvent] = [Rejected(error.code, seq, source, error.text)]
+        events: list[PlcLinkEvent] = [Rejected(error.code, seq, source, error.text, error.offset)]
         if error.code is RejectCode.ECHO_STALE and self.state is PlcState.RUN:
             events += self.apply(PlcEvent.SOFT_STOP, t_plc_ns)
         return events

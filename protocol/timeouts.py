@@ -53,6 +53,13 @@ ECHO_STALE = Timeout(
 )
 STATE_LATE = Timeout("state late", "PC", 100 * MS, "no new knots, heartbeats only", "ten states missing")
 STATE_LOST = Timeout("state lost", "PC", 250 * MS, "STOP is sent, link counts as offline", "same bound as the PLC's")
+SERVO_STALE = Timeout(
+    "servo target stale",
+    "PC, PLC",
+    60 * MS,
+    "target stands still",
+    "three commands: a target may move on for this long without news of it",
+)
 LINK_CLOSED = Timeout(
     "link closed", "PC", 1000 * MS, "session given up, HELLO with a new one", "same bound as the PLC's"
 )
@@ -73,6 +80,7 @@ ALL = (
     ECHO_STALE,
     STATE_LATE,
     STATE_LOST,
+    SERVO_STALE,
     LINK_CLOSED,
     START_WAIT,
     STOP_ON_EXIT,
@@ -83,6 +91,8 @@ SEQUENCE_JUMP = 1000  # 20 s of commands: a larger step is not loss but another 
 RING_KNOTS = 64  # knots that the PLC can hold: 3.2 s at 50 ms
 KNOT_SPACING_MIN_NS = 5 * MS
 KNOT_SPACING_MAX_NS = 200 * MS
+FROZEN_NS = 100 * MS  # knots nearer than this ahead of the playback are not replaced any more: five commands
+SERVO_REACH_S = 0.25  # a servo target is at most this long at full speed away from the reference: further is a mistake
 START_TOLERANCE_RAD = 1e-5  # 0.05 mm at 5 m: rounding, not distance
 
 

@@ -1,10 +1,12 @@
-"""What a knot must keep to before the PLC plays it. Written apart from the PC's motion gate, a little wider than it."""
+"""What a knot must keep to before the PLC plays it. Written apart from the PC's motion gate, a little wider than it.
 
-from collections.abc import Iterable
+Every check names the field that is to blame: `k` is the knot's place in its command.
+"""
 
 from protocol.codes import RejectCode
 from protocol.limits import LimitTable
 from protocol.messages import Axes, Knot
+from protocol.objection import Objection, object_to_knot
 
 _ROUNDING = 1e-9  # relative
 _REST = 1e-6  # rad/s, rad/s^2
@@ -12,40 +14,46 @@ _BETWEEN = 1.10  # between knots the quintic may pass the limits by this: the PC
 _INSIDE = tuple(i / 8.0 for i in range(1, 8))
 
 
-def first_of(codes: Iterable[RejectCode]) -> RejectCode:
-    """The first code that refuses, or NONE."""
-    return next((code for code in codes if code is not RejectCode.NONE), RejectCode.NONE)
-
-
-def check_knot(knot: Knot, table: LimitTable) -> RejectCode:
-    """One knot by itself: unused axes zero, q, qd, qdd inside the limits, room to stop before the range ends."""
+def check_unused(knot: Knot, k: int, table: LimitTable) -> Objection | None:
+    """Axes that the machine does not have are zero."""
     n = len(table.axes)
-    if any(knot.q[n:]) or any(knot.qd[n:]) or any(knot.qdd[n:]):
-        return RejectCode.AXIS_MASK
-    for axis, q, qd, qdd in zip(table.axes, knot.q, knot.qd, knot.qdd, strict=False):
+    for j in range(n, len(knot.q)):
+        for field, values in (("q", knot.q), ("qd", knot.qd), ("qdd", knot.qdd)):
+            if values[j] != 0.0:
+                return object_to_knot(RejectCode.AXIS_MASK, k, field, j)
+    return None
+
+
+def check_knot(knot: Knot, k: int, table: LimitTable) -> Objection | None:
+    """One knot by itself: unused axes zero, q, qd, qdd inside the limits, room to stop before the range ends."""
+    unused = check_unused(knot, k, table)
+    if unused is not None:
+        return unused
+    for j, axis in enumerate(table.axes):
+        q, qd = knot.q[j], knot.qd[j]
         if not abs(qd) <= axis.qd_max * (1.0 + _ROUNDING):
-            return RejectCode.LIMIT_QD
-        if not abs(qdd) <= axis.qdd_max * (1.0 + _ROUNDING):
-            return RejectCode.LIMIT_QDD
+            return object_to_knot(RejectCode.LIMIT_QD, k, "qd", j)
+        if not abs(knot.qdd[j]) <= axis.qdd_max * (1.0 + _ROUNDING):
+            return object_to_knot(RejectCode.LIMIT_QDD, k, "qdd", j)
         stop = q + qd * abs(qd) / (2.0 * axis.qdd_max * _BETWEEN)
         if not axis.q_min - _ROUNDING <= min(q, stop) or not max(q, stop) <= axis.q_max + _ROUNDING:
-            return RejectCode.LIMIT_Q
-    return RejectCode.NONE
+            return object_to_knot(RejectCode.LIMIT_Q, k, "q", j)
+    return None
 
 
-def check_step(a: Knot, b: Knot, table: LimitTable) -> RejectCode:
-    """Two neighbours: spacing, the speed that their distance implies, and the quintic between them."""
+def check_step(a: Knot, b: Knot, k: int, table: LimitTable) -> Objection | None:
+    """Two neighbours, b being the command's k-th knot: spacing, implied speed, and the quintic between them."""
     dt_ns = b.t_ns - a.t_ns
     if not table.spacing_min_ns <= dt_ns <= table.spacing_max_ns:
-        return RejectCode.KNOT_SPACING
+        return object_to_knot(RejectCode.KNOT_SPACING, k, "t_ns")
     dt_s = dt_ns * 1e-9
     for j, axis in enumerate(table.axes):
         if not abs(b.q[j] - a.q[j]) <= axis.qd_max * dt_s * (1.0 + _ROUNDING):
-            return RejectCode.IMPLIED_SPEED
+            return object_to_knot(RejectCode.IMPLIED_SPEED, k, "q", j)
         qd, qdd = segment_peaks(a, b, j)
         if not (qd <= axis.qd_max * _BETWEEN and qdd <= axis.qdd_max * _BETWEEN):
-            return RejectCode.CONTINUITY
-    return RejectCode.NONE
+            return object_to_knot(RejectCode.CONTINUITY, k, "q", j)
+    return None
 
 
 def segment_peaks(a: Knot, b: Knot, j: int) -> tuple[float, float]:
@@ -70,13 +78,21 @@ def segment_peaks(a: Knot, b: Knot, j: int) -> tuple[float, float]:
     return peak_qd, peak_qdd
 
 
-def check_start(knot: Knot, q_ref: Axes, table: LimitTable) -> RejectCode:
+def check_start(knot: Knot, q_ref: Axes, table: LimitTable) -> Objection | None:
     """The first knot of a trajectory is the present reference, at rest, at time zero."""
-    away = max(abs(q - ref) for q, ref in zip(knot.q, q_ref, strict=False))
-    sound = knot.t_ns == 0 and away <= table.start_tolerance_rad and at_rest(knot)
-    return RejectCode.NONE if sound else RejectCode.START
+    if knot.t_ns != 0:
+        return object_to_knot(RejectCode.START, 0, "t_ns")
+    for j, ref in enumerate(q_ref):
+        if not abs(knot.q[j] - ref) <= table.start_tolerance_rad:
+            return object_to_knot(RejectCode.START, 0, "q", j)
+    return check_rest(knot, 0, RejectCode.START)
 
 
-def at_rest(knot: Knot) -> bool:
-    """Whether speed and acceleration of a knot are zero up to rounding."""
-    return max(map(abs, (*knot.qd, *knot.qdd))) <= _REST
+def check_rest(knot: Knot, k: int, code: RejectCode) -> Objection | None:
+    """Speed and acceleration of the knot are zero up to rounding."""
+    for j in range(len(knot.q)):
+        if not abs(knot.qd[j]) <= _REST:
+            return object_to_knot(code, k, "qd", j)
+        if not abs(knot.qdd[j]) <= _REST:
+            return object_to_knot(code, k, "qdd", j)
+    return None

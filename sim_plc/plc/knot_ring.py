@@ -7,11 +7,10 @@ import numpy as np
 from protocol.codes import CommandFlag, RejectCode
 from protocol.limits import LimitTable
 from protocol.messages import Axes, Command, Knot
-from protocol.timeouts import MS
-from sim_plc.plc.knot_checks import at_rest, check_knot, check_start, check_step, first_of
+from protocol.objection import Objection, first_of, object_to, object_to_knot
+from protocol.timeouts import FROZEN_NS
+from sim_plc.plc.knot_checks import check_knot, check_rest, check_start, check_step
 from sim_plc.plc.path import SIZE
-
-FROZEN_NS = 100 * MS  # a knot nearer than this ahead of the playback is not replaced any more
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +46,8 @@ class KnotRing:
         """The knot of that index, if the ring holds it."""
         return self._kept[index % SIZE] if self.first <= index <= self.last else None
 
-    def check(self, command: Command, view: PlaybackView) -> RejectCode:
-        """Why this command's knots may not be taken; NONE if they may. Changes nothing."""
+    def check(self, command: Command, view: PlaybackView) -> Objection | None:
+        """Why this command's knots may not be taken; None if they may. Changes nothing."""
         if command.traj_id != self.traj_id or self.last < 0:
             return self._check_new(command, view)
         return self._check_more(command, view)
@@ -74,34 +73,39 @@ class KnotRing:
         self.knots[slot] = knot.q[:n], knot.qd[:n], knot.qdd[:n]
         self.last = index
 
-    def _check_new(self, command: Command, view: PlaybackView) -> RejectCode:
+    def _check_new(self, command: Command, view: PlaybackView) -> Objection | None:
         knots = command.knots
         if command.knot_first != 0:
-            return RejectCode.KNOT_GAP
+            return object_to(RejectCode.KNOT_GAP, "knot_first")
         if len(knots) < 2:
-            return RejectCode.VALUE
+            return object_to(RejectCode.VALUE, "knot_count")
         return first_of((check_start(knots[0], view.q_ref, self._table), self._check_numbers(command, 0)))
 
-    def _check_more(self, command: Command, view: PlaybackView) -> RejectCode:
+    def _check_more(self, command: Command, view: PlaybackView) -> Objection | None:
         count = len(command.knots)
         if count == 0:
-            return RejectCode.VALUE
+            return object_to(RejectCode.VALUE, "knot_count")
         past_last = command.knot_first + count
         if command.knot_first > self.last + 1:
-            return RejectCode.KNOT_GAP
+            return object_to(RejectCode.KNOT_GAP, "knot_first")
         if past_last - max(view.playing, self.first) > SIZE:
-            return RejectCode.RING_FULL
+            return object_to(RejectCode.RING_FULL, "knot_first")
         replaced = self._first_replaced(command)
         if replaced is not None and not self._may_replace(command, replaced, view):
-            return RejectCode.KNOT_CHANGED
-        if replaced is None and self.end >= 0 and not self._same_end(command, past_last - 1):
-            return RejectCode.KNOT_CHANGED
+            return object_to_knot(RejectCode.KNOT_CHANGED, replaced - command.knot_first, "t_ns")
+        if replaced is None and not self._same_end(command, past_last - 1):
+            return object_to_knot(RejectCode.KNOT_CHANGED, count - 1, "t_ns")
         fresh = self.last + 1 if replaced is None else replaced
         return self._check_numbers(command, min(max(fresh - command.knot_first, 0), count))
 
     def _same_end(self, command: Command, index: int) -> bool:
-        """Whether the command agrees with the end that is known: nothing after it, the flag there and only there."""
+        """Whether the command, whose last knot has this index, agrees with what is known of the end.
+
+        Known: nothing after it, the flag there and only there. Not known: it cannot be before the last knot held.
+        """
         flagged = CommandFlag.LAST_IS_END in command.cmd_flags
+        if self.end < 0:
+            return not flagged or index >= self.last
         return index <= self.end and flagged == (index == self.end)
 
     def _first_replaced(self, command: Command) -> int | None:
@@ -124,16 +128,17 @@ class KnotRing:
             and index > view.playing + 1
         )
 
-    def _check_numbers(self, command: Command, fresh: int) -> RejectCode:
+    def _check_numbers(self, command: Command, fresh: int) -> Objection | None:
         """The command's knots from position `fresh` on, each and against its neighbour before; then the end."""
         knots = command.knots
         before = knots[fresh - 1] if fresh else self.knot(command.knot_first - 1) if command.knot_first else None
-        for knot in knots[fresh:]:
-            code = check_knot(knot, self._table)
-            if code is RejectCode.NONE and before is not None:
-                code = check_step(before, knot, self._table)
-            if code is not RejectCode.NONE:
-                return code
+        for k, knot in enumerate(knots[fresh:], start=fresh):
+            objection = check_knot(knot, k, self._table)
+            if objection is None and before is not None:
+                objection = check_step(before, knot, k, self._table)
+            if objection is not None:
+                return objection
             before = knot
-        ends = CommandFlag.LAST_IS_END in command.cmd_flags
-        return RejectCode.END_NOT_AT_REST if ends and not at_rest(knots[-1]) else RejectCode.NONE
+        if CommandFlag.LAST_IS_END not in command.cmd_flags:
+            return None
+        return check_rest(knots[-1], len(knots) - 1, RejectCode.END_NOT_AT_REST)

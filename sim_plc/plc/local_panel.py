@@ -1,4 +1,4 @@
-"""The controls at the machine itself: enable key and local lever. No network command reaches them."""
+"""The controls at the machine itself: enable key, local lever, emergency stop. No network command reaches them."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -16,6 +16,7 @@ class LocalPanel:
     mode: EnableMode = "auto"
     enabled: bool = False
     lever_taken: bool = False
+    estop_pressed: bool = False
     _fresh: bool = False
 
     def press_enable(self) -> None:

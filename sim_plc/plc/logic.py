@@ -10,6 +10,7 @@ from protocol.codes import FaultBit, Interp, Mode, PlcState, RejectCode
 from protocol.framing import Framing
 from protocol.limits import axis_mask, cfg_id
 from protocol.messages import Command, axes8
+from protocol.objection import Objection, object_to
 from protocol.plc_events import Accepted, Effect, PlcLinkEvent, SessionOpened, StateChanged
 from protocol.plc_link import PlcLink, PlcLinkSettings
 from protocol.plc_states import ARMED_STATES, PlcEvent
@@ -19,7 +20,8 @@ from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.monitor import Monitor
 from sim_plc.plc.reference import Motion, Reference
 from sim_plc.plc.sample import PlantSample
-from sim_plc.plc.settings import REST_SPEED_RAD_S, plc_settings
+from sim_plc.plc.servo import check_target
+from sim_plc.plc.settings import CYCLES_LOST, REST_SPEED_RAD_S, plc_settings
 from sim_plc.plc.status import PlcCounters, status_of
 
 
@@ -31,18 +33,26 @@ class PlcLogic:
     """One PLC program. Call `cycle` once per PLC cycle with the PLC's own clock, `receive` for datagrams before it."""
 
     def __init__(
-        self, machine: Machine, framing: Framing, draw_nonce: Callable[[], int], panel: LocalPanel | None = None
+        self,
+        machine: Machine,
+        framing: Framing,
+        draw_nonce: Callable[[], int],
+        panel: LocalPanel | None = None,
+        key: bytes = b"",
+        dry_run: bool = False,
     ) -> None:
         self.settings = plc_settings(machine)
         self.panel = LocalPanel() if panel is None else panel
         self._mask = axis_mask(self.settings.table)
-        link_settings = PlcLinkSettings(cfg_id=cfg_id(self.settings.table), simulation=True)
+        self._dry_run = dry_run
+        link_settings = PlcLinkSettings(cfg_id(self.settings.table), simulation=True, key=key)
         self.link = PlcLink(link_settings, framing, draw_nonce, self._check)
         self.ring = KnotRing(self.settings.table)
         self.reference = Reference(self.settings, self.ring)
         self.monitor = Monitor(self.settings)
         self._control = JointControl(self.settings)
         self._sample: PlantSample | None = None
+        self._t_cycle_ns: int | None = None
         self._counters = PlcCounters()
 
     @property
@@ -83,7 +93,7 @@ class PlcLogic:
         self._watch(sample, t_plc_ns)
         self._handle(self.link.poll(t_plc_ns), t_plc_ns)
         self._move(sample, t_plc_ns)
-        if self.reference.motion is Motion.FOLLOW:
+        if self._dry_run or self.reference.motion is Motion.FOLLOW:
             return self._control.neutral()
         return self._control.control(self.reference.q, sample.q_rad)
 
@@ -92,16 +102,17 @@ class PlcLogic:
         if self._sample is None:
             raise PlcNotStartedError("PLC: no state before the first cycle")
         status = status_of(
-            self.settings, self._counters, self.ring, self.reference, self.monitor, self._control.valves, self._sample
-        )
+            self.settings, self._counters, self.ring, self.reference, self.monitor, self._control.valves, self._sample,
+            self._dry_run,
+        )  # fmt: skip
         return self.link.send(status, t_plc_ns)
 
     def take_fault(self, faults: FaultBit, t_plc_ns: int) -> None:
         """Latch faults: ramp down, then valves neutral until RESET and a new arming."""
         self.monitor.latch(faults)
         self._apply(PlcEvent.FAULT, t_plc_ns)
-        if FaultBit.SENSOR in faults and self._sample is not None:
-            self.reference.motion = Motion.FOLLOW  # without encoders there is no ramp: valves neutral at once
+        if faults & (FaultBit.SENSOR | FaultBit.ESTOP) and self._sample is not None:
+            self.reference.motion = Motion.FOLLOW  # without encoders or oil there is no ramp: valves neutral at once
 
     # --- one cycle --------------------------------------------------------------------------------------------------
 
@@ -110,12 +121,22 @@ class PlcLogic:
         monitor, reference = self.monitor, self.reference
         self._watch_lever(t_plc_ns)
         faults = monitor.look(
-            sample.q_rad, sample.qd_rad_s, reference.q, sample.p_supply_pa, sample.t_oil_c, controlled
-        )
-        if self.panel.withdrawn and self.state in ARMED_STATES:
-            faults |= FaultBit.LOCAL_ENABLE_LOST
+            sample.q_rad, sample.qd_rad_s, reference.q, sample.p_supply_pa, sample.t_oil_c, controlled,
+            self._dry_run,
+        ) | self._own_faults(t_plc_ns)  # fmt: skip
         if faults and faults & ~monitor.latched:
             self.take_fault(faults, t_plc_ns)
+
+    def _own_faults(self, t_plc_ns: int) -> FaultBit:
+        """Faults of the panel and of the PLC's own task."""
+        before, self._t_cycle_ns = self._t_cycle_ns, t_plc_ns
+        faults = FaultBit.ESTOP if self.panel.estop_pressed else FaultBit(0)
+        if self.state in ARMED_STATES:
+            if self.panel.withdrawn:
+                faults |= FaultBit.LOCAL_ENABLE_LOST
+            if before is not None and t_plc_ns - before > CYCLES_LOST * self.settings.cycle_ns:
+                faults |= FaultBit.CYCLE_OVERRUN
+        return faults
 
     def _watch_lever(self, t_plc_ns: int) -> None:
         """The local lever overrules the network; it does not overrule a fault."""
@@ -136,8 +157,8 @@ class PlcLogic:
             self._counters.underruns += 1
             reference.stop_along_path()
             self._apply(PlcEvent.SOFT_STOP, t_plc_ns)
-        played = reference.motion is Motion.PLAY
-        if reference.step():
+        played = reference.motion in (Motion.PLAY, Motion.SERVO)
+        if reference.step(t_plc_ns):
             reference.settle()
             if self.state in (PlcState.RUN, PlcState.STOPPING):
                 self._apply(PlcEvent.END if played else PlcEvent.AT_REST, t_plc_ns)
@@ -156,6 +177,8 @@ class PlcLogic:
                     self._enter(event.old, new, event.event)
                 case Accepted(command=command, effect=Effect.LOAD):
                     self._load(command)
+                case Accepted(command=command, effect=Effect.SERVO):
+                    self._load_servo(command, t_plc_ns)
                 case Accepted(effect=Effect.QUICK_STOP):
                     self.reference.quick_stop()
                 case Accepted(effect=Effect.RESET):
@@ -191,43 +214,56 @@ class PlcLogic:
         if self.state is PlcState.RUN and self.reference.motion is Motion.HOLD:
             self.reference.play()
 
+    def _load_servo(self, command: Command, t_plc_ns: int) -> None:
+        if command.traj_id != self.ring.traj_id:
+            self.ring.clear()
+            self.ring.traj_id = command.traj_id
+            self.reference.rewind()
+            self._counters.starved = False
+        self.reference.servo.load(command, t_plc_ns)
+        self.reference.speed_override = command.speed_override
+        if self.state is PlcState.RUN and self.reference.motion is Motion.HOLD:
+            self.reference.start_servo()
+
     # --- the last word on a command -----------------------------------------------------------------------------------
 
     def _view(self) -> PlaybackView:
         reference = self.reference
         return PlaybackView(axes8(self.q_ref), reference.knot_playing, reference.t_play_ns)
 
-    def _check(self, command: Command, state: PlcState) -> RejectCode:
-        """Whether the PLC's own rules allow a command; changes nothing."""
+    def _check(self, command: Command, state: PlcState) -> Objection | None:
+        """What the PLC's own rules have against a command; changes nothing."""
         match command.mode:
             case Mode.ARM if state is PlcState.LINKED:
                 return self._check_arm()
-            case Mode.RESET:
-                return RejectCode.FAULT_PRESENT if self.monitor.present else RejectCode.NONE
-            case Mode.TRAJECTORY:
-                return self._check_trajectory(command, state)
+            case Mode.RESET if self.monitor.present or self.panel.estop_pressed:
+                return object_to(RejectCode.FAULT_PRESENT, "mode")
+            case Mode.TRAJECTORY | Mode.SERVO:
+                return self._check_motion(command, state)
             case _:
-                return RejectCode.NONE
+                return None
 
-    def _check_arm(self) -> RejectCode:
+    def _check_arm(self) -> Objection | None:
         sample, settings = self._sample, self.settings
         if not self.panel.may_arm:
-            return RejectCode.ENABLE
+            return object_to(RejectCode.ENABLE, "mode")
         if self.monitor.latched or self.monitor.present or sample is None:
-            return RejectCode.FAULT_PRESENT
+            return object_to(RejectCode.FAULT_PRESENT, "mode")
         if np.any(sample.q_rad < settings.q_min) or np.any(sample.q_rad > settings.q_max):
-            return RejectCode.LIMIT_Q
+            return object_to(RejectCode.LIMIT_Q, "mode")
         resting = self.reference.motion is Motion.FOLLOW and float(np.abs(sample.qd_rad_s).max()) <= REST_SPEED_RAD_S
-        return RejectCode.NONE if resting else RejectCode.LAG
+        return None if resting else object_to(RejectCode.LAG, "mode")
 
-    def _check_trajectory(self, command: Command, state: PlcState) -> RejectCode:
+    def _check_motion(self, command: Command, state: PlcState) -> Objection | None:
         other = command.traj_id != self.ring.traj_id
         if state is PlcState.STOPPING or (state is PlcState.RUN and other):
-            return RejectCode.NONE  # the link makes a keepalive or a stop of it; no knot is taken
-        if command.interp is not Interp.QUINTIC:
-            return RejectCode.INTERP
+            return None  # the link makes a keepalive or a stop of it; no knot is taken
         if command.axis_mask != self._mask:
-            return RejectCode.AXIS_MASK
+            return object_to(RejectCode.AXIS_MASK, "axis_mask")
         if not 0.0 <= command.speed_override <= 1.0:
-            return RejectCode.OVERRIDE
+            return object_to(RejectCode.OVERRIDE, "speed_override")
+        if command.mode is Mode.SERVO:
+            return check_target(command, axes8(self.q_ref), self.settings)
+        if command.interp is not Interp.QUINTIC:
+            return object_to(RejectCode.INTERP, "interp")
         return self.ring.check(command, self._view())

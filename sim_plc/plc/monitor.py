@@ -5,7 +5,7 @@ from numba import njit
 
 from machine.rotations import Array
 from protocol.codes import FaultBit, WarnBit
-from sim_plc.plc.settings import OIL_FAULT_C, OIL_WARN_C, RANGE_MARGIN_RAD, SUPPLY_WARN_PA, PlcSettings
+from sim_plc.plc.settings import OIL_FAULT_C, OIL_WARN_C, RANGE_MARGIN_RAD, SUPPLY_FAULT_PA, SUPPLY_WARN_PA, PlcSettings
 
 _SENSOR, _RANGE, _LAG_WARN, _LAG_FAULT = 1, 2, 4, 8
 
@@ -36,16 +36,34 @@ class Monitor:
         self.latched = FaultBit(0)
         self.present = FaultBit(0)
         self.warnings = WarnBit(0)
-        self._last = (-1, False, False, False)
+        self._last: tuple[int, ...] = (-1,)
 
-    def look(self, q: Array, qd: Array, q_ref: Array, p_supply_pa: float, t_oil_c: float, controlled: bool) -> FaultBit:
-        """The faults present in this cycle; lag and range only count while the PLC moves the machine."""
+    def look(
+        self,
+        q: Array,
+        qd: Array,
+        q_ref: Array,
+        p_supply_pa: float,
+        t_oil_c: float,
+        controlled: bool,
+        dry_run: bool = False,
+    ) -> FaultBit:
+        """The faults present in this cycle.
+
+        Range and pressure only count while the PLC moves the machine, lag not in a dry run either.
+        """
         s = self._settings
         bits = _findings(q, qd, q_ref, s.q_min, s.q_max, s.lag_warn, s.lag_fault, RANGE_MARGIN_RAD)
-        findings = (bits, controlled, p_supply_pa < SUPPLY_WARN_PA, t_oil_c > OIL_WARN_C)
-        if findings != self._last or t_oil_c > OIL_WARN_C:
+        if dry_run or not controlled:
+            bits &= ~(_LAG_WARN | _LAG_FAULT)
+        if not controlled:
+            bits &= ~_RANGE
+        supply = 2 * (controlled and not dry_run and p_supply_pa < SUPPLY_FAULT_PA) + (p_supply_pa < SUPPLY_WARN_PA)
+        oil = 2 * (t_oil_c > OIL_FAULT_C) + (t_oil_c > OIL_WARN_C)
+        findings = (bits, supply, oil)
+        if findings != self._last:
             self._last = findings
-            self._classify(*findings, t_oil_c)
+            self._classify(*findings)
         return self.present
 
     def latch(self, faults: FaultBit) -> None:
@@ -56,17 +74,21 @@ class Monitor:
         """RESET: only what is still present stays."""
         self.latched = self.present
 
-    def _classify(self, bits: int, controlled: bool, low_supply: bool, hot_oil: bool, t_oil_c: float) -> None:
-        present = FaultBit.SENSOR if bits & _SENSOR else FaultBit(0)
-        if controlled and bits & _RANGE:
-            present |= FaultBit.JOINT_RANGE
-        if controlled and bits & _LAG_FAULT:
-            present |= FaultBit.LAG
-        if t_oil_c > OIL_FAULT_C:
-            present |= FaultBit.OIL_TEMPERATURE
-        warnings = WarnBit.LAG if controlled and bits & _LAG_WARN else WarnBit(0)
-        if low_supply:
-            warnings |= WarnBit.PRESSURE
-        if hot_oil:
-            warnings |= WarnBit.OIL_TEMPERATURE
-        self.present, self.warnings = present, warnings
+    def _classify(self, bits: int, supply: int, oil: int) -> None:
+        found = (
+            (bits & _SENSOR, FaultBit.SENSOR),
+            (bits & _RANGE, FaultBit.JOINT_RANGE),
+            (bits & _LAG_FAULT, FaultBit.LAG),
+            (supply & 2, FaultBit.PRESSURE),
+            (oil & 2, FaultBit.OIL_TEMPERATURE),
+        )
+        warned = (
+            (bits & _LAG_WARN, WarnBit.LAG),
+            (supply & 1, WarnBit.PRESSURE),
+            (oil & 1, WarnBit.OIL_TEMPERATURE),
+        )
+        self.present, self.warnings = FaultBit(0), WarnBit(0)
+        for is_there, fault in found:
+            self.present |= fault if is_there else FaultBit(0)
+        for is_there, warning in warned:
+            self.warnings |= warning if is_there else WarnBit(0)

@@ -7,6 +7,7 @@ import numpy as np
 from machine.rotations import Array
 from sim_plc.plc.knot_ring import KnotRing
 from sim_plc.plc.path import AT_REST, SIZE, advance, ramp_down, starves, stop_time
+from sim_plc.plc.servo import Servo
 from sim_plc.plc.settings import PlcSettings
 
 _AT_END_S = 1e-9
@@ -20,6 +21,7 @@ class Motion(Enum):
     PLAY = "play"
     PATH_STOP = "path stop"  # down to rest along the path
     JOINT_STOP = "joint stop"  # down to rest along the present direction of motion
+    SERVO = "servo"  # chasing a target
 
 
 class Reference:
@@ -33,6 +35,7 @@ class Reference:
         # Longer than this no joint needs to stop, so a buffer this deep needs no look ahead
         slowest = max(axis.qd_max / axis.qdd_max for axis in settings.table.axes)
         self._look_ahead_s = 2.0 * slowest
+        self.servo = Servo(settings)
         self.motion = Motion.FOLLOW
         self.speed_override = 1.0
 
@@ -69,6 +72,11 @@ class Reference:
         return max(float(ring.times[ring.last % SIZE]) - self._sigma, 0.0) if ring.last >= 0 else 0.0
 
     @property
+    def buffer_s(self) -> float:
+        """How long the reference still moves on without a new command [s]."""
+        return self.servo.left_s if self.motion is Motion.SERVO else self.path_left_s
+
+    @property
     def rate(self) -> float:
         """Trajectory seconds per second: 1 at full speed, 0 at rest."""
         return self._rate
@@ -93,8 +101,15 @@ class Reference:
         self._rate = self.speed_override
         self.motion = Motion.PLAY
 
+    def start_servo(self) -> None:
+        """Chase the target that `servo` holds."""
+        self.rewind()
+        self.motion = Motion.SERVO
+
     def stop(self) -> None:
         """Ramp down with qdd_stop: along the path if that is as quick and the path is long enough, else straight on."""
+        if self.motion is Motion.SERVO:
+            self._stop_straight()
         if self.motion is not Motion.PLAY:
             return
         settings, ring = self._settings, self._ring
@@ -115,7 +130,7 @@ class Reference:
 
     def quick_stop(self) -> None:
         """Every joint to rest by itself, as fast as its own limit allows."""
-        if self.motion in (Motion.PLAY, Motion.PATH_STOP, Motion.JOINT_STOP):
+        if self.motion in (Motion.PLAY, Motion.PATH_STOP, Motion.JOINT_STOP, Motion.SERVO):
             self._decel[:] = self._settings.qdd_stop
             self.motion = Motion.JOINT_STOP
 
@@ -131,8 +146,10 @@ class Reference:
             settings.cycle_s, settings.qdd_stop, 2.0 * self._look_ahead_s,
         )  # fmt: skip
 
-    def step(self) -> bool:
-        """Move on by one cycle; whether the motion is over (last knot reached, or at rest after a ramp)."""
+    def step(self, t_plc_ns: int) -> bool:
+        """Move on by one cycle; whether the motion is over (last knot or target reached, or at rest after a ramp)."""
+        if self.motion is Motion.SERVO:
+            return self.servo.step(self._out, self.speed_override, t_plc_ns)
         if self.motion is Motion.PLAY:
             self._advance(self.speed_override)
             return self._ring.complete and self._at_path_end()

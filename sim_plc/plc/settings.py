@@ -13,9 +13,11 @@ LAG_WARN_FACTOR = 1.3
 LAG_FLOOR_RAD = 0.05  # a fast loop still needs room for gravity, friction and dead band
 RANGE_MARGIN_RAD = 0.05  # a loaded joint may be pushed this far past its limit before it is a fault
 REST_SPEED_RAD_S = 0.05  # faster than this while arming: the boom is swinging or somebody moves it
+SUPPLY_FAULT_PA = 2e6  # no pump at all: a joint would sink instead of following
 SUPPLY_WARN_PA = 10e6  # half of the usual supply pressure: the pump does not keep up
 OIL_WARN_C = 70.0
 OIL_FAULT_C = 85.0
+CYCLES_LOST = 5  # the PLC's clock steps further than this between two cycles: the task has been starved
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +28,7 @@ class PlcSettings:
     cycle_ns: int
     q_min: Array
     q_max: Array
+    qd_max: Array
     qdd_stop: Array  # the stop's deceleration: each joint's qdd_max
     kp: Array  # command fraction per rad
     pt1_share: Array  # of the way to its input that the PT-1 goes in one cycle; 1 = no PT-1
@@ -67,6 +70,7 @@ def plc_settings(machine: Machine) -> PlcSettings:
         cycle_ns=round(cycle_s * 1e9),
         q_min=_frozen([joint.q_min_rad for joint in joints]),
         q_max=_frozen([joint.q_max_rad for joint in joints]),
+        qd_max=_frozen([joint.qd_max_rad_s for joint in joints]),
         qdd_stop=_frozen([joint.qdd_max_rad_s2 for joint in joints]),
         kp=_frozen([joint.kp_frac_per_rad for joint in joints]),
         pt1_share=_frozen(shares),

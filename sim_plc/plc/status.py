@@ -19,7 +19,9 @@ _MODES = {
     Motion.PLAY: Mode.TRAJECTORY,
     Motion.PATH_STOP: Mode.STOP,
     Motion.JOINT_STOP: Mode.STOP,
+    Motion.SERVO: Mode.SERVO,
 }
+_BY_OVERRIDE = (Motion.HOLD, Motion.SERVO)
 
 
 @dataclass(slots=True)
@@ -39,6 +41,7 @@ def status_of(
     monitor: Monitor,
     valves: Array,
     sample: PlantSample,
+    dry_run: bool,
 ) -> PlcStatus:
     """The status of this cycle; a reading that is not finite is sent as 0 with the axis' ENCODER_FAULT bit."""
     warnings = monitor.warnings | (WarnBit.UNDERRUN if counters.starved else WarnBit(0))
@@ -53,7 +56,7 @@ def status_of(
         knot_playing=reference.knot_playing,
         knot_last=max(ring.last, 0),
         t_play_ns=reference.t_play_ns,
-        buffer_us=round(reference.path_left_s * 1e6),
+        buffer_us=round(reference.buffer_s * 1e6),
         underruns=counters.underruns,
         q=_sent(sample.q_rad),
         qd=_sent(sample.qd_rad_s),
@@ -66,8 +69,9 @@ def status_of(
         p_supply=sample.p_supply_pa,
         p_tank=sample.p_tank_pa,
         t_oil=sample.t_oil_c,
-        speed_scale=reference.rate if reference.motion is not Motion.HOLD else reference.speed_override,
+        speed_scale=reference.speed_override if reference.motion in _BY_OVERRIDE else reference.rate,
         simulation=True,
+        dry_run=dry_run,
     )
 
 

@@ -6,6 +6,7 @@ from protocol.codes import CommandFlag, Mode, PlcState, RejectCode
 from protocol.framing import Framing, RawFraming
 from protocol.limits import AxisLimits, LimitTable, axis_mask, cfg_id
 from protocol.messages import ZEROS, Axes, Command, Knot, PlcStatus
+from protocol.objection import Objection, object_to, object_to_knot
 from protocol.plc_events import Accepted, Effect, PlcLinkEvent
 from protocol.plc_link import PlcLink, PlcLinkSettings
 from protocol.plc_states import PlcEvent
@@ -34,12 +35,12 @@ class ToyPlc:
         self._t_ns: int | None = None
         self._t_state_ns = self._t_stop_ns = 0
 
-    def check(self, command: Command, state: PlcState) -> RejectCode:
+    def check(self, command: Command, state: PlcState) -> Objection | None:
         if command.mode is Mode.ARM and not self.enable:
-            return RejectCode.ENABLE
+            return object_to(RejectCode.ENABLE, "mode")
         if command.mode is Mode.TRAJECTORY and state is PlcState.HOLD and command.knots[0].q != self.q_ref:
-            return RejectCode.START
-        return RejectCode.NONE
+            return object_to_knot(RejectCode.START, 0, "q")
+        return None
 
     def receive(self, datagram: bytes, t_ns: int, source: object = "pc") -> None:
         for event in self.link.receive(datagram, t_ns, source):

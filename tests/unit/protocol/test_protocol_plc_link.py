@@ -10,6 +10,7 @@ from protocol.codec import decode_state, encode_command
 from protocol.codes import CommandFlag, Interp, LinkState, Mode, PlcState, RejectCode, WarnBit
 from protocol.framing import RawFraming
 from protocol.messages import Command, Knot, PlcStatus, State
+from protocol.objection import Objection
 from protocol.plc_events import Accepted, Effect, Rejected, SessionOpened, SessionVoid, StateChanged
 from protocol.plc_link import PlcLink, PlcLinkSettings
 from protocol.plc_states import PlcEvent
@@ -24,7 +25,7 @@ class Bench:
 
     def __init__(self) -> None:
         nonces = iter(range(100, 10_000))
-        self.verdict = RejectCode.NONE
+        self.verdict: Objection | None = None
         self.link = PlcLink(PlcLinkSettings(CFG), RawFraming(), lambda: next(nonces), lambda c, s: self.verdict)
         self.t_ns = 1000 * MS
         self.seq = 0
@@ -45,7 +46,7 @@ class Bench:
             t_plc_echo_ns=self.t_ns - 15 * MS,
             cfg_id=CFG,
         )
-        if mode is Mode.TRAJECTORY:
+        if mode in (Mode.TRAJECTORY, Mode.SERVO):
             command = replace(command, traj_id=1, interp=Interp.QUINTIC, knots=(Knot(0),), cmd_flags=CommandFlag.START)
         return replace(command, **changes)
 
@@ -113,8 +114,11 @@ def test_every_mode_in_every_state(state: PlcState, mode: Mode) -> None:
         PlcState.DISARMED: {},
         PlcState.LINKED: {Mode.HEARTBEAT: state, Mode.HOLD: state, Mode.STOP: state, Mode.QUICK_STOP: state},
         PlcState.HOLD: {m: state for m in (Mode.HEARTBEAT, Mode.ARM, Mode.HOLD, Mode.STOP, Mode.QUICK_STOP)}
-        | {Mode.TRAJECTORY: PlcState.RUN, Mode.DISARM: PlcState.DISARMED},
-        PlcState.RUN: {Mode.HEARTBEAT: state, Mode.TRAJECTORY: state}
+        | {Mode.TRAJECTORY: PlcState.RUN, Mode.SERVO: PlcState.RUN, Mode.DISARM: PlcState.DISARMED},
+        PlcState.RUN: {
+            Mode.HEARTBEAT: state,
+            Mode.TRAJECTORY: state,
+        }  # it runs a trajectory: SERVO with its number is wrong
         | {m: PlcState.STOPPING for m in (Mode.HOLD, Mode.STOP, Mode.QUICK_STOP, Mode.DISARM)},
         PlcState.STOPPING: {
             m: state for m in (Mode.HEARTBEAT, Mode.HOLD, Mode.TRAJECTORY, Mode.STOP, Mode.QUICK_STOP, Mode.DISARM)
@@ -147,7 +151,7 @@ def test_every_mode_in_every_state(state: PlcState, mode: Mode) -> None:
         ({"t_plc_echo_ns": 2**63}, PC, RejectCode.ECHO_STALE),
         ({"cfg_id": 1}, PC, RejectCode.CFG),
         ({"mode": Mode.RESET}, PC, RejectCode.MODE_ILLEGAL),
-        ({"mode": Mode.SERVO}, PC, RejectCode.MODE_ILLEGAL),
+        ({"mode": Mode.SERVO, "traj_id": 1, "cfg_id": 1}, PC, RejectCode.CFG),
         ({"mode": Mode.ARM, "arm_nonce": 1}, PC, RejectCode.NONCE),
         ({"mode": Mode.TRAJECTORY, "traj_id": 0}, PC, RejectCode.TRAJ_ID),
     ],
@@ -166,7 +170,7 @@ def test_a_refusal_has_its_code_and_changes_nothing(changes: dict, source: objec
 
 def test_the_logics_own_check_has_the_last_word() -> None:
     bench = Bench().reach(PlcState.HOLD)
-    bench.verdict = RejectCode.LIMIT_Q
+    bench.verdict = Objection(RejectCode.LIMIT_Q, 88)
     before = bench.inner()
     assert code_of(bench.send(Mode.TRAJECTORY)) is RejectCode.LIMIT_Q
     assert bench.inner() == before
@@ -186,7 +190,7 @@ def test_duplicates_and_late_ones_feed_nothing() -> None:
 @pytest.mark.parametrize("mode", [Mode.STOP, Mode.QUICK_STOP, Mode.DISARM])
 def test_a_stop_is_taken_even_from_a_blind_pc_with_other_limits(mode: Mode) -> None:
     bench = Bench().reach(PlcState.RUN)
-    bench.verdict = RejectCode.LIMIT_Q
+    bench.verdict = Objection(RejectCode.LIMIT_Q, 88)
     events = bench.send(mode, t_plc_echo_ns=0, cfg_id=1)
     assert isinstance(events[-1], Accepted)
     assert bench.link.state is PlcState.STOPPING
@@ -316,9 +320,9 @@ def test_a_hello_with_other_limits_is_told_why() -> None:
 
 def test_reset_ends_the_session_so_that_hello_and_arm_are_needed() -> None:
     bench = Bench().reach(PlcState.FAULT)
-    bench.verdict = RejectCode.FAULT_PRESENT
+    bench.verdict = Objection(RejectCode.FAULT_PRESENT, 88)
     assert code_of(bench.send(Mode.RESET)) is RejectCode.FAULT_PRESENT
-    bench.verdict = RejectCode.NONE
+    bench.verdict = None
     events = bench.send(Mode.RESET)
     assert [type(e) for e in events] == [StateChanged, SessionVoid, Accepted]
     assert (bench.link.state, bench.link.session) == (PlcState.DISARMED, 0)

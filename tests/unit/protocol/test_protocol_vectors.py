@@ -8,7 +8,7 @@ import pytest
 
 from protocol import layout
 from protocol.codec import decode_command, decode_state, encode_command, encode_state
-from protocol.codes import CommandFlag, HeaderFlag, Interp, LinkState, Mode, PlcState
+from protocol.codes import CommandFlag, HeaderFlag, Interp, LinkState, Mode, PlcState, RejectCode
 from protocol.errors import MalformedError
 from protocol.framing import EapFraming, RawFraming, unwrap_eap, wrap_eap
 from protocol.messages import ZEROS, Command, Knot, State
@@ -34,6 +34,9 @@ def read_vector(name: str) -> bytes:
         offset_text, _, rest = line.partition(":")
         token = rest.split("#")[0].strip()
         offset = int(offset_text)
+        if token.startswith("VECTOR"):
+            data[int(offset_text) :] = read_vector(token.split()[1])
+            continue
         value = bytes.fromhex(LAYOUT_BYTES) if token == "LAYOUT" else b"" if token == "CRC" else bytes.fromhex(token)
         data[offset : offset + len(value)] = value
         if token == "CRC":
@@ -49,6 +52,7 @@ def axes(**values: float) -> tuple[float, ...]:
 
 
 COMMAND = Command(
+    ver_minor=0,
     session=0xDEADBEEF,
     seq=42,
     t_send_ns=1_000_000_000,
@@ -69,8 +73,9 @@ COMMAND = Command(
         Knot(100_000_000, axes(a5=3.0)),
     ),
 )
-HELLO = Command(1, 1, 255, hello=True, flags=HeaderFlag.SIMULATION, axis_mask=1, cfg_id=0x01020304)
+HELLO = Command(1, 1, 255, ver_minor=0, hello=True, flags=HeaderFlag.SIMULATION, axis_mask=1, cfg_id=0x01020304)
 STATE = State(
+    ver_minor=0,
     session=0xDEADBEEF,
     seq=8,
     t_send_ns=3_000_000_000,
@@ -147,14 +152,67 @@ def test_raw_framing_is_the_payload() -> None:
 def test_eap_frames_around_the_vectors() -> None:
     command, state = read_vector("hmlink1_command.txt"), read_vector("hmlink1_state.txt")
     client, plc = (f("10.0.0.1.1.1", "10.0.0.2.1.1") for f in (EapFraming.for_client, EapFraming.for_plc))
-    version = bytes.fromhex(LAYOUT_BYTES)[:2].hex()
-    # frame word 4|0x52c-2..: 1304 + 20 = 1324 = 0x52c; 568 + 20 = 588 = 0x24c
-    head = f"2c45 0a0000010101 0100 2a00 0000 0148 {version} 1805 0000"
-    assert client.wrap(command, 42) == bytes.fromhex(head) + command
-    assert plc.unwrap(bytes.fromhex(head) + command) == command
-    head = f"4c42 0a0000020101 0100 0800 0000 0248 {version} 3802 0000"
-    assert plc.wrap(state, 8) == bytes.fromhex(head) + state
-    assert client.unwrap(bytes.fromhex(head) + state) == state
+    framed = read_vector("hmlink1_eap_command.txt")
+    assert client.wrap(command, 42) == framed
+    assert plc.unwrap(framed) == command
+    framed = read_vector("hmlink1_eap_state.txt")
+    assert plc.wrap(state, 8) == framed
+    assert client.unwrap(framed) == state
+
+
+KEY = bytes(range(32))
+SERVO = Command(
+    session=0xDEADBEEF,
+    seq=0xFFFFFFFF,
+    t_send_ns=1_000_000_000,
+    mode=Mode.SERVO,
+    ack_plc_seq=8,
+    t_plc_echo_ns=3_000_000_000,
+    axis_mask=0x3F,
+    cfg_id=0xCAFEF00D,
+    traj_id=6,
+    interp=Interp.LINEAR,
+    cmd_flags=CommandFlag.START,
+    timeout_us=250_000,
+    knots=(Knot(0, axes(a0=0.5), axes(a0=0.0625)),),
+)
+REFUSAL = State(
+    session=0xDEADBEEF,
+    seq=9,
+    t_send_ns=5_000_000_000,
+    plc_state=PlcState.HOLD,
+    flags=HeaderFlag.DRY_RUN,
+    plc_cycle_us=1000,
+    link_state=LinkState.FRESH,
+    mode_active=Mode.HOLD,
+    axis_mask=0x3F,
+    reject_code=31,
+    reject_count=1,
+    reject_seq=42,
+    reject_offset=360,
+)
+
+
+def test_signed_vectors_both_ways() -> None:
+    golden = read_vector("hmlink11_servo_signed.txt")
+    assert encode_command(SERVO, KEY).hex(" ") == golden.hex(" ")
+    assert decode_command(golden, KEY) == replace(SERVO, flags=HeaderFlag.AUTH, auth_tag=golden[1280:1296])
+    golden = read_vector("hmlink11_state_signed.txt")
+    assert encode_state(REFUSAL, KEY).hex(" ") == golden.hex(" ")
+    flags = HeaderFlag.AUTH | HeaderFlag.DRY_RUN
+    assert decode_state(golden, KEY) == replace(REFUSAL, flags=flags, auth_tag=golden[544:560])
+
+
+@pytest.mark.parametrize("name", ["hmlink11_servo_signed.txt", "hmlink1_command.txt"])
+def test_another_key_a_changed_byte_and_no_tag_are_refused(name: str) -> None:
+    golden = bytearray(read_vector(name))
+    golden[88] ^= 1
+    golden[-4:] = crc32_bitwise(bytes(golden[:-4])).to_bytes(4, "little")
+    for payload, key in ((bytes(golden), KEY), (read_vector(name), bytes(32))):
+        with pytest.raises(MalformedError) as refused:
+            decode_command(payload, key)
+        assert (refused.value.code, refused.value.offset) == (RejectCode.AUTH, 1280)
+    assert decode_command(bytes(golden)).knots  # an end without a key does not look
 
 
 def test_the_seventy_byte_eap_frame() -> None:

@@ -246,7 +246,8 @@ def test_an_unarmed_plc_never_opens_a_valve():
         ({"knot_first": 1}, RejectCode.KNOT_GAP),
         ({"knots": ()}, RejectCode.VALUE),
         ({"cfg_id": 1}, RejectCode.CFG),
-        ({"mode": Mode.SERVO}, RejectCode.MODE_ILLEGAL),
+        ({"mode": Mode.SERVO}, RejectCode.INTERP),
+        ({"mode": Mode.SERVO, "interp": Interp.LINEAR}, RejectCode.VALUE),
         ({}, RejectCode.NONE),
     ],
 )

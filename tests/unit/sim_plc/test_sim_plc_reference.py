@@ -51,7 +51,7 @@ def run_down(reference):
     """Cycles to rest, every one held against the limits."""
     before, cycles = reference.qd.copy(), 0
     while True:
-        over = reference.step()
+        over = reference.step(0)
         assert (np.abs(reference.qd - before) <= 1.002 * LIMITS * CYCLE_S).all()
         before, cycles = reference.qd.copy(), cycles + 1
         if over:
@@ -64,7 +64,7 @@ def test_a_stop_takes_no_longer_than_speed_over_deceleration_wherever_it_begins(
     for after in range(150, 2400, 90):
         reference = playing(seed)
         for _ in range(after):
-            assert not reference.step()
+            assert not reference.step(0)
         bound_s = float((np.abs(reference.qd) / LIMITS).max())
         reference.stop()
         ways.add(reference.motion)
@@ -80,7 +80,7 @@ def test_both_ways_down_are_used_on_curved_paths():
         for after in range(150, 2400, 90):
             reference = playing(seed)
             for _ in range(after):
-                reference.step()
+                reference.step(0)
             reference.stop()
             ways.append(reference.motion)
     assert ways.count(Motion.PATH_STOP) > len(ways) / 4
@@ -106,10 +106,10 @@ def test_a_straight_stop_stays_inside_the_joint_range():
 def test_quick_stop_out_of_a_path_stop():
     reference = playing(1)
     for _ in range(800):
-        reference.step()
+        reference.step(0)
     reference.stop()
     for _ in range(20):
-        reference.step()
+        reference.step(0)
     reference.quick_stop()
     assert reference.motion is Motion.JOINT_STOP
     run_down(reference)
@@ -121,5 +121,5 @@ def test_stop_while_holding_changes_nothing():
     reference.stop()
     reference.quick_stop()
     assert reference.motion is Motion.HOLD
-    assert not reference.step()
+    assert not reference.step(0)
     assert tuple(reference.q) == Q_START

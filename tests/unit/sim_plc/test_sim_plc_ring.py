@@ -18,6 +18,10 @@ AT_START = PlaybackView(axes8(Q_START))
 FLAT = tuple(Knot(i * 50 * MS, axes8(Q_START)) for i in range(400))
 
 
+def code_of(objection):
+    return RejectCode.NONE if objection is None else objection.code
+
+
 def command(**fields):
     values = {"session": 7, "seq": 1, "t_send_ns": 0, "mode": Mode.TRAJECTORY, "interp": Interp.QUINTIC, "traj_id": 1}
     return Command(**(values | fields))
@@ -64,7 +68,7 @@ def loaded(count=6):
 )
 def test_first_knots_are_refused_with_their_code(knots, code):
     ring = KnotRing(TABLE)
-    assert ring.check(command(knots=knots), AT_START) is code
+    assert code_of(ring.check(command(knots=knots), AT_START)) is code
     assert ring.last == -1  # a check changes nothing
 
 
@@ -76,7 +80,7 @@ def test_limits_of_every_axis_hold_on_both_sides(axis, sign):
     for q, code in ((edge - sign * 1e-6, RejectCode.NONE), (edge + sign * 1e-6, RejectCode.LIMIT_Q)):
         start = axes8(with_axis(Q_START, axis, q)[:6])
         knots = tuple(Knot(i * 50 * MS, start) for i in range(3))
-        assert KnotRing(TABLE).check(command(knots=knots), PlaybackView(start)) is code
+        assert code_of(KnotRing(TABLE).check(command(knots=knots), PlaybackView(start))) is code
 
 
 def test_a_knot_too_fast_to_stop_inside_the_range_is_refused():
@@ -89,21 +93,21 @@ def test_a_knot_too_fast_to_stop_inside_the_range_is_refused():
         before = Knot(0, axes8((q - qd * 0.1, *Q_START[1:])), axes8((qd,)))
         ring._kept[1], ring.times[1] = before, 0.0
         knot = Knot(100 * MS, axes8((q, *Q_START[1:])), axes8((qd,)))
-        assert ring.check(command(traj_id=2, knot_first=2, knots=(knot,)), AT_START) is code
+        assert code_of(ring.check(command(traj_id=2, knot_first=2, knots=(knot,)), AT_START)) is code
 
 
 def test_resent_knots_must_be_identical_and_without_a_gap():
     ring = loaded(6)
-    assert ring.check(command(knot_first=3, knots=KNOTS[3:9]), AT_START) is RejectCode.NONE
-    assert ring.check(command(knot_first=7, knots=KNOTS[7:12]), AT_START) is RejectCode.KNOT_GAP
+    assert code_of(ring.check(command(knot_first=3, knots=KNOTS[3:9]), AT_START)) is RejectCode.NONE
+    assert code_of(ring.check(command(knot_first=7, knots=KNOTS[7:12]), AT_START)) is RejectCode.KNOT_GAP
     other = (replace(KNOTS[4], q=with_axis(KNOTS[4].q, 0, KNOTS[4].q[0] + 1e-15)),)
-    assert ring.check(command(knot_first=4, knots=other), AT_START) is RejectCode.KNOT_CHANGED
+    assert code_of(ring.check(command(knot_first=4, knots=other), AT_START)) is RejectCode.KNOT_CHANGED
     ring.load(command(knot_first=3, knots=KNOTS[3:9]), AT_START)
     assert ring.last == 8
     ring.load(command(knot_first=3, knots=KNOTS[3:9]), AT_START)
     assert ring.last == 8
     moving = command(knot_first=8, knots=KNOTS[8:12], cmd_flags=CommandFlag.LAST_IS_END)
-    assert ring.check(moving, AT_START) is RejectCode.END_NOT_AT_REST
+    assert code_of(ring.check(moving, AT_START)) is RejectCode.END_NOT_AT_REST
 
 
 def test_the_ring_holds_64_knots_and_no_more():
@@ -111,10 +115,10 @@ def test_the_ring_holds_64_knots_and_no_more():
     ring.load(command(knots=FLAT[:6]), AT_START)
     for first in range(6, 60, 6):
         ring.load(command(knot_first=first, knots=FLAT[first : first + 6]), AT_START)
-    assert ring.check(command(knot_first=60, knots=FLAT[60:64]), AT_START) is RejectCode.NONE
-    assert ring.check(command(knot_first=60, knots=FLAT[60:65]), AT_START) is RejectCode.RING_FULL
+    assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:64]), AT_START)) is RejectCode.NONE
+    assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:65]), AT_START)) is RejectCode.RING_FULL
     later = PlaybackView(axes8(Q_START), playing=1, t_play_ns=60 * MS)
-    assert ring.check(command(knot_first=60, knots=FLAT[60:65]), later) is RejectCode.NONE
+    assert code_of(ring.check(command(knot_first=60, knots=FLAT[60:65]), later)) is RejectCode.NONE
     ring.load(command(knot_first=60, knots=FLAT[60:65]), later)
     assert ring.last == 64
     assert ring.knot(0) is None  # its slot is taken
@@ -127,7 +131,7 @@ def test_a_long_trajectory_passes_through_the_ring():
     for first in range(0, 394):
         view = PlaybackView(axes8(Q_START), playing=max(first - 2, 0), t_play_ns=max(first - 2, 0) * 50 * MS)
         sent = command(knot_first=first, knots=FLAT[first : first + 6])
-        assert ring.check(sent, view) is RejectCode.NONE
+        assert code_of(ring.check(sent, view)) is RejectCode.NONE
         ring.load(sent, view)
         assert ring.last == first + 5
         assert ring.times[ring.last % SIZE] == pytest.approx(FLAT[first + 5].t_ns * 1e-9)
@@ -137,11 +141,11 @@ def test_nothing_comes_after_the_end_and_the_end_does_not_move():
     ring = KnotRing(TABLE)
     ring.load(command(knots=FLAT[:6], cmd_flags=CommandFlag.LAST_IS_END), AT_START)
     assert ring.complete
-    assert ring.check(command(knot_first=4, knots=FLAT[4:8]), AT_START) is RejectCode.KNOT_CHANGED
-    assert ring.check(command(knot_first=2, knots=FLAT[2:6]), AT_START) is RejectCode.KNOT_CHANGED  # flag gone
+    assert code_of(ring.check(command(knot_first=4, knots=FLAT[4:8]), AT_START)) is RejectCode.KNOT_CHANGED
+    assert code_of(ring.check(command(knot_first=2, knots=FLAT[2:6]), AT_START)) is RejectCode.KNOT_CHANGED  # flag gone
     same = command(knot_first=2, knots=FLAT[2:6], cmd_flags=CommandFlag.LAST_IS_END)
-    assert ring.check(same, AT_START) is RejectCode.NONE
-    assert ring.check(command(knot_first=0, knots=FLAT[:3]), AT_START) is RejectCode.NONE
+    assert code_of(ring.check(same, AT_START)) is RejectCode.NONE
+    assert code_of(ring.check(command(knot_first=0, knots=FLAT[:3]), AT_START)) is RejectCode.NONE
 
 
 def test_only_a_tail_beyond_the_frozen_horizon_is_replaced():
@@ -152,9 +156,9 @@ def test_only_a_tail_beyond_the_frozen_horizon_is_replaced():
     flagged = command(knot_first=8, knots=tail, cmd_flags=CommandFlag.TAIL_REPLACES)
     near = PlaybackView(axes8(Q_START), playing=7, t_play_ns=KNOTS[9].t_ns - 99 * MS)
     far = PlaybackView(axes8(Q_START), playing=7, t_play_ns=KNOTS[9].t_ns - 100 * MS)
-    assert ring.check(plain, far) is RejectCode.KNOT_CHANGED
-    assert ring.check(flagged, near) is RejectCode.KNOT_CHANGED
-    assert ring.check(flagged, far) is RejectCode.NONE
+    assert code_of(ring.check(plain, far)) is RejectCode.KNOT_CHANGED
+    assert code_of(ring.check(flagged, near)) is RejectCode.KNOT_CHANGED
+    assert code_of(ring.check(flagged, far)) is RejectCode.NONE
     ring.load(flagged, far)
     assert ring.last == 10  # what came after the replaced knot belonged to the old tail
     assert ring.knot(9) == tail[1]
@@ -166,12 +170,12 @@ def test_a_replaced_tail_must_join_smoothly():
     far = PlaybackView(axes8(Q_START), playing=2, t_play_ns=KNOTS[2].t_ns)
     broken = replace(KNOTS[9], q=with_axis(KNOTS[9].q, 0, KNOTS[9].q[0] + 0.01))
     sent = command(knot_first=8, knots=(KNOTS[8], broken), cmd_flags=CommandFlag.TAIL_REPLACES)
-    assert ring.check(sent, far) is RejectCode.CONTINUITY
+    assert code_of(ring.check(sent, far)) is RejectCode.CONTINUITY
 
 
 def test_a_cleared_ring_takes_the_same_number_as_new():
     ring = loaded(12)
     ring.clear()
     assert ring.traj_id == 0
-    assert ring.check(command(knot_first=6, knots=KNOTS[6:9]), AT_START) is RejectCode.KNOT_GAP
-    assert ring.check(command(knots=KNOTS[:6]), AT_START) is RejectCode.NONE
+    assert code_of(ring.check(command(knot_first=6, knots=KNOTS[6:9]), AT_START)) is RejectCode.KNOT_GAP
+    assert code_of(ring.check(command(knots=KNOTS[:6]), AT_START)) is RejectCode.NONE

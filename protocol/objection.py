@@ -1,0 +1,33 @@
+"""Why a command is refused: the code that the state carries back, and the byte of the payload it points at."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from protocol.codes import RejectCode
+from protocol.layout import COMMAND_BODY, KNOT, KNOT_SIZE, KNOTS_OFFSET
+
+_BODY = {field.name: field.offset for field in COMMAND_BODY.fields}
+_KNOT = {field.name: field.offset for field in KNOT.fields}
+
+
+@dataclass(frozen=True, slots=True)
+class Objection:
+    """One reason against a command; `offset` 0 means that no single field is to blame."""
+
+    code: RejectCode
+    offset: int = 0
+
+
+def object_to(code: RejectCode, field: str) -> Objection:
+    """An objection to a field of the command's body."""
+    return Objection(code, _BODY[field])
+
+
+def object_to_knot(code: RejectCode, k: int, field: str, axis: int = 0) -> Objection:
+    """An objection to the command's k-th knot: field t_ns, q, qd or qdd, and the axis."""
+    return Objection(code, KNOTS_OFFSET + k * KNOT_SIZE + _KNOT[field] + 8 * axis)
+
+
+def first_of(objections: Iterable[Objection | None]) -> Objection | None:
+    """The first objection, if there is any."""
+    return next((objection for objection in objections if objection is not None), None)
