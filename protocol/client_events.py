@@ -53,6 +53,15 @@ class GateRefused:
 
 
 @dataclass(frozen=True, slots=True)
+class TailAnswered:
+    """A correction of the running trajectory was taken by the PLC, or refused: then the old tail goes on."""
+
+    traj_id: int
+    taken: bool
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class TrajectoryEnded:
     """The end of a trajectory, for whatever reason; exactly one per accepted request."""
 
@@ -69,4 +78,4 @@ class Closed:
     reason: str
 
 
-ClientEvent = StateReceived | Dropped | RejectSeen | GateRefused | TrajectoryEnded | Closed
+ClientEvent = StateReceived | Dropped | RejectSeen | GateRefused | TailAnswered | TrajectoryEnded | Closed

@@ -16,26 +16,33 @@ from protocol.client_events import (
     GateRefused,
     RejectSeen,
     StateReceived,
+    TailAnswered,
     TrajectoryEnded,
 )
+from protocol.client_run import MOVING, Run, Stop
 from protocol.clock_offset import ClockOffset
 from protocol.codec import decode_state, encode_command
-from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode, reject_text
+from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
 from protocol.errors import LocalProtocolError, RemoteProtocolError
 from protocol.framing import Framing
-from protocol.gate import GateView, Refusal, check_trajectory, gate
+from protocol.gate import GateView, Refusal, check_tail, check_trajectory, gate
 from protocol.limits import LimitTable, axis_mask, cfg_id
-from protocol.messages import ZEROS, Command, Knot, State
+from protocol.messages import ZEROS, Axes, Command, Knot, State
 from protocol.playback import Playback, Window
-from protocol.sequence import SequenceKind, classify_sequence, next_sequence
+from protocol.sent_commands import SentCommands
+from protocol.sequence import SequenceKind, classify_sequence, is_at_or_after, next_sequence
+from protocol.servo_target import ServoTarget
 from protocol.timeouts import (
+    ARM_PERIOD,
     COMMAND_LOST,
     GOOD_COMMANDS_TO_ARM,
     HELLO_PERIOD,
     LINK_CLOSED,
+    SERVO_LOST,
     START_WAIT,
     STATE_LATE,
     STATE_LOST,
+    TAIL_AHEAD_NS,
 )
 
 _PHASES = {
@@ -49,7 +56,7 @@ _PHASES = {
     PlcState.LOCAL: ClientPhase.LOCAL,
 }
 _NO_FLAGS = CommandFlag(0)
-_MOVING = (PlcState.RUN, PlcState.STOPPING)
+_INTERP = {Mode.TRAJECTORY: Interp.QUINTIC, Mode.SERVO: Interp.LINEAR}
 
 
 class _Wish(Enum):
@@ -57,24 +64,6 @@ class _Wish(Enum):
     ARM = "arm"
     RESET = "reset"
     DISARM = "disarm"
-
-
-@dataclass(frozen=True, slots=True)
-class _Stop:
-    """A stop under way: wanted since command `first_seq`."""
-
-    reason: str
-    first_seq: int
-
-
-@dataclass(slots=True)
-class _Run:
-    """A trajectory under way."""
-
-    playback: Playback
-    first_seq: int
-    t_asked_ns: int
-    started: bool = False
 
 
 @dataclass(slots=True)
@@ -89,11 +78,6 @@ class ClientCounters:
     rejected: int = 0
 
 
-def _after(seq: int, first: int) -> bool:
-    """Whether `seq` is `first` or newer, across the wrap."""
-    return (seq - first) % 0x1_0000_0000 < 0x8000_0000
-
-
 @dataclass(slots=True)
 class ClientLink:
     """One session with one PLC. `session` is a fresh random non-zero number; `t_mono_ns` the PC's monotonic clock."""
@@ -102,6 +86,7 @@ class ClientLink:
     framing: Framing
     session: int
     speed_override: float = 1.0
+    key: bytes = b""  # with a key commands are signed, and only signed states are taken
     state: State | None = None  # newest usable one
     clock: ClockOffset = field(default_factory=ClockOffset)
     counters: ClientCounters = field(default_factory=ClientCounters)
@@ -112,8 +97,10 @@ class ClientLink:
     _seq: int = 0
     _t_hello_ns: int | None = None
     _wish: _Wish = _Wish.NONE
-    _stop: _Stop | None = None
-    _run: _Run | None = None
+    _t_arm_ns: int | None = None
+    _stop: Stop | None = None
+    _run: Run | None = None
+    _sent: SentCommands = field(default_factory=SentCommands)
     _pending: list[ClientEvent] = field(default_factory=list)
 
     # --- what the shell may look at -------------------------------------------------------------------------------
@@ -133,7 +120,7 @@ class ClientLink:
     @property
     def busy(self) -> bool:
         """Whether a trajectory or a stop is under way."""
-        moving = self.linked and self.state is not None and self.state.plc_state in _MOVING
+        moving = self.linked and self.state is not None and self.state.plc_state in MOVING
         return self._run is not None or self._stop is not None or moving
 
     # --- requests ---------------------------------------------------------------------------------------------------
@@ -159,20 +146,79 @@ class ClientLink:
 
         Raises: LocalProtocolError: not holding, or another motion is under way.
         """
+        refusals = check_trajectory(knots, self._idle(traj_id, t_mono_ns).q_ref, self.table)
+        if not refusals:
+            self._run = Run(Playback(traj_id, tuple(knots)), next_sequence(self._seq), t_mono_ns)
+        return refusals
+
+    def request_tail(self, traj_id: int, first: int, knots: Sequence[Knot], t_mono_ns: int) -> tuple[Refusal, ...]:
+        """Replace the running trajectory from knot `first` on; refusals (nothing changes then) or nothing.
+
+        The new knots join the trajectory's own knot before them, never the measured joints. TailAnswered tells whether
+        the PLC took them.
+
+        Raises: LocalProtocolError: that trajectory does not run, or the splice is too near.
+        """
+        run, state = self._run, self.state
+        ours = run is not None and run.traj_id == traj_id and not run.tail_pending and not self._stop
+        if run is None or state is None or not ours or not isinstance(run.motion, Playback):
+            raise LocalProtocolError(f"trajectory {traj_id} is not running alone: nothing to correct; plan a new one")
+        playback = run.motion
+        if not 1 <= first <= playback.last:
+            raise LocalProtocolError(f"trajectory {traj_id}: knot {first} cannot be replaced, give 1..{playback.last}")
+        t_play_ns = state.t_play_ns + self.age_ns(t_mono_ns)
+        splice_ns = min(playback.knots[first].t_ns, knots[0].t_ns) if knots else 0
+        if splice_ns < t_play_ns + TAIL_AHEAD_NS:
+            left_ms = (splice_ns - t_play_ns) / 1e6
+            raise LocalProtocolError(
+                f"trajectory {traj_id}: the new tail begins {left_ms:.0f} ms ahead, "
+                f"at least {TAIL_AHEAD_NS / 1e6:.0f} ms are needed; begin later"
+            )
+        refusals = check_tail(knots, playback.knots[first - 1], self.table)
+        if not refusals:
+            run.replace_tail(playback.with_tail(first, tuple(knots)))
+        return refusals
+
+    def request_servo(self, traj_id: int, t_mono_ns: int) -> None:
+        """Begin servo mode at the present reference; then `set_servo_target` at least every 60 ms.
+
+        Raises: LocalProtocolError: not holding, or another motion is under way.
+        """
+        state = self._idle(traj_id, t_mono_ns)
+        target = ServoTarget(traj_id, state.q_ref, t_set_ns=t_mono_ns)
+        self._run = Run(target, next_sequence(self._seq), t_mono_ns)
+
+    def set_servo_target(self, q: Axes, qd: Axes, t_mono_ns: int) -> None:
+        """Where the reference shall be, and how fast that moves [rad, rad/s]; the gate judges it when it is sent.
+
+        Raises: LocalProtocolError: servo mode is not under way.
+        """
+        self._servo().set(q, qd, t_mono_ns)
+
+    def finish_servo(self) -> None:
+        """Come to rest on the newest target and hold.
+
+        Raises: LocalProtocolError: servo mode is not under way.
+        """
+        self._servo().ending = True
+
+    def request_stop(self, reason: str, quick: bool = False) -> None:
+        """Ramp down and hold, along the path or (quick) every joint as fast as it may: sent until it is done."""
+        if self._stop is None or (quick and not self._stop.quick):
+            self._stop = Stop(reason, next_sequence(self._seq), quick)
+
+    def _idle(self, traj_id: int, t_mono_ns: int) -> State:
         phase = self.phase(t_mono_ns)
         if phase is not ClientPhase.ARMED or self.busy or self.state is None:
             raise LocalProtocolError(
                 f"trajectory {traj_id}: PLC link is {phase.value}, must be armed and idle; arm or wait"
             )
-        refusals = check_trajectory(knots, self.state.q_ref, self.table)
-        if not refusals:
-            self._run = _Run(Playback(traj_id, tuple(knots)), next_sequence(self._seq), t_mono_ns)
-        return refusals
+        return self.state
 
-    def request_stop(self, reason: str) -> None:
-        """Ramp down along the path and hold: sent until the PLC has acknowledged it and is at rest."""
-        if self._stop is None:
-            self._stop = _Stop(reason, next_sequence(self._seq))
+    def _servo(self) -> ServoTarget:
+        if self._run is None or not isinstance(self._run.motion, ServoTarget):
+            raise LocalProtocolError("servo mode is not under way; request it first")
+        return self._run.motion
 
     # --- input ------------------------------------------------------------------------------------------------------
 
@@ -181,7 +227,7 @@ class ClientLink:
         if self.closed:
             return []
         try:
-            state = decode_state(self.framing.unwrap(datagram))
+            state = decode_state(self.framing.unwrap(datagram), self.key)
         except RemoteProtocolError as error:
             self.counters.bad += 1
             return [Dropped(error.code, error.text)]
@@ -196,7 +242,9 @@ class ClientLink:
         events, self._pending = self._pending, []
         run = self._run
         if run and not run.started and t_mono_ns - run.t_asked_ns > START_WAIT.ns:
-            self.request_stop("the PLC did not start the trajectory within 1 s")
+            self.request_stop("the PLC did not start the motion within 1 s")
+        if run and isinstance(run.motion, ServoTarget) and run.motion.forgotten(t_mono_ns):
+            self.request_stop(f"no servo target for {SERVO_LOST.ns // 1_000_000} ms")
         if not self.linked or self.closed:
             return events
         age_ns = self.age_ns(t_mono_ns)
@@ -260,58 +308,39 @@ class ClientLink:
         self.counters.rejected = state.reject_count
         if not state.reject_code:
             return []
-        self.last_reject = reject_text(state.reject_code)
-        return [RejectSeen(state.reject_code, state.reject_seq, self.last_reject)]
+        self.last_reject = self._sent.explain(state.reject_code, state.reject_seq, state.reject_offset)
+        events: list[ClientEvent] = [RejectSeen(state.reject_code, state.reject_seq, self.last_reject)]
+        run = self._run
+        if run and run.drop_refused_tail(state.reject_code, state.reject_seq):
+            events.append(TailAnswered(run.traj_id, False, self.last_reject))
+        return events
 
     # --- progress of what was asked for -------------------------------------------------------------------------------
 
     def _progress(self, state: State) -> list[ClientEvent]:
         self._progress_wish(state)
-        events = self._progress_run(state) if self._run else []
-        stop = self._stop
-        if stop and not self._run and state.plc_state not in _MOVING and _after(state.ack_seq, stop.first_seq):
+        events: list[ClientEvent] = []
+        run, stop = self._run, self._stop
+        if run:
+            if run.look(state):
+                events.append(TailAnswered(run.traj_id, True, "taken"))
+            over = run.end(state, stop)
+            events += self._ended(*over, state) if over else []
+        if stop and not self._run and state.plc_state not in MOVING and is_at_or_after(state.ack_seq, stop.first_seq):
             self._stop = None
         return events
 
     def _progress_wish(self, state: State) -> None:
-        armed = state.plc_state in (PlcState.HOLD, *_MOVING)
+        armed = state.plc_state in (PlcState.HOLD, *MOVING)
         done = (self._wish is _Wish.ARM and armed) or (
             self._wish is _Wish.RESET and state.plc_state is not PlcState.FAULT
         )
         if done:
             self._wish = _Wish.NONE
 
-    def _progress_run(self, state: State) -> list[ClientEvent]:
-        run = self._run
-        if run is None:
-            return []
-        mine = state.traj_id == run.playback.traj_id
-        if mine and state.plc_state in _MOVING:
-            run.started = True
-        if state.plc_state in _MOVING:
-            return []
-        if run.playback.reached(state) and state.plc_state is PlcState.HOLD:
-            return self._ended(True, "reached", state)
-        if state.plc_state is not PlcState.HOLD:
-            return self._ended(False, f"PLC went to {state.plc_state.name}", state)
-        if self._stop and _after(state.ack_seq, self._stop.first_seq):
-            return self._ended(False, self._stop.reason, state)
-        if run.started and mine:
-            return self._ended(False, self._why_stopped(state, run), state)
-        if state.reject_count and _after(state.reject_seq, run.first_seq):
-            return self._ended(False, f"the PLC refused the trajectory: {reject_text(state.reject_code)}", state)
-        return []
-
-    def _why_stopped(self, state: State, run: _Run) -> str:
-        if self._stop:
-            return self._stop.reason
-        if state.reject_count and _after(state.reject_seq, run.first_seq):
-            return f"the PLC stopped: {reject_text(state.reject_code)}"
-        return "the PLC stopped by itself (underrun or silence); plan again from the present reference"
-
     def _ended(self, reached: bool, reason: str, state: State) -> list[ClientEvent]:
         run, self._run = self._run, None
-        return [TrajectoryEnded(run.playback.traj_id, reached, reason, state.t_send_ns)] if run else []
+        return [TrajectoryEnded(run.traj_id, reached, reason, state.t_send_ns)] if run else []
 
     def _close(self, reason: str) -> list[ClientEvent]:
         events = self._ended(False, reason, self.state) if self.state else []
@@ -330,19 +359,34 @@ class ClientLink:
         """What we would like to send: the most careful wish first."""
         state, age_ns = self.state, self.age_ns(t_mono_ns)
         if state is None or self._stop or age_ns > STATE_LOST.ns:
-            return self._command(t_mono_ns, Mode.STOP)
+            return self._command(t_mono_ns, Mode.QUICK_STOP if self._stop and self._stop.quick else Mode.STOP)
         if self._wish is _Wish.DISARM:
             return self._command(t_mono_ns, Mode.DISARM)
         if age_ns > STATE_LATE.ns:
             return self._command(t_mono_ns, Mode.HEARTBEAT)
         if self._run and state.plc_state in (PlcState.HOLD, PlcState.RUN):
-            return self._command(t_mono_ns, Mode.TRAJECTORY, self._run.playback.window(state))
+            return self._motion(self._run, state, t_mono_ns)
         if self._wish is _Wish.RESET and state.plc_state is PlcState.FAULT:
             return self._command(t_mono_ns, Mode.RESET)
         proven = state.rx_ok >= GOOD_COMMANDS_TO_ARM
-        if self._wish is _Wish.ARM and state.plc_state is PlcState.LINKED and proven:
+        if self._wish is _Wish.ARM and state.plc_state is PlcState.LINKED and proven and self._arm_due(t_mono_ns):
             return self._command(t_mono_ns, Mode.ARM)
         return self._command(t_mono_ns, Mode.HEARTBEAT)
+
+    def _arm_due(self, t_mono_ns: int) -> bool:
+        """Heartbeats in between: a refused ARM feeds no watchdog, and the session must outlive it."""
+        due = self._t_arm_ns is None or t_mono_ns - self._t_arm_ns >= ARM_PERIOD.ns
+        self._t_arm_ns = t_mono_ns if due else self._t_arm_ns
+        return due
+
+    def _motion(self, run: Run, state: State, t_mono_ns: int) -> Command:
+        if isinstance(run.motion, Playback):
+            window = run.motion.window(state)
+            run.note_sent(next_sequence(self._seq), window)
+            return self._command(t_mono_ns, Mode.TRAJECTORY, window)
+        flags = CommandFlag.START | (CommandFlag.LAST_IS_END if run.motion.ending else _NO_FLAGS)
+        window = Window(0, (run.motion.knot(t_mono_ns, self.table),), None, flags)
+        return self._command(t_mono_ns, Mode.SERVO, window)
 
     def _command(self, t_mono_ns: int, mode: Mode, window: Window | None = None, hello: bool = False) -> Command:
         own = self.state if self.linked else None
@@ -359,9 +403,9 @@ class ClientLink:
             cfg_id=cfg_id(self.table),
             timeout_us=COMMAND_LOST.ns // 1000,
             speed_override=self.speed_override,
-            traj_id=self._run.playback.traj_id if self._run and window else 0,
+            traj_id=self._run.traj_id if self._run and window else 0,
             knot_first=window.knot_first if window else 0,
-            interp=Interp.QUINTIC if window else Interp.NONE,
+            interp=_INTERP.get(mode, Interp.NONE),
             cmd_flags=window.flags if window else _NO_FLAGS,
             knots=window.knots if window else (),
         )
@@ -384,12 +428,14 @@ class ClientLink:
         return verdict.sent
 
     def _knot_before(self, command: Command) -> Knot | None:
-        if self._run is None or command.knot_first == 0:
+        if self._run is None or command.knot_first == 0 or not isinstance(self._run.motion, Playback):
             return None
-        return self._run.playback.knots[command.knot_first - 1]
+        return self._run.motion.knots[command.knot_first - 1]
 
     def _emit(self, command: Command) -> bytes:
-        datagram = self.framing.wrap(encode_command(command), command.seq)
+        payload = encode_command(command, self.key)
+        self._sent.note(command.seq, payload)
+        datagram = self.framing.wrap(payload, command.seq)
         self._seq = command.seq
         self.counters.sent += 1
         return datagram

@@ -11,7 +11,7 @@ from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
 from protocol.layout import KNOTS_PER_COMMAND
 from protocol.limits import LimitTable, axis_mask
 from protocol.messages import Axes, Command, Knot
-from protocol.timeouts import MS, STATE_LATE
+from protocol.timeouts import MS, SERVO_REACH_S, STATE_LATE
 
 _ROUNDING = 1e-9  # relative: a planner that plans to the limit is not refused for its last bit
 _REST = 1e-6  # rad/s and rad/s^2: rest, up to rounding
@@ -80,11 +80,18 @@ def check_trajectory(knots: Sequence[Knot], q_ref: Axes, table: LimitTable) -> t
     )
 
 
+def check_tail(knots: Sequence[Knot], before: Knot, table: LimitTable) -> tuple[Refusal, ...]:
+    """Every reason why `knots` may not follow `before` as the new tail of a trajectory; empty if they may."""
+    if not knots:
+        return (Refusal(RejectCode.VALUE, "number of knots", 0, 1, "", "a tail needs an end"),)
+    return (*_knots(knots, before, table), *_at_rest(knots[-1], RejectCode.END_NOT_AT_REST, "last"))
+
+
 def _refusals(command: Command, view: GateView, table: LimitTable) -> Iterator[Refusal]:
     mode = command.mode
-    if mode is not Mode.TRAJECTORY and command.knots:
+    if mode not in (Mode.TRAJECTORY, Mode.SERVO) and command.knots:
         yield Refusal(
-            RejectCode.VALUE, f"knots in mode {mode.name}", len(command.knots), 0, "", "only TRAJECTORY carries knots"
+            RejectCode.VALUE, f"knots in mode {mode.name}", len(command.knots), 0, "", "only motions carry knots"
         )
     if mode is Mode.ARM:
         yield from _arm(command, view)
@@ -93,9 +100,7 @@ def _refusals(command: Command, view: GateView, table: LimitTable) -> Iterator[R
     elif mode is Mode.TRAJECTORY:
         yield from _trajectory(command, view, table)
     elif mode is Mode.SERVO:
-        yield Refusal(
-            RejectCode.MODE_ILLEGAL, "mode", mode, Mode.TRAJECTORY, "", "servo mode is not supported; send a trajectory"
-        )
+        yield from _servo(command, view, table)
 
 
 def _in_state(view: GateView, states: tuple[PlcState, ...], subject: str) -> Iterator[Refusal]:
@@ -151,9 +156,13 @@ def _envelope(command: Command, table: LimitTable) -> Iterator[Refusal]:
     if not 1 <= count <= KNOTS_PER_COMMAND:
         yield Refusal(RejectCode.VALUE, "number of knots", count, KNOTS_PER_COMMAND, "", "send 1 to 6 knots")
     if command.interp is not Interp.QUINTIC:
-        yield Refusal(
-            RejectCode.INTERP, "interp", command.interp, Interp.QUINTIC, "", "only quintic knots are supported"
-        )
+        remedy = "trajectories are quintic"
+        yield Refusal(RejectCode.INTERP, "interp", command.interp, Interp.QUINTIC, "", remedy)
+    yield from _numbers(command, table)
+
+
+def _numbers(command: Command, table: LimitTable) -> Iterator[Refusal]:
+    """What every motion carries."""
     if command.axis_mask != axis_mask(table):
         yield Refusal(
             RejectCode.AXIS_MASK, "axis_mask", command.axis_mask, axis_mask(table), "", "use the machine's axes"
@@ -162,6 +171,26 @@ def _envelope(command: Command, table: LimitTable) -> Iterator[Refusal]:
         yield Refusal(RejectCode.OVERRIDE, "speed_override", command.speed_override, 1.0, "", "give 0..1")
     if command.traj_id < 1:
         yield Refusal(RejectCode.TRAJ_ID, "traj_id", command.traj_id, 1, "", "number trajectories from 1")
+
+
+def _servo(command: Command, view: GateView, table: LimitTable) -> Iterator[Refusal]:
+    """One target, in range, not faster than the joints and not far from the reference."""
+    yield from _in_state(view, (PlcState.HOLD, PlcState.RUN), "SERVO")
+    yield from _fresh(view)
+    yield from _same_session(command, view)
+    yield from _numbers(command, table)
+    if command.interp is not Interp.LINEAR:
+        yield Refusal(RejectCode.INTERP, "interp", command.interp, Interp.LINEAR, "", "servo targets are linear")
+    if len(command.knots) != 1:
+        yield Refusal(RejectCode.VALUE, "number of targets", len(command.knots), 1, "", "send one target")
+        return
+    target = command.knots[0]
+    yield from _one_knot(target, table)
+    for i, axis in enumerate(table.axes):
+        step, reach = abs(target.q[i] - view.q_ref[i]), axis.qd_max * SERVO_REACH_S
+        if not step <= reach:
+            remedy = "begin at q_ref and move the target in small steps"
+            yield Refusal(RejectCode.IMPLIED_SPEED, f"{axis.name}: target minus q_ref", step, reach, "rad", remedy)
 
 
 def _start(knot: Knot, q_ref: Axes, table: LimitTable) -> Iterator[Refusal]:

@@ -1,6 +1,6 @@
 """Which knots the next command carries: the sliding window over one trajectory, paced by what the PLC reports. Pure."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from protocol.codes import CommandFlag
 from protocol.layout import KNOTS_PER_COMMAND
@@ -17,24 +17,39 @@ class Window:
     before: Knot | None
     flags: CommandFlag
 
+    def covers(self, index: int) -> bool:
+        """Whether the knot of that index is among them."""
+        return self.knot_first <= index < self.knot_first + len(self.knots)
+
 
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """One trajectory on its way to the PLC."""
+    """One trajectory on its way to the PLC. `splice`: the first replaced knot while the PLC may hold the old ones."""
 
     traj_id: int
     knots: tuple[Knot, ...]
+    splice: int | None = None
 
     @property
     def last(self) -> int:
         """Index of the last knot."""
         return len(self.knots) - 1
 
+    def with_tail(self, first: int, knots: tuple[Knot, ...]) -> "Playback":
+        """The same trajectory with everything from `first` on replaced."""
+        return replace(self, knots=(*self.knots[:first], *knots), splice=first)
+
+    def spliced(self) -> "Playback":
+        """The PLC has taken the new tail."""
+        return replace(self, splice=None)
+
     def window(self, state: State) -> Window:
         """The first knots that the PLC lacks, while its ring has room; else the next unplayed ones again."""
         first = self._first(state)
         knots = self.knots[first : first + KNOTS_PER_COMMAND]
         flags = CommandFlag.START
+        if self.splice is not None:
+            flags |= CommandFlag.TAIL_REPLACES
         if first + len(knots) > self.last:
             flags |= CommandFlag.LAST_IS_END
         return Window(first, knots, self.knots[first - 1] if first else None, flags)
@@ -43,6 +58,8 @@ class Playback:
         if state.traj_id != self.traj_id:
             return 0
         missing = state.knot_last + 1
+        if self.splice is not None and missing >= self.splice:
+            return self.splice  # sent until it is taken: what the PLC holds from here on is the old tail
         room = missing + KNOTS_PER_COMMAND - state.knot_playing <= RING_KNOTS
         wanted = missing if missing <= self.last and room else state.knot_playing
         # a command near the end is filled up from before it, so that it always carries as much as it can
@@ -50,4 +67,4 @@ class Playback:
 
     def reached(self, state: State) -> bool:
         """Whether the PLC has played this trajectory to its last knot."""
-        return state.traj_id == self.traj_id and state.t_play_ns >= self.knots[-1].t_ns
+        return state.traj_id == self.traj_id and self.splice is None and state.t_play_ns >= self.knots[-1].t_ns

@@ -46,3 +46,8 @@ def classify_sequence(last: int, seq: int) -> Sequenced:
 def next_sequence(seq: int) -> int:
     """The number after `seq`, wrapping at 2^32."""
     return (seq + 1) % 0x1_0000_0000
+
+
+def is_at_or_after(seq: int, first: int) -> bool:
+    """Whether `seq` is `first` or newer, across the wrap."""
+    return (seq - first) % 0x1_0000_0000 < 0x8000_0000

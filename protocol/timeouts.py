@@ -26,6 +26,9 @@ COMMAND_PERIOD = Timeout(
 HELLO_PERIOD = Timeout(
     "hello period", "PC", 100 * MS, "HELLO again", "quick to connect, 10 datagrams a second while waiting"
 )
+ARM_PERIOD = Timeout(
+    "arm period", "PC", 100 * MS, "ARM again", "heartbeats in between keep the session while ARM is refused"
+)
 STATE_PERIOD = Timeout("state period", "PLC", 10 * MS, "next state is sent", "the PLC's log cycle")
 COMMAND_LATE = Timeout(
     "command late", "PLC", 100 * MS, "warning LINK_LATE", "five commands missing: visible before it hurts"
@@ -60,6 +63,9 @@ SERVO_STALE = Timeout(
     "target stands still",
     "three commands: a target may move on for this long without news of it",
 )
+SERVO_LOST = Timeout(
+    "servo target lost", "PC", 250 * MS, "STOP is sent", "whoever steers is gone: same bound as for commands"
+)
 LINK_CLOSED = Timeout(
     "link closed", "PC", 1000 * MS, "session given up, HELLO with a new one", "same bound as the PLC's"
 )
@@ -73,6 +79,7 @@ STOP_ON_EXIT = Timeout(
 ALL = (
     COMMAND_PERIOD,
     HELLO_PERIOD,
+    ARM_PERIOD,
     STATE_PERIOD,
     COMMAND_LATE,
     COMMAND_LOST,
@@ -81,6 +88,7 @@ ALL = (
     STATE_LATE,
     STATE_LOST,
     SERVO_STALE,
+    SERVO_LOST,
     LINK_CLOSED,
     START_WAIT,
     STOP_ON_EXIT,
@@ -92,6 +100,7 @@ RING_KNOTS = 64  # knots that the PLC can hold: 3.2 s at 50 ms
 KNOT_SPACING_MIN_NS = 5 * MS
 KNOT_SPACING_MAX_NS = 200 * MS
 FROZEN_NS = 100 * MS  # knots nearer than this ahead of the playback are not replaced any more: five commands
+TAIL_AHEAD_NS = 200 * MS  # the PC asks for twice that, so that some commands may be lost
 SERVO_REACH_S = 0.25  # a servo target is at most this long at full speed away from the reference: further is a mistake
 START_TOLERANCE_RAD = 1e-5  # 0.05 mm at 5 m: rounding, not distance
 

@@ -14,6 +14,7 @@ from sim_plc.plc.settings import PlcSettings
 _ROUNDING = 1e-9
 _BRAKE = 0.9  # of qdd_max is what braking is planned with: the rest is for a target that moves
 _AT_TARGET_RAD = 1e-7  # 0.5 um at 5 m
+_STILL_RAD_S = 1e-6  # rest, as knots have it
 
 
 @njit(cache=True)
@@ -63,7 +64,7 @@ def chase(
         out[0, j] += after * dt
         out[1, j] = after
         out[2, j] = (after - before) / dt
-        if speed[j] != 0.0 or abs(target[j] - out[0, j]) > _AT_TARGET_RAD or abs(after) > step:
+        if speed[j] != 0.0 or abs(target[j] - out[0, j]) > _AT_TARGET_RAD or abs(after) > _STILL_RAD_S:
             arrived = False
     return arrived
 

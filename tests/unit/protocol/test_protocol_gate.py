@@ -61,6 +61,12 @@ def trajectory(knots: tuple[Knot, ...], first: int = 2, flags: CommandFlag = Com
     )
 
 
+def servo(**changes: object) -> Command:
+    there = Knot(0, (0.4, 0.15, *ZEROS[2:]), (0.1, -0.1, *ZEROS[2:]))
+    command = Command(9, 5, 0, Mode.SERVO, axis_mask=3, traj_id=4, interp=Interp.LINEAR, knots=(there,))
+    return replace(command, **changes)  # type: ignore[arg-type]
+
+
 REST = tuple(Knot(t * MS, HERE) for t in (100, 150, 200))
 START = tuple(Knot(t * MS, HERE) for t in (0, 50, 100))
 HOLDING = replace(VIEW, plc_state=PlcState.HOLD)
@@ -69,6 +75,9 @@ GOOD: tuple[tuple[str, Command, GateView], ...] = (
     ("starting", trajectory(START, first=0), HOLDING),
     ("ending", trajectory(REST, flags=CommandFlag.LAST_IS_END), VIEW),
     ("prefill", trajectory(REST), HOLDING),
+    ("servo", servo(), VIEW),
+    ("servo starting", servo(cmd_flags=CommandFlag.START), HOLDING),
+    ("servo at its reach", servo(knots=(Knot(0, (0.3 + 0.124999, 0.2, *ZEROS[2:])),)), VIEW),
     ("arm", Command(9, 5, 0, Mode.ARM, arm_nonce=77), replace(VIEW, plc_state=PlcState.LINKED)),
     ("arm again", Command(9, 5, 0, Mode.ARM, arm_nonce=77), HOLDING),
     ("reset", Command(9, 5, 0, Mode.RESET), replace(VIEW, plc_state=PlcState.FAULT)),
@@ -115,7 +124,18 @@ def bad_cases() -> list[Bad]:
     moved = tuple(replace(k, q=(0.3 + 2e-5, *k.q[1:])) for k in START)
     cases = [
         Bad("knots in a heartbeat", RejectCode.VALUE, Command(9, 5, 0, knots=REST)),
-        Bad("servo", RejectCode.MODE_ILLEGAL, Command(9, 5, 0, Mode.SERVO)),
+        Bad("servo without a target", RejectCode.VALUE, servo(knots=())),
+        Bad("servo with two targets", RejectCode.VALUE, servo(knots=servo().knots * 2)),
+        Bad("servo quintic", RejectCode.INTERP, servo(interp=Interp.QUINTIC)),
+        Bad("servo blind", RejectCode.ECHO_STALE, servo(), replace(VIEW, state_age_ns=101 * MS)),
+        Bad("servo other session", RejectCode.SESSION, servo(), replace(VIEW, session=8)),
+        Bad("servo unarmed", RejectCode.MODE_ILLEGAL, servo(), linked),
+        Bad("servo axis mask", RejectCode.AXIS_MASK, servo(axis_mask=1)),
+        Bad("servo override", RejectCode.OVERRIDE, servo(speed_override=1.01)),
+        Bad("servo number", RejectCode.TRAJ_ID, servo(traj_id=0)),
+        Bad("servo fast", RejectCode.LIMIT_QD, servo(knots=(Knot(0, HERE, (0.50001, *ZEROS[1:])),))),
+        Bad("servo far", RejectCode.IMPLIED_SPEED, servo(knots=(Knot(0, (0.3 + 0.12501, 0.2, *ZEROS[2:])),))),
+        Bad("servo far down", RejectCode.IMPLIED_SPEED, servo(knots=(Knot(0, (0.3 - 0.12501, 0.2, *ZEROS[2:])),))),
         Bad("arm while running", RejectCode.MODE_ILLEGAL, arm, VIEW),
         Bad("arm blind", RejectCode.ECHO_STALE, arm, replace(linked, state_age_ns=101 * MS)),
         Bad("arm other session", RejectCode.SESSION, arm, replace(linked, session=8)),

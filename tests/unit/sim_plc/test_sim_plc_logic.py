@@ -204,7 +204,7 @@ def test_running_out_of_knots_brakes_on_the_path_before_the_last_knot():
     virtual = armed()
     knots = quintic_knots(virtual.plc.q_ref, Q_END, 4.0)
     assert virtual.run(knots) == ()
-    virtual.client._run.playback = CutShort(1, knots[:41])  # flat out at knot 40, and nothing after it
+    virtual.client._run.motion = CutShort(1, knots[:41])  # flat out at knot 40, and nothing after it
     virtual.step(3500)
     assert virtual.plc.state is PlcState.HOLD
     assert virtual.plc.underruns == 1

@@ -24,12 +24,12 @@ GAINS = np.array([joint.velocity_gain_rad_s for joint in MACHINE.joints])
 class VirtualPlc:
     """Steps of 1 ms; `lose(direction, t_ns)` decides which datagrams vanish."""
 
-    def __init__(self, seed=1, panel=None):
+    def __init__(self, seed=1, panel=None, key=b"", dry_run=False):
         self.t_ns = 10_000 * MS
         rng = np.random.default_rng(seed)
         self.panel = panel or LocalPanel()
-        self.plc = PlcLogic(MACHINE, RawFraming(), lambda: int(rng.integers(1, 2**32)), self.panel)
-        self.client = ClientLink(TABLE, RawFraming(), session=7)
+        self.plc = PlcLogic(MACHINE, RawFraming(), lambda: int(rng.integers(1, 2**32)), self.panel, key, dry_run)
+        self.client = ClientLink(TABLE, RawFraming(), session=7, key=key)
         self.q = np.array(Q_START)
         self.qd = np.zeros(len(self.q))
         self.t_oil_c = 40.0

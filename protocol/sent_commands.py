@@ -1,0 +1,28 @@
+"""What the PC has sent lately, so that a refusal can be shown with the field's name and value."""
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+
+from protocol.codes import reject_text
+from protocol.layout import command_field_text
+
+_KEPT = 128  # two and a half seconds of commands
+
+
+@dataclass(slots=True)
+class SentCommands:
+    """Payloads by sequence number, the newest 128."""
+
+    _payloads: OrderedDict[int, bytes] = field(default_factory=OrderedDict)
+
+    def note(self, seq: int, payload: bytes) -> None:
+        """Remember what was sent."""
+        self._payloads[seq] = payload
+        if len(self._payloads) > _KEPT:
+            self._payloads.popitem(last=False)
+
+    def explain(self, code: int, seq: int, offset: int) -> str:
+        """A refusal in words: code, remedy, and the field of that command, as far as it is still known."""
+        payload = self._payloads.get(seq)
+        found = command_field_text(payload, offset) if payload else ""
+        return f"{reject_text(code)} [{found}]" if found else reject_text(code)
