@@ -8,6 +8,7 @@ from rich.console import Console
 
 from server.errors import SettingsError
 from server.settings import read_machine_text
+from server.shell_settings import read_key
 
 
 def sim(
@@ -21,6 +22,8 @@ def sim(
     camera_port: Annotated[int, typer.Option(help="HTTP port of the camera")] = 8090,
     camera_rate_hz: Annotated[float, typer.Option(help="stereo pairs a second")] = 15.0,
     enable: Annotated[str, typer.Option(help="auto, or panel: SIGUSR1 presses the local enable")] = "auto",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="play everything, but leave the valves neutral")] = False,
+    auth_key_file: Annotated[str | None, typer.Option(help="hexadecimal key: only signed commands are taken")] = None,
     truth_log: Annotated[Path | None, typer.Option(help="folder for the truth, which the server never sees")] = None,
 ) -> None:
     """Start the simulated machine in real time, until Ctrl-C."""
@@ -48,6 +51,8 @@ def sim(
                 camera_port=camera_port,
                 camera_rate_hz=camera_rate_hz,
                 enable=enable,
+                dry_run=dry_run,
+                key=read_key(auth_key_file),
                 truth_log=truth_log,
             )
         )

@@ -34,6 +34,9 @@ class PlcSettings(_Strict):
     local_host: str = "0.0.0.0"
     local_port: LocalPort = 50111
     framing: Literal["raw", "eap"] = "raw"
+    pc_net_id: str = "192.168.0.10.1.1"  # EAP only: AMS NetIds of both ends
+    plc_net_id: str = "192.168.0.20.1.1"
+    auth_key_file: str | None = None  # hexadecimal key, the same as in the PLC; none: nothing is signed
 
 
 class HttpCameraSettings(_Strict):

@@ -1,9 +1,27 @@
 """From the settings file to what link and vision processes take."""
 
+from pathlib import Path
+
+from protocol.authentication import parse_key
+from protocol.errors import LocalProtocolError
 from server.camera.client import VisionSettings
 from server.camera.sources import DeviceSource, FileSource, HttpSource
+from server.errors import SettingsError
 from server.link.client import LinkSettings
 from server.settings import DeviceCameraSettings, FileCameraSettings, HttpCameraSettings, ServerSettings
+
+
+def read_key(path: str | None) -> bytes:
+    """The key of the PLC link from its file; no file, no key.
+
+    Raises: SettingsError: the file cannot be read or holds no key.
+    """
+    if path is None:
+        return b""
+    try:
+        return parse_key(Path(path).read_text(encoding="ascii"))
+    except (OSError, UnicodeDecodeError, LocalProtocolError) as error:
+        raise SettingsError(f"[plc] auth_key_file = '{path}': {error}") from error
 
 
 def link_settings(settings: ServerSettings) -> LinkSettings:
@@ -15,6 +33,9 @@ def link_settings(settings: ServerSettings) -> LinkSettings:
         local_host=plc.local_host,
         local_port=plc.local_port,
         framing=plc.framing,
+        pc_net_id=plc.pc_net_id,
+        plc_net_id=plc.plc_net_id,
+        key=read_key(plc.auth_key_file),
     )
 
 

@@ -32,9 +32,11 @@ class MachineLoop:
         t_start_ns: int,
         draw_nonce: Callable[[], int],
         panel: LocalPanel | None = None,
+        key: bytes = b"",
+        dry_run: bool = False,
     ) -> None:
         self.plant = Plant(world.plant, world.q_start_rad)
-        self.plc = PlcLogic(world.nominal, framing, draw_nonce, panel)
+        self.plc = PlcLogic(world.nominal, framing, draw_nonce, panel, key, dry_run)
         self.t_plc_ns = t_start_ns
         self.cycle_ns = self.plc.settings.cycle_ns
         self.feed: PoseFeed | None = None

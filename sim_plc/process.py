@@ -57,7 +57,9 @@ def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callab
         _warm_up(world)
         feed = PoseFeed.create(offset_ns)
         cleanup.callback(feed.close)
-        machine = MachineLoop(world, framing, _cycle_start(offset_ns), lambda: secrets.randbits(32), panel)
+        machine = MachineLoop(
+            world, framing, _cycle_start(offset_ns), lambda: secrets.randbits(32), panel, settings.key, settings.dry_run
+        )
         machine.feed = feed
         if settings.truth_log is not None:
             machine.truth = TruthLog(settings.truth_log, world, settings.stand_off_m)
@@ -151,7 +153,7 @@ def _stop_flag() -> Iterator[Callable[[], bool]]:
 
 
 def _panel_signals(panel: LocalPanel) -> None:
-    """SIGUSR1 presses and releases the enable, SIGUSR2 takes and releases the lever: hands at the simulated machine."""
+    """Hands at the simulated machine: SIGUSR1 presses and releases the enable, SIGUSR2 the lever, SIGRTMIN the E-stop."""
 
     def enable(number: int, frame: FrameType | None) -> None:
         del number, frame
@@ -165,7 +167,13 @@ def _panel_signals(panel: LocalPanel) -> None:
         panel.lever_taken = not panel.lever_taken
 
     signal.signal(signal.SIGUSR1, enable)
+
+    def estop(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        panel.estop_pressed = not panel.estop_pressed
+
     signal.signal(signal.SIGUSR2, lever)
+    signal.signal(signal.SIGRTMIN, estop)
 
 
 def _start_camera(world: World, feed: PoseFeed, settings: SimSettings) -> BaseProcess:

@@ -30,7 +30,9 @@ class SimSettings:
     camera_host: str = "127.0.0.1"
     camera_port: int = 8090
     camera_rate_hz: float = 15.0
-    enable: str = "auto"  # or "panel": SIGUSR1 presses and releases the enable, SIGUSR2 takes and releases the lever
+    dry_run: bool = False  # everything is played, but the valves stay neutral
+    key: bytes = b""  # 16..64 bytes: take only signed commands, and sign states
+    enable: str = "auto"  # or "panel": SIGUSR1 presses and releases the enable, SIGUSR2 the lever, SIGRTMIN the E-stop
     truth_log: Path | None = None
     stand_off_m: float = 0.1  # of the goal that the truth log measures against
 

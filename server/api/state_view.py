@@ -112,7 +112,11 @@ def _link(cell: Cell) -> LinkView:
         underruns=latest.underruns if latest else 0,
         fault_bits=latest.fault_bits if latest else 0,
         simulation=latest.simulation if latest else False,
+        dry_run=health.dry_run,
         last_reject=health.last_reject,
+        recent_rejects=list(health.recent_rejects),
+        lateness_p99_ms=round(health.lateness_p99_us * 1e-3, 3),
+        warning=health.error or health.warning,
     )
 
 

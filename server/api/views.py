@@ -23,7 +23,11 @@ class LinkView(View):
     underruns: int
     fault_bits: int
     simulation: bool
+    dry_run: bool
     last_reject: str
+    recent_rejects: list[str]
+    lateness_p99_ms: float
+    warning: str
 
 
 class CameraView(View):

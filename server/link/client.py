@@ -10,6 +10,7 @@ from machine.description import Machine
 from protocol.limits import limits_of
 from server.link.contracts import (
     ArmRequest,
+    CorrectRequest,
     DisarmRequest,
     HealthReport,
     LinkHealth,
@@ -22,7 +23,9 @@ from server.link.contracts import (
     RunRefused,
     RunRequest,
     SamplesReport,
+    SilenceRequest,
     StopRequest,
+    TailReport,
 )
 from server.link.errors import LinkError, LinkRefusedError, LinkSilentError
 from server.link.knots import knots_of
@@ -56,6 +59,7 @@ class LinkClient:
         self._changed = asyncio.Event()
         self._traj_id = 0
         self._motion: asyncio.Future[MotionEnded] | None = None
+        self._tail: asyncio.Future[TailReport] | None = None
         self._restart: asyncio.Task[None] | None = None
         self._closing = False
 
@@ -160,7 +164,36 @@ class LinkClient:
             if not motion.cancel() and not motion.cancelled():
                 motion.exception()  # looked at: asyncio need not warn of it
 
-    async def stop(self, reason: str) -> None:
+    async def correct(self, trajectory: JointTrajectory, first: int) -> None:
+        """Replace the running trajectory from its knot `first` on by `trajectory`, whose times count from its start.
+
+        The new knots join the trajectory's own knot before them: the splice is on the reference. `run` goes on waiting
+        for the end. Returns when the PLC has taken the new tail.
+
+        Raises: LinkRefusedError: nothing runs, too near, or the gate or the PLC says no; the old tail goes on.
+        """
+        motion = self._motion
+        if motion is None or motion.done() or self._tail is not None:
+            raise LinkRefusedError("no trajectory is under way that could be corrected, or a correction is on its way")
+        tail = self._tail = asyncio.get_running_loop().create_future()
+        try:
+            knots = knots_of(trajectory, len(self._table.axes))
+            await self._request(CorrectRequest(self._traj_id, first, knots))
+            await asyncio.wait((tail, motion), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._tail = None
+        if not tail.done() or not tail.result().taken:
+            raise LinkRefusedError(tail.result().text if tail.done() else "the trajectory ended before the correction")
+
+    async def go_silent(self, duration_s: float) -> None:
+        """Send nothing for a while, as if this PC were gone: the PLC has to stop by itself. For commissioning."""
+        await self._request(SilenceRequest(duration_s))
+
+    async def quick_stop(self, reason: str) -> None:
+        """Every joint to rest as fast as it may; like `stop` otherwise."""
+        await self.stop(reason, quick=True)
+
+    async def stop(self, reason: str, quick: bool = False) -> None:
         """Ramp down along the path and hold; returns when the PLC is at rest, at the latest after 3 s.
 
         If the PLC is not heard or the process is gone, its watchdog stops the machine: that is logged, not raised.
@@ -171,7 +204,7 @@ class LinkClient:
             return self.health.phase not in _MOVING and (motion is None or motion.done())
 
         try:
-            await self._request(StopRequest(reason))
+            await self._request(StopRequest(reason, quick))
         except LinkSilentError as error:
             _LOG.warning("stop (%s) could not be sent, the PLC stops by its watchdog: %s", reason, error)
             return
@@ -241,6 +274,9 @@ class LinkClient:
             case MotionEnded(traj_id=traj_id):
                 if self._motion and not self._motion.done() and traj_id == self._traj_id:
                     self._motion.set_result(report)
+            case TailReport(traj_id=traj_id):
+                if self._tail and not self._tail.done() and traj_id == self._traj_id:
+                    self._tail.set_result(report)
             case RunRefused(traj_id=traj_id, reason=reason):
                 if self._motion and not self._motion.done() and traj_id == self._traj_id:
                     self._motion.set_exception(LinkRefusedError(reason))

@@ -42,6 +42,7 @@ class PlcSample:
     fault_bits: int
     reject_code: int
     simulation: bool
+    dry_run: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +65,9 @@ class LinkHealth:
     buffer_min_us: int = 0  # smallest buffer depth of the newest trajectory while it ran
     receive_timestamps: str = "kernel"  # or "process": who stamped the received datagrams
     error: str = ""  # why the link cannot work at all at the moment (name not found, ...)
+    dry_run: bool = False  # the PLC plays everything, but its valves stay neutral
+    cfg_id: int = 0  # of the limits in the PLC, as it says
+    recent_rejects: tuple[str, ...] = ()  # the newest ten: code, remedy, field and value, command number
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +97,26 @@ class RunRequest:
 
 @dataclass(frozen=True, slots=True)
 class StopRequest:
-    """Ramp down along the path and hold; always accepted."""
+    """Ramp down and hold, along the path or (quick) every joint as fast as it may; always accepted."""
 
     reason: str
+    quick: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class CorrectRequest:
+    """Replace the running trajectory from knot `first` on; gate-checked. Answered by one TailReport."""
+
+    traj_id: int
+    first: int
+    knots: tuple[tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SilenceRequest:
+    """Send nothing for a while, as if the PC were gone; for commissioning, to see that the PLC stops by itself."""
+
+    duration_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,5 +153,14 @@ class RunRefused:
     reason: str
 
 
-LinkRequest = ArmRequest | RunRequest | StopRequest | ResetRequest | DisarmRequest
-LinkReport = SamplesReport | HealthReport | MotionEnded | RunRefused
+@dataclass(frozen=True, slots=True)
+class TailReport:
+    """A correction was taken by the PLC, or not: then the trajectory goes on as it was."""
+
+    traj_id: int
+    taken: bool
+    text: str
+
+
+LinkRequest = ArmRequest | RunRequest | CorrectRequest | StopRequest | SilenceRequest | ResetRequest | DisarmRequest
+LinkReport = SamplesReport | HealthReport | MotionEnded | RunRefused | TailReport

@@ -1,9 +1,17 @@
 """A planned trajectory as the knots of a run request."""
 
+from collections.abc import Iterable
+
+from protocol.messages import Knot, axes8
 from server.link.errors import LinkRefusedError
 from server.motion.contracts import JointTrajectory
 
 KnotTuple = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]
+
+
+def knots_from(tuples: Iterable[KnotTuple]) -> tuple[Knot, ...]:
+    """The knots of a request as the link takes them."""
+    return tuple(Knot(t, axes8(q), axes8(qd), axes8(qdd)) for t, q, qd, qdd in tuples)
 
 
 def knots_of(trajectory: JointTrajectory, joints: int) -> tuple[KnotTuple, ...]:

@@ -10,6 +10,8 @@ import secrets
 import selectors
 import signal
 import time
+from collections import deque
+from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from types import FrameType
 
@@ -20,16 +22,19 @@ from protocol.client_events import (
     GateRefused,
     RejectSeen,
     StateReceived,
+    TailAnswered,
     TrajectoryEnded,
 )
 from protocol.client_link import ClientLink
-from protocol.codes import PlcState
+from protocol.codes import HeaderFlag, PlcState
 from protocol.errors import LocalProtocolError
+from protocol.gate import Refusal
 from protocol.limits import LimitTable
-from protocol.messages import Knot, State, axes8
+from protocol.messages import State
 from protocol.timeouts import STOP_ON_EXIT
 from server.link.contracts import (
     ArmRequest,
+    CorrectRequest,
     DisarmRequest,
     HealthReport,
     LinkHealth,
@@ -39,8 +44,11 @@ from server.link.contracts import (
     ResetRequest,
     RunRefused,
     RunRequest,
+    SilenceRequest,
     StopRequest,
+    TailReport,
 )
+from server.link.knots import knots_from
 from server.link.lateness import Lateness, LatenessFigures
 from server.link.outbox import Outbox
 from server.link.priority import raise_priority
@@ -52,6 +60,7 @@ from server.link.udp_end import Address, UdpEnd
 _HEALTH_NS = 100_000_000
 _RESOLVE_NS = 1_000_000_000
 _REFUSALS_SHOWN = 3
+_REJECTS_KEPT = 10
 _AGE_SHOWN_NS = 3_600_000_000_000  # "never" is shown as an hour
 
 
@@ -70,7 +79,8 @@ class LinkProcess:
         self._phase = ClientPhase.OFFLINE
         self._past_sent = self._past_received = self._past_lost = self._rejected = 0
         self._buffer_min_us = self._last_knot = 0
-        self._last_reject = ""
+        self._rejects: deque[str] = deque(maxlen=_REJECTS_KEPT)
+        self._silent_until_ns = 0
         self._arm_until_ns: int | None = None
         self._next_health_ns = self._next_resolve_ns = 0
         self._leaving: str | None = None
@@ -111,8 +121,9 @@ class LinkProcess:
 
     def _new_link(self) -> ClientLink:
         session = secrets.randbelow(0xFFFF_FFFF) + 1
+        settings = self._settings
         return ClientLink(
-            self._table, framing_of(self._settings), session, speed_override=self._settings.speed_override
+            self._table, framing_of(settings), session, speed_override=settings.speed_override, key=settings.key
         )
 
     # --- time -------------------------------------------------------------------------------------------------------
@@ -124,7 +135,8 @@ class LinkProcess:
             self._link.cancel_wish()
         self._handle(self._link.poll(now_ns), now_ns)
         self._find_plc(now_ns)
-        datagram = self._link.send(now_ns) if self._address else None
+        silent = now_ns < self._silent_until_ns
+        datagram = self._link.send(now_ns) if self._address and not silent else None
         if datagram and self._address:
             self._udp.send(datagram, self._address)
             self._lateness.add(time.monotonic_ns() - deadline_ns)
@@ -166,10 +178,14 @@ class LinkProcess:
                 self._link.request_arm()
             case RunRequest():
                 self._start(request)
-            case StopRequest(reason=reason):
+            case StopRequest(reason=reason, quick=quick):
                 self._arm_until_ns = None
                 self._link.cancel_wish()
-                self._link.request_stop(reason)
+                self._link.request_stop(reason, quick)
+            case CorrectRequest():
+                self._correct(request)
+            case SilenceRequest(duration_s=duration_s):
+                self._silent_until_ns = time.monotonic_ns() + round(duration_s * 1e9)
             case ResetRequest():
                 self._arm_until_ns = None
                 self._link.request_reset()
@@ -179,18 +195,27 @@ class LinkProcess:
 
     def _start(self, request: RunRequest) -> None:
         try:
-            knots = tuple(Knot(t, axes8(q), axes8(qd), axes8(qdd)) for t, q, qd, qdd in request.knots)
+            knots = knots_from(request.knots)
             refusals = self._link.request_run(request.traj_id, knots, time.monotonic_ns())
         except LocalProtocolError as error:
             self._outbox.report(RunRefused(request.traj_id, str(error)))
             return
         if refusals:
-            shown = "; ".join(refusal.text for refusal in refusals[:_REFUSALS_SHOWN])
-            more = len(refusals) - _REFUSALS_SHOWN
-            text = f"motion gate: {shown}" + (f"; and {more} more" if more > 0 else "")
-            self._outbox.report(RunRefused(request.traj_id, text))
+            self._outbox.report(RunRefused(request.traj_id, _text_of(refusals)))
             return
         self._buffer_min_us, self._last_knot = 0, len(knots) - 1
+
+    def _correct(self, request: CorrectRequest) -> None:
+        try:
+            knots = knots_from(request.knots)
+            refusals = self._link.request_tail(request.traj_id, request.first, knots, time.monotonic_ns())
+        except LocalProtocolError as error:
+            self._outbox.report(TailReport(request.traj_id, False, str(error)))
+            return
+        if refusals:
+            self._outbox.report(TailReport(request.traj_id, False, _text_of(refusals)))
+            return
+        self._last_knot = request.first + len(knots) - 1
 
     # --- events -----------------------------------------------------------------------------------------------------
 
@@ -203,12 +228,14 @@ class LinkProcess:
                 case TrajectoryEnded(traj_id=traj_id, reached=reached, reason=reason, t_plc_ns=t_plc_ns):
                     self._report_health(t_mono_ns)
                     self._outbox.report(MotionEnded(traj_id, reached, reason, t_plc_ns))
+                case TailAnswered(traj_id=traj_id, taken=taken, text=text):
+                    self._outbox.report(TailReport(traj_id, taken, text))
                 case RejectSeen(text=text, seq=seq):
                     self._rejected += 1
-                    self._last_reject = f"{text} (command {seq})"
+                    self._rejects.append(f"{text} (command {seq})")
                 case GateRefused(text=text):
                     self._rejected += 1
-                    self._last_reject = f"motion gate: {text}"
+                    self._rejects.append(f"motion gate: {text}")
                 case Closed():
                     self._renew()
                 case _:  # Dropped: counted by the link
@@ -238,7 +265,7 @@ class LinkProcess:
 
     def _health(self, now_ns: int) -> LinkHealth:
         counters, figures = self._link.counters, self._figures
-        age_ns = self._link.age_ns(now_ns)
+        age_ns, state = self._link.age_ns(now_ns), self._link.state
         return LinkHealth(
             phase=LinkPhase(self._phase.value),
             age_ms=min(age_ns, _AGE_SHOWN_NS) / 1e6,
@@ -250,13 +277,22 @@ class LinkProcess:
             lateness_p99_us=figures.p99_us,
             lateness_max_us=figures.max_us,
             round_trip_ms=self._link.clock.delay_ns / 1e6,
-            last_reject=self._last_reject,
+            last_reject=self._rejects[-1] if self._rejects else "",
             session=self._link.session if self._link.linked else 0,
             warning=self._warning,
             buffer_min_us=self._buffer_min_us,
             receive_timestamps="kernel" if self._udp.kernel_stamps else "process",
             error=self._resolver.error,
+            dry_run=state is not None and HeaderFlag.DRY_RUN in state.flags,
+            cfg_id=state.cfg_id if state is not None else 0,
+            recent_rejects=tuple(self._rejects),
         )
+
+
+def _text_of(refusals: Sequence[Refusal]) -> str:
+    shown = "; ".join(refusal.text for refusal in refusals[:_REFUSALS_SHOWN])
+    more = len(refusals) - _REFUSALS_SHOWN
+    return f"motion gate: {shown}" + (f"; and {more} more" if more > 0 else "")
 
 
 def link_process_main(pipe: Connection, settings: LinkSettings, table: LimitTable, parent_pid: int) -> None:

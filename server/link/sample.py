@@ -29,4 +29,5 @@ def sample_of(state: State, t_mono_ns: int, joints: int) -> PlcSample:
         fault_bits=state.fault_bits,
         reject_code=state.reject_code,
         simulation=HeaderFlag.SIMULATION in state.flags,
+        dry_run=HeaderFlag.DRY_RUN in state.flags,
     )

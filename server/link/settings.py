@@ -19,6 +19,7 @@ class LinkSettings:
     plc_net_id: str = "192.168.0.20.1.1"
     command_hz: float = 50.0
     speed_override: float = 1.0
+    key: bytes = b""  # 16..64 bytes: sign commands and take only signed states
 
 
 def framing_of(settings: LinkSettings) -> Framing:
