@@ -18,6 +18,7 @@ from server.api.state import state_router
 from server.camera.client import VisionClient
 from server.cell import Cell
 from server.jobs.engine import JobEngine
+from server.jobs.journal import JobJournal
 from server.jobs.performer import Performer
 from server.jobs.service import JobService
 from server.link.client import LinkClient
@@ -46,7 +47,9 @@ def build_cell(settings: ServerSettings) -> Cell:
 def build_app(settings: ServerSettings) -> FastAPI:
     """The ASGI application; link and vision processes live as long as it does."""
     cell = build_cell(settings)
-    engine = JobEngine(Performer(cell))
+    journal = JobJournal(Path(settings.recording.folder) / "jobs.jsonl")
+    engine = JobEngine(Performer(cell), journal.restore())
+    engine.on_event(journal.note)
     service = JobService(cell, engine)
 
     @asynccontextmanager

@@ -4,7 +4,7 @@ import asyncio
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -23,13 +23,14 @@ STOP_BOUND_S = (
 
 
 class JobState(Enum):
-    """Life of a job; the last three are ends."""
+    """Life of a job; the last four are ends."""
 
     RUNNING = "running"
     STOPPING = "stopping"
     DONE = "done"
     FAILED = "failed"
     STOPPED = "stopped"
+    INTERRUPTED = "interrupted"  # the server itself ended while it ran
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ class Job:
     @property
     def ended(self) -> bool:
         """Whether the job has reached an end."""
-        return self.state in (JobState.DONE, JobState.FAILED, JobState.STOPPED)
+        return self.state not in (JobState.RUNNING, JobState.STOPPING)
 
     @property
     def elapsed_s(self) -> float:
@@ -75,12 +76,12 @@ class Job:
 class JobEngine:
     """Runs one motion job at a time. Busy is an error that names who is."""
 
-    def __init__(self, performer: Performer) -> None:
+    def __init__(self, performer: Performer, earlier: Iterable[Job] = ()) -> None:
         self._performer = performer
         self._task: asyncio.Task[None] | None = None
         self._listeners: list[Callable[[Job, JobEvent], None]] = []
         self.current: Job | None = None
-        self.jobs: deque[Job] = deque(maxlen=200)
+        self.jobs: deque[Job] = deque(earlier, maxlen=200)
 
     def on_event(self, listener: Callable[[Job, JobEvent], None]) -> None:
         """Call `listener(job, event)` for everything that happens to any job, on the event loop."""

@@ -89,6 +89,11 @@ class Performer:
         )
 
     async def _arm(self) -> None:
+        if self._cell.link.health.dry_run:
+            raise JobFailedError(
+                "PLC is in dry run: its valves stay neutral and nothing would move; end the dry run at the PLC",
+                "dry_run",
+            )
         if self._cell.link.health.phase is not LinkPhase.ARMED:
             self._fresh_samples(READING_S)
             await self._cell.link.arm()

@@ -10,7 +10,9 @@ export function showBar(state) {
   document.getElementById("version").textContent = `longreach ${state.version}`;
   const link = state.link;
   const linkAge = link.age_ms === null ? "never heard" : `${Math.round(link.age_ms)} ms`;
-  chip("link", `PLC ${link.phase}, ${linkAge}, ${link.lost_pct.toFixed(1)} % lost`, link.age_ms === null || link.age_ms > LINK_OLD_MS ? "bad" : ["fault", "local"].includes(link.phase) ? "warn" : "good");
+  const phase = link.dry_run ? `${link.phase}, DRY RUN (valves neutral)` : link.phase;
+  chip("link", `PLC ${phase}, ${linkAge}, ${link.lost_pct.toFixed(1)} % lost`, link.age_ms === null || link.age_ms > LINK_OLD_MS ? "bad" : link.dry_run || ["fault", "local"].includes(link.phase) ? "warn" : "good");
+  document.getElementById("link").title = [link.warning, ...link.recent_rejects.slice().reverse()].filter(Boolean).join("\n");
   const camera = state.camera;
   const cameraAge = camera.age_ms === null ? "no image" : `${camera.fps.toFixed(0)} pairs/s, ${Math.round(camera.age_ms)} ms`;
   chip("camera", `camera ${cameraAge}`, camera.age_ms === null || camera.age_ms > CAMERA_OLD_MS ? "bad" : camera.warnings.length ? "warn" : "good");
