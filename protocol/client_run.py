@@ -1,6 +1,6 @@
 """The motion that the PC has under way, and what the PLC's states say of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from protocol.codes import PlcState, RejectCode, reject_text
 from protocol.messages import State
@@ -30,7 +30,7 @@ class Run:
     t_asked_ns: int
     started: bool = False
     _before_tail: Playback | None = None
-    _tail_seq: int | None = None  # the first command that carried the new tail
+    _tail_seqs: set[int] = field(default_factory=set)  # commands that carried the splice of the new tail
 
     @property
     def traj_id(self) -> int:
@@ -45,18 +45,20 @@ class Run:
     def replace_tail(self, playback: Playback) -> None:
         """Send a new tail from now on."""
         if isinstance(self.motion, Playback):
-            self._before_tail, self._tail_seq, self.motion = self.motion, None, playback
+            self._before_tail, self.motion = self.motion, playback
+            self._tail_seqs.clear()
 
     def note_sent(self, seq: int, window: Window) -> None:
         """A command with this window goes out."""
-        if isinstance(self.motion, Playback) and self.motion.splice is not None and self._tail_seq is None:
-            self._tail_seq = seq if window.covers(self.motion.splice) else None
+        splice = self.motion.splice if isinstance(self.motion, Playback) else None
+        if splice is not None and window.covers(splice):
+            self._tail_seqs.add(seq)
 
     def look(self, state: State) -> bool:
         """Take the state in; whether a pending tail has just been taken by the PLC."""
         if state.traj_id == self.traj_id and state.plc_state in MOVING:
             self.started = True
-        carried = self.tail_pending and self._tail_seq is not None and is_at_or_after(state.ack_seq, self._tail_seq)
+        carried = self.tail_pending and state.ack_seq in self._tail_seqs
         taken = carried and state.plc_state is PlcState.RUN  # while stopping knots are acknowledged, but not taken
         if taken and isinstance(self.motion, Playback):
             self.motion, self._before_tail = self.motion.spliced(), None
@@ -64,9 +66,7 @@ class Run:
 
     def drop_refused_tail(self, code: int, seq: int) -> bool:
         """Whether this refusal was of the new tail; then the old one goes on."""
-        if self._before_tail is None or self._tail_seq is None or code not in _OF_KNOTS:
-            return False
-        if not is_at_or_after(seq, self._tail_seq):
+        if self._before_tail is None or code not in _OF_KNOTS or seq not in self._tail_seqs:
             return False
         self.motion, self._before_tail = self._before_tail, None
         return True

@@ -22,6 +22,7 @@ _SIGNED_END = {
 }
 _HEADER_AT = {field.name: field.offset for field in layout.HEADER.fields}
 _BODY_AT = {field.name: field.offset for field in layout.COMMAND_BODY.fields}
+_STATE_AT = {field.name: field.offset for field in layout.STATE_BODY.fields}
 _FLAGS_AT = struct.Struct("<H")
 _EMPTY_KNOT = bytes(layout.KNOT_SIZE)
 
@@ -169,13 +170,11 @@ def _refuse_not_finite(payload: bytes, block: Block, offset: int) -> None:
                 raise MalformedError(RejectCode.NOT_FINITE, f"{block.name} {field.name}[{i}] is NaN or infinite", where)
 
 
-def _number(kind: type[Any], value: int, name: str) -> Any:
+def _number(kind: type[Any], value: int, name: str, at: dict[str, int]) -> Any:
     try:
         return kind(value)
     except ValueError:
-        raise MalformedError(
-            RejectCode.VALUE, f"{name} = {value} is no {kind.__name__}", _BODY_AT.get(name, 0)
-        ) from None
+        raise MalformedError(RejectCode.VALUE, f"{name} = {value} is no {kind.__name__}", at[name]) from None
 
 
 def decode_command(payload: bytes, key: bytes = b"") -> Command:
@@ -197,8 +196,8 @@ def decode_command(payload: bytes, key: bytes = b"") -> Command:
     if count > layout.KNOTS_PER_COMMAND:
         text = f"knot_count = {count}, at most {layout.KNOTS_PER_COMMAND}"
         raise MalformedError(RejectCode.VALUE, text, _BODY_AT["knot_count"])
-    body["mode"] = _number(Mode, body["mode"], "mode")
-    body["interp"] = _number(Interp, body["interp"], "interp")
+    body["mode"] = _number(Mode, body["mode"], "mode", _BODY_AT)
+    body["interp"] = _number(Interp, body["interp"], "interp", _BODY_AT)
     body["cmd_flags"] = CommandFlag(body["cmd_flags"])
     return Command(
         session=header["session"],
@@ -226,9 +225,9 @@ def decode_state(payload: bytes, key: bytes = b"") -> State:
         map(math.isfinite, chain((body["p_supply"], body["p_tank"], body["t_oil"], body["speed_scale"]), *arrays))
     ):
         _refuse_not_finite(payload, layout.STATE_BODY, layout.STATE_BODY.offset)
-    values["plc_state"] = _number(PlcState, body["plc_state"], "plc_state")
-    values["link_state"] = _number(LinkState, body["link_state"], "link_state")
-    values["mode_active"] = _number(Mode, body["mode_active"], "mode_active")
+    values["plc_state"] = _number(PlcState, body["plc_state"], "plc_state", _STATE_AT)
+    values["link_state"] = _number(LinkState, body["link_state"], "link_state", _STATE_AT)
+    values["mode_active"] = _number(Mode, body["mode_active"], "mode_active", _STATE_AT)
     return State(
         session=header["session"],
         seq=header["seq"],

@@ -15,6 +15,7 @@ from protocol.timeouts import MS, SERVO_REACH_S, STATE_LATE
 
 _ROUNDING = 1e-9  # relative: a planner that plans to the limit is not refused for its last bit
 _REST = 1e-6  # rad/s and rad/s^2: rest, up to rounding
+_INSIDE = tuple(i / 16.0 for i in range(1, 16))
 _BETWEEN = (
     1.05  # between knots the quintic may exceed the limits by this much: it rounds the corners of the planned profile
 )
@@ -274,7 +275,7 @@ def _step(a: Knot, b: Knot, table: LimitTable) -> Iterator[Refusal]:
 
 
 def _quintic_peak(a: Knot, b: Knot, i: int, dt_s: float) -> tuple[float, float]:
-    """Largest speed and acceleration of the quintic between two knots of one axis, at four points inside."""
+    """Largest speed and acceleration of the quintic between two knots of one axis, at fifteen points inside."""
     v0, v1, a0, a1 = a.qd[i], b.qd[i], a.qdd[i], b.qdd[i]
     # q(s) = q0 + v0 T s + a0 T^2/2 s^2 + c3 s^3 + c4 s^4 + c5 s^5 with s = t/T; c3..c5 from the end's q, qd, qdd
     h = b.q[i] - a.q[i] - (v0 + 0.5 * a0 * dt_s) * dt_s
@@ -282,7 +283,7 @@ def _quintic_peak(a: Knot, b: Knot, i: int, dt_s: float) -> tuple[float, float]:
     da = (a1 - a0) * dt_s * dt_s
     c3, c4, c5 = 10 * h - 4 * dv + 0.5 * da, -15 * h + 7 * dv - da, 6 * h - 3 * dv + 0.5 * da
     qd = qdd = 0.0
-    for s in (0.2, 0.4, 0.6, 0.8):
+    for s in _INSIDE:
         qd = max(qd, abs(v0 + a0 * dt_s * s + (3 * c3 + (4 * c4 + 5 * c5 * s) * s) * s * s / dt_s))
         qdd = max(qdd, abs(a0 + (6 * c3 + (12 * c4 + 20 * c5 * s) * s) * s / (dt_s * dt_s)))
     return qd, qdd

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from protocol.codes import CommandFlag
 from protocol.layout import KNOTS_PER_COMMAND
 from protocol.messages import Knot, State
-from protocol.timeouts import RING_KNOTS
+from protocol.timeouts import PREFILL_NS, RING_KNOTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +47,20 @@ class Playback:
         """The first knots that the PLC lacks, while its ring has room; else the next unplayed ones again."""
         first = self._first(state)
         knots = self.knots[first : first + KNOTS_PER_COMMAND]
-        flags = CommandFlag.START
+        flags = CommandFlag.START if self._may_start(state) else CommandFlag(0)
         if self.splice is not None:
             flags |= CommandFlag.TAIL_REPLACES
         if first + len(knots) > self.last:
             flags |= CommandFlag.LAST_IS_END
         return Window(first, knots, self.knots[first - 1] if first else None, flags)
+
+    def _may_start(self, state: State) -> bool:
+        """Whether the PLC holds enough: the whole, or 800 ms, or all that its ring takes. It repeats once it runs."""
+        if state.traj_id != self.traj_id:
+            return False
+        held = state.knot_last
+        full = held + 1 + KNOTS_PER_COMMAND - state.knot_playing > RING_KNOTS
+        return held >= self.last or self.knots[held].t_ns >= PREFILL_NS or full
 
     def _first(self, state: State) -> int:
         if state.traj_id != self.traj_id:

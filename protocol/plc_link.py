@@ -5,7 +5,7 @@ Written apart from the client's end: both share codec and sequence rule only.
 """
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 from protocol.codec import decode_command, encode_state
 from protocol.codes import CommandFlag, HeaderFlag, LinkState, Mode, PlcState, RejectCode, WarnBit
@@ -269,7 +269,9 @@ class PlcLink:
             return []
         if not sequenced.usable:
             raise SessionError(RejectCode.SEQ_JUMP, f"sequence {command.seq} after {session.last_seq}", _AT["seq"])
-        mode = Mode.HEARTBEAT if command.hello else command.mode
+        if command.hello:
+            command = replace(command, mode=Mode.HEARTBEAT)  # a HELLO again is a heartbeat, whatever its mode says
+        mode = command.mode
         self._check_rules(command, mode, t_plc_ns)
         self._counters.lost += sequenced.lost
         return self._take(command, mode, t_plc_ns)

@@ -100,6 +100,7 @@ RING_KNOTS = 64  # knots that the PLC can hold: 3.2 s at 50 ms
 KNOT_SPACING_MIN_NS = 5 * MS
 KNOT_SPACING_MAX_NS = 200 * MS
 FROZEN_NS = 100 * MS  # knots nearer than this ahead of the playback are not replaced any more: five commands
+PREFILL_NS = 800 * MS  # a motion starts with so much of it in the PLC: a hard start survives ten lost commands
 TAIL_AHEAD_NS = 200 * MS  # the PC asks for twice that, so that some commands may be lost
 SERVO_REACH_S = 0.25  # a servo target is at most this long at full speed away from the reference: further is a mistake
 START_TOLERANCE_RAD = 1e-5  # 0.05 mm at 5 m: rounding, not distance

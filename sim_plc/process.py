@@ -153,7 +153,7 @@ def _stop_flag() -> Iterator[Callable[[], bool]]:
 
 
 def _panel_signals(panel: LocalPanel) -> None:
-    """Hands at the simulated machine: SIGUSR1 presses and releases the enable, SIGUSR2 the lever, SIGRTMIN the E-stop."""
+    """Hands at the machine: SIGUSR1 presses and releases the enable, SIGUSR2 the lever, SIGRTMIN the E-stop."""
 
     def enable(number: int, frame: FrameType | None) -> None:
         del number, frame

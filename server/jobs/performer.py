@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +30,7 @@ SILENT_S = 1.0  # a job gives up then; motion is stopped by link process and PLC
 REST_WINDOW_S = 0.4
 REST_SPEED_RAD_S = 2e-4  # 0.8 mm/s at 4 m
 REST_LAG_RAD_S = 1e-4
+ARMING_RAD = 1e-4  # four counts of an 18-bit encoder: 0.4 mm at 4 m
 
 
 class Performer:
@@ -100,11 +102,23 @@ class Performer:
 
     async def _move(self, request: Move) -> None:
         self.may_be_moving = True
-        self._record_sent(request.trajectory)
-        ended = await self._cell.link.run(request.trajectory)
+        trajectory = self._from_reference(request.trajectory)
+        self._record_sent(trajectory)
+        ended = await self._cell.link.run(trajectory)
         self.may_be_moving = False
         if not ended.reached:
             raise JobFailedError(f"{request.purpose}: motion ended early: {ended.reason}", "motion_ended_early")
+
+    def _from_reference(self, trajectory: JointTrajectory) -> JointTrajectory:
+        """The trajectory begun at the PLC's reference: arming sets that to the encoders, a count off the plan.
+
+        More than a few counts is not ours to take out: the motion gate refuses it.
+        """
+        latest = self._cell.link.latest
+        if latest is None:
+            return trajectory
+        away = np.array(latest.q_ref_rad) - trajectory.q[0]
+        return replace(trajectory, q=trajectory.q + away) if np.abs(away).max() <= ARMING_RAD else trajectory
 
     def _record_sent(self, trajectory: JointTrajectory) -> None:
         """The knots as handed to the link, at the times they are meant for."""

@@ -3,11 +3,13 @@
 import asyncio
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from machine.description import Machine
+from protocol.gate import check_trajectory
 from protocol.limits import limits_of
+from protocol.messages import axes8
 from server.link.contracts import (
     ArmRequest,
     CorrectRequest,
@@ -28,7 +30,7 @@ from server.link.contracts import (
     TailReport,
 )
 from server.link.errors import LinkError, LinkRefusedError, LinkSilentError
-from server.link.knots import knots_of
+from server.link.knots import KnotTuple, knots_from, knots_of, refusals_text
 from server.link.samples import SampleCallback, SampleRing
 from server.link.settings import LinkSettings, framing_of
 from server.link.supervised import SupervisedProcess
@@ -151,6 +153,7 @@ class LinkClient:
         if self.health.phase is not LinkPhase.ARMED:
             raise LinkRefusedError(f"PLC link is {self.health.phase.value}, must be armed and at rest; arm first")
         knots = knots_of(trajectory, len(self._table.axes))
+        await self._judge(knots)
         self._traj_id += 1
         motion = self._motion = asyncio.get_running_loop().create_future()
         try:
@@ -192,6 +195,15 @@ class LinkClient:
     async def quick_stop(self, reason: str) -> None:
         """Every joint to rest as fast as it may; like `stop` otherwise."""
         await self.stop(reason, quick=True)
+
+    async def _judge(self, knots: Sequence[KnotTuple]) -> None:
+        """The motion gate on the whole trajectory, here and beside the event loop: the link process has no time for it.
+
+        There every knot is judged again when it is sent.
+        """
+        found = await asyncio.to_thread(check_trajectory, knots_from(knots), axes8(knots[0][1]), self._table)
+        if found:
+            raise LinkRefusedError(refusals_text(found))
 
     async def stop(self, reason: str, quick: bool = False) -> None:
         """Ramp down along the path and hold; returns when the PLC is at rest, at the latest after 3 s.

@@ -1,17 +1,26 @@
 """A planned trajectory as the knots of a run request."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
+from protocol.gate import Refusal
 from protocol.messages import Knot, axes8
 from server.link.errors import LinkRefusedError
 from server.motion.contracts import JointTrajectory
 
+_REFUSALS_SHOWN = 3
 KnotTuple = tuple[int, tuple[float, ...], tuple[float, ...], tuple[float, ...]]
 
 
 def knots_from(tuples: Iterable[KnotTuple]) -> tuple[Knot, ...]:
     """The knots of a request as the link takes them."""
     return tuple(Knot(t, axes8(q), axes8(qd), axes8(qdd)) for t, q, qd, qdd in tuples)
+
+
+def refusals_text(refusals: Sequence[Refusal]) -> str:
+    """The motion gate's reasons in one line: the first three, and how many more."""
+    shown = "; ".join(refusal.text for refusal in refusals[:_REFUSALS_SHOWN])
+    more = len(refusals) - _REFUSALS_SHOWN
+    return f"motion gate: {shown}" + (f"; and {more} more" if more > 0 else "")
 
 
 def knots_of(trajectory: JointTrajectory, joints: int) -> tuple[KnotTuple, ...]:

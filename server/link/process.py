@@ -11,7 +11,6 @@ import selectors
 import signal
 import time
 from collections import deque
-from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from types import FrameType
 
@@ -28,7 +27,6 @@ from protocol.client_events import (
 from protocol.client_link import ClientLink
 from protocol.codes import HeaderFlag, PlcState
 from protocol.errors import LocalProtocolError
-from protocol.gate import Refusal
 from protocol.limits import LimitTable
 from protocol.messages import State
 from protocol.timeouts import STOP_ON_EXIT
@@ -48,7 +46,7 @@ from server.link.contracts import (
     StopRequest,
     TailReport,
 )
-from server.link.knots import knots_from
+from server.link.knots import knots_from, refusals_text
 from server.link.lateness import Lateness, LatenessFigures
 from server.link.outbox import Outbox
 from server.link.priority import raise_priority
@@ -59,7 +57,6 @@ from server.link.udp_end import Address, UdpEnd
 
 _HEALTH_NS = 100_000_000
 _RESOLVE_NS = 1_000_000_000
-_REFUSALS_SHOWN = 3
 _REJECTS_KEPT = 10
 _AGE_SHOWN_NS = 3_600_000_000_000  # "never" is shown as an hour
 
@@ -196,12 +193,12 @@ class LinkProcess:
     def _start(self, request: RunRequest) -> None:
         try:
             knots = knots_from(request.knots)
-            refusals = self._link.request_run(request.traj_id, knots, time.monotonic_ns())
+            refusals = self._link.request_run(request.traj_id, knots, time.monotonic_ns(), judged=True)
         except LocalProtocolError as error:
             self._outbox.report(RunRefused(request.traj_id, str(error)))
             return
         if refusals:
-            self._outbox.report(RunRefused(request.traj_id, _text_of(refusals)))
+            self._outbox.report(RunRefused(request.traj_id, refusals_text(refusals)))
             return
         self._buffer_min_us, self._last_knot = 0, len(knots) - 1
 
@@ -213,7 +210,7 @@ class LinkProcess:
             self._outbox.report(TailReport(request.traj_id, False, str(error)))
             return
         if refusals:
-            self._outbox.report(TailReport(request.traj_id, False, _text_of(refusals)))
+            self._outbox.report(TailReport(request.traj_id, False, refusals_text(refusals)))
             return
         self._last_knot = request.first + len(knots) - 1
 
@@ -287,12 +284,6 @@ class LinkProcess:
             cfg_id=state.cfg_id if state is not None else 0,
             recent_rejects=tuple(self._rejects),
         )
-
-
-def _text_of(refusals: Sequence[Refusal]) -> str:
-    shown = "; ".join(refusal.text for refusal in refusals[:_REFUSALS_SHOWN])
-    more = len(refusals) - _REFUSALS_SHOWN
-    return f"motion gate: {shown}" + (f"; and {more} more" if more > 0 else "")
 
 
 def link_process_main(pipe: Connection, settings: LinkSettings, table: LimitTable, parent_pid: int) -> None:

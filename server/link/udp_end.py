@@ -58,11 +58,11 @@ class UdpEnd:
         return arrived
 
     def _received_ns(self, ancillary: list[tuple[int, int, bytes]]) -> int:
-        now_ns = time.monotonic_ns()
+        wall_ns, now_ns = time.time_ns(), time.monotonic_ns()  # in this order: held up in between, a stamp comes late
         for level, kind, data in ancillary:
             if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) == _TIMESPEC.size:
                 seconds, nanoseconds = _TIMESPEC.unpack(data)
-                age_ns = time.time_ns() - (seconds * 1_000_000_000 + nanoseconds)
+                age_ns = wall_ns - (seconds * 1_000_000_000 + nanoseconds)
                 if 0 <= age_ns <= _STAMP_TRUST_NS:
                     return now_ns - age_ns
         return now_ns

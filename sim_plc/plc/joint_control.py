@@ -8,18 +8,18 @@ from sim_plc.plc.settings import PlcSettings
 
 
 @njit(cache=True)
-def _valves(q_ref: Array, q: Array, kp: Array, pt1_share: Array, lagged: Array, out: Array) -> None:
+def _valves(q_ref: Array, q: Array, kp: Array, pt1_share: Array, fade: float, lagged: Array, out: Array) -> None:
     for j in range(q.shape[0]):
         u = kp[j] * (q_ref[j] - q[j])  # eq. 6
         lagged[j] += pt1_share[j] * (u - lagged[j])  # eq. 25 over one cycle; a share of 1 is plain P
-        out[j] = min(max(lagged[j], -1.0), 1.0)
+        out[j] = min(max(lagged[j], -1.0), 1.0) * fade
 
 
 class JointControl:
     """Valve commands (n,) [fraction of full command] from the reference and the encoders.
 
     Model:   u = kp (q_ref - q), followed by 1 / (tau s + 1) where tau > 0 (exact for an input held over the cycle);
-             then clipped to -1..1.
+             then clipped to -1..1, and times the fade (1 but during a ramp).
     Source:  the paper, eqs. 6 and 25.
     """
 
@@ -34,8 +34,8 @@ class JointControl:
         self.valves[:] = 0.0
         return self.valves
 
-    def control(self, q_ref: Array, q: Array) -> Array:
-        """Valve commands of this cycle; a view that the next cycle changes."""
+    def control(self, q_ref: Array, q: Array, fade: float) -> Array:
+        """Valve commands of this cycle, times fade; a view that the next cycle changes."""
         settings = self._settings
-        _valves(q_ref, q, settings.kp, settings.pt1_share, self._lagged, self.valves)
+        _valves(q_ref, q, settings.kp, settings.pt1_share, fade, self._lagged, self.valves)
         return self.valves

@@ -3,6 +3,8 @@
 Every check names the field that is to blame: `k` is the knot's place in its command.
 """
 
+import math
+
 from protocol.codes import RejectCode
 from protocol.limits import LimitTable
 from protocol.messages import Axes, Knot
@@ -57,7 +59,7 @@ def check_step(a: Knot, b: Knot, k: int, table: LimitTable) -> Objection | None:
 
 
 def segment_peaks(a: Knot, b: Knot, j: int) -> tuple[float, float]:
-    """Largest |qd| [rad/s] and |qdd| [rad/s2] of axis j at seven points inside the segment from a to b.
+    """Largest |qd| [rad/s] at seven points inside the segment from a to b of axis j, and largest |qdd| [rad/s2] in it.
 
     Model:   the acceleration of the quintic is the cubic p(x) = A0 + x (d0 + x (d1 + x d2)) that meets both
              accelerations, and whose first and second integral meet the steps of speed and position.
@@ -72,10 +74,26 @@ def segment_peaks(a: Knot, b: Knot, j: int) -> tuple[float, float]:
     d1 = -12.0 * r0 + 84.0 * r1 - 180.0 * r2
     d2 = 10.0 * r0 - 60.0 * r1 + 120.0 * r2
     peak_qd = peak_qdd = 0.0
-    for x in _INSIDE:
+    for x in _turning_points(d0, 2.0 * d1, 3.0 * d2):
         peak_qdd = max(peak_qdd, abs(a0 + x * (d0 + x * (d1 + x * d2))))
+    for x in _INSIDE:
         peak_qd = max(peak_qd, abs(a.qd[j] + T * x * (a0 + x * (d0 / 2.0 + x * (d1 / 3.0 + x * d2 / 4.0)))))
     return peak_qd, peak_qdd
+
+
+def _turning_points(c: float, b: float, a: float) -> list[float]:
+    """Roots of c + b x + a x^2 between 0 and 1, without cancellation."""
+    square = b * b - 4.0 * a * c
+    if square < 0.0:
+        return []
+    root = math.sqrt(square)
+    m = -0.5 * (b - root) if b < 0.0 else -0.5 * (b + root)
+    found = []
+    if m != 0.0:
+        found.append(c / m)
+    if a != 0.0:
+        found.append(m / a)
+    return [x for x in found if 0.0 < x < 1.0]
 
 
 def check_start(knot: Knot, q_ref: Axes, table: LimitTable) -> Objection | None:

@@ -71,6 +71,11 @@ class PlcLogic:
         return tuple(self.reference.qd.tolist())
 
     @property
+    def joints(self) -> Array:
+        """The encoders' positions of the last cycle (n,) [rad]."""
+        return np.zeros(self.settings.n) if self._sample is None else self._sample.q_rad
+
+    @property
     def valves(self) -> Array:
         """Valve commands of the last cycle (n,); a view that the next cycle changes."""
         return self._control.valves
@@ -95,7 +100,7 @@ class PlcLogic:
         self._move(sample, t_plc_ns)
         if self._dry_run or self.reference.motion is Motion.FOLLOW:
             return self._control.neutral()
-        return self._control.control(self.reference.q, sample.q_rad)
+        return self._control.control(self.reference.q, sample.q_rad, self.reference.fade)
 
     def send(self, t_plc_ns: int) -> bytes:
         """The state datagram of this moment; it goes to `link.peer`."""
@@ -112,13 +117,14 @@ class PlcLogic:
         self.monitor.latch(faults)
         self._apply(PlcEvent.FAULT, t_plc_ns)
         if faults & (FaultBit.SENSOR | FaultBit.ESTOP) and self._sample is not None:
-            self.reference.motion = Motion.FOLLOW  # without encoders or oil there is no ramp: valves neutral at once
+            self.reference.let_go()  # without encoders or oil there is no ramp: valves neutral at once
 
     # --- one cycle --------------------------------------------------------------------------------------------------
 
     def _watch(self, sample: PlantSample, t_plc_ns: int) -> None:
         controlled = self.reference.motion is not Motion.FOLLOW
         monitor, reference = self.monitor, self.reference
+        reference.qd_joints[:] = np.where(np.isfinite(sample.qd_rad_s), sample.qd_rad_s, 0.0)
         self._watch_lever(t_plc_ns)
         faults = monitor.look(
             sample.q_rad, sample.qd_rad_s, reference.q, sample.p_supply_pa, sample.t_oil_c, controlled,
@@ -143,7 +149,7 @@ class PlcLogic:
         state, taken = self.state, self.panel.lever_taken
         if taken and state not in (PlcState.LOCAL, PlcState.FAULT):
             self._apply(PlcEvent.LOCAL_ON, t_plc_ns)
-        elif not taken and state is PlcState.LOCAL:
+        elif not taken and state is PlcState.LOCAL and self.reference.motion is Motion.FOLLOW:
             self._apply(PlcEvent.LOCAL_OFF, t_plc_ns)
 
     def _move(self, sample: PlantSample, t_plc_ns: int) -> None:
@@ -159,11 +165,19 @@ class PlcLogic:
             self._apply(PlcEvent.SOFT_STOP, t_plc_ns)
         played = reference.motion in (Motion.PLAY, Motion.SERVO)
         if reference.step(t_plc_ns):
-            reference.settle()
+            self._settle(sample, played)
             if self.state in (PlcState.RUN, PlcState.STOPPING):
                 self._apply(PlcEvent.END if played else PlcEvent.AT_REST, t_plc_ns)
             if self.state not in ARMED_STATES:
                 reference.follow(sample.q_rad)
+
+    def _settle(self, sample: PlantSample, played: bool) -> None:
+        """The end of a motion: at its last knot, or after a ramp where the joints have come to rest behind it."""
+        if played:
+            self.reference.settle()
+        else:
+            self._control.neutral()
+            self.reference.settle_at(sample.q_rad)
 
     # --- link events ------------------------------------------------------------------------------------------------
 
@@ -184,6 +198,7 @@ class PlcLogic:
                 case Accepted(effect=Effect.RESET):
                     self.monitor.clear()
                 case SessionOpened():
+                    self.reference.leave_path()
                     self.ring.clear()
                     self.reference.rewind()
                 case _:
@@ -236,12 +251,17 @@ class PlcLogic:
         match command.mode:
             case Mode.ARM if state is PlcState.LINKED:
                 return self._check_arm()
-            case Mode.RESET if self.monitor.present or self.panel.estop_pressed:
+            case Mode.RESET if self._is_fault_present():
                 return object_to(RejectCode.FAULT_PRESENT, "mode")
             case Mode.TRAJECTORY | Mode.SERVO:
                 return self._check_motion(command, state)
             case _:
                 return None
+
+    def _is_fault_present(self) -> bool:
+        """Whether a cause is still there, or the ramp that a fault began is not over."""
+        ramping = self.reference.motion is not Motion.FOLLOW
+        return bool(self.monitor.present) or self.panel.estop_pressed or ramping
 
     def _check_arm(self) -> Objection | None:
         sample, settings = self._sample, self.settings

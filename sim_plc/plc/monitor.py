@@ -17,8 +17,9 @@ def _findings(
     bits = 0
     for j in range(q.shape[0]):
         if not (np.isfinite(q[j]) and np.isfinite(qd[j])):
-            bits |= _SENSOR
-        elif q[j] < q_min[j] - margin or q[j] > q_max[j] + margin:
+            bits |= _SENSOR  # and nothing else can be said of this joint
+            continue
+        if q[j] < q_min[j] - margin or q[j] > q_max[j] + margin:
             bits |= _RANGE
         lag = abs(q_ref[j] - q[j])
         if lag > lag_warn[j]:

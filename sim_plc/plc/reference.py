@@ -36,6 +36,9 @@ class Reference:
         slowest = max(axis.qd_max / axis.qdd_max for axis in settings.table.axes)
         self._look_ahead_s = 2.0 * slowest
         self.servo = Servo(settings)
+        self.fade = 1.0  # share of the controllers' output: goes to 0 over a ramp, so that the joints do not catch up
+        self._fade_step = 0.0
+        self.qd_joints = np.zeros(settings.n)  # what the encoders say, where they say anything
         self.motion = Motion.FOLLOW
         self.speed_override = 1.0
 
@@ -86,10 +89,21 @@ class Reference:
         self.motion = Motion.FOLLOW
         self._hold_at(q)
 
+    def let_go(self) -> None:
+        """Stand still where it is, with no control: the joints cannot be followed, or will not be driven."""
+        self.motion = Motion.FOLLOW
+        self.fade = 1.0
+        self._out[1:] = 0.0
+
     def hold(self, q: Array) -> None:
         """Stay at q."""
         self.motion = Motion.HOLD
         self._hold_at(q)
+
+    def settle_at(self, q: Array) -> None:
+        """A ramp is over: stay at q, where the joints are, with nothing left to catch up with."""
+        self._rate = 0.0
+        self.hold(q)
 
     def rewind(self) -> None:
         """Stand before knot 0 of a new trajectory."""
@@ -113,7 +127,8 @@ class Reference:
         if self.motion is not Motion.PLAY:
             return
         settings, ring = self._settings, self._ring
-        bound_s = float(np.max(np.abs(self.qd) / settings.qdd_stop)) + settings.cycle_s
+        bound_s = self._stop_bound_s() + settings.cycle_s
+        self._begin_fade()
         needed_s = stop_time(
             ring.times, ring.knots, ring.last, self._k, self._sigma, self._rate, settings.cycle_s, settings.qdd_stop,
             bound_s,
@@ -123,14 +138,21 @@ class Reference:
         else:
             self._stop_straight()
 
+    def leave_path(self) -> None:
+        """The path is about to be forgotten: a ramp on it goes on straight."""
+        if self.motion is Motion.PATH_STOP:
+            self._stop_straight()
+
     def stop_along_path(self) -> None:
         """Ramp down on what is left of the path."""
         if self.motion is Motion.PLAY:
+            self._begin_fade()
             self.motion = Motion.PATH_STOP
 
     def quick_stop(self) -> None:
         """Every joint to rest by itself, as fast as its own limit allows."""
         if self.motion in (Motion.PLAY, Motion.PATH_STOP, Motion.JOINT_STOP, Motion.SERVO):
+            self._begin_fade()
             self._decel[:] = self._settings.qdd_stop
             self.motion = Motion.JOINT_STOP
 
@@ -153,24 +175,40 @@ class Reference:
         if self.motion is Motion.PLAY:
             self._advance(self.speed_override)
             return self._ring.complete and self._at_path_end()
-        if self.motion is Motion.PATH_STOP:
-            self._advance(0.0)
-            if self._rate > 0.0 and self._at_path_end() and float(np.abs(self.qd).max()) > AT_REST:
-                self._stop_straight()  # a path that was cut short under the brake
-                return False
-            return self._rate == 0.0 or self._at_path_end()
-        if self.motion is Motion.JOINT_STOP:
-            return not ramp_down(self._out, self._decel, self._settings.cycle_s)
+        if self.motion in (Motion.PATH_STOP, Motion.JOINT_STOP):
+            self.fade = max(self.fade - self._fade_step, 0.0)
+            return self._brake() and self.fade == 0.0
         return False
 
+    def _brake(self) -> bool:
+        """One cycle of a ramp; whether the reference rests."""
+        if self.motion is Motion.JOINT_STOP:
+            return not ramp_down(self._out, self._decel, self._settings.cycle_s)
+        self._advance(0.0)
+        if self._rate > 0.0 and self._at_path_end() and float(np.abs(self.qd).max()) > AT_REST:
+            self._stop_straight()  # a path that was cut short under the brake
+            return False
+        return self._rate == 0.0 or self._at_path_end()
+
     def settle(self) -> None:
-        """Stay where the motion has ended."""
+        """Stay where the motion has reached its end."""
         self.motion = Motion.HOLD
         self._rate = 0.0
         self._out[1:] = 0.0
 
+    def _stop_bound_s(self) -> float:
+        """How long the slowest joint needs to rest with its full deceleration [s]."""
+        return float(np.max(np.abs(self.qd) / self._settings.qdd_stop))
+
+    def _begin_fade(self) -> None:
+        """Fade the controllers out over the time that reference and joints need, or faster if they fade already."""
+        joints_s = float(np.max(np.abs(self.qd_joints) / self._settings.qdd_stop))
+        step = self._settings.cycle_s / max(self._stop_bound_s(), joints_s, self._settings.cycle_s)
+        self._fade_step = step if self.fade == 1.0 else max(step, self._fade_step)
+
     def _hold_at(self, q: Array) -> None:
-        self._out[0] = q
+        self.fade = 1.0
+        np.copyto(self._out[0], q, where=np.isfinite(q))  # an encoder that says nothing leaves its joint where it was
         self._out[1:] = 0.0
 
     def _at_path_end(self) -> bool:
@@ -186,7 +224,9 @@ class Reference:
     def _stop_straight(self) -> None:
         """All joints to rest together; a joint that would leave its range that way brakes by its own limit."""
         settings = self._settings
-        duration_s = max(float(np.max(np.abs(self.qd) / settings.qdd_stop)), settings.cycle_s)
+        if self.fade == 1.0:
+            self._begin_fade()
+        duration_s = max(self._stop_bound_s(), settings.cycle_s)
         q_rest = self.q + 0.5 * self.qd * duration_s
         outside = (q_rest < settings.q_min) | (q_rest > settings.q_max)
         self._decel[:] = np.where(outside, settings.qdd_stop, np.abs(self.qd) / duration_s)

@@ -81,10 +81,11 @@ def _sent(values: Array) -> Axes:
 
 def _axis_words(settings: PlcSettings, q: Array, q_ref: Array, valves: Array) -> tuple[int, ...]:
     """axis_status of every joint in use."""
+    told = np.isfinite(q)
     words = np.full(settings.n, int(AxisBit.IN_USE))
-    words += int(AxisBit.AT_Q_MIN) * (q <= settings.q_min)
-    words += int(AxisBit.AT_Q_MAX) * (q >= settings.q_max)
+    words += int(AxisBit.AT_Q_MIN) * (told & (q <= settings.q_min))
+    words += int(AxisBit.AT_Q_MAX) * (told & (q >= settings.q_max))
     words += int(AxisBit.VALVE_SATURATED) * (np.abs(valves) >= 1.0)
-    words += int(AxisBit.ENCODER_FAULT) * ~np.isfinite(q)
-    words += int(AxisBit.LAG) * (np.abs(q_ref - q) > settings.lag_warn)
+    words += int(AxisBit.ENCODER_FAULT) * ~told
+    words += int(AxisBit.LAG) * (told & (np.abs(q_ref - q) > settings.lag_warn))
     return tuple(words.tolist())

@@ -38,7 +38,8 @@ class ToyPlc:
     def check(self, command: Command, state: PlcState) -> Objection | None:
         if command.mode is Mode.ARM and not self.enable:
             return object_to(RejectCode.ENABLE, "mode")
-        if command.mode is Mode.TRAJECTORY and state is PlcState.HOLD and command.knots[0].q != self.q_ref:
+        first = command.mode is Mode.TRAJECTORY and state is PlcState.HOLD and command.knot_first == 0
+        if first and command.knots[0].q != self.q_ref:
             return object_to_knot(RejectCode.START, 0, "q")
         return None
 

@@ -181,7 +181,15 @@ def _playback(n: int) -> Playback:
 def test_window_begins_at_the_start_until_the_plc_has_the_trajectory() -> None:
     window = _playback(100).window(_plc(traj_id=3, playing=50, last=60))
     assert (window.knot_first, len(window.knots), window.before) == (0, 6, None)
-    assert window.flags == CommandFlag.START
+    assert window.flags == CommandFlag(0)
+
+
+@pytest.mark.parametrize(("last", "starts"), [(5, False), (15, False), (16, True), (60, True)])
+def test_a_motion_starts_with_800_ms_of_it_in_the_plc(last: int, starts: bool) -> None:
+    window = _playback(100).window(_plc(7, 0, last))
+    assert (CommandFlag.START in window.flags) is starts
+    whole = _playback(10).window(_plc(7, 0, 9))
+    assert CommandFlag.START in whole.flags
 
 
 def test_window_prefills_what_the_plc_lacks_while_the_ring_has_room() -> None:

@@ -98,7 +98,7 @@ def test_corrections_that_make_no_sense_are_told_at_once():
     with pytest.raises(LocalProtocolError, match="cannot be replaced"):
         virtual.client.request_tail(1, 0, tail, virtual.t_ns)
     with pytest.raises(LocalProtocolError, match="at least 200 ms"):
-        virtual.client.request_tail(1, 9, corrected(knots, 9, np.zeros(6)), virtual.t_ns)
+        virtual.client.request_tail(1, 7, corrected(knots, 7, np.zeros(6)), virtual.t_ns)
     jump = tuple(Knot(k.t_ns, axes8((k.q[0] + 0.05, *k.q[1:6])), k.qd, k.qdd) for k in tail)
     assert virtual.client.request_tail(1, 25, jump, virtual.t_ns) != ()
     virtual.step(4000)

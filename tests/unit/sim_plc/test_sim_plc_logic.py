@@ -1,6 +1,7 @@
 """The PLC program in virtual time: playback, stops, silence, arming, faults, local panel."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -49,8 +50,17 @@ def assert_no_step(virtual):
     q, qd = q[first:], qd[first:]
     assert (np.abs(qd) <= QD_MAX).all()
     assert (np.abs(np.diff(qd, axis=0)) <= BENDING * QDD_MAX * CYCLE_S).all()
-    # q_ref is the integral of qd_ref: trapezoid, to third order in the cycle
-    assert np.abs(np.diff(q, axis=0) - 0.5 * (qd[1:] + qd[:-1]) * CYCLE_S).max() < 1e-7
+    # q_ref is the integral of qd_ref: trapezoid, to third order in the cycle; but for the end of a ramp, where it is
+    # set to where the joints have come to rest
+    states = [row[1] for row in virtual.trace[first:]]
+    ramp_ends = [a is not PlcState.HOLD and b is PlcState.HOLD for a, b in pairwise(states)]
+    off = np.abs(np.diff(q, axis=0) - 0.5 * (qd[1:] + qd[:-1]) * CYCLE_S)
+    assert off[~np.array(ramp_ends)].max() < 1e-7
+
+
+def end_of_ramp(virtual):
+    """q_ref of the last cycle of the newest ramp."""
+    return np.array([row for row in virtual.trace if row[1] is PlcState.STOPPING][-1][2])
 
 
 def stopping_s(virtual, since_ns):
@@ -93,15 +103,15 @@ def test_what_the_state_says_of_playback():
     assert state.axis_status[:7] == (AxisBit.IN_USE,) * 6 + (0,)
 
 
-@pytest.mark.parametrize("silent_after_ms", [30, 150, 400, 777, 1000, 1350, 1800, 1950])
+@pytest.mark.parametrize("silent_after_ms", [130, 200, 400, 777, 1000, 1350, 1800, 1950])
 def test_silence_at_any_moment_ends_in_hold_within_its_bound_and_never_resumes(silent_after_ms):
     virtual = started()
     virtual.step(silent_after_ms)
     virtual.silent = True
     t_silent = virtual.t_ns
-    virtual.step(245)
-    ran_out = virtual.plc.state is PlcState.HOLD  # the end was reached before the watchdog
-    virtual.step(655)
+    virtual.step(900)
+    ran_out = all(row[1] is not PlcState.STOPPING for row in virtual.trace)  # the end was reached before the watchdog
+    assert ran_out is (silent_after_ms >= 1800)
     if not ran_out:
         delay_s, length_s, speed = stopping_s(virtual, t_silent)
         assert delay_s <= 0.260
@@ -150,7 +160,7 @@ def test_stop_keeps_to_the_path_and_a_new_trajectory_starts_from_the_reference()
     assert length_s <= (speed / QDD_MAX).max() + 0.003
     assert virtual.plc.state is PlcState.HOLD
     assert_no_step(virtual)
-    halfway = np.array(virtual.plc.q_ref)
+    halfway = end_of_ramp(virtual)
     shares = (halfway - q0) / (np.array(Q_END) - q0)
     assert np.ptp(shares) < 1e-9  # on the straight joint path
     assert 0.1 < shares[0] < 0.9
@@ -215,7 +225,7 @@ def test_running_out_of_knots_brakes_on_the_path_before_the_last_knot():
     assert 0.47 < u <= 0.5  # as late as it could, and not past knot 40
     s = 10 * u**3 - 15 * u**4 + 6 * u**5
     expected = np.array(Q_START) + s * STEP
-    assert np.abs(np.array(virtual.plc.q_ref) - expected).max() < 1e-8
+    assert np.abs(end_of_ramp(virtual) - expected).max() < 1e-4  # the last cycle of the ramp is not yet its end
 
 
 def test_an_unarmed_plc_never_opens_a_valve():
@@ -427,14 +437,14 @@ def test_pt1_lags_and_p_does_not():
     )
     control = JointControl(plc_settings(replace(MACHINE, joints=joints)))
     q_ref, q = np.full(6, 0.1), np.zeros(6)
-    first = control.control(q_ref, q).copy()
+    first = control.control(q_ref, q, 1.0).copy()
     assert first[0] == pytest.approx(0.2)
     assert first[1] == pytest.approx(0.2 * (1 - np.exp(-0.001 / 0.15)))
     for _ in range(149):
-        last = control.control(q_ref, q)
+        last = control.control(q_ref, q, 1.0)
     assert last[1] == pytest.approx(0.2 * (1 - np.exp(-1.0)), rel=1e-9)
-    assert control.control(np.full(6, 9.0), q)[0] == 1.0
-    assert control.control(np.full(6, -9.0), q)[2] == -1.0
+    assert control.control(np.full(6, 9.0), q, 1.0)[0] == 1.0
+    assert control.control(np.full(6, -9.0), q, 0.25)[2] == -0.25
     assert (control.neutral() == 0.0).all()
 
 

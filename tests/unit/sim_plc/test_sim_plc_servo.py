@@ -86,7 +86,9 @@ def test_the_caller_who_falls_silent_is_stopped_and_nothing_goes_on_by_itself():
     assert not end.reached
     assert "no servo target" in end.reason
     way_s = (np.array(virtual.plc.q_ref) - np.array(Q_START)) / rate
-    assert (way_s <= 0.38 + 0.06 + 2.0 * np.abs(rate) / QDD_MAX).all()  # last target, 60 ms of its way, a ramp from twice the rate
+    assert (
+        way_s <= 0.38 + 0.06 + 2.0 * np.abs(rate) / QDD_MAX
+    ).all()  # last target, 60 ms of its way, a ramp from twice the rate
     assert virtual.plc.reference.motion is Motion.HOLD
 
 

@@ -1,0 +1,130 @@
+"""Step: the camera sees the tool's motion the way the machine makes it: no axis swapped, no eye exchanged."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine.kinematics import tcp_pose
+from machine.poses import inverse_pose, pose
+from machine.rotations import Array
+from server.camera.errors import CameraError
+from server.commissioning.axes import Seen, axes_figures, wrong_mounting
+from server.commissioning.contracts import Figure, StepResult, judged
+from server.commissioning.looking import camera_of, disparities_px, fresh_pairs, mean_pose
+from server.commissioning.moving import NotReadyError, Reading, arm, play, play_gently, require_leave, rest
+from server.commissioning.site import Site
+from server.motion.contracts import JointTrajectory
+from server.motion.point_to_point import plan_move
+from server.motion.settings import PlanSettings
+
+NAME = "camera axes"
+REMEDY = (
+    "correct the mounting, exchange the eyes, or correct T_tcp_cam_left in the machine file; then run this step again"
+)
+LEG_M = (0.08, 0.05)
+PAIRS = 10
+LEG_PLAN = PlanSettings(speed_scale=0.5, shape_reference=False)
+_LEGS = (("camera right", (1.0, 0.0, 0.0)), ("camera down", (0.0, 1.0, 0.0)), ("camera back", (0.0, 0.0, -1.0)))
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One move: the camera's displacement in its nominal axes by kinematics, by odometry and by the OOI's markers."""
+
+    name: str
+    expected: Array
+    odometry: Array | None
+    markers: Array | None
+
+
+async def camera_axes(site: Site) -> StepResult:
+    """Move the tool a little along the camera's three nominal axes, and compare."""
+    await require_leave(site, "the tool will now move by 80 mm to the side, up or down, and back, slowly")
+    await arm(site)
+    before = await fresh_pairs(site, PAIRS, "looking before the moves")
+    legs, untold = [], []
+    for name, axis in _LEGS:
+        try:
+            legs.append(await _leg(site, name, np.array(axis)))
+        except CameraError as error:
+            untold.append(f"{name}: {error}")
+    return judge_axes(legs, untold, disparities_px(before))
+
+
+def judge_axes(legs: Sequence[Leg], untold: Sequence[str], disparities: Sequence[float]) -> StepResult:
+    """The result for the legs driven, what could not be told, and the markers' disparities [px]."""
+    figures, missing = [], list(untold)
+    notes: list[str] = []
+    mountings: list[str] = []
+    if disparities:
+        figures.append(Figure("disparity of the markers", float(np.median(disparities)), "px", at_least=1.0))
+    else:
+        missing.append("no marker was in both eyes: whether they are exchanged was not seen")
+    for by, steps in (("odometry", [leg.odometry for leg in legs]), ("OOI markers", [leg.markers for leg in legs])):
+        told = [(leg, step) for leg, step in zip(legs, steps, strict=True) if step is not None]
+        if not told:
+            notes.append(f"{by} told nothing")
+            continue
+        seen = Seen(by, np.array([leg.expected for leg, _ in told]), np.array([step for _, step in told]))
+        figures += axes_figures(seen, [leg.name for leg, _ in told])
+        mounting = wrong_mounting(seen) if len(told) == len(_LEGS) else ""
+        mountings += [f"by {by}: {mounting}"] if mounting else []
+    missing += [f"{leg.name}: neither odometry nor markers told" for leg in legs if leg.odometry is leg.markers is None]
+    result = judged(NAME, figures, "the camera sees the moves as the machine makes them", REMEDY, missing, notes)
+    return replace(result, summary="; ".join([*mountings, result.summary])) if mountings else result
+
+
+async def _leg(site: Site, name: str, axis_cam: Array) -> Leg:
+    """There, look, back."""
+    vision = camera_of(site)
+    start = await rest(site)
+    trajectory = _trajectory(site, start, name, axis_cam)
+    seen_before = mean_pose([report.observation.ooi for report in await fresh_pairs(site, PAIRS, f"{name}: before")])
+    await vision.start_odometry()
+    played = await play(site, trajectory, name)
+    end = await rest(site)
+    pairs = await fresh_pairs(site, PAIRS, f"{name}: after")
+    track = await vision.stop_odometry()
+    seen_after = mean_pose([report.observation.ooi for report in pairs])
+    await play_gently(site, start.q_ref, f"{name}: back")
+    if not played.ended.reached:
+        raise NotReadyError(f"{name}: motion ended early: {played.ended.reason}")
+    return Leg(
+        name, expected_step(site, start, end), _odometry_step(track.Ts_vo_cam), marker_step(seen_before, seen_after)
+    )
+
+
+def _trajectory(site: Site, start: Reading, name: str, axis_cam: Array) -> JointTrajectory:
+    """A straight move along a nominal camera axis, to whichever side is possible."""
+    T = tcp_pose(site.chain, start.q_ref)
+    axis_base = T[:3, :3] @ site.machine.T_tcp_cam_left[:3, :3] @ axis_cam
+    reason = ""
+    for length_m in LEG_M:
+        for sign in (1.0, -1.0) if axis_cam[2] == 0.0 else (1.0,):
+            plan = plan_move(
+                site.machine, start.q_ref, pose(T[:3, :3], T[:3, 3] + sign * length_m * axis_base), LEG_PLAN
+            )
+            if plan.trajectory is not None:
+                return plan.trajectory
+            reason = reason or plan.reason
+    raise NotReadyError(f"{name}: no move of {1e3 * LEG_M[-1]:.0f} mm is possible from here: {reason}")
+
+
+def expected_step(site: Site, start: Reading, end: Reading) -> Array:
+    """The camera's displacement by kinematics in the nominal camera's axes at the start (3,) [m]."""
+    T_base_start = tcp_pose(site.chain, start.q) @ site.machine.T_tcp_cam_left
+    T_base_end = tcp_pose(site.chain, end.q) @ site.machine.T_tcp_cam_left
+    return (inverse_pose(T_base_start) @ T_base_end)[:3, 3]
+
+
+def _odometry_step(Ts_vo_cam: Array) -> Array | None:
+    """The camera's displacement by its odometry; its start frame is the camera itself (3,) [m]."""
+    return (inverse_pose(Ts_vo_cam[0]) @ Ts_vo_cam[-1])[:3, 3] if len(Ts_vo_cam) > 1 else None
+
+
+def marker_step(T_before: Array | None, T_after: Array | None) -> Array | None:
+    """The camera's displacement by a thing that stands still, its turn held, seen before and after (3,) [m]."""
+    if T_before is None or T_after is None:
+        return None
+    return T_before[:3, 3] - T_after[:3, 3]

@@ -1,0 +1,184 @@
+"""The check list: its order, what each step needs before it, and how it is gone through."""
+
+import time
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from server.camera.client import FRESH_S
+from server.camera.errors import CameraError
+from server.commissioning.camera_axes import camera_axes
+from server.commissioning.contracts import StepResult, Verdict, cannot_tell, skipped
+from server.commissioning.encoder_zeros import encoder_zeros
+from server.commissioning.joint_ranges import joint_ranges
+from server.commissioning.joint_signs import joint_signs
+from server.commissioning.limits_equal import limits_equal
+from server.commissioning.link_dry_run import link_dry_run
+from server.commissioning.moving import NoLeaveError, NotReadyError, wait_for
+from server.commissioning.site import Site
+from server.commissioning.stop_times import stop_times
+from server.commissioning.tool_marker import tool_marker
+from server.link.contracts import LinkPhase
+from server.link.errors import LinkError
+
+PLC_WAIT_S = 4.0
+CAMERA_WAIT_S = 20.0  # the first pair may compile
+DRY_RUN_WAIT_S = 5.0
+ONE_CONTROLLER = "is a server running, here or elsewhere? one controller at a time: the PLC answers only to the first"
+
+
+class Need(Enum):
+    """What must be there before a step begins."""
+
+    PLC = "states from the PLC"
+    VALVES = "a PLC that is not in dry run"
+    LEAVE = "leave to move"
+    CAMERA = "pictures from the camera"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One line of the list. `after`: steps whose failure makes this one pointless or dangerous."""
+
+    number: int
+    name: str
+    run: Callable[[Site], Awaitable[StepResult]]
+    needs: tuple[Need, ...]
+    after: tuple[int, ...] = ()
+
+
+_MOVES = (Need.PLC, Need.VALVES, Need.LEAVE)
+STEPS = (
+    Step(1, "link dry run", link_dry_run, (Need.PLC,)),
+    Step(2, "limits equal", limits_equal, (Need.PLC,)),
+    Step(3, "encoder zeros", encoder_zeros, (Need.PLC,)),
+    Step(4, "joint ranges", joint_ranges, (Need.PLC,)),
+    Step(5, "joint signs", joint_signs, _MOVES, after=(1, 2, 4)),
+    Step(6, "camera axes", camera_axes, (*_MOVES, Need.CAMERA), after=(1, 2, 3, 4, 5)),
+    Step(7, "tool marker", tool_marker, (Need.CAMERA,)),
+    Step(8, "stop times", stop_times, _MOVES, after=(1, 2, 3, 4, 5)),
+)
+
+
+async def go_through(
+    site: Site, steps: Sequence[Step], earlier: Sequence[StepResult], done: Callable[[StepResult], None]
+) -> list[StepResult]:
+    """Every step in order; `done` is told each result. The machine is disarmed after every step.
+
+    Args:    earlier: results of a report that this run goes on from; their failures count for what comes after.
+    """
+    results = {result.name: result for result in earlier}
+    fresh: list[StepResult] = []
+    for step in steps:
+        site.operator.tell(f"step {step.number}: {step.name}")
+        started_s = time.monotonic()
+        result = await _one(site, step, results)
+        result = replace(result, duration_s=time.monotonic() - started_s)
+        results[step.name] = result
+        fresh.append(result)
+        done(result)
+    return fresh
+
+
+async def _one(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult:
+    try:
+        refusal = await _refusal(site, step, results)
+        if refusal is not None:
+            return refusal
+        result = await step.run(site)
+        return replace(result, notes=(*result.notes, *_unproven(step, results)))
+    except NoLeaveError as error:
+        return skipped(step.name, str(error), "give leave when all is clear, and run this step again")
+    except (LinkError, CameraError, NotReadyError, ValueError) as error:
+        return cannot_tell(step.name, str(error), "remove the cause and run this step again")
+    finally:
+        await _leave_at_rest(site)
+
+
+async def _leave_at_rest(site: Site) -> None:
+    """Disarm: between steps nothing can move the machine but its own lever."""
+    try:
+        await site.link.disarm()
+    except LinkError as error:
+        site.operator.tell(f"disarming failed: {error}")
+
+
+async def _refusal(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult | None:
+    """Why a step cannot begin, or None."""
+    failed = [s.name for s in STEPS if s.number in step.after and _has_failed(results.get(s.name))]
+    if failed:
+        return cannot_tell(step.name, f"not begun, because '{failed[0]}' failed", f"first mend '{failed[0]}'")
+    for need in step.needs:
+        refusal = await _NEEDS[need](site, step.name)
+        if refusal is not None:
+            return refusal
+    if Need.LEAVE in step.needs:
+        return _need_proof(site, step.name, results.get(STEPS[0].name))
+    return None
+
+
+def _unproven(step: Step, results: dict[str, StepResult]) -> list[str]:
+    """What should have passed before, and was not even tried or stayed open."""
+    notes = []
+    for before in (each for each in STEPS if each.number in step.after):
+        result = results.get(before.name)
+        if result is None or result.verdict is not Verdict.PASS:
+            notes.append(f"'{before.name}' before it: {'not run' if result is None else result.verdict.value}")
+    return notes
+
+
+def _has_failed(result: StepResult | None) -> bool:
+    return result is not None and result.verdict is Verdict.FAIL
+
+
+async def _need_plc(site: Site, name: str) -> StepResult | None:
+    phase_known = await wait_for(site, lambda: site.link.health.phase is not LinkPhase.OFFLINE, PLC_WAIT_S, "PLC")
+    if phase_known:
+        return None
+    health, plc = site.link.health, site.settings.plc
+    told = health.error or health.last_reject or "check cable, address, port and framing"
+    why = f"no state from the PLC at {plc.host}:{plc.port}; {told}"
+    return cannot_tell(name, why, ONE_CONTROLLER)
+
+
+async def _need_valves(site: Site, name: str) -> StepResult | None:
+    if not site.link.health.dry_run:
+        return None
+    if await site.operator.confirm("end the dry run at the PLC now (bDryRun := FALSE); the machine will move later"):
+        await wait_for(site, lambda: not site.link.health.dry_run, DRY_RUN_WAIT_S, "waiting for the end of the dry run")
+    if not site.link.health.dry_run:
+        return None
+    return cannot_tell(name, "the PLC is in dry run: nothing would move", "set bDryRun FALSE, then run this step again")
+
+
+def _need_proof(site: Site, name: str, dry_run: StepResult | None) -> StepResult | None:
+    """A real machine is not moved over a link that was never seen to stop by itself."""
+    latest = site.link.latest
+    simulated = latest is not None and latest.simulation
+    if simulated or (dry_run is not None and dry_run.verdict is Verdict.PASS):
+        return None
+    why = "step 1 (link dry run) has not passed: nobody has seen this PLC stop by itself"
+    return cannot_tell(name, why, "run step 1 in dry run first; --resume takes its report over")
+
+
+async def _need_leave(site: Site, name: str) -> StepResult | None:
+    if await site.may_move():
+        return None
+    return skipped(name, "no leave to move the machine was given", "type the machine's name when asked, or give --move")
+
+
+async def _need_camera(site: Site, name: str) -> StepResult | None:
+    vision = site.vision
+    if vision is None:
+        return cannot_tell(name, "no camera was started", "run the steps that look with a camera in the settings")
+    if await wait_for(site, lambda: vision.age_s < FRESH_S, CAMERA_WAIT_S, "waiting for pictures"):
+        return None
+    return cannot_tell(name, f"no pictures: {vision.stream_text or 'camera is silent'}", "check the camera's settings")
+
+
+_NEEDS = {
+    Need.PLC: _need_plc,
+    Need.VALVES: _need_valves,
+    Need.LEAVE: _need_leave,
+    Need.CAMERA: _need_camera,
+}

@@ -1,0 +1,86 @@
+"""Step: every encoder is quiet and inside its range; on request every joint is driven to its ends by lever."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from machine.description import Joint
+from protocol.codes import FaultBit
+from server.commissioning.contracts import Figure, ReportTable, StepResult, cannot_tell, judged
+from server.commissioning.moving import reading, wait
+from server.commissioning.site import Site
+from server.link.contracts import PlcSample
+
+NAME = "joint ranges"
+REMEDY = "check wiring, zero and sign of the encoders named, and the ranges in the machine file"
+WATCH_S = 2.0
+QUIET_MAX_DEG = 0.05  # spread of a resting encoder: 36 counts of 18 bit
+END_TOLERANCE_DEG = 1.0  # the mechanical end may lie this far inside the file's range
+FAULTS = FaultBit.SENSOR | FaultBit.JOINT_RANGE
+
+
+async def joint_ranges(site: Site) -> StepResult:
+    """Watch the encoders at rest, and ask for the ends where the engineer wants that."""
+    before = site.link.latest
+    await wait(site, WATCH_S, "watching the encoders at rest")
+    samples = site.link.samples_since(0)
+    recent = [s for s in samples if before is None or s.t_mono_ns > before.t_mono_ns]
+    if len(recent) < 10:
+        return cannot_tell(NAME, f"{len(recent)} states in {WATCH_S:.0f} s", "see to the link first (step 1)")
+    figures = range_figures(recent, site.machine.joints)
+    if not site.options.ask_for_ends:
+        note = "the mechanical ends were not driven to; --ends asks for them"
+        return judged(NAME, figures, "all joints quiet and inside their ranges", REMEDY, notes=(note,))
+    ends, untold, table = await _ends(site)
+    summary = "all joints quiet, inside their ranges, and the ranges inside the mechanical ends"
+    return judged(NAME, [*figures, *ends], summary, REMEDY, untold, tables=(table,))
+
+
+def range_figures(samples: Sequence[PlcSample], joints: Sequence[Joint]) -> list[Figure]:
+    """Quietness, place in the range, and sensor faults."""
+    qs = np.rad2deg(np.array([sample.q_rad for sample in samples]))
+    figures = []
+    for joint, column in zip(joints, qs.T, strict=True):
+        low, high = math.degrees(joint.q_min_rad), math.degrees(joint.q_max_rad)
+        figures += [
+            Figure(f"{joint.name}: angle", float(np.median(column)), "deg", low, high),
+            Figure(f"{joint.name}: spread at rest", float(np.ptp(column)), "deg", at_most=QUIET_MAX_DEG),
+        ]
+    faults = int(samples[-1].fault_bits) & int(FAULTS)
+    return [*figures, Figure("faults SENSOR or JOINT_RANGE", float(faults.bit_count()), "of 2", at_most=0.0)]
+
+
+async def _ends(site: Site) -> tuple[list[Figure], list[str], ReportTable]:
+    """Every joint by lever to both ends; the engineer says when it is there."""
+    figures: list[Figure] = []
+    untold: list[str] = []
+    rows: list[tuple[str, ...]] = []
+    for index, joint in enumerate(site.machine.joints):
+        for side, limit_rad in (("lower", joint.q_min_rad), ("upper", joint.q_max_rad)):
+            key = f"joint_ranges.{joint.name}_{side}"
+            answer = await site.operator.ask(
+                key,
+                f"{joint.name} to its {side} end by lever, then Enter (or the encoder's angle there [deg]; s: skip)",
+            )
+            if answer is None or answer.strip().lower() == "s":
+                untold.append(f"{joint.name}: {side} end not driven to")
+                continue
+            q_deg, limit_deg = await _angle_deg(answer, site, index), math.degrees(limit_rad)
+            figures.append(end_figure(joint.name, side, q_deg, limit_deg))
+            rows.append((joint.name, side, f"{q_deg:.2f}", f"{limit_deg:.2f}"))
+    return figures, untold, ReportTable("mechanical ends", ("joint", "end", "encoder deg", "file deg"), tuple(rows))
+
+
+async def _angle_deg(answer: str, site: Site, index: int) -> float:
+    """The typed angle, or the encoder's present one."""
+    try:
+        return float(answer)
+    except ValueError:
+        return math.degrees((await reading(site)).q[index])
+
+
+def end_figure(name: str, side: str, q_deg: float, limit_deg: float) -> Figure:
+    """How far the mechanical end lies inside the file's range; negative: outside of it, as it should be."""
+    inside = q_deg - limit_deg if side == "lower" else limit_deg - q_deg
+    return Figure(f"{name}: {side} end inside the file's range by", inside, "deg", at_most=END_TOLERANCE_DEG)

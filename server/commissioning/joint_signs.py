@@ -1,0 +1,191 @@
+"""Step: every joint moves the way it is told to, by its encoder and in the eyes of the engineer."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine.kinematics import tcp_jacobian
+from machine.rotations import Array
+from protocol.codes import FaultBit
+from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict, judged
+from server.commissioning.directions import Expected, compare, expected_motion, understood
+from server.commissioning.moving import NotReadyError, Played, arm, gentle_plan, play_gently, require_leave, rest
+from server.commissioning.site import Site
+from server.link.contracts import PlcSample
+from server.link.errors import LinkError
+
+NAME = "joint signs"
+REMEDY = (
+    "stop here: reverse the valve's wires or gain where the valve opened the wrong way, the encoder's sign where the "
+    "tool went the wrong way, then run this step again"
+)
+STEP_MIN_RAD, STEP_MAX_RAD = math.radians(2.0), math.radians(6.0)
+TIP_M = 0.03  # a wrist turns as much as moves the tip by this, so that it can be seen
+RUNAWAY_RAD = math.radians(1.0)  # the wrong way by this much: valves to neutral at once
+FOLLOWED_MIN, FOLLOWED_MAX = 0.3, 1.5  # of the step; a dead band swallows a part
+PRESSURE_MAX_PA = 50e6
+_REMARK = "nobody said which way the tool went"
+
+
+@dataclass(frozen=True, slots=True)
+class Jog:
+    """One joint's small motion, as the states show it."""
+
+    joint: str
+    step_rad: float
+    followed: float  # share of the step that the encoder made, signed
+    valve_frac: float  # mean valve command while the reference moved, positive: the way of the step
+    pressures_ok: bool
+    objection: str
+    reached: bool
+
+
+async def joint_signs(site: Site) -> StepResult:
+    """Jog every joint by 2 to 6 deg, slowly, and ask which way the tool went."""
+    figures: list[Figure] = []
+    untold: list[str] = []
+    rows: list[tuple[str, ...]] = []
+    for index, joint in enumerate(site.machine.joints):
+        await require_leave(site, f"{joint.name} will now be jogged slowly; keep the emergency stop in hand")
+        try:
+            jog, expected, answer = await _one_joint(site, index)
+        except (NotReadyError, LinkError) as error:  # what was measured so far is kept
+            untold.append(f"{joint.name}: {error}")
+            break
+        figures += jog_figures(jog)
+        seen, seen_figure = seen_as(jog.joint, expected, answer)
+        figures += seen_figure
+        untold += [] if seen_figure else [f"{joint.name}: {seen}"]
+        step = f"{math.degrees(jog.step_rad):+.1f}"
+        rows.append(
+            (joint.name, step, expected.text, seen, f"{100 * jog.followed:.0f}", f"{100 * jog.valve_frac:+.1f}")
+        )
+        if jog.objection or not jog.reached:
+            break  # a joint that runs the wrong way ends this step: the others wait for the remedy
+    headings = ("joint", "step deg", "expected", "seen", "followed %", "valve %")
+    table = ReportTable("jogs", headings, tuple(rows))
+    return _with_skip(judged(NAME, figures, "every joint moves the way it is told to", REMEDY, untold, tables=(table,)))
+
+
+def _with_skip(result: StepResult) -> StepResult:
+    """What was measured stands, and what nobody saw stays open: never a silent pass."""
+    if result.verdict is not Verdict.CANNOT_TELL:
+        return result
+    return StepResult(
+        result.name,
+        result.verdict,
+        f"what was measured is right; still open: {result.summary}",
+        result.figures,
+        "watch the tool and answer, or give the answers in --answers; remove what else is named",
+        result.notes,
+        result.tables,
+    )
+
+
+async def _one_joint(site: Site, index: int) -> tuple[Jog, Expected, str | None]:
+    await arm(site)
+    start = await rest(site)
+    joint = site.machine.joints[index]
+    step = jog_step(site, start.q, index)
+    expected = expected_motion(site.chain, start.q, index, step)
+    goal = start.q_ref.copy()
+    goal[index] += step
+    played = await play_gently(
+        site, goal, f"jogging {joint.name}", lambda sample: runaway(sample, start.q, index, step)
+    )
+    jog = jog_of(joint.name, played, start.q, index, step)
+    if jog.objection or not jog.reached:
+        return jog, expected, None
+    jog = replace(jog, followed=float((await rest(site)).q[index] - start.q[index]) / step)
+    question = (
+        f"{joint.name}: which way did the tool go, seen from behind the machine? "
+        "[left, right, up, down, out, in, cw, ccw (looking the way the tool looks); empty: not seen]"
+    )
+    answer = await _direction(site, f"joint_signs.{joint.name}", question)
+    await play_gently(site, start.q_ref, f"{joint.name} back")
+    return jog, expected, answer
+
+
+async def _direction(site: Site, key: str, question: str) -> str | None:
+    for _ in range(3):
+        answer = await site.operator.ask(key, question)
+        if answer is None or not answer.strip():
+            return None
+        word = understood(answer)
+        if word is not None:
+            return word
+        site.operator.tell(f"'{answer}' is none of the directions")
+    return None
+
+
+def jog_step(site: Site, q: Array, index: int) -> float:
+    """A step that can be seen, to the side where there is room [rad].
+
+    Raises: NotReadyError: room on neither side.
+    """
+    lever_m = float(np.linalg.norm(tcp_jacobian(site.chain, q)[:3, index]))
+    size = min(max(STEP_MIN_RAD, TIP_M / max(lever_m, 1e-6)), STEP_MAX_RAD)
+    for step in (size, -size):
+        goal = q.copy()
+        goal[index] += step
+        if gentle_plan(site, q, goal).trajectory is not None:
+            return step
+    name = site.machine.joints[index].name
+    raise NotReadyError(f"{name} has no room for {math.degrees(size):.1f} deg to either side; move it from its end")
+
+
+def runaway(sample: PlcSample, q_start: Array, index: int, step: float) -> str:
+    """Why the jog must end at once: the joint went the wrong way, or another joint went along; empty: all is well."""
+    moved = np.array(sample.q_rad) - q_start
+    backwards = -moved[index] * math.copysign(1.0, step)
+    if backwards > RUNAWAY_RAD:
+        return f"went {math.degrees(backwards):.1f} deg the wrong way"
+    if abs(moved[index]) > abs(step) + 2.0 * RUNAWAY_RAD:
+        return f"went {math.degrees(abs(moved[index])):.1f} deg, {math.degrees(abs(step)):.1f} deg were asked for"
+    others = np.delete(np.abs(moved), index)
+    if len(others) and float(others.max()) > RUNAWAY_RAD:
+        return f"another joint moved by {math.degrees(float(others.max())):.1f} deg: crossed valves or encoders"
+    return ""
+
+
+def jog_of(name: str, played: Played, q_start: Array, index: int, step: float) -> Jog:
+    """What the states of one jog say."""
+    samples = played.samples
+    moving = [s for s in samples if abs(s.qd_ref_rad_s[index]) > 1e-3]
+    valve = float(np.mean([s.valve_frac[index] for s in moving])) * math.copysign(1.0, step) if moving else math.nan
+    moved = samples[-1].q_rad[index] - q_start[index] if samples else math.nan
+    reason = played.objection or ("" if played.ended.reached else played.ended.reason)
+    faults = FaultBit(samples[-1].fault_bits) if samples else FaultBit(0)
+    if reason and faults:
+        reason = f"{reason}; faults {faults!s}"
+    return Jog(name, step, moved / step, valve, pressures_plausible(samples, index), reason, played.ended.reached)
+
+
+def pressures_plausible(samples: Sequence[PlcSample], index: int) -> bool:
+    """Whether both chambers always read between nothing and 500 bar."""
+    values = [p for sample in samples for p in (sample.pressure_a_pa[index], sample.pressure_b_pa[index])]
+    return all(-1e5 <= value <= PRESSURE_MAX_PA for value in values)
+
+
+def jog_figures(jog: Jog) -> list[Figure]:
+    """Encoder, valve and pressures of one jog against what they should be."""
+    ended = f"{jog.joint}: jog ended early ({jog.objection})" if jog.objection else f"{jog.joint}: jog ended early"
+    return [
+        Figure(ended, 0.0 if jog.reached and not jog.objection else 1.0, "times", at_most=0.0),
+        Figure(f"{jog.joint}: encoder followed", jog.followed, "of the step", FOLLOWED_MIN, FOLLOWED_MAX),
+        Figure(f"{jog.joint}: valve opened the step's way", jog.valve_frac, "of full", at_least=1e-6),
+        Figure(f"{jog.joint}: chamber pressures outside 0 .. 500 bar", float(not jog.pressures_ok), "times", None, 0.0),
+    ]
+
+
+def seen_as(name: str, expected: Expected, word: str | None) -> tuple[str, list[Figure]]:
+    """What was seen in words, and a figure for it; no figure when it tells nothing."""
+    if word is None:
+        return _REMARK, []
+    fits = compare(expected, word)
+    if fits is None:
+        return f"'{word}' was seen, {' or '.join(expected.words)} was expected: watch again", []
+    figure = Figure(f"{name}: tool seen to go the wrong way ({word})", float(not fits), "times", at_most=0.0)
+    return word, [figure]

@@ -1,0 +1,151 @@
+"""Step: the link in a dry run: states, clocks, playback with closed valves, and a PLC that stops by itself."""
+
+import math
+import time
+
+import numpy as np
+
+from machine.description import Machine
+from machine.rotations import Array
+from protocol.layout import LAYOUT_ID, VERSION_MAJOR
+from server.commissioning.contracts import Figure, StepResult, cannot_tell, judged
+from server.commissioning.link_figures import state_figures
+from server.commissioning.moving import (
+    Guard,
+    NotReadyError,
+    Played,
+    arm,
+    gentle_plan,
+    play,
+    reading,
+    rest,
+    wait,
+    wait_for,
+)
+from server.commissioning.site import Site
+from server.commissioning.stop_figures import stop_figures
+from server.commissioning.stopping import StopKind, rest_figures, run_and_stop
+from server.link.contracts import LinkPhase, PlcSample
+from server.motion.contracts import JointTrajectory
+from server.motion.trajectory import evaluate
+
+NAME = "link dry run"
+REMEDY = "see docs/plc-link.md for the time limits and reject codes; nothing may be moved before this step passes"
+STEP_RAD = math.radians(2.0)
+STILL_RAD = math.radians(0.2)  # further than this in a dry run: the valves are not neutral
+ROUND_TRIP_MAX_MS = 50.0
+PLAY_S = 4.0
+SILENT_PLAY_S = 6.0
+AFTER_S = 2.0
+_VERSIONS = (f"states are HMLINK {VERSION_MAJOR}, layout {LAYOUT_ID:#010x}: others would not have been taken",)
+
+
+async def link_dry_run(site: Site) -> StepResult:
+    """Listen, then play and fall silent; the latter only where the PLC says that its valves are closed."""
+    listened = await _listen(site)
+    notes = [*_VERSIONS, *(f"refused: {text}" for text in site.link.health.recent_rejects[-3:])]
+    if not site.link.health.dry_run:
+        return judged(
+            NAME,
+            listened,
+            "",
+            REMEDY,
+            ["the PLC is not in dry run: playback and silence were not tried; set bDryRun there and run step 1 again"],
+            notes=notes,
+        )
+    if not await site.operator.confirm("a small trajectory is played with closed valves: the machine must not move"):
+        return cannot_tell(NAME, "the engineer did not confirm the dry run", "run step 1 again")
+    await arm(site)
+    played, wanted = await _play(site)
+    figures = [*listened, *playback_figures(played, wanted, site.machine)]
+    if not all(figure.ok for figure in figures):
+        return judged(NAME, figures, "", REMEDY, notes=notes)
+    figures += await _silence(site)
+    summary = "states arrive in time, knots are played with closed valves, and the PLC stops by itself in silence"
+    return judged(NAME, figures, summary, REMEDY, notes=notes)
+
+
+# --- at rest --------------------------------------------------------------------------------------------------------
+
+
+async def _listen(site: Site) -> list[Figure]:
+    before, t_start_ns = site.link.health, time.monotonic_ns()
+    await wait(site, site.options.listen_s, "listening to the PLC")
+    after, samples = site.link.health, site.link.samples_since(t_start_ns)
+    return [
+        *state_figures(samples, site.machine.plc_log_cycle_s),
+        Figure("quickest round trip", after.round_trip_ms, "ms", at_most=ROUND_TRIP_MAX_MS),
+        Figure("commands sent late by, median", after.lateness_p50_us / 1e3, "ms"),
+        Figure("commands sent late by, 99 %", after.lateness_p99_us / 1e3, "ms"),
+        Figure("commands refused", float(after.rejected - before.rejected), "commands", at_most=0.0),
+    ]
+
+
+# --- playback -------------------------------------------------------------------------------------------------------
+
+
+def dry_guard(q_start: Array) -> Guard:
+    """Objects as soon as a joint moves although the PLC says that its valves are closed."""
+
+    def look(sample: PlcSample) -> str:
+        moved = float(np.abs(np.array(sample.q_rad) - q_start).max())
+        return f"a joint moved by {math.degrees(moved):.2f} deg in a dry run" if moved > STILL_RAD else ""
+
+    return look
+
+
+def dry_goal(machine: Machine, q_ref: Array) -> Array:
+    """Every joint 2 deg towards the middle of its range (n,) [rad]."""
+    middle = np.array([(joint.q_min_rad + joint.q_max_rad) / 2.0 for joint in machine.joints])
+    return q_ref + np.where(middle >= q_ref, STEP_RAD, -STEP_RAD)
+
+
+async def _trajectory(site: Site, q_goal: Array, duration_s: float) -> JointTrajectory:
+    plan = gentle_plan(site, (await reading(site)).q_ref, q_goal, duration_s)
+    if plan.trajectory is None:
+        raise NotReadyError(f"no small trajectory is possible from here: {plan.reason}")
+    return plan.trajectory
+
+
+async def _play(site: Site) -> tuple[Played, JointTrajectory]:
+    start = await rest(site)
+    trajectory = await _trajectory(site, dry_goal(site.machine, start.q_ref), PLAY_S)
+    return await play(site, trajectory, "playing in dry run", dry_guard(start.q)), trajectory
+
+
+def playback_figures(played: Played, wanted: JointTrajectory, machine: Machine) -> list[Figure]:
+    """Whether the reference was played as sent while nothing moved."""
+    own = [sample for sample in played.samples if sample.plc_state == "RUN"]
+    if not own:
+        reason = played.objection or played.ended.reason
+        return [Figure(f"states of RUN ({reason})", 0.0, "states", at_least=1.0)]
+    t_s = np.array([sample.t_play_ns for sample in own]) * 1e-9
+    q_ref = np.array([sample.q_ref_rad for sample in own])
+    qs = np.array([sample.q_rad for sample in own])
+    last = np.array(played.samples[-1].q_ref_rad)
+    off_path = math.degrees(float(np.abs(q_ref - evaluate(wanted, t_s).q).max()))
+    off_goal = math.degrees(float(np.abs(last - wanted.q[-1]).max()))
+    ended = f"trajectory ended early ({played.objection or played.ended.reason})"
+    return [
+        Figure(ended, 0.0 if played.ended.reached and not played.objection else 1.0, "times", at_most=0.0),
+        Figure("reference off its path", off_path, "deg", None, 1e-6),
+        Figure("reference off its goal", off_goal, "deg", None, 1e-6),
+        Figure("encoders moved", math.degrees(float(np.ptp(qs, axis=0).max())), "deg", at_most=math.degrees(STILL_RAD)),
+        Figure("largest valve command", max(abs(v) for s in own for v in s.valve_frac), "of full", at_most=0.0),
+        Figure("knots ran out", float(own[-1].underruns - own[0].underruns), "times", at_most=0.0),
+    ]  # fmt: skip
+
+
+# --- silence --------------------------------------------------------------------------------------------------------
+
+
+async def _silence(site: Site) -> list[Figure]:
+    """Fall silent in the middle of a trajectory and watch."""
+    start = await rest(site)
+    trajectory = await _trajectory(site, dry_goal(site.machine, start.q_ref), SILENT_PLAY_S)
+    text = "playing in dry run, then silence"
+    stopped = await run_and_stop(site, trajectory, StopKind.SILENCE, text, guard=dry_guard(start.q))
+    stop = stop_figures(stopped.samples, stopped.t_trigger_plc_ns, site.machine)
+    back = await wait_for(site, lambda: site.link.health.phase is LinkPhase.LINKED, AFTER_S, "waiting for the link")
+    figures = rest_figures("silence", StopKind.SILENCE, stop)
+    return [*figures, Figure("new session within 2 s of sending again", float(back), "(1: yes)", at_least=1.0)]

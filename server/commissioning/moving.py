@@ -1,0 +1,187 @@
+"""Moving the machine for a step: leave, arming, one guarded motion, rest. Everything that moves goes through here."""
+
+import asyncio
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine.rotations import Array
+from server.commissioning.site import Site
+from server.link.contracts import LinkPhase, MotionEnded, PlcSample
+from server.link.errors import LinkError
+from server.motion.contracts import JointTrajectory, PathPlan
+from server.motion.point_to_point import plan_joint_move
+from server.motion.settings import PlanSettings
+
+GENTLE = PlanSettings(speed_scale=0.3, duration_min_s=3.0, shape_reference=False)
+REST_TIMEOUT_S = 15.0
+_REST_WINDOW_S = 0.5
+_REST_SPEED_RAD_S = 5e-4  # 2 mm/s at 4 m
+_TICK_S = 0.1
+_READING_S = 0.1
+_FRESH_S = 1.0  # after heavy work of our own the states are there, but not read yet
+_ARMED = (LinkPhase.ARMED, LinkPhase.RUNNING, LinkPhase.STOPPING)
+
+Guard = Callable[[PlcSample], str]
+
+
+class NoLeaveError(Exception):
+    """The engineer did not give leave: nothing moves."""
+
+
+class NotReadyError(Exception):
+    """The machine is not in a state in which this step could tell anything; the text says what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Where the machine is: encoders (a mean over 0.1 s) and reference, (n,) [rad]."""
+
+    q: Array
+    q_ref: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """One motion: its end, the states from its start on, and what the guard objected to (empty: nothing)."""
+
+    ended: MotionEnded
+    samples: list[PlcSample]
+    objection: str
+
+
+async def require_leave(site: Site, what: str) -> None:
+    """Raises NoLeaveError unless the engineer gave leave to move and confirms this motion."""
+    if not await site.may_move():
+        raise NoLeaveError("no leave to move the machine was given; type its name when asked, or give --move")
+    if not await site.operator.confirm(what):
+        raise NoLeaveError("the engineer did not confirm the motion")
+
+
+async def arm(site: Site) -> None:
+    """Arm, unless it is armed; a person may have to press the enable meanwhile."""
+    if site.link.health.phase in _ARMED:
+        return
+    site.operator.tell("arming; press the enable at the machine if it has one")
+    await site.link.arm(site.options.arm_timeout_s)
+
+
+async def reading(site: Site) -> Reading:
+    """Encoders and reference now.
+
+    Raises: NotReadyError: no fresh state within a second.
+    """
+
+    def fresh() -> list[PlcSample]:
+        return site.link.samples_since(time.monotonic_ns() - int(_READING_S * 1e9))
+
+    if not await wait_for(site, lambda: bool(fresh()), _FRESH_S, "waiting for a state"):
+        raise NotReadyError("no fresh state from the PLC; check the link, then run this step again")
+    samples = fresh()
+    return Reading(np.mean([sample.q_rad for sample in samples], axis=0), np.array(samples[-1].q_ref_rad))
+
+
+async def rest(site: Site, timeout_s: float = REST_TIMEOUT_S) -> Reading:
+    """Wait until encoders and reference stand still.
+
+    Raises: NotReadyError: they do not in time.
+    """
+    deadline_s = time.monotonic() + timeout_s
+    while time.monotonic() < deadline_s:
+        if at_rest(site.link.samples_since(time.monotonic_ns() - int(_REST_WINDOW_S * 1e9))):
+            return await reading(site)
+        await asyncio.sleep(_TICK_S / 2.0)
+    raise NotReadyError(f"encoders did not come to rest within {timeout_s:.0f} s; look for a limit cycle or a leak")
+
+
+def at_rest(samples: list[PlcSample]) -> bool:
+    """Whether encoders and reference stood still over at least 80 % of the window."""
+    if len(samples) < 2:
+        return False
+    span_s = (samples[-1].t_plc_ns - samples[0].t_plc_ns) * 1e-9
+    if span_s < 0.8 * _REST_WINDOW_S:
+        return False
+    qs = np.array([sample.q_rad for sample in samples])
+    resting = max(abs(value) for value in samples[-1].qd_ref_rad_s) < _REST_SPEED_RAD_S
+    return resting and float((qs.max(axis=0) - qs.min(axis=0)).max()) / span_s < _REST_SPEED_RAD_S
+
+
+def gentle_plan(site: Site, q_ref: Array, q_goal: Array, duration_s: float = 3.0) -> PathPlan:
+    """A slow, plain joint move of the reference; a status and no trajectory where it may not be driven."""
+    return plan_joint_move(site.machine, q_ref, q_goal, replace(GENTLE, duration_min_s=duration_s))
+
+
+async def play(site: Site, trajectory: JointTrajectory, text: str, guard: Guard | None = None) -> Played:
+    """Run one trajectory and wait for its end. What the guard objects to disarms at once: valves to neutral.
+
+    Raises: LinkError: refused, or the link is gone. Cancelled: the machine is ramped down first.
+    """
+    objections: list[str] = []
+    disarming: list[asyncio.Task[None]] = []
+
+    def look(sample: PlcSample) -> None:
+        objection = guard(sample) if guard is not None and not objections else ""
+        if objection:
+            objections.append(objection)
+            disarming.append(asyncio.ensure_future(_disarm(site)))
+
+    t_start_ns = time.monotonic_ns()
+    unsubscribe = site.link.on_sample(look)
+    running = asyncio.ensure_future(site.link.run(trajectory))
+    try:
+        await _shown(site, running, text, trajectory.duration_s)
+    finally:
+        unsubscribe()
+        if not running.done():
+            running.cancel()
+            await asyncio.wait({running})
+        if disarming:
+            await asyncio.wait(disarming)
+    return Played(running.result(), site.link.samples_since(t_start_ns), objections[0] if objections else "")
+
+
+async def play_gently(site: Site, q_goal: Array, text: str, guard: Guard | None = None) -> Played:
+    """A slow joint move of the reference from where it is.
+
+    Raises: NotReadyError: the move is not possible from here.
+    """
+    plan = gentle_plan(site, (await reading(site)).q_ref, q_goal)
+    if plan.trajectory is None:
+        raise NotReadyError(f"{text}: {plan.reason}")
+    return await play(site, plan.trajectory, text, guard)
+
+
+async def _disarm(site: Site) -> None:
+    try:
+        await site.link.disarm()
+    except LinkError as error:
+        site.operator.tell(f"disarming failed: {error}")
+
+
+async def _shown(site: Site, running: "asyncio.Future[MotionEnded]", text: str, duration_s: float) -> None:
+    started_s = time.monotonic()
+    while not running.done():
+        site.operator.progress(text, min(time.monotonic() - started_s, duration_s), duration_s, "s")
+        await asyncio.wait({running}, timeout=_TICK_S)
+
+
+async def wait(site: Site, duration_s: float, text: str) -> None:
+    """Let time pass, shown."""
+    started_s = time.monotonic()
+    while (elapsed_s := time.monotonic() - started_s) < duration_s:
+        site.operator.progress(text, elapsed_s, duration_s, "s")
+        await asyncio.sleep(min(_TICK_S, duration_s - elapsed_s))
+
+
+async def wait_for(site: Site, wanted: Callable[[], bool], timeout_s: float, text: str) -> bool:
+    """Whether it comes true in time; looked at ten times a second."""
+    started_s = time.monotonic()
+    while not wanted():
+        elapsed_s = time.monotonic() - started_s
+        if elapsed_s >= timeout_s:
+            return wanted()
+        site.operator.progress(text, elapsed_s, timeout_s, "s")
+        await asyncio.sleep(_TICK_S / 2.0)
+    return True

@@ -1,0 +1,41 @@
+"""The site: the machine under commissioning with its link, its camera and its engineer, as the steps see them."""
+
+from dataclasses import dataclass
+
+from machine.chain import Chain
+from machine.description import Machine
+from server.camera.client import VisionClient
+from server.commissioning.contracts import Operator
+from server.link.client import LinkClient
+from server.settings import ServerSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the engineer chose."""
+
+    listen_s: float = 10.0  # how long the link is watched at rest
+    zero_tolerance_deg: float = 1.0  # between an encoder and what is read at the machine
+    ask_for_ends: bool = False  # drive every joint to its mechanical ends by lever
+    each_joint: bool = False  # stop times of every joint by itself too
+    arm_timeout_s: float = 5.0  # longer where a person must press the enable first
+
+
+@dataclass(slots=True)
+class Site:
+    """Everything a step may use. `vision` is None when no step that looks was asked for."""
+
+    settings: ServerSettings
+    machine: Machine
+    chain: Chain
+    link: LinkClient
+    vision: VisionClient | None
+    operator: Operator
+    options: Options
+    leave: bool | None = None  # to move; None: not asked yet
+
+    async def may_move(self) -> bool:
+        """Whether the engineer has given leave to move; asked the first time only."""
+        if self.leave is None:
+            self.leave = await self.operator.may_move(self.machine.name)
+        return self.leave

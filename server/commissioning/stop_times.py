@@ -1,0 +1,153 @@
+"""Step: how long and how far the machine still goes after STOP, QUICK_STOP and silence, at half and at full speed."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine.kinematics import tcp_pose
+from machine.poses import pose
+from machine.rotations import Array
+from server.commissioning.contracts import Figure, ReportTable, StepResult, judged
+from server.commissioning.moving import NotReadyError, arm, play_gently, reading, require_leave, rest
+from server.commissioning.site import Site
+from server.commissioning.stop_figures import StopFigures, stop_figures
+from server.commissioning.stopping import RAMP_SLACK_MS, StopKind, rest_figures, run_and_stop
+from server.link.errors import LinkError
+from server.motion.contracts import JointTrajectory, PathPlan
+from server.motion.point_to_point import plan_joint_move, plan_move
+from server.motion.settings import PlanSettings
+
+NAME = "stop times"
+REMEDY = (
+    "look at qdd_max in the machine file against what the machine can do, at the valves' gains and at the PLC's task"
+)
+TRAVEL_MAX_MM = 80.0
+SPEEDS = (0.5, 1.0)
+KINDS = (StopKind.STOP, StopKind.QUICK_STOP, StopKind.SILENCE)
+LENGTHS_M = (0.30, 0.22, 0.16)
+JOINT_SPANS_RAD = (0.30, 0.20, 0.12)
+FAST = PlanSettings(limit_share=0.98)  # as fast as any motion that this machine will be sent
+_HEADINGS = ("move", "speed %", "stop", "TCP mm/s", "begins ms", "ramp ms", "bound ms", "still ms", "TCP mm")
+# away from what the tool looks at first, then across it
+_DIRECTIONS_TCP = ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class StopCase:
+    """One move that is stopped: which joint turns (None: the tool goes straight), how fast, and what stops it."""
+
+    joint: int | None
+    speed: float
+    kind: StopKind
+
+
+def stop_cases(joints: int, each_joint: bool) -> Iterator[StopCase]:
+    """The cases in order: the tool's straight move, then joint by joint where that was asked for."""
+    for joint in (None, *(range(joints) if each_joint else ())):
+        for speed in SPEEDS:
+            for kind in KINDS:
+                yield StopCase(joint, speed, kind)
+
+
+async def stop_times(site: Site) -> StepResult:
+    """Every case from the same place; the machine is taken back slowly after each."""
+    text = "the tool will now move up to 0.3 m away from what it looks at, and is stopped on the way, several times"
+    await require_leave(site, text)
+    await arm(site)
+    home = (await rest(site)).q_ref
+    figures: list[Figure] = []
+    rows: list[tuple[str, ...]] = []
+    untold: list[str] = []
+    for case in stop_cases(site.chain.n, site.options.each_joint):
+        name = _name(site, case)
+        try:
+            stop = await _one(site, case, name)
+        except (NotReadyError, ValueError) as error:
+            untold.append(f"{name}: {error}")
+        else:
+            figures += [*rest_figures(name, case.kind, stop), *travel_figures(name, stop)]
+            rows.append(_row(site, case, stop))
+        try:
+            await _take_home(site, home)
+        except (NotReadyError, LinkError) as error:  # what was measured so far is kept
+            untold.append(f"after '{name}' the machine could not be taken back: {error}")
+            break
+    table = ReportTable(f"stops; ramp at most bound + {RAMP_SLACK_MS:.0f} ms", _HEADINGS, tuple(rows))
+    summary = f"every ramp within |qd|/qdd_max, every travel below {TRAVEL_MAX_MM:.0f} mm, nothing resumed"
+    return judged(NAME, figures, summary, REMEDY, untold, tables=(table,))
+
+
+async def _one(site: Site, case: StopCase, name: str) -> StopFigures:
+    trajectory = await _trajectory(site, case)
+    stopped = await run_and_stop(site, trajectory, case.kind, name)
+    return stop_figures(stopped.samples, stopped.t_trigger_plc_ns, site.machine)
+
+
+async def _take_home(site: Site, home: Array) -> None:
+    await arm(site)
+    await rest(site)
+    if float(np.abs((await reading(site)).q_ref - home).max()) > 1e-6:
+        played = await play_gently(site, home, "slowly back")
+        if not played.ended.reached:
+            raise NotReadyError(f"the way back ended early: {played.ended.reason}")
+    await rest(site)
+
+
+async def _trajectory(site: Site, case: StopCase) -> JointTrajectory:
+    q_ref = (await reading(site)).q_ref
+    settings = replace(FAST, speed_scale=case.speed)
+    plans = (
+        _joint_plans(site, q_ref, case.joint, settings)
+        if case.joint is not None
+        else _tool_plans(site, q_ref, settings)
+    )
+    reason = ""
+    for plan in plans:
+        if plan.trajectory is not None:
+            return plan.trajectory
+        reason = reason or plan.reason
+    raise NotReadyError(f"no move of the wanted length is possible from here: {reason}")
+
+
+def _tool_plans(site: Site, q_ref: Array, settings: PlanSettings) -> Iterator[PathPlan]:
+    """Straight moves of the tool, the longest and safest direction first."""
+    T = tcp_pose(site.chain, q_ref)
+    for length_m in LENGTHS_M:
+        for direction in _DIRECTIONS_TCP:
+            point = T[:3, 3] + length_m * (T[:3, :3] @ np.array(direction))
+            yield plan_move(site.machine, q_ref, pose(T[:3, :3], point), settings)
+
+
+def _joint_plans(site: Site, q_ref: Array, joint: int, settings: PlanSettings) -> Iterator[PathPlan]:
+    """Moves of one joint, towards the middle of its range first."""
+    limits = site.machine.joints[joint]
+    inward = 1.0 if (limits.q_min_rad + limits.q_max_rad) / 2.0 >= q_ref[joint] else -1.0
+    for span_rad in JOINT_SPANS_RAD:
+        for sign in (inward, -inward):
+            goal = q_ref.copy()
+            goal[joint] += sign * span_rad
+            yield plan_joint_move(site.machine, q_ref, goal, settings)
+
+
+def travel_figures(name: str, stop: StopFigures) -> list[Figure]:
+    """How far the tool still went, by the encoders."""
+    return [Figure(f"{name}: TCP travel", stop.tcp_travel_mm, "mm", at_most=TRAVEL_MAX_MM)]
+
+
+def _name(site: Site, case: StopCase) -> str:
+    what = "tool" if case.joint is None else site.machine.joints[case.joint].name
+    return f"{what} at {100 * case.speed:.0f} %, {case.kind.value}"
+
+
+def _row(site: Site, case: StopCase, stop: StopFigures) -> tuple[str, ...]:
+    what = "tool" if case.joint is None else site.machine.joints[case.joint].name
+    numbers = (
+        stop.tcp_speed_mm_s,
+        stop.reaction_ms,
+        stop.ramp_ms,
+        stop.ramp_bound_ms,
+        stop.machine_still_ms,
+        stop.tcp_travel_mm,
+    )
+    return (what, f"{100 * case.speed:.0f}", case.kind.value, *(f"{number:.0f}" for number in numbers))

@@ -1,0 +1,91 @@
+"""Stopping a motion on purpose, in the three ways in which it may be stopped, while watching."""
+
+import asyncio
+import time
+from dataclasses import dataclass
+from enum import Enum
+
+from protocol.timeouts import COMMAND_LOST, COMMAND_PERIOD, SESSION_VOID, STATE_PERIOD
+from server.commissioning.contracts import Figure
+from server.commissioning.moving import Guard, play, wait, wait_for
+from server.commissioning.site import Site
+from server.commissioning.stop_figures import StopFigures
+from server.link.contracts import PlcSample
+from server.motion.contracts import JointTrajectory
+
+SILENCE_S = 1.8
+_AFTER_STOP_S = 2.5  # a boom of this size has stopped swinging visibly
+_STATE_MS = STATE_PERIOD.ns / 1e6
+SILENT_REACTION_MAX_MS = COMMAND_LOST.ns / 1e6 + _STATE_MS
+ASKED_REACTION_MAX_MS = 100.0  # one command period, the way there, one state; on a PC that is busy
+RAMP_SLACK_MS = 2.0 * _STATE_MS  # begin and end are each seen at the next state
+VOID_MIN_MS = (SESSION_VOID.ns - COMMAND_PERIOD.ns) / 1e6 - _STATE_MS  # counts from the last command, before we asked
+VOID_MAX_MS = SESSION_VOID.ns / 1e6 + 5.0 * _STATE_MS
+
+
+class StopKind(Enum):
+    """What ends the motion."""
+
+    STOP = "STOP"
+    QUICK_STOP = "QUICK_STOP"
+    SILENCE = "silence"
+
+    @property
+    def reaction_max_ms(self) -> float:
+        """Longest time from asking to the ramp's begin."""
+        return SILENT_REACTION_MAX_MS if self is StopKind.SILENCE else ASKED_REACTION_MAX_MS
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """The states from the motion's start to standstill, when the stop was asked for, and a guard's objection."""
+
+    samples: list[PlcSample]
+    t_trigger_plc_ns: int
+    objection: str
+
+
+async def run_and_stop(
+    site: Site, trajectory: JointTrajectory, kind: StopKind, text: str, share: float = 0.5, guard: Guard | None = None
+) -> Stopped:
+    """Play, stop at a share of the duration, and wait for standstill (and in silence for the session's end)."""
+    t_start_ns = time.monotonic_ns()
+    trigger = asyncio.ensure_future(_trigger(site, trajectory.duration_s * share, kind, text))
+    try:
+        played = await play(site, trajectory, text, guard)
+        t_trigger_ns = await asyncio.wait_for(trigger, SILENCE_S)
+    finally:
+        trigger.cancel()
+    await wait(site, SILENCE_S if kind is StopKind.SILENCE else _AFTER_STOP_S, f"{text}: watching it come to rest")
+    return Stopped(site.link.samples_since(t_start_ns), t_trigger_ns, played.objection)
+
+
+async def _trigger(site: Site, t_play_s: float, kind: StopKind, text: str) -> int:
+    """Wait for the moment and stop; the moment on the PLC's clock [ns]."""
+
+    def there() -> bool:
+        latest = site.link.latest
+        return latest is not None and latest.plc_state == "RUN" and latest.t_play_ns >= t_play_s * 1e9
+
+    await wait_for(site, there, t_play_s + 3.0, text)
+    offset_ns, t_asked_ns = site.link.plc_to_pc_offset_ns or 0, time.monotonic_ns()
+    if kind is StopKind.SILENCE:
+        await site.link.go_silent(SILENCE_S)
+    elif kind is StopKind.QUICK_STOP:
+        await site.link.quick_stop("commissioning: stop times")
+    else:
+        await site.link.stop("commissioning: stop times")
+    return t_asked_ns - offset_ns
+
+
+def rest_figures(name: str, kind: StopKind, stop: StopFigures) -> list[Figure]:
+    """Reaction, ramp and (in silence) the session's end, against their limits."""
+    figures = [
+        Figure(f"{name}: ramp begins after", stop.reaction_ms, "ms", at_most=kind.reaction_max_ms),
+        Figure(f"{name}: ramp", stop.ramp_ms, "ms", at_most=stop.ramp_bound_ms + RAMP_SLACK_MS),
+        Figure(f"{name}: motion resumed", float(stop.resumed), "times", at_most=0.0),
+        Figure(f"{name}: ended by a fault or the lever", float(stop.faulted), "times", at_most=0.0),
+    ]
+    if kind is StopKind.SILENCE:
+        figures.append(Figure(f"{name}: session void after", stop.void_ms, "ms", VOID_MIN_MS, VOID_MAX_MS))
+    return figures
