@@ -1,0 +1,118 @@
+"""A short golden conversation for whoever builds or tests another end: HELLO to STOP, in both framings."""
+
+from dataclasses import dataclass
+
+from protocol.capture import Datagram, pcap
+from protocol.codec import encode_command, encode_state
+from protocol.codes import CommandFlag, HeaderFlag, Interp, LinkState, Mode, PlcState, RejectCode
+from protocol.framing import EAP_PORT, EapFraming, Framing, RawFraming
+from protocol.limits import axis_mask, cfg_id
+from protocol.messages import Axes, Command, Knot, State, axes8
+from protocol.twincat.parameters import RAW_PC_PORT, RAW_PLC_PORT, PlcParameters
+
+MS = 1_000_000
+SESSION, NONCE = 0x10203040, 0x0A0B0C0D
+KEY = bytes(range(32))
+_KNOT_MS = 50
+_STEP = 0.003  # rad on the first axis: gentle for any crane
+
+
+@dataclass(frozen=True, slots=True)
+class Golden:
+    """One message with what it is for."""
+
+    name: str
+    purpose: str
+    message: Command | State
+    key: bytes = b""
+
+    @property
+    def payload(self) -> bytes:
+        """Its bytes."""
+        if isinstance(self.message, Command):
+            return encode_command(self.message, self.key)
+        return encode_state(self.message, self.key)
+
+
+def conversation(parameters: PlcParameters) -> tuple[Golden, ...]:
+    """The messages in order; numbers, times and the limits' id fit together."""
+    common = {"session": SESSION, "axis_mask": axis_mask(parameters.table), "cfg_id": cfg_id(parameters.table)}
+    here = axes8(tuple(0.5 * (axis.q_min + axis.q_max) for axis in parameters.table.axes))
+
+    def command(seq: int, mode: Mode, **more: object) -> Command:
+        seen = {"ack_plc_seq": seq - 1, "t_plc_echo_ns": (5000 + 20 * (seq - 1)) * MS} if seq > 1 else {}
+        fields = {**common, "timeout_us": 250_000, **seen, **more}
+        return Command(seq=seq, t_send_ns=(1000 + 20 * seq) * MS, mode=mode, **fields)  # type: ignore[arg-type]
+
+    def state(seq: int, plc_state: PlcState, mode: Mode, **more: object) -> State:
+        clocks = {"ack_seq": seq, "t_pc_echo_ns": (1000 + 20 * seq) * MS, "rx_age_us": 1000, "plc_cycle_us": 1000}
+        fields = {**common, **clocks, "q": here, "q_ref": here, "nonce": NONCE, "rx_ok": seq, **more}
+        return State(
+            seq=seq,
+            t_send_ns=(5000 + 20 * seq) * MS,
+            plc_state=plc_state,
+            link_state=LinkState.FRESH,
+            mode_active=mode,
+            **fields,  # type: ignore[arg-type]
+        )
+
+    quintic = {"interp": Interp.QUINTIC, "cmd_flags": CommandFlag.START | CommandFlag.LAST_IS_END}
+    target = Knot(0, (here[0] + 0.01, *here[1:]), (0.01, *(0.0,) * 7))
+    fast = (*rest_to_rest(here)[:1], Knot(_KNOT_MS * MS, (here[0] + 1.0, *here[1:])))
+    refused = {"reject_code": RejectCode.IMPLIED_SPEED, "reject_count": 1, "reject_seq": 28, "reject_offset": 288}
+    before = {"ack_seq": 27, "t_pc_echo_ns": (1000 + 20 * 27) * MS, "rx_age_us": 21_000, "rx_ok": 27, "rx_bad": 1}
+    return (
+        Golden("hello", "opens the session", command(1, Mode.HEARTBEAT, hello=True)),
+        Golden("state-linked", "it is open; the nonce is for ARM", state(1, PlcState.LINKED, Mode.HEARTBEAT)),
+        Golden("arm", "after 25 good commands", command(26, Mode.ARM, arm_nonce=NONCE)),
+        Golden("state-hold", "armed, at rest", state(26, PlcState.HOLD, Mode.HOLD)),
+        Golden("trajectory", "six knots from rest to rest, START and LAST_IS_END",
+               command(27, Mode.TRAJECTORY, traj_id=1, knots=rest_to_rest(here), **quintic)),
+        Golden("state-run", "knot 1 is being played",
+               state(27, PlcState.RUN, Mode.TRAJECTORY, traj_id=1, knot_playing=1, knot_last=5, t_play_ns=60 * MS,
+                     buffer_us=190_000)),
+        Golden("trajectory-refused", "its second knot implies too much speed: to be refused",
+               command(28, Mode.TRAJECTORY, traj_id=2, knots=fast, **quintic)),
+        Golden("state-refusal", "says so: code, number, and byte 288 = knot[1].q[0]",
+               state(28, PlcState.HOLD, Mode.HOLD, traj_id=1, **before, **refused)),
+        Golden("servo", "a target 10 mrad away that moves at 10 mrad/s, signed with key 00 01 .. 1f",
+               command(29, Mode.SERVO, traj_id=3, knots=(target,), interp=Interp.LINEAR, cmd_flags=CommandFlag.START),
+               KEY),
+        Golden("stop", "ramp down and hold", command(30, Mode.STOP)),
+        Golden("state-dry-run", "flags: DRY_RUN, valves neutral",
+               state(30, PlcState.HOLD, Mode.HOLD, flags=HeaderFlag.DRY_RUN)),
+    )  # fmt: skip
+
+
+def rest_to_rest(here: Axes) -> tuple[Knot, ...]:
+    """Six knots of a quintic over 250 ms on the first axis."""
+    T, knots = 5 * _KNOT_MS * 1e-3, []
+    for k in range(6):
+        x = k / 5
+        s = x * x * x * (10.0 + x * (-15.0 + 6.0 * x))
+        sd = x * x * (30.0 + x * (-60.0 + 30.0 * x)) / T
+        sdd = x * (60.0 + x * (-180.0 + 120.0 * x)) / (T * T)
+        moved = [(here[0] + _STEP * s, *here[1:]), (_STEP * sd, *(0.0,) * 7), (_STEP * sdd, *(0.0,) * 7)]
+        knots.append(Knot(k * _KNOT_MS * MS, *moved))
+    return tuple(knots)
+
+
+def framed(golden: Golden, parameters: PlcParameters, eap: bool) -> bytes:
+    """The datagram of a message in one of the framings."""
+    ends = parameters.pc_net_id, parameters.plc_net_id
+    from_pc = isinstance(golden.message, Command)
+    framing: Framing = RawFraming()
+    if eap:
+        framing = EapFraming.for_client(*ends) if from_pc else EapFraming.for_plc(*ends)
+    return framing.wrap(golden.payload, golden.message.seq)
+
+
+def golden_pcap(parameters: PlcParameters, eap: bool) -> bytes:
+    """The conversation as a capture, every message 20 ms after the one before."""
+    pc = (parameters.pc_address, EAP_PORT if eap else RAW_PC_PORT)
+    plc = (parameters.plc_address, EAP_PORT if eap else RAW_PLC_PORT)
+    datagrams = []
+    for i, golden in enumerate(conversation(parameters)):
+        source, target = (pc, plc) if isinstance(golden.message, Command) else (plc, pc)
+        datagrams.append(Datagram(i * 20_000, source, target, framed(golden, parameters, eap)))
+    return pcap(datagrams)

@@ -1,0 +1,145 @@
+"""The pages that are read from the top: start, import, commissioning. What is not verified stands on each."""
+
+from protocol import layout, timeouts
+from protocol.limits import AxisLimits, cfg_id
+from protocol.twincat.documents import VERSION
+from protocol.twincat.parameters import PlcParameters
+
+_IN_TIME_MS = (timeouts.COMMAND_LOST.ns + timeouts.STATE_PERIOD.ns) // timeouts.MS
+_NOT_VERIFIED = """\
+## What is not verified
+
+Nothing here has met a real TwinCAT runtime or a real machine. Verified: the Structured Text is executed in tests
+beside the simulated PLC and sends the same bytes; an independent parser reads every file; Wireshark's own dissector
+decodes the EAP frames. To be confirmed on the machine:
+
+- that XAE imports the files as they are and compiles them, and that every SIZEOF is as here (`bLayoutOk`);
+- the EAP state-machine byte (we send 0 and ignore it), the meaning of VarState's bits, whether TwinCAT checks the
+  frame's length;
+- FB_HmUdpTf6310 and FB_HmUdpTf6311, which have been parsed but never run; the size limit of TF6311 (1304 bytes are
+  within one Ethernet frame);
+- the longest cycle: FB_HmMotion states what its worst one has to do.
+"""
+_WATCH_LIST = """\
+## Watch list
+
+| Variable | Should be |
+|---|---|
+| `MAIN.fbPlc.bLayoutOk` | TRUE |
+| `MAIN.fbPlc.ePlcState` | DISARMED, then LINKED with a PC, HOLD when armed, RUN in motion |
+| `GVL_HmIo.nCmdVarState`, `nCmdCycleIndex`, `nCmdQuality` | 0; running; below 1000 (100 ms) |
+| `MAIN.uTx.m.rx_ok`, `rx_lost`, `rx_bad` | rising by 50 a second; still; still |
+| `MAIN.uTx.m.rx_age_us` | below 40000 |
+| `MAIN.uTx.m.reject_code`, `reject_offset` | 0; else docs/reject-codes.md and docs/offsets.md |
+| `MAIN.uTx.m.fault_bits`, `warn_bits` | 0 |
+| `MAIN.uTx.m.buffer_us` | above 250000 in the middle of a motion |
+| `MAIN.uTx.m.q_ref`, `MAIN.uTx.m.q` | equal while disarmed; the joints behind the reference in motion |
+| `MAIN.fbPlc.aValves` | 0 in dry run |
+"""
+
+
+def start_page(p: PlcParameters) -> str:
+    """From unpacking to the first dry run, on one page."""
+    return f"""\
+# {p.machine}: the PLC end of HMLINK {VERSION}
+
+One command datagram 50 times a second from the PC, one state datagram every 10 ms from the PLC. The PC sends knots of
+a reference ahead of time; the PLC plays them on its own clock, checks them against its own limits, and ramps down by
+itself when the PC falls silent. **This link is no safety channel**: emergency stop and enable stay hard-wired.
+
+| | |
+|---|---|
+| layout_id | {layout.LAYOUT_ID:#010x} |
+| cfg_id | {cfg_id(p.table):#010x} |
+| axes | {", ".join(axis.name for axis in p.table.axes)} |
+| task cycle | {p.cycle_ns / 1e6:g} ms |
+| PLC | {p.plc_address}, AMS NetId {p.plc_net_id} |
+| PC | {p.pc_address}, AMS NetId {p.pc_net_id} |
+
+## From here to the first dry run
+
+1. **Import** `twincat/` into a PLC project, as docs/import.md says.
+2. **Task**: call MAIN every {p.cycle_ns / 1e6:g} ms. For another cycle change the machine file and export again.
+3. **Layout**: build, run, look at `MAIN.fbPlc.bLayoutOk`. FALSE latches fault LAYOUT: a struct is laid out in another
+   way than here, or limits were edited without a new export. `MAIN.fbPlc.fbSelfCheck` tells which check fails.
+4. **EAP**: eap/configuration-sheet.md. VarState must be 0 and CycleIndex must run as soon as the PC sends.
+5. **Dry run**: `GVL_HmIo.bDryRun` is TRUE from the start: everything is played, the valves stay closed. Leave it so.
+6. **PC**: `longreach commission --framing eap --plc-host {p.plc_address}`. Its first step arms, plays a small
+   trajectory in dry run, then falls silent on purpose: the PLC must leave RUN within {_IN_TIME_MS} ms and go to HOLD.
+7. **Watch** the list below. When the dry run is right, go on with docs/commissioning.md.
+
+{_WATCH_LIST}
+## What is in the folder
+
+- `twincat/`: data types and constants (generated), blocks and MAIN (written by hand);
+- `eap/configuration-sheet.md`: what to type into XAE;
+- `wireshark/hmlink.lua`: shows every field, in raw datagrams and inside EAP frames;
+- `c/hmlink.h`: the messages for C and C++;
+- `vectors/`: a golden conversation as captures (EAP and raw), as text and as JSON;
+- `docs/`: import, commissioning, offsets, time limits with reasons, states, reject codes;
+- `MANIFEST.txt`: SHA-256 of every file; `sha256sum -c MANIFEST.txt` tells what was edited since.
+
+{_NOT_VERIFIED}"""
+
+
+def import_page() -> str:
+    """How the files come into a PLC project."""
+    return """\
+# Import into TwinCAT
+
+There is no project file: add the files to a PLC project of your own (TwinCAT 3.1, build 4024 or newer).
+
+1. Create a Standard PLC Project, or take yours. Delete its MAIN, or keep it and leave our MAIN.TcPOU out: then call
+   FB_HmPlc from yours as our MAIN does.
+2. Right-click DUTs > Add > Existing Item: all files in twincat/DUTs.
+3. Right-click GVLs > Add > Existing Item: all files in twincat/GVLs.
+4. Right-click POUs > Add > Existing Item: all files in twincat/POUs. But leave FB_HmUdpTf6310 out without TF6310's
+   library (Tc2_TcpIp), and FB_HmUdpTf6311 without TF6311's libraries: they do not compile without.
+5. References: Tc2_Standard, Tc2_System.
+6. PlcTask calls MAIN; set its cycle as in README.md.
+7. Bind GVL_HmIo: the EAP variables as in eap/configuration-sheet.md; bEnable, bLeverTaken and bEstop to their switches.
+   In MAIN, where it says "here", scale this machine's encoders and pressures into stSample, and aValves to its valves.
+8. Build. Warnings are worth reading; errors are worth telling us: none of this has met a real XAE yet.
+
+The files have fixed ids, so an import of a newer export replaces the older one. Edit nothing in DUTs and GVLs but
+GVL_HmIo and GVL_HmAuth: change the machine file and export again, else fault LAYOUT or reject CFG tells of it.
+"""
+
+
+def commissioning_page(p: PlcParameters) -> str:
+    """From the dry run to the moving machine, with what must be seen at each step."""
+    rows = "\n".join(_joint_row(axis) for axis in p.table.axes)
+    ramp_s = max(axis.qd_max / axis.qdd_max for axis in p.table.axes)
+    return f"""\
+# Commissioning {p.machine}
+
+The valves stay closed until step 5. One person at the machine with the emergency stop in hand, one at the PLC.
+`longreach commission` leads through the same list from the PC, measures, and writes the report.
+
+1. **Emergency stop and enable**: hard-wired, tried with the pump off. `GVL_HmIo.bEstop` and `bEnable` follow their
+   switches, `bLeverTaken` the lever.
+2. **Limits**: cfg_id of the state is {cfg_id(p.table):#010x}, the PC's the same; else the PC is refused with CFG.
+3. **Dry run** (`bDryRun` TRUE): connect, turn the enable key, arm, play a small trajectory: `q_ref` moves, `aValves`
+   stays 0. Pull the network cable in mid-motion: STOPPING within {_IN_TIME_MS} ms, HOLD after a ramp of about
+   {ramp_s:.1f} s or less, DISARMED after 1 s of silence. Plug it in: nothing moves; HELLO and ARM are needed again.
+4. **Encoders**, pump on, by lever (LOCAL): sign, zero and range of every joint as in the table. Unplug one encoder:
+   MAIN must tell by writing the bits of a NaN (`uSample.w[j] := 16#7FF8_0000_0000_0000`), and fault SENSOR must come.
+5. **Valves, joint by joint** (`bDryRun` FALSE, low pump pressure if you can, boom low): jog 2 degrees there and back.
+   The valve must open to the side that moves the encoder towards the reference; a wrong sign shows as fault LAG.
+6. **Gains**: P on every joint; PT-1 (pt1_tau_s above 0) on those that carry the weight. GVL_HmMachine comes from the
+   machine file: change it there and export again.
+7. **Stop times**: STOP, QUICK_STOP and silence, at half and at full speed, joint by joint; the ramp must end within the
+   last column of the table, plus {_IN_TIME_MS} ms for silence.
+8. **Limits again**: command past each range and speed: each must be refused, with its code and its field.
+
+| Joint | q_min rad | q_max rad | qd_max rad/s | qdd_max rad/s^2 | longest ramp s |
+|---|---|---|---|---|---|
+{rows}
+
+{_WATCH_LIST}
+{_NOT_VERIFIED}"""
+
+
+def _joint_row(axis: AxisLimits) -> str:
+    numbers = (axis.q_min, axis.q_max, axis.qd_max, axis.qdd_max)
+    return f"| {axis.name} | {' | '.join(f'{x:.4f}' for x in numbers)} | {axis.qd_max / axis.qdd_max:.2f} |"
