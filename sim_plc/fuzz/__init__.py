@@ -1,0 +1,1 @@
+"""Fuzzing of both ends of the link: mutators, oracles after docs/plc-link.md, and the engine. Pure for a seed."""

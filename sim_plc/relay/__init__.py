@@ -1,0 +1,1 @@
+"""A seeded network that misbehaves, and the drills that run the link through it."""
