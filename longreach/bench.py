@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from longreach import bench_position
+from longreach import bench_fuzz, bench_kills, bench_link, bench_position, bench_schedules
 from longreach.bench_vision import bench_vision_real
 from machine.chain import chain_of
 from machine.inverse import inverse_all, inverse_nearest
@@ -18,6 +18,8 @@ from server.settings import read_machine
 
 app = typer.Typer(no_args_is_help=True)
 console = Console(width=200)
+app.command("schedules")(bench_schedules.schedules)
+app.command("fuzz")(bench_fuzz.fuzz)
 
 
 @app.command()
@@ -107,3 +109,36 @@ def vision_real(
 ) -> None:
     """Detector and odometry on real photographs and the KITTI clip."""
     bench_vision_real(data, console)
+
+
+@app.command()
+def link(
+    minutes: Annotated[int, typer.Option(help="how long, beside the vision load")] = 10,
+    seed: Annotated[int, typer.Option(help="seed of the simulated machine")] = 1,
+    in_server: Annotated[
+        bool, typer.Option("--in-server", help="for comparison: the client in the server's own process")
+    ] = False,
+    folder: Annotated[Path, typer.Option(help="where every minute is saved; a second run resumes")] = Path(
+        "runs/bench-link"
+    ),
+) -> None:
+    """Underruns, lateness and buffer depth of the PLC link in real time beside the vision load."""
+    plan = bench_link.Plan(minutes=minutes, seed=seed, where="server" if in_server else "process")
+    console.print(bench_link.summary([bench_link.bench(plan, folder, console)]))
+
+
+@app.command()
+def kills(
+    n: Annotated[int, typer.Option(help="kills of each victim")] = 20,
+    seed: Annotated[int, typer.Option(help="first seed")] = 1,
+    victims: Annotated[str, typer.Option(help="server, link, plc")] = bench_kills.DEFAULT_VICTIMS,
+    folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = Path(
+        "runs/bench-kills"
+    ),
+) -> None:
+    """SIGKILL in the middle of real jobs: ramp, rest, travel, and that nothing moves again by itself."""
+    try:
+        chosen = bench_kills.victims_of(victims)
+    except bench_kills.UnknownVictimError as error:
+        raise typer.BadParameter(str(error)) from error
+    console.print(bench_kills.summary(bench_kills.bench(chosen, n, seed, folder, console)))

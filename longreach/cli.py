@@ -8,7 +8,16 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
-from longreach import bench, demo, position, record_command, sim_command
+from longreach import (
+    bench,
+    commission_command,
+    demo,
+    export_command,
+    position,
+    record_command,
+    relay_command,
+    sim_command,
+)
 from machine.errors import MachineError
 from server.errors import ServerError
 from server.settings import ServerSettings, read_settings
@@ -16,6 +25,9 @@ from server.version import __version__
 
 app = typer.Typer(no_args_is_help=True, add_completion=False, help="Precise positioning of long-reach manipulators.")
 app.command("sim")(sim_command.sim)
+app.command("relay")(relay_command.relay)
+app.command("export-plc")(export_command.export_plc)
+app.command("commission")(commission_command.commission)
 app.command("position")(position.position)
 app.command("demo")(demo.demo)
 app.add_typer(bench.app, name="bench", help="Measure; every figure in the README comes from here.")

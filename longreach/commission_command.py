@@ -1,0 +1,238 @@
+"""`longreach commission`: the check list for one machine, guided at the terminal, with a report."""
+
+import asyncio
+import contextlib
+import hashlib
+import socket
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from longreach.commission_operator import TerminalOperator, read_answers
+from machine.chain import chain_of
+from machine.description import Machine, parse_machine_toml
+from protocol.layout import LAYOUT_ID, VERSION_MAJOR, VERSION_MINOR
+from server.camera.client import VisionClient
+from server.commissioning.check_list import ONE_CONTROLLER, STEPS, Need, Step, go_through
+from server.commissioning.contracts import StepResult, Verdict
+from server.commissioning.report import Report, exit_code, from_json, to_json, to_markdown
+from server.commissioning.site import Options, Site
+from server.errors import SettingsError
+from server.link.client import LinkClient
+from server.link.errors import LinkSilentError
+from server.settings import ServerSettings, read_machine_text, read_settings
+from server.shell_settings import link_settings, vision_settings
+from server.version import __version__
+from server.warm_up import warm_up
+
+_COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.SKIPPED: "yellow", Verdict.CANNOT_TELL: "yellow"}
+_PERSON_ARM_S = 45.0  # time to walk to the enable key
+_NOBODY_ARM_S = 8.0
+_LIST = ", ".join(f"{step.number} {step.name}" for step in STEPS)
+
+
+def commission(
+    settings_file: Annotated[Path | None, typer.Option("--settings", help="the server's TOML settings file")] = None,
+    plc_host: Annotated[str | None, typer.Option(help="the PLC's address")] = None,
+    plc_port: Annotated[int | None, typer.Option(help="the PLC's UDP port")] = None,
+    plc_local_port: Annotated[int | None, typer.Option(help="our UDP port")] = None,
+    framing: Annotated[str | None, typer.Option(help="raw or eap")] = None,
+    camera_url: Annotated[str | None, typer.Option(help="multipart stream of side-by-side JPEG")] = None,
+    machine: Annotated[str | None, typer.Option(help="machine file, or the name of a shipped one")] = None,
+    runs: Annotated[Path | None, typer.Option(help="folder for the report")] = None,
+    steps: Annotated[str, typer.Option(help=f"which, by number: {_LIST}")] = "",
+    move: Annotated[bool, typer.Option("--move", help="leave to move, instead of typing the machine's name")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="nobody is there: confirm everything, ask nothing")] = False,
+    answers: Annotated[Path | None, typer.Option(help="TOML file of what a person saw, by step and joint")] = None,
+    resume: Annotated[Path | None, typer.Option(help="earlier report (.json) that this run goes on from")] = None,
+    ends: Annotated[bool, typer.Option("--ends", help="drive every joint to its ends by lever (step 4)")] = False,
+    each_joint: Annotated[bool, typer.Option("--each-joint", help="stop times of every joint too (step 8)")] = False,
+    listen_s: Annotated[float, typer.Option(min=3.0, max=600.0, help="how long step 1 listens [s]")] = 10.0,
+) -> None:
+    """Go through the check list of a new machine. Exit code 0: all pass, 1: something failed, 3: something not told."""
+    camera: dict[str, object] | None = {"kind": "http", "url": camera_url} if camera_url else None
+    plc = {"host": plc_host, "port": plc_port, "local_port": plc_local_port, "framing": framing}
+    settings = _with_options(read_settings(settings_file), plc, camera, machine, runs)
+    console = Console()
+    operator = TerminalOperator(console, read_answers(answers), assume_yes=yes, move=move)
+    options = Options(
+        listen_s=listen_s,
+        ask_for_ends=ends,
+        each_joint=each_joint,
+        arm_timeout_s=_NOBODY_ARM_S if yes else _PERSON_ARM_S,
+    )
+    _require_free_port(settings)
+    earlier = _earlier(resume)
+    try:
+        report = asyncio.run(_commission(settings, chosen_steps(steps), operator, options, earlier, console))
+    except LinkSilentError as error:
+        raise SettingsError(f"{error}; {ONE_CONTROLLER}") from error
+    except KeyboardInterrupt:
+        console.print("[bold]stopped; the machine is ramped down and disarmed; the report holds the finished steps[/]")
+        raise typer.Exit(130) from None
+    finally:
+        operator.close()
+    if report.open_answers:
+        console.print(f"answers that nothing asked for: {', '.join(report.open_answers)}", style="yellow")
+    raise typer.Exit(exit_code(report.all_results))
+
+
+def chosen_steps(text: str) -> tuple[Step, ...]:
+    """The steps of a list of numbers, in the list's own order; empty: all.
+
+    Raises: SettingsError: a number that is no step.
+    """
+    if not text.strip():
+        return STEPS
+    wanted = {part.strip() for part in text.split(",") if part.strip()}
+    unknown = sorted(wanted - {str(step.number) for step in STEPS})
+    if unknown:
+        raise SettingsError(f"--steps: {', '.join(unknown)} is no step; choose from {_LIST}")
+    return tuple(step for step in STEPS if str(step.number) in wanted)
+
+
+async def _commission(
+    settings: ServerSettings,
+    steps: tuple[Step, ...],
+    operator: TerminalOperator,
+    options: Options,
+    earlier: Report | None,
+    console: Console,
+) -> Report:
+    """Go through the steps; the report is written anew after each of them, so that none is lost."""
+    report = _empty_report(settings, earlier)
+    machine = parse_machine_toml(read_machine_text(settings.machine_file))
+    chain = chain_of(machine)
+
+    def done(result: StepResult) -> None:
+        nonlocal report
+        report = _with_result(report, result, link, operator)
+        _save(report, Path(settings.recording.folder))
+        _show(console, operator, result)
+
+    async with contextlib.AsyncExitStack() as stack:
+        link = LinkClient(link_settings(settings), machine)
+        await link.start()
+        stack.push_async_callback(link.close)
+        vision = await _vision(settings, machine, steps, stack)
+        operator.tell("getting ready")
+        await asyncio.to_thread(warm_up, machine, chain)
+        await go_through(Site(settings, machine, chain, link, vision, operator, options), steps, report.earlier, done)
+    path = _save(replace(report, complete=True), Path(settings.recording.folder))
+    console.print(f"report: {path}", highlight=False, soft_wrap=True)
+    return report
+
+
+def _empty_report(settings: ServerSettings, earlier: Report | None) -> Report:
+    text = read_machine_text(settings.machine_file)
+    digest = hashlib.sha256(text.encode()).hexdigest()
+    machine = parse_machine_toml(text)
+    return Report(
+        machine=machine.name,
+        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+        longreach=__version__,
+        link=f"HMLINK {VERSION_MAJOR}.{VERSION_MINOR}, layout {LAYOUT_ID:#010x}, {settings.plc.framing}",
+        cfg_id=0,
+        machine_sha256=digest,
+        simulation=False,
+        results=(),
+        earlier=_carried(earlier, machine, digest),
+        settings=settings.model_dump(mode="json"),
+    )
+
+
+def _with_result(report: Report, result: StepResult, link: LinkClient, operator: TerminalOperator) -> Report:
+    latest = link.latest
+    return replace(
+        report,
+        cfg_id=link.health.cfg_id or report.cfg_id,
+        simulation=report.simulation or (latest is not None and latest.simulation),
+        results=(*report.results, result),
+        open_answers=operator.open_answers,
+    )
+
+
+async def _vision(
+    settings: ServerSettings, machine: Machine, steps: tuple[Step, ...], stack: contextlib.AsyncExitStack
+) -> VisionClient | None:
+    """The vision process, only where a step looks."""
+    if not any(Need.CAMERA in step.needs for step in steps):
+        return None
+    vision = VisionClient(vision_settings(settings), machine)
+    await vision.start()
+    stack.push_async_callback(vision.close)
+    return vision
+
+
+def _carried(earlier: Report | None, machine: Machine, digest: str) -> tuple[StepResult, ...]:
+    """What an earlier report found, if it was about this very machine file.
+
+    Raises: SettingsError: it was about another one.
+    """
+    if earlier is None:
+        return ()
+    if earlier.machine_sha256 != digest:
+        raise SettingsError(
+            f"--resume: the report of {earlier.started} is of another machine file than the present one of "
+            f"'{machine.name}'; begin anew"
+        )
+    return earlier.all_results
+
+
+def _earlier(path: Path | None) -> Report | None:
+    if path is None:
+        return None
+    try:
+        return from_json(path.read_text(encoding="utf-8"), str(path))
+    except OSError as error:
+        raise SettingsError(f"--resume {path}: {error.strerror}; give the .json of an earlier report") from error
+
+
+def _with_options(
+    settings: ServerSettings,
+    plc: dict[str, object],
+    camera: dict[str, object] | None,
+    machine: str | None,
+    runs: Path | None,
+) -> ServerSettings:
+    data = settings.model_dump()
+    data["plc"] |= {name: value for name, value in plc.items() if value is not None}
+    data["camera"] = camera or data["camera"]
+    data["machine_file"] = machine or data["machine_file"]
+    data["recording"]["folder"] = str(runs) if runs is not None else data["recording"]["folder"]
+    return ServerSettings.model_validate(data)
+
+
+def _require_free_port(settings: ServerSettings) -> None:
+    """Raises SettingsError when our port is taken: most likely by the server."""
+    host, port = settings.plc.local_host, settings.plc.local_port
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise SettingsError(
+                f"plc.local_port = {port} on {host}: {error.strerror}; {ONE_CONTROLLER}; stop it first"
+            ) from error
+
+
+def _show(console: Console, operator: TerminalOperator, result: StepResult) -> None:
+    operator.close()
+    colour = _COLOURS[result.verdict]
+    console.print(f"  [{colour}]{result.verdict.value}[/]: {escape(result.summary)}", highlight=False, soft_wrap=True)
+    if result.remedy:
+        console.print(f"  to do: {escape(result.remedy)}", highlight=False, soft_wrap=True)
+
+
+def _save(report: Report, folder: Path) -> Path:
+    """Both forms of the report; where the one for people is."""
+    folder.mkdir(parents=True, exist_ok=True)
+    name = f"commission-{report.started[:19].replace(':', '').replace('T', '-')}"
+    (folder / f"{name}.json").write_text(to_json(report), encoding="utf-8")
+    path = folder / f"{name}.md"
+    path.write_text(to_markdown(report), encoding="utf-8")
+    return path
