@@ -390,4 +390,4 @@ class PlcLink:
 
     def _renew_nonce(self) -> None:
         drawn = self.draw_nonce() & 0xFFFF_FFFF
-        self.nonce = drawn if drawn not in (0, self.nonce) else (drawn + 1) % 0xFFFF_FFFF + 1
+        self.nonce = drawn if drawn not in (0, self.nonce) else self.nonce % 0xFFFF_FFFF + 1

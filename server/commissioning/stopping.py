@@ -16,7 +16,7 @@ from server.motion.contracts import JointTrajectory
 SILENCE_S = 1.8
 _AFTER_STOP_S = 2.5  # a boom of this size has stopped swinging visibly
 _STATE_MS = STATE_PERIOD.ns / 1e6
-SILENT_REACTION_MAX_MS = COMMAND_LOST.ns / 1e6 + _STATE_MS
+SILENT_REACTION_MAX_MS = COMMAND_LOST.ns / 1e6 + 2.0 * _STATE_MS  # 260 ms, and the ramp is seen at the next state
 ASKED_REACTION_MAX_MS = 100.0  # one command period, the way there, one state; on a PC that is busy
 RAMP_SLACK_MS = 2.0 * _STATE_MS  # begin and end are each seen at the next state
 VOID_MIN_MS = (SESSION_VOID.ns - COMMAND_PERIOD.ns) / 1e6 - _STATE_MS  # counts from the last command, before we asked

@@ -19,7 +19,7 @@ from sim_plc.plc.knot_ring import KnotRing, PlaybackView
 from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.monitor import Monitor
 from sim_plc.plc.reference import Motion, Reference
-from sim_plc.plc.sample import PlantSample
+from sim_plc.plc.sample import PlantSample, readable
 from sim_plc.plc.servo import check_target
 from sim_plc.plc.settings import CYCLES_LOST, REST_SPEED_RAD_S, plc_settings
 from sim_plc.plc.status import PlcCounters, status_of
@@ -92,7 +92,7 @@ class PlcLogic:
     def cycle(self, t_plc_ns: int, sample: PlantSample) -> Array:
         """One cycle: valve commands (n,) [fraction of full command]; a view that the next cycle changes."""
         self._counters.cycles += 1
-        self._sample = sample
+        self._sample = sample = readable(sample)
         if self.link.state is PlcState.BOOT:
             self._apply(PlcEvent.BOOTED, t_plc_ns)
         self._watch(sample, t_plc_ns)

@@ -1,6 +1,7 @@
 """What the PLC's inputs tell in one cycle."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from machine.rotations import Array
 
@@ -16,3 +17,12 @@ class PlantSample:
     p_supply_pa: float
     t_oil_c: float
     p_tank_pa: float = 1e5
+
+
+def readable(sample: PlantSample) -> PlantSample:
+    """The sample with 0 for a supply, tank or oil reading that is not finite; encoders stay as they are."""
+    readings = (sample.p_supply_pa, sample.t_oil_c, sample.p_tank_pa)
+    if all(map(math.isfinite, readings)):
+        return sample
+    supply, oil, tank = (x if math.isfinite(x) else 0.0 for x in readings)
+    return replace(sample, p_supply_pa=supply, t_oil_c=oil, p_tank_pa=tank)

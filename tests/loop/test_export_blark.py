@@ -15,7 +15,10 @@ from longreach.plc_parameters import plc_parameters
 from protocol.twincat.project import project
 from server.settings import read_machine
 
-pytestmark = pytest.mark.skipif(find_spec("blark") is None, reason="blark is not installed (pip install blark)")
+pytestmark = [
+    pytest.mark.slow,  # blark takes seconds a block
+    pytest.mark.skipif(find_spec("blark") is None, reason="blark is not installed (pip install blark)"),
+]
 FILES = project(plc_parameters(read_machine("hiab033"), "192.168.0.10.1.1", "192.168.0.20.1.1"), st_sources())
 LONG_BYTES = 6000  # longer blocks take seconds each: in make test-slow
 _LIST = re.compile(rb"(16#[0-9A-F_]+, ?\s*){100,}")
@@ -56,6 +59,12 @@ def assert_read(folder: Path, paths: Iterable[str]) -> None:
     assert read == set(paths)  # a file that it does not find it passes over
 
 
+def test_some_of_every_kind_is_read(tmp_path: Path) -> None:
+    kinds = ("DUTs/ST_HmCmd.TcDUT", "DUTs/U_HmCmd.TcDUT", "DUTs/E_HmReject.TcDUT", "GVLs/GVL_HmIo.TcGVL")
+    assert_read(tmp_path, (*kinds, "POUs/FB_HmJointPT1.TcPOU", "POUs/F_HmClamp.TcPOU"))
+
+
+@pytest.mark.timeout(1800)
 def test_types_constants_and_short_blocks_are_read(tmp_path: Path) -> None:
     short = {path for path, data in FILES.items() if len(shortened(data)) < LONG_BYTES}
     assert {"POUs/MAIN.TcPOU", "POUs/FB_HmUdpTf6310.TcPOU", "POUs/FB_HmUdpTf6311.TcPOU", "POUs/F_HmCrc32.TcPOU",
@@ -77,7 +86,6 @@ def test_the_crc_table_is_what_is_shortened() -> None:
     assert [path for path, data in FILES.items() if shortened(data) != data] == ["POUs/F_HmCrc32.TcPOU"]
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_every_file_is_read(tmp_path: Path) -> None:
     by_size = sorted(FILES, key=lambda path: len(FILES[path]))
