@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from longreach import bench_fuzz, bench_kills, bench_link, bench_position, bench_schedules
+from longreach.bench_rate.command import vision
 from longreach.bench_vision import bench_vision_real
 from machine.chain import chain_of
 from machine.inverse import inverse_all, inverse_nearest
@@ -20,6 +21,7 @@ app = typer.Typer(no_args_is_help=True)
 console = Console(width=200)
 app.command("schedules")(bench_schedules.schedules)
 app.command("fuzz")(bench_fuzz.fuzz)
+app.command("vision")(vision)
 
 
 @app.command()

@@ -76,7 +76,7 @@ def _kitti(folder: Path, console: Console) -> None:
         return
     camera = rectified_camera((folder / "calib.txt").read_text(encoding="utf-8"), *KITTI_SIZE_PX)
     poses = parse_poses((folder / "poses.txt").read_text(encoding="utf-8"))
-    found = odometry_figures(camera, _pairs(folder), poses)
+    found = odometry_figures(camera, kitti_pairs(folder), poses)
     off_pct = 100.0 * (found.path_length_m / KITTI_LENGTH_M - 1.0)
     console.print(
         f"KITTI clip: {found.n_ok} of {found.n_frames} frames OK, rotation error {found.rotation_mean_deg:.3f} deg per "
@@ -84,6 +84,7 @@ def _kitti(folder: Path, console: Console) -> None:
     )
 
 
-def _pairs(folder: Path) -> Iterator[tuple[Image, Image]]:
+def kitti_pairs(folder: Path) -> Iterator[tuple[Image, Image]]:
+    """The rectified grey pairs of the clip in order."""
     for left in sorted((folder / "image_l").glob("*.png")):
         yield _grey(left), _grey(folder / "image_r" / left.name)

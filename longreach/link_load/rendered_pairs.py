@@ -14,7 +14,7 @@ from sim_plc.draw_world import draw_world
 from sim_plc.plant.plant import Plant
 from sim_plc.world import rng_for
 
-RATE_HZ = 20.0  # at which the path is sampled; the replay may be faster or slower
+RATE_HZ = 20.0  # at which the path is sampled unless told otherwise; the replay may be faster or slower
 JPEG_QUALITY = 95  # as the simulated camera's
 RADIUS_M = 0.10
 TURN_S = 5.0  # for one round: 0.13 m/s
@@ -33,9 +33,11 @@ class _Circle:
         return self.T_base_start @ pose(np.eye(3), shift)
 
 
-def render_pairs(machine: Machine, folder: Path, n: int = 100, seed: int = 1, preset: str = "realistic") -> list[Path]:
+def render_pairs(
+    machine: Machine, folder: Path, n: int = 100, seed: int = 1, preset: str = "realistic", rate_hz: float = RATE_HZ
+) -> list[Path]:
     """The pairs, side by side as JPEG, named by their time [ns]; what is there already is not rendered again."""
-    times_ns = [round(number * 1e9 / RATE_HZ) for number in range(n)]
+    times_ns = [round(number * 1e9 / rate_hz) for number in range(n)]
     files = [folder / f"{t_ns:016d}.jpg" for t_ns in times_ns]
     if all(file.is_file() for file in files):
         return files

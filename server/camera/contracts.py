@@ -48,12 +48,13 @@ SourceSettings = HttpSource | DeviceSource | FileSource | FolderSource
 class VisionSettings:
     """How the vision process works.
 
+    `threads`: OpenCV's own; one, since markers and odometry already run side by side.
     `mask_scale`: the tool marker's square is blown up by this much to cover the tool's plate in odometry.
     `exposure_slack_s`: a mapped exposure may lie this much behind the true one (the camera's smallest latency).
     """
 
     source: SourceSettings
-    threads: int = 2
+    threads: int = 1
     preview_width_px: int = 960
     preview_quality: int = 75
     preview_rate_hz: float = 10.0

@@ -1,8 +1,9 @@
-"""One stereo pair in, one report out: health, marker poses, odometry, preview."""
+"""One stereo pair in, one report out: health, marker poses and odometry side by side, preview."""
 
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol
 
 import cv2
@@ -32,7 +33,11 @@ class Odometry(Protocol):
 
 
 class VisionPipeline:
-    """Holds what must be remembered from pair to pair; knows neither camera nor process."""
+    """Holds what must be remembered from pair to pair; knows neither camera nor process.
+
+    Odometry runs in a thread of its own beside the markers: nearly all of both is compiled and lets go of the
+    interpreter. It masks the tool where the pair before showed it, which is where it still is.
+    """
 
     def __init__(
         self,
@@ -46,11 +51,13 @@ class VisionPipeline:
         self._make_odometry = make_odometry
         self._pose_source: PoseSourceName = "stereo"
         self._odometry: Odometry | None = None
+        self._odometry_started = False
         self._clock = CameraClock(settings.clock_window_s)
         self._health = ImageHealth()
         self._mask = ToolMask(tool_ids, settings.mask_scale)
         self._receive_ns: deque[int] = deque(maxlen=RATE_FRAMES)
         self._preview_ns = 0
+        self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="odometry")
 
     def use_pose_source(self, name: PoseSourceName) -> None:
         """Find marker poses in this way from the next pair on."""
@@ -59,15 +66,21 @@ class VisionPipeline:
     def switch_odometry(self, on: bool) -> None:
         """On: a new odometry with a start frame of its own; off: none."""
         self._odometry = self._make_odometry() if on else None
+        self._odometry_started = False
+
+    def close(self) -> None:
+        """End the odometry's thread."""
+        self._beside.shutdown()
 
     def process(self, frame: StereoFrame, skipped: int) -> FrameReport:
         """Everything this pair tells. Never raises on what the images show."""
         started_s = time.perf_counter()
         warnings = self._health.check(frame)
         mapped_ns = self._clock.map(frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection)
+        following = None if warnings else self._follow_beside(frame)
         observation = self._pose_sources[self._pose_source].observe(frame.left, frame.right, frame.t_exposure_ns)
         self._mask.update(observation.views)
-        odometry = None if warnings else self._follow(frame)
+        odometry = following.result() if following is not None else None if warnings else self._follow(frame)
         preview = self._preview(frame)
         self._receive_ns.append(frame.t_receive_mono_ns)
         return FrameReport(
@@ -86,9 +99,16 @@ class VisionPipeline:
             preview_width_px=self._preview_width_px(frame.left),
         )
 
+    def _follow_beside(self, frame: StereoFrame) -> Future[OdometryPose | None] | None:
+        """Started at once; not for the first pair, whose markers must say first where the tool is."""
+        if self._odometry is None or not self._odometry_started:
+            return None
+        return self._beside.submit(self._follow, frame)
+
     def _follow(self, frame: StereoFrame) -> OdometryPose | None:
         if self._odometry is None:
             return None
+        self._odometry_started = True
         return self._odometry.process(
             frame.left,
             frame.right,

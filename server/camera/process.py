@@ -81,6 +81,7 @@ def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> 
         _log.info("the server is gone; vision ends")
     finally:
         source.close()
+        pipeline.close()
 
 
 def _tell_and_wait(pipe: Connection, text: str) -> None:

@@ -32,7 +32,7 @@ class ArucoPoseSource:
         warm_up_markers()
         wanted = frozenset(marker.marker_id for marker in machine.markers)
         self._left, self._right = (
-            EyeDetector(machine.camera, machine.dictionary, wanted, self._settings.detection) for _ in range(2)
+            EyeDetector(machine.camera, machine.dictionary, wanted, self._settings.detection, phase) for phase in (0, 1)
         )
 
     def observe(self, left: Image, right: Image, t_exposure_ns: int) -> PairObservation:

@@ -1,22 +1,29 @@
-"""Markers in one eye, pair after pair: regions around the last corners, full searches in between."""
+"""Markers in one eye, pair after pair: followed by their sides, else searched near their last place, else everywhere.
 
-from dataclasses import dataclass, field
+Most pairs need no search at all. A whole-frame search comes round all the same: it finds what is new, and an id that is
+at two places. While those that are known are large it runs on the picture at half size."""
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
-from server.vision.marker_search import FoundMarker, dictionary_by_name, find_markers, refined
+from server.vision.edge_fit import side_length_min
+from server.vision.marker_following import MarkerFollower
+from server.vision.marker_search import FoundMarker, dictionary_by_name, find_markers, refined, same_place
 
 
 @dataclass(frozen=True, slots=True)
 class DetectionSettings:
     """How markers are searched."""
 
-    full_search_every: int = 10  # pairs between full-frame searches while every wanted marker is tracked
-    full_search_missing_every: int = 3  # the same while some are not
+    full_search_every: int = 12  # pairs between full-frame searches while every wanted marker is tracked
+    full_search_missing_every: int = 3  # the same while some are not ...
+    full_search_missing_every_max: int = 9  # ... and once they have been missing for long
     perimeter_min_px: float = 32.0  # smaller quadrilaterals are not decoded
+    half_size_side_min_px: float = 40.0  # from this side on a marker is found at half size, too
     region_margin_frac: float = 0.5  # of the marker's size, on every side of its last place
     refine: bool = True
 
@@ -31,68 +38,108 @@ class EyeDetection:
     full_search: bool
 
 
-@dataclass(slots=True)
 class EyeDetector:
-    """Markers of interest in one eye, pair after pair. Holds the last corners and nothing else."""
+    """Markers of interest in one eye, pair after pair. Holds the last places and nothing else.
 
-    camera: StereoCamera
-    dictionary_name: str
-    wanted: frozenset[int]
-    settings: DetectionSettings = field(default_factory=DetectionSettings)
-    _dictionary: "cv2.aruco.Dictionary" = field(init=False)
-    _last: dict[int, FoundMarker] = field(init=False, default_factory=dict)
-    _repeated: frozenset[int] = field(init=False, default=frozenset())
-    _since_full: int = field(init=False, default=0)
+    `phase`: in which pair of each period the periodic search comes, so that two eyes do not search in the same pair.
+    """
 
-    def __post_init__(self) -> None:
-        self._dictionary = dictionary_by_name(self.dictionary_name)
+    def __init__(
+        self,
+        camera: StereoCamera,
+        dictionary_name: str,
+        wanted: frozenset[int],
+        settings: DetectionSettings | None = None,
+        phase: int = 0,
+    ) -> None:
+        self._camera = camera
+        self._wanted = wanted
+        self._settings = settings or DetectionSettings()
+        self._dictionary = dictionary_by_name(dictionary_name)
+        self._follower = MarkerFollower(camera, self._dictionary)
+        self._last: dict[int, FoundMarker] = {}
+        self._repeated: frozenset[int] = frozenset()
+        self._phase = phase
+        self._pair = -1
+        self._missed_searches = 1
 
     def detect(self, image: Image) -> EyeDetection:
         """Wanted markers in the next image of this eye."""
-        self._since_full += 1
-        settings = self.settings
-        complete = len(self._last) == len(self.wanted)
-        pause = settings.full_search_every if complete else settings.full_search_missing_every
-        if self._last and self._since_full < pause:
-            tracked = self._in_regions(image)
-            if len(tracked) == len(self._last):
-                return self._keep(tracked, full_search=False)
-        return self._full(image)
+        self._pair += 1
+        due = self._pair % self._period() == self._phase % self._period()
+        if not self._last:
+            return self._full(image) if due else self._keep({}, full_search=False)
+        tracked = self._tracked(image)
+        if len(tracked) < len(self._last):
+            return self._full(image)
+        return self._full(image, tracked) if due else self._keep(tracked, full_search=False)
+
+    def _period(self) -> int:
+        """Pairs from one whole search to the next."""
+        settings = self._settings
+        if self._missed_searches == 0:
+            return settings.full_search_every
+        if not self._last:  # nothing at all: every pair for a while, then as rarely as for a missing one
+            return 1 if self._missed_searches <= 3 else settings.full_search_missing_every
+        longer = settings.full_search_missing_every * (1 + self._missed_searches // 4)
+        return min(longer, settings.full_search_missing_every_max)
 
     def _keep(self, found: dict[int, FoundMarker], full_search: bool) -> EyeDetection:
         self._last = found
+        if self._settings.refine:
+            self._follower.remember(found)
         clean = {one.marker_id: one.corners_px for one in found.values() if not one.covered}
         covered = {one.marker_id: one.corners_px for one in found.values() if one.covered}
         return EyeDetection(clean, covered, self._repeated, full_search)
 
     def _find(self, image: Image) -> tuple[FoundMarker, ...]:
-        return find_markers(image, self._dictionary, self.settings.perimeter_min_px)
+        return find_markers(image, self._dictionary, self._settings.perimeter_min_px)
 
     def _refined(self, marker: FoundMarker, image: Image) -> FoundMarker:
-        return refined(marker, image, self._dictionary, self.camera) if self.settings.refine else marker
+        return refined(marker, image, self._dictionary, self._camera) if self._settings.refine else marker
 
-    def _in_regions(self, image: Image) -> dict[int, FoundMarker]:
+    def _tracked(self, image: Image) -> dict[int, FoundMarker]:
+        """The last pair's markers that are still there, each followed or found near its last place."""
         tracked = {}
         for marker_id, last in self._last.items():
-            left, top, right, bottom = self._region(image, last.corners_px)
-            for found in self._find(np.ascontiguousarray(image[top:bottom, left:right])):
-                if found.marker_id == marker_id:
-                    moved = FoundMarker(marker_id, found.corners_px + np.array([left, top]))
-                    tracked[marker_id] = self._refined(moved, image)
+            found = self._follower.follow(marker_id, image) or self._near(last, image)
+            if found is not None:
+                tracked[marker_id] = found
         return tracked
+
+    def _near(self, last: FoundMarker, image: Image) -> FoundMarker | None:
+        left, top, right, bottom = self._region(image, last.corners_px)
+        for found in self._find(np.ascontiguousarray(image[top:bottom, left:right])):
+            if found.marker_id == last.marker_id:
+                return self._refined(FoundMarker(last.marker_id, found.corners_px + np.array([left, top])), image)
+        return None
 
     def _region(self, image: Image, corners: Array) -> tuple[int, int, int, int]:
         height, width = image.shape
         low, high = corners.min(axis=0), corners.max(axis=0)
-        margin = self.settings.region_margin_frac * float((high - low).max()) + 8.0
+        margin = self._settings.region_margin_frac * float((high - low).max()) + 8.0
         left, top = np.maximum(np.floor(low - margin), 0).astype(int)
         right, bottom = np.minimum(np.ceil(high + margin) + 1, [width, height]).astype(int)
         return int(left), int(top), int(right), int(bottom)
 
-    def _full(self, image: Image) -> EyeDetection:
-        self._since_full = 0
-        found = [marker for marker in self._find(image) if marker.marker_id in self.wanted]
+    def _full(self, image: Image, tracked: dict[int, FoundMarker] | None = None) -> EyeDetection:
+        """Search the whole picture; `tracked`: what is known to be there, whose corners need no second fit."""
+        known = tracked or {}
+        found = [marker for marker in self._everywhere(image, known) if marker.marker_id in self._wanted]
+        found += [marker for marker in known.values() if not any(same_place(marker, other) for other in found)]
         ids = [marker.marker_id for marker in found]
         self._repeated = frozenset(marker_id for marker_id in ids if ids.count(marker_id) > 1)
-        single = (marker for marker in found if marker.marker_id not in self._repeated)
-        return self._keep({marker.marker_id: self._refined(marker, image) for marker in single}, full_search=True)
+        new = {marker.marker_id: marker for marker in found if marker.marker_id not in known}
+        everything = known | {marker_id: self._refined(marker, image) for marker_id, marker in new.items()}
+        single = {marker_id: one for marker_id, one in everything.items() if marker_id not in self._repeated}
+        self._missed_searches = 0 if self._wanted <= single.keys() else self._missed_searches + 1
+        return self._keep(single, full_search=True)
+
+    def _everywhere(self, image: Image, known: dict[int, FoundMarker]) -> tuple[FoundMarker, ...]:
+        """Every marker of the picture; at half size where those that are known are large."""
+        sides = [side_length_min(marker.corners_px) for marker in known.values()]
+        if min(sides, default=0.0) < self._settings.half_size_side_min_px:
+            return self._find(image)
+        half = np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
+        found = find_markers(half, self._dictionary, 0.5 * self._settings.perimeter_min_px)
+        return tuple(FoundMarker(one.marker_id, (one.corners_px + 0.5) * 2.0 - 0.5) for one in found)

@@ -1,0 +1,1 @@
+"""`longreach bench vision`: 720p stereo pairs a second to marker poses and odometry, and where the time goes."""
