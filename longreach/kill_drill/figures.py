@@ -23,7 +23,7 @@ class KillFigures:
     ramp_start_ms: float
     reference_at_rest_ms: float
     ramp_ms: float
-    ramp_bound_ms: float  # max |qd| / qdd_stop at the start of the ramp
+    ramp_bound_ms: float  # max |qd| / qdd_stop at the start of the ramp, of the reference and of the joints behind it
     machine_still_ms: float
     tcp_speed_mm_s: float  # when the ramp started
     tcp_travel_mm: float  # from the last command to standstill, by encoders and nominal kinematics
@@ -49,7 +49,8 @@ def figures_of(states: Sequence[State], machine: Machine) -> KillFigures:
     joint = int(np.argmax(np.abs(ramp.qd_ref[:n]) / qdd_stop))
     t_ramp_ns = _meeting_ns(states[first - 2 : first + 2], joint)
     t_command_ns = states[first - 1].t_send_ns - states[first - 1].rx_age_us * 1000
-    speed = np.abs(np.array(states[first - 1].qd_ref[:n]))
+    last = states[first - 1]  # towards a path's end the reference slows down before the joints that lag behind it
+    speed = np.maximum(np.abs(np.array(last.qd_ref[:n])), np.abs(np.array(last.qd[:n])))
     seen = states[max(0, first - _BEFORE) :]
     times = np.array([state.t_send_ns for state in seen])
     path = _points(chain, [state.q[:n] for state in seen])

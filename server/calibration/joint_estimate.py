@@ -1,0 +1,274 @@
+"""One estimate of everything that stands between the encoders and the tool in front of the OOI.
+
+Mount of the camera, kinematic errors and sag around this posture, clocks, odometry's scale, and where the OOI is: one
+maximum a posteriori fit to the odometry of the calibration paths and to all looks since, with one covariance. Every
+executed move ends in a look, so every move improves the map; nothing else is needed to learn from it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from machine.chain import chain_of
+from machine.description import Machine
+from machine.kinematics import tcp_pose
+from server.calibration.contracts import Array, CalibrationStatus
+from server.calibration.joint_observations import (
+    LookAt,
+    NoiseModel,
+    OdometryRun,
+    RunSamples,
+    look_covariance,
+    look_residual,
+    run_covariance,
+    run_residuals,
+    thinned,
+)
+from server.calibration.joint_state import JointState, state_steps
+from server.calibration.kinematic_errors import ErrorModel, ErrorPrior, error_model
+
+ROUNDS_MAX = 8
+STEP_DONE = 1e-3  # of a standard deviation
+HUBER_SIGMA = 2.5
+OUTLIERS_MAX_FRAC = 0.4
+PATH_MIN_M = 0.15
+UNKNOWN_OOI = np.array([np.pi] * 3 + [10.0] * 3)
+MISFIT_MAX = 4.0  # mean square of the whitened residuals, above which observations and model contradict each other
+
+
+@dataclass(frozen=True, slots=True)
+class JointPrior:
+    """What is believed before anything was seen. Standard deviations."""
+
+    errors: ErrorPrior = field(default_factory=ErrorPrior)
+    sigma_mount_rad: float = float(np.deg2rad(3.0))  # camera against the machine file, per axis
+    sigma_mount_m: float = 0.015
+    sigma_tool_marker_rad: float = float(np.deg2rad(1.0))
+    sigma_tool_marker_m: float = 0.002
+    sigma_scale_frac: float = 0.004
+    sigma_time_s: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class JointEstimate:
+    """The fit. `state` and `covariance` (p + 20, p + 20; order of `JointState.moved`) are None unless status is OK."""
+
+    status: CalibrationStatus
+    reason: str
+    model: ErrorModel
+    state: JointState | None
+    covariance: Array | None
+    residual_rms_mm: float  # of the odometry's positions
+    residual_max_mm: float
+    misfit: float  # mean square of the whitened residuals, about 1
+    n_samples: int
+    n_looks: int
+    path_length_m: float
+    observability: float  # share of the prior's rotation variance of the mount that the data took away, 0..1
+
+
+@dataclass(slots=True)
+class _Problem:
+    model: ErrorModel
+    noise: NoiseModel
+    believed: JointState
+    sigma: Array
+    runs: tuple[tuple[OdometryRun, RunSamples, Array], ...]
+    looks: tuple[tuple[LookAt, Array], ...]
+    weights: list[Array]
+
+
+def estimate_jointly(
+    machine: Machine,
+    runs: Sequence[OdometryRun],
+    looks: Sequence[LookAt],
+    prior: JointPrior | None = None,
+    noise: NoiseModel | None = None,
+) -> JointEstimate:
+    """Fit everything to everything seen so far.
+
+    Model:   min over x of |x - x_prior|^2 / P0 + sum over runs of r^T C^-1 r (positions with their correlated errors;
+             rotations; samples reweighted by Huber) + sum over looks of r^T C_look^-1 r; Gauss-Newton with numerical
+             derivatives. Covariance: inverse of the normal matrix.
+    Args:    runs: at least one, or none for an estimate from looks alone. looks: at least one; the last one is where
+             the machine stands.
+    Returns: JointEstimate; a status with a reason where the data do not carry one.
+    """
+    believed, accuracy = prior or JointPrior(), noise or NoiseModel()
+    model = error_model(machine, believed.errors)
+    refusal = _broken(runs, looks, model)
+    if refusal:
+        return _refused(model, *refusal, 0.0)
+    usable = [(run, thinned(run, accuracy)) for run in runs if len(run.camera.t_s) >= 3]
+    length = float(sum(samples.length_m[-1] for _, samples in usable))
+    if runs and length < PATH_MIN_M:
+        reason = f"camera moved {1e3 * length:.0f} mm in all (need {1e3 * PATH_MIN_M:.0f} mm); drive a longer path"
+        return _refused(model, CalibrationStatus.TOO_FEW, reason, length)
+    start = _start(machine, model, looks[-1])
+    problem = _Problem(
+        model=model,
+        noise=accuracy,
+        believed=start,
+        sigma=_sigma(model, believed),
+        runs=tuple((run, samples, _inverse(run_covariance(samples, accuracy))) for run, samples in usable),
+        looks=tuple((look, _inverse(look_covariance(model, start, look, accuracy))) for look in looks),
+        weights=[np.ones(len(samples.t_s) - 1) for _, samples in usable],
+    )
+    state, information = _minimise(problem)
+    if state is None:
+        return _refused(model, CalibrationStatus.DEGENERATE, "the normal matrix is singular", length)
+    return _judged(problem, state, information, length)
+
+
+def _broken(
+    runs: Sequence[OdometryRun], looks: Sequence[LookAt], model: ErrorModel
+) -> tuple[CalibrationStatus, str] | None:
+    if not looks:
+        return CalibrationStatus.TOO_FEW, "no look: look at tool and OOI first"
+    if any(look.q.shape != (model.n_joints,) or not np.isfinite(look.q).all() for look in looks):
+        return CalibrationStatus.DEGENERATE, "a look's joints are not finite or not as many as the machine has"
+    for run in runs:
+        values = (run.camera.t_s, run.camera.Ts_vo_cam, run.joints.t_s, run.joints.qs)
+        if not all(np.isfinite(value).all() for value in values):
+            return CalibrationStatus.DEGENERATE, "a track holds values that are not finite"
+        if len(run.joints.t_s) < 2 or np.any(np.diff(run.joints.t_s) <= 0.0) or np.any(np.diff(run.camera.t_s) <= 0.0):
+            return CalibrationStatus.DEGENERATE, "a track's times do not rise; check the clocks"
+    return None
+
+
+def _start(machine: Machine, model: ErrorModel, look: LookAt) -> JointState:
+    """The machine file's state; the camera turned so that the tool marker is seen where it is, the OOI where seen."""
+    R_tcp_cam = machine.T_tcp_tool[:3, :3] @ look.T_cam_tool[:3, :3].T
+    T_tcp_cam = machine.T_tcp_cam_left.copy()
+    T_tcp_cam[:3, :3] = R_tcp_cam
+    T_base_ooi = tcp_pose(chain_of(machine), look.q) @ T_tcp_cam @ look.T_cam_ooi
+    return JointState(model.mean.copy(), T_tcp_cam, machine.T_tcp_tool.copy(), T_base_ooi, 1.0, 0.0)
+
+
+def _inverse(matrix: Array) -> Array:
+    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+
+
+def _sigma(model: ErrorModel, prior: JointPrior) -> Array:
+    camera = [prior.sigma_mount_rad] * 3 + [prior.sigma_mount_m] * 3
+    tool = [prior.sigma_tool_marker_rad] * 3 + [prior.sigma_tool_marker_m] * 3
+    return np.concatenate([model.sigma, camera, tool, UNKNOWN_OOI, [prior.sigma_scale_frac, prior.sigma_time_s]])
+
+
+def _residuals(problem: _Problem, state: JointState) -> tuple[list[tuple[Array, Array]], list[Array]]:
+    runs = [run_residuals(problem.model, state, run, samples) for run, samples, _ in problem.runs]
+    return runs, [look_residual(problem.model, state, look) for look, _ in problem.looks]
+
+
+def _minimise(problem: _Problem) -> tuple[JointState | None, Array]:
+    state, gone = problem.believed, np.zeros(len(problem.sigma))
+    information = np.eye(len(problem.sigma))
+    for _ in range(ROUNDS_MAX):
+        information, gradient = _normal_equations(problem, state, gone)
+        try:
+            step: Array = np.asarray(-np.linalg.solve(information, gradient), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            return None, information
+        if not np.isfinite(step).all():
+            return None, information
+        state, gone = state.moved(step), gone + step
+        if float(np.max(np.abs(step) / problem.sigma)) < STEP_DONE:
+            break
+    return state, information
+
+
+def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tuple[Array, Array]:
+    """J^T W J and J^T W r, the prior included; the samples' weights are renewed on the way."""
+    runs, looks = _residuals(problem, state)
+    steps = state_steps(problem.model)
+    shifted = [_residuals(problem, state.moved(one)) for one in np.diag(steps)]
+    information, gradient = np.diag(problem.sigma**-2.0), gone / problem.sigma**2
+    for i, (_, _, W) in enumerate(problem.runs):
+        position, turn = runs[i]
+        Jp = np.stack([(other[0][i][0] - position) / h for other, h in zip(shifted, steps, strict=True)], axis=-1)
+        Jt = np.stack([(other[0][i][1] - turn) / h for other, h in zip(shifted, steps, strict=True)], axis=-1)
+        problem.weights[i] = _huber(position, turn, problem.noise)
+        root = np.sqrt(problem.weights[i])
+        Wr = root[:, None] * W * root[None, :]
+        information += np.einsum("iap,ij,jaq->pq", Jp, Wr, Jp, optimize=True)
+        gradient += np.einsum("iap,ij,ja->p", Jp, Wr, position, optimize=True)
+        wt = problem.weights[i] / problem.noise.sigma_turn_rad**2
+        information += np.einsum("iap,i,iaq->pq", Jt, wt, Jt, optimize=True)
+        gradient += np.einsum("iap,i,ia->p", Jt, wt, turn, optimize=True)
+    for i, (_, W) in enumerate(problem.looks):
+        J = np.column_stack([(other[1][i] - looks[i]) / h for other, h in zip(shifted, steps, strict=True)])
+        information += J.T @ W @ J
+        gradient += J.T @ W @ looks[i]
+    return information, gradient
+
+
+def _huber(position: Array, turn: Array, noise: NoiseModel) -> Array:
+    """Weight of each sample: 1 unless it lies off its neighbours by more than noise can put it."""
+    smooth = np.median(position, axis=0) if len(position) < 5 else _running_median(position)
+    off = np.linalg.norm(position - smooth, axis=1) / (np.sqrt(3.0) * 1.5 * noise.sigma_position_m)
+    turned = np.linalg.norm(turn, axis=1) / (np.sqrt(3.0) * 3.0 * noise.sigma_turn_rad)
+    worst = np.maximum(off, turned)
+    return np.where(worst > HUBER_SIGMA, (HUBER_SIGMA / np.maximum(worst, 1e-12)) ** 2, 1.0)
+
+
+def _running_median(values: Array) -> Array:
+    padded = np.pad(values, ((2, 2), (0, 0)), mode="edge")
+    return np.median(np.stack([padded[k : k + len(values)] for k in range(5)]), axis=0)
+
+
+def _judged(problem: _Problem, state: JointState, information: Array, length_m: float) -> JointEstimate:
+    covariance = _inverse(information)
+    runs, looks = _residuals(problem, state)
+    misfit = _misfit(problem, runs, looks)
+    distances = np.concatenate([np.linalg.norm(position, axis=1) for position, _ in runs]) if runs else np.zeros(1)
+    mount = slice(problem.model.n, problem.model.n + 3)
+    left = np.trace(covariance[mount, mount]) / float(np.sum(problem.sigma[mount] ** 2))
+    status, reason = _verdict(problem, misfit)
+    good = status is CalibrationStatus.OK
+    return JointEstimate(
+        status=status,
+        reason=reason,
+        model=problem.model,
+        state=state if good else None,
+        covariance=0.5 * (covariance + covariance.T) if good else None,
+        residual_rms_mm=1e3 * float(np.sqrt(np.mean(distances**2))),
+        residual_max_mm=1e3 * float(distances.max()),
+        misfit=misfit,
+        n_samples=int(sum(len(samples.t_s) for _, samples, _ in problem.runs)),
+        n_looks=len(problem.looks),
+        path_length_m=length_m,
+        observability=float(np.clip(1.0 - left, 0.0, 1.0)),
+    )
+
+
+def _misfit(problem: _Problem, runs: list[tuple[Array, Array]], looks: list[Array]) -> float:
+    squares, count = 0.0, 0
+    for (position, _), (_, _, W), weights in zip(runs, problem.runs, problem.weights, strict=True):
+        weighted = np.sqrt(weights)[:, None] * position
+        squares += float(np.einsum("ia,ij,ja->", weighted, W, weighted))
+        count += position.size
+    for residual, (_, W) in zip(looks, problem.looks, strict=True):
+        squares += float(residual @ W @ residual)
+        count += residual.size
+    return squares / max(count, 1)
+
+
+def _verdict(problem: _Problem, misfit: float) -> tuple[CalibrationStatus, str]:
+    outliers = float(np.mean(np.concatenate(problem.weights) < 0.5)) if problem.weights else 0.0
+    if not misfit <= MISFIT_MAX:
+        return CalibrationStatus.POOR_FIT, (
+            f"what was seen and the machine file contradict each other: misfit {misfit:.1f} (limit {MISFIT_MAX:g}); "
+            "check machine file, camera file and clocks"
+        )
+    if outliers > OUTLIERS_MAX_FRAC:
+        return CalibrationStatus.POOR_FIT, (
+            f"{100 * outliers:.0f} % of the odometry's samples are outliers (limit {100 * OUTLIERS_MAX_FRAC:.0f} %); "
+            "mask what moves in the picture, or drive more slowly"
+        )
+    return CalibrationStatus.OK, ""
+
+
+def _refused(model: ErrorModel, status: CalibrationStatus, reason: str, length_m: float) -> JointEstimate:
+    nothing = float("nan")
+    return JointEstimate(status, reason, model, None, None, nothing, nothing, nothing, 0, 0, length_m, 0.0)

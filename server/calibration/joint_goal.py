@@ -1,0 +1,103 @@
+"""From the joint estimate to joints: where the encoders must be for the tool to be at its goal, and how sure it is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.chain import Chain
+from machine.inverse import inverse_nearest
+from machine.kinematics import tcp_pose
+from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
+from server.calibration.contracts import Array
+from server.calibration.joint_estimate import JointEstimate
+from server.calibration.joint_observations import NoiseModel
+from server.calibration.joint_state import JointState, state_steps, tool_in_ooi
+from server.calibration.kinematic_errors import ErrorModel
+
+ROUNDS_MAX = 12
+CLOSE_M, CLOSE_RAD = 1e-6, 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class JointGoal:
+    """Joints (n,) [rad] of the encoders, or None with the reason; T_base_tcp is the nominal pose there.
+
+    `covariance` (6, 6): of tool minus goal after the move, OOI axes: rotation vector [rad], then position [m].
+    """
+
+    q: Array | None
+    reason: str
+    T_base_tcp: Array | None
+    covariance: Array | None
+
+
+def joints_for_goal(
+    chain: Chain, estimate: JointEstimate, q_now: Array, T_ooi_goal: Array, noise: NoiseModel | None = None
+) -> JointGoal:
+    """Where to go.
+
+    Model:   T_ooi_tool(q; x) of the estimate equals T_ooi_goal; solved by correcting the nominal pose by what the
+             model still lacks and taking its closed-form inverse, which converges by the ratio of the errors (a few
+             per cent a round).
+    Args:    q_now: encoders (n,) [rad]. T_ooi_goal: wanted pose of the tool (4, 4).
+    Returns: joints and the predicted covariance of the error there, play between encoders and tool included.
+    Raises:  ValueError: the estimate is not OK.
+    """
+    if estimate.state is None or estimate.covariance is None:
+        raise ValueError(f"joint estimate is {estimate.status.value}: {estimate.reason}")
+    model, state = estimate.model, estimate.state
+    q = q_now
+    T_nominal = tcp_pose(chain, q_now)
+    for _ in range(ROUNDS_MAX):
+        lacking, turn = _lacking(model, state, q, T_ooi_goal)
+        if np.linalg.norm(lacking) < CLOSE_M and np.linalg.norm(turn) < CLOSE_RAD:
+            break
+        T_nominal = _corrected(T_nominal, lacking, turn, state)
+        found = inverse_nearest(chain, T_nominal, q)
+        if found.q is None:
+            return JointGoal(None, found.reason, T_nominal, None)
+        q = found.q
+    else:
+        return JointGoal(None, "the corrected goal does not converge; retract and calibrate again", T_nominal, None)
+    return JointGoal(q, "", tcp_pose(chain, q), goal_covariance(estimate, q, noise or NoiseModel()))
+
+
+def _lacking(model: ErrorModel, state: JointState, q: Array, T_ooi_goal: Array) -> tuple[Array, Array]:
+    """Goal minus tool in base axes: position of the tool marker [m], rotation vector [rad]."""
+    T_ooi_tool = tool_in_ooi(model, state, q)
+    R = state.T_base_ooi[:3, :3]
+    turn = rotvec_from_rotation(T_ooi_goal[:3, :3] @ T_ooi_tool[:3, :3].T)
+    return R @ (T_ooi_goal[:3, 3] - T_ooi_tool[:3, 3]), R @ turn
+
+
+def _corrected(T_base_tcp: Array, lacking: Array, turn: Array, state: JointState) -> Array:
+    """The nominal TCP pose, turned about the tool marker and shifted."""
+    lever = T_base_tcp[:3, :3] @ state.T_tcp_tool[:3, 3]
+    T = np.eye(4)
+    T[:3, :3] = rotation_from_rotvec(turn) @ T_base_tcp[:3, :3]
+    T[:3, 3] = T_base_tcp[:3, 3] + lever + lacking - T[:3, :3] @ state.T_tcp_tool[:3, 3]
+    return T
+
+
+def goal_covariance(estimate: JointEstimate, q: Array, noise: NoiseModel) -> Array:
+    """Covariance (6, 6) of T_ooi_tool at the joints q: what is not known, and play at rest. OOI axes."""
+    model, state, covariance = estimate.model, estimate.state, estimate.covariance
+    if state is None or covariance is None:
+        raise ValueError(f"joint estimate is {estimate.status.value}: {estimate.reason}")
+    here = tool_in_ooi(model, state, q)
+    steps = state_steps(model)
+    columns = [
+        _change(tool_in_ooi(model, state.moved(one), q), here) / h for one, h in zip(np.diag(steps), steps, strict=True)
+    ]
+    J = np.column_stack(columns)
+    step = 1e-5
+    Jq = np.column_stack(
+        [_change(tool_in_ooi(model, state, q + step * (np.arange(len(q)) == j)), here) / step for j in range(len(q))]
+    )
+    play = np.resize(np.array(noise.sigma_joint_rad), len(q))
+    C = J @ covariance @ J.T + (Jq * play**2) @ Jq.T
+    return 0.5 * (C + C.T)
+
+
+def _change(T: Array, before: Array) -> Array:
+    return np.concatenate([rotvec_from_rotation(T[:3, :3] @ before[:3, :3].T), T[:3, 3] - before[:3, 3]])

@@ -1,0 +1,136 @@
+"""What the joint estimate is told: odometry runs and looks, each with the joints at the time."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.poses import inverse_pose
+from machine.rotations import rotvec_from_rotation
+from server.calibration.contracts import Array, CameraTrack
+from server.calibration.joint_state import JointState
+from server.calibration.kinematic_errors import ErrorModel, tcp_poses_with_errors
+
+
+@dataclass(frozen=True, slots=True)
+class JointTrack:
+    """Encoders: times (m,) [s, PLC clock mapped to the PC], `qs` (m, n) [rad]."""
+
+    t_s: Array
+    qs: Array
+
+    def at(self, t_s: Array) -> Array:
+        """Joints at these times (k, n), linear between samples."""
+        return np.column_stack([np.interp(t_s, self.t_s, column) for column in self.qs.T])
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryRun:
+    """One path: the camera's own trajectory and the encoders beside it."""
+
+    camera: CameraTrack
+    joints: JointTrack
+
+
+@dataclass(frozen=True, slots=True)
+class LookAt:
+    """One look at rest: joints (n,) [rad], marker poses in the camera and their covariances (6, 6), camera axes."""
+
+    q: Array
+    T_cam_tool: Array
+    T_cam_ooi: Array
+    tool_covariance: Array
+    ooi_covariance: Array
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseModel:
+    """What the observations are worth, beyond their own covariances. Standard deviations."""
+
+    sigma_position_m: float = 4e-4  # of one odometry position
+    sigma_turn_rad: float = float(np.deg2rad(0.04))  # of one odometry rotation
+    sigma_affine_frac: float = 0.002  # smooth distortion of the odometry's space: lens, disparity, drift
+    sigma_drift_frac: float = 0.001  # random walk of the odometry, at one metre of path
+    sigma_joint_rad: tuple[float, ...] = (5e-4, 5e-5, 5e-5, 4e-4, 4e-4, 4e-4)  # play behind the encoder, at rest
+    sigma_look_turn_rad: float = float(np.deg2rad(0.03))  # of a marker pose: layout, lens
+    sigma_look_frac: float = 0.0015  # of its distance
+    samples_max: int = 60
+    sample_spacing_m: float = 0.015
+
+
+@dataclass(frozen=True, slots=True)
+class RunSamples:
+    """One run thinned out: times (k,), measured camera poses relative to the first one (k, 4, 4), path length (k,)."""
+
+    t_s: Array
+    Ts_first_cam: Array
+    length_m: Array
+
+
+def thinned(run: OdometryRun, noise: NoiseModel) -> RunSamples:
+    """Samples about evenly spaced along the path, the first one included."""
+    positions = run.camera.Ts_vo_cam[:, :3, 3]
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    spacing = max(noise.sample_spacing_m, float(length[-1]) / noise.samples_max)
+    wanted = np.arange(0.0, float(length[-1]) + 1e-9, spacing)
+    index = np.unique(np.searchsorted(length, wanted).clip(0, len(length) - 1))
+    first = run.camera.Ts_vo_cam[index[0]]
+    relative = inverse_pose(first) @ run.camera.Ts_vo_cam[index]
+    return RunSamples(run.camera.t_s[index], relative, length[index])
+
+
+def run_covariance(samples: RunSamples, noise: NoiseModel) -> Array:
+    """Covariance of a run's positions relative to the first one, (k - 1, k - 1), the same for each axis [m^2].
+
+    Model:   white noise of the sample and of the first one, a random walk along the path, and the effect of nine
+             independent entries of a small linear distortion, sigma^2 (p_i . p_j).
+    """
+    p, length = samples.Ts_first_cam[1:, :3, 3], samples.length_m[1:]
+    white = noise.sigma_position_m**2 * (np.eye(len(p)) + 1.0)
+    walk = noise.sigma_drift_frac**2 * np.minimum.outer(length, length)
+    return white + walk + noise.sigma_affine_frac**2 * (p @ p.T)
+
+
+def run_residuals(model: ErrorModel, state: JointState, run: OdometryRun, samples: RunSamples) -> tuple[Array, Array]:
+    """Expected less measured: positions (k - 1, 3) [m] in the first camera's axes, rotation vectors (k - 1, 3)."""
+    qs = run.joints.at(samples.t_s + state.time_offset_s)
+    Ts_base_cam = tcp_poses_with_errors(model, qs, state.errors) @ state.T_tcp_cam
+    R_first, p_first = Ts_base_cam[0, :3, :3], Ts_base_cam[0, :3, 3]
+    p = (Ts_base_cam[1:, :3, 3] - p_first) @ R_first
+    R = R_first.T @ Ts_base_cam[1:, :3, :3]
+    measured = samples.Ts_first_cam[1:]
+    turn = R @ np.swapaxes(measured[:, :3, :3], 1, 2)
+    small = 0.5 * np.stack(
+        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
+    )
+    return state.scale * p - measured[:, :3, 3], small
+
+
+def look_residual(model: ErrorModel, state: JointState, look: LookAt) -> Array:
+    """Expected less measured (12,): tool, then OOI; rotation vector [rad], then position [m], camera axes."""
+    T_base_tcp = tcp_poses_with_errors(model, look.q[None], state.errors)[0]
+    T_cam_tool = inverse_pose(state.T_tcp_cam) @ state.T_tcp_tool
+    T_cam_ooi = inverse_pose(T_base_tcp @ state.T_tcp_cam) @ state.T_base_ooi
+    parts = []
+    for expected, measured in ((T_cam_tool, look.T_cam_tool), (T_cam_ooi, look.T_cam_ooi)):
+        parts.append(rotvec_from_rotation(expected[:3, :3] @ measured[:3, :3].T))
+        parts.append(expected[:3, 3] - measured[:3, 3])
+    return np.concatenate(parts)
+
+
+def look_covariance(model: ErrorModel, state: JointState, look: LookAt, noise: NoiseModel) -> Array:
+    """Covariance (12, 12) of a look's residual: markers, layout and lens, and play between encoders and camera."""
+    C = np.zeros((12, 12))
+    for at, covariance, T in ((0, look.tool_covariance, look.T_cam_tool), (6, look.ooi_covariance, look.T_cam_ooi)):
+        turn, shift = noise.sigma_look_turn_rad, noise.sigma_look_frac * float(np.linalg.norm(T[:3, 3]))
+        C[at : at + 6, at : at + 6] = covariance + np.diag(np.square([turn] * 3 + [shift] * 3))
+    step = 1e-5
+    base = look_residual(model, state, look)
+    columns = []
+    for j in range(model.n_joints):
+        q = look.q.copy()
+        q[j] += step
+        shifted = LookAt(q, look.T_cam_tool, look.T_cam_ooi, look.tool_covariance, look.ooi_covariance)
+        columns.append((look_residual(model, state, shifted) - base) / step)
+    J = np.column_stack(columns)
+    sigma = np.resize(np.array(noise.sigma_joint_rad), model.n_joints)
+    return C + (J * sigma**2) @ J.T

@@ -1,0 +1,55 @@
+"""The unknowns of the joint estimate, in one vector: small deviations from where they are believed to be.
+
+[ kinematic errors (p) | camera on the TCP (6) | tool marker on the TCP (6) | OOI in the base (6) | odometry's scale |
+time offset ]. Poses deviate by a rotation vector from the left and a translation, both in the parent's axes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.poses import inverse_pose, pose
+from machine.rotations import rotation_from_rotvec
+from server.calibration.contracts import Array
+from server.calibration.kinematic_errors import ErrorModel, tcp_poses_with_errors
+
+
+@dataclass(frozen=True, slots=True)
+class JointState:
+    """Values of all unknowns."""
+
+    errors: Array
+    T_tcp_cam: Array
+    T_tcp_tool: Array
+    T_base_ooi: Array
+    scale: float  # odometry's lengths over true lengths
+    time_offset_s: float  # add to the camera's time to get the encoders'
+
+    def moved(self, step: Array) -> "JointState":
+        """The state further along by `step` (p + 20,)."""
+        p = len(self.errors)
+        rest = step[p:]
+        return JointState(
+            errors=self.errors + step[:p],
+            T_tcp_cam=_turned(self.T_tcp_cam, rest[0:6]),
+            T_tcp_tool=_turned(self.T_tcp_tool, rest[6:12]),
+            T_base_ooi=_turned(self.T_base_ooi, rest[12:18]),
+            scale=self.scale + float(rest[18]),
+            time_offset_s=self.time_offset_s + float(rest[19]),
+        )
+
+
+def _turned(T: Array, step: Array) -> Array:
+    return pose(rotation_from_rotvec(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
+
+
+def state_steps(model: ErrorModel) -> Array:
+    """Steps of all unknowns for numerical derivatives (p + 20,)."""
+    six = np.array([1e-5] * 3 + [1e-4] * 3)
+    return np.concatenate([model.steps, six, six, six, [1e-4, 1e-3]])
+
+
+def tool_in_ooi(model: ErrorModel, state: JointState, q: Array) -> Array:
+    """T_ooi_tool (4, 4) that the state expects at the joints q (n,) [rad]."""
+    T_base_tool = tcp_poses_with_errors(model, q[None], state.errors)[0] @ state.T_tcp_tool
+    return inverse_pose(state.T_base_ooi) @ T_base_tool

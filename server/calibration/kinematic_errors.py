@@ -1,0 +1,239 @@
+"""What the kinematics of one machine may have wrong, as parameters: lengths, twists, joint zeros, sag.
+
+The nominal model is the machine file's. A crane differs from it by millimetres and tenths of a degree, and sags; near
+one posture that bends the map from encoders to the tool by a few per cent, smoothly and not at will: only as these
+parameters can. That is what makes it possible to learn the map around a posture from one metre of path.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from machine.chain import chain_of
+from machine.description import Machine
+from server.calibration.contracts import Array
+
+Integers = NDArray[np.int64]
+
+
+class ErrorKind(IntEnum):
+    """Which number of a joint is wrong."""
+
+    LENGTH_A = 0
+    LENGTH_D = 1
+    TWIST = 2
+    ZERO = 3
+    COMPLIANCE = 4
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorPrior:
+    """How wrong a machine of this class may be, before anything was seen. Standard deviations, except the mean sag.
+
+    Compliance [rad/(N m)] acts about the joint's axis, under the weight of all that hangs on it (masses of the machine
+    file). It is given for the joints whose booms bend; those of the others stay zero.
+    """
+
+    sigma_length_m: float = 0.004
+    sigma_twist_rad: float = float(np.deg2rad(0.1))
+    sigma_zero_rad: float = float(np.deg2rad(0.3))
+    mean_compliance: tuple[float, ...] = (0.0, 1.1e-6, 1.6e-6)  # boom of 190 kg: 2 to 4 mm at its end
+    sigma_compliance: tuple[float, ...] = (0.0, 0.6e-6, 0.9e-6)
+
+
+_STEPS = {
+    ErrorKind.LENGTH_A: 1e-4,
+    ErrorKind.LENGTH_D: 1e-4,
+    ErrorKind.TWIST: 1e-5,
+    ErrorKind.ZERO: 1e-5,
+    ErrorKind.COMPLIANCE: 1e-8,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorModel:
+    """The nominal chain with p parameters that may be off.
+
+    kinds, joints (p,): what each parameter is. mean, sigma (p,): prior. steps (p,): for numerical derivatives.
+    """
+
+    a: Array
+    d: Array
+    alpha: Array
+    theta_offset: Array
+    mass_kg: Array
+    com_m: Array
+    gravity_base: Array
+    T_flange_tcp: Array
+    kinds: Integers
+    joints: Integers
+    mean: Array
+    sigma: Array
+    steps: Array
+    names: tuple[str, ...] = field(default=())
+
+    @property
+    def n_joints(self) -> int:
+        """Joints of the chain."""
+        return len(self.a)
+
+    @property
+    def n(self) -> int:
+        """Parameters that may be off."""
+        return len(self.mean)
+
+
+def error_model(machine: Machine, prior: ErrorPrior | None = None) -> ErrorModel:
+    """The parameters of a machine and how wrong they may be."""
+    believed = prior or ErrorPrior()
+    n = len(machine.joints)
+    mean_compliance, sigma_compliance = (
+        np.resize(np.concatenate([values, np.zeros(n)]), n)
+        for values in (believed.mean_compliance, believed.sigma_compliance)
+    )
+    rows = []
+    for j in range(n):
+        rows += [
+            (ErrorKind.LENGTH_A, j, 0.0, believed.sigma_length_m),
+            (ErrorKind.LENGTH_D, j, 0.0, believed.sigma_length_m),
+            (ErrorKind.TWIST, j, 0.0, believed.sigma_twist_rad),
+            (ErrorKind.ZERO, j, 0.0, believed.sigma_zero_rad),
+            (ErrorKind.COMPLIANCE, j, mean_compliance[j], sigma_compliance[j]),
+        ]
+    kept = [row for row in rows if row[3] > 0.0]
+    chain = chain_of(machine)
+    return ErrorModel(
+        a=chain.a,
+        d=chain.d,
+        alpha=chain.alpha,
+        theta_offset=chain.theta_offset,
+        mass_kg=np.array([joint.mass_kg for joint in machine.joints]),
+        com_m=np.array([joint.com_m for joint in machine.joints]),
+        gravity_base=np.asarray(machine.gravity_base_m_s2, dtype=float),
+        T_flange_tcp=chain.T_flange_tcp,
+        kinds=np.array([row[0] for row in kept], dtype=np.int64),
+        joints=np.array([row[1] for row in kept], dtype=np.int64),
+        mean=np.array([row[2] for row in kept]),
+        sigma=np.array([row[3] for row in kept]),
+        steps=np.array([_STEPS[row[0]] for row in kept]),
+        names=tuple(f"{machine.joints[row[1]].name} {row[0].name.lower()}" for row in kept),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _links(a: Array, d: Array, alpha: Array, theta: Array, out: Array) -> None:
+    """Poses of all links in base (n + 1, 4, 4), in place (eq. 23-24)."""
+    out[0] = np.eye(4)
+    T_i = np.zeros((4, 4))
+    T_i[3, 3] = 1.0
+    for i in range(a.shape[0]):
+        c, s = np.cos(theta[i]), np.sin(theta[i])
+        ca, sa = np.cos(alpha[i]), np.sin(alpha[i])
+        T_i[0, 0], T_i[0, 1], T_i[0, 2], T_i[0, 3] = c, -s * ca, s * sa, a[i] * c
+        T_i[1, 0], T_i[1, 1], T_i[1, 2], T_i[1, 3] = s, c * ca, -c * sa, a[i] * s
+        T_i[2, 1], T_i[2, 2], T_i[2, 3] = sa, ca, d[i]
+        for r in range(4):
+            for k in range(4):
+                total = 0.0
+                for m in range(4):
+                    total += out[i, r, m] * T_i[m, k]
+                out[i + 1, r, k] = total
+
+
+@njit(cache=True, nogil=True)
+def _moment(links: Array, joint: int, mass: Array, com: Array, gravity: Array) -> float:
+    """Moment of gravity about a joint's axis, of all links behind it [N m]."""
+    total = 0.0
+    for i in range(joint, mass.shape[0]):
+        rx = ry = rz = 0.0
+        for k in range(3):
+            rx += links[i + 1, 0, k] * com[i, k]
+            ry += links[i + 1, 1, k] * com[i, k]
+            rz += links[i + 1, 2, k] * com[i, k]
+        rx += links[i + 1, 0, 3] - links[joint, 0, 3]
+        ry += links[i + 1, 1, 3] - links[joint, 1, 3]
+        rz += links[i + 1, 2, 3] - links[joint, 2, 3]
+        fx, fy, fz = mass[i] * gravity[0], mass[i] * gravity[1], mass[i] * gravity[2]
+        mx, my, mz = ry * fz - rz * fy, rz * fx - rx * fz, rx * fy - ry * fx
+        total += links[joint, 0, 2] * mx + links[joint, 1, 2] * my + links[joint, 2, 2] * mz
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _poses(
+    a: Array,
+    d: Array,
+    alpha: Array,
+    theta_offset: Array,
+    mass: Array,
+    com: Array,
+    gravity: Array,
+    T_flange_tcp: Array,
+    kinds: Integers,
+    joints: Integers,
+    values: Array,
+    qs: Array,
+) -> Array:
+    n = a.shape[0]
+    a, d, alpha, zero, compliance = a.copy(), d.copy(), alpha.copy(), np.zeros(n), np.zeros(n)
+    for p in range(kinds.shape[0]):
+        j = joints[p]
+        if kinds[p] == 0:
+            a[j] += values[p]
+        elif kinds[p] == 1:
+            d[j] += values[p]
+        elif kinds[p] == 2:
+            alpha[j] += values[p]
+        elif kinds[p] == 3:
+            zero[j] += values[p]
+        else:
+            compliance[j] += values[p]
+    links = np.zeros((n + 1, 4, 4))
+    theta = np.zeros(n)
+    Ts = np.zeros((qs.shape[0], 4, 4))
+    for k in range(qs.shape[0]):
+        for j in range(n):
+            theta[j] = qs[k, j] + theta_offset[j] + zero[j]
+        _links(a, d, alpha, theta, links)
+        bent = False
+        for j in range(n):
+            if compliance[j] != 0.0:
+                theta[j] += compliance[j] * _moment(links, j, mass, com, gravity)
+                bent = True
+        if bent:
+            _links(a, d, alpha, theta, links)
+        for r in range(4):
+            for c in range(4):
+                total = 0.0
+                for m in range(4):
+                    total += links[n, r, m] * T_flange_tcp[m, c]
+                Ts[k, r, c] = total
+    return Ts
+
+
+def tcp_poses_with_errors(model: ErrorModel, qs: Array, values: Array) -> Array:
+    """T_base_tcp of joint vectors if the parameters were off by `values`.
+
+    Model:   classic DH with a + da, d + dd, alpha + dalpha, theta + dtheta + compliance x moment of gravity at the
+             undeflected posture.
+    Args:    qs: encoders (k, n) [rad]; values: (p,), SI, in the model's order.
+    Returns: (k, 4, 4).
+    Source:  Makinen et al. 2023, eq. 23-24, for the nominal part.
+    """
+    return _poses(
+        model.a,
+        model.d,
+        model.alpha,
+        model.theta_offset,
+        model.mass_kg,
+        model.com_m,
+        model.gravity_base,
+        model.T_flange_tcp,
+        model.kinds,
+        model.joints,
+        np.ascontiguousarray(values, dtype=np.float64),
+        np.ascontiguousarray(qs, dtype=np.float64),
+    )
