@@ -10,7 +10,9 @@ import typer
 from rich.console import Console
 
 from longreach import bench_fuzz, bench_kills, bench_link, bench_position, bench_schedules
+from longreach.bench_camera_faults.command import camera_faults
 from longreach.bench_rate.command import vision
+from longreach.bench_soak import vision_soak
 from longreach.bench_vision import bench_vision_real
 from machine.chain import chain_of
 from machine.inverse import inverse_all, inverse_nearest
@@ -22,6 +24,8 @@ console = Console(width=200)
 app.command("schedules")(bench_schedules.schedules)
 app.command("fuzz")(bench_fuzz.fuzz)
 app.command("vision")(vision)
+app.command("camera-faults")(camera_faults)
+app.command("vision-soak")(vision_soak)
 
 
 @app.command()

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import cv2
 
+from machine.description import StereoCamera
 from server.camera.clock import CameraClock
 from server.camera.contracts import FrameReport, PoseSourceName, StereoFrame, VisionSettings
 from server.camera.health import ImageHealth, sharpness
@@ -45,6 +46,7 @@ class VisionPipeline:
         tool_ids: Sequence[int],
         pose_sources: Mapping[PoseSourceName, ObjectPoseSource],
         make_odometry: Callable[[], Odometry],
+        camera: StereoCamera | None = None,
     ) -> None:
         self._settings = settings
         self._pose_sources = pose_sources
@@ -53,7 +55,7 @@ class VisionPipeline:
         self._odometry: Odometry | None = None
         self._odometry_started = False
         self._clock = CameraClock(settings.clock_window_s)
-        self._health = ImageHealth()
+        self._health = ImageHealth(camera)
         self._mask = ToolMask(tool_ids, settings.mask_scale)
         self._receive_ns: deque[int] = deque(maxlen=RATE_FRAMES)
         self._preview_ns = 0
@@ -75,12 +77,17 @@ class VisionPipeline:
     def process(self, frame: StereoFrame, skipped: int) -> FrameReport:
         """Everything this pair tells. Never raises on what the images show."""
         started_s = time.perf_counter()
-        warnings = self._health.check(frame)
+        findings = self._health.before_use(frame)
+        forbidden = any(finding.forbids_odometry for finding in findings)
         mapped_ns = self._clock.map(frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection)
-        following = None if warnings else self._follow_beside(frame)
+        following = None if forbidden else self._follow_beside(frame)
         observation = self._pose_sources[self._pose_source].observe(frame.left, frame.right, frame.t_exposure_ns)
         self._mask.update(observation.views)
-        odometry = following.result() if following is not None else None if warnings else self._follow(frame)
+        if following is None and not forbidden:
+            odometry = self._follow(frame)
+        else:
+            odometry = following.result() if following is not None else None
+        findings += self._health.after_markers(observation)
         preview = self._preview(frame)
         self._receive_ns.append(frame.t_receive_mono_ns)
         return FrameReport(
@@ -93,7 +100,7 @@ class VisionPipeline:
             fps=self._rate_hz(),
             process_ms=(time.perf_counter() - started_s) * 1e3,
             skipped=skipped,
-            warnings=warnings,
+            warnings=tuple(finding.text for finding in findings if finding.forbids_look),
             sharpness=sharpness(frame.left),
             preview_jpeg=preview,
             preview_width_px=self._preview_width_px(frame.left),

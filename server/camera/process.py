@@ -17,12 +17,14 @@ from server.camera.contracts import (
     PoseSourceCommand,
     PoseSourceName,
     QuitCommand,
+    StereoFrame,
     StereoSource,
     StreamNotice,
     VisionCommand,
     VisionSettings,
 )
 from server.camera.errors import CameraError
+from server.camera.health import ImageHealth
 from server.camera.pipeline import Odometry, VisionPipeline
 from server.camera.sources.opening import open_source
 from server.vision.contracts import ObjectPoseSource
@@ -46,12 +48,12 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
         "stereo": ArucoPoseSource(machine),
         "mono": MonoArucoPoseSource(machine),
     }
-    _warm_up(machine, sources["stereo"], make_odometry())
+    _warm_up(machine, sources["stereo"], make_odometry(), ImageHealth(machine.camera))
     tool_ids = [marker.marker_id for marker in machine.markers_on("tool")]
-    return VisionPipeline(settings, tool_ids, sources, make_odometry)
+    return VisionPipeline(settings, tool_ids, sources, make_odometry, machine.camera)
 
 
-def _warm_up(machine: Machine, source: ObjectPoseSource, odometry: Odometry) -> None:
+def _warm_up(machine: Machine, source: ObjectPoseSource, odometry: Odometry, health: ImageHealth) -> None:
     """Compile what is compiled on first use now, on a made-up wall, and not in the midst of the first motion."""
     camera = machine.camera
     coarse = np.random.default_rng(0).integers(40, 220, (camera.height_px // 8, camera.width_px // 8 + 8))
@@ -61,8 +63,9 @@ def _warm_up(machine: Machine, source: ObjectPoseSource, odometry: Odometry) -> 
             np.ascontiguousarray(wall[: camera.height_px, start : start + camera.width_px], np.uint8)
             for start in (2 * number, 2 * number + 24)
         )
-        source.observe(left, right, number * WARM_UP_STEP_NS)
-        odometry.process(left, right, number * WARM_UP_STEP_NS)
+        t_ns = number * WARM_UP_STEP_NS
+        health.inspect(StereoFrame(left, right, t_ns, t_ns, number), source.observe(left, right, t_ns))
+        odometry.process(left, right, t_ns)
 
 
 def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> None:

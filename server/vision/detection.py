@@ -19,7 +19,7 @@ from server.vision.marker_search import FoundMarker, dictionary_by_name, find_ma
 class DetectionSettings:
     """How markers are searched."""
 
-    full_search_every: int = 12  # pairs between full-frame searches while every wanted marker is tracked
+    full_search_every: int = 8  # pairs between searches of the whole picture while all are tracked: one in a look
     full_search_missing_every: int = 3  # the same while some are not ...
     full_search_missing_every_max: int = 9  # ... and once they have been missing for long
     perimeter_min_px: float = 32.0  # smaller quadrilaterals are not decoded

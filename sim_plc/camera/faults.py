@@ -1,35 +1,191 @@
-"""Camera faults for tests: a frozen picture, black pictures, one black eye."""
+"""Camera faults for tests, each as a real camera or its cable would send it; switched while pictures run.
 
+A fault acts where it arises: in the scene (`faulty_scene`), in the pictures (`FaultSwitch.apply`), in the stamps
+(`FaultSwitch.stamp`) or in the bytes on the wire (`FaultSwitch.sent`).
+"""
+
+from dataclasses import replace
 from enum import Enum
+from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
+from machine.poses import pose
+from machine.rotations import rotation_from_rotvec
+from sim_plc.camera.picture_faults import (
+    PictureFault,
+    blurred,
+    bumped,
+    flickering,
+    other_lens,
+    saturated,
+    shaded,
+    smeared,
+    spotted,
+    uneven,
+)
 from sim_plc.camera.texture import Grey
+
+if TYPE_CHECKING:
+    from sim_plc.world import SceneTruth
+
+STAMP_AHEAD_NS = 700_000_000
+STAMP_BACK_NS = 300_000_000
+MOVED_M = 0.008
+MOVED_RAD = np.deg2rad(3.0)
+SECOND_PRINT_M = (-0.35, 0.25, 0.0)  # from the OOI's middle: beside and above its markers, on the open wall
+RECODED_QUALITIES = (95, 93, 96, 94, 97)
+GARBAGE_FROM_FRAC = 0.4  # of the bytes
 
 
 class FaultKind(Enum):
-    """What is wrong with the pictures; their stamps go on."""
+    """What is wrong. Pictures go on and stamps advance unless the kind says otherwise."""
 
     NONE = "none"
     FREEZE = "freeze"
+    FREEZE_RECODED = "freeze_recoded"  # the same picture, compressed anew each time at a quality of its own
+    LEFT_FREEZE = "left_freeze"
+    RIGHT_FREEZE = "right_freeze"
+    SILENT = "silent"  # no pictures at all
     BLACK = "black"
+    MOSTLY_BLACK = "mostly_black"
+    WHITE = "white"
+    MOSTLY_WHITE = "mostly_white"
     LEFT_BLACK = "left_black"
+    RIGHT_BLACK = "right_black"
+    LEFT_GREY = "left_grey"
+    RIGHT_GREY = "right_grey"
+    LEFT_COPY = "left_copy"  # the left eye twice
+    RIGHT_COPY = "right_copy"
+    SWAPPED = "swapped"
+    UNRECTIFIED = "unrectified"  # raw pictures of another lens, eyes not aligned
+    BUMPED = "bumped"  # the right eye turned by half a degree
+    BLUR = "blur"  # out of focus
+    MOTION_BLUR = "motion_blur"
+    LEFT_BLUR = "left_blur"
+    SMALL = "small"  # another resolution
+    GARBAGE = "garbage"  # bytes lost in the midst of the picture's data
+    TRUNCATED = "truncated"  # its end is missing
+    FLICKER = "flicker"
+    UNEVEN = "uneven"  # a lamp that flickers while the rows are read out
+    SPOT = "spot"  # dirt on the left lens
+    STAMP_AHEAD = "stamp_ahead"  # the camera's clock set forward once
+    STAMP_BACK = "stamp_back"  # and back
+    STAMP_STANDS = "stamp_stands"
+    STAMP_REVERSED = "stamp_reversed"  # every stamp before the last one
+    MARKER_TWICE = "marker_twice"  # a second print of an OOI marker
+    MARKER_MOVED = "marker_moved"  # one OOI marker shifted and turned on its board
+
+
+SCENE_FAULTS = frozenset({FaultKind.MARKER_TWICE, FaultKind.MARKER_MOVED})
+
+_PICTURES: dict[FaultKind, PictureFault] = {
+    FaultKind.BLACK: lambda left, right, _: (np.zeros_like(left), np.zeros_like(right)),
+    FaultKind.MOSTLY_BLACK: lambda left, right, _: (shaded(left), shaded(right)),
+    FaultKind.WHITE: lambda left, right, _: (np.full_like(left, 255), np.full_like(right, 255)),
+    FaultKind.MOSTLY_WHITE: lambda left, right, _: (saturated(left), saturated(right)),
+    FaultKind.LEFT_BLACK: lambda left, right, _: (np.zeros_like(left), right),
+    FaultKind.RIGHT_BLACK: lambda left, right, _: (left, np.zeros_like(right)),
+    FaultKind.LEFT_GREY: lambda left, right, _: (np.full_like(left, 128), right),
+    FaultKind.RIGHT_GREY: lambda left, right, _: (left, np.full_like(right, 128)),
+    FaultKind.LEFT_COPY: lambda left, _right, _: (left, left),
+    FaultKind.RIGHT_COPY: lambda _left, right, _: (right, right),
+    FaultKind.SWAPPED: lambda left, right, _: (right, left),
+    FaultKind.UNRECTIFIED: lambda left, right, _: other_lens(left, right),
+    FaultKind.BUMPED: lambda left, right, _: (left, bumped(right)),
+    FaultKind.BLUR: lambda left, right, _: (blurred(left), blurred(right)),
+    FaultKind.LEFT_BLUR: lambda left, right, _: (blurred(left), right),
+    FaultKind.MOTION_BLUR: lambda left, right, _: (smeared(left), smeared(right)),
+    FaultKind.SMALL: lambda left, right, _: (_half(left), _half(right)),
+    FaultKind.FLICKER: lambda left, right, n: (flickering(left, n), flickering(right, n)),
+    FaultKind.UNEVEN: lambda left, right, n: (uneven(left, n), uneven(right, n)),
+    FaultKind.SPOT: lambda left, right, _: (spotted(left), right),
+}
 
 
 class FaultSwitch:
-    """Applies the chosen fault to every pair."""
+    """Applies the chosen fault to every pair, its stamp and its bytes."""
 
     def __init__(self) -> None:
         self.kind = FaultKind.NONE
         self._last: tuple[Grey, Grey] | None = None
+        self._last_stamp_ns: int | None = None
+        self._number = 0
 
     def apply(self, left: Grey, right: Grey) -> tuple[Grey, Grey]:
         """The pair as the faulty camera gives it."""
-        if self.kind is FaultKind.FREEZE and self._last is not None:
-            return self._last
+        self._number += 1
+        last = self._last
+        if last is not None and self.kind in (FaultKind.FREEZE, FaultKind.FREEZE_RECODED):
+            return last
+        if last is not None and self.kind is FaultKind.LEFT_FREEZE:
+            return last[0], right
+        if last is not None and self.kind is FaultKind.RIGHT_FREEZE:
+            return left, last[1]
         self._last = (left, right)
-        if self.kind is FaultKind.BLACK:
-            return np.zeros_like(left), np.zeros_like(right)
-        if self.kind is FaultKind.LEFT_BLACK:
-            return np.zeros_like(left), right
-        return left, right
+        fault = _PICTURES.get(self.kind)
+        return (left, right) if fault is None else fault(left, right, self._number)
+
+    def stamp(self, t_exposure_ns: int) -> int:
+        """The stamp as the faulty camera gives it."""
+        before = self._last_stamp_ns
+        if self.kind is FaultKind.STAMP_AHEAD:
+            return t_exposure_ns + STAMP_AHEAD_NS
+        if self.kind is FaultKind.STAMP_BACK:
+            return t_exposure_ns - STAMP_BACK_NS
+        if before is not None and self.kind is FaultKind.STAMP_STANDS:
+            return before
+        if before is not None and self.kind is FaultKind.STAMP_REVERSED:
+            return 2 * before - t_exposure_ns
+        self._last_stamp_ns = t_exposure_ns
+        return t_exposure_ns
+
+    def sent(self, left: Grey, right: Grey, quality: int) -> bytes | None:
+        """The side-by-side JPEG as it leaves the faulty camera; None when it sends nothing."""
+        picture = np.hstack(self.apply(left, right))
+        if self.kind is FaultKind.SILENT:
+            return None
+        if self.kind is FaultKind.FREEZE_RECODED:
+            picture = _decoded(_encoded(picture, quality))  # what the frozen memory holds
+            quality = RECODED_QUALITIES[self._number % len(RECODED_QUALITIES)]
+        jpeg = _encoded(picture, quality)
+        if self.kind is FaultKind.GARBAGE:
+            return _with_lost_bytes(jpeg, self._number)
+        return jpeg[: int(0.6 * len(jpeg))] if self.kind is FaultKind.TRUNCATED else jpeg
+
+
+def faulty_scene(kind: FaultKind, scene: "SceneTruth") -> "SceneTruth":
+    """The scene as a fault of the markers leaves it; the same scene for every other kind."""
+    *others, last = scene.ooi_markers
+    if kind is FaultKind.MARKER_MOVED:
+        turn = rotation_from_rotvec(np.array([0.0, 0.0, MOVED_RAD]))
+        moved = replace(last, T_on_marker=last.T_on_marker @ pose(turn, np.array([MOVED_M, 0.0, 0.0])))
+        return replace(scene, ooi_markers=(*others, moved))
+    if kind is FaultKind.MARKER_TWICE:
+        second = replace(last, T_on_marker=pose(np.eye(3), np.array(SECOND_PRINT_M)))
+        return replace(scene, ooi_markers=(*scene.ooi_markers, second))
+    return scene
+
+
+def _half(image: Grey) -> Grey:
+    return np.asarray(cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _encoded(picture: Grey, quality: int) -> bytes:
+    good, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not good:
+        raise ValueError(f"picture {picture.shape} {picture.dtype} cannot be encoded as JPEG; give grey 8 bit")
+    return jpeg.tobytes()
+
+
+def _decoded(jpeg: bytes) -> Grey:
+    return np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE), np.uint8)
+
+
+def _with_lost_bytes(jpeg: bytes, number: int) -> bytes:
+    """A stretch of the entropy-coded data is missing, as when packets are lost; the end is there."""
+    rng = np.random.default_rng(number)
+    start = int(len(jpeg) * (GARBAGE_FROM_FRAC + 0.1 * rng.random()))
+    lost = int(rng.integers(200, 3000))
+    return jpeg[:start] + jpeg[start + lost :]

@@ -8,13 +8,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
-import numpy as np
 import uvicorn
 
-from sim_plc.camera.faults import FaultSwitch
+from sim_plc.camera.faults import SCENE_FAULTS, FaultKind, FaultSwitch, faulty_scene
 from sim_plc.camera.frames import Frame, FrameHub
 from sim_plc.camera.http_app import camera_app
 from sim_plc.camera.pacing import ExposureGrid, RateGovernor, TrueClock
@@ -47,6 +47,7 @@ class CameraLoop:
         self.frames = self.late = 0
         self.error = ""
         self._grid: ExposureGrid | None = None
+        self._faulty_scenes: dict[FaultKind, StereoRenderer] = {}
         self._world, self._jpeg_quality, self._faults, self._deliver = world, jpeg_quality, faults, deliver
         self._clock = TrueClock()
         self._rng = rng_for(world.seed, "camera")
@@ -101,7 +102,7 @@ class CameraLoop:
                 return
             start = time.perf_counter()
             try:
-                pair = renderer.render(feed, t_mid_ns, self._rng)
+                pair = self._faulty(renderer).render(feed, t_mid_ns, self._rng)
             except PoseFeedError as error:  # starved for longer than the feed reaches back: take the next exposure
                 log.warning("camera: exposure left out: %s", error)
                 continue
@@ -109,6 +110,16 @@ class CameraLoop:
             if self.governor.worked(time.perf_counter() - start):
                 grid.rate_hz = self.governor.rate_hz
                 log.info("camera: %.1f pairs/s of %.1f wanted", grid.rate_hz, self.governor.wanted_hz)
+
+    def _faulty(self, renderer: StereoRenderer) -> StereoRenderer:
+        """The renderer of the scene as the chosen fault leaves it; made when first asked for."""
+        kind = self._faults.kind
+        if kind not in SCENE_FAULTS:
+            return renderer
+        if kind not in self._faulty_scenes:
+            scene = faulty_scene(kind, self._world.scene)
+            self._faulty_scenes[kind] = StereoRenderer(replace(self._world, scene=scene))
+        return self._faulty_scenes[kind]
 
     def _wait_for(self, feed: PoseFeed, t_ns: int) -> bool:
         """Until the feed has reached a time; False when stopped."""
@@ -122,9 +133,10 @@ class CameraLoop:
 
     def _hand_over(self, left: Grey, right: Grey, t_mid_ns: int) -> None:
         camera = self._world.camera
-        picture = np.hstack(self._faults.apply(left, right))
-        _, jpeg = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, self._jpeg_quality])
-        t_exposure_ns = t_mid_ns + round(1e9 * camera.clock_offset_s) + CAMERA_EPOCH_NS
+        jpeg = self._faults.sent(left, right, self._jpeg_quality)
+        t_exposure_ns = self._faults.stamp(t_mid_ns + round(1e9 * camera.clock_offset_s) + CAMERA_EPOCH_NS)
+        if jpeg is None:
+            return
         latency_s = max(0.0, camera.latency_s + camera.jitter_s * self._rng.standard_normal())
         due_ns = max(self._clock.mono_ns(t_mid_ns + round(1e9 * latency_s)), self._due_mono_ns + 1)
         self._due_mono_ns = due_ns
@@ -132,7 +144,7 @@ class CameraLoop:
         now_ns = time.monotonic_ns()
         self.late += now_ns > due_ns
         self._done_mono_ns.append(now_ns)
-        self._deliver(Frame(jpeg.tobytes(), t_exposure_ns, self.frames), due_ns)
+        self._deliver(Frame(jpeg, t_exposure_ns, self.frames), due_ns)
 
 
 def health_of(loop: CameraLoop, hub: FrameHub) -> dict[str, Any]:

@@ -1,0 +1,105 @@
+"""Pictures that are no pictures: of another size than the camera file says, or what a decoder made of broken data."""
+
+import numpy as np
+from numba import njit
+
+from machine.description import StereoCamera
+from server.camera.contracts import StereoFrame
+from server.camera.health.findings import FaultCode, Finding
+from server.camera.health.pair import Pair
+from server.camera.health.thumbnail import CHANGE, SIDE_MIN_PX
+from server.vision.contracts import Array
+
+ONE_GREY_ROWS_MIN = 2  # of 90: a decoder fills what is missing with one grey
+STEP_MIN_GREY, STEP_MIN_RATIO = 5.0, 1.6  # of the mean step from a thumbnail row to the next
+STEP_ROWS_NEAR = 3  # a horizontal edge of the scene moves by no more from pair to pair (24 px)
+BREAK_MIN_GREY, BREAK_RATIO = 10.0, 2.5
+
+
+def wrong_size(frame: StereoFrame, camera: StereoCamera | None) -> tuple[Finding, ...]:
+    """Both eyes grey, of one size, and of the camera file's where one is given."""
+    for name, image in (("left", frame.left), ("right", frame.right)):
+        if image.ndim != 2 or image.dtype != np.uint8 or min(image.shape) < SIDE_MIN_PX:
+            text = f"{name} image is {image.shape} {image.dtype}, not a grey 8-bit picture; check the camera source"
+            return (Finding(FaultCode.WRONG_SIZE, text),)
+    left, right = ((image.shape[1], image.shape[0]) for image in (frame.left, frame.right))
+    wanted = left if camera is None else (camera.width_px, camera.height_px)
+    if left == right == wanted:
+        return ()
+    text = (
+        f"images are {left[0]} x {left[1]} px and {right[0]} x {right[1]} px; the camera file says {wanted[0]} x "
+        f"{wanted[1]} px: set the camera's resolution, or load its file for this one"
+    )
+    return (Finding(FaultCode.WRONG_SIZE, text),)
+
+
+class GarbageMonitor:
+    """Data that broke off or went astray: from some row on the picture is another one, down to its end.
+
+    Such a picture shows a step between two rows that no picture before it had there; and below the step everything has
+    changed since the last good picture, above it no more than motion changes.
+    """
+
+    def __init__(self) -> None:
+        self._steps = np.zeros(0)
+        self._bands = np.zeros(0)
+
+    def check(self, pair: Pair) -> tuple[Finding, ...]:
+        """Look for rows of one grey, for a step, and for a break between the rows above and those below."""
+        steps = 0.5 * (pair.left.rows + pair.right.rows)
+        bands = np.minimum(_band_changes(pair.left.cells), _band_changes(pair.right.cells))
+        text = _one_grey(pair)
+        if not text and not pair.first and len(self._steps) == len(steps):
+            row = int(_new_step(steps, self._steps))
+            if row >= 0:
+                text = (
+                    f"a step through the picture at {100 * row // len(steps)} % of its height that was not there before"
+                )
+            elif _break(bands, self._bands):
+                text = "its lower part is another picture than just before, its upper part is not"
+        if text:
+            return (_garbage(text),)
+        self._steps, self._bands = steps, bands
+        return ()
+
+
+def _one_grey(pair: Pair) -> str:
+    rows = min(pair.left.one_grey_rows, pair.right.one_grey_rows)
+    whole = min(pair.left.grey.shape[0], pair.right.grey.shape[0])
+    return f"the last {100 * rows // whole} % of its rows are one grey" if ONE_GREY_ROWS_MIN <= rows < whole else ""
+
+
+@njit(cache=True, nogil=True)
+def _new_step(steps: Array, before: Array) -> int:
+    """The row of a step that stands out, here and against the last good picture; -1 for none."""
+    usual = np.sort(steps)[len(steps) // 2]
+    for i in range(1, len(steps) - 1):
+        low, high = max(i - STEP_ROWS_NEAR, 0), min(i + STEP_ROWS_NEAR + 1, len(steps))
+        around = max(before[low:high].max(), max(steps[i - 1], steps[i + 1]))
+        if steps[i] > around + STEP_MIN_GREY and steps[i] > STEP_MIN_RATIO * usual and steps[i] > 1.5 * around:
+            return i
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def _band_changes(cells: Array) -> Array:
+    """Median change of each band of rows since the pair before (9,) [grey levels]."""
+    out = np.empty(cells.shape[0])
+    for p in range(cells.shape[0]):
+        out[p] = np.sort(cells[p, :, CHANGE])[cells.shape[1] // 2]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _break(bands: Array, before: Array) -> bool:
+    """Whether from some band down all changed far more than in the pair before, and those above did not."""
+    grown = bands / (before + 1.0)
+    for row in range(1, len(bands)):
+        below = grown[row:].min()
+        if below > BREAK_RATIO * grown[:row].max() and below > BREAK_RATIO and bands[row:].min() > BREAK_MIN_GREY:
+            return True
+    return False
+
+
+def _garbage(text: str) -> Finding:
+    return Finding(FaultCode.GARBAGE, f"compressed garbage: {text}; check cable, network and the camera's encoder")
