@@ -11,6 +11,7 @@ from rich.console import Console
 
 from longreach import bench_fuzz, bench_kills, bench_link, bench_position, bench_schedules
 from longreach.bench_camera_faults.command import camera_faults
+from longreach.bench_odometry.command import odometry
 from longreach.bench_rate.command import vision
 from longreach.bench_soak import vision_soak
 from longreach.bench_vision import bench_vision_real
@@ -24,6 +25,7 @@ console = Console(width=200)
 app.command("schedules")(bench_schedules.schedules)
 app.command("fuzz")(bench_fuzz.fuzz)
 app.command("vision")(vision)
+app.command("odometry")(odometry)
 app.command("camera-faults")(camera_faults)
 app.command("vision-soak")(vision_soak)
 

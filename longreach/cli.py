@@ -17,6 +17,7 @@ from longreach import (
     record_command,
     relay_command,
     sim_command,
+    target_command,
 )
 from machine.errors import MachineError
 from server.errors import ServerError
@@ -31,6 +32,7 @@ app.command("commission")(commission_command.commission)
 app.command("position")(position.position)
 app.command("demo")(demo.demo)
 app.add_typer(bench.app, name="bench", help="Measure; every figure in the README comes from here.")
+app.add_typer(target_command.app, name="target", help="Print targets; measure how they sit.")
 app.add_typer(record_command.app, name="recording", help="Check, convert and recover recordings.")
 
 SettingsFile = Annotated[Path | None, typer.Option("--settings", help="TOML settings file; defaults when absent")]

@@ -101,7 +101,7 @@ def undistort_to_rays(camera: StereoCamera, pixels: Array) -> Array:
     return _undistort(distorted, np.array(camera.distortion), fold_radius(camera.distortion))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _undistort(distorted: Array, coefficients: Array, radius_max: float) -> Array:
     k1, k2, p1, p2, k3 = coefficients
     rays = np.empty_like(distorted)

@@ -8,11 +8,18 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
+from machine.boards import board_markers
 from machine.errors import MachineFileError
 from machine.lens import distorted_radius_max
+from machine.marker_sections import REMEDIES, BoardSection, MarkerSection, MarkersSection, Pose16, Strict, check_markers
 from machine.rotations import Array
+from machine.targets import Board, Marker
+
+SHOWN_MAX = 120  # characters of a wrong value in a message
+PLACE_MAX_M = 20.0  # of a marker or board on its object
+UNITS = {"_m": "m", "_px": "px", "_deg": "deg", "_s": "s", "_hz": "Hz", "_kg": "kg"}  # by a field's ending
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +67,6 @@ class StereoCamera:
 
 
 @dataclass(frozen=True, slots=True)
-class Marker:
-    """One square fiducial: id, printed side [m], what it sits on, and its pose there."""
-
-    marker_id: int
-    side_m: float
-    on: Literal["tool", "ooi"]
-    T_on_marker: Array
-
-
-@dataclass(frozen=True, slots=True)
 class Machine:
     """The whole nominal machine. Joints from the base; `T_flange_tcp` is link 7 of the paper's Table 1."""
 
@@ -86,10 +83,15 @@ class Machine:
     plc_cycle_s: float
     plc_log_cycle_s: float
     transport_delay_s: float
+    boards: tuple[Board, ...] = ()
 
     def markers_on(self, on: Literal["tool", "ooi"]) -> tuple[Marker, ...]:
         """The markers that sit on one object."""
         return tuple(marker for marker in self.markers if marker.on == on)
+
+    def boards_on(self, on: Literal["tool", "ooi"]) -> tuple[Board, ...]:
+        """The boards that sit on one object."""
+        return tuple(board for board in self.boards if board.on == on)
 
 
 def _frozen(values: object, shape: tuple[int, ...]) -> Array:
@@ -98,23 +100,18 @@ def _frozen(values: object, shape: tuple[int, ...]) -> Array:
     return array
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-Pose16 = Annotated[list[float], Field(min_length=16, max_length=16)]
 Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
 Positive = Annotated[float, Field(gt=0.0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  # joints name channels and URDF elements
 
 
-class _MachineSection(_Strict):
+class _MachineSection(Strict):
     name: Annotated[str, Field(min_length=1, max_length=80)]
-    gravity_base_m_s2: Vector3 = [0.0, 0.0, -9.81]
+    gravity_base_m_s2: Vector3 = Field(default_factory=lambda: [0.0, 0.0, -9.81])
     tcp_speed_max_m_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.15
 
 
-class _JointSection(_Strict):
+class _JointSection(Strict):
     name: Name
     type: Literal["revolute"]
     dh_convention: Literal["classic"]
@@ -132,16 +129,16 @@ class _JointSection(_Strict):
     kp_frac_per_rad: Positive
     pt1_tau_s: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
     mass_kg: Annotated[float, Field(ge=0.0)] = 0.0
-    com_m: Vector3 = [0.0, 0.0, 0.0]
+    com_m: Vector3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     encoder_counts_rev: Annotated[int, Field(gt=0)] = 262144
 
 
-class _ToolSection(_Strict):
+class _ToolSection(Strict):
     T_flange_tcp: Pose16
     T_tcp_tool: Pose16
 
 
-class _CameraSection(_Strict):
+class _CameraSection(Strict):
     width_px: Annotated[int, Field(gt=0, le=8192)]
     height_px: Annotated[int, Field(gt=0, le=8192)]
     fx_px: Positive
@@ -155,30 +152,18 @@ class _CameraSection(_Strict):
     T_tcp_cam_left: Pose16
 
 
-class _MarkerSection(_Strict):
-    id: Annotated[int, Field(ge=0)]
-    side_m: Annotated[float, Field(gt=0.0, le=2.0)]
-    on: Literal["tool", "ooi"]
-    T_on_marker: Pose16
-
-
-class _MarkersSection(_Strict):
-    dictionary: Annotated[str, Field(pattern=r"^DICT_[4-7]X[4-7]_(50|100|250|1000)$")]
-    marker: list[_MarkerSection]
-
-
-class _PlcSection(_Strict):
+class _PlcSection(Strict):
     cycle_s: Positive
     log_cycle_s: Positive
     transport_delay_s: Annotated[float, Field(ge=0.0)] = 0.0
 
 
-class _MachineFile(_Strict):
+class _MachineFile(Strict):
     machine: _MachineSection
     joint: Annotated[list[_JointSection], Field(min_length=1, max_length=8)]
     tool: _ToolSection
     camera: _CameraSection
-    markers: _MarkersSection
+    markers: MarkersSection
     plc: _PlcSection
 
 
@@ -222,9 +207,37 @@ def _pose(values: list[float], subject: str) -> Array:
     return T
 
 
-def _marker(section: _MarkerSection) -> Marker:
-    T = _pose(section.T_on_marker, f"marker {section.id}: T_on_marker")
+def _place(values: list[float], subject: str) -> Array:
+    """Pose of a marker or board on its object; far-off places are millimetres written as metres."""
+    T = _pose(values, subject)
+    away = float(np.abs(T[:3, 3]).max())
+    if away > PLACE_MAX_M:
+        raise MachineFileError(f"{subject} lies {away:g} from the origin (limit {PLACE_MAX_M:g} [m]); give metres")
+    return T
+
+
+def _marker(section: MarkerSection) -> Marker:
+    T = _place(section.T_on_marker, f"marker {section.id}: T_on_marker")
     return Marker(marker_id=section.id, side_m=section.side_m, on=section.on, T_on_marker=T)
+
+
+def _board(section: BoardSection) -> Board:
+    return Board(
+        kind=section.kind,
+        on=section.on,
+        squares_x=section.squares_x,
+        squares_y=section.squares_y,
+        square_m=section.square_m,
+        marker_m=section.marker_m,
+        first_id=section.first_id,
+        legacy_pattern=section.legacy_pattern,
+        T_on_board=_place(section.T_on_board, f"board of first_id {section.first_id}: T_on_board"),
+    )
+
+
+def _grid_markers(boards: tuple[Board, ...]) -> tuple[Marker, ...]:
+    """Every marker of the grids: for the measurement they are markers like all others."""
+    return tuple(marker for board in boards if board.kind == "grid" for marker in board_markers(board))
 
 
 def _camera(section: _CameraSection) -> StereoCamera:
@@ -260,22 +273,6 @@ def _check_lens(camera: StereoCamera) -> None:
         )
 
 
-def _check_markers(section: _MarkersSection) -> None:
-    """Refuse repeated ids, ids that the dictionary does not have, and a tool or an OOI without markers."""
-    ids = [marker.id for marker in section.marker]
-    if len(set(ids)) != len(ids):
-        raise MachineFileError(f"markers.marker: ids {ids} repeat; every marker needs an id of its own")
-    size = int(section.dictionary.rsplit("_", 1)[1])
-    for number in ids:
-        if number >= size:
-            raise MachineFileError(
-                f"markers.marker: id = {number} is not in {section.dictionary}, which ends at {size - 1}"
-            )
-    for on in ("tool", "ooi"):
-        if not any(marker.on == on for marker in section.marker):
-            raise MachineFileError(f"markers.marker: none has on = {on!r}; give the {on} at least one marker")
-
-
 def _first_error(error: ValidationError, sections: dict[str, object]) -> str:
     """Field, value and bound of a file's first fault; a joint or a marker also by its own name."""
     first = error.errors()[0]
@@ -284,8 +281,13 @@ def _first_error(error: ValidationError, sections: dict[str, object]) -> str:
         part = _child(part, key)
         label = part.get("name", part.get("id")) if isinstance(part, dict) else None
         names.append(f"{key} ({label})" if isinstance(key, int) and label is not None else str(key))
-    value = "" if first["type"] in ("missing", "model_type") else f" = {first['input']!r}"
-    return f"{'.'.join(names)}{value}: {first['msg']}"
+    field = names[-1] if names else "file"
+    given = repr(first["input"])
+    given = given if len(given) <= SHOWN_MAX else f"{given[: SHOWN_MAX - 4]} ..."
+    value = "" if first["type"] in ("missing", "model_type", "value_error") else f" = {given}"
+    unit = next((f" [{unit}]" for ending, unit in UNITS.items() if field.endswith(ending)), "")
+    remedy = f"; {REMEDIES[field]}" if names[:1] == ["markers"] and field in REMEDIES else ""
+    return f"{'.'.join(names)}{value}: {first['msg'].removeprefix('Value error, ')}{unit}{remedy}"
 
 
 def _child(part: object, key: int | str) -> object:
@@ -310,7 +312,8 @@ def parse_machine_toml(text: str) -> Machine:
     names = [joint.name for joint in sections.joint]
     if len(set(names)) != len(names):
         raise MachineFileError(f"joint: names {names} repeat; every joint needs a name of its own")
-    _check_markers(sections.markers)
+    check_markers(sections.markers)
+    boards = tuple(_board(section) for section in sections.markers.board)
     return Machine(
         name=sections.machine.name,
         gravity_base_m_s2=_frozen(sections.machine.gravity_base_m_s2, (3,)),
@@ -321,7 +324,8 @@ def parse_machine_toml(text: str) -> Machine:
         camera=_camera(sections.camera),
         T_tcp_cam_left=_pose(sections.camera.T_tcp_cam_left, "camera.T_tcp_cam_left"),
         dictionary=sections.markers.dictionary,
-        markers=tuple(_marker(section) for section in sections.markers.marker),
+        markers=tuple(_marker(section) for section in sections.markers.marker) + _grid_markers(boards),
+        boards=boards,
         plc_cycle_s=sections.plc.cycle_s,
         plc_log_cycle_s=sections.plc.log_cycle_s,
         transport_delay_s=sections.plc.transport_delay_s,

@@ -72,6 +72,7 @@ def draw_scene(
         wall_relief_m=draw("wall_relief"),
         texture_contrast_frac=draw("texture_contrast"),
         texture_seed=int(rng_for(seed, "texture_seed").integers(1, 2**31)),
+        ooi_boards=tuple(board for board in machine.boards_on("ooi") if board.kind == "charuco"),
     )
 
 

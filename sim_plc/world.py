@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from machine.description import Machine, Marker, StereoCamera
+from machine.description import Board, Machine, Marker, StereoCamera
 from machine.rotations import Array
 from sim_plc.plant.truth import PlantTruth
 
@@ -37,6 +37,7 @@ class SceneTruth:
     wall_relief_m: float  # peak to peak
     texture_contrast_frac: float
     texture_seed: int
+    ooi_boards: tuple[Board, ...] = ()  # chess boards with markers, T_on_board = true T_ooi_board
 
 
 @dataclass(frozen=True, slots=True)

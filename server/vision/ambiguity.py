@@ -1,13 +1,21 @@
 """The other orientation of a planar target: where it is, and how much worse it fits."""
 
+import math
+
 import numpy as np
+from numba import njit
 
 from machine.poses import pose
-from machine.rotations import rotation_from_rotvec
+from machine.rotations import rotation_from_rotvec, rotvec_from_rotation, skew
 from server.vision.contracts import Array
-from server.vision.pose_refinement import PointObservations
+from server.vision.pose_refinement import PointObservations, kernel_arrays, sum_squares
+from server.vision.small_algebra import rotated, solve_positive
 
 PROFILE_STEPS = 6
+REACH_SIGMAS = 2.45
+REACH_STEPS = 6
+REACH_MIN, REACH_MAX = 0.25, 6.0
+RISE_MAX = 16.0  # an orientation that fits worse by more needs no room
 
 
 def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array, share: float = 1.0) -> Array:
@@ -24,7 +32,7 @@ def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array, sha
     sight = middle - np.array([float(np.mean(eye_x_m)), 0.0, 0.0])
     sight = -sight / np.linalg.norm(sight)
     normal = rotation[:, 2]
-    axis = np.asarray(np.cross(normal, sight), dtype=float)
+    axis = skew(normal) @ sight
     sine = float(np.linalg.norm(axis))
     if sine < 1e-12:
         return T_cam_object.copy()
@@ -33,29 +41,171 @@ def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array, sha
     return pose(mirrored, middle - mirrored @ middle_object)
 
 
+def covariance_of_both(T_best: Array, T_rival: Array, margin_chi2: float, covariance: Array) -> Array:
+    """Second moment (6, 6) about the best pose when the rival may be the true one.
+
+    Model:   C + w d d^T, d the rival's deviation from the best, w = 1 / (1 + exp(margin / 2)) its probability.
+    """
+    turn = rotvec_from_rotation(T_rival[:3, :3] @ T_best[:3, :3].T)
+    apart = np.concatenate([turn, T_rival[:3, 3] - T_best[:3, 3]])
+    return covariance + np.outer(apart, apart) / (1.0 + np.exp(0.5 * margin_chi2))
+
+
+@njit(cache=True, nogil=True)
+def _profile(
+    rotation: Array, position: Array, points: Array, seen: Array, eye_x: Array, focal: Array, weights: Array
+) -> float:
+    """Smallest sum of squares [px^2] over all positions for one rotation, Gauss-Newton; inf behind the glass."""
+    place = position.copy()
+    total = sum_squares(rotation, place, points, seen, eye_x, focal, weights)
+    A, g = np.empty((3, 3)), np.empty(3)
+    row, col = np.empty(3), np.empty(3)
+    for _ in range(PROFILE_STEPS):
+        if not total < np.inf:
+            break
+        A[:], g[:] = 0.0, 0.0
+        for i in range(points.shape[0]):
+            x, y, z = place
+            for k in range(3):
+                x += rotation[0, k] * points[i, k]
+                y += rotation[1, k] * points[i, k]
+                z += rotation[2, k] * points[i, k]
+            u, v = (x - eye_x[i]) / z, y / z
+            du, dv = focal[0] * u - seen[i, 0], focal[1] * v - seen[i, 1]
+            p, q = focal[0] / z, focal[1] / z
+            w = weights[i]
+            row[0], row[1], row[2] = w[0, 0] * p, w[0, 1] * q, -w[0, 0] * p * u - w[0, 1] * q * v
+            col[0], col[1], col[2] = w[1, 0] * p, w[1, 1] * q, -w[1, 0] * p * u - w[1, 1] * q * v
+            a, b = w[0, 0] * du + w[0, 1] * dv, w[1, 0] * du + w[1, 1] * dv
+            for j in range(3):
+                g[j] += row[j] * a + col[j] * b
+                for k in range(3):
+                    A[j, k] += row[j] * row[k] + col[j] * col[k]
+        new_place = place + solve_positive(A, -g)
+        new_total = sum_squares(rotation, new_place, points, seen, eye_x, focal, weights)
+        if not new_total < total:
+            break
+        done = total - new_total < 1e-6 * total
+        place, total = new_place, new_total
+        if done:
+            break
+    return total
+
+
 def profile_sum_squares(T_cam_object: Array, observations: PointObservations) -> float:
     """Smallest sum of squared residuals [px^2] that any position reaches with this rotation; inf behind the camera.
 
     Model:   min over t of sum |pi(R X + t) - u|^2, Gauss-Newton in t.
     """
-    arms = observations.points_object @ T_cam_object[:3, :3].T
-    position = T_cam_object[:3, 3].copy()
-    focal = observations.focal_px
-    for _ in range(PROFILE_STEPS):
-        residuals, depth, rays = _residuals(arms + position, observations)
-        if depth.min() <= 0.0:
-            return float("inf")
-        J = np.zeros((len(arms), 2, 3))
-        J[:, 0, 0], J[:, 1, 1] = focal[0] / depth, focal[1] / depth
-        J[:, :, 2] = -rays * focal / depth[:, None]
-        J = J.reshape(-1, 3)
-        position = position - np.linalg.lstsq(J, residuals.reshape(-1), rcond=None)[0]
-    residuals, depth, _ = _residuals(arms + position, observations)
-    return float("inf") if depth.min() <= 0.0 else float(np.sum(residuals**2))
+    rotation, position = np.ascontiguousarray(T_cam_object[:3, :3]), np.ascontiguousarray(T_cam_object[:3, 3])
+    return float(_profile(rotation, position, *kernel_arrays(observations)))
 
 
-def _residuals(points_cam: Array, observations: PointObservations) -> tuple[Array, Array, Array]:
-    depth = points_cam[:, 2]
-    safe = np.maximum(depth, 1e-6)
-    rays = np.column_stack([(points_cam[:, 0] - observations.eye_x_m) / safe, points_cam[:, 1] / safe])
-    return rays * observations.focal_px - observations.seen_px, depth, rays
+@njit(cache=True, nogil=True)
+def _reach(
+    rotation: Array,
+    position: Array,
+    step: Array,
+    rise: float,
+    best: float,
+    points: Array,
+    seen: Array,
+    eye_x: Array,
+    focal: Array,
+    weights: Array,
+) -> float:
+    """How many times `step` (6,) must be taken until the profile has risen by `rise` [px^2]; 0.25 to 6."""
+    low, high, at, found = 0.0, np.inf, 1.0, 1.0
+    for _ in range(REACH_STEPS):
+        total = _profile(
+            rotated(rotation, at * step[:3]), position + at * step[3:], points, seen, eye_x, focal, weights
+        )
+        found = at
+        ratio = (total - best) / rise
+        if abs(ratio - 1.0) < 0.1:
+            break
+        if ratio < 1.0:
+            low = at
+            if at >= REACH_MAX:
+                break
+        else:
+            high = at
+        guess = at / math.sqrt(max(ratio, 0.04)) if ratio < np.inf else 0.5 * at
+        if not low < guess < high:
+            guess = 0.5 * (low + high)
+        at = min(max(guess, REACH_MIN), REACH_MAX)
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _widen(
+    T: Array,
+    covariance: Array,
+    variance: float,
+    best: float,
+    points: Array,
+    seen: Array,
+    eye_x: Array,
+    focal: Array,
+    weights: Array,
+) -> Array:
+    rotation, position = T[:3, :3].copy(), T[:3, 3].copy()
+    axes = np.linalg.eigh(covariance[:3, :3])[1]
+    wide = covariance.copy()
+    for k in range(1, 3):  # the two least known axes: a flat target's tilts
+        along = np.zeros(6)
+        for i in range(6):
+            for j in range(3):
+                along[i] += covariance[i, j] * axes[j, k]
+        own = 0.0
+        for j in range(3):
+            own += along[j] * axes[j, k]
+        step = REACH_SIGMAS * along / math.sqrt(own)  # the best fit's way when this angle is moved by so many sigma
+        rise = REACH_SIGMAS**2 * variance
+        there = _reach(rotation, position, step, rise, best, points, seen, eye_x, focal, weights)
+        back = _reach(rotation, position, -step, rise, best, points, seen, eye_x, focal, weights)
+        grown = max(there, back, 1.0) ** 2 - 1.0
+        for i in range(6):
+            for j in range(6):
+                wide[i, j] += grown * along[i] * along[j] / own
+    return wide
+
+
+def widened_covariance(
+    T_cam_object: Array,
+    covariance: Array,
+    variance: float,
+    best_px2: float,
+    observations: PointObservations,
+    alone: bool = True,
+) -> Array:
+    """Covariance as wide as the likelihood really is along the two tilts.
+
+    Model:   near the frontal view the sum of squares is a flat valley whose bottom is bent: the normal equations at its
+             lowest point are too sure. Along each of the two least known rotation axes the way is found, both ways, to
+             where the profile over positions has risen by 2.45^2 variances; the axis' sigma follows from the longer
+             one. Then, for a minimum that stands alone, the frontal and the mirrored orientation: where the profile
+             there has risen by less than the covariance says, C grows along that way until they agree.
+    Args:    covariance (6, 6) by the normal equations. variance [px^2] of one coordinate. best_px2: sum of squares.
+             alone: whether there is no other minimum; where there is one, its margin tells about it.
+    Returns: (6, 6), never smaller than `covariance`.
+    Source:  Venzon and Moolgavkar 1988, profile likelihood intervals.
+    """
+    T = np.ascontiguousarray(T_cam_object, dtype=np.float64)
+    wide = _widen(T, np.ascontiguousarray(covariance), variance, best_px2, *kernel_arrays(observations))
+    for share in (1.0, 0.5) if alone else ():
+        other = mirrored_pose(T, observations.points_object, observations.eye_x_m, share)
+        rise = (profile_sum_squares(other, observations) - best_px2) / variance
+        if rise < RISE_MAX:
+            apart = np.concatenate([rotvec_from_rotation(other[:3, :3] @ T[:3, :3].T), other[:3, 3] - T[:3, 3]])
+            wide = _at_most(wide, apart, max(rise, 1.0))
+    return wide
+
+
+def _at_most(covariance: Array, apart: Array, chi2: float) -> Array:
+    """The covariance grown along the way `apart` (6,) until its rotation says at most this chi2 of it."""
+    turn = apart[:3]
+    claimed = float(turn @ np.linalg.solve(covariance[:3, :3], turn))
+    if claimed <= chi2:
+        return covariance
+    return covariance + (1.0 / chi2 - 1.0 / claimed) * np.outer(apart, apart)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from machine.description import Machine, Marker
+from server.vision.board_sightings import BoardFinder
 from server.vision.contracts import Image, MarkerView, ObjectPose, PairObservation
 from server.vision.detection import DetectionSettings, EyeDetection, EyeDetector
 from server.vision.mono_aruco import MonoArucoPoseSource
@@ -28,11 +29,14 @@ class ArucoPoseSource:
         self._camera = machine.camera
         self._markers = markers_by_object(machine)
         self._all_markers = machine.markers
+        self._boards = BoardFinder(machine)
         self._settings = settings or ArucoSettings()
         warm_up_markers()
         wanted = frozenset(marker.marker_id for marker in machine.markers)
+        extra = self._boards.marker_ids
         self._left, self._right = (
-            EyeDetector(machine.camera, machine.dictionary, wanted, self._settings.detection, phase) for phase in (0, 1)
+            EyeDetector(machine.camera, machine.dictionary, wanted, self._settings.detection, phase, extra)
+            for phase in (0, 1)
         )
 
     def observe(self, left: Image, right: Image, t_exposure_ns: int) -> PairObservation:
@@ -42,19 +46,25 @@ class ArucoPoseSource:
         poses: dict[ObjectName, ObjectPose] = {}
         views: list[MarkerView] = []
         repeated = found[0].repeated_ids | found[1].repeated_ids
-        everything = sightings_of(self._all_markers, found[0].markers, found[1].markers)
+        decoded = self._boards.decoded(found)
+        boards = self._boards.sightings((left, right), decoded)
+        everything = (
+            *sightings_of(self._all_markers, found[0].markers, found[1].markers),
+            *boards["tool"],
+            *boards["ooi"],
+        )
         contradiction = rig_contradiction(everything, self._camera, self._settings.pose)
         for name, markers in self._markers.items():
             usable = tuple(marker for marker in markers if marker.marker_id not in repeated)
-            sightings = sightings_of(usable, found[0].markers, found[1].markers)
+            sightings = (*sightings_of(usable, found[0].markers, found[1].markers), *boards[name])
             poses[name], object_views = estimate_object_pose(
                 name, sightings, self._camera, self._settings.pose, contradiction
             )
             if not sightings:
-                reasons = [*problems, *_why_unused(found, markers)]
+                reasons = [*problems, *_why_unused(found, markers), *self._boards.why_unseen(name, decoded)]
                 poses[name] = not_seen(name, "; ".join(reasons) or poses[name].reason)
             views.extend(object_views)
-        views.extend(_unused_views(found, {view.marker_id for view in views}))
+        views.extend(_unused_views(found, {view.marker_id for view in views} | self._boards.marker_ids))
         warnings = (*problems, *(view.reason for view in views if not view.used))
         return PairObservation(t_exposure_ns, poses["tool"], poses["ooi"], tuple(views), tuple(dict.fromkeys(warnings)))
 

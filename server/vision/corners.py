@@ -10,15 +10,20 @@ from server.vision.edge_fit import SideFit, fit_corners, side_length_min
 
 
 def side_sags(camera: StereoCamera | None, corners_px: Array) -> Array:
-    """How far the lens bows each side of a square outward at its middle (4,) [px]; zeros without a camera."""
+    """How the lens bows each side of a square outward (4, 2) [px]: at its middle, and how lopsided; zeros without one.
+
+    Model:   bow(t) = 4 t (1-t) (s + k (2t-1)), through the lens's true bow at a quarter and three quarters of the side.
+    """
     if camera is None or not any(camera.distortion):
-        return np.zeros(4)
+        return np.zeros((4, 2))
     rays = undistort_to_rays(camera, corners_px)
-    middle_rays = 0.5 * (rays + np.roll(rays, -1, axis=0))
-    middle = project(camera, np.column_stack([middle_rays, np.ones(4)]))
+    ahead = np.roll(rays, -1, axis=0)
+    on_sides = np.concatenate([0.75 * rays + 0.25 * ahead, 0.25 * rays + 0.75 * ahead])
+    bowed = project(camera, np.column_stack([on_sides, np.ones(8)])).reshape(2, 4, 2) - corners_px
     along = np.roll(corners_px, -1, axis=0) - corners_px
     outward = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
-    return np.sum((middle - corners_px - 0.5 * along) * outward, axis=1)
+    first, second = np.sum(bowed * outward, axis=2)  # 4 t (1-t) is 3/4 at both, 2t-1 is -+1/2
+    return np.column_stack([(first + second) / 1.5, (second - first) / 0.75])
 
 
 def corner_search(image: Image, corners_px: Array, cells: int) -> Array:

@@ -12,7 +12,7 @@ from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
 from server.vision.edge_fit import side_length_min
 from server.vision.marker_following import MarkerFollower
-from server.vision.marker_search import FoundMarker, dictionary_by_name, find_markers, refined, same_place
+from server.vision.marker_search import FoundMarker, dictionary_by_name, find_markers, refined, require_ids, same_place
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +41,7 @@ class EyeDetection:
 class EyeDetector:
     """Markers of interest in one eye, pair after pair. Holds the last places and nothing else.
 
+    `extra`: ids that are read where they show, but are not missed where they do not, nor fitted: those of boards.
     `phase`: in which pair of each period the periodic search comes, so that two eyes do not search in the same pair.
     """
 
@@ -51,11 +52,14 @@ class EyeDetector:
         wanted: frozenset[int],
         settings: DetectionSettings | None = None,
         phase: int = 0,
+        extra: frozenset[int] = frozenset(),
     ) -> None:
         self._camera = camera
         self._wanted = wanted
-        self._settings = settings or DetectionSettings()
+        self._read = wanted | extra
         self._dictionary = dictionary_by_name(dictionary_name)
+        require_ids(self._dictionary, dictionary_name, self._read)
+        self._settings = settings or DetectionSettings()
         self._follower = MarkerFollower(camera, self._dictionary)
         self._last: dict[int, FoundMarker] = {}
         self._repeated: frozenset[int] = frozenset()
@@ -96,7 +100,8 @@ class EyeDetector:
         return find_markers(image, self._dictionary, self._settings.perimeter_min_px)
 
     def _refined(self, marker: FoundMarker, image: Image) -> FoundMarker:
-        return refined(marker, image, self._dictionary, self._camera) if self._settings.refine else marker
+        fitted = self._settings.refine and marker.marker_id in self._wanted
+        return refined(marker, image, self._dictionary, self._camera) if fitted else marker
 
     def _tracked(self, image: Image) -> dict[int, FoundMarker]:
         """The last pair's markers that are still there, each followed or found near its last place."""
@@ -125,7 +130,7 @@ class EyeDetector:
     def _full(self, image: Image, tracked: dict[int, FoundMarker] | None = None) -> EyeDetection:
         """Search the whole picture; `tracked`: what is known to be there, whose corners need no second fit."""
         known = tracked or {}
-        found = [marker for marker in self._everywhere(image, known) if marker.marker_id in self._wanted]
+        found = [marker for marker in self._everywhere(image, known) if marker.marker_id in self._read]
         found += [marker for marker in known.values() if not any(same_place(marker, other) for other in found)]
         ids = [marker.marker_id for marker in found]
         self._repeated = frozenset(marker_id for marker_id in ids if ids.count(marker_id) > 1)

@@ -8,126 +8,170 @@ from enum import Enum
 
 import numpy as np
 from numba import njit
+from scipy.special import ndtr
 
 from server.vision.contracts import Array, Image
 from server.vision.small_algebra import solve_positive
 
-BLUR_MIN_PX, BLUR_MAX_PX = 0.3, 3.0
-ITERATIONS_MAX = 12
+BLUR_MIN_PX, BLUR_MAX_PX, BLUR_START_PX = 0.3, 3.0, 0.8
+ITERATIONS_MAX = 10
 CELL_MIN_PX = 1.6
+COARSE_STATIONS, FINE_STATIONS = 24, 64  # pixel rows read across a side; of a long one every second or third
 ROUGHNESS_MAX_FRAC = 0.10  # rms of the edge fit over its contrast; clean sides reach 0.035, covered ones start at 0.13
+COARSE_PX, FINE_PX = 2e-2, 5e-4  # a fit ends when its ends move by less
+_TABLE_END, _TABLE_PER_UNIT = 6.0, 256.0
+_STEP = ndtr(np.arange(-_TABLE_END, _TABLE_END + 2.0 / _TABLE_PER_UNIT, 1.0 / _TABLE_PER_UNIT))  # good to 5e-7
 
 
-@njit(cache=True)
-def _fit_side(
-    image: Image, start: Array, end: Array, sag_px: float, half_px: float, trim: float
-) -> tuple[bool, float, float, float]:
-    """Offsets of the side at its start and end along its outward normal, and the rms of the fit over its contrast.
+@njit(cache=True, nogil=True)
+def _collect(
+    image: Image, start: Array, end: Array, bow: Array, half_px: float, trim: float, stations: int, pixels: Array
+) -> tuple[int, float, float]:
+    """Pixels of the band around a side: rows (t along, distance across, grey) into `pixels`; count, mean dark, bright.
 
-    Model: grey(p) = dark + (bright - dark) * Phi(d / blur), d = n.(p - start) - a (1-t) - b t - 4 sag t (1-t).
+    Walks along the longer of the side's two extents and reads the pixels across it; none nearer a corner than `trim`.
     """
     length = math.hypot(end[0] - start[0], end[1] - start[1])
     tx, ty = (end[0] - start[0]) / length, (end[1] - start[1]) / length
     nx, ny = ty, -tx  # corners run clockwise with y down: the outside is to the left of the way
+    along_x = abs(tx) >= abs(ty)
+    major, minor = (0, 1) if along_x else (1, 0)
     height, width = image.shape
-    margin = half_px + 1.5 + abs(sag_px)
-    x_low = max(int(min(start[0], end[0]) - margin), 0)
-    x_high = min(int(max(start[0], end[0]) + margin) + 1, width - 1)
-    y_low = max(int(min(start[1], end[1]) - margin), 0)
-    y_high = min(int(max(start[1], end[1]) + margin) + 1, height - 1)
-    count_max = (x_high - x_low + 1) * (y_high - y_low + 1)
-    if count_max <= 0:
-        return False, 0.0, 0.0, 0.0
-    along, across, grey = np.empty(count_max), np.empty(count_max), np.empty(count_max)
-    count = 0
-    for y in range(y_low, y_high + 1):
-        for x in range(x_low, x_high + 1):
+    major_size, minor_size = (width, height) if along_x else (height, width)
+    slope = (end[minor] - start[minor]) / (end[major] - start[major])
+    reach = (half_px + abs(bow[0]) + abs(bow[1])) / max(abs(tx), abs(ty))
+    skew = reach * min(abs(tx), abs(ty))  # how far along a pixel at the band's rim lies beside its station
+    low = max(math.ceil(min(start[major], end[major]) - skew), 0)
+    high = min(math.floor(max(start[major], end[major]) + skew), major_size - 1)
+    stride = max(math.ceil((high - low + 1) / stations), 1)
+    count, n_inside, n_outside = 0, 0, 0
+    inside, outside = 0.0, 0.0
+    for m in range(low, high + 1, stride):
+        centre = start[minor] + slope * (m - start[major])
+        first = max(math.ceil(centre - reach), 0)
+        last = min(math.floor(centre + reach), minor_size - 1)
+        for k in range(first, last + 1):
+            x, y = (m, k) if along_x else (k, m)
             t = ((x - start[0]) * tx + (y - start[1]) * ty) / length
             if t < trim or t > 1.0 - trim:
                 continue
-            d = (x - start[0]) * nx + (y - start[1]) * ny - 4.0 * sag_px * t * (1.0 - t)
-            if abs(d) <= half_px:
-                along[count], across[count], grey[count] = t, d, image[y, x]
-                count += 1
-    if count < 12:
-        return False, 0.0, 0.0, 0.0
-    inside, outside, n_inside, n_outside = 0.0, 0.0, 0, 0
-    for i in range(count):
-        if across[i] < -0.5 * half_px:
-            inside += grey[i]
-            n_inside += 1
-        elif across[i] > 0.5 * half_px:
-            outside += grey[i]
-            n_outside += 1
-    if n_inside == 0 or n_outside == 0 or outside / n_outside - inside / n_inside < 8.0:
-        return False, 0.0, 0.0, 0.0
-    p = np.array([0.0, 0.0, inside / n_inside, outside / n_outside, 0.8])  # a, b, dark, bright, blur
-    damping, total = 1e-4, np.inf
+            d = (x - start[0]) * nx + (y - start[1]) * ny - 4.0 * t * (1.0 - t) * (bow[0] + bow[1] * (2.0 * t - 1.0))
+            if abs(d) > half_px or count >= pixels.shape[0]:
+                continue
+            grey = float(image[y, x])
+            pixels[count, 0], pixels[count, 1], pixels[count, 2] = t, d, grey
+            count += 1
+            if d < -0.5 * half_px:
+                inside += grey
+                n_inside += 1
+            elif d > 0.5 * half_px:
+                outside += grey
+                n_outside += 1
+    if n_inside == 0 or n_outside == 0:
+        return 0, 0.0, 0.0
+    return count, inside / n_inside, outside / n_outside
+
+
+@njit(cache=True, nogil=True)
+def _sum_up(pixels: Array, count: int, p: Array, information: Array, gradient: Array) -> float:
+    """Normal equations of the edge model at p = (a, b, dark, bright, blur), in place; the sum of squares."""
+    information[:], gradient[:] = 0.0, 0.0
+    total = 0.0
+    a, b, dark, contrast, per_blur = p[0], p[1], p[2], p[3] - p[2], 1.0 / p[4]
     row = np.empty(5)
-    trial = p.copy()
-    information, gradient = np.zeros((5, 5)), np.zeros(5)
-    for _ in range(ITERATIONS_MAX):
-        new_information, new_gradient, new_total = np.zeros((5, 5)), np.zeros(5), 0.0
-        for i in range(count):
-            u = (across[i] - trial[0] * (1.0 - along[i]) - trial[1] * along[i]) / trial[4]
-            phi = 0.5 * (1.0 + math.erf(u * 0.7071067811865476))
-            bell = 0.3989422804014327 * math.exp(-0.5 * u * u) * (trial[3] - trial[2]) / trial[4]
-            residual = trial[2] + (trial[3] - trial[2]) * phi - grey[i]
-            row[0], row[1] = -bell * (1.0 - along[i]), -bell * along[i]
-            row[2], row[3], row[4] = 1.0 - phi, phi, -bell * u
-            new_total += residual * residual
-            for j in range(5):
-                new_gradient[j] += row[j] * residual
-                for k in range(5):
-                    new_information[j, k] += row[j] * row[k]
-        if new_total <= total:
-            gain = total - new_total
-            p, total, information, gradient = trial, new_total, new_information, new_gradient
-            damping = max(damping * 0.2, 1e-7)
-            if gain < 1e-5 * total:
-                break
-        else:
-            damping *= 10.0
-        damped = information.copy()
+    for i in range(count):
+        t = pixels[i, 0]
+        u = (pixels[i, 1] - a * (1.0 - t) - b * t) * per_blur
+        at = (min(max(u, -_TABLE_END), _TABLE_END) + _TABLE_END) * _TABLE_PER_UNIT
+        k = int(at)
+        rise = _STEP[k + 1] - _STEP[k]
+        phi = _STEP[k] + (at - k) * rise
+        bell = rise * _TABLE_PER_UNIT * contrast * per_blur
+        residual = dark + contrast * phi - pixels[i, 2]
+        total += residual * residual
+        row[0], row[1], row[2], row[3], row[4] = -bell * (1.0 - t), -bell * t, 1.0 - phi, phi, -bell * u
         for j in range(5):
-            damped[j, j] += damping * information[j, j] + 1e-9
-        step = solve_positive(damped, -gradient)
+            gradient[j] += row[j] * residual
+            for m in range(j, 5):
+                information[j, m] += row[j] * row[m]
+    for j in range(5):
+        for m in range(j):
+            information[j, m] = information[m, j]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _fit_side(
+    image: Image, start: Array, end: Array, bow: Array, half_px: float, trim: float, stations: int, pixels: Array
+) -> tuple[bool, float, float, float]:
+    """Offsets of the side at its start and end along its outward normal, and the rms of the fit over its contrast.
+
+    Model: grey(p) = dark + (bright - dark) * Phi(d / blur), d = n.(p - start) - a (1-t) - b t - bow(t).
+    """
+    count, dark, bright = _collect(image, start, end, bow, half_px, trim, stations, pixels)
+    if count < 12 or bright - dark < 8.0:
+        return False, 0.0, 0.0, 0.0
+    p = np.array([0.0, 0.0, dark, bright, BLUR_START_PX])
+    information, gradient = np.empty((5, 5)), np.empty(5)
+    new_information, new_gradient = np.empty((5, 5)), np.empty(5)
+    done_px = COARSE_PX if stations == COARSE_STATIONS else FINE_PX
+    total = _sum_up(pixels, count, p, information, gradient)
+    damping = 1e-4
+    for _ in range(ITERATIONS_MAX):
+        for j in range(5):
+            information[j, j] *= 1.0 + damping
+        step = solve_positive(information, -gradient)
         trial = p + step
         trial[4] = min(max(trial[4], BLUR_MIN_PX), BLUR_MAX_PX)
+        new_total = _sum_up(pixels, count, trial, new_information, new_gradient)
+        if new_total <= total:
+            p, total = trial, new_total
+            information, new_information = new_information, information
+            gradient, new_gradient = new_gradient, gradient
+            damping = max(damping * 0.2, 1e-7)
+            if abs(step[0]) < done_px and abs(step[1]) < done_px:
+                break
+        else:
+            for j in range(5):
+                information[j, j] /= 1.0 + damping
+            damping *= 10.0
     if abs(p[0]) > half_px or abs(p[1]) > half_px:
         return False, 0.0, 0.0, 0.0
-    contrast = max(p[3] - p[2], 1.0)
-    return True, p[0], p[1], math.sqrt(total / count) / contrast
+    return True, p[0], p[1], math.sqrt(total / count) / max(p[3] - p[2], 1.0)
 
 
-@njit(cache=True)
-def _intersect(a0: Array, a1: Array, b0: Array, b1: Array) -> Array:
-    da, db = a1 - a0, b1 - b0
-    cross = da[0] * db[1] - da[1] * db[0]
+@njit(cache=True, nogil=True)
+def _intersect(a0: Array, a1: Array, b0: Array, b1: Array, out: Array) -> None:
+    dax, day, dbx, dby = a1[0] - a0[0], a1[1] - a0[1], b1[0] - b0[0], b1[1] - b0[1]
+    cross = dax * dby - day * dbx
     if abs(cross) < 1e-9:
-        return np.full(2, np.nan)
-    s = ((b0[0] - a0[0]) * db[1] - (b0[1] - a0[1]) * db[0]) / cross
-    return a0 + s * da
+        out[:] = np.nan
+        return
+    s = ((b0[0] - a0[0]) * dby - (b0[1] - a0[1]) * dbx) / cross
+    out[0], out[1] = a0[0] + s * dax, a0[1] + s * day
 
 
-@njit(cache=True)
-def _refine(image: Image, corners: Array, sags_px: Array, half_px: float, trim: float) -> tuple[bool, Array, float]:
+@njit(cache=True, nogil=True)
+def _refine(image: Image, corners: Array, bows_px: Array, half_px: float, stations: int) -> tuple[bool, Array, float]:
     starts, ends = np.empty((4, 2)), np.empty((4, 2))
+    pixels = np.empty((int((stations + 8) * (4.0 * half_px + 8.0)), 3))
     worst = 0.0
     for i in range(4):
         start, end = corners[i], corners[(i + 1) % 4]
         length = math.hypot(end[0] - start[0], end[1] - start[1])
-        if length < 4.0:
+        if not length >= 4.0:
             return False, corners, 0.0
-        good, a, b, rms = _fit_side(image, start, end, sags_px[i], half_px, trim)
+        trim = min(0.25, (half_px + 1.0) / length)
+        good, a, b, rms = _fit_side(image, start, end, bows_px[i], half_px, trim, stations, pixels)
         if not good:
             return False, corners, 0.0
-        normal = np.array([(end[1] - start[1]) / length, -(end[0] - start[0]) / length])
-        starts[i], ends[i] = start + a * normal, end + b * normal
+        nx, ny = (end[1] - start[1]) / length, -(end[0] - start[0]) / length
+        starts[i, 0], starts[i, 1] = start[0] + a * nx, start[1] + a * ny
+        ends[i, 0], ends[i, 1] = end[0] + b * nx, end[1] + b * ny
         worst = max(worst, rms)
     refined = np.empty((4, 2))
     for i in range(4):
-        refined[i] = _intersect(starts[i - 1], ends[i - 1], starts[i], ends[i])
+        _intersect(starts[i - 1], ends[i - 1], starts[i], ends[i], refined[i])
     return bool(np.isfinite(refined).all()), refined, worst
 
 
@@ -148,22 +192,24 @@ def fit_corners(image: Image, corners_px: Array, cells: int, sags_px: Array) -> 
     """Corners of a dark square by its four fitted sides; the start where they are not clean.
 
     Model:   each side: grey = dark + (bright - dark) Phi(d / blur), d the distance from a line that follows the lens's
-             known sag; five parameters by LM over the pixels of a band around it. Twice: the second band lies on the
-             first result.
+             known bow 4 t (1-t) (s + k (2t-1)); five parameters by LM over the pixels of a band around it. Twice: the
+             second band lies on the first result.
     Args:    image: grey (h, w). corners_px: start (4, 2) [px], clockwise as seen. cells: cells along the side, border
-             included. sags_px (4,): how far the lens bows each side outward at its middle [px].
+             included. sags_px (4, 2): s and k of each side, outward [px], as `side_sags`; (4,) stands for k = 0.
     Returns: how it ended, and corners (4, 2) [px] in the image's own pixel convention.
     """
     shortest = side_length_min(corners_px)
     cell = shortest / cells
     if not np.isfinite(shortest) or cell < CELL_MIN_PX:
         return SideFit.TOO_SMALL, corners_px
-    current, roughness = corners_px, 0.0
-    for half_px in (min(max(0.8 * cell, 1.6), 5.0), min(max(0.7 * cell, 1.5), 3.5)):
-        trim = min(0.25, (half_px + 1.0) / shortest)
-        good, current, roughness = _refine(
-            image, np.ascontiguousarray(current, dtype=np.float64), sags_px, half_px, trim
-        )
+    bows = sags_px if sags_px.ndim == 2 else np.column_stack([sags_px, np.zeros(4)])
+    bows = np.ascontiguousarray(bows, dtype=np.float64)
+    current, roughness = np.ascontiguousarray(corners_px, dtype=np.float64), 0.0
+    for half_px, stations in (
+        (min(max(0.8 * cell, 1.6), 5.0), COARSE_STATIONS),
+        (min(max(0.7 * cell, 1.5), 3.5), FINE_STATIONS),
+    ):
+        good, current, roughness = _refine(image, current, bows, half_px, stations)
         if not good:
             return SideFit.COVERED, corners_px
     moved = float(np.max(np.abs(current - corners_px)))

@@ -11,6 +11,35 @@ from server.vision.errors import NoPoseError
 
 
 @dataclass(frozen=True, slots=True)
+class PrintSigmas:
+    """How well the printed targets are known, one sigma; no mean over pairs shrinks these.
+
+    side_frac: a printed side's length, relative: it scales the object's distance from the camera. layout_m and
+    layout_rad: where the object's markers sit on it as a whole (T_on_marker), which turns and shifts its axes.
+    """
+
+    side_frac: float = 0.0
+    layout_m: float = 0.0
+    layout_rad: float = 0.0
+
+
+EXACT_PRINTS = PrintSigmas()
+
+
+def with_print_errors(T_cam_object: Array, covariance: Array, prints: PrintSigmas, stereo_share: float = 0.0) -> Array:
+    """Covariance (6, 6) of an object's pose with the errors of its printed targets.
+
+    Model:   C + diag(layout_rad^2 I, layout_m^2 I) + side_frac^2 (1 - share)^2 [0, t][0, t]^T: a print too large
+             by some share puts the object that much too far along the line of sight t, where the eyes' own range
+             (`stereo_share` of the weight, 0 to 1) does not hold against it.
+    Args:    T_cam_object (4, 4); covariance as ObjectPose, camera axes.
+    """
+    along = np.concatenate([np.zeros(3), T_cam_object[:3, 3] * prints.side_frac * (1.0 - stereo_share)])
+    placed = np.repeat([prints.layout_rad**2, prints.layout_m**2], 3)
+    return covariance + np.diag(placed) + np.outer(along, along)
+
+
+@dataclass(frozen=True, slots=True)
 class PoseError:
     """Tool minus goal in OOI axes: position (3,) [m], rotation vector (3,) [rad]; `angle_rad` is the geodesic angle."""
 
@@ -67,14 +96,21 @@ def _sigma_of_angle(rotvec: Array, covariance: Array) -> float:
     return float(np.sqrt(max(axis @ covariance @ axis, 0.0)))
 
 
-def error_to_goal(look: Look, T_ooi_goal: Array) -> PoseError:
+def error_to_goal(
+    look: Look, T_ooi_goal: Array, tool_prints: PrintSigmas = EXACT_PRINTS, ooi_prints: PrintSigmas = EXACT_PRINTS
+) -> PoseError:
     """Error of a look that has poses.
+
+    Args:    tool_prints, ooi_prints: what the mean over pairs cannot shrink. An error of the OOI's axes (layout_rad)
+             counts by its lever arm, the way from the OOI to the tool, so that the sigmas grow with the distance.
 
     Raises: NoPoseError when the look failed.
     """
     if look.T_cam_tool is None or look.T_cam_ooi is None or look.tool_covariance is None or look.ooi_covariance is None:
         raise NoPoseError(f"look {look.status.value} has no poses: {look.reason}; look again")
-    return pose_error(look.T_cam_tool, look.T_cam_ooi, T_ooi_goal, look.tool_covariance, look.ooi_covariance)
+    tool = with_print_errors(look.T_cam_tool, look.tool_covariance, tool_prints)
+    ooi = with_print_errors(look.T_cam_ooi, look.ooi_covariance, ooi_prints)
+    return pose_error(look.T_cam_tool, look.T_cam_ooi, T_ooi_goal, tool, ooi)
 
 
 def pair_error(tool: ObjectPose, ooi: ObjectPose, T_ooi_goal: Array) -> PoseError:

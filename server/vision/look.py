@@ -8,6 +8,7 @@ import numpy as np
 from server.vision.contracts import Array, Look, LookStatus, ObjectPose, PairObservation, PoseStatus
 from server.vision.pose_mean import MAD_TO_SIGMA, PoseMean, pose_mean
 
+SPREAD_SIGMAS, DRIFT_SIGMAS = 2.0, 4.0  # of the predicted noise: more is motion, whatever the limits in mm say
 USABLE = (PoseStatus.OK, PoseStatus.ORIENTATION_AMBIGUOUS)
 
 
@@ -34,7 +35,8 @@ def average_look(
     """Robust mean of tool and OOI in the left camera over pairs taken at rest.
 
     Model:   rest: p = position of tool minus OOI per pair; spread = 1.4826 median |p - median|,
-             drift = |median of the last third - of the first|. Then `pose_mean` for each object.
+             drift = |median of the last third - of the first|; a limit below the predicted noise is raised to it.
+             Then `pose_mean` for each object.
     Args:    observations: pairs in order of exposure. spread_max_mm: limit of spread and drift [mm] without `settings`.
     Returns: Look; its poses are None unless status is OK or ORIENTATION_AMBIGUOUS.
     """
@@ -47,10 +49,13 @@ def average_look(
     if len(usable) < max(1.0, limits.used_min_frac * len(observations)):
         return _failed(observations, *_why_unusable(observations))
     rest = _rest(usable)
-    if rest.spread_mm > limits.spread_max_mm or rest.drift_mm > limits.drift_max_mm:
+    noise_mm = _noise_mm(usable)  # far markers scatter by more than the limits without any motion
+    spread_max_mm = max(limits.spread_max_mm, SPREAD_SIGMAS * noise_mm)
+    drift_max_mm = max(limits.drift_max_mm, DRIFT_SIGMAS * noise_mm / np.sqrt(max(1.0, len(usable) / 3.0)))
+    if rest.spread_mm > spread_max_mm or rest.drift_mm > drift_max_mm:
         reason = (
-            f"tool moves against the OOI: spread {rest.spread_mm:.2f} mm (limit {limits.spread_max_mm:g} mm), drift "
-            f"{rest.drift_mm:.2f} mm (limit {limits.drift_max_mm:g} mm) over {len(usable)} pairs; "
+            f"tool moves against the OOI: spread {rest.spread_mm:.2f} mm (limit {spread_max_mm:.2g} mm), drift "
+            f"{rest.drift_mm:.2f} mm (limit {drift_max_mm:.2g} mm) over {len(usable)} pairs; "
             "wait until the boom rests"
         )
         return _failed(observations, LookStatus.NOT_AT_REST, reason, rest.spread_mm)
@@ -102,6 +107,15 @@ def _rest(observations: Sequence[PairObservation]) -> Rest:
     third = max(1, len(positions_mm) // 3)
     first, last = np.median(positions_mm[:third], axis=0), np.median(positions_mm[-third:], axis=0)
     return Rest(MAD_TO_SIGMA * float(np.median(distance)), float(np.linalg.norm(last - first)))
+
+
+def _noise_mm(observations: Sequence[PairObservation]) -> float:
+    """Predicted sigma of the tool-to-OOI position of one pair, all axes together [mm]; median over the pairs."""
+    both = [(one.tool.covariance, one.ooi.covariance) for one in observations]
+    squares = [
+        np.trace(tool[3:, 3:]) + np.trace(ooi[3:, 3:]) for tool, ooi in both if tool is not None and ooi is not None
+    ]
+    return 1e3 * float(np.sqrt(np.median(squares))) if squares else 0.0
 
 
 def _why_unusable(observations: Sequence[PairObservation]) -> tuple[LookStatus, str]:

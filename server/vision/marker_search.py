@@ -1,5 +1,6 @@
 """Square fiducials in one image: any ArUco or AprilTag dictionary by name."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -43,6 +44,17 @@ def dictionary_by_name(name: str) -> "cv2.aruco.Dictionary":
             f"marker dictionary '{name}' is unknown; give one of {', '.join(dictionary_names())}"
         )
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+
+
+def require_ids(dictionary: "cv2.aruco.Dictionary", name: str, ids: Iterable[int]) -> None:
+    """Every id must be one of the dictionary's.
+
+    Raises: UnknownDictionaryError naming the ids and the range.
+    """
+    n = len(dictionary.bytesList)
+    beyond = sorted(one for one in ids if not 0 <= one < n)
+    if beyond:
+        raise UnknownDictionaryError(f"marker ids {beyond} are not in {name}; it has ids 0 to {n - 1}: print others")
 
 
 def cells_along_side(dictionary: "cv2.aruco.Dictionary") -> int:

@@ -1,22 +1,34 @@
 """Stereo odometry: each pair is laid onto kept keyframes, oldest first, so that a revisited place costs no drift."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
-from machine.poses import inverse_pose
+from machine.poses import inverse_pose, transform_points
 from machine.rotations import nearest_rotation
 from server.vision.contracts import Array, Image, OdometryPose, OdometryStatus
-from server.vision.odometry_features import allowed_mask, coverage, inside_mask
-from server.vision.odometry_flow import flow
-from server.vision.odometry_keyframe import Keyframe, make_keyframe, match_eyes
-from server.vision.odometry_motion import covariance_in_vo, predict_pose, with_scale_error
-from server.vision.odometry_observation import Frame, Observed, observe_map
-from server.vision.odometry_pose import PoseFit, coarse_pose, refine_camera
-from server.vision.warm_up import warm_up_odometry
+from server.vision.odometry_adjustment import adjust_keyframes
+from server.vision.odometry_covariance import KeyframeCovariances
+from server.vision.odometry_features import allowed_mask, coverage
+from server.vision.odometry_keyframe import Keyframe, SeenHere, make_keyframe
+from server.vision.odometry_motion import (
+    Motion,
+    Twist,
+    covariance_in_vo,
+    moved_by_twist,
+    row_fractions,
+    standing,
+    with_scale_error,
+)
+from server.vision.odometry_observation import Observed, observe_map
+from server.vision.odometry_pose import PoseFit, refine_camera
+from server.vision.odometry_readout import Readout, readout_of
+from server.vision.odometry_relocation import by_flow, by_recognition
+from server.vision.odometry_sensitivity import Sensitivity, Shutter, sensitivity
+from server.vision.odometry_sight import ImageSight, Sight
+from server.vision.odometry_warm_up import warm_up
 
 UNKNOWN_COVARIANCE = np.diag([np.pi**2] * 3 + [1e6] * 3)
 COARSE_ALIGNED_MIN_FRAC = 0.1  # after a coarse start: it has RANSAC behind it
@@ -29,26 +41,40 @@ class OdometrySettings:
 
     features: int = 400  # grid cells for new corners, one corner each
     points_max: int = 320  # map points laid onto each pair
-    sigma_px: float = 0.12  # of one aligned coordinate
+    sigma_px: float = 0.08  # of one coordinate of a corner in one image
     aligned_min_frac: float = 0.5  # of the expected points; below, the prediction was wrong and flow must help
     keyframe_below_frac: float = 0.55  # of the last keyframe's points or coverage
     keyframes_max: int = 40
+    window: int = 6  # newest keyframes that are adjusted together when one is added
     inliers_good: int = 60
     inliers_min: int = 15
     coverage_good: int = 10  # of 40 cells of the image
+    sigma_good_m: float = 2e-3  # of the position, the rig's scale apart, near the start
+    sigma_good_frac: float = 0.005  # of the distance from the start, added to that
+    rms_good: float = 6.0  # of the residuals in their sigmas; photographs of a street reach 3.5
     sigma_scale_frac: float = 0.004  # of the rig's calibration: 0.2 px of disparity at 1.3 m; no pair can show it
+    readout_s: float | None = None  # rolling shutter, first to last row; 0 = global; None = learned from the motion
 
 
 @dataclass(frozen=True, slots=True)
 class Last:
     """The last pair whose pose is known, and its inliers: the start for the next one."""
 
-    frame: Frame
-    T_vo_cam: Array
-    step: Array  # motion since the pair before, T_before_last
-    step_ns: int
+    sight: Sight
+    motion: Motion
     left_px: Array
     points_vo: Array
+    is_keyframe: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """A pose, the points that it was fitted to (as shifted for the shutter), and the velocity that was assumed."""
+
+    observed: Observed
+    fit: PoseFit
+    points_vo: Array
+    twist: Twist
 
 
 class StereoOdometry:
@@ -58,21 +84,29 @@ class StereoOdometry:
         self._camera = camera
         self._shape = (camera.height_px, camera.width_px)
         self._settings = settings or OdometrySettings()
-        self._keyframes: list[Keyframe] = []
-        self._last: Last | None = None
-        self._full_points = 0
-        self._full_coverage = 0
-        warm_up_odometry()
+        self.reset()
+        warm_up()
 
     @property
     def keyframes(self) -> tuple[Keyframe, ...]:
         """The kept keyframes, the anchor first."""
         return tuple(self._keyframes)
 
+    @property
+    def readout(self) -> Readout:
+        """The rolling shutter's readout as told or learned so far."""
+        return self._readout
+
     def reset(self) -> None:
         """Forget everything; the next pair starts a new `vo` frame."""
-        self._keyframes = []
-        self._last = None
+        self._keyframes: list[Keyframe] = []
+        self._known = KeyframeCovariances()
+        self._readout = readout_of(self._settings.readout_s)
+        self._last: Last | None = None
+        self._serial = 0
+        self._recognitions = 0
+        self._full_points = 0
+        self._full_coverage = 0
 
     def process(
         self,
@@ -94,112 +128,203 @@ class StereoOdometry:
             found = f"{left.shape} {left.dtype} and {right.shape} {right.dtype}"
             return self._lost(t_exposure_ns, f"pair is {found}; the camera file says {self._shape} uint8")
         masks = allowed_mask(self._shape, mask_polygons_left), allowed_mask(self._shape, mask_polygons_right)
-        frame = Frame(left, right, masks, t_exposure_ns)
-        if self._last is None:
-            return self._start(frame)
-        fitted = self._locate(frame, self._last)
-        if fitted is None:
-            return self._lost(
-                t_exposure_ns, "too few known points found again; go back to where they were or start anew"
-            )
-        return self._accept(frame, self._last, *fitted)
+        return self.process_sight(ImageSight(left, right, masks, t_exposure_ns))
 
-    def _start(self, frame: Frame) -> OdometryPose:
-        keyframe = self._add_keyframe(frame, np.eye(4), np.zeros((6, 6)), np.zeros((0, 2)))
+    def process_sight(self, sight: Sight) -> OdometryPose:
+        """As `process`, for a pair that was looked at in another way (a simulation of points)."""
+        if self._last is None:
+            return self._start(sight)
+        located = self._locate(sight, self._last)
+        if located is None:
+            reason = "too few known points found again: dark, covered, or a new place; go back or start anew"
+            return self._lost(sight.t_exposure_ns, reason)
+        if self._last.is_keyframe:
+            located = self._settle_keyframe(sight, self._last, located)
+        return self._accept(sight, self._last, located)
+
+    def _start(self, sight: Sight) -> OdometryPose:
+        motion = standing(np.eye(4), sight.t_exposure_ns)
+        kept = sight.keep()
+        keyframe = self._add_keyframe(kept, motion, np.zeros((6, 6)), None, np.zeros((0, 2)))
         if keyframe.n_points < self._settings.inliers_min:
             self.reset()
             reason = f"{keyframe.n_points} points in both eyes (need {self._settings.inliers_min}); too little texture"
-            return self._lost(frame.t_exposure_ns, reason)
-        self._last = Last(frame, np.eye(4), np.eye(4), 0, keyframe.places_left_px, keyframe.points_vo)
-        status, reason = self._verdict(keyframe.places_left_px)
-        return OdometryPose(frame.t_exposure_ns, np.eye(4), np.zeros((6, 6)), status, reason, keyframe.n_points)
+            return self._lost(sight.t_exposure_ns, reason)
+        self._last = Last(kept, motion, keyframe.places_left_px, keyframe.points_vo, True)
+        status, reason = self._verdict(keyframe.places_left_px, np.zeros((6, 6)), 1.0)
+        return OdometryPose(sight.t_exposure_ns, np.eye(4), np.zeros((6, 6)), status, reason, keyframe.n_points)
 
-    def _locate(self, frame: Frame, last: Last) -> tuple[Observed, PoseFit] | None:
-        elapsed_ns = frame.t_exposure_ns - last.frame.t_exposure_ns
-        predicted = predict_pose(last.T_vo_cam, last.step, last.step_ns, elapsed_ns)
-        fitted = self._fit(frame, predicted, self._settings.aligned_min_frac)
-        if fitted is not None:
-            return fitted
-        T_coarse = self._coarse(frame, last)
-        return None if T_coarse is None else self._fit(frame, T_coarse, COARSE_ALIGNED_MIN_FRAC)
+    def _locate(self, sight: Sight, last: Last) -> Located | None:
+        located = self._fit(sight, last.motion, last.motion.predict(sight.t_exposure_ns), False)
+        if located is not None:
+            return located
+        T_coarse = self._coarse(sight, last)
+        return None if T_coarse is None else self._fit(sight, last.motion, T_coarse, True)
 
-    def _coarse(self, frame: Frame, last: Last) -> Array | None:
-        """T_vo_cam from flow: from the last pair, else from the first and the newest keyframe."""
-        sources = [(last.frame.left, last.left_px, last.points_vo)]
-        for keyframe in (self._keyframes[0], self._keyframes[-1]):
-            sources.append((keyframe.left, keyframe.places_left_px, keyframe.points_vo))
-        for image, places_px, points_vo in sources:
-            found = flow(image, frame.left, places_px)
-            good = found.good & inside_mask(frame.masks[0], found.points_px)
-            rays = undistort_to_rays(self._camera, found.points_px[good])
-            start = coarse_pose(points_vo[good], rays, self._camera.fx_px)
-            if start is not None and start.n_inliers >= self._settings.inliers_min:
-                return inverse_pose(start.T_cam_vo)
-        return None
+    def _coarse(self, sight: Sight, last: Last) -> Array | None:
+        """T_vo_cam by flow from the last pair, the first and the newest keyframe; else by recognising a keyframe."""
+        keyframes = (self._keyframes[0], self._keyframes[-1])
+        sources = [(last.sight, last.left_px, last.points_vo)]
+        sources += [(keyframe.sight, keyframe.places_left_px, keyframe.points_vo) for keyframe in keyframes]
+        T_vo_cam = by_flow(self._camera, sight, sources, self._settings.inliers_min)
+        if T_vo_cam is not None:
+            return T_vo_cam
+        self._recognitions += 1
+        return by_recognition(self._camera, sight, self._keyframes, self._recognitions, self._settings.inliers_min)
 
-    def _fit(self, frame: Frame, T_vo_cam: Array, aligned_min_frac: float) -> tuple[Observed, PoseFit] | None:
+    def _fit(self, sight: Sight, motion: Motion, T_vo_cam: Array, coarse: bool) -> Located | None:
         settings = self._settings
-        observed = observe_map(self._camera, self._keyframes, frame, T_vo_cam, settings.points_max, settings.sigma_px)
-        if len(observed.left_px) < max(aligned_min_frac * observed.n_expected, settings.inliers_min):
+        observed = observe_map(self._camera, self._keyframes, sight, T_vo_cam, settings.points_max, settings.sigma_px)
+        frac = COARSE_ALIGNED_MIN_FRAC if coarse else settings.aligned_min_frac
+        if len(observed.left_px) < max(frac * observed.n_expected, settings.inliers_min):
             return None
-        fit = refine_camera(inverse_pose(T_vo_cam), observed.seen)
-        if fit is None or fit.inliers.sum() < max(settings.inliers_min, INLIERS_MIN_FRAC * len(fit.inliers)):
-            return None
-        return observed, fit
+        twist, located = motion.twist(), None
+        for _ in range(2 if self._rolls else 1):
+            points_vo = self._as_exposed(observed, T_vo_cam, twist.value)
+            fit = refine_camera(inverse_pose(T_vo_cam), replace(observed.seen, points_vo=points_vo))
+            if fit is None or fit.inliers.sum() < max(settings.inliers_min, INLIERS_MIN_FRAC * len(fit.inliers)):
+                return None
+            T_vo_cam = inverse_pose(fit.T_cam_vo)
+            T_vo_cam[:3, :3] = nearest_rotation(T_vo_cam[:3, :3])
+            located = Located(observed, fit, points_vo, twist)
+            twist = motion.moved_to(T_vo_cam, sight.t_exposure_ns).twist()
+        return located
 
-    def _accept(self, frame: Frame, last: Last, observed: Observed, fit: PoseFit) -> OdometryPose:
+    @property
+    def _rolls(self) -> bool:
+        return self._readout.value_s != 0.0 or self._readout.sigma_s > 0.0
+
+    def _fractions(self, left_px: Array) -> Array:
+        return row_fractions(left_px[:, 1], self._camera.height_px)
+
+    def _as_exposed(self, observed: Observed, T_vo_cam: Array, twist: Array) -> Array:
+        """Map points (n, 3) in vo as if they had moved, instead of the camera, until their row was exposed."""
+        points_vo = observed.seen.points_vo
+        if not self._rolls:
+            return points_vo
+        points_cam = transform_points(inverse_pose(T_vo_cam), points_vo)
+        times_s = self._readout.value_s * self._fractions(observed.left_px)
+        return transform_points(T_vo_cam, moved_by_twist(points_cam, twist, times_s))
+
+    def _settle_keyframe(self, sight: Sight, last: Last, located: Located) -> Located:
+        """The pair after a keyframe shows how fast that one moved; then the map is adjusted, and the fit repeated."""
+        if not self._rolls:
+            return located
+        keyframe, motion = self._keyframes[-1], last.motion
+        twist = motion.twist_between(motion.moved_to(inverse_pose(located.fit.T_cam_vo), sight.t_exposure_ns))
+        keyframe.place(keyframe.T_vo_cam, twist.value, self._readout.value_s)
+        self._known.set_twist(len(self._keyframes) - 1, twist.sigma)
+        if len(self._keyframes) > 1:
+            self._adjust(max(located.fit.rms_sigma, 1.0))
+        self._last = replace(last, motion=replace(motion, T_vo_cam=keyframe.T_vo_cam))
+        again = self._fit(sight, self._last.motion, inverse_pose(located.fit.T_cam_vo), False)
+        return located if again is None else again
+
+    def _accept(self, sight: Sight, last: Last, located: Located) -> OdometryPose:
+        fit, observed = located.fit, located.observed
+        for tried in observed.tried:
+            tried.count()
         T_vo_cam = inverse_pose(fit.T_cam_vo)
         T_vo_cam[:3, :3] = nearest_rotation(T_vo_cam[:3, :3])
         inliers_px = observed.left_px[fit.inliers]
-        covariance = covariance_in_vo(fit.T_cam_vo, fit.covariance) + self._anchor_covariance(observed, fit)
-        status, reason = self._verdict(inliers_px)
-        self._last = Last(
-            frame=frame,
-            T_vo_cam=T_vo_cam,
-            step=inverse_pose(last.T_vo_cam) @ T_vo_cam,
-            step_ns=frame.t_exposure_ns - last.frame.t_exposure_ns,
-            left_px=inliers_px,
-            points_vo=observed.seen.points_vo[fit.inliers],
-        )
-        if self._wants_keyframe(inliers_px):
-            self._add_keyframe(frame, T_vo_cam, covariance, inliers_px)
+        gains = self._sensitivity(located)
+        covariance = covariance_in_vo(fit.T_cam_vo, fit.covariance) + self._known.carried(gains)
+        covariance += gains.of_twist @ np.diag(located.twist.sigma**2) @ gains.of_twist.T
+        covariance += self._readout.sigma_s**2 * np.outer(gains.of_readout, gains.of_readout)
+        self._learn_readout(gains)
+        status, reason = self._verdict(inliers_px, covariance, fit.rms_sigma, float(np.linalg.norm(T_vo_cam[:3, 3])))
+        motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
+        wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls)
+        kept = sight.keep() if wanted else sight
+        if wanted:
+            keyframe = self._add_keyframe(kept, motion, covariance, gains, inliers_px)
+            keyframe.seen_here, keyframe.twist_gain = self._seen_here(located), gains.of_twist
+            self._adjust(max(fit.rms_sigma, 1.0))
+            T_vo_cam = keyframe.T_vo_cam
+            motion = replace(motion, T_vo_cam=T_vo_cam)
+        self._last = Last(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)
         reported = with_scale_error(covariance, T_vo_cam[:3, 3], self._settings.sigma_scale_frac)
-        return OdometryPose(frame.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
+        return OdometryPose(sight.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
 
-    def _anchor_covariance(self, observed: Observed, fit: PoseFit) -> Array:
-        """The keyframes' own covariance, weighted by how many inliers each gave."""
-        numbers, counts = np.unique(observed.keyframes[fit.inliers], return_counts=True)
-        weighted = [self._keyframes[number].covariance * count for number, count in zip(numbers, counts, strict=True)]
-        return np.sum(weighted, axis=0) / counts.sum()
+    def _learn_readout(self, gains: Sensitivity) -> None:
+        if self._readout.sigma_s == 0.0:
+            return
+        self._readout = self._readout.learned(gains.readout_step_s, gains.readout_information)
+        for keyframe in self._keyframes:
+            keyframe.place(keyframe.T_vo_cam, keyframe.twist, self._readout.value_s)
 
-    def _verdict(self, inliers_px: Array) -> tuple[OdometryStatus, str]:
+    def _sensitivity(self, located: Located) -> Sensitivity:
+        observed = located.observed
+        fractions_key = np.empty(len(observed.keyframes))
+        for number in np.unique(observed.keyframes):
+            on = observed.keyframes == number
+            fractions_key[on] = self._keyframes[number].row_fractions[observed.indices[on]]
+        fractions = self._fractions(observed.left_px)
+        shutter = Shutter(fractions, fractions_key, located.twist.value, self._readout.size_s)
+        return sensitivity(observed, located.fit, located.points_vo, shutter, self._keyframes)
+
+    def _seen_here(self, located: Located) -> SeenHere:
+        observed, on = located.observed, located.fit.inliers
+        serials = np.array([keyframe.serial for keyframe in self._keyframes], dtype=np.int64)
+        return SeenHere(
+            serials[observed.keyframes[on]], observed.indices[on], observed.left_px[on], observed.right_px[on]
+        )
+
+    def _adjust(self, noise_factor: float) -> None:
+        """Bring the newest keyframes and their points into one best fit."""
+        first = max(0, len(self._keyframes) - self._settings.window)
+        window = self._keyframes[first:]
+        joint = adjust_keyframes(self._camera, window, self._readout.value_s, self._settings.sigma_px, noise_factor)
+        if joint is not None:
+            for row, keyframe in enumerate(window[1:], start=1):
+                gain = keyframe.twist_gain * self._known.twist_sigma(first + row)
+                joint[6 * row : 6 * row + 6, 6 * row : 6 * row + 6] += gain @ gain.T
+            Ts = np.array([keyframe.T_vo_cam for keyframe in window])
+            self._known.replace_poses(range(first, len(self._keyframes)), joint, Ts)
+
+    def _verdict(
+        self, inliers_px: Array, covariance: Array, rms_sigma: float, distance_m: float = 0.0
+    ) -> tuple[OdometryStatus, str]:
         settings = self._settings
+        good_m = settings.sigma_good_m + settings.sigma_good_frac * distance_m
         count, covered = len(inliers_px), coverage(inliers_px, self._shape)
+        sigma_m = float(np.sqrt(max(np.linalg.eigvalsh(covariance[3:, 3:])[-1], 0.0)))
+        reason = ""
         if count < settings.inliers_good:
-            return OdometryStatus.DEGRADED, f"{count} points (good from {settings.inliers_good}); little texture"
-        if covered < settings.coverage_good:
-            limit = settings.coverage_good
-            return OdometryStatus.DEGRADED, f"points in {covered} of 40 cells of the image (good from {limit})"
-        return OdometryStatus.OK, ""
+            reason = f"{count} points (good from {settings.inliers_good}); little texture, or something covers the wall"
+        elif covered < settings.coverage_good:
+            reason = f"points in {covered} of 40 cells of the image (good from {settings.coverage_good})"
+        elif sigma_m > good_m:
+            reason = f"position only known to {1e3 * sigma_m:.1f} mm (good to {1e3 * good_m:.1f}); go slower or nearer"
+        elif rms_sigma > settings.rms_good:
+            reason = f"points disagree {rms_sigma:.1f} times more than they should; calibration, sync or moving things"
+        return (OdometryStatus.DEGRADED if reason else OdometryStatus.OK), reason
 
     def _wants_keyframe(self, inliers_px: Array) -> bool:
         frac = self._settings.keyframe_below_frac
         few = len(inliers_px) < frac * self._full_points
         return few or coverage(inliers_px, self._shape) < frac * self._full_coverage
 
-    def _add_keyframe(self, frame: Frame, T_vo_cam: Array, covariance: Array, occupied_px: Array) -> Keyframe:
+    def _add_keyframe(
+        self, sight: Sight, motion: Motion, covariance: Array, gains: Sensitivity | None, occupied_px: Array
+    ) -> Keyframe:
         camera, settings = self._camera, self._settings
-        found = match_eyes(camera, frame.left, frame.right, frame.masks, settings.features, occupied_px)
-        images = frame.left.copy(), frame.right.copy()
-        keyframe = make_keyframe(camera, images, (T_vo_cam, covariance), found, settings.sigma_px)
+        found = sight.match_eyes(camera, settings.features, occupied_px)
+        twist = motion.twist()
+        readout_s, self._serial = self._readout.value_s, self._serial + 1
+        keyframe = make_keyframe(
+            camera, sight, motion.T_vo_cam, twist.value, found, settings.sigma_px, readout_s, self._serial
+        )
         self._keyframes.append(keyframe)
+        self._known.add(covariance, gains, twist.sigma)
         if len(self._keyframes) > settings.keyframes_max:
             del self._keyframes[1]  # the first is the anchor of the whole track
+            self._known.remove(1)
         everything = np.concatenate([occupied_px, keyframe.places_left_px])
         self._full_points = min(len(everything), settings.points_max)
         self._full_coverage = coverage(everything, self._shape)
         return keyframe
 
     def _lost(self, t_exposure_ns: int, reason: str) -> OdometryPose:
-        T_vo_cam = np.eye(4) if self._last is None else self._last.T_vo_cam
+        T_vo_cam = np.eye(4) if self._last is None else self._last.motion.T_vo_cam
         return OdometryPose(t_exposure_ns, T_vo_cam, UNKNOWN_COVARIANCE.copy(), OdometryStatus.LOST, reason, 0)

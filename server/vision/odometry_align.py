@@ -25,7 +25,7 @@ class Alignment:
     good: NDArray[np.bool_]
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _grey(image: Image, x: float, y: float) -> float:
     column, row = int(x), int(y)
     a, b = x - column, y - row
@@ -34,7 +34,7 @@ def _grey(image: Image, x: float, y: float) -> float:
     return (1.0 - b) * upper + b * lower
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _template(image: Image, x: float, y: float, warp: Array, patch: Array) -> bool:
     """Patch with a rim of one pixel, sampled through the warp; False where it leaves the image."""
     height, width = image.shape
@@ -51,7 +51,7 @@ def _template(image: Image, x: float, y: float, warp: Array, patch: Array) -> bo
     return True
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _align_one(image: Image, patch: Array, x: float, y: float, gradients: Array) -> tuple[float, float, float]:
     """Inverse compositional translation with gain and offset of the light; correlation -1 where it fails."""
     height, width = image.shape
@@ -114,7 +114,7 @@ def _align_one(image: Image, patch: Array, x: float, y: float, gradients: Array)
     return x, y, correlation
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _align(reference: Image, points: Array, warps: Array, image: Image, guesses: Array) -> tuple[Array, Array]:
     found, correlations = guesses.copy(), np.full(len(points), -1.0)
     size = 2 * HALF_PX + 1

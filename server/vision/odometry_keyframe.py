@@ -1,6 +1,6 @@
 """Keyframes: a stereo pair that is kept, and the points it put into the map."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,176 +8,167 @@ from numpy.typing import NDArray
 from machine.camera import project_stereo, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
-from server.vision.contracts import Array, Image
-from server.vision.odometry_features import inside_mask, spread_corners
-from server.vision.odometry_flow import flow
+from server.vision.contracts import Array
+from server.vision.odometry_lens import ray_noise
+from server.vision.odometry_motion import moved_by_twist, row_fractions
+from server.vision.odometry_sight import Sight, StereoMatches, Wanted
 
-EPIPOLAR_MAX_PX = 1.0
-DISPARITY_MIN_PX = 1.5
 FAILURES_MAX = 8  # more failed than found, and this often: the point is no good
+DEPTH_MIN_M = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class SeenHere:
+    """Points of older keyframes that a keyframe shows: serials and numbers in them (n,), raw pixels (n, 2) (right NaN
+    where not shown)."""
+
+    serials: NDArray[np.int64]
+    indices: NDArray[np.int64]
+    left_px: Array
+    right_px: Array
 
 
 @dataclass(slots=True)
 class Keyframe:
-    """Images and n map points. Mutable only in its points' failure counts.
+    """A kept pair and its n map points; `place` moves them when pose or velocity become better known.
 
-    places_left_px, places_right_px (n, 2): raw pixels. points_vo (n, 3) [m]. support_vo (n, 2, 3): the points one raw
-    pixel to the right and below, at the same depth. depth_step_vo (n, 3): what one sigma of the disparity moves the
-    point by. depth_step_right (n, 2) [px]: what that moves it by in this keyframe's own right eye.
+    places_left_px, places_right_px (n, 2): raw pixels. points_row (n, 3) [m]: in the camera's axes at the moment its
+    row was exposed. support_row (n, 2, 3): the points one raw pixel to the right and below, at the same depth.
+    covariances_row (n, 3, 3) [m^2]. The same in vo, at mid-exposure of the middle row: points_vo, support_vo,
+    covariances_vo. mixing: by a keyframe's serial (n, 3, 3): how far each point goes where that keyframe goes; they sum
+    to the identity. seen_here: older points found again in this pair. twist_gain (6, 6): what the velocity's error
+    did to this pose.
     """
 
-    left: Image
-    right: Image
+    sight: Sight
     T_vo_cam: Array
-    covariance: Array
     places_left_px: Array
     places_right_px: Array
+    points_row: Array
+    support_row: Array
+    covariances_row: Array
+    row_fractions: Array
+    twist: Array
     points_vo: Array
     support_vo: Array
-    depth_step_vo: Array
-    depth_step_right: Array
+    covariances_vo: Array
     failures: NDArray[np.int64]
+    serial: int = 0
+    mixing: dict[int, Array] = field(default_factory=dict)
+    seen_here: "SeenHere | None" = None
+    twist_gain: Array = field(default_factory=lambda: np.zeros((6, 6)))
 
     @property
     def n_points(self) -> int:
         """Points this keyframe put into the map."""
-        return len(self.points_vo)
+        return len(self.points_row)
+
+    def place(self, T_vo_cam: Array, twist: Array, readout_s: float) -> None:
+        """Put the map points where this pose, velocity (6,) and readout of the shutter say they are."""
+        times = -self.row_fractions * readout_s
+        self.twist = twist
+        rotation = T_vo_cam[:3, :3]
+        self.T_vo_cam = T_vo_cam
+        self.points_vo = transform_points(T_vo_cam, moved_by_twist(self.points_row, twist, times))
+        sides = [moved_by_twist(self.support_row[:, k], twist, times) for k in range(2)]
+        self.support_vo = np.stack([transform_points(T_vo_cam, side) for side in sides], axis=1)
+        self.covariances_vo = rotation @ self.covariances_row @ rotation.T
+
+    def move_points(self, at: NDArray[np.int64], points_vo: Array, covariances_vo: Array, readout_s: float) -> None:
+        """Give some points (m,) other places (m, 3) and covariances (m, 3, 3), in this keyframe's own axes too."""
+        T_cam_vo = inverse_pose(self.T_vo_cam)
+        middle = transform_points(T_cam_vo, points_vo)
+        rows = moved_by_twist(middle, self.twist, self.row_fractions[at] * readout_s)
+        self.support_row[at] += (rows - self.points_row[at])[:, None]
+        self.points_row[at] = rows
+        self.covariances_row[at] = T_cam_vo[:3, :3] @ covariances_vo @ T_cam_vo[:3, :3].T
+        self.place(self.T_vo_cam, self.twist, readout_s)
 
 
-@dataclass(frozen=True, slots=True)
-class StereoMatches:
-    """Raw pixels (n, 2) of the same points in both eyes, their rays and depths (n,) [m]."""
+def triangulated(camera: StereoCamera, found: StereoMatches, sigma_px: float) -> tuple[Array, Array]:
+    """Points (n, 3) [m] in the left eye's axes and their covariances (n, 3, 3).
 
-    left_px: Array
-    right_px: Array
-    rays_left: Array
-    depth_m: Array
-
-
-def match_eyes(
-    camera: StereoCamera, left: Image, right: Image, masks: tuple[Image, Image], count: int, occupied_px: Array
-) -> StereoMatches:
-    """New corners of the left eye found again in the right one and triangulated.
-
-    Model:   depth z = f b / (x_left - x_right) on undistorted rays; kept where |y_left - y_right| < 1 px and the
-             disparity is at least 1.5 px. Flow runs twice: what fails starts again at the disparity of its neighbours.
+    Model:   z = f b / (x_left - x_right) on undistorted rays; the row is the mean of both eyes' rows. Each raw
+             coordinate carries an independent error of sigma_px.
     """
-    corners = spread_corners(left, masks[0], count, occupied_px)
-    found = flow(left, right, corners)
-    rays_left = undistort_to_rays(camera, corners)
-    right_px, good = found.points_px, _plausible(camera, rays_left, found.points_px, found.good)
-    if 0 < good.sum() < len(good):
-        shift = np.median(right_px[good] - corners[good], axis=0)
-        again = flow(left, right, corners[~good], corners[~good] + shift)
-        right_px = right_px.copy()
-        right_px[~good] = again.points_px
-        retried = good.copy()
-        retried[~good] = again.good
-        good = _plausible(camera, rays_left, right_px, retried)
-    good &= inside_mask(masks[1], right_px)
-    rays_right = undistort_to_rays(camera, right_px[good])
-    depth = camera.baseline_m / (rays_left[good, 0] - rays_right[:, 0])
-    return StereoMatches(corners[good], right_px[good], rays_left[good], depth)
-
-
-def _plausible(camera: StereoCamera, rays_left: Array, right_px: Array, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    height, width = camera.height_px, camera.width_px
-    inside = np.asarray((right_px >= 0.0).all(axis=1) & (right_px < [width, height]).all(axis=1))
-    rays_right = undistort_to_rays(camera, np.where(inside[:, None], right_px, 0.0))
-    disparity = (rays_left[:, 0] - rays_right[:, 0]) * camera.fx_px
-    row = np.abs(rays_left[:, 1] - rays_right[:, 1]) * camera.fy_px
-    return np.asarray(good & inside & (row < EPIPOLAR_MAX_PX) & (disparity > DISPARITY_MIN_PX))
+    left, right = undistort_to_rays(camera, found.left_px), undistort_to_rays(camera, found.right_px)
+    depth = camera.baseline_m / (left[:, 0] - right[:, 0])
+    rays = np.column_stack([left[:, 0], 0.5 * (left[:, 1] + right[:, 1]), np.ones(len(left))])
+    J = np.zeros((len(left), 3, 4))  # d(point) / d(x left, y left, x right, y right) in px
+    slope = depth**2 / (camera.fx_px * camera.baseline_m)
+    J[:, :, 0] = -rays * slope[:, None]
+    J[:, :, 2] = rays * slope[:, None]
+    J[:, 0, 0] += depth / camera.fx_px
+    J[:, 1, 1] = J[:, 1, 3] = 0.5 * depth / camera.fy_px
+    noise = np.zeros((len(left), 4, 4))
+    noise[:, :2, :2], noise[:, 2:, 2:] = ray_noise(camera, left), ray_noise(camera, right)
+    return rays * depth[:, None], sigma_px**2 * (J @ noise @ J.transpose(0, 2, 1))
 
 
 def make_keyframe(
     camera: StereoCamera,
-    images: tuple[Image, Image],
-    pose_vo: tuple[Array, Array],
+    sight: Sight,
+    T_vo_cam: Array,
+    twist: Array,
     found: StereoMatches,
     sigma_px: float,
+    readout_s: float,
+    serial: int = 0,
 ) -> Keyframe:
-    """A keyframe at a known pose (T_vo_cam, covariance) with its triangulated points.
-
-    Model:   sigma of the depth = z^2 sqrt(2) sigma / (f b), along the left ray.
-    """
-    T_vo_cam, covariance = pose_vo
-    ones = np.ones((len(found.depth_m), 1))
-    rays = np.concatenate([found.rays_left, ones], axis=1)
-    points_cam = rays * found.depth_m[:, None]
+    """A keyframe at a known pose and velocity (6,) with its triangulated points; `sight` is kept as it is."""
+    points, covariances = triangulated(camera, found, sigma_px)
+    here = undistort_to_rays(camera, found.left_px)
     support = []
     for offset in (np.array([1.0, 0.0]), np.array([0.0, 1.0])):
-        neighbour = undistort_to_rays(camera, found.left_px + offset)
-        beside = np.concatenate([neighbour, ones], axis=1) * found.depth_m[:, None]
-        support.append(transform_points(T_vo_cam, beside))
-    sigma_depth = found.depth_m**2 * np.sqrt(2.0) * sigma_px / (camera.fx_px * camera.baseline_m)
-    step_cam = rays * sigma_depth[:, None]
-    return Keyframe(
-        left=images[0],
-        right=images[1],
+        beside = (undistort_to_rays(camera, found.left_px + offset) - here) * points[:, 2:]
+        support.append(points + np.column_stack([beside, np.zeros(len(points))]))
+    empty = np.zeros((0, 3))
+    keyframe = Keyframe(
+        sight=sight,
         T_vo_cam=T_vo_cam,
-        covariance=covariance,
         places_left_px=found.left_px,
         places_right_px=found.right_px,
-        points_vo=transform_points(T_vo_cam, points_cam),
-        support_vo=np.stack(support, axis=1),
-        depth_step_vo=step_cam @ T_vo_cam[:3, :3].T,
-        depth_step_right=_right_step(camera, points_cam, step_cam),
-        failures=np.zeros(len(points_cam), dtype=np.int64),
+        points_row=points,
+        support_row=np.stack(support, axis=1),
+        covariances_row=covariances,
+        row_fractions=row_fractions(found.left_px[:, 1], camera.height_px),
+        twist=twist,
+        points_vo=empty,
+        support_vo=empty,
+        covariances_vo=empty,
+        failures=np.zeros(len(points), dtype=np.int64),
     )
+    keyframe.serial = serial
+    keyframe.mixing = {serial: np.tile(np.eye(3), (len(points), 1, 1))}
+    keyframe.place(T_vo_cam, twist, readout_s)
+    return keyframe
 
 
-def _pinhole_px(camera: StereoCamera, points_cam: Array, eye: int) -> Array:
-    shifted = points_cam[:, :2] - np.array([eye * camera.baseline_m, 0.0])
-    return shifted / points_cam[:, 2:] * camera.fx_px
-
-
-def _right_step(camera: StereoCamera, points_cam: Array, step_cam: Array) -> Array:
-    return _pinhole_px(camera, points_cam + step_cam, 1) - _pinhole_px(camera, points_cam, 1)
-
-
-@dataclass(frozen=True, slots=True)
-class Expected:
-    """Points of one keyframe that the new pair should show: their indices, where, how warped, and how well known.
-
-    indices (m,); left_px, right_px (m, 2) raw; warps (m, 2, 2) = d(keyframe px)/d(new px); map_sigma_px (m, 2): what
-    the point's own depth error amounts to in each eye [px].
-    """
-
-    indices: NDArray[np.int64]
-    left_px: Array
-    right_px: Array
-    warps: Array
-    map_sigma_px: Array
-
-
-def expect_points(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array, mask: Image) -> Expected:
+def expect_points(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array, sight: Sight) -> Wanted:
     """Which of a keyframe's points a pair taken at `T_vo_cam` shows, and where.
 
-    A point is left out where it lies outside the mask, where the patch would be seen at less than 0.4 or more than 2.5
+    A point is left out where it lies under the mask, where the patch would be seen at less than 0.4 or more than 2.5
     times its area, or where it has failed too often.
     """
     T_cam_vo = inverse_pose(T_vo_cam)
     points_cam = transform_points(T_cam_vo, keyframe.points_vo)
-    indices = np.flatnonzero((points_cam[:, 2] > 0.05) & (keyframe.failures < FAILURES_MAX))
+    indices = np.flatnonzero((points_cam[:, 2] > DEPTH_MIN_M) & (keyframe.failures < FAILURES_MAX))
     left_px, right_px = project_stereo(camera, points_cam[indices])
-    near = inside_mask(mask, left_px)
+    near = sight.may_show(left_px)
     indices, left_px, right_px = indices[near], left_px[near], right_px[near]
     columns = [
         project_stereo(camera, transform_points(T_cam_vo, keyframe.support_vo[indices, k]))[0] - left_px
         for k in range(2)
     ]
     growth = np.stack(columns, axis=2)  # d(new px)/d(keyframe px)
-    area = np.linalg.det(growth) if len(growth) else np.zeros(0)
+    area = growth[:, 0, 0] * growth[:, 1, 1] - growth[:, 0, 1] * growth[:, 1, 0]
     usable = (area > 0.4) & (area < 2.5)
     indices, growth = indices[usable], growth[usable]
-    map_sigma = _map_sigma(camera, keyframe, T_cam_vo, indices)
-    return Expected(indices, left_px[usable], right_px[usable], np.asarray(np.linalg.inv(growth), float), map_sigma)
-
-
-def _map_sigma(camera: StereoCamera, keyframe: Keyframe, T_cam_vo: Array, indices: NDArray[np.int64]) -> Array:
-    """Effect of one sigma of disparity on both eyes; at the keyframe itself it is nil, for the patches share it."""
-    near = transform_points(T_cam_vo, keyframe.points_vo[indices])
-    far = transform_points(T_cam_vo, keyframe.points_vo[indices] + keyframe.depth_step_vo[indices])
-    left = _pinhole_px(camera, far, 0) - _pinhole_px(camera, near, 0)
-    right = _pinhole_px(camera, far, 1) - _pinhole_px(camera, near, 1) - keyframe.depth_step_right[indices]
-    return np.stack([np.linalg.norm(left, axis=1), np.linalg.norm(right, axis=1)], axis=1) / np.sqrt(2.0)
+    return Wanted(
+        indices=indices,
+        places_left_px=keyframe.places_left_px[indices],
+        places_right_px=keyframe.places_right_px[indices],
+        warps=np.asarray(np.linalg.inv(growth), float),
+        guesses_left_px=left_px[usable],
+        guesses_right_px=right_px[usable],
+    )

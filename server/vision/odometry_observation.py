@@ -1,4 +1,4 @@
-"""What a pair shows of the map: patches of the keyframes, the oldest first, laid onto it until there are enough."""
+"""What a pair shows of the map: points of the keyframes, the oldest first, found in it until there are enough."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,104 +8,119 @@ from numpy.typing import NDArray
 
 from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
-from server.vision.contracts import Array, Image
-from server.vision.odometry_align import align
-from server.vision.odometry_features import inside_mask
-from server.vision.odometry_keyframe import Keyframe, expect_points
+from machine.poses import inverse_pose, transform_points
+from server.vision.contracts import Array
+from server.vision.odometry_keyframe import DEPTH_MIN_M, Keyframe, expect_points
+from server.vision.odometry_lens import ray_noise
 from server.vision.odometry_pose import StereoPoints
+from server.vision.odometry_sight import Sight
 
-
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """One stereo pair with the masks of where points may lie."""
-
-    left: Image
-    right: Image
-    masks: tuple[Image, Image]
-    t_exposure_ns: int
+ENOUGH_FRAC = 0.5  # of the points wanted: found, not only expected
+SAMPLE = 24  # points of a keyframe that are asked first
+MARGIN = 0.7  # half of the image and some more
 
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """Map points found in a pair: the keyframe of each (n,), its raw pixels in the left eye, numbers for the fit."""
+    """Map points found in a pair: keyframe and number in it (n,), raw pixels (n, 2) (right NaN where not shown), and
+    the same for the fit."""
 
     keyframes: NDArray[np.int64]
+    indices: NDArray[np.int64]
     left_px: Array
+    right_px: Array
     n_expected: int
     seen: StereoPoints
+    tried: tuple["Tried", ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """Which points of a keyframe (n,) were looked for, and which of them were found."""
+
+    keyframe: Keyframe
+    indices: NDArray[np.int64]
+    found: NDArray[np.bool_]
+
+    def count(self) -> None:
+        """Hold the misses against the points; only right where the pair was located: in the dark all are missed."""
+        failures = self.keyframe.failures
+        failures[self.indices] = np.maximum(failures[self.indices] + np.where(self.found, -1, 1), 0)
 
 
 @dataclass(frozen=True, slots=True)
 class _Part:
-    """What one keyframe contributes; right_px is NaN where the right eye does not show the point."""
-
+    tried: Tried
     keyframes: NDArray[np.int64]
-    points_vo: Array
+    indices: NDArray[np.int64]
     left_px: Array
     right_px: Array
-    sigma_px: Array
+    points_vo: Array
+    covariances_vo: Array
 
 
 def observe_map(
-    camera: StereoCamera, keyframes: Sequence[Keyframe], frame: Frame, T_vo_cam: Array, points_max: int, sigma_px: float
+    camera: StereoCamera, keyframes: Sequence[Keyframe], sight: Sight, T_vo_cam: Array, points_max: int, sigma_px: float
 ) -> Observed:
     """Map points in a pair taken near `T_vo_cam`.
 
-    Model:   variance of a coordinate = alignment + its depth error + its keyframe's position error, all in px.
     Args:    keyframes: oldest first. points_max: no further keyframe once this many points were expected.
-             sigma_px: of one aligned coordinate.
+             sigma_px: of one coordinate in one image.
     """
-    parts = []
-    n_expected = 0
+    parts: list[_Part] = []
+    n_expected = n_found = 0
     for number, keyframe in enumerate(keyframes):
-        part, expected = _observe_keyframe(camera, number, keyframe, frame, T_vo_cam, sigma_px)
+        if number > 0 and number < len(keyframes) - 1 and not in_view(camera, keyframe, T_vo_cam):
+            continue
+        part, expected = _observe_keyframe(camera, number, keyframe, sight, T_vo_cam, points_max - n_found)
         parts.append(part)
         n_expected += expected
-        if n_expected >= points_max:
+        n_found += len(part.indices)
+        if n_expected >= points_max and n_found >= ENOUGH_FRAC * points_max:
             break
     left_px = np.concatenate([part.left_px for part in parts])
+    right_px = np.concatenate([part.right_px for part in parts])
+    rays_left, rays_right = undistort_to_rays(camera, left_px), undistort_to_rays(camera, right_px)
     seen = StereoPoints(
         points_vo=np.concatenate([part.points_vo for part in parts]),
-        rays_left=undistort_to_rays(camera, left_px),
-        rays_right=_rays_or_nan(camera, np.concatenate([part.right_px for part in parts])),
-        sigma_px=np.concatenate([part.sigma_px for part in parts]),
+        covariances_vo=np.concatenate([part.covariances_vo for part in parts]),
+        rays_left=rays_left,
+        rays_right=rays_right,
+        sigma_px=sigma_px,
         focal_px=camera.fx_px,
         baseline_m=camera.baseline_m,
+        noise=np.stack([ray_noise(camera, rays_left), ray_noise(camera, rays_right)], axis=1),
     )
-    return Observed(np.concatenate([part.keyframes for part in parts]), left_px, n_expected, seen)
+    numbers = [np.concatenate([getattr(part, name) for part in parts]) for name in ("keyframes", "indices")]
+    tried = tuple(part.tried for part in parts)
+    return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, tried)
+
+
+def in_view(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array) -> bool:
+    """Whether any of a few of a keyframe's points may be seen from here: a quick look before the thorough one."""
+    some = keyframe.points_vo[:: max(1, keyframe.n_points // SAMPLE)]
+    x, y, z = transform_points(inverse_pose(T_vo_cam), some).T
+    near = z > DEPTH_MIN_M
+    beside = np.abs(x) * camera.fx_px < MARGIN * camera.width_px * z
+    above = np.abs(y) * camera.fy_px < MARGIN * camera.height_px * z
+    return bool((near & beside & above).any())
 
 
 def _observe_keyframe(
-    camera: StereoCamera, number: int, keyframe: Keyframe, frame: Frame, T_vo_cam: Array, sigma_px: float
+    camera: StereoCamera, number: int, keyframe: Keyframe, sight: Sight, T_vo_cam: Array, room: int
 ) -> tuple[_Part, int]:
-    expected = expect_points(camera, keyframe, T_vo_cam, frame.masks[0])
-    on = expected.indices
-    left = align(keyframe.left, keyframe.places_left_px[on], expected.warps, frame.left, expected.left_px)
-    right = align(keyframe.right, keyframe.places_right_px[on], expected.warps, frame.right, expected.right_px)
-    keyframe.failures[on] = np.maximum(keyframe.failures[on] + np.where(left.good, -1, 1), 0)
-    right_good = right.good & inside_mask(frame.masks[1], right.points_px)
-    good = left.good
-    variance = sigma_px**2 + expected.map_sigma_px[good] ** 2 + keyframe_sigma_px(camera, keyframe) ** 2
+    wanted = expect_points(camera, keyframe, T_vo_cam, sight)
+    if len(wanted.indices) > room:
+        wanted = wanted.some(np.linspace(0, len(wanted.indices) - 1, room).astype(np.int64))
+    left, right = sight.find(keyframe.sight, wanted)
+    on, good = wanted.indices, left.good
     part = _Part(
+        tried=Tried(keyframe, on, good),
         keyframes=np.full(int(good.sum()), number, dtype=np.int64),
-        points_vo=keyframe.points_vo[on[good]],
+        indices=on[good],
         left_px=left.points_px[good],
-        right_px=np.where(right_good[:, None], right.points_px, np.nan)[good],
-        sigma_px=np.sqrt(variance),
+        right_px=np.where(right.good[:, None], right.points_px, np.nan)[good],
+        points_vo=keyframe.points_vo[on[good]],
+        covariances_vo=keyframe.covariances_vo[on[good]],
     )
     return part, len(on)
-
-
-def keyframe_sigma_px(camera: StereoCamera, keyframe: Keyframe) -> float:
-    """What a keyframe's own position sigma amounts to in the image: older, better known keyframes weigh more."""
-    if keyframe.n_points == 0:
-        return 0.0
-    depth = float(np.median(np.linalg.norm(keyframe.points_vo - keyframe.T_vo_cam[:3, 3], axis=1)))
-    return float(np.sqrt(np.trace(keyframe.covariance[3:, 3:]) / 3.0) * camera.fx_px / max(depth, 0.1))
-
-
-def _rays_or_nan(camera: StereoCamera, pixels: Array) -> Array:
-    rays = np.full_like(pixels, np.nan)
-    known = ~np.isnan(pixels[:, 0])
-    rays[known] = undistort_to_rays(camera, pixels[known])
-    return rays

@@ -10,37 +10,49 @@ from numpy.typing import NDArray
 from machine.poses import pose
 from machine.rotations import nearest_rotation
 from server.vision.contracts import Array
-from server.vision.small_algebra import accumulate, apply, point_rows, rotated, solve_positive
+from server.vision.small_algebra import apply, rotated, solve_positive
 
 RANSAC_PX = 2.5
 RANSAC_ROUNDS = 150
 ROUNDS_MAX = 20
-CAUCHY_SCALE = 2.0  # in sigmas
-INLIER_SIGMA = 4.0
+SETTLE_ROUNDS = 3  # after the robust fit, with the inliers' full weight
+CAUCHY_SQUARE = 8.0  # [sigma^2] over the four coordinates of a point
+INLIER_SQUARE = 20.0  # 99.95 % of chi2 with 4 degrees of freedom
+MEDIAN_SQUARE = 3.36  # of that chi2
+SCALE_SQUARE_MAX = 16.0  # images may be noisier than assumed, up to 4 times
+INLIERS_MIN = 6
 DEPTH_MIN_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class StereoPoints:
-    """Known points (n, 3) [m] in vo, their undistorted rays (n, 2) in each eye (NaN = not seen), and the standard
-    deviation (n, 2) [px] of each eye's coordinate, map error included."""
+    """Known points (n, 3) [m] in vo with their covariances (n, 3, 3), their undistorted rays (n, 2) in each eye (NaN in
+    the right one = not seen), and the standard deviation of one measured coordinate [px]. noise (n, 2, 2, 2): what the
+    lens makes of it in each eye, as covariances for a sigma of 1; None = the identity."""
 
     points_vo: Array
+    covariances_vo: Array
     rays_left: Array
     rays_right: Array
-    sigma_px: Array
+    sigma_px: float
     focal_px: float
     baseline_m: float
+    noise: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class PoseFit:
-    """T_cam_vo, covariance (6, 6) (left perturbation in camera axes, then translation), inliers (n,), rms [sigma]."""
+    """T_cam_vo, covariance (6, 6) (left perturbation in camera axes, then translation), inliers (n,), rms [sigma].
+
+    `information` (6, 6) and `whiteners` (n, 4, 4) [1/px] are what the fit worked with.
+    """
 
     T_cam_vo: Array
     covariance: Array
     inliers: NDArray[np.bool_]
     rms_sigma: float
+    information: Array
+    whiteners: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,51 +86,144 @@ def coarse_pose(points_vo: Array, rays: Array, focal_px: float) -> CoarsePose | 
     return CoarsePose(pose(rotation, np.asarray(tvec, dtype=float).reshape(3)), len(inliers))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
+def slopes(point_cam: Array, focal: float, baseline: float, rows: Array) -> None:
+    """d(four coordinates) / d(point in camera axes), (4, 3) [px/m], in place: x, y of left, then right eye."""
+    inverse = focal / point_cam[2]
+    for eye in range(2):
+        rows[2 * eye, 0], rows[2 * eye, 1] = inverse, 0.0
+        rows[2 * eye, 2] = -inverse * (point_cam[0] - eye * baseline) / point_cam[2]
+        rows[2 * eye + 1, 0], rows[2 * eye + 1, 1] = 0.0, inverse
+        rows[2 * eye + 1, 2] = -inverse * point_cam[1] / point_cam[2]
+
+
+@njit(cache=True, nogil=True)
+def _inverse_root(covariance: Array, n: int, root: Array) -> None:
+    """Inverse of the lower Cholesky factor of the leading (n, n) block, in place; the rest of `root` is zero."""
+    root[:] = 0.0
+    lower = np.zeros((4, 4))
+    for i in range(n):
+        for j in range(i + 1):
+            value = covariance[i, j]
+            for k in range(j):
+                value -= lower[i, k] * lower[j, k]
+            lower[i, j] = np.sqrt(value) if i == j else value / lower[j, j]
+    for j in range(n):
+        root[j, j] = 1.0 / lower[j, j]
+        for i in range(j + 1, n):
+            value = 0.0
+            for k in range(j, i):
+                value -= lower[i, k] * root[k, j]
+            root[i, j] = value / lower[i, i]
+
+
+@njit(cache=True, nogil=True)
+def _whiteners(
+    rotation: Array, position: Array, points: Array, covariances: Array, rays: Array, noise: Array, shape: Array
+) -> Array:
+    """(n, 4, 4): whitens a point's four residuals, of which the map's own error makes one piece."""
+    roots = np.zeros((len(points), 4, 4))
+    rows, turned, total = np.zeros((4, 3)), np.zeros((4, 3)), np.zeros((4, 4))
+    for i in range(len(points)):
+        point_cam = apply(rotation, points[i]) + position
+        if point_cam[2] < DEPTH_MIN_M:
+            continue
+        slopes(point_cam, shape[0], shape[1], rows)
+        for a in range(4):
+            for k in range(3):
+                turned[a, k] = rows[a, 0] * rotation[0, k] + rows[a, 1] * rotation[1, k] + rows[a, 2] * rotation[2, k]
+        for a in range(4):
+            for b in range(4):
+                value = noise[i, a // 2, a % 2, b % 2] if a // 2 == b // 2 else 0.0
+                for k in range(3):
+                    for m in range(3):
+                        value += turned[a, k] * covariances[i, k, m] * turned[b, m]
+                total[a, b] = value
+        _inverse_root(total, 2 if np.isnan(rays[i, 2]) else 4, roots[i])
+    return roots
+
+
+@njit(cache=True, nogil=True)
+def white_rows(
+    arm: Array, point_cam: Array, ray: Array, root: Array, shape: Array, rows: Array, slope: Array, white: Array
+) -> None:
+    """Whitened residuals white (4,) and Jacobian rows (4, 6) for R <- exp(w) R, t <- t + dt, in place; arm = R X."""
+    slopes(point_cam, shape[0], shape[1], slope)
+    n = 2 if np.isnan(ray[2]) else 4
+    for a in range(4):
+        white[a] = 0.0
+        for k in range(6):
+            rows[a, k] = 0.0
+    for b in range(n):
+        offset = shape[1] if b == 2 else 0.0
+        place = point_cam[1] if b % 2 else point_cam[0] - offset
+        residual = shape[0] * (place / point_cam[2] - ray[b])
+        wx = arm[1] * slope[b, 2] - arm[2] * slope[b, 1]
+        wy = arm[2] * slope[b, 0] - arm[0] * slope[b, 2]
+        wz = arm[0] * slope[b, 1] - arm[1] * slope[b, 0]
+        for a in range(b, n):
+            weight = root[a, b]
+            white[a] += weight * residual
+            rows[a, 0] += weight * wx
+            rows[a, 1] += weight * wy
+            rows[a, 2] += weight * wz
+            for k in range(3):
+                rows[a, 3 + k] += weight * slope[b, k]
+
+
+@njit(cache=True, nogil=True)
 def _equations(
-    rotation: Array, position: Array, points: Array, rays: Array, sigma: Array, focal: float, baseline: float
+    rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array, limit: float
 ) -> tuple[Array, Array, float, Array]:
-    """Weighted J^T J, J^T r, robust cost, and squared residual [sigma^2] per point and eye; rays (n, 2 eyes, 2)."""
+    """Weighted J^T J, J^T r, cost, squared whitened residual per point. `limit`: points below it count fully, others
+    not at all; 0 = all count by the Cauchy weight."""
     information, gradient, cost = np.zeros((6, 6)), np.zeros(6), 0.0
-    squares = np.full((len(points), 2), np.nan)
-    rows = np.zeros((2, 6))
-    residual = np.zeros(2)
+    squares = np.full(len(points), np.inf)
+    rows, slope, white = np.zeros((4, 6)), np.zeros((4, 3)), np.zeros(4)
     for i in range(len(points)):
         arm = apply(rotation, points[i])
-        x, y, z = arm + position
-        if z < DEPTH_MIN_M:
+        point_cam = arm + position
+        if point_cam[2] < DEPTH_MIN_M or roots[i, 0, 0] == 0.0:
             cost += 50.0
             continue
-        for eye in range(2):
-            if np.isnan(rays[i, eye, 0]):
-                continue
-            scale = focal / sigma[i, eye]
-            u, v = (x - eye * baseline) / z, y / z
-            residual[0], residual[1] = scale * (u - rays[i, eye, 0]), scale * (v - rays[i, eye, 1])
-            square = residual[0] ** 2 + residual[1] ** 2
-            squares[i, eye] = square
-            weight = 1.0 / (1.0 + square / CAUCHY_SCALE**2)
-            cost += CAUCHY_SCALE**2 * np.log1p(square / CAUCHY_SCALE**2)
-            point_rows(arm, u, v, z, scale, scale, rows)
-            accumulate(rows, residual, weight, information, gradient)
+        white_rows(arm, point_cam, rays[i], roots[i], shape, rows, slope, white)
+        square = white[0] ** 2 + white[1] ** 2 + white[2] ** 2 + white[3] ** 2
+        squares[i] = square
+        if limit > 0.0:
+            weight = 1.0 if square < limit else 0.0
+            cost += min(square, limit)
+        else:
+            weight = 1.0 / (1.0 + square / CAUCHY_SQUARE)
+            cost += CAUCHY_SQUARE * np.log1p(square / CAUCHY_SQUARE)
+        if weight == 0.0:
+            continue
+        for a in range(4):
+            for j in range(6):
+                scaled = weight * rows[a, j]
+                gradient[j] += scaled * white[a]
+                for k in range(j + 1):
+                    information[j, k] += scaled * rows[a, k]
+    for j in range(6):
+        for k in range(j):
+            information[k, j] = information[j, k]
     return information, gradient, cost, squares
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _minimise(
-    rotation: Array, position: Array, points: Array, rays: Array, sigma: Array, focal: float, baseline: float
+    rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array, limit: float, rounds: int
 ) -> tuple[Array, Array, Array, Array]:
-    information, gradient, cost, squares = _equations(rotation, position, points, rays, sigma, focal, baseline)
+    information, gradient, cost, squares = _equations(rotation, position, points, rays, roots, shape, limit)
     damping = 1e-4
-    for _ in range(ROUNDS_MAX):
+    for _ in range(rounds):
         damped = information.copy()
         for k in range(6):
             damped[k, k] += damping * information[k, k] + 1e-6
         step = solve_positive(damped, -gradient)
         new_rotation, new_position = rotated(rotation, step[:3]), position + step[3:]
-        new = _equations(new_rotation, new_position, points, rays, sigma, focal, baseline)
+        new = _equations(new_rotation, new_position, points, rays, roots, shape, limit)
         if new[2] <= cost:
-            small = cost - new[2] < 1e-7 * cost
+            small = cost - new[2] < 1e-6 * cost
             rotation, position = new_rotation, new_position
             information, gradient, cost, squares = new
             damping = max(0.1 * damping, 1e-9)
@@ -131,29 +236,50 @@ def _minimise(
     return rotation, position, information, squares
 
 
+def stacked_rays(seen: StereoPoints) -> Array:
+    """Rays (n, 4): x, y of the left eye, x, y of the right one."""
+    return np.concatenate([seen.rays_left, seen.rays_right], axis=1)
+
+
 def refine_camera(T_cam_vo: Array, seen: StereoPoints) -> PoseFit | None:
     """Robust pose of the camera from all points in both eyes; None where they do not determine it.
 
-    Model:   min over T of sum of rho(|f (pi_eye(T X) - ray)|^2 / sigma^2), rho Cauchy, by IRLS-LM with analytic
-             Jacobian; left perturbation. A point is an inlier below 4 sigma per eye. Covariance: (J^T W J)^-1 times
-             the inliers' mean square where that exceeds 1.
-    Args:    T_cam_vo: start (4, 4). seen: points and observations.
+    Model:   min over T of sum of rho(r^T C^-1 r), r = the four coordinates of a point minus their prediction,
+             C = sigma^2 I + P C_map P^T: the map's error is common to both eyes. rho Cauchy, LM with analytic Jacobian,
+             left perturbation; then the inliers with full weight: r^T C^-1 r < 20, times the scale by the median where
+             the images are noisier than assumed. Covariance: (J^T C^-1 J)^-1 times the inliers' mean square where that
+             exceeds 1.
+    Args:    T_cam_vo: start (4, 4), near enough for C. seen: points and observations.
     """
-    rays = np.stack([seen.rays_left, seen.rays_right], axis=1)
+    rays = stacked_rays(seen)
+    points = np.ascontiguousarray(seen.points_vo)
+    rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
+    shape = np.array([seen.focal_px, seen.baseline_m])
+    covariances = np.ascontiguousarray(seen.covariances_vo)
+    noise = np.tile(np.eye(2), (len(points), 2, 1, 1)) if seen.noise is None else seen.noise
+    roots = _whiteners(rotation, position, points, covariances, rays, seen.sigma_px**2 * noise, shape)
+    rotation, position, _, squares = _minimise(rotation, position, points, rays, roots, shape, 0.0, ROUNDS_MAX)
+    limit = INLIER_SQUARE * _scale_square(squares)
     rotation, position, information, squares = _minimise(
-        np.ascontiguousarray(T_cam_vo[:3, :3]),
-        np.ascontiguousarray(T_cam_vo[:3, 3]),
-        np.ascontiguousarray(seen.points_vo),
-        np.ascontiguousarray(rays),
-        np.ascontiguousarray(seen.sigma_px),
-        seen.focal_px,
-        seen.baseline_m,
+        rotation, position, points, rays, roots, shape, limit, SETTLE_ROUNDS
     )
-    with np.errstate(invalid="ignore"):
-        fits = (squares < INLIER_SIGMA**2) | np.isnan(squares)
-    inliers = np.asarray(fits.all(axis=1) & ~np.isnan(squares).all(axis=1))
-    if inliers.sum() < 6 or np.linalg.cond(information) > 1e14:
+    inliers = np.asarray(squares < limit)
+    if inliers.sum() < INLIERS_MIN or np.linalg.cond(information) > 1e14:
         return None
-    mean_square = float(np.nanmean(squares[inliers])) / 2.0
+    n_coordinates = 4 * int(inliers.sum()) - 2 * int(np.isnan(rays[inliers, 2]).sum())
+    mean_square = float(squares[inliers].sum() / max(n_coordinates - 6, 1))
     covariance = max(mean_square, 1.0) * np.linalg.inv(information)
-    return PoseFit(pose(rotation, position), 0.5 * (covariance + covariance.T), inliers, float(np.sqrt(mean_square)))
+    return PoseFit(
+        T_cam_vo=pose(rotation, position),
+        covariance=0.5 * (covariance + covariance.T),
+        inliers=inliers,
+        rms_sigma=float(np.sqrt(mean_square)),
+        information=information,
+        whiteners=roots,
+    )
+
+
+def _scale_square(squares: Array) -> float:
+    """How much noisier than assumed the residuals are, by their median; 1 to 16."""
+    finite = squares[np.isfinite(squares)]
+    return float(np.clip(np.median(finite) / MEDIAN_SQUARE, 1.0, SCALE_SQUARE_MAX)) if len(finite) else 1.0

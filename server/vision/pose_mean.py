@@ -11,7 +11,10 @@ from server.vision.contracts import Array
 
 ITERATIONS_MAX = 20
 MAD_TO_SIGMA = 1.4826
-OUTLIER_SIGMA = 3.5
+OUTLIER_CHI2 = 16.3  # 3 degrees of freedom, 99.9 %
+CHI2_3_MEDIAN = 2.366
+SCATTER_MIN = 8  # fewer poses do not show their own scatter
+TRACY_WIDOM_99 = 2.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,21 +53,23 @@ def _medoid_rotation(Ts: Array) -> Array:
 def pose_mean(Ts: Array, covariances: Array) -> PoseMean:
     """Mean pose with outliers cut, and its covariance.
 
-    Model:   deviations from the median pose; a pose is out where position or rotation lies beyond 3.5 robust sigma
-             (median absolute deviation) and beyond 3.5 of its own; then Karcher mean of the rest. Covariance: larger
-             of scatter / n and mean predicted covariance / n, axis by axis of the scatter whitened by the prediction.
-    Args:    Ts: poses (n, 4, 4), n >= 1. covariances: their predicted covariances (n, 6, 6).
+    Model:   deviations from the median pose, whitened by each pose's own covariance; a pose is out where position or
+             rotation lies beyond chi2_3 = 16.3 (99.9 %), scaled up where the median says that all scatter more; then
+             Karcher mean of the rest, unweighted: a covariance depends on its own pose's error, so weights would pull.
+             Covariance: mean of the predicted ones, grown where the scatter refutes them at 1 % (as a whole, or along
+             axes), over the effective number of poses, n (1 - r) / (1 + r) where neighbours in time correlate by r.
+    Args:    Ts: poses (n, 4, 4) in order of time, n >= 1. covariances: their predicted covariances (n, 6, 6).
     Returns: PoseMean.
-    Source:  Karcher 1977 for the mean of the rotations.
+    Source:  Karcher 1977 (mean of rotations); Johnstone 2001 (largest eigenvalue of a white scatter matrix);
+             Bartlett 1946 (effective number).
     """
     start = pose(_medoid_rotation(Ts), np.median(Ts[:, :3, 3], axis=0))
     from_start = deviations(Ts, start)
     kept = np.ones(len(Ts), dtype=bool)
     for block in (slice(0, 3), slice(3, 6)):
-        size = np.linalg.norm(from_start[:, block], axis=1)
-        spread = MAD_TO_SIGMA * float(np.median(size))
-        own = np.sqrt(np.trace(covariances[:, block, block], axis1=1, axis2=2))
-        kept &= size <= OUTLIER_SIGMA * np.maximum(spread, own)
+        part = from_start[:, block]
+        chi2 = np.sum(part * np.linalg.solve(covariances[:, block, block], part[..., None])[..., 0], axis=1)
+        kept &= chi2 <= OUTLIER_CHI2 * max(float(np.median(chi2)) / CHI2_3_MEDIAN, 1.0)
     if not kept.any():
         kept[:] = True
     T_mean = _mean(Ts[kept], start[:3, :3])
@@ -74,11 +79,36 @@ def pose_mean(Ts: Array, covariances: Array) -> PoseMean:
 def _covariance(residuals: Array, covariances: Array) -> Array:
     n = len(residuals)
     predicted = covariances.mean(axis=0)
-    if n < 6:
+    if n < SCATTER_MIN:
         return predicted / n
-    scatter = residuals.T @ residuals / (n - 1)
     root = np.linalg.cholesky(predicted + 1e-18 * np.eye(6))
-    white = np.linalg.solve(root, np.linalg.solve(root, scatter).T)
-    values, vectors = np.linalg.eigh(0.5 * (white + white.T))
-    grown = root @ vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T @ root.T
-    return grown / n
+    white = np.linalg.solve(root, residuals.T).T
+    values, vectors = np.linalg.eigh(white.T @ white / (n - 1))
+    dof = 6 * (n - 1)
+    overall = fitted_scale(float(values.sum()) / 6.0, dof)
+    grown = np.where(values > overall * white_eigenvalue_max(n - 1), values, overall)
+    axes = root @ vectors
+    return (axes * grown) @ axes.T / _effective_number(white)
+
+
+def fitted_scale(chi2_per_dof: float, dof: int) -> float:
+    """By how much the scatter exceeds the prediction; 1 unless it refutes it at the 1 % level."""
+    limit = (1.0 - 2.0 / (9.0 * dof) + 2.326 * np.sqrt(2.0 / (9.0 * dof))) ** 3  # Wilson and Hilferty 1931, 99 %
+    return chi2_per_dof if chi2_per_dof > limit else 1.0
+
+
+def white_eigenvalue_max(dof: int, size: int = 6) -> float:
+    """What the largest eigenvalue of a white scatter matrix stays below in 99 % of cases (Johnstone 2001)."""
+    a, b = np.sqrt(dof - 0.5), np.sqrt(size - 0.5)
+    return float(((a + b) ** 2 + TRACY_WIDOM_99 * (a + b) * (1.0 / a + 1.0 / b) ** (1.0 / 3.0)) / dof)
+
+
+def _effective_number(white: Array) -> float:
+    """How many independent poses these are worth (n, 6): n unless neighbours in time correlate at the 1 % level."""
+    n = len(white)
+    products = np.sum(white[1:] * white[:-1], axis=1)
+    r = float(np.sum(products) / max(np.sum(white**2), 1e-30))
+    if r + 1.0 / n < 2.33 / np.sqrt(6.0 * n):
+        return float(n)
+    r = min((r + 1.0 / n) * n / max(n - 3.0, 1.0), 1.0)  # a short series shows less of its correlation: Kendall 1954
+    return max(n * (1.0 - r) / (1.0 + r), 1.0)

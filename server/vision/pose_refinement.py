@@ -4,13 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from machine.poses import pose
 from server.vision.contracts import Array
-from server.vision.small_algebra import accumulate, apply, point_rows, rotated, solve_positive
+from server.vision.small_algebra import rotated, solve_positive
 
 DEPTH_MIN_M = 0.02  # nearer points are behind the glass: no pose puts them there
-ITERATIONS_MAX = 40
+ITERATIONS_MAX = 60
+GAIN_DONE = 1e-12  # of the sum of squares
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,13 +20,15 @@ class PointObservations:
     """Object points and where the eyes saw them, undistorted and relative to the principal point.
 
     points_object (n, 3) [m]; seen_px (n, 2) = (fx x, fy y) [px]; eye_x_m (n,): x of that eye in the left camera
-    (0 or the baseline) [m]; focal_px (2,) = (fx, fy).
+    (0 or the baseline) [m]; focal_px (2,) = (fx, fy). weights (n, 2, 2): what turns a small residual of the point into
+    one whose coordinates have equal, independent noise, such as the lens's d(raw px)/d(undistorted px); None: the unit.
     """
 
     points_object: Array
     seen_px: Array
     eye_x_m: Array
     focal_px: Array
+    weights: Array | None = None
 
     @property
     def n_residuals(self) -> int:
@@ -43,57 +47,93 @@ class RefinedPose:
     converged: bool
 
 
-@njit(cache=True)
-def _residuals(
-    rotation: Array, position: Array, points: Array, seen: Array, eye_x: Array, focal: Array
-) -> tuple[Array, float]:
-    residuals = np.empty((len(points), 2))
+@njit(cache=True, nogil=True)
+def sum_squares(
+    rotation: Array, position: Array, points: Array, seen: Array, eye_x: Array, focal: Array, weights: Array
+) -> float:
+    """Sum of squared residuals [px^2]; inf where a point lies behind the glass."""
     total = 0.0
-    for i in range(len(points)):
-        x, y, z = apply(rotation, points[i]) + position
-        if z < DEPTH_MIN_M:
-            return residuals, np.inf
-        residuals[i, 0] = focal[0] * (x - eye_x[i]) / z - seen[i, 0]
-        residuals[i, 1] = focal[1] * y / z - seen[i, 1]
-        total += residuals[i, 0] ** 2 + residuals[i, 1] ** 2
-    return residuals, total
+    for i in range(points.shape[0]):
+        a, b, c = points[i, 0], points[i, 1], points[i, 2]
+        z = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c + position[2]
+        if not z >= DEPTH_MIN_M:
+            return np.inf
+        x = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c + position[0]
+        y = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c + position[1]
+        du = focal[0] * (x - eye_x[i]) / z - seen[i, 0]
+        dv = focal[1] * y / z - seen[i, 1]
+        a, b = weights[i, 0, 0] * du + weights[i, 0, 1] * dv, weights[i, 1, 0] * du + weights[i, 1, 1] * dv
+        total += a * a + b * b
+    return total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _normal_equations(
-    rotation: Array, position: Array, points: Array, residuals: Array, eye_x: Array, focal: Array
-) -> tuple[Array, Array]:
-    """J^T J and J^T r for the left perturbation R <- exp(w) R, t <- t + dt."""
-    information, gradient, rows = np.zeros((6, 6)), np.zeros(6), np.zeros((2, 6))
-    for i in range(len(points)):
-        arm = apply(rotation, points[i])
-        x, y, z = arm + position
-        point_rows(arm, (x - eye_x[i]) / z, y / z, z, focal[0], focal[1], rows)
-        accumulate(rows, residuals[i], 1.0, information, gradient)
-    return information, gradient
+    rotation: Array,
+    position: Array,
+    points: Array,
+    seen: Array,
+    eye_x: Array,
+    focal: Array,
+    weights: Array,
+    information: Array,
+    gradient: Array,
+) -> None:
+    """J^T J and J^T r, in place, for the left perturbation R <- exp(w) R, t <- t + dt; upper half mirrored."""
+    information[:], gradient[:] = 0.0, 0.0
+    row, col = np.empty(6), np.empty(6)
+    for i in range(points.shape[0]):
+        a, b, c = points[i, 0], points[i, 1], points[i, 2]
+        ax = rotation[0, 0] * a + rotation[0, 1] * b + rotation[0, 2] * c
+        ay = rotation[1, 0] * a + rotation[1, 1] * b + rotation[1, 2] * c
+        az = rotation[2, 0] * a + rotation[2, 1] * b + rotation[2, 2] * c
+        inverse = 1.0 / (az + position[2])
+        u, v = (ax + position[0] - eye_x[i]) * inverse, (ay + position[1]) * inverse
+        du, dv = focal[0] * u - seen[i, 0], focal[1] * v - seen[i, 1]
+        row[4], col[3] = 0.0, 0.0
+        row[3], row[5] = focal[0] * inverse, -focal[0] * u * inverse
+        col[4], col[5] = focal[1] * inverse, -focal[1] * v * inverse
+        row[0], row[1], row[2] = ay * row[5], az * row[3] - ax * row[5], -ay * row[3]  # d(exp(w) arm)/dw = -[arm]x
+        col[0], col[1], col[2] = ay * col[5] - az * col[4], -ax * col[5], ax * col[4]
+        w00, w01, w10, w11 = weights[i, 0, 0], weights[i, 0, 1], weights[i, 1, 0], weights[i, 1, 1]
+        du, dv = w00 * du + w01 * dv, w10 * du + w11 * dv
+        for j in range(6):
+            row[j], col[j] = w00 * row[j] + w01 * col[j], w10 * row[j] + w11 * col[j]
+        for j in range(6):
+            gradient[j] += row[j] * du + col[j] * dv
+            for k in range(j, 6):
+                information[j, k] += row[j] * row[k] + col[j] * col[k]
+    for j in range(6):
+        for k in range(j):
+            information[j, k] = information[k, j]
 
 
-@njit(cache=True)
-def _minimise(
-    rotation: Array, position: Array, points: Array, seen: Array, eye_x: Array, focal: Array
-) -> tuple[Array, Array, Array, float, Array, bool]:
-    residuals, total = _residuals(rotation, position, points, seen, eye_x, focal)
-    damping = 1e-3
-    converged = False
+@njit(cache=True, nogil=True)
+def descend(
+    T: Array, points: Array, seen: Array, eye_x: Array, focal: Array, weights: Array
+) -> tuple[Array, Array, float, Array, bool]:
+    """Compiled `refine_pose`: rotation, position, sum of squares, information, converged."""
+    rotation, position = T[:3, :3].copy(), T[:3, 3].copy()
+    total = sum_squares(rotation, position, points, seen, eye_x, focal, weights)
+    information, gradient, damped = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
+    damping, converged = 1e-3, False
+    fresh = False
     for _ in range(ITERATIONS_MAX):
         if not np.isfinite(total):
             break
-        information, gradient = _normal_equations(rotation, position, points, residuals, eye_x, focal)
-        damped = information.copy()
+        if not fresh:
+            _normal_equations(rotation, position, points, seen, eye_x, focal, weights, information, gradient)
+            fresh = True
+        damped[:] = information
         for k in range(6):
             damped[k, k] += damping * information[k, k] + 1e-9
         step = solve_positive(damped, -gradient)
         new_rotation = rotated(rotation, step[:3])
         new_position = position + step[3:]
-        new_residuals, new_total = _residuals(new_rotation, new_position, points, seen, eye_x, focal)
+        new_total = sum_squares(new_rotation, new_position, points, seen, eye_x, focal, weights)
         if new_total <= total:
-            small = np.abs(step).max() < 1e-11 or total - new_total < 1e-12 * total + 1e-20
-            rotation, position, residuals, total = new_rotation, new_position, new_residuals, new_total
+            small = np.abs(step).max() < 1e-11 or total - new_total < GAIN_DONE * total + 1e-20
+            rotation, position, total, fresh = new_rotation, new_position, new_total, False
             damping = max(damping * 0.1, 1e-9)
             if small:
                 converged = True
@@ -103,10 +143,30 @@ def _minimise(
             if damping > 1e12:
                 converged = True  # no descent left in working precision
                 break
-    information = np.zeros((6, 6))
-    if np.isfinite(total):
-        information, gradient = _normal_equations(rotation, position, points, residuals, eye_x, focal)
-    return rotation, position, residuals, total, information, converged
+    if np.isfinite(total) and not fresh:
+        _normal_equations(rotation, position, points, seen, eye_x, focal, weights, information, gradient)
+    return rotation, position, total, information, converged
+
+
+@njit(cache=True, nogil=True)
+def descend_all(
+    Ts: Array, points: Array, seen: Array, eye_x: Array, focal: Array, weights: Array
+) -> tuple[Array, Array, Array]:
+    """From every start (k, 4, 4): poses (k, 4, 4), sums of squares (k,), information (k, 6, 6)."""
+    found, totals, informations = np.zeros(Ts.shape), np.empty(len(Ts)), np.empty((len(Ts), 6, 6))
+    for k in range(len(Ts)):
+        rotation, position, total, information, _ = descend(Ts[k], points, seen, eye_x, focal, weights)
+        found[k, :3, :3], found[k, :3, 3], found[k, 3, 3] = rotation, position, 1.0
+        totals[k], informations[k] = total, information
+    return found, totals, informations
+
+
+def residuals_px(T_cam_object: Array, observations: PointObservations) -> Array:
+    """Predicted minus seen, weighted, (n, 2) [px]."""
+    x, y, z = (observations.points_object @ T_cam_object[:3, :3].T + T_cam_object[:3, 3]).T
+    rays = np.column_stack([(x - observations.eye_x_m) / z, y / z])
+    plain = rays * observations.focal_px - observations.seen_px
+    return plain if observations.weights is None else np.einsum("nij,nj->ni", observations.weights, plain)
 
 
 def refine_pose(T_cam_object: Array, observations: PointObservations) -> RefinedPose:
@@ -118,12 +178,52 @@ def refine_pose(T_cam_object: Array, observations: PointObservations) -> Refined
     Returns: RefinedPose; `sum_squares_px2` is inf when the start has points behind the camera.
     Source:  Levenberg-Marquardt; Jacobian of a calibrated pinhole, checked against finite differences in the tests.
     """
-    rotation, position, residuals, total, information, converged = _minimise(
-        np.ascontiguousarray(T_cam_object[:3, :3], dtype=np.float64),
-        np.ascontiguousarray(T_cam_object[:3, 3], dtype=np.float64),
+    T = np.ascontiguousarray(T_cam_object, dtype=np.float64)
+    rotation, position, total, information, converged = descend(T, *kernel_arrays(observations))
+    T_found = pose(rotation, position)
+    return RefinedPose(T_found, float(total), information, residuals_px(T_found, observations), bool(converged))
+
+
+@njit(cache=True, nogil=True)
+def _distinct(Ts: Array, totals: Array, order: NDArray[np.intp], trace_max: float) -> list[int]:
+    """Of poses in ascending order of their sums of squares: the first of each group with the same orientation."""
+    kept = [-1]
+    for i in order:
+        if not totals[i] < np.inf:
+            continue
+        new = True
+        for j in kept[1:]:
+            trace = 0.0
+            for r in range(3):
+                for c in range(3):
+                    trace += Ts[i, r, c] * Ts[j, r, c]
+            new = new and trace < trace_max
+        if new:
+            kept.append(i)
+    return kept[1:]
+
+
+def distinct_minima(starts: Array, observations: PointObservations, apart_rad: float) -> list[RefinedPose]:
+    """`refine_pose` from several starts (k, 4, 4), compiled; minima whose orientations differ, the best first."""
+    Ts = np.ascontiguousarray(starts, dtype=np.float64).reshape(-1, 4, 4)
+    found, totals, informations = descend_all(Ts, *kernel_arrays(observations))
+    order = np.argsort(totals, kind="stable")
+    kept = _distinct(found, totals, order, 1.0 + 2.0 * float(np.cos(apart_rad)))
+    return [
+        RefinedPose(found[k], float(totals[k]), informations[k], residuals_px(found[k], observations), converged=True)
+        for k in kept
+    ]
+
+
+def kernel_arrays(observations: PointObservations) -> tuple[Array, Array, Array, Array, Array]:
+    """The kernels' arguments, contiguous: points, seen, eye_x, focal, weights."""
+    weights = observations.weights
+    if weights is None:
+        weights = np.repeat(np.eye(2)[None], len(observations.points_object), axis=0)
+    return (
         np.ascontiguousarray(observations.points_object, dtype=np.float64),
         np.ascontiguousarray(observations.seen_px, dtype=np.float64),
         np.ascontiguousarray(observations.eye_x_m, dtype=np.float64),
         np.ascontiguousarray(observations.focal_px, dtype=np.float64),
+        np.ascontiguousarray(weights, dtype=np.float64),
     )
-    return RefinedPose(pose(rotation, position), float(total), information, residuals, bool(converged))

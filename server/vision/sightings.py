@@ -23,8 +23,10 @@ def markers_by_object(machine: Machine) -> dict[ObjectName, tuple[Marker, ...]]:
     """
     found: dict[ObjectName, tuple[Marker, ...]] = {"tool": machine.markers_on("tool"), "ooi": machine.markers_on("ooi")}
     for name, markers in found.items():
-        if not markers:
-            raise NoMarkersError(f"machine '{machine.name}' has no marker on the {name}; add a [[markers.marker]]")
+        if not markers and not machine.boards_on(name):
+            raise NoMarkersError(
+                f"machine '{machine.name}' has no marker on the {name}; add a [[markers.marker]] or [[markers.board]]"
+            )
     return found
 
 

@@ -8,7 +8,7 @@ from numba import njit
 from server.vision.contracts import Array
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def solve_positive(matrix: Array, right: Array) -> Array:
     """x of matrix x = right for a symmetric positive definite matrix (n, n), by Cholesky; zeros where it is not."""
     n = len(right)
@@ -38,7 +38,7 @@ def solve_positive(matrix: Array, right: Array) -> Array:
     return x
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def multiply(a: Array, b: Array) -> Array:
     """Product of two 3x3 matrices."""
     product = np.zeros((3, 3))
@@ -48,7 +48,7 @@ def multiply(a: Array, b: Array) -> Array:
     return product
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def apply(matrix: Array, vector: Array) -> Array:
     """3x3 matrix times vector (3,)."""
     result = np.zeros(3)
@@ -57,7 +57,7 @@ def apply(matrix: Array, vector: Array) -> Array:
     return result
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def rotated(rotation: Array, rotvec: Array) -> Array:
     """exp(rotvec) @ rotation, Rodrigues with its series below 1e-9 rad."""
     angle = math.sqrt(rotvec[0] ** 2 + rotvec[1] ** 2 + rotvec[2] ** 2)
@@ -74,26 +74,3 @@ def rotated(rotation: Array, rotvec: Array) -> Array:
         for j in range(3):
             exponential[i, j] += first * k[i, j] + second * squared[i, j]
     return multiply(exponential, rotation)
-
-
-@njit(cache=True)
-def point_rows(arm: Array, u: float, v: float, z: float, scale_x: float, scale_y: float, rows: Array) -> None:
-    """Jacobian rows (2, 6), in place, of (scale_x u, scale_y v), u = x/z, v = y/z, for R <- exp(w) R, t <- t + dt.
-
-    `arm` (3,) = R X. d(exp(w) arm)/dw = -[arm]x, so the rotation part is arm x (d residual / d point).
-    """
-    rows[0, 3], rows[0, 4], rows[0, 5] = scale_x / z, 0.0, -scale_x * u / z
-    rows[1, 3], rows[1, 4], rows[1, 5] = 0.0, scale_y / z, -scale_y * v / z
-    for k in range(2):
-        rows[k, 0] = arm[1] * rows[k, 5] - arm[2] * rows[k, 4]
-        rows[k, 1] = arm[2] * rows[k, 3] - arm[0] * rows[k, 5]
-        rows[k, 2] = arm[0] * rows[k, 4] - arm[1] * rows[k, 3]
-
-
-@njit(cache=True)
-def accumulate(rows: Array, residual: Array, weight: float, information: Array, gradient: Array) -> None:
-    """Add weight J^T J and weight J^T r of two rows, in place."""
-    for i in range(6):
-        gradient[i] += weight * (rows[0, i] * residual[0] + rows[1, i] * residual[1])
-        for j in range(6):
-            information[i, j] += weight * (rows[0, i] * rows[0, j] + rows[1, i] * rows[1, j])

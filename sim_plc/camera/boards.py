@@ -1,14 +1,17 @@
 """Printed boards: markers with their white quiet zone and the dark tool shank, ray cast exactly in their region."""
 
 from dataclasses import dataclass
+from fractions import Fraction
+from math import gcd
 
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from machine import targets
+from machine.boards import board_marker_ids, dark_squares
 from machine.camera import project
-from machine.description import Marker
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_about
 from sim_plc.camera.eye import EyeRays, can_project
@@ -18,6 +21,7 @@ from sim_plc.camera.wall import pose_at_row
 INK_GREY, PAPER_GREY, BACK_GREY, STEEL_GREY = 28, 212, 70, 34
 SUPERSAMPLE = 4  # rays per pixel and axis where a pixel holds an edge
 _ROI_MARGIN_PX = 3
+_RATIO_DENOMINATOR_MAX = 20  # of a marker's side to its square's; finer ones are rounded, the squares stay exact
 _SHANK_WIDTH_M = 0.036
 _SHANK_LENGTH_M = 0.30
 _SHANK_TILT_RAD = np.deg2rad(-65.0)  # runs down and back from the plate's lower edge, towards the wrist
@@ -40,7 +44,7 @@ class Board:
         return np.array([[-half_x, half_y, 0], [half_x, half_y, 0], [half_x, -half_y, 0], [-half_x, -half_y, 0]])
 
 
-def marker_board(dictionary: str, marker: Marker, T_object_on: Array) -> Board:
+def marker_board(dictionary: str, marker: targets.Marker, T_object_on: Array) -> Board:
     """A printed marker with a quiet zone one module wide. `T_object_on`: what the marker sits on, in the object."""
     printed = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
     modules = printed.markerSize + 2
@@ -49,6 +53,40 @@ def marker_board(dictionary: str, marker: Marker, T_object_on: Array) -> Board:
     cells[1:-1, 1:-1] = np.where(bits > 127, PAPER_GREY, INK_GREY)
     module_m = marker.side_m / modules
     return Board(cells, module_m, module_m, T_object_on @ marker.T_on_marker)
+
+
+def chess_board(dictionary: str, board: targets.Board, T_object_on: Array) -> Board:
+    """A printed ChArUco board with half a square of paper around it. `T_object_on`: what it sits on, in the object.
+
+    The cells are so fine that the squares, and the modules of their markers, consist of whole cells.
+    """
+    printed = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    modules = printed.markerSize + 2
+    per_square, per_module = _cells_of(board.marker_m / board.square_m, modules)
+    dark = dark_squares(board)
+    squares = np.where(dark, INK_GREY, PAPER_GREY).astype(np.uint8)
+    inside = np.kron(squares, np.ones((per_square, per_square), np.uint8))
+    gap = (per_square - per_module * modules) // 2
+    for marker_id, row, column in zip(board_marker_ids(board), *np.nonzero(~dark), strict=True):
+        bits = cv2.aruco.generateImageMarker(printed, marker_id, modules)
+        grey = np.where(np.asarray(bits) > 127, PAPER_GREY, INK_GREY).astype(np.uint8)
+        top, left = row * per_square + gap, column * per_square + gap
+        drawn = np.kron(grey, np.ones((per_module, per_module), np.uint8))
+        inside[top : top + len(drawn), left : left + len(drawn)] = drawn
+    cells = np.pad(inside, per_square // 2, constant_values=PAPER_GREY)
+    cell_m = board.square_m / per_square
+    return Board(cells, cell_m, cell_m, T_object_on @ board.T_on_board)
+
+
+def _cells_of(ratio: float, modules: int) -> tuple[int, int]:
+    """Cells per square and per module, for a marker that is `ratio` of its square."""
+    share = Fraction(ratio).limit_denominator(_RATIO_DENOMINATOR_MAX)
+    per_square, per_marker = share.denominator, share.numerator
+    times = modules // gcd(modules, per_marker)
+    per_square, per_marker = per_square * times, per_marker * times
+    if (per_square - per_marker) % 2:
+        per_square, per_marker = 2 * per_square, 2 * per_marker
+    return per_square, per_marker // modules
 
 
 def shank_board(plate: Board) -> Board:
@@ -91,13 +129,15 @@ def _code_of_ray(T: Array, rx: float, ry: float, size: Array, cols: int) -> int:
 def _paint_edge(
     T: Array, corners: NDArray[np.float32], v: int, u: int, size: Array, cells: Grey, back: int, n: int, under: float
 ) -> float:
-    """Mean grey of n x n rays in one pixel, over what is already there."""
+    """Mean grey of n x n rays in one pixel, over what is already there.
+
+    A straight grid would place an edge along the picture's rows or columns by quarters of a pixel only.
+    """
     total, hits = 0.0, 0
     cols = cells.shape[1]
     for a in range(n):
-        fy = (a + 0.5) / n
         for b in range(n):
-            fx = (b + 0.5) / n
+            fx, fy = (b + (a + 0.5) / n) / n, (a + (b + 0.5) / n) / n  # a sheared grid: n * n columns and rows
             w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
             rx = w00 * corners[v, u, 0] + w01 * corners[v, u + 1, 0]
             rx += w10 * corners[v + 1, u, 0] + w11 * corners[v + 1, u + 1, 0]

@@ -56,5 +56,6 @@ def demo_world(
         wall_relief_m=wall_relief_m,
         texture_contrast_frac=texture_contrast_frac,
         texture_seed=texture_seed,
+        ooi_boards=tuple(board for board in machine.boards_on("ooi") if board.kind == "charuco"),
     )
     return camera, scene

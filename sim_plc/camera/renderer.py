@@ -13,7 +13,7 @@ from machine.camera import project
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array
-from sim_plc.camera.boards import Board, marker_board, paint_board, shank_board
+from sim_plc.camera.boards import Board, chess_board, marker_board, paint_board, shank_board
 from sim_plc.camera.exposure import PoseHistory, StaticPose, key_poses
 from sim_plc.camera.eye import EyeRays, eye_rays
 from sim_plc.camera.sensor import add_noise, motion_blur, noise_bank, point_spread
@@ -128,7 +128,9 @@ class StereoRenderer:
         self._levels = _levels(scene.texture_seed, scene.texture_contrast_frac)
         self._relief = wall_relief(scene.texture_seed, scene.wall_relief_m, scene.wall_offset_m)
         self._T_ooi_base = inverse_pose(scene.T_base_ooi)
-        self._ooi_boards = tuple(marker_board(dictionary, marker, np.eye(4)) for marker in scene.ooi_markers)
+        markers = tuple(marker_board(dictionary, marker, np.eye(4)) for marker in scene.ooi_markers)
+        chess = tuple(chess_board(dictionary, board, np.eye(4)) for board in scene.ooi_boards)
+        self._ooi_boards = markers + chess
         plates = tuple(marker_board(dictionary, marker, scene.T_tcp_tool) for marker in scene.tool_markers)
         self.tool_boards = tuple(shank_board(plate) for plate in plates) + plates
         T_left_right = pose(np.eye(3), np.array([self._camera.left.baseline_m, 0.0, 0.0]))

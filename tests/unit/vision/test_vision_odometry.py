@@ -181,7 +181,7 @@ def stereo_points(rng, n=120, sigma_px=0.1, outliers=0):
     right = (cam[:, :2] - [0.12, 0.0]) / cam[:, 2:] + noise[1]
     left[:outliers] += rng.uniform(-0.2, 0.2, (outliers, 2))
     right[n - 10 :] = np.nan
-    return T_cam_vo, StereoPoints(points, left, right, np.full((n, 2), sigma_px), 528.0, 0.12)
+    return T_cam_vo, StereoPoints(points, np.zeros((n, 3, 3)), left, right, sigma_px, 528.0, 0.12)
 
 
 def test_camera_pose_is_at_the_bound_and_survives_outliers():
@@ -190,7 +190,9 @@ def test_camera_pose_is_at_the_bound_and_survives_outliers():
     for outliers in [0] * 40 + [25] * 40:
         T_cam_vo, seen = stereo_points(rng, outliers=outliers)
         coarse = coarse_pose(seen.points_vo, seen.rays_left, seen.focal_px)
+        assert coarse is not None
         fit = refine_camera(coarse.T_cam_vo, seen)
+        assert fit is not None
         error = deviation(fit.T_cam_vo, T_cam_vo)
         squares.append(error @ np.linalg.solve(fit.covariance, error))
         assert not fit.inliers[:outliers].any() or fit.inliers[:outliers].mean() < 0.1
@@ -201,12 +203,8 @@ def test_too_few_or_degenerate_points_give_no_pose():
     rng = np.random.default_rng(9)
     _, seen = stereo_points(rng)
     assert coarse_pose(seen.points_vo[:5], seen.rays_left[:5], 528.0) is None
-    assert (
-        refine_camera(
-            np.eye(4), StereoPoints(np.ones((4, 3)), np.ones((4, 2)), np.ones((4, 2)), np.ones((4, 2)), 528.0, 0.12)
-        )
-        is None
-    )
+    same = StereoPoints(np.ones((4, 3)), np.zeros((4, 3, 3)), np.ones((4, 2)), np.ones((4, 2)), 1.0, 528.0, 0.12)
+    assert refine_camera(np.eye(4), same) is None
 
 
 def test_prediction_follows_the_last_motion():

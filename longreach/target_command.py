@@ -1,0 +1,261 @@
+"""`longreach target ...`: print the markers in their true size, and measure how they sit on tool or OOI."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal, cast
+
+import cv2
+import typer
+from rich.console import Console, RenderableType
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.status import Status
+
+from longreach.target_page import Page, pdf_of, png_of, svg_of
+from longreach.target_prints import PAPERS_MM, board_page, marker_page
+from longreach.target_report import layout_json, layout_table, layout_toml, sides_table, verdict_text
+from longreach.target_sources import MarkerSearch, TargetError, live_views, stored_pairs, stored_views
+from machine.boards import board_marker_ids
+from machine.description import Machine
+from machine.marker_sections import dictionary_size
+from server.settings import read_machine, read_settings
+from server.vision.errors import VisionError
+from server.vision.marker_search import dictionary_by_name
+from server.vision.teach import TeachTask, teach_layout
+from server.vision.teach_contracts import TaughtLayout, TeachSettings, TeachStatus, TeachView
+from server.vision.teach_frame import FrameName, LayoutFrame
+from server.vision.teach_views import Offer
+
+app = typer.Typer(no_args_is_help=True)
+MachineFile = Annotated[str, typer.Option(help="machine file, or the name of a shipped one")]
+On = Annotated[str, typer.Option("--on", help="tool or ooi")]
+STORED_VIEWS_MAX = 60
+
+
+@app.command()
+def teach(
+    machine: MachineFile = "hiab033",
+    on: On = "ooi",
+    folder: Annotated[Path | None, typer.Option(help="stored stereo pairs, taken at rest")] = None,
+    camera_url: Annotated[str | None, typer.Option(help="multipart stream of side-by-side JPEG")] = None,
+    settings_file: Annotated[Path | None, typer.Option("--settings", help="the server's settings: its camera")] = None,
+    ids: Annotated[str, typer.Option(help="which markers, the reference first; else those of the machine file")] = "",
+    side_mm: Annotated[
+        str, typer.Option(help="printed sides: 150, or 1=150,2=149.8, or none; else the machine's")
+    ] = "",
+    frame: Annotated[
+        str, typer.Option(help="origin: present (fit to the present layout), reference, or middle")
+    ] = "present",
+    views: Annotated[int, typer.Option(min=4, max=200, help="live camera: how many different views")] = 12,
+    timeout_s: Annotated[float, typer.Option(min=1.0, max=7200.0, help="live camera: at most this long [s]")] = 600.0,
+    out: Annotated[Path | None, typer.Option(help="where to write NAME.toml and NAME.json")] = None,
+) -> None:
+    """Measure the marker layout of tool or OOI from stereo views. Exit code 0: a layout, 1: none, and why."""
+    console = Console()
+    nominal = read_machine(machine)
+    task = _task(nominal, _on(on), ids, side_mm, frame)
+    search = MarkerSearch(nominal.camera, _dictionary(nominal), task.ids)
+    settings = TeachSettings()
+    if folder is not None:
+        seen = _from_folder(folder, search, console)
+    else:
+        seen = _from_camera(camera_url, settings_file, search, task, views, timeout_s, console)
+    layout = teach_layout(seen, task, nominal.camera, settings)
+    _finish(layout, nominal, on, out, console)
+
+
+@app.command("print")
+def print_markers(
+    folder: Annotated[Path, typer.Argument(help="where to write the pages")],
+    machine: MachineFile = "hiab033",
+    on: Annotated[str, typer.Option("--on", help="tool, ooi or both")] = "both",
+    form: Annotated[str, typer.Option("--format", help="pdf, svg or png")] = "pdf",
+    paper: Annotated[str | None, typer.Option(help=f"{', '.join(PAPERS_MM)}; else the smallest that fits")] = None,
+    dpi: Annotated[int, typer.Option(min=100, max=1200, help="of PNG")] = 300,
+) -> None:
+    """Write every marker and board of the machine file in its true size, with a ruler to check the print's scale."""
+    console = Console()
+    if paper is not None and paper not in PAPERS_MM:
+        raise TargetError(f"--paper = {paper}: give one of {', '.join(PAPERS_MM)}")
+    nominal = read_machine(machine)
+    try:
+        pages = _pages(nominal, ("tool", "ooi") if on == "both" else (_on(on),), paper)
+    except ValueError as error:
+        raise TargetError(str(error)) from error
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in _files(pages, form, dpi).items():
+        (folder / name).write_bytes(content)
+        console.print(f"written: {folder / name}", highlight=False, soft_wrap=True)
+    console.print("print at 100 %, then hold a steel ruler against the printed one: it must measure 100 mm")
+
+
+def _pages(nominal: Machine, sides: Sequence[str], paper: str | None) -> list[Page]:
+    dictionary, name = _dictionary(nominal), nominal.dictionary
+    in_grids = {one for board in nominal.boards if board.kind == "grid" for one in board_marker_ids(board)}
+    pages = [
+        marker_page(name, dictionary, marker, paper)
+        for marker in nominal.markers
+        if marker.on in sides and marker.marker_id not in in_grids
+    ]
+    return pages + [board_page(name, dictionary, board, paper) for board in nominal.boards if board.on in sides]
+
+
+def _files(pages: list[Page], form: str, dpi: int) -> dict[str, bytes]:
+    if form == "pdf":
+        return {"targets.pdf": pdf_of(pages)}
+    if form == "svg":
+        return {f"{page.name}.svg": svg_of(page) for page in pages}
+    if form == "png":
+        return {f"{page.name}.png": png_of(page, dpi) for page in pages}
+    raise TargetError(f"--format = {form}: give pdf, svg or png")
+
+
+def _on(text: str) -> Literal["tool", "ooi"]:
+    if text not in ("tool", "ooi"):
+        raise TargetError(f"--on = {text}: give tool or ooi")
+    return cast("Literal['tool', 'ooi']", text)
+
+
+def _dictionary(nominal: Machine) -> "cv2.aruco.Dictionary":
+    try:
+        return dictionary_by_name(nominal.dictionary)
+    except VisionError as error:
+        raise TargetError(str(error)) from error
+
+
+def _task(nominal: Machine, on: Literal["tool", "ooi"], ids: str, side_mm: str, frame: str) -> TeachTask:
+    """What is to be taught, from the options and the machine file."""
+    present = {marker.marker_id: marker for marker in nominal.markers_on(on)}
+    wanted = _whole_numbers(ids) if ids.strip() else tuple(present)
+    size = dictionary_size(nominal.dictionary)
+    beyond = [one for one in wanted if one < 0 or (size is not None and one >= size)]
+    if beyond:
+        raise TargetError(f"--ids: {beyond[0]} is not in {nominal.dictionary}, which ends at {(size or 0) - 1}")
+    if frame not in ("present", "reference", "middle"):
+        raise TargetError(f"--frame = {frame}: give present, reference or middle")
+    sides = {one: present[one].side_m for one in wanted if one in present}
+    places = {one: (present[one].T_on_marker, present[one].side_m) for one in wanted if one in present}
+    return TeachTask(wanted, _sides(side_mm, wanted, sides), LayoutFrame(cast("FrameName", frame), places))
+
+
+def _whole_numbers(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(part) for part in text.split(",") if part.strip())
+    except ValueError as error:
+        raise TargetError(f"--ids = {text}: give whole numbers such as 1,2,3") from error
+
+
+def _sides(text: str, ids: Sequence[int], present_m: Mapping[int, float]) -> dict[int, float]:
+    """Printed sides [m] as far as they are known."""
+    text = text.strip()
+    if not text:
+        return dict(present_m)
+    if text == "none":
+        return {}
+    try:
+        if "=" not in text:
+            sides = dict.fromkeys(ids, 1e-3 * float(text))
+        else:
+            pairs = [part.split("=") for part in text.split(",") if part.strip()]
+            sides = {int(one): 1e-3 * float(side) for one, side in pairs}
+    except ValueError as error:
+        raise TargetError(f"--side-mm = {text}: give 150, or 1=150,2=149.8, or none") from error
+    for one, side in sides.items():
+        if one not in ids or not 0.005 <= side <= 2.0:
+            raise TargetError(f"--side-mm: {one}={1e3 * side:g} must be of --ids, and between 5 and 2000 [mm]")
+    return sides
+
+
+def _from_folder(folder: Path, search: MarkerSearch, console: Console) -> list[TeachView]:
+    pairs = stored_pairs(folder)
+    found: list[TeachView] = []
+    columns = (TextColumn("views"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task("", total=min(len(pairs), STORED_VIEWS_MAX))
+        for name, view in stored_views(pairs, search, STORED_VIEWS_MAX):
+            found.append(view)
+            progress.update(bar, advance=1, description=f"{escape(name)}: markers {_shown(view) or 'none'}")
+    return found
+
+
+def _from_camera(
+    url: str | None,
+    settings_file: Path | None,
+    search: MarkerSearch,
+    task: TeachTask,
+    n_views: int,
+    timeout_s: float,
+    console: Console,
+) -> list[TeachView]:
+    """Guided: the operator moves the camera, rests, and hears what is still missing. Ctrl-C ends the collection."""
+    from server.camera.sources import HttpSource  # here: stored pictures need no camera
+    from server.camera.sources.opening import open_source
+    from server.shell_settings import vision_settings
+
+    source = open_source(HttpSource(url) if url else vision_settings(read_settings(settings_file)).source)
+    settings = TeachSettings()
+    console.print(
+        f"markers {', '.join(map(str, task.ids))}: hold the camera still, then move it to the side, up or down by a "
+        f"third of its distance, and hold it still again; {n_views} views; Ctrl-C when you have enough"
+    )
+    with console.status("waiting for pictures") as status:
+
+        def tell(offer: Offer, view: TeachView, kept: list[TeachView]) -> None:
+            _guide(offer, view, kept, n_views, status, console)
+            if offer is Offer.TAKEN and len(kept) >= settings.views_min:
+                console.print(
+                    f"  so far: {_so_far(teach_layout(kept, task, search.camera, settings))}", highlight=False
+                )
+
+        try:
+            return live_views(source, search, settings, n_views, timeout_s, tell)
+        finally:
+            source.close()
+
+
+def _guide(
+    offer: Offer, view: TeachView, kept: list[TeachView], n_views: int, status: Status, console: Console
+) -> None:
+    advice = {
+        Offer.TOO_FEW_MARKERS: "show two markers or more, all four sides of each",
+        Offer.MOVING: "hold still",
+        Offer.ALIKE: "move to the side, up or down, closer or away",
+        Offer.TAKEN: "taken",
+    }[offer]
+    if offer is Offer.TAKEN:
+        console.print(f"view {len(kept)} of {n_views}: markers {_shown(view)}", highlight=False)
+    status.update(f"{len(kept)} of {n_views} views; sees {_shown(view) or 'none'}; {advice}")
+
+
+def _so_far(layout: TaughtLayout) -> str:
+    return f"+-{layout.sigma_mm:.2f} mm" if layout.status is TeachStatus.OK else layout.reason
+
+
+def _shown(view: TeachView) -> str:
+    return ", ".join(str(one) for one in sorted(view.left.keys() | view.right.keys()))
+
+
+def _finish(layout: TaughtLayout, nominal: Machine, on: str, out: Path | None, console: Console) -> None:
+    """Show and write what was found; exit with 1 where there is no layout."""
+    if out is not None:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.with_suffix(".json").write_text(layout_json(layout, on), encoding="utf-8")
+    if layout.status is not TeachStatus.OK:
+        console.print(f"[bold red]no layout ({layout.status.value}):[/] {escape(layout.reason)}", soft_wrap=True)
+        raise typer.Exit(1)
+    _say(console, layout_table(layout, {marker.marker_id: marker for marker in nominal.markers}))
+    _say(console, sides_table(layout))
+    _say(console, verdict_text(layout))
+    for note in layout.notes:
+        console.print(f"note: {escape(note)}", style="yellow")
+    text = layout_toml(layout, on)
+    if out is None:
+        console.print("\nfor the machine file:\n")
+        console.print(escape(text), highlight=False, soft_wrap=True)
+        return
+    out.with_suffix(".toml").write_text(text, encoding="utf-8")
+    console.print(f"for the machine file: {out.with_suffix('.toml')}; with covariance: {out.with_suffix('.json')}")
+
+
+def _say(console: Console, what: RenderableType) -> None:
+    console.print(what, highlight=False, soft_wrap=isinstance(what, str))

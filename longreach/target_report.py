@@ -1,0 +1,113 @@
+"""What teaching found: a table beside the present layout, lines for the machine file, and JSON with the covariance."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from machine.description import Marker
+from machine.rotations import rotvec_from_rotation
+from server.vision.teach_contracts import TaughtLayout, TaughtMarker, angle_sigma_rad, position_sigma_m
+
+
+def layout_table(layout: TaughtLayout, present: Mapping[int, Marker]) -> Table:
+    """One row a marker: how far it lies from its present entry, and how well its place is known."""
+    table = Table(title="places, against the present ones", title_justify="left")
+    for heading in ("id", "dx mm", "dy mm", "dz mm", "turn deg", "+- mm", "+- deg", "views", "rms px"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for one in layout.markers:
+        sigmas = f"{1e3 * position_sigma_m(one):.2f}", f"{np.rad2deg(angle_sigma_rad(one)):.3f}"
+        table.add_row(
+            str(one.marker_id),
+            *_moved(one, present.get(one.marker_id)),
+            *sigmas,
+            str(one.n_views),
+            f"{one.residual_rms_px:.3f}",
+        )
+    return table
+
+
+def _moved(one: TaughtMarker, present: Marker | None) -> tuple[str, str, str, str]:
+    """How far a marker lies from its present entry, in the object's axes."""
+    if present is None:
+        return "new", "", "", ""
+    x, y, z = 1e3 * (one.T_on_marker[:3, 3] - present.T_on_marker[:3, 3])
+    turn = rotvec_from_rotation(one.T_on_marker[:3, :3] @ present.T_on_marker[:3, :3].T)
+    return f"{x:+.2f}", f"{y:+.2f}", f"{z:+.2f}", f"{np.rad2deg(np.linalg.norm(turn)):.2f}"
+
+
+def sides_table(layout: TaughtLayout) -> Table:
+    """One row a marker: its side by the print, by the images alone, and the best of both."""
+    table = Table(title="sides", title_justify="left")
+    for heading in ("id", "print mm", "images and baseline mm", "both mm"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for one in layout.markers:
+        printed = "-" if one.printed_side_m is None else f"{1e3 * one.printed_side_m:.2f}"
+        images = f"{1e3 * one.stereo_side_m:.2f} +- {1e3 * one.stereo_side_sigma_m:.2f}"
+        both = f"{1e3 * one.side_m:.2f} +- {1e3 * one.side_sigma_m:.2f}"
+        table.add_row(str(one.marker_id), printed, images, both)
+    return table
+
+
+def verdict_text(layout: TaughtLayout) -> str:
+    """One honest sentence."""
+    angle_deg = np.rad2deg(max(angle_sigma_rad(one) for one in layout.markers))
+    return (
+        f"{len(layout.markers)} markers from {layout.n_views} views, {layout.spread_deg:.0f} deg apart at most; "
+        f"residual {layout.residual_rms_px:.3f} px rms. Known to +-{layout.sigma_mm:.2f} mm and +-{angle_deg:.3f} deg "
+        f"(one sigma, worst marker and direction). Baseline by print and images {100 * layout.baseline_frac:+.2f} +- "
+        f"{100 * layout.baseline_sigma_frac:.2f} % from the camera file's."
+    )
+
+
+def layout_toml(layout: TaughtLayout, on: str) -> str:
+    """The [[markers.marker]] entries for the machine file."""
+    parts = [
+        f"# By `longreach target teach`: {layout.n_views} views, +-{layout.sigma_mm:.2f} mm (one sigma, worst marker)."
+    ]
+    for one in layout.markers:
+        rows = [", ".join(f"{value:.12f}" for value in row) for row in one.T_on_marker]
+        sigma = f"# +-{1e3 * position_sigma_m(one):.2f} mm, +-{np.rad2deg(angle_sigma_rad(one)):.3f} deg"
+        parts.append(
+            f'[[markers.marker]]\nid = {one.marker_id}\nside_m = {one.side_m:.6f}\non = "{on}"\n'
+            f"T_on_marker = [{(',' + chr(10) + ' ' * 15).join(rows)}]   {sigma}\n"
+        )
+    return "\n".join(parts)
+
+
+def layout_json(layout: TaughtLayout, on: str) -> str:
+    """Everything, with the covariance (6, 6) of every marker: rotation vector [rad], translation [m]."""
+    content: dict[str, Any] = {
+        "status": layout.status.value,
+        "reason": layout.reason,
+        "on": on,
+        "n_views": layout.n_views,
+        "spread_deg": _number(layout.spread_deg),
+        "residual_rms_px": _number(layout.residual_rms_px),
+        "baseline_frac": _number(layout.baseline_frac),
+        "baseline_sigma_frac": _number(layout.baseline_sigma_frac),
+        "notes": list(layout.notes),
+        "markers": [_marker(one) for one in layout.markers],
+    }
+    return json.dumps(content, indent=2, allow_nan=False) + "\n"
+
+
+def _marker(one: TaughtMarker) -> dict[str, Any]:
+    return {
+        "id": one.marker_id,
+        "side_m": one.side_m,
+        "side_sigma_m": one.side_sigma_m,
+        "printed_side_m": one.printed_side_m,
+        "stereo_side_m": one.stereo_side_m,
+        "stereo_side_sigma_m": one.stereo_side_sigma_m,
+        "T_on_marker": one.T_on_marker.tolist(),
+        "covariance": one.covariance.tolist(),
+        "n_views": one.n_views,
+        "residual_rms_px": one.residual_rms_px,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,152 @@
+"""Stereo pairs for teaching: stored ones from a folder, or live ones from the camera until enough are kept."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from machine.description import StereoCamera
+from server.camera.contracts import StereoSource
+from server.errors import ServerError
+from server.vision.contracts import Image
+from server.vision.teach_contracts import TeachSettings, TeachView
+from server.vision.teach_views import Offer, ViewKeeper, teach_view
+
+SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
+TWO_FOLDERS = (
+    ("left", "right"),
+    ("image_l", "image_r"),
+    ("cam0/data", "cam1/data"),
+    ("mav0/cam0/data", "mav0/cam1/data"),
+)
+READ_S = 0.5
+
+
+class TargetError(ServerError):
+    """Images or options that teaching cannot use."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerSearch:
+    """What is looked for in every pair."""
+
+    camera: StereoCamera
+    dictionary: "cv2.aruco.Dictionary"
+    ids: tuple[int, ...]
+
+    def view(self, left: Image, right: Image) -> TeachView:
+        """The markers of one pair.
+
+        Raises: TargetError: the pictures have not the camera's size.
+        """
+        size = (self.camera.height_px, self.camera.width_px)
+        if left.shape != size or right.shape != size:
+            raise TargetError(
+                f"pictures of {left.shape[1]} x {left.shape[0]} px, but the machine file's camera has {size[1]} x "
+                f"{size[0]} px; give pictures as the camera made them"
+            )
+        return teach_view(left, right, self.dictionary, self.ids, self.camera)
+
+
+def stored_pairs(folder: Path) -> list[tuple[Path, Path | None]]:
+    """Left and right files in name order; the right one is None where a file holds both eyes side by side.
+
+    Raises: TargetError: nothing there that could be stereo pairs.
+    """
+    for left_name, right_name in TWO_FOLDERS:
+        lefts, rights = _pictures(folder / left_name), _pictures(folder / right_name)
+        if lefts and len(lefts) == len(rights):
+            return list(zip(lefts, rights, strict=True))
+        if lefts:
+            raise TargetError(
+                f"{folder}: {len(lefts)} pictures in {left_name} and {len(rights)} in {right_name}; both must be equal"
+            )
+    files = _pictures(folder)
+    lefts = [path for path in files if path.stem.lower().endswith("left")]
+    if lefts:
+        return [(path, _partner(path)) for path in lefts]
+    if files:
+        return [(path, None) for path in files]
+    names = ", ".join(f"{left} and {right}" for left, right in TWO_FOLDERS)
+    raise TargetError(
+        f"{folder}: no stereo pairs; give a folder with {names}, *left and *right, or side by side pictures"
+    )
+
+
+def _pictures(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+
+
+def _partner(left: Path) -> Path:
+    stem = left.stem
+    ending = "RIGHT" if stem.endswith("LEFT") else "Right" if stem.endswith("Left") else "right"
+    right = left.with_name(stem[:-4] + ending + left.suffix)
+    if not right.is_file():
+        raise TargetError(f"{left}: its right eye {right.name} is missing")
+    return right
+
+
+def read_pair(left: Path, right: Path | None) -> tuple[Image, Image]:
+    """Grey pictures of one stored pair.
+
+    Raises: TargetError: a file that is no picture, or a side-by-side picture of odd width.
+    """
+    if right is not None:
+        return _grey(left), _grey(right)
+    both = _grey(left)
+    half = both.shape[1] // 2
+    if both.shape[1] % 2:
+        raise TargetError(f"{left}: width {both.shape[1]} px is odd; two equal eyes need an even width")
+    return both[:, :half], both[:, half:]
+
+
+def _grey(path: Path) -> Image:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise TargetError(f"{path} is not a picture that can be read; give PNG or JPEG")
+    return np.asarray(image, dtype=np.uint8)
+
+
+def stored_views(
+    pairs: Sequence[tuple[Path, Path | None]], search: MarkerSearch, n_max: int
+) -> Iterator[tuple[str, TeachView]]:
+    """Name and markers of the stored pairs, thinned out evenly to at most `n_max`."""
+    chosen = np.unique(np.linspace(0, len(pairs) - 1, min(n_max, len(pairs))).round().astype(int))
+    for k in chosen:
+        left, right = pairs[k]
+        yield left.stem, search.view(*read_pair(left, right))
+
+
+def live_views(
+    source: StereoSource,
+    search: MarkerSearch,
+    settings: TeachSettings,
+    n_views: int,
+    timeout_s: float,
+    tell: Callable[[Offer, TeachView, list[TeachView]], None],
+) -> list[TeachView]:
+    """Views kept from a live camera, until there are enough, time is up, the source ends, or Ctrl-C.
+
+    `tell` hears what became of every pair.
+    Raises: TargetError: no picture at all within the time.
+    """
+    keeper = ViewKeeper(search.camera, settings)
+    end_s, any_pair = time.monotonic() + timeout_s, False
+    try:
+        while len(keeper.views) < n_views and time.monotonic() < end_s and not source.ended:
+            frame = source.read(READ_S)
+            if frame is None:
+                continue
+            any_pair = True
+            view = search.view(frame.left, frame.right)
+            tell(keeper.offer(view), view, keeper.views)
+    except KeyboardInterrupt:  # enough, says the operator
+        any_pair = True
+    if not any_pair:
+        raise TargetError(f"no picture within {timeout_s:g} s; {source.state or 'check the camera'}")
+    return keeper.views

@@ -1,0 +1,159 @@
+"""The part of a machine file that tells of markers and boards: strict sections, and the checks across them."""
+
+import re
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from machine.errors import MachineFileError
+
+
+class Strict(BaseModel):
+    """A section in which every key is known and every number finite."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+Pose16 = Annotated[list[float], Field(min_length=16, max_length=16)]
+Length = Annotated[float, Field(gt=0.0, le=2.0)]
+Squares = Annotated[int, Field(ge=1, le=100)]
+
+CHARUCO_SQUARES_MIN = 3  # along each side: fewer leave no four inner corners
+MARKER_SHARE_MAX = 0.9  # of the square; the white around a marker is what its sides are seen by
+DICTIONARY_PATTERN = r"^DICT_([4-7]X[4-7]_(50|100|250|1000)|APRILTAG_[0-9]{2}[hH][0-9]{1,2}|ARUCO_[A-Za-z0-9_]+)$"
+# How many ids the families have whose names do not say it; others with such names are left to the vision package.
+FAMILY_SIZES = {
+    "DICT_APRILTAG_16H5": 30,
+    "DICT_APRILTAG_25H9": 35,
+    "DICT_APRILTAG_36H10": 2320,
+    "DICT_APRILTAG_36H11": 587,
+    "DICT_ARUCO_ORIGINAL": 1024,
+    "DICT_ARUCO_MIP_36H12": 250,
+}
+REMEDIES = {
+    "dictionary": "give a name of OpenCV's, such as DICT_4X4_50 or DICT_APRILTAG_36h11",
+    "id": "give the number printed beside the marker",
+    "side_m": "measure the printed marker's black outer side and give it in metres",
+    "on": "say what it sits on",
+    "T_on_marker": "give 16 numbers row by row, metres in the last column, or measure them by `longreach target teach`",
+    "T_on_board": "give 16 numbers row by row, metres in the last column, of the board's middle",
+    "kind": "charuco is a chessboard with markers in its white squares, grid is markers only",
+    "squares_x": "count the squares from left to right",
+    "squares_y": "count the squares from top to bottom",
+    "square_m": "measure ten squares of the print and divide",
+    "marker_m": "measure the black outer side of one of the board's markers",
+    "first_id": "give the lowest marker id on the board",
+    "legacy_pattern": "true for boards made by OpenCV before 4.6 with an even number of rows",
+}
+
+
+class MarkerSection(Strict):
+    """[[markers.marker]]."""
+
+    id: Annotated[int, Field(ge=0)]
+    side_m: Length
+    on: Literal["tool", "ooi"]
+    T_on_marker: Pose16
+
+
+class BoardSection(Strict):
+    """[[markers.board]]."""
+
+    kind: Literal["charuco", "grid"]
+    on: Literal["tool", "ooi"]
+    squares_x: Squares
+    squares_y: Squares
+    square_m: Length
+    marker_m: Length
+    first_id: Annotated[int, Field(ge=0)]
+    legacy_pattern: bool = False
+    T_on_board: Pose16
+
+    @property
+    def ids(self) -> range:
+        """Ids of its markers: in every place of a grid, in the white half of a chessboard's squares."""
+        places = self.squares_x * self.squares_y
+        return range(self.first_id, self.first_id + (places if self.kind == "grid" else places // 2))
+
+
+class MarkersSection(Strict):
+    """[markers]: at least one marker or board on the tool and on the OOI."""
+
+    dictionary: Annotated[str, Field(pattern=DICTIONARY_PATTERN)]
+    marker: list[MarkerSection] = []
+    board: list[BoardSection] = []
+
+    @model_validator(mode="after")
+    def _nothing_is_missing(self) -> Self:
+        if not self.marker and not self.board:
+            raise ValueError("neither marker nor board; give the tool and the ooi at least one [[markers.marker]] each")
+        return self
+
+
+def dictionary_size(name: str) -> int | None:
+    """Number of ids in a dictionary; None where neither the name nor the table tells."""
+    counted = re.fullmatch(r"DICT_[4-7]X[4-7]_(\d+)", name)
+    return int(counted[1]) if counted else FAMILY_SIZES.get(name.upper())
+
+
+def check_markers(section: MarkersSection) -> None:
+    """Refuse repeated ids, ids that the dictionary does not have, bad boards, and a tool or an OOI without a target.
+
+    Raises: MachineFileError naming field, value, limit and remedy.
+    """
+    for k, board in enumerate(section.board):
+        _check_board(f"markers.board.{k}", board)
+    ids = [marker.id for marker in section.marker]
+    if len(set(ids)) != len(ids):
+        raise MachineFileError(f"markers.marker: ids {ids} repeat; every marker needs an id of its own")
+    _check_board_ids(section, set(ids))
+    size = dictionary_size(section.dictionary)
+    if size is not None:
+        _check_range(section, size)
+    for on in ("tool", "ooi"):
+        if not any(one.on == on for one in (*section.marker, *section.board)):
+            raise MachineFileError(f"markers.marker: none has on = {on!r}; give the {on} at least one marker")
+
+
+def _check_board(name: str, board: BoardSection) -> None:
+    if board.kind == "charuco":
+        for field, count in (("squares_x", board.squares_x), ("squares_y", board.squares_y)):
+            if count < CHARUCO_SQUARES_MIN:
+                raise MachineFileError(
+                    f"{name}.{field} = {count} is below {CHARUCO_SQUARES_MIN} squares; a charuco board needs four "
+                    "inner corners: print a larger one, or use kind = 'grid'"
+                )
+    elif board.legacy_pattern:
+        raise MachineFileError(f"{name}.legacy_pattern = True is for kind = 'charuco' only; leave it out of a grid")
+    limit = MARKER_SHARE_MAX * board.square_m
+    if board.marker_m > limit:
+        raise MachineFileError(
+            f"{name}.marker_m = {board.marker_m} exceeds {MARKER_SHARE_MAX:g} of square_m, {limit:g} [m]; leave white "
+            "around the markers, or measure both again"
+        )
+
+
+def _check_board_ids(section: MarkersSection, taken: set[int]) -> None:
+    for k, board in enumerate(section.board):
+        both = taken & set(board.ids)
+        if both:
+            raise MachineFileError(
+                f"markers.board.{k}.first_id = {board.first_id}: its ids {board.ids[0]} .. {board.ids[-1]} repeat "
+                f"{sorted(both)[:4]} of another marker or board; every marker needs an id of its own"
+            )
+        taken = taken | set(board.ids)
+
+
+def _check_range(section: MarkersSection, size: int) -> None:
+    for marker in section.marker:
+        if marker.id >= size:
+            raise MachineFileError(
+                f"markers.marker: id = {marker.id} is not in {section.dictionary}, which ends at {size - 1}; "
+                f"{REMEDIES['id']}, or a larger dictionary"
+            )
+    for k, board in enumerate(section.board):
+        if board.ids[-1] >= size:
+            raise MachineFileError(
+                f"markers.board.{k}.first_id = {board.first_id}: its last id {board.ids[-1]} is not in "
+                f"{section.dictionary}, which ends at {size - 1}; give a lower first_id or a larger dictionary"
+            )

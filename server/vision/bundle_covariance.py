@@ -1,0 +1,229 @@
+"""How well a bundle's optimum is known: covariances from the inliers, and the factor that makes them honest."""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from server.vision.bundle_contracts import Indices, Mask
+from server.vision.bundle_layout import BundleLayout, BundleState, BundleWork
+from server.vision.bundle_motion import add_priors
+from server.vision.bundle_reduced import assemble, choose_charts, set_body_arms
+from server.vision.bundle_residuals import CAUCHY, CUT, HUBER, linearise
+from server.vision.bundle_solve import factor
+from server.vision.contracts import Array
+
+UNOBSERVED_M2 = 1e6
+CHI2_MEDIANS = np.array([1.0, 0.4549, 1.3863, 2.3660])  # by degrees of freedom
+
+
+class Spread(NamedTuple):
+    """Covariance (c, c) of all unknown bodies for residuals of sigma 1, and which share (c,) of each unknown's
+    information is its own, the rest being shared with other unknowns; zeros where the system is singular."""
+
+    covariance: Array
+    own_frac: Array
+
+
+class Fit(NamedTuple):
+    """Which eyes (n, 2) see and agree, rms [sigma] of their coordinates, variance factor, redundancy."""
+
+    agree: Mask
+    rms_sigma: float
+    variance_factor: float
+    redundancy: int
+
+
+def bodies_spread(
+    layout: BundleLayout, start: BundleState, state: BundleState, work: BundleWork, limit_sigma: float
+) -> Spread:
+    """Inverse of the reduced system of the inliers at full weight; leaves the inliers' linearisation in `work`."""
+    cut = layout._replace(loss=CUT, loss_scale=limit_sigma)
+    linearise(cut, state, work)
+    choose_charts(cut, state, work)
+    set_body_arms(cut, state, work)
+    add_priors(cut, start, state, work)
+    assemble(cut, state, work, 0.0)
+    c = len(work.diagonal)
+    covariance = np.zeros((c, c))
+    size = np.sqrt(np.maximum(work.diagonal, 1e-300))
+    scaled = work.reduced / size[:, None] / size
+    if not factor(scaled):
+        return Spread(covariance, np.zeros(c))
+    _invert_factored(scaled, covariance)
+    own = 1.0 / np.maximum(np.diag(covariance), 1e-300)
+    return Spread(covariance / size[:, None] / size, own)
+
+
+@njit(cache=True, nogil=True)
+def _invert_factored(lower: Array, inverse: Array) -> None:
+    """(L L^T)^-1 into `inverse`; the lower triangle is overwritten by L^-1."""
+    c = len(lower)
+    for j in range(c):
+        lower[j, j] = 1.0 / lower[j, j]
+        for i in range(j + 1, c):
+            value = 0.0
+            for q in range(j, i):
+                value -= lower[i, q] * lower[q, j]
+            lower[i, j] = value / lower[i, i]
+    for i in range(c):
+        for j in range(i + 1):
+            value = 0.0
+            for q in range(i, c):
+                value += lower[q, i] * lower[q, j]
+            inverse[i, j] = value
+            inverse[j, i] = value
+
+
+def seen_counts(layout: BundleLayout) -> Indices:
+    """Coordinates (n, 2) that either eye measured of each living observation; a rectified pair is one eye of 3 or 2."""
+    counts = (layout.scale > 0.0).reshape(-1, 2, 2).sum(axis=2)
+    if layout.joint:
+        counts = np.column_stack([counts.sum(axis=1), np.zeros(len(counts), dtype=np.int64)])
+    return np.where(layout.alive[:, None], counts, 0)
+
+
+def noise_of(layout: BundleLayout, squares: Array) -> float:
+    """Residuals over their given sigma by the median, at least 1: an outlier is judged by the noise that there is.
+
+    Model:   median of |r|^2 over that of chi2, with the share that the unknowns took out of the residuals put back.
+    """
+    counts = seen_counts(layout)
+    seen = counts > 0
+    if not seen.any():
+        return 1.0
+    typical = float(np.median(squares[seen] / CHI2_MEDIANS[counts[seen]]))
+    taken = counts.sum() / max(_redundancy(layout, counts), 1)
+    return math.sqrt(max(typical * taken, 1.0))
+
+
+def fit_of(layout: BundleLayout, work: BundleWork, limit_sigma: float) -> Fit:
+    """Inliers and variance factor from the squares in `work`.
+
+    Model:   covariance of an M-estimate = E psi^2 / (E psi')^2 (J^T J)^-1 (Huber 1981, 7.6): the loss's own factor on
+             Gaussian residuals, or the one measured on these residuals where that is larger (sigmas too small, outliers
+             that still pull).
+    """
+    counts = seen_counts(layout)
+    agree = (counts > 0) & (work.squares <= limit_sigma**2)
+    redundancy = _redundancy(layout, np.where(agree, counts, 0))
+    squares, of = work.squares[agree], counts[agree]
+    influence = float(np.sum(_influence(layout, work.squares[counts > 0])))
+    slope = float(np.sum(_slope(layout, squares, of))) / max(int(of.sum()), 1)
+    measured = influence / max(redundancy, 1) / max(slope, 0.05) ** 2
+    expected = gaussian_factor(layout.loss, round(layout.loss_scale, 1), 3 if layout.joint else 2)
+    rms = math.sqrt(float(squares.sum()) / max(redundancy, 1))
+    return Fit(agree, rms, max(measured, expected), redundancy)
+
+
+def _redundancy(layout: BundleLayout, counts: Indices) -> int:
+    """Agreeing coordinates (counts (n, 2)) minus unknowns; a point takes no more than what was measured of it."""
+    of_point = np.add.reduceat(np.append(counts.sum(axis=1), 0), layout.first[:-1]) if len(layout.body) else np.zeros(0)
+    of_point = np.where(np.diff(layout.first) > 0, of_point, 0)
+    unknowns = 6 * (layout.n_columns - int(layout.has_prior.sum())) + int(np.minimum(of_point, 3)[layout.free].sum())
+    return int(counts.sum()) - unknowns
+
+
+def _influence(layout: BundleLayout, squares: Array) -> Array:
+    """|psi|^2 = w^2 s."""
+    return _weights(layout.loss, layout.loss_scale, squares) ** 2 * squares
+
+
+def _slope(layout: BundleLayout, squares: Array, counts: Indices) -> Array:
+    """Trace of d psi / d r = d w + 2 s dw/ds."""
+    w = _weights(layout.loss, layout.loss_scale, squares)
+    if layout.loss == HUBER:
+        return np.where(w < 1.0, (counts - 1) * w, counts)
+    if layout.loss == CAUCHY:
+        return counts * w - 2.0 * w**2 * squares / layout.loss_scale**2
+    return counts.astype(float)
+
+
+def _weights(kind: int, scale: float, squares: Array) -> Array:
+    if kind == HUBER:
+        return scale / np.maximum(np.sqrt(squares), scale)
+    if kind == CAUCHY:
+        return 1.0 / (1.0 + squares / scale**2)
+    return np.ones_like(squares)
+
+
+@lru_cache(maxsize=32)
+def gaussian_factor(kind: int, scale: float, dimensions: int) -> float:
+    """Variance of the M-estimate over that of least squares where residuals (d,) are truly Gaussian."""
+    r = np.linspace(0.0, 12.0, 4001)
+    density = r ** (dimensions - 1) * np.exp(-0.5 * r**2)
+    density /= density.sum()
+    w = _weights(kind, scale, r**2)
+    slope = np.zeros_like(r)
+    if kind == HUBER:
+        slope = np.where(w < 1.0, -w, 0.0)
+    if kind == CAUCHY:
+        slope = -2.0 * w**2 * r**2 / scale**2
+    psi = float(np.sum(density * w**2 * r**2)) / dimensions
+    return psi / (float(np.sum(density * (w + slope / dimensions))) ** 2)
+
+
+@njit(cache=True, nogil=True)
+def points_spread(layout: BundleLayout, work: BundleWork, covariance: Array, out: Array) -> None:
+    """Covariance (m, 3, 3) of every point for residuals of sigma 1, from the bodies' and what `work` was left with."""
+    c = len(covariance)
+    E = np.zeros((3, c))
+    for p in range(len(layout.body)):
+        out[p] = 0.0
+        E[:] = 0.0
+        if layout.body[p] >= 0:
+            _group_rows(layout, work, p, E)
+        elif work.anchor[p] >= 0:
+            inverse = _point_inverse(work, p)
+            out[p] = inverse
+            _frame_rows(layout, work, p, inverse, E)
+        elif layout.free[p]:
+            for j in range(3):
+                out[p, j, j] = UNOBSERVED_M2
+        out[p] += E @ covariance @ E.T
+
+
+@njit(cache=True, nogil=True)
+def _point_inverse(work: BundleWork, p: int) -> Array:
+    """Inverse of the point's own block, from its chart to vo axes: M (L L^T)^-1 M^T."""
+    M, L, y = work.chart[p], work.lower[p], np.zeros((3, 3))
+    for j in range(3):
+        y[0, j] = M[j, 0] / L[0, 0]
+        y[1, j] = (M[j, 1] - L[1, 0] * y[0, j]) / L[1, 1]
+        y[2, j] = (M[j, 2] - L[2, 0] * y[0, j] - L[2, 1] * y[1, j]) / L[2, 2]
+    return y.T @ y
+
+
+@njit(cache=True, nogil=True)
+def _frame_rows(layout: BundleLayout, work: BundleWork, p: int, inverse: Array, E: Array) -> None:
+    """d point / d bodies at the optimum: -V^-1 S A^T of each frame, A^T = ([a]x, -1)."""
+    for i in range(layout.first[p], layout.first[p + 1]):
+        column = layout.column[layout.frame[i]]
+        if column < 0 or not layout.alive[i]:
+            continue
+        s, a, o = work.weight[i], work.arm[i], 6 * column
+        for j in range(3):
+            k0 = inverse[j, 0] * s[0] + inverse[j, 1] * s[3] + inverse[j, 2] * s[5]
+            k1 = inverse[j, 0] * s[3] + inverse[j, 1] * s[1] + inverse[j, 2] * s[4]
+            k2 = inverse[j, 0] * s[5] + inverse[j, 1] * s[4] + inverse[j, 2] * s[2]
+            E[j, o] -= k1 * a[2] - k2 * a[1]
+            E[j, o + 1] -= k2 * a[0] - k0 * a[2]
+            E[j, o + 2] -= k0 * a[1] - k1 * a[0]
+            E[j, o + 3] += k0
+            E[j, o + 4] += k1
+            E[j, o + 5] += k2
+
+
+@njit(cache=True, nogil=True)
+def _group_rows(layout: BundleLayout, work: BundleWork, p: int, E: Array) -> None:
+    """d point / d group = (-[arm]x, 1)."""
+    column = layout.column[layout.body[p]]
+    if column < 0:
+        return
+    a0, a1, a2 = work.body_arm[p]
+    o = 6 * column
+    E[0, o + 1], E[0, o + 2], E[0, o + 3] = a2, -a1, 1.0
+    E[1, o], E[1, o + 2], E[1, o + 4] = -a2, a0, 1.0
+    E[2, o], E[2, o + 1], E[2, o + 5] = a1, -a0, 1.0

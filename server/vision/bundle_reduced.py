@@ -1,0 +1,250 @@
+"""The reduced camera system: points are eliminated one by one (Schur complement), bodies are solved for together."""
+
+import math
+
+from numba import njit
+
+from server.vision.bundle_contracts import Indices
+from server.vision.bundle_layout import PRIOR, BundleLayout, BundleState, BundleWork
+from server.vision.contracts import Array
+
+
+@njit(cache=True, nogil=True)
+def choose_charts(layout: BundleLayout, state: BundleState, work: BundleWork) -> None:
+    """Anchor of every free point (the nearest eye that sees it) and its chart there.
+
+    In an anchor's axes X = (alpha, beta, 1) / rho. A step is taken in alpha, beta and relative rho, in which stereo
+    measurements are nearly linear at any distance; the point itself stays Euclidean in vo, so that the frames' system
+    is the ordinary one and an anchor that moves costs nothing.
+    """
+    rotation, arm, chart, anchor = state.rotation, work.arm, work.chart, work.anchor
+    for p in range(len(layout.body)):
+        anchor[p] = -1
+        if not layout.free[p]:
+            continue
+        nearest = math.inf
+        for i in range(layout.first[p], layout.first[p + 1]):
+            f = layout.frame[i]
+            z = rotation[f, 0, 2] * arm[i, 0] + rotation[f, 1, 2] * arm[i, 1] + rotation[f, 2, 2] * arm[i, 2]
+            if layout.alive[i] and z < nearest:
+                nearest, anchor[p] = z, f
+                for j in range(3):
+                    chart[p, j, 0] = z * rotation[f, j, 0]
+                    chart[p, j, 1] = z * rotation[f, j, 1]
+                    chart[p, j, 2] = -arm[i, j]
+
+
+@njit(cache=True, nogil=True)
+def assemble(layout: BundleLayout, state: BundleState, work: BundleWork, damping: float) -> None:
+    """Reduced system and right side for J^T W J + damping * its diagonal; the priors are in it already."""
+    frame, first, column, alive = layout.frame, layout.first, layout.column, layout.alive
+    weight, pull, arm, rows, columns = work.weight, work.pull, work.arm, work.rows, work.columns
+    reduced, right, diagonal = work.reduced, work.right, work.diagonal
+    for p in range(len(layout.body)):
+        begin, end, body = first[p], first[p + 1], layout.body[p]
+        for i in range(begin, end):
+            c = column[frame[i]]
+            if c >= 0:
+                _add_block(6 * c, i, i, -1.0, weight, pull, arm, reduced, right, diagonal)
+            if body >= 0 and column[body] >= 0:
+                _add_block(6 * column[body], i, p, 1.0, weight, pull, work.body_arm, reduced, right, diagonal)
+                if c >= 0:
+                    _add_shared(6 * column[body], 6 * c, i, p, weight, arm, work.body_arm, reduced)
+        if work.anchor[p] >= 0:
+            _factor_point(p, begin, end, damping, weight, pull, work.chart, work.lower, work.damped, work.point_step)
+            count = 0
+            for i in range(begin, end):
+                if alive[i] and column[frame[i]] >= 0:
+                    columns[count] = 6 * column[frame[i]]
+                    _project_rows(p, i, count, work.chart, work.lower, weight, arm, rows)
+                    count += 1
+            _eliminate(p, count, work.point_step, work.lower, columns, rows, reduced, right)
+    for j in range(len(diagonal)):
+        reduced[j, j] += damping * diagonal[j]
+
+
+@njit(cache=True, nogil=True)
+def set_body_arms(layout: BundleLayout, state: BundleState, work: BundleWork) -> None:
+    """Points of groups as seen from their group's origin, in vo axes."""
+    for p in range(len(layout.body)):
+        body = layout.body[p]
+        if body >= 0:
+            for j in range(3):
+                work.body_arm[p, j] = state.points[p, j] - state.position[body, j]
+
+
+@njit(cache=True, nogil=True)
+def _add_block(
+    o: int,
+    i: int,
+    at: int,
+    sign: float,
+    weight: Array,
+    pull: Array,
+    arms: Array,
+    H: Array,
+    right: Array,
+    diagonal: Array,
+) -> None:
+    """Add A S A^T (lower triangle) and A g for A = sign ([a]x; 1) to a body's own block at row `o`."""
+    xx, yy, zz, xy, yz, zx = weight[i, 0], weight[i, 1], weight[i, 2], weight[i, 3], weight[i, 4], weight[i, 5]
+    a0, a1, a2 = arms[at, 0], arms[at, 1], arms[at, 2]
+    # Q = [a]x S
+    q00, q01, q02 = a1 * zx - a2 * xy, a1 * yz - a2 * yy, a1 * zz - a2 * yz
+    q10, q11, q12 = a2 * xx - a0 * zx, a2 * xy - a0 * yz, a2 * zx - a0 * zz
+    q20, q21, q22 = a0 * xy - a1 * xx, a0 * yy - a1 * xy, a0 * yz - a1 * zx
+    # Q [a]x^T
+    n00, n11, n22 = q02 * a1 - q01 * a2, q10 * a2 - q12 * a0, q21 * a0 - q20 * a1
+    H[o, o] += n00
+    H[o + 1, o] += q12 * a1 - q11 * a2
+    H[o + 1, o + 1] += n11
+    H[o + 2, o] += q22 * a1 - q21 * a2
+    H[o + 2, o + 1] += q20 * a2 - q22 * a0
+    H[o + 2, o + 2] += n22
+    H[o + 3, o] += q00
+    H[o + 3, o + 1] += q10
+    H[o + 3, o + 2] += q20
+    H[o + 3, o + 3] += xx
+    H[o + 4, o] += q01
+    H[o + 4, o + 1] += q11
+    H[o + 4, o + 2] += q21
+    H[o + 4, o + 3] += xy
+    H[o + 4, o + 4] += yy
+    H[o + 5, o] += q02
+    H[o + 5, o + 1] += q12
+    H[o + 5, o + 2] += q22
+    H[o + 5, o + 3] += zx
+    H[o + 5, o + 4] += yz
+    H[o + 5, o + 5] += zz
+    diagonal[o] += n00
+    diagonal[o + 1] += n11
+    diagonal[o + 2] += n22
+    diagonal[o + 3] += xx
+    diagonal[o + 4] += yy
+    diagonal[o + 5] += zz
+    g0, g1, g2 = sign * pull[i, 0], sign * pull[i, 1], sign * pull[i, 2]
+    right[o] += a1 * g2 - a2 * g1
+    right[o + 1] += a2 * g0 - a0 * g2
+    right[o + 2] += a0 * g1 - a1 * g0
+    right[o + 3] += g0
+    right[o + 4] += g1
+    right[o + 5] += g2
+
+
+@njit(cache=True, nogil=True)
+def _add_shared(o: int, f: int, i: int, p: int, weight: Array, arm: Array, body_arm: Array, H: Array) -> None:
+    """Subtract ([c]x; 1) S ([a]x; 1)^T: the block that a group (row o) and a frame (row f < o) have in common."""
+    a0, a1, a2 = arm[i, 0], arm[i, 1], arm[i, 2]
+    c0, c1, c2 = body_arm[p, 0], body_arm[p, 1], body_arm[p, 2]
+    s = weight[i]
+    for j in range(3):  # S [a]x^T and S, column by column
+        x, y, z = _column(s, j)
+        _take(H, o, f + 3 + j, x, y, z, c0, c1, c2)
+        k, n = (j + 1) % 3, (j + 2) % 3
+        ak, an = (a0, a1, a2)[k], (a0, a1, a2)[n]
+        xk, yk, zk = _column(s, k)
+        xn, yn, zn = _column(s, n)
+        _take(H, o, f + j, ak * xn - an * xk, ak * yn - an * yk, ak * zn - an * zk, c0, c1, c2)
+
+
+@njit(cache=True, nogil=True)
+def _column(s: Array, j: int) -> tuple[float, float, float]:
+    """Column j of the symmetric S held as xx, yy, zz, xy, yz, zx."""
+    if j == 0:
+        return s[0], s[3], s[5]
+    if j == 1:
+        return s[3], s[1], s[4]
+    return s[5], s[4], s[2]
+
+
+@njit(cache=True, nogil=True)
+def _take(H: Array, o: int, at: int, x: float, y: float, z: float, c0: float, c1: float, c2: float) -> None:
+    """Subtract (c x v, v) from six rows of a column."""
+    H[o, at] -= c1 * z - c2 * y
+    H[o + 1, at] -= c2 * x - c0 * z
+    H[o + 2, at] -= c0 * y - c1 * x
+    H[o + 3, at] -= x
+    H[o + 4, at] -= y
+    H[o + 5, at] -= z
+
+
+@njit(cache=True, nogil=True)
+def _factor_point(
+    p: int,
+    begin: int,
+    end: int,
+    damping: float,
+    weight: Array,
+    pull: Array,
+    chart: Array,
+    lower: Array,
+    damped: Array,
+    step: Array,
+) -> None:
+    """Cholesky factor of the point's block in its chart; the chart's right side goes into `step`."""
+    s0 = s1 = s2 = s3 = s4 = s5 = g0 = g1 = g2 = 0.0
+    for i in range(begin, end):
+        s0 += weight[i, 0]
+        s1 += weight[i, 1]
+        s2 += weight[i, 2]
+        s3 += weight[i, 3]
+        s4 += weight[i, 4]
+        s5 += weight[i, 5]
+        g0 += pull[i, 0]
+        g1 += pull[i, 1]
+        g2 += pull[i, 2]
+    M, L = chart[p], lower[p]
+    for j in range(3):
+        x, y, z = M[0, j], M[1, j], M[2, j]
+        step[p, j] = g0 * x + g1 * y + g2 * z
+        v0, v1, v2 = s0 * x + s3 * y + s5 * z, s3 * x + s1 * y + s4 * z, s5 * x + s4 * y + s2 * z
+        for c in range(j, 3):
+            L[c, j] = M[0, c] * v0 + M[1, c] * v1 + M[2, c] * v2
+    floor = PRIOR + 1e-12 * (L[0, 0] + L[1, 1] + L[2, 2])
+    for j in range(3):
+        damped[p, j] = damping * L[j, j] + floor
+        L[j, j] += damped[p, j]
+    L[0, 0] = math.sqrt(L[0, 0])
+    L[1, 0] /= L[0, 0]
+    L[2, 0] /= L[0, 0]
+    L[1, 1] = math.sqrt(L[1, 1] - L[1, 0] * L[1, 0])
+    L[2, 1] = (L[2, 1] - L[2, 0] * L[1, 0]) / L[1, 1]
+    L[2, 2] = math.sqrt(L[2, 2] - L[2, 0] * L[2, 0] - L[2, 1] * L[2, 1])
+
+
+@njit(cache=True, nogil=True)
+def _project_rows(p: int, i: int, at: int, chart: Array, lower: Array, weight: Array, arm: Array, rows: Array) -> None:
+    """rows[at] (3, 6) = (A S M L^-T)^T: with V = L L^T, products of such rows are the blocks W V^-1 W^T."""
+    M, L, s, out = chart[p], lower[p], weight[i], rows[at]
+    i0, i1, i2 = 1.0 / L[0, 0], 1.0 / L[1, 1], 1.0 / L[2, 2]
+    for j in range(3):
+        x, y, z = _column(s, j)
+        u0 = (x * M[0, 0] + y * M[1, 0] + z * M[2, 0]) * i0
+        u1 = (x * M[0, 1] + y * M[1, 1] + z * M[2, 1] - L[1, 0] * u0) * i1
+        u2 = (x * M[0, 2] + y * M[1, 2] + z * M[2, 2] - L[2, 0] * u0 - L[2, 1] * u1) * i2
+        out[0, 3 + j], out[1, 3 + j], out[2, 3 + j] = -u0, -u1, -u2
+    a0, a1, a2 = arm[i, 0], arm[i, 1], arm[i, 2]
+    for j in range(3):
+        b0, b1, b2 = out[j, 3], out[j, 4], out[j, 5]
+        out[j, 0], out[j, 1], out[j, 2] = a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
+
+
+@njit(cache=True, nogil=True)
+def _eliminate(
+    p: int, count: int, step: Array, lower: Array, columns: Indices, rows: Array, reduced: Array, right: Array
+) -> None:
+    """Subtract W V^-1 W^T (lower triangle) and W V^-1 g of the frames that see point p."""
+    L = lower[p]
+    y0 = step[p, 0] / L[0, 0]
+    y1 = (step[p, 1] - L[1, 0] * y0) / L[1, 1]
+    y2 = (step[p, 2] - L[2, 0] * y0 - L[2, 1] * y1) / L[2, 2]
+    for one in range(count):
+        c = columns[one]
+        for j in range(6):
+            b0, b1, b2 = rows[one, 0, j], rows[one, 1, j], rows[one, 2, j]
+            right[c + j] -= b0 * y0 + b1 * y1 + b2 * y2
+            for two in range(count):
+                d = columns[two]
+                if d <= c:
+                    for q in range(6):
+                        reduced[c + j, d + q] -= b0 * rows[two, 0, q] + b1 * rows[two, 1, q] + b2 * rows[two, 2, q]

@@ -1,0 +1,146 @@
+"""Chess corners of a ChArUco board: its markers say where to look, the edges of its squares say where they are."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from machine.boards import board_marker_ids, board_markers, dark_first, inner_corners
+from machine.description import Board, StereoCamera
+from machine.markers import marker_corners
+from machine.poses import inverse_pose, transform_points
+from server.vision.board_plane import STRAY_PX, BoardPlane, fit_plane
+from server.vision.charuco_saddle import fit_saddles
+from server.vision.contracts import Array, Image
+from server.vision.pose_problem import PointSighting
+
+ROUGHNESS_MAX_FRAC = 0.10  # rms of the fit over its contrast; clean corners stay below 0.05
+CONTRAST_MIN_GREY = 16.0
+SIDE_MIN_PX = 5.0  # of a square
+MARKER_SIGMA_PX = 0.8  # of a decoded marker's corner before refinement; found chess corners count as CORNER_SIGMA_PX
+CORNER_SIGMA_PX = 0.2
+TRUST_FRAC = 0.10  # of a square: a corner is looked for only where its place is known to this sigma ...
+MOVE_MAX_FRAC = 0.35  # ... and is it only if it lies this near: the next one alike is 1.4 squares away
+OFF_PLANE_MIN_PX = 0.5  # a corner may lie this far from the plane of the others, or five times their spread
+OFF_PLANE_SPREADS = 5.0
+OFF_PLANE_CORNERS_MIN = 8  # fewer cannot outvote one
+CORNERS_MIN = 4  # fewer give no plane, and one by itself may be anything
+STRAY_MARKER_FRAC = 0.35  # of a square: a marker this far from its place belongs to a board described otherwise
+PASSES_MAX = 8  # the corners found show where their neighbours are
+
+
+def board_corners(image: Image, board: Board, found: Mapping[int, Array], camera: StereoCamera) -> Array:
+    """Inner chess corners of one board in one eye.
+
+    Model:   homography from the markers found, then also from the corners found; where its own covariance says that a
+             place is known, two edges are fitted (`fit_saddle`). A corner is dropped where the fit is rough, where
+             black and white are swapped, or where it lies off the plane of the others.
+    Args:    image: raw grey (h, w). found: corners (4, 2) [raw px] of decoded markers by id, also those whose sides
+             are not clean. camera: this eye.
+    Returns: (n, 2) [raw px] in the order of `machine.boards.inner_corners`; NaN where not seen.
+    """
+    plane = inner_corners(board)[:, :2] / board.square_m
+    seen = np.full(plane.shape, np.nan)
+    markers = _marker_points(board, found)
+    where = _agreed_plane(markers, camera)
+    for _ in range(PASSES_MAX):
+        if where is None or np.isfinite(seen).all():
+            break
+        fitted = np.where(np.isnan(seen), _fitted(image, board, where, plane, np.isnan(seen[:, 0])), seen)
+        if np.isnan(fitted).sum() == np.isnan(seen).sum():
+            break
+        seen = fitted
+        where = _plane_of(markers, plane, seen, camera)
+    seen = _on_plane(seen, plane, camera)
+    return seen if np.isfinite(seen[:, 0]).sum() >= CORNERS_MIN else np.full(plane.shape, np.nan)
+
+
+def board_sighting(
+    board: Board,
+    images: tuple[Image, Image],
+    found: tuple[Mapping[int, Array], Mapping[int, Array]],
+    camera: StereoCamera,
+) -> PointSighting | None:
+    """One charuco board in both eyes (left, right), in the axes of the object it sits on; None where no eye sees it."""
+    left, right = (board_corners(image, board, ids, camera) for image, ids in zip(images, found, strict=True))
+    both = tuple(None if np.isnan(px).all() else px for px in (left, right))
+    if all(px is None for px in both):
+        return None
+    points = transform_points(board.T_on_board, inner_corners(board))
+    return PointSighting(f"board {board.first_id}", board.first_id, points, *both)
+
+
+def why_no_corner(board: Board, found: Mapping[int, Array]) -> str:
+    """What to do about a board of which markers are seen, but no chess corner; empty where no marker is seen."""
+    n = len(set(board_marker_ids(board)) & found.keys())
+    if n == 0:
+        return ""
+    return (
+        f"board {board.first_id}: {n} of its markers are seen but no chess corner is clean; check light and focus, and "
+        "its squares, sizes and legacy_pattern in the machine file"
+    )
+
+
+def _marker_points(board: Board, found: Mapping[int, Array]) -> tuple[Array, Array]:
+    """Corners of the markers found: on the board (n, 2) [squares], in the image (n, 2) [raw px]."""
+    T_board_on = inverse_pose(board.T_on_board)
+    plane, pixels = [np.empty((0, 2))], [np.empty((0, 2))]
+    for marker in board_markers(board):
+        if marker.marker_id in found:
+            corners = transform_points(T_board_on @ marker.T_on_marker, marker_corners(marker.side_m))
+            plane.append(corners[:, :2] / board.square_m)
+            pixels.append(np.asarray(found[marker.marker_id], dtype=float).reshape(4, 2))
+    return np.concatenate(plane), np.concatenate(pixels)
+
+
+def _agreed_plane(markers: tuple[Array, Array], camera: StereoCamera) -> BoardPlane | None:
+    """The plane by the markers; None unless every one of them lies where the board's description has it.
+
+    A wrong legacy_pattern moves most markers by one column, and only the first of every other row elsewhere: to outvote
+    those would give a pose that is wrong by a square.
+    """
+    plane, pixels = markers
+    where = fit_plane(plane, pixels, np.full(len(plane), MARKER_SIGMA_PX), camera)
+    if where is None:
+        return None
+    off = np.linalg.norm(where.pixels(plane) - pixels, axis=1).reshape(-1, 4).max(axis=1)
+    square = where.pixels(plane + np.array([1.0, 0.0])) - where.pixels(plane)
+    limit = np.maximum(STRAY_PX, STRAY_MARKER_FRAC * np.linalg.norm(square, axis=1).reshape(-1, 4).min(axis=1))
+    return where if np.all(off <= limit) else None
+
+
+def _plane_of(markers: tuple[Array, Array], plane: Array, seen_px: Array, camera: StereoCamera) -> BoardPlane | None:
+    """The plane by the markers and by the corners found so far."""
+    seen = np.isfinite(seen_px).all(axis=1)
+    points = np.concatenate([markers[0], plane[seen]])
+    pixels = np.concatenate([markers[1], seen_px[seen]])
+    sigmas = np.repeat([MARKER_SIGMA_PX, CORNER_SIGMA_PX], [len(markers[0]), int(seen.sum())])
+    return fit_plane(points, pixels, sigmas, camera)
+
+
+def _fitted(image: Image, board: Board, where: BoardPlane, plane: Array, wanted: Array) -> Array:
+    """Corners (n, 2) [px] that pass the gates of the single corner; NaN for the others."""
+    x, y = np.array([0.5, 0.0]), np.array([0.0, 0.5])
+    start = where.pixels(plane)
+    right = where.pixels(plane + x) - where.pixels(plane - x)
+    down = where.pixels(plane - y) - where.pixels(plane + y)
+    side = np.minimum(np.linalg.norm(right, axis=1), np.linalg.norm(down, axis=1))
+    known = (side >= SIDE_MIN_PX) & (where.sigmas_px(plane) < TRUST_FRAC * side)
+    start[~(wanted & known)] = np.nan
+    gap_frac = 0.5 * (1.0 - board.marker_m / board.square_m)
+    found = fit_saddles(image, start, np.stack([right, down], axis=2), dark_first(board), gap_frac)
+    good = (found[:, 2] < ROUGHNESS_MAX_FRAC) & (found[:, 3] > CONTRAST_MIN_GREY)
+    good &= np.linalg.norm(found[:, :2] - start, axis=1) < MOVE_MAX_FRAC * side
+    return np.where(good[:, None], found[:, :2], np.nan)
+
+
+def _on_plane(seen_px: Array, plane: Array, camera: StereoCamera) -> Array:
+    """Drop corners that lie off the plane of the others."""
+    seen = np.isfinite(seen_px).all(axis=1)
+    if seen.sum() < OFF_PLANE_CORNERS_MIN:
+        return seen_px
+    where = fit_plane(plane[seen], seen_px[seen], np.full(int(seen.sum()), CORNER_SIGMA_PX), camera)
+    if where is None:
+        return seen_px
+    off = np.linalg.norm(where.pixels(plane) - seen_px, axis=1)
+    limit = max(OFF_PLANE_MIN_PX, OFF_PLANE_SPREADS * float(np.nanmedian(off)))
+    return np.where((off <= limit)[:, None], seen_px, np.nan)

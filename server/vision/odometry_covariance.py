@@ -1,0 +1,80 @@
+"""How well the keyframes are known, jointly: an error taken over from an older keyframe is told once."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.rotations import skew
+from server.vision.contracts import Array
+from server.vision.odometry_sensitivity import SHARED, Sensitivity
+
+
+class KeyframeCovariances:
+    """Joint covariance of all keyframes' shared errors (12 each: pose by left perturbation in vo, velocity)."""
+
+    def __init__(self) -> None:
+        self._joint = np.zeros((0, 0))
+
+    def pose_of(self, number: int) -> Array:
+        """Covariance (6, 6) of one keyframe's pose."""
+        start = SHARED * number
+        return self._joint[start : start + 6, start : start + 6].copy()
+
+    def carried(self, found: Sensitivity) -> Array:
+        """What the keyframes' errors amount to in a pose that was fitted to their points, (6, 6)."""
+        gain, places = self._gain(found)
+        return gain @ self._joint[np.ix_(places, places)] @ gain.T
+
+    def add(self, covariance: Array, found: Sensitivity | None, twist_sigma: Array) -> None:
+        """A new keyframe at a pose with this covariance (6, 6); `found`: the keyframes that it was fitted to."""
+        old = len(self._joint)
+        joint = np.zeros((old + SHARED, old + SHARED))
+        joint[:old, :old] = self._joint
+        joint[old : old + 6, old : old + 6] = covariance
+        joint[old + 6 :, old + 6 :] = np.diag(twist_sigma**2)
+        if found is not None:
+            gain, places = self._gain(found)
+            joint[old : old + 6, :old] = gain @ self._joint[places]
+            joint[:old, old : old + 6] = joint[old : old + 6, :old].T
+        self._joint = joint
+
+    def set_twist(self, number: int, twist_sigma: Array) -> None:
+        """A keyframe's velocity became better known."""
+        start = SHARED * number + 6
+        self._joint[start : start + 6, start : start + 6] = np.diag(twist_sigma**2)
+
+    def replace_poses(self, numbers: Sequence[int], joint: Array, Ts_vo_key: Array) -> None:
+        """After an adjustment: joint covariance (6 k, 6 k) of these keyframes' poses given the first of them.
+
+        Model:   error = rigid motion by the first one's error, plus the adjustment's own (zero for the first).
+        Args:    Ts_vo_key: their poses (k, 4, 4).
+        """
+        first = SHARED * numbers[0]
+        moved = np.zeros((6 * len(numbers), 6))
+        for row, T in enumerate(Ts_vo_key):
+            moved[6 * row : 6 * row + 6] = np.eye(6)
+            moved[6 * row + 3 : 6 * row + 6, :3] = -skew(T[:3, 3] - Ts_vo_key[0, :3, 3])
+        places = np.concatenate([np.arange(SHARED * n, SHARED * n + 6) for n in numbers])
+        others = np.setdiff1d(np.arange(len(self._joint)), places)
+        crossed = moved @ self._joint[first : first + 6][:, others]
+        inside = moved @ self._joint[first : first + 6, first : first + 6] @ moved.T + joint
+        self._joint[np.ix_(places, others)] = crossed
+        self._joint[np.ix_(others, places)] = crossed.T
+        self._joint[np.ix_(places, places)] = inside
+
+    def twist_sigma(self, number: int) -> Array:
+        """Sigma (6,) of one keyframe's velocity."""
+        start = SHARED * number + 6
+        return np.sqrt(np.diag(self._joint)[start : start + 6])
+
+    def remove(self, number: int) -> None:
+        """Forget a keyframe."""
+        kept = np.delete(np.arange(len(self._joint)), np.arange(SHARED * number, SHARED * (number + 1)))
+        self._joint = self._joint[np.ix_(kept, kept)]
+
+    @staticmethod
+    def _gain(found: Sensitivity) -> tuple[Array, NDArray[np.int64]]:
+        gain = found.of_keyframes.transpose(1, 0, 2).reshape(6, -1)
+        places = np.concatenate([np.arange(SHARED * n, SHARED * (n + 1)) for n in found.keyframes])
+        return np.asarray(gain, float), np.asarray(places, np.int64)

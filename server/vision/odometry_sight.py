@@ -1,0 +1,154 @@
+"""What the odometry asks of a stereo pair: new points, known points found again, coarse correspondence."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.camera import undistort_to_rays
+from machine.description import StereoCamera
+from server.vision.contracts import Array, Image
+from server.vision.odometry_align import Alignment, align
+from server.vision.odometry_features import inside_mask, spread_corners
+from server.vision.odometry_flow import Flow, flow
+from server.vision.odometry_recognition import recognise
+
+EPIPOLAR_MAX_PX = 1.0
+DISPARITY_MIN_PX = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class StereoMatches:
+    """Raw pixels (n, 2) of the same points in both eyes."""
+
+    left_px: Array
+    right_px: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """Points of a kept pair that are looked for in a new one: places (n, 2) raw in the kept pair's two eyes, warps
+    (n, 2, 2) = d(kept px)/d(new px), guesses (n, 2) raw in the new pair."""
+
+    indices: NDArray[np.int64]
+    places_left_px: Array
+    places_right_px: Array
+    warps: Array
+    guesses_left_px: Array
+    guesses_right_px: Array
+
+    def some(self, chosen: NDArray[np.int64]) -> "Wanted":
+        """Only these of them."""
+        return Wanted(
+            self.indices[chosen],
+            self.places_left_px[chosen],
+            self.places_right_px[chosen],
+            self.warps[chosen],
+            self.guesses_left_px[chosen],
+            self.guesses_right_px[chosen],
+        )
+
+
+class Sight(Protocol):
+    """One stereo pair as the odometry sees it: images, or in a simulation points that are known to lie there."""
+
+    @property
+    def t_exposure_ns(self) -> int:
+        """Mid-exposure of the middle row, camera clock."""
+        ...
+
+    def match_eyes(self, camera: StereoCamera, count: int, occupied_px: Array) -> StereoMatches:
+        """New points in both eyes, about `count` at most, away from `occupied_px` (m, 2)."""
+        ...
+
+    def find(self, kept: "Sight", wanted: Wanted) -> tuple[Alignment, Alignment]:
+        """Points of a kept pair in this pair's left and right eye."""
+        ...
+
+    def may_show(self, left_px: Array) -> NDArray[np.bool_]:
+        """Which places (n, 2) of the left eye are not masked."""
+        ...
+
+    def flow_from(self, kept: "Sight", places_left_px: Array) -> Flow:
+        """Where left places of a kept pair are in this left eye, without any idea of the motion."""
+        ...
+
+    def recognise(self, kept: "Sight") -> tuple[Array, Array]:
+        """Left places (n, 2) of a kept pair and where they seem to be in this left eye, wherever the camera is."""
+        ...
+
+    def keep(self) -> "Sight":
+        """A copy that stays true when the caller's buffers are used again."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ImageSight:
+    """A pair of raw grey images (h, w) with the masks (255 = may be used) of both eyes."""
+
+    left: Image
+    right: Image
+    masks: tuple[Image, Image]
+    t_exposure_ns: int
+
+    def match_eyes(self, camera: StereoCamera, count: int, occupied_px: Array) -> StereoMatches:
+        """New corners of the left eye found again in the right one.
+
+        Model:   kept where the rows of the undistorted rays agree to 1 px and the disparity is at least 1.5 px. Flow
+                 runs twice: what fails starts again at the disparity of its neighbours.
+        """
+        corners = spread_corners(self.left, self.masks[0], count, occupied_px)
+        found = flow(self.left, self.right, corners)
+        rays_left = undistort_to_rays(camera, corners)
+        right_px, good = found.points_px, plausible(camera, rays_left, found.points_px, found.good)
+        if 0 < good.sum() < len(good):
+            shift = np.median(right_px[good] - corners[good], axis=0)
+            again = flow(self.left, self.right, corners[~good], corners[~good] + shift)
+            right_px = right_px.copy()
+            right_px[~good] = again.points_px
+            retried = good.copy()
+            retried[~good] = again.good
+            good = plausible(camera, rays_left, right_px, retried)
+        good &= inside_mask(self.masks[1], right_px)
+        return StereoMatches(corners[good], right_px[good])
+
+    def find(self, kept: Sight, wanted: Wanted) -> tuple[Alignment, Alignment]:
+        """Patches of the kept pair, warped, laid onto this one; what lies under a mask is no find."""
+        if not isinstance(kept, ImageSight):
+            raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
+        left = align(kept.left, wanted.places_left_px, wanted.warps, self.left, wanted.guesses_left_px)
+        right = align(kept.right, wanted.places_right_px, wanted.warps, self.right, wanted.guesses_right_px)
+        shown = right.good & inside_mask(self.masks[1], right.points_px)
+        return left, Alignment(right.points_px, right.correlation, shown)
+
+    def may_show(self, left_px: Array) -> NDArray[np.bool_]:
+        """Which places (n, 2) of the left eye are not masked."""
+        return inside_mask(self.masks[0], left_px)
+
+    def flow_from(self, kept: Sight, places_left_px: Array) -> Flow:
+        """Pyramidal flow from the kept left image to this one."""
+        if not isinstance(kept, ImageSight):
+            raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
+        found = flow(kept.left, self.left, places_left_px)
+        return Flow(found.points_px, found.good & inside_mask(self.masks[0], found.points_px))
+
+    def recognise(self, kept: Sight) -> tuple[Array, Array]:
+        """By ORB features."""
+        if not isinstance(kept, ImageSight):
+            raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
+        return recognise(kept.left, kept.masks[0], self.left, self.masks[0])
+
+    def keep(self) -> "ImageSight":
+        """With images of its own."""
+        return ImageSight(self.left.copy(), self.right.copy(), self.masks, self.t_exposure_ns)
+
+
+def plausible(camera: StereoCamera, rays_left: Array, right_px: Array, good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which matches (n,) lie on the epipolar line (rows agree to 1 px), in front of the eyes, and inside the image."""
+    height, width = camera.height_px, camera.width_px
+    inside = np.asarray((right_px >= 0.0).all(axis=1) & (right_px < [width, height]).all(axis=1))
+    rays_right = undistort_to_rays(camera, np.where(inside[:, None], right_px, 0.0))
+    disparity = (rays_left[:, 0] - rays_right[:, 0]) * camera.fx_px
+    row = np.abs(rays_left[:, 1] - rays_right[:, 1]) * camera.fy_px
+    return np.asarray(good & inside & (row < EPIPOLAR_MAX_PX) & (disparity > DISPARITY_MIN_PX))

@@ -1,0 +1,48 @@
+"""Compiles the odometry's kernels before the first pair; a cold start costs seconds, later ones find the cache."""
+
+import numpy as np
+
+from server.vision.odometry_align import align
+from server.vision.odometry_keyframe import Keyframe
+from server.vision.odometry_observation import Observed
+from server.vision.odometry_pose import StereoPoints, refine_camera
+from server.vision.odometry_sensitivity import Shutter, sensitivity
+from server.vision.odometry_sight import ImageSight
+
+
+def warm_up() -> None:
+    """Run every kernel on random texture and points."""
+    rng = np.random.default_rng(1)
+    image = rng.integers(0, 255, (48, 48)).astype(np.uint8)
+    middle = np.array([[24.0, 24.0]])
+    align(image, middle, np.eye(2)[None], image, middle)
+    points = rng.uniform(-1.0, 1.0, (12, 3)) + np.array([0.0, 0.0, 5.0])
+    left, right = points[:, :2] / points[:, 2:], (points[:, :2] - [0.1, 0.0]) / points[:, 2:]
+    seen = StereoPoints(points, np.tile(1e-6 * np.eye(3), (12, 1, 1)), left, right, 0.1, 500.0, 0.1)
+    fit = refine_camera(np.eye(4), seen)
+    if fit is None:
+        return
+    numbers = np.zeros(12, dtype=np.int64)
+    observed = Observed(numbers, numbers, left, right, 12, seen)
+    shutter = Shutter(left[:, 0], left[:, 0], np.ones(6), 0.01)
+    sensitivity(observed, fit, points, shutter, [_keyframe()])
+
+
+def _keyframe() -> Keyframe:
+    none, points, black = np.zeros((0, 2)), np.zeros((1, 3)), np.zeros((2, 2), np.uint8)
+    return Keyframe(
+        sight=ImageSight(black, black, (black, black), 0),
+        T_vo_cam=np.eye(4),
+        places_left_px=none,
+        places_right_px=none,
+        points_row=points,
+        support_row=points[:, None],
+        covariances_row=np.eye(3)[None],
+        row_fractions=np.zeros(1),
+        twist=np.zeros(6),
+        points_vo=points,
+        support_vo=points[:, None],
+        covariances_vo=np.eye(3)[None],
+        failures=np.zeros(1, dtype=np.int64),
+        mixing={0: np.eye(3)[None]},
+    )

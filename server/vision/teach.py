@@ -1,0 +1,189 @@
+"""A marker layout measured from stereo views: all markers and all views in one least-squares problem, or why not.
+
+views -> checks of the input -> start -> joint fit -> views differ? rigid? sides right? -> frame -> layout
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine.description import StereoCamera
+from server.vision.contracts import Array
+from server.vision.object_pose import fitted_variance
+from server.vision.teach_checks import (
+    Refusal,
+    check_connected,
+    check_directions,
+    check_input,
+    check_rigid,
+    check_sides,
+    check_sigmas,
+    rms_of,
+    sighting_rms_px,
+    spread_deg,
+    stray_sightings,
+)
+from server.vision.teach_contracts import (
+    TaughtLayout,
+    TaughtMarker,
+    TeachSettings,
+    TeachStatus,
+    TeachView,
+    angle_sigma_rad,
+    position_sigma_m,
+)
+from server.vision.teach_fit import PER_MARKER, Corners, LayoutFit, Priors, fit_layout
+from server.vision.teach_frame import LayoutFrame, place_layout, placed_covariances
+from server.vision.teach_start import SeenViews, corners_of, first_sides, start_of
+
+KNOWN_BASELINE_FRAC = 1e-9  # in the fit that asks the images for the sides
+
+
+@dataclass(frozen=True, slots=True)
+class TeachTask:
+    """What is to be taught: ids (the first is the reference), printed sides [m] as far as known, and the frame."""
+
+    ids: tuple[int, ...]
+    printed_m: Mapping[int, float]
+    frame: LayoutFrame
+
+
+@dataclass(frozen=True, slots=True)
+class _Fits:
+    """Both fits of one set of corners: with all that is known, and with the sides left to the images."""
+
+    seen: SeenViews
+    corners: Corners
+    known: LayoutFit
+    free: LayoutFit
+    n_dropped: int
+
+
+def teach_layout(
+    views: Sequence[TeachView], task: TeachTask, camera: StereoCamera, settings: TeachSettings
+) -> TaughtLayout:
+    """The layout of markers on one rigid object, from stereo pairs at rest.
+
+    Model:   see `fit_layout`; printed sides and the baseline enter with their own sigmas. The covariance takes the
+             corners' noise from the residuals where they are larger than assumed.
+    Args:    views: stereo pairs from different directions, raw px. camera: both eyes.
+    Returns: TaughtLayout; markers only where the status is OK.
+    """
+    fits = _fits(views, task, camera, settings)
+    if isinstance(fits, Refusal):
+        return refused(fits, len(views))
+    refusal = check_sides(fits.free, task.printed_m, task.ids, settings)
+    markers = _markers(fits, task)
+    refusal = refusal or check_sigmas(
+        max(position_sigma_m(one) for one in markers),
+        float(np.rad2deg(max(angle_sigma_rad(one) for one in markers))),
+        settings,
+    )
+    last = PER_MARKER * len(task.ids)
+    layout = TaughtLayout(
+        status=TeachStatus.OK,
+        reason="",
+        markers=markers,
+        n_views=len(fits.seen.views),
+        spread_deg=spread_deg(fits.known.state),
+        residual_rms_px=rms_of(fits.known.residuals_px),
+        baseline_frac=fits.known.state.baseline_frac,
+        baseline_sigma_frac=float(np.sqrt(fits.known.covariance[last, last])),
+        notes=(f"{fits.n_dropped} sightings did not fit the others and were left out",) if fits.n_dropped else (),
+    )
+    return layout if refusal is None else replace(layout, status=refusal.status, reason=refusal.reason, markers=())
+
+
+def refused(refusal: Refusal, n_views: int) -> TaughtLayout:
+    """A layout that there is not."""
+    nan = float("nan")
+    return TaughtLayout(refusal.status, refusal.reason, (), n_views, nan, nan, nan, nan)
+
+
+def _fits(
+    views: Sequence[TeachView], task: TeachTask, camera: StereoCamera, settings: TeachSettings
+) -> _Fits | Refusal:
+    refusal = _check_task(task) or check_input(views, task.ids)
+    if refusal:
+        return refusal
+    seen = SeenViews(task.ids, tuple(view for view in views if len(_shown(view, task.ids)) > 1))
+    refusal = check_connected(seen)
+    if refusal:
+        return refusal
+    sides = first_sides(seen, task.printed_m, camera)
+    if not np.isfinite(sides).all():
+        unknown = task.ids[int(np.argmin(np.isfinite(sides)))]
+        reason = (
+            f"marker {unknown} has no printed side and is never seen by both eyes; give its side, or show it to both"
+        )
+        return Refusal(TeachStatus.NOT_DETERMINED, reason)
+    start = start_of(seen, sides, camera, 0)
+    if start is None:
+        return Refusal(
+            TeachStatus.CONTRADICTION, "no pose puts the markers in front of the camera; check the camera file"
+        )
+    corners = corners_of(seen, camera)
+    priors = _priors(task, sides, settings)
+    fit = fit_layout(start, corners, priors)
+    stray = stray_sightings(sighting_rms_px(fit, corners, len(seen.views), len(task.ids)), settings)
+    if stray.any():
+        corners = corners.without(stray.ravel()[corners.sighting])
+        fit = fit_layout(fit.state, corners, priors)
+    refusal = check_directions(fit.state, settings) or check_rigid(fit, corners, priors, task.ids, settings)
+    return refusal or _refined(seen, corners, fit, priors, int(stray.sum()))
+
+
+def _check_task(task: TeachTask) -> Refusal | None:
+    if len(set(task.ids)) == len(task.ids) > 1:
+        return None
+    return Refusal(
+        TeachStatus.NO_MARKERS,
+        f"{len(set(task.ids))} different markers to teach; a layout needs two or more, each with an id of its own",
+    )
+
+
+def _shown(view: TeachView, ids: Sequence[int]) -> list[int]:
+    return [one for one in ids if one in view.left or one in view.right]
+
+
+def _priors(task: TeachTask, sides_m: Array, settings: TeachSettings) -> Priors:
+    sigmas = [settings.side_sigma_m if one in task.printed_m else np.inf for one in task.ids]
+    return Priors(sides_m, np.array(sigmas), settings.baseline_sigma_frac, settings.sigma_px, reference=0)
+
+
+def _refined(seen: SeenViews, corners: Corners, fit: LayoutFit, priors: Priors, n_dropped: int) -> _Fits:
+    """Take the noise from the residuals, and ask the images for the sides."""
+    dof = fit.residuals_px.size - 6 * len(seen.views) - PER_MARKER * len(seen.ids) + 6
+    variance = fitted_variance(float((fit.residuals_px**2).sum()), dof, priors.sigma_px)
+    noisy = replace(priors, sigma_px=float(np.sqrt(variance)))
+    known = fit_layout(fit.state, corners, noisy)
+    only_images = replace(noisy, side_sigmas_m=np.full(len(seen.ids), np.inf), baseline_sigma_frac=KNOWN_BASELINE_FRAC)
+    free = fit_layout(replace(known.state, baseline_frac=0.0), corners, only_images)
+    return _Fits(seen, corners, known, free, n_dropped)
+
+
+def _markers(fits: _Fits, task: TeachTask) -> tuple[TaughtMarker, ...]:
+    state, ids = fits.known.state, task.ids
+    Ts = place_layout(state, ids, task.frame, 0)
+    covariances = placed_covariances(state, fits.known.covariance, ids, task.frame, 0)
+    n = len(ids)
+    rms = sighting_rms_px(fits.known, fits.corners, len(fits.seen.views), n)
+    side_sigmas, free_sigmas = (
+        np.sqrt(np.diag(one.covariance)[6 : PER_MARKER * n : PER_MARKER]) for one in (fits.known, fits.free)
+    )
+    return tuple(
+        TaughtMarker(
+            marker_id=marker_id,
+            side_m=float(state.sides_m[k]),
+            side_sigma_m=float(side_sigmas[k]),
+            printed_side_m=task.printed_m.get(marker_id),
+            stereo_side_m=float(fits.free.state.sides_m[k]),
+            stereo_side_sigma_m=float(free_sigmas[k]),
+            T_on_marker=Ts[k],
+            covariance=covariances[k],
+            n_views=int(np.isfinite(rms[:, k]).sum()),
+            residual_rms_px=float(np.sqrt(np.nanmean(rms[:, k] ** 2))),
+        )
+        for k, marker_id in enumerate(ids)
+    )
