@@ -9,6 +9,23 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.description import Machine, parse_machine_toml
 from server.errors import SettingsError
+from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings
+
+__all__ = [
+    "CameraSettings",
+    "DeviceCameraSettings",
+    "FileCameraSettings",
+    "HttpCameraSettings",
+    "HttpSettings",
+    "LookSettings",
+    "PlcSettings",
+    "PositionSettings",
+    "RecordingSettings",
+    "ServerSettings",
+    "read_machine",
+    "read_machine_text",
+    "read_settings",
+]
 
 
 class _Strict(BaseModel):
@@ -39,30 +56,6 @@ class PlcSettings(_Strict):
     auth_key_file: str | None = None  # hexadecimal key, the same as in the PLC; none: nothing is signed
 
 
-class HttpCameraSettings(_Strict):
-    """A camera served over HTTP as multipart JPEG, side by side."""
-
-    kind: Literal["http"] = "http"
-    url: str = "http://127.0.0.1:8090/stream"
-
-
-class DeviceCameraSettings(_Strict):
-    """A UVC device that gives side-by-side frames, such as a ZED2."""
-
-    kind: Literal["device"]
-    index: Annotated[int, Field(ge=0, le=63)] = 0
-
-
-class FileCameraSettings(_Strict):
-    """A video file of side-by-side frames."""
-
-    kind: Literal["file"]
-    path: str
-
-
-CameraSettings = Annotated[HttpCameraSettings | DeviceCameraSettings | FileCameraSettings, Field(discriminator="kind")]
-
-
 class LookSettings(_Strict):
     """How a look is taken and when it counts."""
 
@@ -88,6 +81,9 @@ class PositionSettings(_Strict):
     sigma_tool_mount_deg: Annotated[float, Field(gt=0.0, le=20.0)] = 2.0
     sigma_systematic_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.7
     sigma_systematic_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.15
+    sigma_layout_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
+    sigma_layout_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.1
+    sigma_print_side_frac: Annotated[float, Field(ge=0.0, le=0.05)] = 7e-4
 
 
 class RecordingSettings(_Strict):

@@ -28,10 +28,11 @@ class CameraTrack:
 
 @dataclass(frozen=True, slots=True)
 class EncoderTrack:
-    """Encoder-based TCP: times (m,) [s, PLC clock mapped to the PC], `Ts_base_tcp` (m, 4, 4)."""
+    """Encoder-based TCP: times (m,) [s, PLC clock mapped to the PC], `Ts_base_tcp` (m, 4, 4), joints `qs` (m, n)."""
 
     t_s: Array
     Ts_base_tcp: Array
+    qs: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

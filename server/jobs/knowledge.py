@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from server.calibration.contracts import Array, CameraRotationEstimate
+from server.calibration.joint_estimate import JointEstimate
+from server.calibration.joint_observations import LookAt, OdometryRun
 from server.jobs.records import CalibrationRecord, ErrorMm, LookRecord, MoveRecord
 from server.jobs.requests import MachineReading
 from server.motion.contracts import PathPlan
@@ -49,6 +51,15 @@ class Knowledge:
     T_base_ooi: Array | None = None
     stall_rad: Array | None = None
     moves: list[MoveRecord] = field(default_factory=list)
+    runs: list[OdometryRun] = field(default_factory=list)
+    looks: list[LookAt] = field(default_factory=list)
+    joint: JointEstimate | None = None
+
+    def forget_calibration(self) -> None:
+        """Nothing learnt about this machine's mount and map is used any more."""
+        self.mount = self.calibration = self.joint = None
+        self.runs.clear()
+        self.looks.clear()
 
 
 def plan_hash(plan: PathPlan) -> str:

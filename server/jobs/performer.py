@@ -160,7 +160,7 @@ class Performer:
         offset_ns = self._cell.link.plc_to_pc_offset_ns or 0
         t_s = np.array([(sample.t_plc_ns + offset_ns) * 1e-9 for sample in samples])
         qs: Array = np.array([sample.q_rad for sample in samples])
-        return EncoderTrack(t_s=t_s, Ts_base_tcp=tcp_poses(self._cell.chain, qs))
+        return EncoderTrack(t_s=t_s, Ts_base_tcp=tcp_poses(self._cell.chain, qs), qs=qs)
 
 
 def _at_rest(samples: list[PlcSample]) -> bool:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from machine.description import Machine, Marker
+from server.vision.ambiguity_time import prior_from
 from server.vision.board_sightings import BoardFinder
 from server.vision.contracts import Image, MarkerView, ObjectPose, PairObservation
 from server.vision.detection import DetectionSettings, EyeDetection, EyeDetector
@@ -23,13 +24,17 @@ class ArucoSettings:
 
 
 class ArucoPoseSource:
-    """Pairs in, poses out. Keeps the last corners of each eye to search near them next time, nothing else."""
+    """Pairs in, poses out. Keeps the last corners of each eye to search near them next time, and the last poses: they
+    tell two orientations apart where images cannot.
+    """
 
     def __init__(self, machine: Machine, settings: ArucoSettings | None = None) -> None:
         self._camera = machine.camera
         self._markers = markers_by_object(machine)
         self._all_markers = machine.markers
         self._boards = BoardFinder(machine)
+        self._last: dict[ObjectName, ObjectPose] = {}
+        self._t_last_ns = 0
         self._settings = settings or ArucoSettings()
         warm_up_markers()
         wanted = frozenset(marker.marker_id for marker in machine.markers)
@@ -43,6 +48,7 @@ class ArucoPoseSource:
         """Poses in one raw grey stereo pair; what the images lack is a status and a warning."""
         problems = [problem for problem in (image_problem("left", left), image_problem("right", right)) if problem]
         found = detect_safely(self._left, left), detect_safely(self._right, right)
+        age_s = (t_exposure_ns - self._t_last_ns) * 1e-9
         poses: dict[ObjectName, ObjectPose] = {}
         views: list[MarkerView] = []
         repeated = found[0].repeated_ids | found[1].repeated_ids
@@ -57,13 +63,16 @@ class ArucoPoseSource:
         for name, markers in self._markers.items():
             usable = tuple(marker for marker in markers if marker.marker_id not in repeated)
             sightings = (*sightings_of(usable, found[0].markers, found[1].markers), *boards[name])
+            last = self._last.get(name)
+            prior = None if last is None else prior_from(last, age_s)
             poses[name], object_views = estimate_object_pose(
-                name, sightings, self._camera, self._settings.pose, contradiction
+                name, sightings, self._camera, self._settings.pose, contradiction, prior
             )
             if not sightings:
                 reasons = [*problems, *_why_unused(found, markers), *self._boards.why_unseen(name, decoded)]
                 poses[name] = not_seen(name, "; ".join(reasons) or poses[name].reason)
             views.extend(object_views)
+        self._last, self._t_last_ns = poses, t_exposure_ns
         views.extend(_unused_views(found, {view.marker_id for view in views} | self._boards.marker_ids))
         warnings = (*problems, *(view.reason for view in views if not view.used))
         return PairObservation(t_exposure_ns, poses["tool"], poses["ooi"], tuple(views), tuple(dict.fromkeys(warnings)))

@@ -72,9 +72,8 @@ def adjust_bundle(problem: BundleProblem, settings: BundleSettings | None = None
     joint = _expanded(layout, spread, fit)
     n_frames = len(problem.Ts_vo_cam)
     blocks = np.array([joint[6 * body : 6 * body + 6, 6 * body : 6 * body + 6] for body in range(len(layout.column))])
-    point_covariances = None
+    point_covariances = np.zeros((len(layout.body) if settings.point_covariances else 0, 3, 3))
     if settings.point_covariances:
-        point_covariances = np.zeros((len(layout.body), 3, 3))
         points_spread(layout, work, spread.covariance, point_covariances)
         point_covariances *= fit.variance_factor
     Ts = _poses(state)
@@ -127,7 +126,7 @@ def _unknown(problem: BundleProblem, start: BundleState, reason: str, iterations
         Ts_vo_group=np.array([group.T_vo_group for group in problem.groups], dtype=float).reshape(g, 4, 4),
         covariances=unknown[:k],
         group_covariances=unknown[k:],
-        joint_covariance=np.kron(np.eye(k + g), UNKNOWN_COVARIANCE),
+        joint_covariance=np.asarray(np.kron(np.eye(k + g), UNKNOWN_COVARIANCE), dtype=np.float64),
         point_covariances=np.tile(UNOBSERVED_M2 * np.eye(3), (m, 1, 1)),
         cost_before=np.nan,
         cost_after=np.nan,

@@ -143,7 +143,7 @@ def make_layout(problem: BundleProblem, settings: BundleSettings) -> tuple[Bundl
         first=np.searchsorted(problem.points[order], np.arange(m + 1)).astype(np.int64),
         rays=np.ascontiguousarray(rays[order]),
         scale=np.ascontiguousarray(np.where(seen, scale, 0.0)[order]),
-        alive=np.ascontiguousarray(seen.any(axis=1)[order]),
+        alive=np.ascontiguousarray(np.asarray(seen.any(axis=1))[order]),
         joint=problem.uv.shape[1] == 3,
         baseline=float(problem.baseline_m),
         depth_min=float(settings.depth_min_m),

@@ -45,11 +45,11 @@ def assemble(layout: BundleLayout, state: BundleState, work: BundleWork, damping
         for i in range(begin, end):
             c = column[frame[i]]
             if c >= 0:
-                _add_block(6 * c, i, i, -1.0, weight, pull, arm, reduced, right, diagonal)
+                _add_block(int(6 * c), i, i, -1.0, weight, pull, arm, reduced, right, diagonal)
             if body >= 0 and column[body] >= 0:
-                _add_block(6 * column[body], i, p, 1.0, weight, pull, work.body_arm, reduced, right, diagonal)
+                _add_block(int(6 * column[body]), i, p, 1.0, weight, pull, work.body_arm, reduced, right, diagonal)
                 if c >= 0:
-                    _add_shared(6 * column[body], 6 * c, i, p, weight, arm, work.body_arm, reduced)
+                    _add_shared(int(6 * column[body]), int(6 * c), i, p, weight, arm, work.body_arm, reduced)
         if work.anchor[p] >= 0:
             _factor_point(p, begin, end, damping, weight, pull, work.chart, work.lower, work.damped, work.point_step)
             count = 0

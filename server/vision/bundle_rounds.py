@@ -9,6 +9,7 @@ from server.vision.bundle_covariance import noise_of, seen_counts
 from server.vision.bundle_layout import BundleLayout, BundleState, BundleWork
 from server.vision.bundle_levenberg import NOT_FINITE, minimise, total_cost
 from server.vision.bundle_residuals import HUBER, drop_behind, linearise
+from server.vision.contracts import Array
 
 ROUNDS_MAX = 4
 ROUGH_STEP_SIGMA = 0.5  # per unknown: near enough to tell outliers; the slow end of reweighting is saved
@@ -45,9 +46,10 @@ def adjust_in_rounds(
         rough, tol = max(1, int(ROUGH_FRAC * iterations_max)), ROUGH_STEP_SIGMA * np.sqrt(_unknowns(layout))
         ending, spent = minimise(layout._replace(loss=HUBER), start, state, trial, work, rough, tol)
         noise, latest, used = _noise(layout, state, work), layout, 0.0
+        everything = layout.scale.copy()
         for _ in range(ROUNDS_MAX):
-            trimmed = _trim(layout, work, settings.inlier_sigma * noise)
-            if ending == NOT_FINITE or (trimmed == 0 and abs(noise - used) < STEADY_FRAC * used):
+            changed = _trim(layout, everything, state, work, settings.inlier_sigma * noise)
+            if ending == NOT_FINITE or (changed == 0 and abs(noise - used) < STEADY_FRAC * used):
                 break
             used, latest = noise, layout._replace(loss_scale=settings.loss_scale * noise)
             left = iterations_max - spent
@@ -67,11 +69,16 @@ def _noise(layout: BundleLayout, state: BundleState, work: BundleWork) -> float:
     return noise_of(layout, work.squares)
 
 
-def _trim(layout: BundleLayout, work: BundleWork, limit_sigma: float) -> int:
-    """Take eyes that disagree out of `layout`; how many there were."""
-    out = (seen_counts(layout) > 0) & (work.squares > limit_sigma**2)
+def _trim(layout: BundleLayout, everything: Array, state: BundleState, work: BundleWork, limit_sigma: float) -> int:
+    """Take eyes that disagree out of `layout`, and those back in that agree by now; how many coordinates changed."""
+    before = layout.scale.copy()
+    layout.scale[:] = everything
+    layout.alive[:] = (everything > 0.0).any(axis=1)
+    drop_behind(layout, state)
+    linearise(layout, state, work)
+    out = work.squares > limit_sigma**2
     if layout.joint:
         out[:, 1] = out[:, 0]
     layout.scale[np.repeat(out, 2, axis=1)] = 0.0
     layout.alive[:] &= (layout.scale > 0.0).any(axis=1)
-    return int(out.sum())
+    return int(((layout.scale > 0.0) != (before > 0.0)).sum())

@@ -67,7 +67,7 @@ def back_substitute(layout: BundleLayout, work: BundleWork, bodies_step: Array) 
         for i in range(first[p], first[p + 1]):
             c = column[frame[i]]
             if c >= 0:
-                x, y, z = _pulled(i, 6 * c, weight, arm, bodies_step)
+                x, y, z = _pulled(i, int(6 * c), weight, arm, bodies_step)
                 q0 += x
                 q1 += y
                 q2 += z

@@ -14,6 +14,7 @@ from sim_plc.camera.texture import Grey
 from sim_plc.camera.wall import height_at, pose_at_row
 
 _RELIEF_STEPS = 60
+_RELIEF_DONE_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +91,10 @@ def _cast(
                 dz = T[2, 0] * rx + T[2, 1] * ry + T[2, 2]
                 t = (mean_z - T[2, 3]) / dz
                 for _ in range(_RELIEF_STEPS):
+                    before = t
                     t = (mean_z + height_at(heights, T[0, 3] + t * dx, T[1, 3] + t * dy) - T[2, 3]) / dz
+                    if abs(t - before) < _RELIEF_DONE_M:
+                        break
                 depth, grey = _nearest_board(T_boards, sides, cells, rx, ry)
                 if t < depth:
                     grey = _texture_grey(image, texel_x, texel_y, T[0, 3] + t * dx, T[1, 3] + t * dy)

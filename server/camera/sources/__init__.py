@@ -1,5 +1,27 @@
 """Where stereo pairs come from: one contract, one file per kind of source."""
 
-from server.camera.contracts import DeviceSource, FileSource, FolderSource, HttpSource, SourceSettings
+from server.camera.sources.settings import (
+    DeviceSource,
+    EurocSource,
+    FileSource,
+    FolderSource,
+    HttpSource,
+    PlainSource,
+    RecordingSource,
+    RectifiedSource,
+    RtspSource,
+    SourceSettings,
+)
 
-__all__ = ["DeviceSource", "FileSource", "FolderSource", "HttpSource", "SourceSettings"]
+__all__ = [
+    "DeviceSource",
+    "EurocSource",
+    "FileSource",
+    "FolderSource",
+    "HttpSource",
+    "PlainSource",
+    "RecordingSource",
+    "RectifiedSource",
+    "RtspSource",
+    "SourceSettings",
+]

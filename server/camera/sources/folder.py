@@ -1,4 +1,4 @@
-"""Stereo pairs from two sets of image files, as KITTI and EuRoC store them."""
+"""Stereo pairs from two sets of image files in name order, as KITTI stores them."""
 
 import glob
 import time
@@ -7,9 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from server.camera.contracts import FolderSource, StereoFrame
+from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError
 from server.camera.sources.pacing import Pacing
+from server.camera.sources.settings import FolderSource
 from server.vision.contracts import Image
 
 STAMP_DIGITS = 16  # a name with at least this many digits is a stamp in ns, not a number
@@ -42,20 +43,27 @@ class FolderStereoSource:
         if self.ended or not self._pacing.wait(timeout_s):
             return None
         left_file, right_file = self._lefts[self._number], self._rights[self._number]
-        left, right = _grey(left_file), _grey(right_file)
+        self._number += 1
+        self.state = f"image folder: end after {self._number} pairs" if self.ended else ""
+        try:
+            left, right = read_grey(left_file), read_grey(right_file)
+        except CameraError as error:
+            self.skipped, self.state = self.skipped + 1, str(error)
+            return None
         stem = Path(left_file).stem
         stamped = stem.isdigit() and len(stem) >= STAMP_DIGITS
-        t_exposure_ns = int(stem) if stamped else self._number * self._period_ns
-        self._number += 1
-        if self.ended:
-            self.state = f"image folder: end after {self._number} pairs"
+        t_exposure_ns = int(stem) if stamped else (self._number - 1) * self._period_ns
         return StereoFrame(left, right, t_exposure_ns, time.monotonic_ns(), self._number)
 
     def close(self) -> None:
         """Nothing to let go of."""
 
 
-def _grey(path: str) -> Image:
+def read_grey(path: str) -> Image:
+    """A picture file in grey (h, w).
+
+    Raises: CameraError: it cannot be read.
+    """
     picture = cv2.imread(path, cv2.IMREAD_GRAYSCALE)
     if picture is None:
         raise CameraError(f"image file '{path}' cannot be read; give PNG or JPEG files")

@@ -12,10 +12,11 @@ import time
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
-from server.camera.contracts import HttpSource, StereoFrame
+from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
 from server.camera.sources.multipart import MultipartParser, Part
 from server.camera.sources.newest import Newest
+from server.camera.sources.settings import HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side
 
 SILENCE_S = 2.0  # a camera that says nothing for this long is taken as lost

@@ -1,9 +1,28 @@
 """From settings to a source."""
 
-from server.camera.contracts import DeviceSource, FileSource, FolderSource, HttpSource, SourceSettings, StereoSource
+from dataclasses import asdict
+
+from server.camera.contracts import StereoSource
+from server.camera.sources import settings as kinds
+from server.camera.sources.device import DeviceStereoSource
+from server.camera.sources.euroc import EurocStereoSource
 from server.camera.sources.folder import FolderStereoSource
 from server.camera.sources.http import HttpStereoSource
-from server.camera.sources.video import DeviceStereoSource, FileStereoSource
+from server.camera.sources.recorded import RecordingStereoSource
+from server.camera.sources.rectifying import RectifyingSource
+from server.camera.sources.rtsp import RtspStereoSource
+from server.camera.sources.settings import (
+    DeviceSource,
+    EurocSource,
+    FileSource,
+    FolderSource,
+    HttpSource,
+    RecordingSource,
+    RectifiedSource,
+    RtspSource,
+    SourceSettings,
+)
+from server.camera.sources.video import FileStereoSource
 
 
 def open_source(settings: SourceSettings) -> StereoSource:
@@ -12,11 +31,27 @@ def open_source(settings: SourceSettings) -> StereoSource:
     Raises: CameraError when a file or folder cannot be used; a camera that is not there yet is waited for.
     """
     match settings:
+        case RectifiedSource():
+            return RectifyingSource(open_source(settings.source), settings)
         case HttpSource():
             return HttpStereoSource(settings)
         case DeviceSource():
             return DeviceStereoSource(settings)
+        case RtspSource():
+            return RtspStereoSource(settings)
         case FileSource():
             return FileStereoSource(settings)
         case FolderSource():
             return FolderStereoSource(settings)
+        case EurocSource():
+            return EurocStereoSource(settings)
+        case RecordingSource():
+            return RecordingStereoSource(settings)
+        case _:
+            return open_source(_moved(settings))
+
+
+def _moved(settings: object) -> SourceSettings:
+    """Until `contracts` takes its settings from `sources.settings`: those of the same name there."""
+    kind = getattr(kinds, type(settings).__name__)
+    return kind(**asdict(settings))  # pyright: ignore[reportArgumentType]

@@ -2,6 +2,7 @@
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from server.camera.errors import StreamError
 from server.vision.contracts import Image
@@ -17,12 +18,21 @@ def split_side_by_side(picture: Image) -> tuple[Image, Image]:
     return np.asarray(grey[:, :half], np.uint8), np.asarray(grey[:, half:], np.uint8)
 
 
-def decode_side_by_side(jpeg: bytes) -> tuple[Image, Image]:
+def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
+    """Grey picture (h, w) of JPEG or PNG bytes, decoded to grey at once.
+
+    Raises: StreamError when the bytes are no picture.
+    """
+    encoded = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
+    picture = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if encoded.size else None
+    if picture is None:
+        raise StreamError(f"camera picture of {encoded.size} bytes is not a JPEG; check the camera's encoder")
+    return np.asarray(picture, np.uint8)
+
+
+def decode_side_by_side(data: bytes | NDArray[np.uint8]) -> tuple[Image, Image]:
     """Left and right grey views of a JPEG picture.
 
     Raises: StreamError when the bytes are no picture.
     """
-    picture = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise StreamError(f"camera picture of {len(jpeg)} bytes is not a JPEG; check the camera's encoder")
-    return split_side_by_side(np.asarray(picture, np.uint8))
+    return split_side_by_side(decode_grey(data))

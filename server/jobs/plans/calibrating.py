@@ -12,6 +12,7 @@ from server.calibration.trajectory_matching_paper import estimate_camera_rotatio
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
+from server.jobs.plans.learning import remember_run
 from server.jobs.plans.planning import onto_reference, plan_settings
 from server.jobs.records import CalibrationRecord
 from server.jobs.requests import (
@@ -50,6 +51,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     if estimate.status is not CalibrationStatus.OK:
         raise JobFailedError(f"calibration failed ({estimate.status.value}): {estimate.reason}", "calibration_failed")
     ctx.knowledge.mount = estimate
+    remember_run(ctx, camera, encoder)
     ctx.knowledge.calibration = record
     text = f"camera rotation known to {record.sigma_deg:.2f} deg, clock offset {record.time_offset_ms:.0f} ms"
     yield Progress("calibrate", plan.duration_s, plan.duration_s, "s", text)

@@ -8,10 +8,11 @@ from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
+from server.jobs.plans.learning import remember_look
 from server.jobs.records import ErrorMm, LookRecord
 from server.jobs.requests import MachineReading, Progress, Request, Settle, TakeLook, expect
 from server.vision.contracts import Look, LookStatus
-from server.vision.goal_error import PoseError, error_to_goal
+from server.vision.goal_error import PoseError, PrintSigmas, error_to_goal
 
 
 def take_look(ctx: PlanContext) -> Generator[Request, object, LookTaken]:
@@ -25,6 +26,7 @@ def take_look(ctx: PlanContext) -> Generator[Request, object, LookTaken]:
     ctx.knowledge.last_look = taken
     if taken.error is not None:
         ctx.knowledge.T_base_ooi = ooi_in_base(ctx, taken)
+        remember_look(ctx, taken)
     yield Progress("look", 1.0, 1.0, "", describe(taken))
     return taken
 
@@ -85,7 +87,12 @@ def _error(ctx: PlanContext, look: Look) -> ErrorMm | None:
         return None
     if look.T_cam_tool is None or look.T_cam_ooi is None:
         return None
-    return error_in_mm(ctx, error_to_goal(look, ctx.T_ooi_goal), look.T_cam_tool, look.T_cam_ooi)
+    goal = ctx.settings.position
+    layout_m, layout_rad = goal.sigma_layout_mm * 1e-3, float(np.deg2rad(goal.sigma_layout_deg))
+    tool_prints = PrintSigmas(side_frac=goal.sigma_print_side_frac)  # the tool's marker defines the tool
+    ooi_prints = PrintSigmas(goal.sigma_print_side_frac, layout_m, layout_rad)
+    error = error_to_goal(look, ctx.T_ooi_goal, tool_prints, ooi_prints)
+    return error_in_mm(ctx, error, look.T_cam_tool, look.T_cam_ooi)
 
 
 def error_in_mm(ctx: PlanContext, found: PoseError, T_cam_tool: Array, T_cam_ooi: Array) -> ErrorMm:

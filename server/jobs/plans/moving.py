@@ -5,16 +5,21 @@ from collections.abc import Generator
 import numpy as np
 
 from machine.rotations import Array
+from server.calibration.joint_estimate import JointEstimate
+from server.calibration.joint_goal import joints_for_goal
 from server.calibration.reference import position_reference_paper, predicted_error_covariance, reference_from_look
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken, PreviewedPlan, plan_hash
 from server.jobs.plans.driving import TRIMS_MAX, drive
+from server.jobs.plans.learning import joint_estimate
 from server.jobs.plans.looking import good_look, mount_rotation
 from server.jobs.plans.planning import plan_to
 from server.jobs.records import MoveRecord
 from server.jobs.requests import MachineReading, Progress, ReadMachine, Record, Request, expect
 from server.motion.contracts import PlanStatus
+
+Sigmas = tuple[float, float, float]
 
 MOVED_RAD = 2e-3  # joints further than this from where the look was taken make it stale
 SAME_REFERENCE_RAD = 1e-6
@@ -28,7 +33,7 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
     """
     if taken.error is None:
         raise JobFailedError(f"no usable look: {taken.record.reason}; look again", "no_look")
-    T_goal = move_goal(ctx, taken)
+    T_goal, sigma_mm = move_goal(ctx, taken)
     plan = plan_to(ctx, taken.reading, T_goal)
     if plan.status is not PlanStatus.OK:
         raise JobFailedError(f"preview: {plan.reason}", f"plan_{plan.status.value}")
@@ -39,7 +44,7 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
         q_goal=plan.q_end,
         T_base_tcp_goal=T_goal,
         before=taken.error,
-        predicted_sigma_mm=predicted_sigma_mm(ctx, taken),
+        predicted_sigma_mm=sigma_mm,
         t_made_ns=t_now_ns,
         expires_ns=t_now_ns + int(ctx.settings.position.plan_expires_s * 1e9),
     )
@@ -47,22 +52,40 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
     return previewed
 
 
-def move_goal(ctx: PlanContext, taken: LookTaken) -> Array:
-    """T_base_tcp of the goal by the method: the whole pose (ours), or eq. 20-22 with held orientation (paper)."""
+def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
+    """T_base_tcp of the goal by the method, and one sigma of x, y, z after the move [mm], OOI axes.
+
+    Ours: from the joint estimate once a path was driven, else a step from the look; the paper's: eq. 20-22 with held
+    orientation.
+    Raises: JobFailedError when the joint estimate's goal cannot be reached.
+    """
     look, T_base_tcp = taken.look, ctx.tcp(taken.reading.q_rad)
-    R_tcp_cam = mount_rotation(ctx, taken)
     if look.T_cam_tool is None or look.T_cam_ooi is None:
         raise JobFailedError("no poses in the look; look again", "look_rejected")
+    R_tcp_cam = mount_rotation(ctx, taken)
     if ctx.method == "paper":
         b_m = ctx.settings.position.stand_off_mm * 1e-3
         R_base_cam = T_base_tcp[:3, :3] @ R_tcp_cam
-        return position_reference_paper(T_base_tcp, R_base_cam, look.T_cam_tool[:3, 3], look.T_cam_ooi[:3, 3], b_m)
-    return reference_from_look(
+        T_goal = position_reference_paper(T_base_tcp, R_base_cam, look.T_cam_tool[:3, 3], look.T_cam_ooi[:3, 3], b_m)
+        return T_goal, predicted_sigma_mm(ctx, taken)
+    estimate = joint_estimate(ctx)
+    if estimate is not None and estimate.state is not None:
+        return _joint_goal(ctx, estimate, taken.reading.q_rad)
+    T_goal = reference_from_look(
         T_base_tcp, R_tcp_cam, ctx.machine.T_tcp_tool, look.T_cam_tool, look.T_cam_ooi, ctx.T_ooi_goal
     )
+    return T_goal, predicted_sigma_mm(ctx, taken)
 
 
-def predicted_sigma_mm(ctx: PlanContext, taken: LookTaken) -> tuple[float, float, float]:
+def _joint_goal(ctx: PlanContext, estimate: JointEstimate, q_rad: Array) -> tuple[Array, Sigmas]:
+    goal = joints_for_goal(ctx.chain, estimate, q_rad, ctx.T_ooi_goal)
+    if goal.T_base_tcp is None or goal.covariance is None:
+        raise JobFailedError(f"preview: {goal.reason}", "plan_out_of_reach")
+    x, y, z = np.sqrt(np.diag(goal.covariance)[3:]) * 1e3
+    return goal.T_base_tcp, (float(x), float(y), float(z))
+
+
+def predicted_sigma_mm(ctx: PlanContext, taken: LookTaken) -> Sigmas:
     """One sigma of the error after the move, in OOI axes [mm]: the look's own and the rotation's times the distance."""
     mount = ctx.knowledge.mount
     sigma_rad = np.deg2rad(ctx.settings.position.sigma_tool_mount_deg)

@@ -26,7 +26,7 @@ def position(
         ctx.knowledge.q_start = reading.q_rad
     ctx.knowledge.moves.clear()
     if recalibrate:
-        ctx.knowledge.mount = None
+        ctx.knowledge.forget_calibration()
     taken = first = yield from good_look(ctx)
     watch.lap("look")
     taken = yield from orient(ctx, taken)

@@ -105,9 +105,10 @@ class World:
 
     def tracks(self):
         times = np.array([t for t, _ in self.trace]) * 1e-9
-        tcp = np.array([tcp_pose(CHAIN, q) for _, q in self.trace])
+        qs = np.array([q for _, q in self.trace])
+        tcp = np.array([tcp_pose(CHAIN, q) for q in qs])
         cams = tcp @ self.T_tcp_cam
-        return CameraTrack(times, inverse_pose(cams[0]) @ cams), EncoderTrack(times, tcp)
+        return CameraTrack(times, inverse_pose(cams[0]) @ cams), EncoderTrack(times, tcp, qs)
 
 
 def context(**position_settings):

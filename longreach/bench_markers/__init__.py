@@ -1,0 +1,1 @@
+"""Evidence for marker poses: noise bound, planar flips, honest covariances."""

@@ -1,0 +1,96 @@
+"""One cell of looks judged: ratio to the bound, flips, flags, coverage. Counts, so that cells can be pooled."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from longreach.bench_markers.errors import deviations, split, split_covariances
+from longreach.bench_markers.optimal import mirrored
+from machine.rotations import Array
+
+CHI2_95 = {2: 5.991, 3: 7.815}
+CHI2_999_TILT = 13.816  # 2 degrees of freedom
+OPTIMAL_MARGIN = 9.0
+PARTS = {"tilt": (0, 1), "lateral": (3, 4), "depth": (5,)}  # of `split_axes`
+
+
+@dataclass(frozen=True, slots=True)
+class CellResult:
+    """What came out of one cell; all counts are of looks."""
+
+    side_m: float
+    distance_m: float
+    tilt_deg: float
+    sigma_px: float
+    n: int
+    tilt_bound_deg: float  # rms of the angle of the normal
+    ratios: dict[str, dict[str, float]]  # method -> part -> rms over bound
+    biases: dict[str, list[float]]  # part -> sums of error over its bound's sigma, one per axis
+    flagged: int
+    flagged_optimal: int
+    flips: int  # not flagged, nearer to the mirrored truth, and the truth outside the pose's own 99.9 %
+    nearer_to_mirror: int  # not flagged, nearer to the mirrored truth, whatever the covariance says
+    flips_opencv: int
+    inside_position: int
+    inside_tilt: int
+    n_tilt: int
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """Poses found in one cell: (n, 4, 4), covariances (n, 6, 6), whether flagged ambiguous (n,)."""
+
+    Ts: Array
+    covariances: Array
+    flagged: NDArray[np.bool_]
+
+
+def ratios(Ts: Array, truths: Array, bounds: Array, tilt_of: NDArray[np.bool_] | None = None) -> dict[str, float]:
+    """Root of the summed squared errors over the summed bounds, by part; tilt over the looks `tilt_of` only."""
+    good = np.isfinite(Ts).all(axis=(1, 2))
+    errors = split(deviations(Ts[good], truths[good]), truths[good])
+    variances = np.einsum("nii->ni", split_covariances(bounds[good], truths[good]))
+    result = {}
+    for name, axes in PARTS.items():
+        rows = tilt_of[good] if name == "tilt" and tilt_of is not None else np.ones(len(errors), dtype=bool)
+        e, v = errors[rows][:, list(axes)], variances[rows][:, list(axes)]
+        result[name] = float(np.sqrt(np.sum(e**2) / np.sum(v))) if len(e) else float("nan")
+    return result
+
+
+def normalised_bias(Ts: Array, truths: Array, bounds: Array) -> dict[str, list[float]]:
+    """Sums over the looks of error over the bound's sigma, by part and axis."""
+    errors = split(deviations(Ts, truths), truths)
+    sigmas = np.sqrt(np.einsum("nii->ni", split_covariances(bounds, truths)))
+    sums = np.sum(errors / sigmas, axis=0)
+    return {name: [float(sums[axis]) for axis in axes] for name, axes in PARTS.items()}
+
+
+def tilt_bound_deg(truths: Array, bounds: Array) -> float:
+    """Rms of the angle of the normal by the bound [deg]."""
+    variances = np.einsum("nii->ni", split_covariances(bounds, truths))
+    return float(np.rad2deg(np.sqrt(np.mean(variances[:, 0] + variances[:, 1]))))
+
+
+def chi2(errors: Array, covariances: Array) -> Array:
+    """Squared Mahalanobis lengths (n,)."""
+    return np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[..., None])[..., 0])
+
+
+def position_chi2(looks: Looks, truths: Array) -> Array:
+    """Of the position, 3 degrees of freedom."""
+    errors = deviations(looks.Ts, truths)
+    return chi2(errors[:, 3:], looks.covariances[:, 3:, 3:])
+
+
+def tilt_chi2(looks: Looks, truths: Array) -> Array:
+    """Of the normal, 2 degrees of freedom."""
+    errors = split(deviations(looks.Ts, truths), looks.Ts)
+    return chi2(errors[:, :2], split_covariances(looks.covariances, looks.Ts)[:, :2, :2])
+
+
+def nearer_to_mirror(Ts: Array, truths: Array, eye_middle: Array) -> NDArray[np.bool_]:
+    """Whether the normal found lies nearer to the mirrored true normal than to the true one (n,)."""
+    normals, true, other = Ts[:, :3, 2], truths[:, :3, 2], mirrored(truths, eye_middle)[:, :3, 2]
+    return np.sum(normals * other, axis=1) > np.sum(normals * true, axis=1) + 1e-9

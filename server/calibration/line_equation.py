@@ -1,0 +1,133 @@
+"""The paper's line-equation method: a circle, the nearest point on it, and a line through both (eq. 9-16)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.poses import pose
+from server.calibration.checks import CalibrationInputError, require_pose
+from server.calibration.contracts import Array, CalibrationStatus
+
+Mask = NDArray[np.bool_]
+
+METHOD = "line_equation"
+RADIUS_M = 0.2
+POINTS = 18
+_POINTS_MIN = 4
+_AWAY_FROM_CENTRE = 0.5  # of the radius: the nearest point must lie on the circle, or eq. 15 has no direction
+_FLAT_M = 0.01  # distances that differ by less than this around the circle have no minimum
+
+
+@dataclass(frozen=True, slots=True)
+class LineReference:
+    """Where the line equation puts the tool.
+
+    `T_base_tcp_ref` (4, 4), `direction_base` p_u (3,), `distance_min_m`, `nearest` (index of the minimum) are None,
+    NaN or -1 unless status is OK. `residuals_m` (n,): measured distance minus the distance to the found reference; it
+    shows a wrong direction that the method itself cannot see.
+    """
+
+    status: CalibrationStatus
+    reason: str
+    T_base_tcp_ref: Array | None
+    direction_base: Array | None
+    distance_min_m: float
+    nearest: int
+    residuals_m: Array
+
+    @property
+    def residual_rms_m(self) -> float:
+        """Root mean square of the residuals that exist [m]; NaN when there are none."""
+        known = self.residuals_m[np.isfinite(self.residuals_m)]
+        return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
+
+
+def circle_points(
+    T_base_tcp: Array, radius_m: float = RADIUS_M, n_points: int = POINTS, start_rad: float = 0.0
+) -> Array:
+    """The circular path's points in base: centre, once around, centre.
+
+    Model:   p(phi) = p_init + r cos(phi) n + r sin(phi) s (10-12), phi from 0 to 2 pi, both ends driven; n, s, p from
+             the present pose (9).
+    Args:    T_base_tcp: present pose, after the orientation step (4, 4); radius_m: r; n_points: with the two centres;
+             start_rad: where the circle begins (the paper: 0).
+    Returns: (n_points, 3) [m].
+    Raises:  CalibrationInputError: not a pose, no radius, fewer than 5 points.
+    Source:  Makinen et al. 2023, eq. 9-12, section 5.2.1 (18 points, r = 0.2 m).
+    """
+    T = require_pose(T_base_tcp, "T_base_tcp")
+    if not radius_m > 0.0 or n_points < _POINTS_MIN + 1:
+        raise CalibrationInputError(f"circle of radius {radius_m} m with {n_points} points; give r > 0 and at least 5")
+    n, s, p_init = T[:3, 0], T[:3, 1], T[:3, 3]  # eq. 9
+    phi = start_rad + np.linspace(0.0, 2.0 * np.pi, n_points - 2)
+    rim = p_init + radius_m * (np.cos(phi)[:, None] * n + np.sin(phi)[:, None] * s)  # eq. 10-12
+    return np.vstack((p_init, rim, p_init))
+
+
+def image_distance(p_cam_tool: Array, p_cam_ooi: Array) -> float:
+    """Distance of tool and OOI across the camera's axis [m] (eq. 13); the depth is not looked at."""
+    x = float(p_cam_ooi[0] - p_cam_tool[0])
+    y = float(p_cam_ooi[1] - p_cam_tool[1])
+    return float(np.sqrt(x**2 + y**2))  # eq. 13
+
+
+def line_reference(
+    T_base_tcp_init: Array, points_base: Array, distances_m: Array, radius_m: float = RADIUS_M
+) -> LineReference:
+    """Reference pose of the TCP by the minimum distance seen on the circle: orientation held, depth untouched.
+
+    Model:   d_min = min d (13); x_init, x_eps: poses of centre and minimum (14); p_u = (p_eps - p_init) / |.| (15);
+             p_ref = p_init + p_u (r + d_min) (16).
+    Note:    eq. 16 holds only for an OOI outside of the circle: inside, the nearest point is the same but the way is r
+             - d_min. The distance measured at the centre tells both apart; without one it is assumed outside.
+    Args:    T_base_tcp_init: the circle's centre (4, 4); points_base: TCP where each distance was measured (n, 3) [m];
+             distances_m: eq. 13 at each (n,) [m], NaN where nothing was seen; radius_m: r.
+    Returns: the reference; OK, or TOO_FEW, DEGENERATE with the reason and no pose.
+    Raises:  CalibrationInputError: not a pose, shapes, a negative distance.
+    Source:  Makinen et al. 2023, eq. 13-16.
+    """
+    T_init = require_pose(T_base_tcp_init, "T_base_tcp_init")
+    points, d = _require_distances(points_base, distances_m)
+    on_rim = np.linalg.norm(points - T_init[:3, 3], axis=1) > _AWAY_FROM_CENTRE * radius_m
+    seen = np.isfinite(d)
+    refusal = _refusal(d, on_rim & seen, ~on_rim & seen, radius_m)
+    if refusal is not None:
+        return LineReference(*refusal, None, None, float("nan"), -1, np.full(len(d), np.nan))
+    nearest = int(np.flatnonzero(on_rim & seen)[np.argmin(d[on_rim & seen])])
+    d_min = float(d[nearest])  # eq. 13, minimum
+    p_init, p_eps = T_init[:3, 3], points[nearest]  # eq. 14
+    p_u = (p_eps - p_init) / np.linalg.norm(p_eps - p_init)  # eq. 15
+    p_ref = p_init + p_u * (radius_m + d_min)  # eq. 16
+    residuals = d - np.linalg.norm(_across(points - p_ref, T_init[:3, 2]), axis=1)
+    return LineReference(CalibrationStatus.OK, "", pose(T_init[:3, :3], p_ref), p_u, d_min, nearest, residuals)
+
+
+def _require_distances(points_base: Array, distances_m: Array) -> tuple[Array, Array]:
+    points, d = np.asarray(points_base, dtype=float), np.asarray(distances_m, dtype=float)
+    if d.ndim != 1 or points.shape != (len(d), 3) or not np.isfinite(points).all():
+        raise CalibrationInputError(f"points {points.shape} must be finite (n, 3), distances {d.shape} (n,)")
+    if (d[np.isfinite(d)] < 0.0).any():
+        raise CalibrationInputError(f"distance {np.nanmin(d):.3f} m is negative; give eq. 13")
+    return points, d
+
+
+def _across(vectors: Array, axis: Array) -> Array:
+    """The part of vectors (n, 3) across an axis (3,): what the plane of motion contains."""
+    return vectors - np.outer(vectors @ axis, axis)
+
+
+def _refusal(d: Array, rim: Mask, centre: Mask, radius_m: float) -> tuple[CalibrationStatus, str] | None:
+    """Why there is no line: too few points, no minimum, or an OOI inside of the circle."""
+    if rim.sum() < _POINTS_MIN:
+        text = f"OOI and tool seen at {rim.sum()} points of the circle, at least {_POINTS_MIN} needed"
+        return CalibrationStatus.TOO_FEW, f"{text}; keep both in view all around"
+    spread = float(np.ptp(d[rim]))
+    if spread < _FLAT_M:
+        text = f"distances around the circle differ by {1e3 * spread:.0f} mm only (limit {1e3 * _FLAT_M:.0f} mm)"
+        return CalibrationStatus.DEGENERATE, f"{text}: there is no nearest point; the OOI is already in the middle"
+    if centre.any() and float(np.median(d[centre])) < radius_m:
+        text = f"OOI lies {1e3 * np.median(d[centre]):.0f} mm from the middle, inside of the circle"
+        limit = f"of {1e3 * radius_m:.0f} mm"
+        return CalibrationStatus.DEGENERATE, f"{text} {limit}: eq. 16 would pass it; take a smaller circle"
+    return None

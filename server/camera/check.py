@@ -1,0 +1,82 @@
+"""The camera check: from stamps, some pairs and what vision saw in them to one line each. Pure."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.description import Machine
+from server.camera.check_findings import CheckFinding, Level
+from server.camera.check_markers import check_markers, tally
+from server.camera.check_matching import match_eyes
+from server.camera.check_picture import check_exposure, check_sharpness
+from server.camera.check_rig import check_rig
+from server.camera.check_scale import check_scale, side_ratios
+from server.camera.check_stream import StreamTimes, check_stream
+from server.vision.contracts import Image, PairObservation
+
+MATCHED_PAIRS_MAX = 6  # more add little: a still scene shows the same spots again
+
+Observe = Callable[[Image, Image, int], PairObservation]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gathered:
+    """What the check was given: the times of all pairs, and some pairs (left, right, stamp [ns])."""
+
+    times: StreamTimes
+    pairs: tuple[tuple[Image, Image, int], ...]
+
+
+def check_camera(
+    gathered: Gathered,
+    machine: Machine,
+    observe: Observe,
+    rng: np.random.Generator,
+    on_step: Callable[[], None] = lambda: None,
+) -> list[CheckFinding]:
+    """All lines, in the order of the way of the light: stream, pictures, rig, markers.
+
+    Args:    machine: its camera is what the pictures are said to be. observe: the marker pose source. on_step: called
+             after each pair and each part, `steps(gathered)` times.
+    """
+    findings = check_stream(gathered.times)
+    wrong = _wrong_size(gathered, machine)
+    if wrong is not None or not gathered.pairs:
+        return [*findings, wrong] if wrong is not None else findings
+    eyes = [(left, right) for left, right, _ in gathered.pairs]
+    findings += [check_sharpness(eyes), check_exposure(eyes)]
+    on_step()
+    spots = []
+    for left, right in _spread(eyes, MATCHED_PAIRS_MAX):
+        spots.append(match_eyes(left, right))
+        on_step()
+    rig = check_rig(machine.camera, spots, rng)
+    seen = []
+    for left, right, t_ns in gathered.pairs:
+        seen.append(observe(left, right, t_ns))
+        on_step()
+    markers = {marker.marker_id: marker for marker in machine.markers}
+    rig.append(check_scale(side_ratios(machine.camera, markers, seen)))
+    sound = all(one.level is not Level.FAIL for one in rig)
+    return [*findings, *rig, *check_markers(tally(machine, eyes, seen), sound)]
+
+
+def steps(gathered: Gathered) -> int:
+    """How often `check_camera` calls `on_step`."""
+    return 1 + min(len(gathered.pairs), MATCHED_PAIRS_MAX) + len(gathered.pairs)
+
+
+def _spread(pairs: Sequence[tuple[Image, Image]], n: int) -> list[tuple[Image, Image]]:
+    indices = np.unique(np.linspace(0, len(pairs) - 1, min(n, len(pairs))).astype(int))
+    return [pairs[index] for index in indices]
+
+
+def _wrong_size(gathered: Gathered, machine: Machine) -> CheckFinding | None:
+    wanted = (machine.camera.height_px, machine.camera.width_px)
+    shapes = {image.shape for left, right, _ in gathered.pairs for image in (left, right)}
+    odd = [shape for shape in shapes if shape != wanted]
+    if not odd:
+        return None
+    text = f"pictures are {odd[0][1]} x {odd[0][0]} px an eye, the camera's file says {wanted[1]} x {wanted[0]}"
+    return CheckFinding("size", Level.FAIL, text, "set the camera to that size, or give the file of this one")

@@ -1,0 +1,234 @@
+"""Do the two eyes still stand as calibrated? By the rows of matched spots: pitch, roll, focal ratio. Pure."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.camera import undistort_to_rays
+from machine.description import StereoCamera
+from machine.rotations import Array
+from server.camera.check_findings import CheckFinding, Level, level_of
+
+SPOTS_MIN = 60
+COVER_MIN = 6  # of 12 cells of the picture that must hold spots
+INLIER_PX = 1.5
+TRIALS = 400
+INLIER_SHARE_MIN = 0.4
+SWAPPED_SHARE, PARALLEL_PX = 0.8, 1.0
+HUBER = 1.5
+INDEPENDENT_SPOTS = 40
+SIGMAS = 4.0
+OFFSET_WARN_PX, OFFSET_FAIL_PX = 0.5, 1.5
+SPREAD_WARN_PX, SPREAD_FAIL_PX = 0.6, 2.0
+# What the rows can show of a rig, in the order of the fit, with what is believed of each before [rad or 1].
+TERMS = ("pitch", "roll", "focal", "yaw", "up", "ahead", "lens")
+PRIORS = np.array([0.1, 0.1, 0.05, 0.01, 0.003, 0.003, 0.3])
+FLOORS = np.array([1e-4, 1e-4, 1e-4, 0.0, 0.0, 0.0, 0.0])  # matching is not better than 0.05 px over the whole picture
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigFit:
+    """The right eye against the left as the rows of both tell it, beyond what the calibration says.
+
+    `pitch_rad`, `roll_rad`: rotation about x and z that takes points of the calibrated right eye's frame to the true
+    one's. `focal_ratio`: right to left. `sigma`: of these three. `row_px`, `spread_px`: median row difference right
+    minus left before the fit, and robust spread after it. `lens`: k1 by which the lens model is off, with its sigma.
+    A yaw is fitted, so that nothing else is blamed for it, but not told: remains of a real lens look like 0.5 deg of it.
+    The scale of known markers tells it.
+    """
+
+    pitch_rad: float
+    roll_rad: float
+    focal_ratio: float
+    sigma: Array
+    row_px: float
+    spread_px: float
+    lens: float
+    lens_sigma: float
+    lens_effect_px: float
+    n_spots: int
+
+
+def rays_of(camera: StereoCamera, spots: Sequence[Array]) -> Array:
+    """Undistorted rays (n, 4) of matched spots (n, 4) [raw px] of one or more pairs."""
+    flat = np.vstack([np.zeros((0, 4)), *spots])
+    return np.hstack([undistort_to_rays(camera, flat[:, :2]), undistort_to_rays(camera, flat[:, 2:])])
+
+
+def _design(camera: StereoCamera, rays: Array) -> Array:
+    """d(row difference) / d(term), (n, 7) [px]; first order.
+
+    Model:   right eye turned by small w and moved by b (0, up, ahead), its focal length (1 + focal) times the left's:
+             y_r - y_l = -pitch (1 + y^2) + roll x + focal y + yaw x y - up D + ahead y D + lens y (x_r^2 - x_l^2),
+             x, y: the right ray, D = x_l - x_r.
+    """
+    x_left, x, y = rays[:, 0], rays[:, 2], 0.5 * (rays[:, 1] + rays[:, 3])
+    D = x_left - x
+    columns = [-(1.0 + y * y), x, y, x * y, -D, y * D, y * (x * x - x_left * x_left)]
+    return camera.fy_px * np.stack(columns, axis=1)
+
+
+def _row_px(camera: StereoCamera, rays: Array) -> Array:
+    return camera.fy_px * (rays[:, 3] - rays[:, 1])
+
+
+def _consensus(rows: Array, design: Array, rng: np.random.Generator) -> np.ndarray:
+    """Spots that agree on pitch, roll and focal ratio (random samples of three)."""
+    best = np.zeros(len(rows), bool)
+    for _ in range(TRIALS):
+        chosen = rng.choice(len(rows), 3, replace=False)
+        A = design[chosen][:, :3]
+        if abs(np.linalg.det(A)) < 1e-3 * np.prod(np.linalg.norm(A, axis=1)):
+            continue
+        near = np.abs(rows - design[:, :3] @ np.linalg.solve(A, rows[chosen])) < INLIER_PX
+        if near.sum() > best.sum():
+            best = near
+    return best
+
+
+def fit_rig(camera: StereoCamera, rays: Array, rng: np.random.Generator) -> RigFit | None:
+    """Robust fit; None when the spots do not agree on any rig.
+
+    Args:    rays: (n, 4), of one or more pairs.
+    Model:   minimum of Huber's loss over the row differences with weak priors P; covariance
+             (A^T W A / s^2 * m / n + P)^-1, m of the n spots counting as independent. Their errors are alike over wide
+             parts of the picture (slant, texture, compression), and the same in every pair of a still scene: taken as
+             independent, a good rig's yaw came out 5 sigma off.
+    """
+    rows, design = _row_px(camera, rays), _design(camera, rays)
+    kept = _consensus(rows, design, rng)
+    if kept.sum() < INLIER_SHARE_MIN * len(rows) or kept.sum() < SPOTS_MIN:
+        return None
+    A, r = design[kept], rows[kept]
+    theta, weights, scale = np.zeros(len(TERMS)), np.ones(len(r)), 0.3
+    for _ in range(20):
+        information = (A * weights[:, None]).T @ A / scale**2 + np.diag(PRIORS**-2.0)
+        theta = np.linalg.solve(information, (A * weights[:, None]).T @ r / scale**2)
+        rest = r - A @ theta
+        scale = max(1.4826 * float(np.median(np.abs(rest - np.median(rest)))), 0.03)
+        weights = np.minimum(1.0, HUBER * scale / np.maximum(np.abs(rest), 1e-12))
+    independent = min(1.0, INDEPENDENT_SPOTS / len(r))
+    information = (A * weights[:, None]).T @ A / scale**2 * independent + np.diag(PRIORS**-2.0)
+    sigma = np.sqrt(np.diag(np.linalg.inv(information)) + FLOORS**2)
+    return RigFit(
+        pitch_rad=float(theta[0]),
+        roll_rad=float(theta[1]),
+        focal_ratio=1.0 + float(theta[2]),
+        sigma=sigma[:3],
+        row_px=float(np.median(rows[kept])),
+        spread_px=scale,
+        lens=float(theta[6]),
+        lens_sigma=float(sigma[6]),
+        lens_effect_px=float(np.sqrt(np.mean((A[:, 6] * theta[6]) ** 2))),
+        n_spots=int(kept.sum()),
+    )
+
+
+def check_rig(camera: StereoCamera, spots: Sequence[Array], rng: np.random.Generator) -> list[CheckFinding]:
+    """Findings `eyes` (swapped or not), then `rows`, `pitch`, `roll`, `focal_ratio`, `lens`.
+
+    Args:    camera: what the pictures are said to be. spots: matched spots (n, 4) [raw px] of each pair.
+    """
+    rays = rays_of(camera, spots)
+    if len(rays) < SPOTS_MIN or _cover(camera, np.vstack([np.zeros((0, 4)), *spots])) < COVER_MIN:
+        text = f"{len(rays)} spots matched between the eyes, too few or too close together: the rig cannot be told"
+        remedy = "point it at a scene with texture all over the picture, 0.5 to 3 m away, and light it"
+        return [CheckFinding("eyes", Level.WARN, text, remedy, {"spots": float(len(rays))})]
+    disparity_px = camera.fx_px * (rays[:, 0] - rays[:, 2])
+    eyes = _eyes(disparity_px)
+    if eyes.level is Level.FAIL:
+        return [eyes]
+    fit = fit_rig(camera, rays, rng)
+    if fit is None:
+        text = "the rows of the two eyes fit no rig at all"
+        remedy = (
+            "check that both pictures are of one moment, one camera and one size, and that this calibration is theirs"
+        )
+        return [eyes, CheckFinding("rows", Level.FAIL, text, remedy)]
+    return [eyes, _rows(fit), *_turns(camera, fit), _lens(fit)]
+
+
+def _cover(camera: StereoCamera, spots: Array) -> int:
+    columns = np.clip(spots[:, 0] * 4 / camera.width_px, 0, 3).astype(int)
+    rows = np.clip(spots[:, 1] * 3 / camera.height_px, 0, 2).astype(int)
+    return len(np.unique(4 * rows + columns))
+
+
+def _eyes(disparity_px: Array) -> CheckFinding:
+    median = float(np.median(disparity_px))
+    figures = {"disparity_median_px": median, "spots": float(len(disparity_px))}
+    if float(np.mean(disparity_px < -PARALLEL_PX)) >= SWAPPED_SHARE:
+        text = f"disparity is {median:.0f} px: left and right eye are swapped"
+        return CheckFinding("eyes", Level.FAIL, text, "exchange the two pictures (or cables)", figures)
+    if float(np.mean(disparity_px < -PARALLEL_PX)) > 1.0 - SWAPPED_SHARE:
+        text = f"disparity has both signs (median {median:.0f} px): one eye is turned inwards or outwards"
+        return CheckFinding("eyes", Level.FAIL, text, "load this camera's calibration, or calibrate the rig", figures)
+    return CheckFinding(
+        "eyes", Level.OK, f"in order; {len(disparity_px)} spots, disparity {median:.0f} px", "", figures
+    )
+
+
+def _rows(fit: RigFit) -> CheckFinding:
+    level = level_of(fit.spread_px, SPREAD_WARN_PX, SPREAD_FAIL_PX)
+    text = f"differ by {fit.row_px:+.2f} px (median), spread {fit.spread_px:.2f} px after the fit, {fit.n_spots} spots"
+    remedy = "" if level is Level.OK else "expose both eyes at once; check that the calibration is this camera's"
+    figures = {"row_median_px": fit.row_px, "row_spread_px": fit.spread_px}
+    return CheckFinding("rows", level, text, remedy, figures)
+
+
+def _turns(camera: StereoCamera, fit: RigFit) -> list[CheckFinding]:
+    """Each of the three as an angle or ratio, judged by what it moves in the picture, and only when it is certain."""
+    half_width, half_height = 0.5 * camera.width_px, 0.5 * camera.height_px
+    rows = (
+        (
+            "pitch",
+            np.rad2deg(fit.pitch_rad),
+            np.rad2deg(fit.sigma[0]),
+            "deg",
+            fit.pitch_rad * camera.fy_px,
+            "everywhere",
+        ),
+        ("roll", np.rad2deg(fit.roll_rad), np.rad2deg(fit.sigma[1]), "deg", fit.roll_rad * half_width, "at the sides"),
+        (
+            "focal_ratio",
+            100.0 * (fit.focal_ratio - 1.0),
+            100.0 * fit.sigma[2],
+            "%",
+            (fit.focal_ratio - 1.0) * half_height,
+            "at top and bottom",
+        ),
+    )
+    findings = []
+    for name, value, sigma, unit, effect_px, where in rows:
+        certain = abs(value) > SIGMAS * sigma
+        level = level_of(abs(effect_px), OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
+        text = f"right eye against left {value:+.3f} +- {sigma:.3f} {unit}: {abs(effect_px):.1f} px {where}"
+        remedy = (
+            ""
+            if level is Level.OK
+            else f"the rig was bumped ({name}) or this is another camera's file: calibrate it anew"
+        )
+        key = f"{name}_{'pct' if unit == '%' else unit}"
+        findings.append(
+            CheckFinding(
+                name,
+                level,
+                text,
+                remedy,
+                {key: float(value), f"{key}_sigma": float(sigma), "effect_px": float(effect_px)},
+            )
+        )
+    return findings
+
+
+def _lens(fit: RigFit) -> CheckFinding:
+    certain = abs(fit.lens) > SIGMAS * fit.lens_sigma
+    level = level_of(fit.lens_effect_px, OFFSET_WARN_PX, OFFSET_FAIL_PX) if certain else Level.OK
+    text = f"k1 off by {fit.lens:+.3f} +- {fit.lens_sigma:.3f}: {fit.lens_effect_px:.1f} px"
+    remedy = (
+        ""
+        if level is Level.OK
+        else "raw pictures are taken as rectified ones or the reverse, or it is another lens: give the right file"
+    )
+    return CheckFinding("lens", level, text, remedy, {"k1": fit.lens, "k1_sigma": fit.lens_sigma})

@@ -1,0 +1,90 @@
+"""Is the rig's scale right? The printed sides of markers as both eyes measure them, against the machine file. Pure."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.camera import undistort_to_rays
+from machine.description import StereoCamera
+from machine.rotations import Array
+from machine.targets import Marker
+from server.camera.check_findings import CheckFinding, Level, level_of
+from server.vision.contracts import PairObservation
+
+SIGMA_CORNER_PX = 0.1  # of one corner coordinate; real print and lens included
+SIGMA_SIDE_FRAC = 0.003  # of a printed side as a ruler measures it
+WARN_FRAC, FAIL_FRAC = 0.015, 0.03
+SIGMAS = 3.0
+ROWS_MAX_PX = 8.0  # beyond it the two corners cannot be one
+
+
+@dataclass(frozen=True, slots=True)
+class SideRatio:
+    """A marker's mean side as triangulated, over its printed one, with the standard deviation of that ratio."""
+
+    marker_id: int
+    ratio: float
+    sigma: float
+    distance_m: float
+
+
+def side_ratio(camera: StereoCamera, marker: Marker, left_px: Array, right_px: Array) -> SideRatio | None:
+    """None where the eyes' corners cannot belong together, or lie behind the camera."""
+    left, right = undistort_to_rays(camera, left_px), undistort_to_rays(camera, right_px)
+    disparity = left[:, 0] - right[:, 0]
+    rows_px = camera.fy_px * np.abs(np.median(left[:, 1] - right[:, 1]))
+    if disparity.min() <= 0.0 or rows_px > ROWS_MAX_PX:
+        return None
+    z = float(camera.baseline_m / disparity.mean())
+    # The corners' own depths are noisy; a plane's inverse depth is linear in the ray, 1/z = a + b x + c y.
+    A = np.column_stack([np.ones(4), left])
+    inverse = A @ np.linalg.lstsq(A, disparity / camera.baseline_m, rcond=None)[0]
+    if inverse.min() <= 0.0:
+        return None
+    points = np.column_stack([left, np.ones(4)]) / inverse[:, None]
+    sides = np.linalg.norm(points - np.roll(points, -1, axis=0), axis=1)
+    disparity_px = camera.fx_px * float(disparity.mean())
+    sigma = float(np.hypot(SIGMA_CORNER_PX * np.sqrt(2.0 / 4.0) / disparity_px, SIGMA_SIDE_FRAC))
+    return SideRatio(marker.marker_id, float(sides.mean()) / marker.side_m, sigma, z)
+
+
+def side_ratios(
+    camera: StereoCamera, markers: Mapping[int, Marker], seen: Sequence[PairObservation]
+) -> list[SideRatio]:
+    """Of every marker that both eyes see, pair by pair."""
+    ratios = []
+    for observation in seen:
+        for view in observation.views:
+            if view.marker_id in markers and view.corners_left_px is not None and view.corners_right_px is not None:
+                one = side_ratio(camera, markers[view.marker_id], view.corners_left_px, view.corners_right_px)
+                ratios += [] if one is None else [one]
+    return ratios
+
+
+def check_scale(ratios: Sequence[SideRatio]) -> CheckFinding:
+    """Finding `scale`. One marker off among others that agree is a wrong side; all off alike is the rig."""
+    if not ratios:
+        remedy = "show a marker of known side to both eyes"
+        return CheckFinding("scale", Level.WARN, "no marker seen by both eyes: it cannot be told", remedy)
+    ids = sorted({one.marker_id for one in ratios})
+    per_marker = {i: float(np.median([one.ratio for one in ratios if one.marker_id == i])) for i in ids}
+    off = float(np.median(list(per_marker.values()))) - 1.0
+    sigma = float(np.median([one.sigma for one in ratios])) / np.sqrt(len(ids))
+    figures = {"scale_off_frac": off, "scale_sigma_frac": sigma} | {
+        f"marker_{i}_ratio": r for i, r in per_marker.items()
+    }
+    level = level_of(abs(off), WARN_FRAC, FAIL_FRAC) if abs(off) > SIGMAS * sigma else Level.OK
+    text = f"markers measure {100 * off:+.2f} +- {100 * sigma:.2f} % against their printed sides ({len(ids)} markers)"
+    if level is not Level.OK:
+        remedy = "measure the printed sides; if they are right, baseline or yaw of the eyes is off: calibrate the rig"
+        return CheckFinding("scale", level, text, remedy, figures)
+    odd = [
+        i
+        for i, ratio in per_marker.items()
+        if abs(ratio - 1.0 - off) > max(WARN_FRAC, SIGMAS * sigma * np.sqrt(len(ids)))
+    ]
+    if odd:
+        remedy = f"measure the printed side of marker {odd[0]} again"
+        return CheckFinding("scale", Level.WARN, f"{text}; marker {odd[0]} alone is off", remedy, figures)
+    return CheckFinding("scale", Level.OK, text, "", figures)

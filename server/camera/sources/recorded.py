@@ -1,0 +1,111 @@
+"""Stereo pairs of an MCAP recording with Foxglove's images: one topic for each eye, or one of side-by-side pictures.
+
+A cut file is played up to its last whole chunk.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from mcap.records import Channel, Message, Schema
+
+from recording.errors import RecordingError
+from recording.reader import RecordStream
+from recording.writer import IMAGE_TOPIC
+from server.camera.errors import CameraError
+from server.camera.sources.foxglove_images import IMAGE_SCHEMAS, StoredImage, image_of
+from server.camera.sources.settings import RecordingSource
+from server.camera.sources.side_by_side import split_side_by_side
+from server.camera.sources.stamped import StampedStereoSource, StoredPair
+
+EYES_APART_MAX_NS = 2_000_000  # 0.3 mm at 0.15 m/s
+WAITING_MAX = 64  # pictures of one eye whose partner has not come
+
+
+class RecordingStereoSource(StampedStereoSource):
+    """Plays a recording once. Pictures without the other eye within 2 ms are left out and counted in `skipped`."""
+
+    def __init__(self, settings: RecordingSource) -> None:
+        self._topics = (settings.pair_topic,) if settings.pair_topic else (settings.left_topic, settings.right_topic)
+        path = Path(settings.path)
+        _check_topics(path, self._topics)
+        images = _images(path, self._topics)
+        pairs = _side_by_side(images) if settings.pair_topic else self._matched(images)
+        super().__init__(f"recording {path}", pairs, settings.speed)
+
+    def _matched(self, images: Iterator[tuple[str, StoredImage]]) -> Iterator[StoredPair]:
+        """Both eyes' pictures of one time, in the order in which they are complete."""
+        left_topic = self._topics[0]
+        waiting: dict[bool, list[StoredImage]] = {True: [], False: []}
+        for topic, image in images:
+            is_left = topic == left_topic
+            others = waiting[not is_left]
+            other = min(others, key=lambda one: abs(one.t_ns - image.t_ns), default=None)
+            if other is None or abs(other.t_ns - image.t_ns) > EYES_APART_MAX_NS:
+                waiting[is_left].append(image)
+                if len(waiting[is_left]) > WAITING_MAX:
+                    waiting[is_left].pop(0)
+                    self.skipped += 1
+                continue
+            for eye, until_ns in ((is_left, image.t_ns), (not is_left, other.t_ns)):
+                self.skipped += sum(one.t_ns < until_ns for one in waiting[eye])
+                waiting[eye] = [one for one in waiting[eye] if one.t_ns > until_ns]
+            yield _pair(*((image, other) if is_left else (other, image)))
+
+
+def _pair(left: StoredImage, right: StoredImage) -> StoredPair:
+    return StoredPair(left.t_ns, lambda: (left.decode(), right.decode()))
+
+
+def _side_by_side(images: Iterator[tuple[str, StoredImage]]) -> Iterator[StoredPair]:
+    for _, image in images:
+        yield StoredPair(image.t_ns, lambda image=image: split_side_by_side(image.decode()))
+
+
+def _images(path: Path, topics: tuple[str, ...]) -> Iterator[tuple[str, StoredImage]]:
+    """The pictures of these topics in the file's order."""
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
+    for record in RecordStream(path):
+        match record:
+            case Schema():
+                schemas[record.id] = record.name
+            case Channel():
+                channels[record.id] = (record.topic, schemas.get(record.schema_id, ""))
+            case Message():
+                topic, schema = channels.get(record.channel_id, ("", ""))
+                if topic in topics:
+                    yield topic, image_of(schema, record.data, record.log_time)
+
+
+def _check_topics(path: Path, topics: tuple[str, ...]) -> None:
+    """Raises CameraError naming the topics that the file has, where a wanted one is missing or holds no images."""
+    try:
+        found = _image_topics(path)
+    except RecordingError as error:
+        raise CameraError(str(error)) from error
+    missing = [topic for topic in topics if topic not in found]
+    if not missing:
+        return
+    have = ", ".join(f"{topic} ({schema})" for topic, schema in sorted(found.items())) or "no channel at all"
+    remedy = "set [camera] left_topic and right_topic, or pair_topic, to topics of Foxglove images"
+    if found.keys() & {IMAGE_TOPIC} and missing == ["/camera/right"]:
+        remedy = "longreach's own recordings keep the left eye's preview only, for looking at: record both eyes"
+    raise CameraError(f"recording {path}: no images on {', '.join(missing)}; it has {have}; {remedy}")
+
+
+def _image_topics(path: Path) -> dict[str, str]:
+    """Topic -> schema of every channel; those that hold no images raise when they are wanted."""
+    schemas: dict[int, str] = {}
+    topics: dict[str, str] = {}
+    any_record = False
+    for record in RecordStream(path):
+        any_record = True
+        if isinstance(record, Schema):
+            schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            schema = schemas.get(record.schema_id, "")
+            if schema in IMAGE_SCHEMAS:
+                topics[record.topic] = schema
+    if not any_record:
+        raise CameraError(f"recording {path} is not an MCAP file; give one with images of both eyes")
+    return topics

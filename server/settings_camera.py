@@ -1,0 +1,100 @@
+"""[camera] of the server's settings: which source, and which calibration of the rig; strict, every field named."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _CameraSection(BaseModel):
+    """What every kind of source has in common.
+
+    `calibration`: file of the rig (ZED SNxxxx.conf, OpenCV stereo YAML, Kalibr camchain, KITTI calib.txt), a list of
+    two (ROS camera_info or EuRoC sensor.yaml, the left eye's first; OpenCV intrinsics and extrinsics), or a folder
+    that holds them. Pictures are then rectified, and the rig's rectified camera takes the place of the machine file's.
+    Absent: pictures are taken as they come, and the machine file's camera says what they are.
+    `eye_width_px`, `eye_height_px`: size of one eye's pictures where it is not that of the machine file's camera; a
+    ZED's file is read for this size.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    calibration: str | Annotated[list[str], Field(min_length=1, max_length=2)] | None = None
+    eye_width_px: Annotated[int, Field(ge=16, le=8192)] | None = None
+    eye_height_px: Annotated[int, Field(ge=16, le=8192)] | None = None
+
+
+class HttpCameraSettings(_CameraSection):
+    """A camera served over HTTP as multipart JPEG, side by side."""
+
+    kind: Literal["http"] = "http"
+    url: Annotated[str, Field(pattern=r"^http://[^/\s]+")] = "http://127.0.0.1:8090/stream"
+
+
+class DeviceCameraSettings(_CameraSection):
+    """A UVC device that gives side-by-side frames; the defaults are those of a ZED2 at 720p.
+
+    `path` instead of `index`: /dev/v4l/by-id/... stays the same when devices are plugged over. `width_px`: both eyes.
+    """
+
+    kind: Literal["device"]
+    index: Annotated[int, Field(ge=0, le=63)] = 0
+    path: Annotated[str, Field(pattern=r"^/dev/")] | None = None
+    width_px: Annotated[int, Field(ge=32, le=16384, multiple_of=2)] = 2560
+    height_px: Annotated[int, Field(ge=16, le=8192)] = 720
+    rate_hz: Annotated[float, Field(gt=0.0, le=240.0)] = 60.0
+    pixel_format: Literal["YUYV", "MJPG"] = "YUYV"
+
+
+class RtspCameraSettings(_CameraSection):
+    """A network camera whose stream shows both eyes side by side."""
+
+    kind: Literal["rtsp"]
+    url: Annotated[str, Field(pattern=r"^rtsps?://[^/\s]+")]
+    timeout_s: Annotated[float, Field(ge=0.5, le=60.0)] = 5.0
+
+
+class FileCameraSettings(_CameraSection):
+    """A video file of side-by-side frames."""
+
+    kind: Literal["file"]
+    path: str
+
+
+class FolderCameraSettings(_CameraSection):
+    """Image files of both eyes, paired in name order; `*` and `?` stand for any letters, `**` for folders."""
+
+    kind: Literal["folder"]
+    left_glob: str
+    right_glob: str
+    rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 15.0
+
+
+class EurocCameraSettings(_CameraSection):
+    """A data set in EuRoC's layout; `calibration` = the same folder reads its sensor.yaml files."""
+
+    kind: Literal["euroc"]
+    path: str
+    speed: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+
+
+class RecordingCameraSettings(_CameraSection):
+    """An MCAP file with Foxglove images of both eyes: two topics, or `pair_topic` with side-by-side pictures."""
+
+    kind: Literal["recording"]
+    path: str
+    left_topic: str = "/camera/left"
+    right_topic: str = "/camera/right"
+    pair_topic: str = ""
+    speed: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+
+
+CameraSettings = Annotated[
+    HttpCameraSettings
+    | DeviceCameraSettings
+    | RtspCameraSettings
+    | FileCameraSettings
+    | FolderCameraSettings
+    | EurocCameraSettings
+    | RecordingCameraSettings,
+    Field(discriminator="kind"),
+]

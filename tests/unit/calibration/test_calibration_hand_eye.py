@@ -1,0 +1,191 @@
+"""A X = X B and A X = Y B: exact recovery, noise, outliers, scale, clock offset, covariance; real arms and kinhec."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from longreach.bench_registration.kinhec_tracks import kinhec_available
+from longreach.bench_registration.real_pairs import align_trajectories, hand_eye_residuals
+from machine.poses import pose
+from machine.rotations import geodesic_angle, rotation_from_rotvec, rotvec_from_rotation
+from server.calibration.checks import CalibrationInputError
+from server.calibration.contracts import CalibrationStatus
+from server.calibration.hand_eye import solve_ax_xb, solve_ax_yb
+from server.calibration.hand_eye_contracts import HandEyeSettings
+from server.calibration.hand_eye_linear import inverse_poses, park_martin
+from server.calibration.hand_eye_models import HandEyeUnknowns, MotionModel, PoseModel
+from server.calibration.hand_eye_tracks import estimate_hand_eye
+
+DATA = Path(__file__).parents[4] / "shared" / "data"
+X_TRUE = pose(rotation_from_rotvec(np.array([0.3, -0.8, 1.1])), np.array([0.05, -0.02, 0.11]))
+Y_TRUE = pose(rotation_from_rotvec(np.array([-1.0, 0.4, 0.2])), np.array([0.9, 0.1, 0.4]))
+
+
+def hand_poses(t):
+    """A smooth motion of the hand: turns by up to 0.5 rad about all axes, moves by 0.2 m."""
+    vectors = 0.5 * np.column_stack((np.sin(1.1 * t), np.sin(0.7 * t + 1.0), np.cos(0.9 * t)))
+    As = np.tile(np.eye(4), (len(t), 1, 1))
+    As[:, :3, :3] = Rotation.from_rotvec(vectors).as_matrix()
+    As[:, :3, 3] = 0.2 * np.column_stack((np.cos(0.8 * t), np.sin(1.3 * t), np.sin(0.5 * t)))
+    return As
+
+
+def seen_target(As, rng, rotation_deg=0.0, position_m=0.0, scale=1.0):
+    """Target in the camera, with noise in camera axes."""
+    Ts = inverse_poses(As @ X_TRUE) @ Y_TRUE
+    noise = np.deg2rad(rotation_deg) * rng.normal(size=(len(As), 3))
+    Ts[:, :3, :3] = Rotation.from_rotvec(noise).as_matrix() @ Ts[:, :3, :3]
+    Ts[:, :3, 3] = scale * (Ts[:, :3, 3] + position_m * rng.normal(size=(len(As), 3)))
+    return Ts
+
+
+def errors_of(found):
+    assert found.status is CalibrationStatus.OK, found.reason
+    assert found.X is not None
+    return np.rad2deg(geodesic_angle(found.X, X_TRUE)), 1e3 * np.linalg.norm(found.X[:3, 3] - X_TRUE[:3, 3])
+
+
+def test_exact_poses_give_exact_x_and_y():
+    As = hand_poses(np.arange(0.0, 12.0, 0.4))
+    found = solve_ax_yb(As, inverse_poses(seen_target(As, np.random.default_rng(0))))
+    degrees, millimetres = errors_of(found)
+    assert degrees < 1e-4
+    assert millimetres < 1e-2
+    np.testing.assert_allclose(found.Y, Y_TRUE, atol=1e-5)
+
+
+def test_park_martin_and_refinement_on_motions():
+    As = hand_poses(np.arange(0.0, 12.0, 0.4))
+    Bs = inverse_poses(seen_target(As, np.random.default_rng(1), 0.1, 0.0005))
+    motions = [inverse_poses(Ts[:-5]) @ Ts[5:] for Ts in (As, Bs)]
+    assert np.rad2deg(geodesic_angle(park_martin(*motions), X_TRUE)) < 0.2
+    degrees, millimetres = errors_of(solve_ax_xb(*motions))
+    assert degrees < 0.2
+    assert millimetres < 2.0
+
+
+@pytest.mark.parametrize("share", [0.2, 0.4])
+def test_outliers_do_not_matter(share):
+    rng = np.random.default_rng(2)
+    As = hand_poses(np.arange(0.0, 15.0, 0.25))
+    Ts = seen_target(As, rng, 0.2, 0.001)
+    wrong = rng.choice(len(Ts), int(share * len(Ts)), replace=False)
+    Ts[wrong, :3, :3] = Rotation.random(len(wrong), random_state=4).as_matrix()
+    Ts[wrong, :3, 3] += 0.2 * rng.normal(size=(len(wrong), 3))
+    degrees, millimetres = errors_of(solve_ax_yb(As, inverse_poses(Ts)))
+    assert degrees < 0.3
+    assert millimetres < 2.0
+
+
+def test_unknown_scale_is_found():
+    As = hand_poses(np.arange(0.0, 15.0, 0.25))
+    Ts = seen_target(As, np.random.default_rng(3), 0.1, 0.0005, scale=2.5)
+    found = solve_ax_yb(As, inverse_poses(Ts), unknown_scale=True)
+    degrees, millimetres = errors_of(found)
+    assert found.scale == pytest.approx(2.5, rel=2e-3)
+    assert degrees < 0.15
+    assert millimetres < 2.0
+
+
+@pytest.mark.parametrize("offset_s", [-0.12, 0.0, 0.07])
+def test_clock_offset_is_found_and_told(offset_s):
+    rng = np.random.default_rng(4)
+    t_cam, t_hand = np.arange(0.5, 14.5, 1 / 15), np.arange(0.0, 15.0, 0.02)
+    Ts = seen_target(hand_poses(t_cam), rng, 0.2, 0.001)
+    found = estimate_hand_eye(t_hand, hand_poses(t_hand), t_cam - offset_s, Ts)
+    degrees, millimetres = errors_of(found)
+    assert found.time_offset_s == pytest.approx(offset_s, abs=0.003)
+    assert abs(found.time_offset_s - offset_s) < 4.0 * found.time_offset_sigma_s + 5e-4
+    assert "time offset" in found.reason
+    assert degrees < 0.2
+    assert millimetres < 2.0
+
+
+def test_offset_beyond_the_bound_is_refused():
+    t_cam, t_hand = np.arange(2.0, 13.0, 1 / 15), np.arange(0.0, 15.0, 0.02)
+    Ts = seen_target(hand_poses(t_cam), np.random.default_rng(5), 0.2, 0.001)
+    found = estimate_hand_eye(t_hand, hand_poses(t_hand), t_cam - 0.4, Ts)
+    assert found.status is CalibrationStatus.POOR_FIT
+    assert found.X is None
+
+
+def test_covariance_is_honest():
+    chi2 = []
+    quick = HandEyeSettings(triples=5)
+    for seed in range(60):
+        As = hand_poses(np.arange(0.0, 15.0, 0.5))
+        found = solve_ax_yb(As, inverse_poses(seen_target(As, np.random.default_rng(seed), 0.3, 0.002)), settings=quick)
+        assert found.X is not None
+        assert found.covariance is not None
+        error = np.concatenate((rotvec_from_rotation(X_TRUE[:3, :3] @ found.X[:3, :3].T), (X_TRUE - found.X)[:3, 3]))
+        chi2.append(error @ np.linalg.solve(found.covariance[:6, :6], error))
+    assert 0.6 < np.mean(chi2) / 6.0 < 1.6
+    assert np.mean(np.array(chi2) < 12.59) > 0.87
+
+
+@pytest.mark.parametrize("kind", ["motions", "poses"])
+def test_jacobians_against_finite_differences(kind):
+    rng = np.random.default_rng(6)
+    As = hand_poses(np.arange(0.0, 5.0, 0.5))
+    if kind == "motions":
+        Bs = inverse_poses(np.tile(X_TRUE, (len(As), 1, 1))) @ As @ X_TRUE
+        model, at = MotionModel(As, Bs), HandEyeUnknowns(X_TRUE, None)
+    else:
+        times = np.arange(0.0, 5.0, 0.5)
+        Ts = seen_target(As, rng, scale=1.3)
+        model = PoseModel(lambda offset_s: hand_poses(times + offset_s), Ts, free_scale=True, free_offset=True)
+        at = HandEyeUnknowns(X_TRUE, Y_TRUE, 1.3)
+    residuals, J = model.evaluate(at)
+    assert np.abs(residuals).max() < 1e-9
+    for k in range(J.shape[2]):
+        step = np.zeros(J.shape[2])
+        step[k] = 1e-6
+        free = kind == "poses"
+        ahead, behind = (model.evaluate(at.after(sign * step, free))[0] for sign in (1.0, -1.0))
+        np.testing.assert_allclose(J[:, :, k], (ahead - behind) / 2e-6, atol=2e-5)
+
+
+def test_wrong_shapes_raise():
+    with pytest.raises(CalibrationInputError, match="must both be"):
+        solve_ax_yb(np.zeros((3, 4, 4)), np.zeros((2, 4, 4)))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (DATA / "hand_eye").is_dir(), reason="no hand-eye data beside the checkout")
+@pytest.mark.parametrize(
+    ("name", "degrees", "in_camera_mm", "in_base_mm", "offset_ms"),
+    [("real", 0.47, 7.2, 7.4, 25), ("sim", 0.17, 2.0, 2.0, 5)],
+)
+def test_arms_leave_small_residuals(name, degrees, in_camera_mm, in_base_mm, offset_ms):
+    found = hand_eye_residuals(DATA / "hand_eye", name)
+    assert found.median_deg <= degrees
+    assert found.camera_median_mm <= in_camera_mm
+    assert found.base_median_mm <= in_base_mm
+    assert 1e3 * abs(found.estimate.time_offset_s) <= offset_ms
+
+
+@pytest.mark.skipif(not (DATA / "trajectories").is_dir(), reason="no trajectories beside the checkout")
+@pytest.mark.parametrize(("name", "rigid_mm"), [("fr2_desk ORB", 8.2), ("fr1_xyz RGB-D SLAM", 13.6)])
+def test_alignment_is_evos(name, rigid_mm):
+    pytest.importorskip("evo")
+    found = align_trajectories(DATA / "trajectories", name)
+    assert found.ate_m == pytest.approx(found.evo_ate_m, abs=1e-6)
+    assert 1e3 * found.rigid_ate_m < rigid_mm
+    assert found.chords_turned_deg < 1.5
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not kinhec_available(), reason="kinhec is not installed")
+def test_kinhec_outliers_no_worse_than_its_best_solver(tmp_path):
+    from longreach.bench_registration.kinhec_tracks import generate, run_track
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        generate(tmp_path)
+        found, _ = run_track(tmp_path, "outliers")
+    assert found.refused == 0
+    assert found.rotation_deg <= 1.1 * found.best_rotation[1]
+    assert found.translation_mm <= 1.1 * found.best_translation[1]

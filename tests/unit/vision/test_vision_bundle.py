@@ -1,0 +1,281 @@
+"""Bundle adjustment: the truth from exact rays, the same answer in any order, gauge, groups, outliers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bundle_scenes import BASELINE_M, SIGMA_PX, Scene, errors, make_scene, moved, only, pose_error, rays_of
+
+from machine.poses import pose
+from machine.rotations import rotation_from_rotvec
+from server.vision.bundle import BundleLoss, BundleSettings, BundleStatus, adjust_bundle
+
+TIGHT = BundleSettings(step_tol_sigma=1e-6, iterations_max=100, point_covariances=True)
+SQUARES = replace(TIGHT, loss=BundleLoss.NONE)
+
+
+@pytest.mark.parametrize("loss", list(BundleLoss))
+@pytest.mark.parametrize("n_frames", [2, 3, 8])
+def test_exact_rays_give_the_truth(loss, n_frames):
+    scene = make_scene(np.random.default_rng(n_frames), n_frames=n_frames, noise=0.0, group=True)
+    found = adjust_bundle(scene.problem, replace(TIGHT, loss=loss))
+    assert found.status is BundleStatus.OK
+    assert np.abs(found.Ts_vo_cam - scene.Ts_vo_cam).max() < 1e-9
+    assert np.abs(found.Ts_vo_group[0] - scene.T_vo_group).max() < 1e-9
+    known = np.trace(found.point_covariances, axis1=1, axis2=2) < 0.1  # not those that one eye saw once
+    assert known.mean() > 0.85
+    assert np.abs(found.points_vo - scene.points_vo)[known].max() < 1e-9, "m"
+    assert found.inliers.all()
+    assert found.cost_after < 1e-9 < found.cost_before
+
+
+def test_exact_rays_of_a_rectified_pair_give_the_truth():
+    scene = make_scene(np.random.default_rng(1), noise=0.0)
+    found = adjust_bundle(replace(scene.problem, uv=scene.problem.uv[:, :3].copy()), TIGHT)
+    assert found.status is BundleStatus.OK
+    assert np.abs(found.Ts_vo_cam - scene.Ts_vo_cam).max() < 1e-9
+
+
+def test_far_points_and_a_bad_depth_start_converge():
+    """KITTI-like: depths to 200 m, half of the points started at half or twice their depth."""
+    rng = np.random.default_rng(2)
+    Ts = np.array(
+        [pose(rotation_from_rotvec(0.01 * rng.normal(size=3)), np.array([0.0, 0.0, 0.9 * k])) for k in range(6)]
+    )
+    depth = np.exp(rng.uniform(np.log(8.0), np.log(200.0), 150))
+    points = np.column_stack([rng.uniform(-0.6, 0.6, 150) * depth, rng.uniform(-0.2, 0.2, 150) * depth, depth])
+    frames, seen = np.nonzero(np.ones((6, 150)))
+    scene = make_scene(rng)
+    problem = replace(
+        scene.problem,
+        Ts_vo_cam=np.array([T if k == 0 else moved(T, rng, 0.01, 0.1) for k, T in enumerate(Ts)]),
+        points_vo=points * np.exp2(rng.integers(-1, 2, (150, 1))),
+        frames=frames,
+        points=seen,
+        uv=rays_of(Ts, points, frames, seen, 0.54),
+        sigma_px=np.full((len(frames), 2), 0.3),
+        baseline_m=0.54,
+        fixed=np.arange(6) == 0,
+    )
+    found = adjust_bundle(problem, SQUARES)
+    assert found.status is BundleStatus.OK
+    assert found.iterations < 20
+    assert np.abs(found.Ts_vo_cam - Ts).max() < 1e-8
+
+
+def test_order_of_points_frames_and_observations_changes_nothing():
+    rng = np.random.default_rng(3)
+    scene = make_scene(rng, outlier_frac=0.05, group=True)
+    problem = scene.problem
+    k, m, n = 5, len(problem.points_vo), len(problem.frames)
+    frame_order, point_order, row_order = rng.permutation(k), rng.permutation(m), rng.permutation(n)
+    new_frame, new_point = np.argsort(frame_order), np.argsort(point_order)
+    shuffled = replace(
+        problem,
+        Ts_vo_cam=problem.Ts_vo_cam[frame_order],
+        fixed=problem.fixed[frame_order],
+        points_vo=problem.points_vo[point_order],
+        frames=new_frame[problem.frames[row_order]],
+        points=new_point[problem.points[row_order]],
+        uv=problem.uv[row_order],
+        sigma_px=problem.sigma_px[row_order],
+        groups=(replace(problem.groups[0], point_indices=new_point[problem.groups[0].point_indices]),),
+    )
+    one, two = adjust_bundle(problem, TIGHT), adjust_bundle(shuffled, TIGHT)
+    assert one.status is two.status is BundleStatus.OK
+    assert np.abs(one.Ts_vo_cam[frame_order] - two.Ts_vo_cam).max() < 1e-9
+    assert np.abs(one.points_vo[point_order] - two.points_vo).max() < 1e-8
+    assert one.covariances[frame_order] == pytest.approx(two.covariances, rel=1e-5, abs=1e-14)
+    assert (one.inliers[row_order] == two.inliers).all()
+    assert one.cost_after == pytest.approx(two.cost_after, rel=1e-9)
+
+
+def test_another_gauge_gives_the_same_shape():
+    scene = make_scene(np.random.default_rng(4))
+    problem = replace(scene.problem, Ts_vo_cam=scene.Ts_vo_cam)
+    one = adjust_bundle(problem, SQUARES)
+    two = adjust_bundle(replace(problem, fixed=np.arange(5) == 3), SQUARES)
+    relative_one = np.linalg.inv(one.Ts_vo_cam[1]) @ one.Ts_vo_cam[4]
+    relative_two = np.linalg.inv(two.Ts_vo_cam[1]) @ two.Ts_vo_cam[4]
+    assert one.cost_after == pytest.approx(two.cost_after, rel=1e-9)
+    assert np.abs(relative_one - relative_two).max() < 1e-9
+    assert (one.covariances[0] == 0.0).all()
+    assert (two.covariances[3] == 0.0).all()
+
+
+def test_a_prior_holds_the_gauge_and_its_covariance_comes_back():
+    scene = make_scene(np.random.default_rng(5))
+    sigma = np.array([0.002, 0.001, 0.003, 0.004, 0.002, 0.001])
+    information = np.zeros((5, 6, 6))
+    information[0] = np.diag(sigma**-2.0)
+    problem = replace(scene.problem, fixed=np.zeros(5, dtype=bool), information=information)
+    found = adjust_bundle(problem, SQUARES)
+    assert found.status is BundleStatus.OK
+    # nothing else speaks about the first frame's place, so it keeps its start and the prior's own spread
+    assert pose_error(problem.Ts_vo_cam[0], found.Ts_vo_cam[0]) == pytest.approx(np.zeros(6), abs=1e-8)
+    assert found.covariances[0] == pytest.approx(found.variance_factor * np.diag(sigma**2), rel=1e-4, abs=1e-10)
+
+
+def test_a_prior_pulls_as_much_as_its_information_says():
+    """A frame with a prior and rays: the optimum is the information-weighted mean of both."""
+    scene = make_scene(np.random.default_rng(6), n_frames=2)
+    free = adjust_bundle(scene.problem, SQUARES)
+    rays = np.linalg.inv(free.covariances[1] / free.variance_factor)
+    shift = np.array([1e-4, -2e-4, 1e-4, 2e-4, 1e-4, -1e-4])
+    T = free.Ts_vo_cam[1]
+    begun = pose(rotation_from_rotvec(shift[:3]) @ T[:3, :3], T[:3, 3] + shift[3:])
+    information = np.zeros((2, 6, 6))
+    information[1] = 2.0 * rays
+    problem = replace(scene.problem, Ts_vo_cam=np.array([scene.Ts_vo_cam[0], begun]), information=information)
+    found = adjust_bundle(problem, SQUARES)
+    assert pose_error(found.Ts_vo_cam[1], T) == pytest.approx(shift * 2.0 / 3.0, rel=0.02, abs=2e-6)
+    assert found.covariances[1] / found.variance_factor == pytest.approx(np.linalg.inv(3.0 * rays), rel=0.02, abs=1e-12)
+
+
+def test_no_gauge_is_degenerate_and_says_so():
+    scene = make_scene(np.random.default_rng(7))
+    found = adjust_bundle(replace(scene.problem, fixed=np.zeros(5, dtype=bool)))
+    assert found.status is BundleStatus.DEGENERATE
+    assert "fixed" in found.reason
+
+
+def test_one_eye_only_has_no_scale_and_says_so():
+    scene = make_scene(np.random.default_rng(8), one_eye_frac=1.1)
+    found = adjust_bundle(scene.problem, SQUARES)
+    assert found.status is BundleStatus.DEGENERATE
+    assert found.covariances[1][3, 3] > 1.0
+
+
+def test_one_eye_with_a_known_group_has_scale():
+    """Marker corners carry the scale that a single eye lacks."""
+    scene = make_scene(np.random.default_rng(9), one_eye_frac=1.1, group=True)
+    found = adjust_bundle(scene.problem, SQUARES)
+    assert found.status is BundleStatus.OK
+    assert np.abs(errors(scene.Ts_vo_cam, found.Ts_vo_cam)[:, 3:]).max() < 0.01, "m"
+
+
+def test_fixed_points_hold_the_gauge():
+    scene = make_scene(np.random.default_rng(10), noise=0.0)
+    known = np.arange(60) < 20
+    problem = replace(
+        scene.problem,
+        fixed=np.zeros(5, dtype=bool),
+        fixed_points=known,
+        points_vo=np.where(known[:, None], scene.points_vo, scene.problem.points_vo),
+    )
+    found = adjust_bundle(problem, TIGHT)
+    assert found.status is BundleStatus.OK
+    assert np.abs(found.Ts_vo_cam - scene.Ts_vo_cam).max() < 1e-9
+    assert (found.points_vo[known] == scene.points_vo[known]).all()
+
+
+def test_a_fixed_group_holds_the_gauge():
+    scene = make_scene(np.random.default_rng(11), noise=0.0, group=True)
+    group = replace(scene.problem.groups[0], T_vo_group=scene.T_vo_group, fixed=True)
+    found = adjust_bundle(replace(scene.problem, fixed=np.zeros(5, dtype=bool), groups=(group,)), TIGHT)
+    assert found.status is BundleStatus.OK
+    assert np.abs(found.Ts_vo_cam - scene.Ts_vo_cam).max() < 1e-9
+    assert (found.group_covariances[0] == 0.0).all()
+
+
+@pytest.mark.parametrize("loss", [BundleLoss.HUBER, BundleLoss.CAUCHY])
+def test_a_fifth_of_wrong_rays_does_not_move_the_poses(loss):
+    for seed in range(5):
+        clean = make_scene(np.random.default_rng(seed), n_points=120)
+        problem = clean.problem
+        rng = np.random.default_rng(100 + seed)
+        wrong = rng.random(len(problem.uv)) < 0.2
+        uv = problem.uv.copy()
+        uv[wrong] += (
+            rng.uniform(10.0, 40.0, (int(wrong.sum()), 1)) / 528.0 * rng.choice([-1.0, 1.0], (int(wrong.sum()), 4))
+        )
+        found = adjust_bundle(replace(problem, uv=uv), replace(TIGHT, loss=loss))
+        best = adjust_bundle(only(problem, ~wrong), SQUARES)
+        assert found.status is BundleStatus.OK
+        sigma = np.sqrt(np.diagonal(best.covariances[1:], axis1=1, axis2=2))
+        assert (np.abs(errors(best.Ts_vo_cam, found.Ts_vo_cam)[1:]) < 1.5 * sigma).all(), "of what noise alone does"
+        redundant = np.bincount(problem.points)[problem.points] >= 4  # with fewer rays, wrong ones may fit each other
+        assert found.inliers[wrong & redundant].mean() < 0.01
+        assert found.inliers[~wrong].mean() > 0.9
+
+
+def test_squares_alone_are_moved_by_wrong_rays():
+    """What the loss is for: without it the same rays spoil everything, and the result is not believed or far off."""
+    scene = make_scene(np.random.default_rng(0), n_points=120, outlier_frac=0.2)
+    robust, squares = adjust_bundle(scene.problem, TIGHT), adjust_bundle(scene.problem, SQUARES)
+    robust_m = np.abs(errors(scene.Ts_vo_cam, robust.Ts_vo_cam)[:, 3:]).max()
+    squares_m = np.abs(errors(scene.Ts_vo_cam, squares.Ts_vo_cam)[:, 3:]).max()
+    assert squares_m > 5.0 * robust_m
+
+
+def test_groups_shrink_the_error_as_the_covariance_says():
+    """Known marker corners tie the frames: error and predicted sigma shrink by the same factor."""
+    with_group, without, predicted = [], [], []
+    for seed in range(60):
+        scene = make_scene(
+            np.random.default_rng(seed), n_frames=3, n_points=12, group=True, seen_frac=0.9, one_eye_frac=0.0
+        )
+        both = adjust_bundle(scene.problem, SQUARES)
+        loose = adjust_bundle(replace(scene.problem, groups=()), SQUARES)
+        assert both.status is loose.status is BundleStatus.OK
+        with_group.append(errors(scene.Ts_vo_cam, both.Ts_vo_cam)[1:, 3:])
+        without.append(errors(scene.Ts_vo_cam, loose.Ts_vo_cam)[1:, 3:])
+        sigmas = [np.trace(one.covariances[1:, 3:, 3:], axis1=1, axis2=2).sum() for one in (both, loose)]
+        predicted.append(np.array(sigmas) / [both.variance_factor, loose.variance_factor])
+    measured = np.square(with_group).sum() / np.square(without).sum()
+    expected = np.sum(predicted, axis=0)[0] / np.sum(predicted, axis=0)[1]
+    assert expected < 0.97
+    assert measured == pytest.approx(expected, rel=0.15)
+
+
+def test_a_wrong_baseline_is_seen_against_a_known_group():
+    """Stereo alone fits any baseline; known corners contradict a wrong one."""
+    scene = make_scene(np.random.default_rng(20), n_points=20, group=True)
+    wrong = replace(scene.problem, baseline_m=1.02 * BASELINE_M)
+    loose, tied = adjust_bundle(replace(wrong, groups=()), SQUARES), adjust_bundle(wrong, SQUARES)
+    assert loose.rms_sigma < 1.2
+    assert tied.status is not BundleStatus.OK or tied.rms_sigma > 1.5
+    assert adjust_bundle(scene.problem, SQUARES).rms_sigma < 1.2
+
+
+def test_sigma_too_small_is_found_and_passed_on():
+    scene = make_scene(np.random.default_rng(12), noise=3.0, n_points=150)
+    found = adjust_bundle(scene.problem, TIGHT)
+    assert found.status is BundleStatus.OK
+    assert found.rms_sigma == pytest.approx(3.0, rel=0.15)
+    assert found.variance_factor == pytest.approx(9.0, rel=0.3)
+
+
+def test_a_point_behind_the_eye_is_left_out():
+    scene = make_scene(np.random.default_rng(13), noise=0.0)
+    points = scene.problem.points_vo.copy()
+    points[:3, 2] = -1.0
+    found = adjust_bundle(replace(scene.problem, points_vo=points), TIGHT)
+    behind = scene.problem.points < 3
+    assert found.status is BundleStatus.OK
+    assert np.abs(found.Ts_vo_cam - scene.Ts_vo_cam).max() < 1e-9
+    assert not found.inliers[behind].any()
+    assert (found.point_covariances[:3, 0, 0] >= 1e5).all(), "m^2: nothing is known of them"
+
+
+def test_few_iterations_say_that_they_did_not_suffice():
+    scene = make_scene(np.random.default_rng(14))
+    found = adjust_bundle(scene.problem, BundleSettings(iterations_max=1))
+    assert found.status is BundleStatus.NOT_CONVERGED
+    assert found.cost_after < found.cost_before
+
+
+def test_the_problem_is_not_changed():
+    scene = make_scene(np.random.default_rng(15), outlier_frac=0.1, group=True)
+    before = {name: np.array(getattr(scene.problem, name)) for name in ("Ts_vo_cam", "points_vo", "uv", "sigma_px")}
+    adjust_bundle(scene.problem)
+    for name, array in before.items():
+        assert np.array_equal(getattr(scene.problem, name), array, equal_nan=True)
+
+
+def test_frames_that_agree_on_nothing_are_not_believed():
+    rng = np.random.default_rng(16)
+    scene: Scene = make_scene(rng)
+    noise = rng.uniform(-0.5, 0.5, scene.problem.uv.shape)
+    found = adjust_bundle(replace(scene.problem, uv=noise), BundleSettings())
+    assert found.status is not BundleStatus.OK or found.variance_factor > (10.0 / SIGMA_PX) ** 2
