@@ -10,6 +10,7 @@ import typer
 from rich.console import Console
 
 from longreach import bench_fuzz, bench_kills, bench_link, bench_position, bench_schedules
+from longreach.bench_bundle.command import bundle
 from longreach.bench_camera_faults.command import camera_faults
 from longreach.bench_markers.command import markers
 from longreach.bench_odometry.command import odometry
@@ -30,6 +31,7 @@ app.command("fuzz")(bench_fuzz.fuzz)
 app.command("vision")(vision)
 app.command("odometry")(odometry)
 app.command("markers")(markers)
+app.command("bundle")(bundle)
 app.command("registration")(registration)
 app.command("hand-eye")(hand_eye)
 app.command("camera-faults")(camera_faults)

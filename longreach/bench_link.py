@@ -25,7 +25,8 @@ from longreach.link_load.session import Session, vision_alone
 from longreach.link_load.tap import Tap
 from machine.description import Machine, parse_machine_toml
 from server.camera.client import VisionClient
-from server.camera.contracts import HttpSource, VisionSettings
+from server.camera.contracts import VisionSettings
+from server.camera.sources.settings import HttpSource
 from server.link.client import LinkClient
 from server.link.settings import LinkSettings
 from server.settings import read_machine_text

@@ -25,9 +25,10 @@ from scipy.stats import theilslopes
 from longreach.link_load.rendered_pairs import render_pairs
 from longreach.link_load.replay_camera import to_and_fro
 from machine.description import Machine
-from server.camera.contracts import HttpSource, StereoFrame, VisionSettings
+from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.pipeline import VisionPipeline
 from server.camera.process import build_pipeline
+from server.camera.sources.settings import HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side
 from server.settings import read_machine
 from server.vision.contracts import OdometryStatus

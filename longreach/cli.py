@@ -10,6 +10,7 @@ from rich.markup import escape
 
 from longreach import (
     bench,
+    camera_command,
     commission_command,
     demo,
     export_command,
@@ -32,6 +33,7 @@ app.command("commission")(commission_command.commission)
 app.command("position")(position.position)
 app.command("demo")(demo.demo)
 app.add_typer(bench.app, name="bench", help="Measure; every figure in the README comes from here.")
+app.add_typer(camera_command.app, name="camera", help="Look at the stereo camera.")
 app.add_typer(target_command.app, name="target", help="Print targets; measure how they sit.")
 app.add_typer(record_command.app, name="recording", help="Check, convert and recover recordings.")
 

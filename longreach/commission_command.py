@@ -26,6 +26,7 @@ from server.errors import SettingsError
 from server.link.client import LinkClient
 from server.link.errors import LinkSilentError
 from server.settings import ServerSettings, read_machine_text, read_settings
+from server.settings_source import source_and_machine
 from server.shell_settings import link_settings, vision_settings
 from server.version import __version__
 from server.warm_up import warm_up
@@ -163,7 +164,8 @@ async def _vision(
     """The vision process, only where a step looks."""
     if not any(Need.CAMERA in step.needs for step in steps):
         return None
-    vision = VisionClient(vision_settings(settings), machine)
+    source, seen_by = source_and_machine(settings.camera, machine)
+    vision = VisionClient(vision_settings(source), seen_by)
     await vision.start()
     stack.push_async_callback(vision.close)
     return vision

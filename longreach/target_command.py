@@ -190,9 +190,9 @@ def _from_camera(
     """Guided: the operator moves the camera, rests, and hears what is still missing. Ctrl-C ends the collection."""
     from server.camera.sources import HttpSource  # here: stored pictures need no camera
     from server.camera.sources.opening import open_source
-    from server.shell_settings import vision_settings
+    from server.settings_source import plain_source
 
-    source = open_source(HttpSource(url) if url else vision_settings(read_settings(settings_file)).source)
+    source = open_source(HttpSource(url) if url else plain_source(read_settings(settings_file).camera))
     settings = TeachSettings()
     console.print(
         f"markers {', '.join(map(str, task.ids))}: hold the camera still, then move it to the side, up or down by a "

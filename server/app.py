@@ -24,6 +24,7 @@ from server.jobs.service import JobService
 from server.link.client import LinkClient
 from server.recorder import Recorder
 from server.settings import ServerSettings, read_machine_text
+from server.settings_source import machine_text_with, source_and_machine
 from server.shell_settings import link_settings, vision_settings
 from server.version import __version__
 from server.warm_up import warm_up
@@ -32,14 +33,16 @@ from server.warm_up import warm_up
 def build_cell(settings: ServerSettings) -> Cell:
     """Everything for one machine, not yet started."""
     machine_text = read_machine_text(settings.machine_file)
-    machine = parse_machine_toml(machine_text)
+    source, machine = source_and_machine(settings.camera, parse_machine_toml(machine_text))
+    if settings.camera.calibration is not None:
+        machine_text = machine_text_with(machine_text, machine.camera)  # recordings say what their pictures were
     return Cell(
         settings=settings,
         machine=machine,
         chain=chain_of(machine),
         machine_text=machine_text,
         link=LinkClient(link_settings(settings), machine),
-        vision=VisionClient(vision_settings(settings), machine),
+        vision=VisionClient(vision_settings(source), machine),
         recorder=Recorder(Path(settings.recording.folder), machine, images=settings.recording.images),
     )
 

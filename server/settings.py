@@ -74,6 +74,7 @@ class PositionSettings(_Strict):
     offset_x_mm: Annotated[float, Field(ge=-300.0, le=300.0)] = 0.0
     offset_y_mm: Annotated[float, Field(ge=-300.0, le=300.0)] = 0.0
     moves_max: Annotated[int, Field(ge=1, le=10)] = 4
+    local_map: Literal["rigid", "learnt"] = "rigid"
     orientation_steps_max: Annotated[int, Field(ge=0, le=5)] = 2
     wall_clearance_mm: Annotated[float, Field(ge=10.0, le=1000.0)] = 50.0
     plan_expires_s: Annotated[float, Field(gt=0.0, le=600.0)] = 60.0

@@ -4,11 +4,11 @@ from pathlib import Path
 
 from protocol.authentication import parse_key
 from protocol.errors import LocalProtocolError
-from server.camera.client import VisionSettings
-from server.camera.sources import DeviceSource, FileSource, HttpSource
+from server.camera.contracts import VisionSettings
+from server.camera.sources.settings import SourceSettings
 from server.errors import SettingsError
 from server.link.client import LinkSettings
-from server.settings import DeviceCameraSettings, FileCameraSettings, HttpCameraSettings, ServerSettings
+from server.settings import ServerSettings
 
 
 def read_key(path: str | None) -> bytes:
@@ -39,13 +39,6 @@ def link_settings(settings: ServerSettings) -> LinkSettings:
     )
 
 
-def vision_settings(settings: ServerSettings) -> VisionSettings:
-    """The camera source and how it is looked through."""
-    match settings.camera:
-        case HttpCameraSettings(url=url):
-            source = HttpSource(url)
-        case DeviceCameraSettings(index=index):
-            source = DeviceSource(index)
-        case FileCameraSettings(path=path):
-            source = FileSource(path)
+def vision_settings(source: SourceSettings) -> VisionSettings:
+    """How pictures from this source are looked through."""
     return VisionSettings(source=source)

@@ -7,10 +7,11 @@ from longreach.bench_camera_faults.camera import Arrival, Line
 from longreach.bench_camera_faults.looks import Looks
 from longreach.bench_camera_faults.pictures import RATE_HZ, Pictures
 from machine.description import Machine
-from server.camera.contracts import FrameReport, HttpSource, VisionSettings
+from server.camera.contracts import FrameReport, VisionSettings
 from server.camera.health import ImageHealth, silence
 from server.camera.pipeline import VisionPipeline
 from server.camera.process import build_pipeline
+from server.camera.sources.settings import HttpSource
 from sim_plc.camera.faults import FaultKind
 
 BEFORE_PAIRS = 40

@@ -14,8 +14,9 @@ from longreach.link_load.replay_camera import to_and_fro
 from machine.description import Machine
 from machine.poses import pose
 from machine.rotations import Array
-from server.camera.contracts import HttpSource, StereoFrame, VisionSettings
+from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.process import build_pipeline
+from server.camera.sources.settings import HttpSource
 from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.exposure import PoseHistory
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer

@@ -11,8 +11,9 @@ import numpy as np
 from longreach.bench_rate.pairs import RATE_HZ, PairsInMemory
 from longreach.bench_rate.stages import StageTimes, TimedOdometry, timed_sources
 from machine.description import Machine
-from server.camera.contracts import FrameReport, HttpSource, VisionSettings
+from server.camera.contracts import FrameReport, VisionSettings
 from server.camera.pipeline import Odometry, VisionPipeline
+from server.camera.sources.settings import HttpSource
 from server.vision.aruco_source import ArucoPoseSource
 from server.vision.contracts import OdometryStatus, PoseStatus
 from server.vision.odometry import StereoOdometry

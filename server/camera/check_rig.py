@@ -34,7 +34,7 @@ class RigFit:
     `pitch_rad`, `roll_rad`: rotation about x and z that takes points of the calibrated right eye's frame to the true
     one's. `focal_ratio`: right to left. `sigma`: of these three. `row_px`, `spread_px`: median row difference right
     minus left before the fit, and robust spread after it. `lens`: k1 by which the lens model is off, with its sigma.
-    A yaw is fitted, so that nothing else is blamed for it, but not told: remains of a real lens look like 0.5 deg of it.
+    A yaw is fitted, so that nothing else is blamed, but not told: remains of a real lens look like 0.5 deg of it.
     The scale of known markers tells it.
     """
 

@@ -3,45 +3,10 @@
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
+from server.camera.sources.settings import SourceSettings
 from server.vision.contracts import Image, OdometryPose, PairObservation
 
 PoseSourceName = Literal["stereo", "mono"]
-
-
-@dataclass(frozen=True, slots=True)
-class HttpSource:
-    """Multipart JPEG over HTTP, left and right side by side."""
-
-    url: str
-
-
-@dataclass(frozen=True, slots=True)
-class DeviceSource:
-    """A video device that gives side-by-side frames."""
-
-    index: int
-    width_px: int = 2560
-    height_px: int = 720
-    rate_hz: float = 30.0
-
-
-@dataclass(frozen=True, slots=True)
-class FileSource:
-    """A video file of side-by-side frames, played once at its own rate."""
-
-    path: str
-
-
-@dataclass(frozen=True, slots=True)
-class FolderSource:
-    """Two sets of image files in name order, played once. Names of 16 or more digits are stamps in ns (EuRoC)."""
-
-    left_glob: str
-    right_glob: str
-    rate_hz: float
-
-
-SourceSettings = HttpSource | DeviceSource | FileSource | FolderSource
 
 
 @dataclass(frozen=True, slots=True)

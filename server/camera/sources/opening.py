@@ -1,9 +1,6 @@
 """From settings to a source."""
 
-from dataclasses import asdict
-
 from server.camera.contracts import StereoSource
-from server.camera.sources import settings as kinds
 from server.camera.sources.device import DeviceStereoSource
 from server.camera.sources.euroc import EurocStereoSource
 from server.camera.sources.folder import FolderStereoSource
@@ -47,11 +44,3 @@ def open_source(settings: SourceSettings) -> StereoSource:
             return EurocStereoSource(settings)
         case RecordingSource():
             return RecordingStereoSource(settings)
-        case _:
-            return open_source(_moved(settings))
-
-
-def _moved(settings: object) -> SourceSettings:
-    """Until `contracts` takes its settings from `sources.settings`: those of the same name there."""
-    kind = getattr(kinds, type(settings).__name__)
-    return kind(**asdict(settings))  # pyright: ignore[reportArgumentType]

@@ -68,7 +68,7 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
         R_base_cam = T_base_tcp[:3, :3] @ R_tcp_cam
         T_goal = position_reference_paper(T_base_tcp, R_base_cam, look.T_cam_tool[:3, 3], look.T_cam_ooi[:3, 3], b_m)
         return T_goal, predicted_sigma_mm(ctx, taken)
-    estimate = joint_estimate(ctx)
+    estimate = joint_estimate(ctx) if ctx.settings.position.local_map == "learnt" else None
     if estimate is not None and estimate.state is not None:
         return _joint_goal(ctx, estimate, taken.reading.q_rad)
     T_goal = reference_from_look(

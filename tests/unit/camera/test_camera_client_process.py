@@ -18,7 +18,8 @@ from camera_stand_in import CameraStandIn, jpeg_of, part_of
 
 from machine.description import parse_machine_toml
 from server.camera.client import VisionClient
-from server.camera.contracts import HttpSource, VisionSettings
+from server.camera.contracts import VisionSettings
+from server.camera.sources.settings import HttpSource
 from server.vision.contracts import LookStatus
 
 pytestmark = pytest.mark.system
@@ -110,7 +111,8 @@ import asyncio, sys
 sys.path.insert(0, {str(ROOT)!r})
 from machine.description import parse_machine_toml
 from server.camera.client import VisionClient
-from server.camera.contracts import HttpSource, VisionSettings
+from server.camera.contracts import VisionSettings
+from server.camera.sources.settings import HttpSource
 async def main():
     machine = parse_machine_toml(open({str(ROOT / "machine/machines/hiab033.toml")!r}).read())
     client = VisionClient(VisionSettings(HttpSource("http://127.0.0.1:9/stream")), machine)

@@ -1,0 +1,170 @@
+"""One machine, one run: the paper's two methods and ours in the fast world, with image-based and true errors."""
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from typing import Literal
+
+from longreach.reproduce.error_budget import Change, changed
+from longreach.reproduce.fast_cell import FastCell, context_of, fast_cell, run_plan
+from longreach.reproduce.fast_machine import QuasiStaticMachine, TrueMachine
+from longreach.reproduce.line_plan import LineVariant, line_run
+from longreach.reproduce.noise_model import NoiseModel
+from longreach.reproduce.paper_setup import NoSetUpError, beside, nearer
+from longreach.reproduce.true_error import StepErrors, Three, true_errors
+from machine.description import Machine
+from machine.rotations import Array
+from server.errors import ServerError
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken
+from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.looking import good_look
+from server.jobs.plans.moving import execute, preview
+from server.jobs.plans.orienting import orient
+from server.jobs.plans.positioning import position
+from server.jobs.records import ErrorMm
+from server.jobs.requests import Request
+from sim_plc.draw_world import draw_world
+from sim_plc.plant.plant import Plant
+from sim_plc.presets import PresetError
+from sim_plc.world import World
+
+State = Literal["done", "refused", "no set-up"]
+MakeMachine = Callable[[World], TrueMachine]
+PAPER_LATE_S = 0.150  # clock offset of preset `paper`: nothing maps the clocks there
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One machine's run. `steps` in order: the looks after orienting and after each move."""
+
+    seed: int
+    kind: str
+    state: State
+    reason: str
+    steps: tuple[StepErrors, ...] = ()
+    start_mm: Three | None = None  # true tool minus goal at the start, OOI axes
+    notes: dict[str, float | str] = field(default_factory=dict)
+
+
+def line_case(
+    machine: Machine, seed: int, noise: NoiseModel, variant: LineVariant, make: MakeMachine = QuasiStaticMachine
+) -> Case:
+    """Table 2: the line equation in preset `paper` at the paper's own set-up."""
+    kind = f"line, {variant}"
+    world = _drawn(machine, "paper", seed, beside)
+    if isinstance(world, str):
+        return Case(seed, kind, "no set-up", world)
+    cell = fast_cell(world, make(world), noise, PAPER_LATE_S)
+    ctx = context_of(world, "paper")
+    start = _start(cell, ctx)
+    try:
+        run = run_plan(line_run(ctx, variant), cell)
+    except ServerError as error:
+        return Case(seed, kind, "refused", str(error), (), start)
+    looks = [("oriented", run.oriented), ("move", run.moved)]
+    looks += [(f"servo {k}", taken) for k, taken in enumerate(run.servo, start=1)]
+    steps = tuple(_step(cell, ctx, name, taken) for name, taken in looks)
+    return Case(seed, kind, "done", "", steps, start, {"fit": run.note})
+
+
+def matching_case(
+    machine: Machine, seed: int, noise: NoiseModel, moves: int = 2, make: MakeMachine = QuasiStaticMachine
+) -> Case:
+    """Table 4: the paper's trajectory matching in preset `paper` at its own distance; updates at a held calibration."""
+    kind = "matching, paper"
+    world = _drawn(machine, "paper", seed, nearer)
+    if isinstance(world, str):
+        return Case(seed, kind, "no set-up", world)
+    cell = fast_cell(world, make(world), noise, PAPER_LATE_S)
+    ctx = context_of(world, "paper")
+    start = _start(cell, ctx)
+    looks: list[tuple[str, LookTaken]] = []
+    try:
+        run_plan(_updates(ctx, moves, looks), cell)
+    except ServerError as error:
+        return Case(seed, kind, "refused", str(error), (), start)
+    return Case(seed, kind, "done", "", tuple(_step(cell, ctx, name, taken) for name, taken in looks), start)
+
+
+def _updates(ctx: PlanContext, moves: int, looks: list[tuple[str, LookTaken]]) -> Generator[Request, object, None]:
+    """Look, orient, calibrate, then as many look-then-moves as asked for, whatever their errors."""
+    taken = yield from good_look(ctx)
+    taken = yield from orient(ctx, taken)
+    looks.append(("oriented", taken))
+    yield from calibrate(ctx, taken)
+    taken = yield from good_look(ctx)
+    for number in range(1, moves + 1):
+        taken = yield from execute(ctx, preview(ctx, taken, 0), number)
+        looks.append((f"move {number}", taken))
+
+
+def ours_case(
+    machine: Machine,
+    preset: str,
+    seed: int,
+    noise: NoiseModel,
+    make: MakeMachine = QuasiStaticMachine,
+    change: Change | None = None,
+) -> Case:
+    """The server's default positioning job as it stands, in a preset's own set-up; `change`: for an error budget."""
+    kind = f"ours, {preset}"
+    world = _drawn(machine, preset, seed, None if change is None else lambda one, _: changed(one, change))
+    if isinstance(world, str):
+        return Case(seed, kind, "no set-up", world)
+    cell = fast_cell(world, make(world), noise)
+    ctx = context_of(world, "ours")
+    start = _start(cell, ctx)
+    try:
+        result = run_plan(position(ctx, True, lambda: cell.clock_ns), cell)
+    except ServerError as error:
+        return Case(seed, kind, "refused", str(error), _moves(cell, ctx), start)
+    notes: dict[str, float | str] = {"reached": str(result.reached), "seconds": result.duration_s}
+    if result.calibration is not None:
+        notes |= {"sigma_deg": result.calibration.sigma_deg, "time_offset_ms": result.calibration.time_offset_ms}
+    return Case(seed, kind, "done", result.reason, _moves(cell, ctx), start, notes)
+
+
+def _moves(cell: FastCell, ctx: PlanContext) -> tuple[StepErrors, ...]:
+    """Every orientation step and move that the job has recorded, true errors joined by PLC time."""
+    steps = []
+    for move in ctx.knowledge.moves:
+        name = f"{'move' if move.kind == 'move' else 'orientation'} {move.number}"
+        if move.after is not None:
+            sigma = move.predicted_sigma_mm if move.kind == "move" else None
+            steps.append(_joined(cell, ctx, name, move.after, move.t_rest_plc_ns, sigma))
+    return tuple(steps)
+
+
+def _step(cell: FastCell, ctx: PlanContext, name: str, taken: LookTaken) -> StepErrors:
+    if taken.error is None:
+        raise ValueError(f"look '{name}' has no error: {taken.record.reason}")
+    return _joined(cell, ctx, name, taken.error, taken.record.t_plc_ns, None)
+
+
+def _joined(
+    cell: FastCell, ctx: PlanContext, name: str, image: ErrorMm, t_plc_ns: int, sigma_mm: Three | None
+) -> StepErrors:
+    true = true_errors(cell.world, cell.true_looks[t_plc_ns], ctx.T_ooi_goal)
+    return StepErrors(
+        name=name,
+        goal_true_mm=true.goal_mm,
+        goal_image_mm=(image.x_mm, image.y_mm, image.z_mm),
+        camera_true_mm=true.camera_mm,
+        camera_image_mm=(image.camera_x_mm, image.camera_y_mm, image.camera_z_mm),
+        rotation_true_deg=true.rotation_deg,
+        rotation_image_deg=image.rotation_deg,
+        predicted_sigma_mm=sigma_mm,
+    )
+
+
+def _start(cell: FastCell, ctx: PlanContext) -> Three:
+    return true_errors(cell.world, cell.machine.T_base_tcp(), ctx.T_ooi_goal).goal_mm
+
+
+def _drawn(machine: Machine, preset: str, seed: int, place: Callable[[World, Array], World] | None) -> World | str:
+    """The world of a seed, its OOI placed anew if asked for; or why there is none."""
+    try:
+        world = draw_world(machine, preset, seed)
+        return world if place is None else place(world, Plant(world.plant, world.q_start_rad).T_base_tcp())
+    except (PresetError, NoSetUpError) as error:
+        return str(error)
