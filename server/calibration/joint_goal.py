@@ -32,14 +32,20 @@ class JointGoal:
 
 
 def joints_for_goal(
-    chain: Chain, estimate: JointEstimate, q_now: Array, T_ooi_goal: Array, noise: NoiseModel | None = None
+    chain: Chain,
+    estimate: JointEstimate,
+    q_now: Array,
+    T_ooi_goal: Array,
+    noise: NoiseModel | None = None,
+    side: Array | None = None,
 ) -> JointGoal:
     """Where to go.
 
     Model:   T_ooi_tool(q; x) of the estimate equals T_ooi_goal; solved by correcting the nominal pose by what the
              model still lacks and taking its closed-form inverse, which converges by the ratio of the errors (a few
              per cent a round).
-    Args:    q_now: encoders (n,) [rad]. T_ooi_goal: wanted pose of the tool (4, 4).
+    Args:    q_now: encoders (n,) [rad]. T_ooi_goal: wanted pose of the tool (4, 4). side: of its play from which each
+             joint will come there (n,).
     Returns: joints and the predicted covariance of the error there, play between encoders and tool included.
     Raises:  ValueError: the estimate is not OK.
     """
@@ -49,7 +55,7 @@ def joints_for_goal(
     q = q_now
     T_nominal = tcp_pose(chain, q_now)
     for _ in range(ROUNDS_MAX):
-        lacking, turn = _lacking(model, state, q, T_ooi_goal)
+        lacking, turn = _lacking(model, state, q, T_ooi_goal, side)
         if np.linalg.norm(lacking) < CLOSE_M and np.linalg.norm(turn) < CLOSE_RAD:
             break
         T_nominal = _corrected(T_nominal, lacking, turn, state)
@@ -59,12 +65,14 @@ def joints_for_goal(
         q = found.q
     else:
         return JointGoal(None, "the corrected goal does not converge; retract and calibrate again", T_nominal, None)
-    return JointGoal(q, "", tcp_pose(chain, q), goal_covariance(estimate, q, noise or NoiseModel()))
+    return JointGoal(q, "", tcp_pose(chain, q), goal_covariance(estimate, q, noise or NoiseModel(), side))
 
 
-def _lacking(model: ErrorModel, state: JointState, q: Array, T_ooi_goal: Array) -> tuple[Array, Array]:
+def _lacking(
+    model: ErrorModel, state: JointState, q: Array, T_ooi_goal: Array, side: Array | None
+) -> tuple[Array, Array]:
     """Goal minus tool in base axes: position of the tool marker [m], rotation vector [rad]."""
-    T_ooi_tool = tool_in_ooi(model, state, q)
+    T_ooi_tool = tool_in_ooi(model, state, q, side)
     R = state.T_base_ooi[:3, :3]
     turn = rotvec_from_rotation(T_ooi_goal[:3, :3] @ T_ooi_tool[:3, :3].T)
     return R @ (T_ooi_goal[:3, 3] - T_ooi_tool[:3, 3]), R @ turn
@@ -79,20 +87,24 @@ def _corrected(T_base_tcp: Array, lacking: Array, turn: Array, state: JointState
     return T
 
 
-def goal_covariance(estimate: JointEstimate, q: Array, noise: NoiseModel) -> Array:
+def goal_covariance(estimate: JointEstimate, q: Array, noise: NoiseModel, side: Array | None = None) -> Array:
     """Covariance (6, 6) of T_ooi_tool at the joints q: what is not known, and play at rest. OOI axes."""
     model, state, covariance = estimate.model, estimate.state, estimate.covariance
     if state is None or covariance is None:
         raise ValueError(f"joint estimate is {estimate.status.value}: {estimate.reason}")
-    here = tool_in_ooi(model, state, q)
+    here = tool_in_ooi(model, state, q, side)
     steps = state_steps(model)
     columns = [
-        _change(tool_in_ooi(model, state.moved(one), q), here) / h for one, h in zip(np.diag(steps), steps, strict=True)
+        _change(tool_in_ooi(model, state.moved(one), q, side), here) / h
+        for one, h in zip(np.diag(steps), steps, strict=True)
     ]
     J = np.column_stack(columns)
     step = 1e-5
     Jq = np.column_stack(
-        [_change(tool_in_ooi(model, state, q + step * (np.arange(len(q)) == j)), here) / step for j in range(len(q))]
+        [
+            _change(tool_in_ooi(model, state, q + step * (np.arange(len(q)) == j), side), here) / step
+            for j in range(len(q))
+        ]
     )
     play = np.resize(np.array(noise.sigma_joint_rad), len(q))
     C = J @ covariance @ J.T + (Jq * play**2) @ Jq.T

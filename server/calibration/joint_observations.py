@@ -1,6 +1,6 @@
 """What the joint estimate is told: odometry runs and looks, each with the joints at the time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,14 +13,19 @@ from server.calibration.kinematic_errors import ErrorModel, tcp_poses_with_error
 
 @dataclass(frozen=True, slots=True)
 class JointTrack:
-    """Encoders: times (m,) [s, PLC clock mapped to the PC], `qs` (m, n) [rad]."""
+    """Encoders: times (m,) [s, PLC clock mapped to the PC], `qs` (m, n) [rad], `sides` (m, n) of their play or None."""
 
     t_s: Array
     qs: Array
+    sides: Array | None = None
 
-    def at(self, t_s: Array) -> Array:
-        """Joints at these times (k, n), linear between samples."""
-        return np.column_stack([np.interp(t_s, self.t_s, column) for column in self.qs.T])
+    def at(self, t_s: Array) -> tuple[Array, Array | None]:
+        """Joints and their sides at these times (k, n), linear between samples."""
+        qs = self._between(t_s, self.qs)
+        return qs, None if self.sides is None else self._between(t_s, self.sides)
+
+    def _between(self, t_s: Array, values: Array) -> Array:
+        return np.column_stack([np.interp(t_s, self.t_s, column) for column in values.T])
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,13 +38,17 @@ class OdometryRun:
 
 @dataclass(frozen=True, slots=True)
 class LookAt:
-    """One look at rest: joints (n,) [rad], marker poses in the camera and their covariances (6, 6), camera axes."""
+    """One look at rest: joints (n,) [rad], marker poses in the camera and their covariances (6, 6), camera axes.
+
+    side (n,): where each joint rests in its play, or None.
+    """
 
     q: Array
     T_cam_tool: Array
     T_cam_ooi: Array
     tool_covariance: Array
     ooi_covariance: Array
+    side: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +59,7 @@ class NoiseModel:
     sigma_turn_rad: float = float(np.deg2rad(0.04))  # of one odometry rotation
     sigma_affine_frac: float = 0.002  # smooth distortion of the odometry's space: lens, disparity, drift
     sigma_drift_frac: float = 0.001  # random walk of the odometry, at one metre of path
-    sigma_joint_rad: tuple[float, ...] = (5e-4, 5e-5, 5e-5, 4e-4, 4e-4, 4e-4)  # play behind the encoder, at rest
+    sigma_joint_rad: tuple[float, ...] = (2e-4, 1e-4, 1e-4, 3e-4, 3e-4, 3e-4)  # at rest, beyond play and sag
     sigma_look_turn_rad: float = float(np.deg2rad(0.03))  # of a marker pose: layout, lens
     sigma_look_frac: float = 0.0015  # of its distance
     samples_max: int = 60
@@ -92,8 +101,8 @@ def run_covariance(samples: RunSamples, noise: NoiseModel) -> Array:
 
 def run_residuals(model: ErrorModel, state: JointState, run: OdometryRun, samples: RunSamples) -> tuple[Array, Array]:
     """Expected less measured: positions (k - 1, 3) [m] in the first camera's axes, rotation vectors (k - 1, 3)."""
-    qs = run.joints.at(samples.t_s + state.time_offset_s)
-    Ts_base_cam = tcp_poses_with_errors(model, qs, state.errors) @ state.T_tcp_cam
+    qs, sides = run.joints.at(samples.t_s + state.time_offset_s)
+    Ts_base_cam = tcp_poses_with_errors(model, qs, state.errors, sides) @ state.T_tcp_cam
     R_first, p_first = Ts_base_cam[0, :3, :3], Ts_base_cam[0, :3, 3]
     p = (Ts_base_cam[1:, :3, 3] - p_first) @ R_first
     R = R_first.T @ Ts_base_cam[1:, :3, :3]
@@ -107,7 +116,8 @@ def run_residuals(model: ErrorModel, state: JointState, run: OdometryRun, sample
 
 def look_residual(model: ErrorModel, state: JointState, look: LookAt) -> Array:
     """Expected less measured (12,): tool, then OOI; rotation vector [rad], then position [m], camera axes."""
-    T_base_tcp = tcp_poses_with_errors(model, look.q[None], state.errors)[0]
+    sides = None if look.side is None else look.side[None]
+    T_base_tcp = tcp_poses_with_errors(model, look.q[None], state.errors, sides)[0]
     T_cam_tool = inverse_pose(state.T_tcp_cam) @ state.T_tcp_tool
     T_cam_ooi = inverse_pose(T_base_tcp @ state.T_tcp_cam) @ state.T_base_ooi
     parts = []
@@ -129,7 +139,7 @@ def look_covariance(model: ErrorModel, state: JointState, look: LookAt, noise: N
     for j in range(model.n_joints):
         q = look.q.copy()
         q[j] += step
-        shifted = LookAt(q, look.T_cam_tool, look.T_cam_ooi, look.tool_covariance, look.ooi_covariance)
+        shifted = replace(look, q=q)
         columns.append((look_residual(model, state, shifted) - base) / step)
     J = np.column_stack(columns)
     sigma = np.resize(np.array(noise.sigma_joint_rad), model.n_joints)

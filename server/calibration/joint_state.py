@@ -49,7 +49,8 @@ def state_steps(model: ErrorModel) -> Array:
     return np.concatenate([model.steps, six, six, six, [1e-4, 1e-3]])
 
 
-def tool_in_ooi(model: ErrorModel, state: JointState, q: Array) -> Array:
-    """T_ooi_tool (4, 4) that the state expects at the joints q (n,) [rad]."""
-    T_base_tool = tcp_poses_with_errors(model, q[None], state.errors)[0] @ state.T_tcp_tool
+def tool_in_ooi(model: ErrorModel, state: JointState, q: Array, side: Array | None = None) -> Array:
+    """T_ooi_tool (4, 4) that the state expects at the joints q (n,) [rad], each on its `side` (n,) of its play."""
+    sides = None if side is None else side[None]
+    T_base_tool = tcp_poses_with_errors(model, q[None], state.errors, sides)[0] @ state.T_tcp_tool
     return inverse_pose(state.T_base_ooi) @ T_base_tool

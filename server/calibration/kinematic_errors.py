@@ -1,4 +1,4 @@
-"""What the kinematics of one machine may have wrong, as parameters: lengths, twists, joint zeros, sag.
+"""What the kinematics of one machine may have wrong, as parameters: lengths, twists, joint zeros, sag, play.
 
 The nominal model is the machine file's. A crane differs from it by millimetres and tenths of a degree, and sags; near
 one posture that bends the map from encoders to the tool by a few per cent, smoothly and not at will: only as these
@@ -27,6 +27,7 @@ class ErrorKind(IntEnum):
     TWIST = 2
     ZERO = 3
     COMPLIANCE = 4
+    PLAY = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,8 @@ class ErrorPrior:
     """How wrong a machine of this class may be, before anything was seen. Standard deviations, except the mean sag.
 
     Compliance [rad/(N m)] acts about the joint's axis, under the weight of all that hangs on it (masses of the machine
-    file). It is given for the joints whose booms bend; those of the others stay zero.
+    file). It is given for the joints whose booms bend; those of the others stay zero. Play is its whole width [rad],
+    between the encoder and what it turns (`play.py`).
     """
 
     sigma_length_m: float = 0.004
@@ -42,6 +44,8 @@ class ErrorPrior:
     sigma_zero_rad: float = float(np.deg2rad(0.3))
     mean_compliance: tuple[float, ...] = (0.0, 1.1e-6, 1.6e-6)  # boom of 190 kg: 2 to 4 mm at its end
     sigma_compliance: tuple[float, ...] = (0.0, 0.6e-6, 0.9e-6)
+    mean_play_rad: tuple[float, ...] = (1.2e-3, 0.0, 0.0, 3e-3, 3e-3, 3e-3)
+    sigma_play_rad: tuple[float, ...] = (6e-4, 0.0, 0.0, 1.5e-3, 1.5e-3, 1.5e-3)
 
 
 _STEPS = {
@@ -50,6 +54,7 @@ _STEPS = {
     ErrorKind.TWIST: 1e-5,
     ErrorKind.ZERO: 1e-5,
     ErrorKind.COMPLIANCE: 1e-8,
+    ErrorKind.PLAY: 1e-5,
 }
 
 
@@ -90,9 +95,14 @@ def error_model(machine: Machine, prior: ErrorPrior | None = None) -> ErrorModel
     """The parameters of a machine and how wrong they may be."""
     believed = prior or ErrorPrior()
     n = len(machine.joints)
-    mean_compliance, sigma_compliance = (
-        np.resize(np.concatenate([values, np.zeros(n)]), n)
-        for values in (believed.mean_compliance, believed.sigma_compliance)
+    mean_compliance, sigma_compliance, mean_play, sigma_play = (
+        np.concatenate([values, np.zeros(n)])[:n]
+        for values in (
+            believed.mean_compliance,
+            believed.sigma_compliance,
+            believed.mean_play_rad,
+            believed.sigma_play_rad,
+        )
     )
     rows = []
     for j in range(n):
@@ -102,6 +112,7 @@ def error_model(machine: Machine, prior: ErrorPrior | None = None) -> ErrorModel
             (ErrorKind.TWIST, j, 0.0, believed.sigma_twist_rad),
             (ErrorKind.ZERO, j, 0.0, believed.sigma_zero_rad),
             (ErrorKind.COMPLIANCE, j, mean_compliance[j], sigma_compliance[j]),
+            (ErrorKind.PLAY, j, mean_play[j], sigma_play[j]),
         ]
     kept = [row for row in rows if row[3] > 0.0]
     chain = chain_of(machine)
@@ -189,7 +200,7 @@ def _poses(
             alpha[j] += values[p]
         elif kinds[p] == 3:
             zero[j] += values[p]
-        else:
+        elif kinds[p] == 4:
             compliance[j] += values[p]
     links = np.zeros((n + 1, 4, 4))
     theta = np.zeros(n)
@@ -214,15 +225,25 @@ def _poses(
     return Ts
 
 
-def tcp_poses_with_errors(model: ErrorModel, qs: Array, values: Array) -> Array:
+def play_widths(model: ErrorModel, values: Array) -> Array:
+    """Width of each joint's play (n,) [rad]."""
+    widths = np.zeros(model.n_joints)
+    chosen = model.kinds == ErrorKind.PLAY
+    widths[model.joints[chosen]] = values[chosen]
+    return widths
+
+
+def tcp_poses_with_errors(model: ErrorModel, qs: Array, values: Array, sides: Array | None = None) -> Array:
     """T_base_tcp of joint vectors if the parameters were off by `values`.
 
     Model:   classic DH with a + da, d + dd, alpha + dalpha, theta + dtheta + compliance x moment of gravity at the
-             undeflected posture.
-    Args:    qs: encoders (k, n) [rad]; values: (p,), SI, in the model's order.
+             undeflected posture; behind its play a joint stands at q - side x width / 2.
+    Args:    qs: encoders (k, n) [rad]; values: (p,), SI, in the model's order; sides: where each joint rests in its
+             play (k, n), -1 to 1 (`play.py`), the middle where absent.
     Returns: (k, 4, 4).
     Source:  Makinen et al. 2023, eq. 23-24, for the nominal part.
     """
+    turned = qs if sides is None else qs - 0.5 * sides * play_widths(model, values)
     return _poses(
         model.a,
         model.d,
@@ -235,5 +256,5 @@ def tcp_poses_with_errors(model: ErrorModel, qs: Array, values: Array) -> Array:
         model.kinds,
         model.joints,
         np.ascontiguousarray(values, dtype=np.float64),
-        np.ascontiguousarray(qs, dtype=np.float64),
+        np.ascontiguousarray(turned, dtype=np.float64),
     )

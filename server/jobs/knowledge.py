@@ -54,6 +54,7 @@ class Knowledge:
     runs: list[OdometryRun] = field(default_factory=list)
     looks: list[LookAt] = field(default_factory=list)
     joint: JointEstimate | None = None
+    side: Array | None = None  # where each joint rests in its play (n,), -1 to 1
 
     def forget_calibration(self) -> None:
         """Nothing learnt about this machine's mount and map is used any more."""

@@ -12,7 +12,7 @@ from server.calibration.trajectory_matching_paper import estimate_camera_rotatio
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.learning import remember_run
+from server.jobs.plans.learning import remember_motion, remember_run, side_now
 from server.jobs.plans.planning import onto_reference, plan_settings
 from server.jobs.records import CalibrationRecord
 from server.jobs.requests import (
@@ -41,7 +41,9 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
     yield Arm()
     yield StartOdometry()
+    before = side_now(ctx)
     yield Move(plan.trajectory, "calibration path")
+    remember_motion(ctx, plan.trajectory)
     yield Settle()
     tracks = expect((yield StopOdometry()), tuple)
     camera, encoder = tracks
@@ -51,7 +53,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     if estimate.status is not CalibrationStatus.OK:
         raise JobFailedError(f"calibration failed ({estimate.status.value}): {estimate.reason}", "calibration_failed")
     ctx.knowledge.mount = estimate
-    remember_run(ctx, camera, encoder)
+    remember_run(ctx, camera, encoder, before)
     ctx.knowledge.calibration = record
     text = f"camera rotation known to {record.sigma_deg:.2f} deg, clock offset {record.time_offset_ms:.0f} ms"
     yield Progress("calibrate", plan.duration_s, plan.duration_s, "s", text)

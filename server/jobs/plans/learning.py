@@ -1,13 +1,36 @@
 """What every look and every calibration path adds to the joint estimate, and when the old part of it must go."""
 
-from server.calibration.contracts import CalibrationStatus, CameraTrack, EncoderTrack
+import numpy as np
+
+from server.calibration.contracts import Array, CalibrationStatus, CameraTrack, EncoderTrack
 from server.calibration.joint_estimate import JointEstimate, estimate_jointly
 from server.calibration.joint_observations import JointTrack, LookAt, OdometryRun
+from server.calibration.kinematic_errors import ErrorPrior
+from server.calibration.play import play_sides
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
+from server.motion.contracts import JointTrajectory
 
 LOOKS_MAX = 12
 RUNS_MAX = 3
+
+
+def play_width(ctx: PlanContext) -> Array:
+    """About how wide the play of each joint is (n,) [rad]."""
+    widths = ErrorPrior().mean_play_rad
+    n = ctx.chain.n
+    return np.concatenate([widths, np.zeros(n)])[:n]
+
+
+def side_now(ctx: PlanContext) -> Array:
+    """Where each joint rests in its play (n,), 0 where that is not known yet."""
+    side = ctx.knowledge.side
+    return np.zeros(ctx.chain.n) if side is None else side
+
+
+def remember_motion(ctx: PlanContext, trajectory: JointTrajectory) -> None:
+    """Every motion leaves the joints on a side of their play."""
+    ctx.knowledge.side = play_sides(trajectory.q, play_width(ctx), side_now(ctx))[-1]
 
 
 def remember_look(ctx: PlanContext, taken: LookTaken) -> None:
@@ -15,17 +38,19 @@ def remember_look(ctx: PlanContext, taken: LookTaken) -> None:
     look = taken.look
     if look.T_cam_tool is None or look.T_cam_ooi is None or look.tool_covariance is None or look.ooi_covariance is None:
         return
-    seen = LookAt(taken.reading.q_rad, look.T_cam_tool, look.T_cam_ooi, look.tool_covariance, look.ooi_covariance)
+    covariances = look.tool_covariance, look.ooi_covariance
+    seen = LookAt(taken.reading.q_rad, look.T_cam_tool, look.T_cam_ooi, *covariances, side_now(ctx))
     ctx.knowledge.looks.append(seen)
     del ctx.knowledge.looks[:-LOOKS_MAX]
     ctx.knowledge.joint = None
 
 
-def remember_run(ctx: PlanContext, camera: CameraTrack, encoder: EncoderTrack) -> None:
-    """A calibration path becomes an observation."""
+def remember_run(ctx: PlanContext, camera: CameraTrack, encoder: EncoderTrack, before: Array) -> None:
+    """A calibration path becomes an observation; `before`: the sides of the joints when it began."""
     if encoder.qs is None:
         return
-    ctx.knowledge.runs.append(OdometryRun(camera, JointTrack(encoder.t_s, encoder.qs)))
+    sides = play_sides(encoder.qs, play_width(ctx), before)
+    ctx.knowledge.runs.append(OdometryRun(camera, JointTrack(encoder.t_s, encoder.qs, sides)))
     del ctx.knowledge.runs[:-RUNS_MAX]
     ctx.knowledge.joint = None
 

@@ -78,7 +78,8 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
 
 
 def _joint_goal(ctx: PlanContext, estimate: JointEstimate, q_rad: Array) -> tuple[Array, Sigmas]:
-    goal = joints_for_goal(ctx.chain, estimate, q_rad, ctx.T_ooi_goal)
+    from_below = np.ones(ctx.chain.n)  # as every approach ends
+    goal = joints_for_goal(ctx.chain, estimate, q_rad, ctx.T_ooi_goal, side=from_below)
     if goal.T_base_tcp is None or goal.covariance is None:
         raise JobFailedError(f"preview: {goal.reason}", "plan_out_of_reach")
     x, y, z = np.sqrt(np.diag(goal.covariance)[3:]) * 1e3

@@ -3,7 +3,7 @@
 The kinematics here are written out by themselves, so that the estimate is not judged by its own model.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,10 +16,14 @@ from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec
 from server.calibration.contracts import CameraTrack
 from server.calibration.joint_observations import JointTrack, LookAt, OdometryRun
+from server.calibration.kinematic_errors import ErrorPrior
+from server.calibration.play import play_sides
 from server.motion.calibration_paths import folded_corners
 
 ROOT = Path(__file__).parents[3]
 GOAL = pose(np.eye(3), np.array([0.0, 0.0, 0.1]))
+NO_PLAY = np.zeros(6)
+NOMINAL_PLAY = np.array(ErrorPrior().mean_play_rad + (0.0,) * 6)[:6]
 Q_START = np.deg2rad([12.0, 25.0, -80.0, 5.0, -40.0, -4.0])
 
 
@@ -100,11 +104,15 @@ def path_joints(q_start=Q_START, corners=None, per_leg: int = 10):
     return np.array(qs)
 
 
-def odometry_run(true: TrueMachine, qs, rng, sigma_m=3e-4, affine_frac=0.0015, clock_s=0.0, step_s=0.15):
+def odometry_run(
+    true: TrueMachine, qs, rng, sigma_m=3e-4, affine_frac=0.0015, clock_s=0.0, step_s=0.15, play_rad=NO_PLAY
+):
     t_s = step_s * np.arange(len(qs))
-    joints = JointTrack(t_s, qs)
+    sides = play_sides(qs, play_rad, np.ones(6))
+    joints = JointTrack(t_s, qs, play_sides(qs, NOMINAL_PLAY, np.ones(6)))
     camera_t = t_s[2:-2]
-    Ts = np.array([true.tcp(q) @ true.T_tcp_cam for q in joints.at(camera_t + clock_s)])
+    true_qs = joints.at(camera_t + clock_s)[0] - 0.5 * play_rad * JointTrack(t_s, sides).at(camera_t + clock_s)[0]
+    Ts = np.array([true.tcp(q) @ true.T_tcp_cam for q in true_qs])
     Ts = inverse_pose(Ts[0]) @ Ts
     warp = np.eye(3) + rng.normal(0.0, affine_frac, (3, 3))
     for T in Ts[1:]:
@@ -121,23 +129,28 @@ class Scene:
     T_base_ooi: np.ndarray
     rng: np.random.Generator
     sigma_m: float = 2e-4
+    play_rad: np.ndarray = field(default_factory=lambda: NO_PLAY)
 
     def tool(self, q):
-        return inverse_pose(self.T_base_ooi) @ self.true.tcp(q) @ self.true.T_tcp_tool
+        """Where the tool is when every joint has come from below."""
+        return inverse_pose(self.T_base_ooi) @ self.true.tcp(q - 0.5 * self.play_rad) @ self.true.T_tcp_tool
 
     def look(self, q) -> LookAt:
         T_cam_tool = inverse_pose(self.true.T_tcp_cam) @ self.true.T_tcp_tool
-        T_cam_ooi = inverse_pose(self.true.tcp(q) @ self.true.T_tcp_cam) @ self.T_base_ooi
+        T_cam_ooi = inverse_pose(self.true.tcp(q - 0.5 * self.play_rad) @ self.true.T_tcp_cam) @ self.T_base_ooi
         noisy = []
         for T in (T_cam_tool, T_cam_ooi):
             turn = rotation_from_rotvec(self.rng.normal(0.0, np.deg2rad(0.02), 3))
             noisy.append(pose(turn @ T[:3, :3], T[:3, 3] + self.rng.normal(0.0, self.sigma_m, 3)))
         covariance = np.diag(np.square([np.deg2rad(0.02)] * 3 + [self.sigma_m] * 3))
-        return LookAt(q, *noisy, covariance, covariance)
+        return LookAt(q, *noisy, covariance, covariance, np.ones(6))
 
 
-def scene(rng, distance_m=0.4, lateral_m=(0.05, -0.04), true: TrueMachine | None = None, q_start=Q_START) -> Scene:
+def scene(
+    rng, distance_m=0.4, lateral_m=(0.05, -0.04), true: TrueMachine | None = None, q_start=Q_START, play_rad=NO_PLAY
+) -> Scene:
     it = true or drawn_machine(rng)
     turn = rotation_from_rotvec(rng.normal(0.0, np.deg2rad(1.0), 3))
     T_ooi_tool = pose(turn, np.array([*lateral_m, GOAL[2, 3] + distance_m]))
-    return Scene(it, it.tcp(q_start) @ it.T_tcp_tool @ inverse_pose(T_ooi_tool), rng)
+    T_base_tool = it.tcp(q_start - 0.5 * play_rad) @ it.T_tcp_tool
+    return Scene(it, T_base_tool @ inverse_pose(T_ooi_tool), rng, play_rad=play_rad)

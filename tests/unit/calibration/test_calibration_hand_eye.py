@@ -179,6 +179,7 @@ def test_alignment_is_evos(name, rigid_mm):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not kinhec_available(), reason="kinhec is not installed")
+@pytest.mark.slow
 def test_kinhec_outliers_no_worse_than_its_best_solver(tmp_path):
     from longreach.bench_registration.kinhec_tracks import generate, run_track
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joint_scenes import GOAL, Q_START, machine, nominal_machine, odometry_run, path_joints, scene
+from joint_scenes import GOAL, NO_PLAY, Q_START, machine, nominal_machine, odometry_run, path_joints, scene
 
 from machine.chain import chain_of
 from machine.kinematics import tcp_poses
@@ -17,6 +17,7 @@ from server.calibration.joint_goal import joints_for_goal
 from server.calibration.joint_observations import JointTrack, NoiseModel, OdometryRun, thinned
 from server.calibration.joint_state import state_steps
 from server.calibration.kinematic_errors import ErrorKind, error_model, tcp_poses_with_errors
+from server.calibration.play import play_sides
 
 CHI2_3_95 = 7.815
 
@@ -60,11 +61,31 @@ def test_every_parameter_does_what_an_independent_chain_says(qs):
     assert checked == 20
 
 
+def test_play_puts_a_joint_half_its_width_behind_the_way_it_came(qs):
+    model = error_model(machine())
+    values = np.where(model.kinds == ErrorKind.PLAY, 0.004, 0.0)
+    sides = np.tile([1.0, 0.0, 0.0, -1.0, 1.0, 0.5], (len(qs), 1))
+    behind = qs - 0.5 * 0.004 * sides
+    assert np.allclose(
+        tcp_poses_with_errors(model, qs, values, sides), tcp_poses(chain_of(machine()), behind), atol=1e-12
+    )
+
+
+def test_a_side_is_reached_after_a_way_of_the_width_and_kept():
+    up_and_down = np.concatenate([np.linspace(0.0, 0.01, 11), np.linspace(0.01, 0.0, 11)])[:, None]
+    sides = play_sides(up_and_down, np.array([0.004]), np.zeros(1))[:, 0]
+    assert sides[0] == 0.0
+    assert np.all(sides[2:11] == 1.0)
+    assert np.all(sides[-6:] == -1.0)
+    assert np.all(play_sides(up_and_down, np.zeros(1), np.ones(1)) == 0.0)
+
+
 def test_exact_data_of_a_nominal_machine_lead_to_the_goal(qs):
     rng = np.random.default_rng(1)
     here = scene(rng, true=nominal_machine())
     here.sigma_m = 1e-9
-    prior = JointPrior(errors=replace(JointPrior().errors, mean_compliance=(0.0, 0.0, 0.0)))
+    rigid = replace(JointPrior().errors, mean_compliance=(0.0, 0.0, 0.0), mean_play_rad=tuple(NO_PLAY))
+    prior = JointPrior(errors=rigid)
     run = odometry_run(here.true, qs, rng, sigma_m=0.0, affine_frac=0.0)
     estimate = estimate_jointly(machine(), [run], [here.look(Q_START)], prior)
     assert estimate.status is CalibrationStatus.OK, estimate.reason
@@ -78,13 +99,14 @@ def test_exact_data_of_a_nominal_machine_lead_to_the_goal(qs):
 def drive(seed: int, qs, moves: int = 2, **kwargs):
     """Errors of tool minus goal after each move (position, rotation), and the error over its prediction."""
     rng = np.random.default_rng(seed)
-    here = scene(rng, **kwargs)
-    run = odometry_run(here.true, qs, rng, clock_s=rng.uniform(-0.1, 0.1))
+    play_rad = rng.uniform([5e-4, 0, 0, 9e-4, 9e-4, 9e-4], [2e-3, 0, 0, 5e-3, 5e-3, 5e-3])
+    here = scene(rng, play_rad=play_rad, **kwargs)
+    run = odometry_run(here.true, qs, rng, clock_s=rng.uniform(-0.1, 0.1), play_rad=play_rad)
     q, looks, ended = Q_START, [here.look(Q_START)], []
     for _ in range(moves):
         estimate = estimate_jointly(machine(), [run], looks)
         assert estimate.state is not None, estimate.reason
-        goal = joints_for_goal(chain_of(machine()), estimate, q, GOAL)
+        goal = joints_for_goal(chain_of(machine()), estimate, q, GOAL, side=np.ones(6))
         assert goal.q is not None, goal.reason
         q = goal.q
         reached = here.tool(q)
