@@ -56,7 +56,7 @@ def race_on_kitti(folder: Path) -> list[OdometryRace]:
 
 def _toy_vo(camera: StereoCamera, pairs: list[tuple[Image, Image]], truth: Array) -> OdometryRace | None:
     try:
-        from toy_vo import StereoEstimator
+        from toy_vo import StereoEstimator  # pyright: ignore[reportMissingImports]
     except ImportError:
         return None
     none, no_turn, shift = np.zeros(5), np.zeros(3), np.array([-camera.baseline_m, 0.0, 0.0])

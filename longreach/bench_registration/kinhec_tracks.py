@@ -51,7 +51,7 @@ def kinhec_available() -> bool:
 
 def generate(folder: Path, tier: str = "smoke") -> None:
     """Write the tier's sequences, unless they are there already."""
-    from kinhec.cli import main
+    from kinhec.cli import main  # pyright: ignore[reportMissingImports]
 
     if not (folder / "sequences.parquet").exists():
         with contextlib.redirect_stdout(io.StringIO()):
@@ -60,8 +60,8 @@ def generate(folder: Path, tier: str = "smoke") -> None:
 
 def run_track(folder: Path, track: str) -> tuple[TrackResult, list[SequenceResult]]:
     """Ours and all of kinhec's solvers on one track; the clock offset is estimated by either, never given."""
-    from kinhec.benchmark import run_benchmark
-    from kinhec.io import _load_from_row, load_manifest
+    from kinhec.benchmark import run_benchmark  # pyright: ignore[reportMissingImports]
+    from kinhec.io import _load_from_row, load_manifest  # pyright: ignore[reportMissingImports]
 
     theirs = run_benchmark(folder, out_dir=folder / "benchmarks" / track, tracks=[track], progress=False)
     asynchronous = bool((theirs["eval_sync"] == "estimated").any())
@@ -87,7 +87,7 @@ def _least(column: Any) -> tuple[str, float]:
 
 
 def _judge(track: str, sequence: Any) -> SequenceResult:
-    from kinhec.metrics import calibration_errors
+    from kinhec.metrics import calibration_errors  # pyright: ignore[reportMissingImports]
 
     started = time.perf_counter()
     found = _ours(sequence)

@@ -124,7 +124,7 @@ def _ate(true: Array, turned: Array) -> float:
 
 def _evo_ate(seen: Array, true: Array, with_scale: bool) -> float | None:
     try:
-        from evo.core.geometry import umeyama_alignment
+        from evo.core.geometry import umeyama_alignment  # pyright: ignore[reportMissingImports]
     except ImportError:
         return None
     R, t, scale = umeyama_alignment(seen.T, true.T, with_scale)

@@ -18,7 +18,7 @@ _JUMP_SIGMAS = 6.0
 _SCALE_STEP_MAX = 0.2
 _STEP_SMALL_SIGMAS = 0.01
 _STEP_SMALL = 1e-5  # rad, log scale and s: less shows nowhere, though tracks without noise know better
-_KEPT_CHANGES_FRAC = 0.02  # samples on the edge that may still come and go
+_FREE_ROUNDS = 8  # in which samples may come and go
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def fit_chord_rotation(
     R_start: Array,
     offset_start_s: float,
     offset_bound_s: float,
-    iterations_max: int = 12,
+    iterations_max: int = 24,
 ) -> ChordRotation:
     """Rotation, scale and clock offset that fit both tracks best under drift and jitter of unknown size.
 
@@ -82,8 +82,10 @@ def fit_chord_rotation(
         guess = guess.after(step.change, offset_bound_s)
         points, velocities = base_track(guess.offset_s)
         before, kept = kept, _likely(points, guess.scale * points_vo @ guess.R.T, step, kept)
+        if tries > _FREE_ROUNDS and (before & kept).sum() >= 0.5 * len(kept):
+            kept = before & kept  # who is still coming and going stays out: the choice cannot go round in circles
         small = np.abs(step.change) < _STEP_SMALL_SIGMAS * np.sqrt(np.diag(step.covariance)) + _STEP_SMALL
-        settled = bool(small.all()) and float(np.mean(before != kept)) <= _KEPT_CHANGES_FRAC
+        settled = bool(small.all()) and np.array_equal(before, kept)
         if settled or tries >= iterations_max:
             return ChordRotation(
                 R_base_vo=guess.R,
