@@ -52,6 +52,7 @@ class OdometrySettings:
     sigma_good_m: float = 2e-3  # of the position, the rig's scale apart, near the start
     sigma_good_frac: float = 0.005  # of the distance from the start, added to that
     rms_good: float = 6.0  # of the residuals in their sigmas; photographs of a street reach 3.5
+    texture_good_grey: float = 9.0  # variation of grey about a typical point; three times a camera's noise
     sigma_scale_frac: float = 0.004  # of the rig's calibration: 0.2 px of disparity at 1.3 m; no pair can show it
     readout_s: float | None = None  # rolling shutter, first to last row; 0 = global; None = learned from the motion
 
@@ -107,6 +108,7 @@ class StereoOdometry:
         self._recognitions = 0
         self._full_points = 0
         self._full_coverage = 0
+        self._texture_grey = float("inf")
 
     def process(
         self,
@@ -292,6 +294,11 @@ class StereoOdometry:
         reason = ""
         if count < settings.inliers_good:
             reason = f"{count} points (good from {settings.inliers_good}); little texture, or something covers the wall"
+        elif self._texture_grey < settings.texture_good_grey:
+            reason = (
+                f"texture is faint: grey varies by {self._texture_grey:.1f} levels (good from "
+                f"{settings.texture_good_grey:g}); more light, or go nearer"
+            )
         elif covered < settings.coverage_good:
             reason = f"points in {covered} of 40 cells of the image (good from {settings.coverage_good})"
         elif sigma_m > good_m:
@@ -310,6 +317,7 @@ class StereoOdometry:
     ) -> Keyframe:
         camera, settings = self._camera, self._settings
         found = sight.match_eyes(camera, settings.features, occupied_px)
+        self._texture_grey = found.texture_grey
         twist = motion.twist()
         readout_s, self._serial = self._readout.value_s, self._serial + 1
         keyframe = make_keyframe(

@@ -57,6 +57,21 @@ def spread_corners(image: Image, mask: Image, count: int, occupied_px: Array) ->
     return np.stack([column * cell + place % cell, row * cell + place // cell], axis=1).astype(np.float64)
 
 
+def texture_grey(image: Image, points_px: Array, half_px: int = 7) -> float:
+    """Median over the points (n, 2) [px] of the standard deviation of grey about each; 0 without points."""
+    height, width = image.shape
+    columns, rows = np.round(points_px).astype(int).T.reshape(2, -1)
+    inside = (columns >= half_px) & (rows >= half_px) & (columns < width - half_px) & (rows < height - half_px)
+    if not inside.any():
+        return 0.0
+    offsets = np.arange(-half_px, half_px + 1, 2)
+    across, down = (
+        columns[inside, None, None] + offsets[None, None, :],
+        rows[inside, None, None] + offsets[None, :, None],
+    )
+    return float(np.median(image[down, across].std(axis=(1, 2))))
+
+
 def coverage(points_px: Array, shape: tuple[int, int], columns: int = 8, rows: int = 5) -> int:
     """How many of the image's coarse cells hold a point."""
     height, width = shape

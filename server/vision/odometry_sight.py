@@ -10,7 +10,7 @@ from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
 from server.vision.odometry_align import Alignment, align
-from server.vision.odometry_features import inside_mask, spread_corners
+from server.vision.odometry_features import inside_mask, spread_corners, texture_grey
 from server.vision.odometry_flow import Flow, flow
 from server.vision.odometry_recognition import recognise
 
@@ -20,10 +20,12 @@ DISPARITY_MIN_PX = 1.5
 
 @dataclass(frozen=True, slots=True)
 class StereoMatches:
-    """Raw pixels (n, 2) of the same points in both eyes."""
+    """Raw pixels (n, 2) of the same points in both eyes; `texture_grey`: how much the grey varies about a typical one
+    (standard deviation over its patch), infinite where there are no images."""
 
     left_px: Array
     right_px: Array
+    texture_grey: float = float("inf")
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +113,7 @@ class ImageSight:
             retried[~good] = again.good
             good = plausible(camera, rays_left, right_px, retried)
         good &= inside_mask(self.masks[1], right_px)
-        return StereoMatches(corners[good], right_px[good])
+        return StereoMatches(corners[good], right_px[good], texture_grey(self.left, corners[good]))
 
     def find(self, kept: Sight, wanted: Wanted) -> tuple[Alignment, Alignment]:
         """Patches of the kept pair, warped, laid onto this one; what lies under a mask is no find."""
