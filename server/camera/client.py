@@ -33,7 +33,10 @@ KEEP_REPORTS = 600  # 40 s at 15 Hz
 FRESH_S = 0.5  # a stream without a report for longer is silent
 QUIT_S = 4.0
 RESTART_S = 1.0
-ODOMETRY_START_S = 20.0  # the first pair may compile
+ODOMETRY_START_S = 20.0
+PROCESS_START_S = 240.0  # on a new machine everything is compiled first
+
+STARTING = "camera: vision process is starting"
 
 _log = logging.getLogger(__name__)
 
@@ -55,7 +58,7 @@ class VisionClient:
         self._restart: asyncio.TimerHandle | None = None
         self._pose_source: PoseSourceName = "stereo"
         self._track: TrackCollector | None = None
-        self.stream_text = "camera: vision process is starting"
+        self.stream_text = STARTING
         self.latest_preview: tuple[bytes, int] | None = None
         self.last_odometry: tuple[OdometryPose, ...] = ()
         self.restarts = 0
@@ -143,6 +146,7 @@ class VisionClient:
 
         Raises: CameraError when no pair comes.
         """
+        await self._wait_for_process()
         self._track = track = TrackCollector()
         self._send(OdometryCommand(on=True))
         try:
@@ -165,6 +169,13 @@ class VisionClient:
         self._send(OdometryCommand(on=False))
         self.last_odometry = tuple(track.poses)
         return track.track()
+
+    async def _wait_for_process(self) -> None:
+        """Until the vision process has said something: a picture's report, or what its source lacks."""
+        try:
+            await asyncio.wait_for(self._until(lambda: self.stream_text != STARTING), PROCESS_START_S)
+        except TimeoutError:
+            raise CameraError(f"vision process has not started within {PROCESS_START_S:.0f} s; see its log") from None
 
     def _has_mapped(self, t_ns: int) -> bool:
         return self.latest is not None and self.latest.t_exposure_mapped_ns >= t_ns
@@ -223,6 +234,7 @@ class VisionClient:
             self._take(message)
         else:
             self.stream_text = message.text
+            self._arrived.set()
             _log.info("camera: %s", message.text or "pictures arrive")
 
     def _take(self, report: FrameReport) -> None:

@@ -115,7 +115,8 @@ class Drill:
         while self.t_ns < end_ns:
             self.step()
         self._fall_silent()
-        end_ns = self.t_ns + LINK_CLOSED.ns + _SETTLE_NS
+        halted_ns = self._until.get("plc stall", self.t_ns)  # a halted program can do nothing before it runs again
+        end_ns = max(self.t_ns + LINK_CLOSED.ns, halted_ns) + _SETTLE_NS
         give_up_ns = end_ns + _LONGEST_RAMP_NS
         while self.t_ns < end_ns or (self.plc.reference.motion is not Motion.FOLLOW and self.t_ns < give_up_ns):
             self.step()

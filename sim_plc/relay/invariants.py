@@ -219,7 +219,7 @@ class Watch:
         elif motion in _PLAYED:
             if state is not PlcState.RUN:
                 self._breach("an unarmed PLC moves", f"{motion.value} in {state.name}")
-        elif before not in (*_PLAYED, *_RAMPS):
+        elif before not in (*_PLAYED, *_RAMPS) and not self._may_run:  # begun and stopped within one cycle is no breach
             self._breach("a ramp from rest", f"{motion.value} after {before.value}")
         if state not in ARMED_STATES and (motion not in _RAMPS or state not in _MAY_RAMP):
             self._breach("an unarmed PLC moves", f"{motion.value} in {state.name}")
