@@ -9,6 +9,7 @@ from machine.poses import inverse_pose, pose
 from machine.rotations import Array
 from server.calibration.contracts import CameraTrack, EncoderTrack
 from server.calibration.fusion import prior_from_tool_marker
+from server.calibration.kinematic_errors import error_model, tcp_poses_with_errors
 from server.calibration.trajectory_matching import estimate_camera_rotation
 from server.motion.approach import plan_approach
 from server.motion.calibration_paths import plan_calibration_path
@@ -35,6 +36,8 @@ def warm_up(machine: Machine, chain: Chain) -> None:
     T_cam_tool = inverse_pose(machine.T_tcp_cam_left) @ machine.T_tcp_tool
     prior = prior_from_tool_marker(machine.T_tcp_tool[:3, :3], T_cam_tool[:3, :3], 0.03)
     estimate_camera_rotation(camera, EncoderTrack(times, Ts_base_tcp), machine.T_tcp_cam_left, prior)
+    model = error_model(machine)
+    tcp_poses_with_errors(model, motion.q, model.mean)
 
 
 def _posture(chain: Chain) -> Array:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from server.vision.bundle_warm_up import warm_up_bundle
 from server.vision.odometry_align import align
 from server.vision.odometry_keyframe import Keyframe
 from server.vision.odometry_observation import Observed
@@ -12,6 +13,7 @@ from server.vision.odometry_sight import ImageSight
 
 def warm_up() -> None:
     """Run every kernel on random texture and points."""
+    warm_up_bundle()
     rng = np.random.default_rng(1)
     image = rng.integers(0, 255, (48, 48)).astype(np.uint8)
     middle = np.array([[24.0, 24.0]])
