@@ -5,11 +5,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from longreach.bench_markers.cells import Cell, random_pose
+from longreach.bench_markers.corner_noise import corner_covariances
 from longreach.bench_markers.exact import look
 from longreach.bench_markers.images import MARKER_ID, SensorSettings, Studio, sensed
 from longreach.bench_markers.judged import normalised_bias, ratios, tilt_bound_deg
 from longreach.bench_markers.opencv_rivals import ippe_left
-from longreach.bench_markers.optimal import bounds, predict
+from longreach.bench_markers.optimal import correlated_bounds, predict
 from machine.description import Machine
 from machine.markers import marker_corners
 from machine.rotations import Array
@@ -100,7 +101,8 @@ def run_rendered_cell(
     exact = found.exact.reshape(-1, 2, 4, 2)
     away = exact - exact.mean(axis=2, keepdims=True)
     away /= np.linalg.norm(away, axis=3, keepdims=True)
-    best = bounds(machine.camera, found.truths, marker_corners(cell.side_m), sigma)
+    covariances = corner_covariances(errors, exact)
+    best = correlated_bounds(machine.camera, found.truths, marker_corners(cell.side_m), covariances)
     ours = look(machine.camera, cell.side_m, found.seen, sigma)
     good = np.isfinite(ours.Ts).all(axis=(1, 2))
     rivals = np.array([ippe_left(machine.camera, cell.side_m, one[:8].reshape(4, 2)) for one in found.seen])

@@ -36,5 +36,5 @@ def kept(case: dict) -> bool:
     if film["disparity_bias_px"]:
         return abs(figures["scale_frac"]) <= SCALE_FRAC
     if film["contrast_frac"] is not None:
-        return figures["worst_sigma"] <= WRONG_SIGMA or figures["max_mm"] <= MAX_MM
+        return figures["worst_sigma"] <= WRONG_SIGMA  # of pairs that are called OK
     return figures["max_mm"] <= MAX_MM and figures["end_mm"] <= END_MM

@@ -188,7 +188,11 @@ class VisionClient:
     def _silence_text(self) -> str:
         if self.stream_text:
             return self.stream_text
-        return f"last pair {self.age_s:.1f} s ago" if self.age_s > FRESH_S else ""
+        if self.latest is None:
+            return "no picture yet; check the camera, its power and its cable"
+        from server.camera.health.stamps import silence
+
+        return "; ".join(found.text for found in silence(self.latest.t_receive_mono_ns, time.monotonic_ns()))
 
     def _send(self, command: VisionCommand) -> None:
         if self._pipe is None:

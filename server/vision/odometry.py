@@ -217,7 +217,7 @@ class StereoOdometry:
         keyframe.place(keyframe.T_vo_cam, twist.value, self._readout.value_s)
         self._known.set_twist(len(self._keyframes) - 1, twist.sigma)
         if len(self._keyframes) > 1:
-            self._adjust(max(located.fit.rms_sigma, 1.0))
+            self._adjust(located.fit.noise_factor)
         self._last = replace(last, motion=replace(motion, T_vo_cam=keyframe.T_vo_cam))
         again = self._fit(sight, self._last.motion, inverse_pose(located.fit.T_cam_vo), False)
         return located if again is None else again
@@ -241,7 +241,7 @@ class StereoOdometry:
         if wanted:
             keyframe = self._add_keyframe(kept, motion, covariance, gains, inliers_px)
             keyframe.seen_here, keyframe.twist_gain = self._seen_here(located), gains.of_twist
-            self._adjust(max(fit.rms_sigma, 1.0))
+            self._adjust(fit.noise_factor)
             T_vo_cam = keyframe.T_vo_cam
             motion = replace(motion, T_vo_cam=T_vo_cam)
         self._last = Last(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)

@@ -10,6 +10,8 @@ from server.vision.contracts import Array, Image
 from server.vision.small_algebra import solve_positive
 
 HALF_PX = 7
+SIZE_PX = 2 * HALF_PX + 1
+SPAN_MAX_PX = 32  # of half a warped patch
 ITERATIONS_MAX = 15
 STEP_MIN_PX = 0.003
 AWAY_MAX_PX = 4.0  # from the guess; farther is another place
@@ -26,57 +28,68 @@ class Alignment:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _grey(image: Image, x: float, y: float) -> float:
-    column, row = int(x), int(y)
-    a, b = x - column, y - row
-    upper = (1.0 - a) * image[row, column] + a * image[row, column + 1]
-    lower = (1.0 - a) * image[row + 1, column] + a * image[row + 1, column + 1]
-    return (1.0 - b) * upper + b * lower
-
-
-@njit(cache=True, nogil=True, fastmath=True)
 def _template(image: Image, x: float, y: float, warp: Array, patch: Array) -> bool:
-    """Patch with a rim of one pixel, sampled through the warp; False where it leaves the image."""
+    """Patch with a rim of one pixel, sampled through the warp; False where it leaves the image or is torn apart."""
     height, width = image.shape
     reach = HALF_PX + 1
     span_x = reach * (abs(warp[0, 0]) + abs(warp[0, 1]))
     span_y = reach * (abs(warp[1, 0]) + abs(warp[1, 1]))
     if not (x - span_x >= 0.0 and x + span_x < width - 1 and y - span_y >= 0.0 and y + span_y < height - 1):
         return False
-    for j in range(-reach, reach + 1):
-        for i in range(-reach, reach + 1):
-            u = x + warp[0, 0] * i + warp[0, 1] * j
-            v = y + warp[1, 0] * i + warp[1, 1] * j
-            patch[j + reach, i + reach] = _grey(image, u, v)
+    if span_x > SPAN_MAX_PX or span_y > SPAN_MAX_PX:
+        return False
+    left, top = int(x) - SPAN_MAX_PX - 1, int(y) - SPAN_MAX_PX - 1  # so that all is positive, and exact in float32
+    x0, y0 = np.float32(x - left), np.float32(y - top)
+    xx, xy = np.float32(warp[0, 0]), np.float32(warp[0, 1])
+    yx, yy = np.float32(warp[1, 0]), np.float32(warp[1, 1])
+    for j in range(2 * reach + 1):
+        for i in range(2 * reach + 1):
+            u = x0 + xx * np.float32(i - reach) + xy * np.float32(j - reach)
+            v = y0 + yx * np.float32(i - reach) + yy * np.float32(j - reach)
+            column, row = np.int32(u), np.int32(v)
+            a, b = u - np.float32(column), v - np.float32(row)
+            k, m = top + row, left + column
+            upper = np.float32(image[k, m]) + a * (np.float32(image[k, m + 1]) - np.float32(image[k, m]))
+            lower = np.float32(image[k + 1, m]) + a * (np.float32(image[k + 1, m + 1]) - np.float32(image[k + 1, m]))
+            patch[j, i] = upper + b * (lower - upper)
     return True
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _align_one(image: Image, patch: Array, x: float, y: float, gradients: Array) -> tuple[float, float, float]:
-    """Inverse compositional translation with gain and offset of the light; correlation -1 where it fails."""
+def _align_one(
+    image: Image, patch: Array, x: float, y: float, across: Array, down: Array, middle: Array, grey: Array
+) -> tuple[float, float, float]:
+    """Inverse compositional translation with gain and offset of the light; correlation -1 where it fails.
+
+    across, down, middle, grey (225,) float32: room for the patch's gradients, its grey about the mean, and the image's.
+    """
     height, width = image.shape
-    size = 2 * HALF_PX + 1
-    mean, count = 0.0, size * size
+    size, count = SIZE_PX, SIZE_PX * SIZE_PX
+    one, half = np.float32(1.0), np.float32(0.5)
+    mean = np.float32(0.0)
     for j in range(size):
         for i in range(size):
+            middle[j * size + i] = patch[j + 1, i + 1]
+            across[j * size + i] = half * (patch[j + 1, i + 2] - patch[j + 1, i])
+            down[j * size + i] = half * (patch[j + 2, i + 1] - patch[j, i + 1])
             mean += patch[j + 1, i + 1]
-            gradients[j, i, 0] = 0.5 * (patch[j + 1, i + 2] - patch[j + 1, i])
-            gradients[j, i, 1] = 0.5 * (patch[j + 2, i + 1] - patch[j, i + 1])
-    mean /= count
+    mean /= np.float32(count)
     h = np.zeros((4, 4))
-    for j in range(size):
-        for i in range(size):
-            g0, g1, g2 = gradients[j, i, 0], gradients[j, i, 1], patch[j + 1, i + 1] - mean
-            h[0, 0] += g0 * g0
-            h[0, 1] += g0 * g1
-            h[0, 2] += g0 * g2
-            h[0, 3] += g0
-            h[1, 1] += g1 * g1
-            h[1, 2] += g1 * g2
-            h[1, 3] += g1
-            h[2, 2] += g2 * g2
+    h00, h01, h02, h03 = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    h11, h12, h13, h22 = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for i in range(count):
+        middle[i] -= mean
+        h00 += across[i] * across[i]
+        h01 += across[i] * down[i]
+        h02 += across[i] * middle[i]
+        h03 += across[i]
+        h11 += down[i] * down[i]
+        h12 += down[i] * middle[i]
+        h13 += down[i]
+        h22 += middle[i] * middle[i]
+    h[0, 0], h[0, 1], h[0, 2], h[0, 3] = h00, h01, h02, h03
+    h[1, 1], h[1, 2], h[1, 3], h[2, 2], h[3, 3] = h11, h12, h13, h22, count
     variance = h[2, 2]
-    h[3, 3] = count
     for j in range(4):
         h[j, j] += 1e-3
         for i in range(j):
@@ -88,27 +101,36 @@ def _align_one(image: Image, patch: Array, x: float, y: float, gradients: Array)
     for _ in range(ITERATIONS_MAX):
         if not (x >= HALF_PX and x < width - HALF_PX - 1 and y >= HALF_PX and y < height - HALF_PX - 1):
             return x, y, -1.0
-        b[:] = 0.0
-        sum_grey, sum_square, sum_product = 0.0, 0.0, 0.0
+        column, row = int(x) - HALF_PX, int(y) - HALF_PX
+        right, below = np.float32(x - int(x)), np.float32(y - int(y))  # the same for the whole patch
+        w00, w01 = (one - right) * (one - below), right * (one - below)
+        w10, w11 = (one - right) * below, right * below
         for j in range(size):
             for i in range(size):
-                grey = _grey(image, x + i - HALF_PX, y + j - HALF_PX)
-                centred = patch[j + 1, i + 1] - mean
-                error = grey - (gain * centred + mean + offset)
-                b[0] += gradients[j, i, 0] * error
-                b[1] += gradients[j, i, 1] * error
-                b[2] += centred * error
-                b[3] += error
-                sum_grey += grey
-                sum_square += grey * grey
-                sum_product += grey * centred
+                upper = w00 * image[row + j, column + i] + w01 * image[row + j, column + i + 1]
+                lower = w10 * image[row + j + 1, column + i] + w11 * image[row + j + 1, column + i + 1]
+                grey[j * size + i] = upper + lower
+        b0, b1, b2, b3 = np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        square, product = np.float32(0.0), np.float32(0.0)
+        scale, shift = np.float32(gain), np.float32(offset)
+        for i in range(count):
+            centred = grey[i] - mean
+            error = centred - scale * middle[i] - shift
+            b0 += across[i] * error
+            b1 += down[i] * error
+            b2 += middle[i] * error
+            b3 += error
+            square += centred * centred
+            product += centred * middle[i]
+        b[0], b[1], b[2], b[3] = b0, b1, b2, b3
+        total = b3 + count * offset  # the patch's grey about its mean adds up to nothing
         step = solve_positive(h, b)
         x -= step[0] / gain
         y -= step[1] / gain
         gain = min(max(gain + step[2], 0.3), 3.0)
         offset += step[3]
-        spread = sum_square - sum_grey * sum_grey / count
-        correlation = sum_product / np.sqrt(max(spread * variance, 1e-9))
+        spread = square - total * total / count
+        correlation = product / np.sqrt(max(spread * variance, 1e-9))
         if abs(step[0]) < STEP_MIN_PX and abs(step[1]) < STEP_MIN_PX:
             break
     return x, y, correlation
@@ -117,11 +139,12 @@ def _align_one(image: Image, patch: Array, x: float, y: float, gradients: Array)
 @njit(cache=True, nogil=True)
 def _align(reference: Image, points: Array, warps: Array, image: Image, guesses: Array) -> tuple[Array, Array]:
     found, correlations = guesses.copy(), np.full(len(points), -1.0)
-    size = 2 * HALF_PX + 1
-    patch, gradients = np.empty((size + 2, size + 2)), np.empty((size, size, 2))
+    patch = np.empty((SIZE_PX + 2, SIZE_PX + 2), np.float32)
+    across = np.empty(SIZE_PX * SIZE_PX, np.float32)
+    down, middle, grey = np.empty_like(across), np.empty_like(across), np.empty_like(across)
     for k in range(len(points)):
         if _template(reference, points[k, 0], points[k, 1], warps[k], patch):
-            x, y, correlation = _align_one(image, patch, guesses[k, 0], guesses[k, 1], gradients)
+            x, y, correlation = _align_one(image, patch, guesses[k, 0], guesses[k, 1], across, down, middle, grey)
             found[k, 0], found[k, 1], correlations[k] = x, y, correlation
     return found, correlations
 

@@ -47,8 +47,8 @@ class Motion:
 
     @property
     def steady(self) -> bool:
-        """Whether the velocity is known: the last step was short enough to tell."""
-        return 0 < self.step_ns < GAP_MAX_NS
+        """Whether the velocity is well known: the last two steps were short enough to tell it and its change."""
+        return 0 < self.step_ns < GAP_MAX_NS and self.mean_before is not None
 
     def twist(self) -> Twist:
         """Velocity at the last pose: the last step's mean, carried on by half a step with the change since before."""
@@ -106,7 +106,7 @@ def moved_by_twist(points_cam: Array, twist: Array, times_s: Array) -> Array:
 
     Model:   x_cam(t) = x_cam - t (w x x_cam + v).
     """
-    return points_cam - times_s[:, None] * (np.cross(twist[:3], points_cam) + twist[3:])
+    return points_cam - times_s[:, None] * (points_cam @ skew(twist[:3]).T + twist[3:])
 
 
 def inverse_jacobian(T_cam_vo: Array) -> Array:

@@ -20,6 +20,7 @@ CAUCHY_SQUARE = 8.0  # [sigma^2] over the four coordinates of a point
 INLIER_SQUARE = 20.0  # 99.95 % of chi2 with 4 degrees of freedom
 MEDIAN_SQUARE = 3.36  # of that chi2
 SCALE_SQUARE_MAX = 16.0  # images may be noisier than assumed, up to 4 times
+NOISE_FACTOR_MIN = 0.4  # residuals may show better images, but not what a patch errs by in all pairs alike
 INLIERS_MIN = 6
 DEPTH_MIN_M = 0.05
 
@@ -53,6 +54,11 @@ class PoseFit:
     rms_sigma: float
     information: Array
     whiteners: Array
+
+    @property
+    def noise_factor(self) -> float:
+        """How many times noisier than assumed the images are, as far as residuals can tell."""
+        return noise_factor(self.rms_sigma**2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,8 +253,8 @@ def refine_camera(T_cam_vo: Array, seen: StereoPoints) -> PoseFit | None:
     Model:   min over T of sum of rho(r^T C^-1 r), r = the four coordinates of a point minus their prediction,
              C = sigma^2 I + P C_map P^T: the map's error is common to both eyes. rho Cauchy, LM with analytic Jacobian,
              left perturbation; then the inliers with full weight: r^T C^-1 r < 20, times the scale by the median where
-             the images are noisier than assumed. Covariance: (J^T C^-1 J)^-1 times the inliers' mean square where that
-             exceeds 1.
+             the images are noisier than assumed. Covariance: (J^T C^-1 J)^-1 times the inliers' mean square, but not
+             less than 0.16.
     Args:    T_cam_vo: start (4, 4), near enough for C. seen: points and observations.
     """
     rays = stacked_rays(seen)
@@ -268,7 +274,7 @@ def refine_camera(T_cam_vo: Array, seen: StereoPoints) -> PoseFit | None:
         return None
     n_coordinates = 4 * int(inliers.sum()) - 2 * int(np.isnan(rays[inliers, 2]).sum())
     mean_square = float(squares[inliers].sum() / max(n_coordinates - 6, 1))
-    covariance = max(mean_square, 1.0) * np.linalg.inv(information)
+    covariance = noise_factor(mean_square) ** 2 * np.linalg.inv(information)
     return PoseFit(
         T_cam_vo=pose(rotation, position),
         covariance=0.5 * (covariance + covariance.T),
@@ -277,6 +283,11 @@ def refine_camera(T_cam_vo: Array, seen: StereoPoints) -> PoseFit | None:
         information=information,
         whiteners=roots,
     )
+
+
+def noise_factor(mean_square: float) -> float:
+    """Noise over the assumed one from the mean square of whitened residuals."""
+    return float(np.sqrt(max(mean_square, NOISE_FACTOR_MIN**2)))
 
 
 def _scale_square(squares: Array) -> float:

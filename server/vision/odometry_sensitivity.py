@@ -201,6 +201,6 @@ def sensitivity(
         of_keyframes=to_vo @ keyed,
         of_twist=to_vo @ moving[:, :6],
         of_readout=to_vo @ crossed,
-        readout_information=max(information, 0.0) / max(fit.rms_sigma, 1.0) ** 2,
+        readout_information=max(information, 0.0) / fit.noise_factor**2,
         readout_step_s=float(-alone[1] / information) if information > 1.0 else 0.0,
     )
