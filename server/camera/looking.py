@@ -15,7 +15,9 @@ FAILED_BATCHES = 2  # a look that fails by what it shows, not by motion, gets on
 class LookCollector:
     """Takes reports until the newest `n_pairs` give a good look.
 
-    A pair counts when it was exposed after `t_from_ns`, by the wanted pose source, and its images are healthy.
+    A pair counts when it was exposed after `t_from_ns`, by the wanted pose source, and its images are healthy. A look
+    ends with a pair whose whole picture was searched: a second marker of the same id may have come since the last time.
+    Pairs after the last search go when an unusable pair follows them.
     """
 
     n_pairs: int
@@ -28,20 +30,28 @@ class LookCollector:
     _pairs: list[PairObservation] = field(default_factory=list)
     _new: int = 0
     _failed: int = 0
+    _unsure: int = 0  # newest pairs, since the last search of the whole picture
 
     def add(self, report: FrameReport) -> Look | None:
         """The finished look, or None when more pairs are wanted."""
         if report.t_exposure_mapped_ns < self.t_from_ns or report.pose_source != self.pose_source:
             return None
         if not report.usable:
-            self.unusable += 1
-            self.last_warning = report.warnings[0]
+            self._refuse(report)
             return None
         self._pairs = [*self._pairs, report.observation][-self.n_pairs :]
         self._new += 1
-        if len(self._pairs) < self.n_pairs or self._new < self._wanted_new():
+        self._unsure = 0 if report.observation.searched else self._unsure + 1
+        if len(self._pairs) < self.n_pairs or self._new < self._wanted_new() or self._unsure > 0:
             return None
         return self._judge()
+
+    def _refuse(self, report: FrameReport) -> None:
+        self.unusable += 1
+        self.last_warning = report.warnings[0]
+        self._pairs = self._pairs[: max(0, len(self._pairs) - self._unsure)]
+        self._new = max(0, self._new - self._unsure)
+        self._unsure = 0
 
     def _wanted_new(self) -> int:
         """After a first try, half a batch of new pairs before the next one."""

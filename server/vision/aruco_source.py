@@ -41,7 +41,7 @@ class ArucoPoseSource:
         extra = self._boards.marker_ids
         self._left, self._right = (
             EyeDetector(machine.camera, machine.dictionary, wanted, self._settings.detection, phase, extra)
-            for phase in (0, 1)
+            for phase in (0, self._settings.detection.full_search_every // 2)
         )
 
     def observe(self, left: Image, right: Image, t_exposure_ns: int) -> PairObservation:
@@ -75,7 +75,8 @@ class ArucoPoseSource:
         self._last, self._t_last_ns = poses, t_exposure_ns
         views.extend(_unused_views(found, {view.marker_id for view in views} | self._boards.marker_ids))
         warnings = (*problems, *(view.reason for view in views if not view.used))
-        return PairObservation(t_exposure_ns, poses["tool"], poses["ooi"], tuple(views), tuple(dict.fromkeys(warnings)))
+        unique, searched = tuple(dict.fromkeys(warnings)), found[0].full_search or found[1].full_search
+        return PairObservation(t_exposure_ns, poses["tool"], poses["ooi"], tuple(views), unique, searched)
 
 
 def _why_unused(found: tuple[EyeDetection, EyeDetection], markers: tuple[Marker, ...]) -> list[str]:

@@ -52,13 +52,18 @@ class ObjectPose:
 
 @dataclass(frozen=True, slots=True)
 class PairObservation:
-    """What one stereo pair shows. `t_exposure_ns` is the camera's own stamp (mid-exposure of the middle row)."""
+    """What one stereo pair shows. `t_exposure_ns` is the camera's own stamp (mid-exposure of the middle row).
+
+    `searched`: the whole picture was searched, not only where the markers were last; a second marker of the same id is
+    found then.
+    """
 
     t_exposure_ns: int
     tool: ObjectPose
     ooi: ObjectPose
     views: tuple[MarkerView, ...]
     warnings: tuple[str, ...]
+    searched: bool = True
 
 
 class ObjectPoseSource(Protocol):

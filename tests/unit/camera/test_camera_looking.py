@@ -35,6 +35,10 @@ def observation(t_ns: int, views: tuple[MarkerView, ...] = ()) -> PairObservatio
     return PairObservation(t_ns, unseen, replace(unseen, on="ooi"), views, ())
 
 
+def unsearched(number: int, **changes: object) -> FrameReport:
+    return report(number, observation=replace(observation(number * 66 * MS), searched=False), **changes)
+
+
 def odometry_pose(t_ns: int, status: OdometryStatus = OdometryStatus.OK) -> OdometryPose:
     T = np.eye(4)
     T[0, 3] = t_ns * 1e-9
@@ -79,6 +83,28 @@ def test_only_fresh_healthy_pairs_of_the_wanted_source_count() -> None:
     done = results[3]
     assert done is not None
     assert (done.t_first_ns, done.t_last_ns) == (12 * 66 * MS, 15 * 66 * MS)
+
+
+def test_a_look_ends_with_a_search_of_the_whole_picture() -> None:
+    taking = collector([LookStatus.OK])
+    results = [taking.add(unsearched(number)) for number in range(10, 15)]
+    assert results == [None] * 5
+    done = taking.add(report(15))
+    assert done is not None
+    assert (done.t_first_ns, done.t_last_ns) == (12 * 66 * MS, 15 * 66 * MS)
+
+
+def test_pairs_since_the_last_search_go_when_it_finds_a_marker_twice() -> None:
+    taking = collector([LookStatus.OK])
+    taking.add(report(10))
+    for number in (11, 12):
+        taking.add(unsearched(number))  # the second marker is there already
+    taking.add(report(13, warnings=("marker id 3 is seen at two places",)))
+    results = [taking.add(report(number)) for number in range(14, 17)]
+    done = results[2]
+    assert results[:2] == [None] * 2
+    assert done is not None
+    assert (done.t_first_ns, done.t_last_ns, done.n_pairs) == (10 * 66 * MS, 16 * 66 * MS, 4)
 
 
 def test_a_moving_tool_is_looked_at_until_it_rests() -> None:
