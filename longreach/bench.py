@@ -12,11 +12,13 @@ from rich.console import Console
 from longreach import bench_fuzz, bench_kills, bench_link, bench_position, bench_schedules
 from longreach.bench_bundle.command import bundle
 from longreach.bench_camera_faults.command import camera_faults
+from longreach.bench_machines.command import ablation, machines
 from longreach.bench_markers.command import markers
 from longreach.bench_odometry.command import odometry
 from longreach.bench_rate.command import vision
 from longreach.bench_registration.command import registration
 from longreach.bench_registration.hand_eye_command import hand_eye
+from longreach.bench_servo import servo
 from longreach.bench_soak import vision_soak
 from longreach.bench_vision import bench_vision_real
 from machine.chain import chain_of
@@ -34,8 +36,11 @@ app.command("markers")(markers)
 app.command("bundle")(bundle)
 app.command("registration")(registration)
 app.command("hand-eye")(hand_eye)
+app.command("machines")(machines)
+app.command("ablation")(ablation)
 app.command("camera-faults")(camera_faults)
 app.command("vision-soak")(vision_soak)
+app.command("servo")(servo)
 
 
 @app.command()

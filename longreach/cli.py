@@ -10,6 +10,7 @@ from rich.markup import escape
 
 from longreach import (
     bench,
+    calibration_command,
     camera_command,
     commission_command,
     demo,
@@ -17,6 +18,7 @@ from longreach import (
     position,
     record_command,
     relay_command,
+    reproduce_command,
     sim_command,
     target_command,
 )
@@ -32,7 +34,9 @@ app.command("export-plc")(export_command.export_plc)
 app.command("commission")(commission_command.commission)
 app.command("position")(position.position)
 app.command("demo")(demo.demo)
+app.command("reproduce")(reproduce_command.reproduce)
 app.add_typer(bench.app, name="bench", help="Measure; every figure in the README comes from here.")
+app.add_typer(calibration_command.app, name="calibration", help="Show and export the local calibration.")
 app.add_typer(camera_command.app, name="camera", help="Look at the stereo camera.")
 app.add_typer(target_command.app, name="target", help="Print targets; measure how they sit.")
 app.add_typer(record_command.app, name="recording", help="Check, convert and recover recordings.")

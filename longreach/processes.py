@@ -92,12 +92,15 @@ class Stack:
                 _end(process)
 
     def _start(self, name: str, command: list[str]) -> None:
+        self._start_module(name, "longreach.cli", command)
+
+    def _start_module(self, name: str, module: str, command: list[str]) -> None:
         output = None
         if self.log_folder is not None:
             self.log_folder.mkdir(parents=True, exist_ok=True)
             output = (self.log_folder / f"{name}.log").open("wb")
         self.processes[name] = subprocess.Popen(
-            [sys.executable, "-m", "longreach.cli", *command],
+            [sys.executable, "-m", module, *command],
             stdout=output,
             stderr=subprocess.STDOUT if output else None,
             start_new_session=True,

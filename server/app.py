@@ -10,6 +10,7 @@ from fastapi import FastAPI
 
 from machine.chain import chain_of
 from machine.description import parse_machine_toml
+from server.api.calibration import calibration_router
 from server.api.jobs import jobs_router
 from server.api.live import live_router
 from server.api.panel import install_panel
@@ -17,6 +18,7 @@ from server.api.problems import install_problem_handlers
 from server.api.state import state_router
 from server.camera.client import VisionClient
 from server.cell import Cell
+from server.jobs.calibration_store import FILE_NAME, CalibrationStore
 from server.jobs.engine import JobEngine
 from server.jobs.journal import JobJournal
 from server.jobs.performer import Performer
@@ -53,7 +55,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     journal = JobJournal(Path(settings.recording.folder) / "jobs.jsonl")
     engine = JobEngine(Performer(cell), journal.restore())
     engine.on_event(journal.note)
-    service = JobService(cell, engine)
+    service = JobService(cell, engine, CalibrationStore(Path(settings.recording.folder) / FILE_NAME))
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
@@ -77,6 +79,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     app.include_router(state_router(service))
     app.include_router(jobs_router(service))
     app.include_router(live_router(service))
+    app.include_router(calibration_router(service))
     install_panel_tasks = install_panel(app, service)
     return app
 

@@ -1,5 +1,6 @@
 """The server's settings: one TOML file, read once, strict; every number with its unit in its name."""
 
+import math
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -8,11 +9,14 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.description import Machine, parse_machine_toml
+from server.calibration.calibration_life import Expiry
 from server.errors import SettingsError
 from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings
 
 __all__ = [
+    "CalibrationSettings",
     "CameraSettings",
+    "ClosedLoopSettings",
     "DeviceCameraSettings",
     "FileCameraSettings",
     "HttpCameraSettings",
@@ -74,6 +78,7 @@ class PositionSettings(_Strict):
     offset_x_mm: Annotated[float, Field(ge=-300.0, le=300.0)] = 0.0
     offset_y_mm: Annotated[float, Field(ge=-300.0, le=300.0)] = 0.0
     moves_max: Annotated[int, Field(ge=1, le=10)] = 4
+    closed_loop: bool = False  # permits the job `servo`: motion while looking
     local_map: Literal["rigid", "learnt"] = "learnt"
     orientation_steps_max: Annotated[int, Field(ge=0, le=5)] = 2
     wall_clearance_mm: Annotated[float, Field(ge=10.0, le=1000.0)] = 50.0
@@ -85,6 +90,32 @@ class PositionSettings(_Strict):
     sigma_layout_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
     sigma_layout_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.1
     sigma_print_side_frac: Annotated[float, Field(ge=0.0, le=0.05)] = 7e-4
+
+
+class CalibrationSettings(_Strict):
+    """When a local calibration expires; its reasons are in `Expiry`."""
+
+    radius_m: Annotated[float, Field(gt=0.0, le=10.0)] = 1.0
+    turn_deg: Annotated[float, Field(gt=0.0, le=180.0)] = 30.0
+    joint_deg: Annotated[float, Field(gt=0.0, le=360.0)] = 60.0
+    age_max_h: Annotated[float, Field(gt=0.0, le=1000.0)] = 12.0
+    temperature_k: Annotated[float, Field(gt=0.0, le=200.0)] = 25.0
+
+    def expiry(self) -> Expiry:
+        """The same in SI units."""
+        turn_rad, joint_rad = math.radians(self.turn_deg), math.radians(self.joint_deg)
+        return Expiry(self.radius_m, turn_rad, joint_rad, self.age_max_h * 3600.0, self.temperature_k)
+
+
+class ClosedLoopSettings(_Strict):
+    """The gate of closed-loop visual control: how slow, how far, how reliable its looks must be."""
+
+    speed_max_mm_s: Annotated[float, Field(gt=0.0, le=50.0)] = 20.0
+    distance_max_mm: Annotated[float, Field(gt=0.0, le=300.0)] = 150.0
+    pairs_in_a_row: Annotated[int, Field(ge=3, le=200)] = 10
+    sigma_max_mm: Annotated[float, Field(gt=0.0, le=10.0)] = 1.5
+    silence_max_ms: Annotated[float, Field(ge=30.0, le=170.0)] = 150.0  # with 25 ms of link: a ramp within 200 ms
+    passes_max: Annotated[int, Field(ge=1, le=5)] = 3
 
 
 class RecordingSettings(_Strict):
@@ -104,6 +135,8 @@ class ServerSettings(_Strict):
     camera: CameraSettings = HttpCameraSettings()
     look: LookSettings = LookSettings()
     position: PositionSettings = PositionSettings()
+    calibration: CalibrationSettings = CalibrationSettings()
+    closed_loop: ClosedLoopSettings = ClosedLoopSettings()
     recording: RecordingSettings = RecordingSettings()
 
 

@@ -36,13 +36,14 @@ _NICENESS = -10  # where it is allowed: the PLC's cycles before pictures and pan
 _CAMERA_STOP_S = 3.0
 
 
-def run_sim(settings: SimSettings) -> LoopHealth:
+def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda world: world) -> LoopHealth:
     """Run until SIGTERM or SIGINT; leaves no process and no shared memory behind. Returns how the loop kept up.
 
+    `place` may set the drawn world up anew (the OOI elsewhere) before it runs.
     Raises: SimSettingsError (also when the UDP port is taken), PresetError, MachineFileError: nothing was started.
     """
     with _stop_flag() as stopped:
-        world = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
+        world = place(draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed))
         panel = LocalPanel(cast(EnableMode, settings.enable))
         _panel_signals(panel)
         return _run(settings, world, panel, stopped)

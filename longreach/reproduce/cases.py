@@ -7,22 +7,26 @@ from typing import Literal
 from longreach.reproduce.error_budget import Change, changed
 from longreach.reproduce.fast_cell import FastCell, context_of, fast_cell, run_plan
 from longreach.reproduce.fast_machine import QuasiStaticMachine, TrueMachine
-from longreach.reproduce.line_plan import LineVariant, line_run
 from longreach.reproduce.noise_model import NoiseModel
 from longreach.reproduce.paper_setup import NoSetUpError, beside, nearer
-from longreach.reproduce.true_error import StepErrors, Three, true_errors
+from longreach.reproduce.point_sets import PointSets, matched_sets
+from longreach.reproduce.true_error import StepErrors, Three, euler_deg, true_errors
 from machine.description import Machine
+from machine.kinematics import tcp_poses
 from machine.rotations import Array
+from server.calibration.contracts import EncoderTrack
 from server.errors import ServerError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.calibrating import calibrate, plan_path
+from server.jobs.plans.line import LineVariant, line_run
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.moving import execute, preview
 from server.jobs.plans.orienting import orient
 from server.jobs.plans.positioning import position
 from server.jobs.records import ErrorMm
 from server.jobs.requests import Request
+from server.vision.contracts import Look
 from sim_plc.draw_world import draw_world
 from sim_plc.plant.plant import Plant
 from sim_plc.presets import PresetError
@@ -46,51 +50,82 @@ class Case:
     notes: dict[str, float | str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True, slots=True)
+class FastRun:
+    """A case with all behind it, for its pictures. `sets`: Table 3; `reference` (n, 3): planned TCP points [m]."""
+
+    case: Case
+    cell: FastCell | None = None
+    ctx: PlanContext | None = None
+    reference: Array | None = None
+    sets: PointSets | None = None
+
+
 def line_case(
     machine: Machine, seed: int, noise: NoiseModel, variant: LineVariant, make: MakeMachine = QuasiStaticMachine
 ) -> Case:
     """Table 2: the line equation in preset `paper` at the paper's own set-up."""
+    return fast_line_run(machine, seed, noise, variant, make).case
+
+
+def fast_line_run(
+    machine: Machine, seed: int, noise: NoiseModel, variant: LineVariant, make: MakeMachine = QuasiStaticMachine
+) -> FastRun:
+    """As `line_case`, with all behind it."""
     kind = f"line, {variant}"
     world = _drawn(machine, "paper", seed, beside)
     if isinstance(world, str):
-        return Case(seed, kind, "no set-up", world)
+        return FastRun(Case(seed, kind, "no set-up", world))
     cell = fast_cell(world, make(world), noise, PAPER_LATE_S)
     ctx = context_of(world, "paper")
     start = _start(cell, ctx)
     try:
         run = run_plan(line_run(ctx, variant), cell)
     except ServerError as error:
-        return Case(seed, kind, "refused", str(error), (), start)
-    looks = [("oriented", run.oriented), ("move", run.moved)]
-    looks += [(f"servo {k}", taken) for k, taken in enumerate(run.servo, start=1)]
-    steps = tuple(_step(cell, ctx, name, taken) for name, taken in looks)
-    return Case(seed, kind, "done", "", steps, start, {"fit": run.note})
+        return FastRun(Case(seed, kind, "refused", str(error), (), start), cell, ctx)
+    steps = tuple(_joined(cell, ctx, look.name, look.error, look.t_plc_ns, None) for look in run.looks)
+    return FastRun(Case(seed, kind, "done", "", steps, start, {"fit": run.note}), cell, ctx)
 
 
 def matching_case(
     machine: Machine, seed: int, noise: NoiseModel, moves: int = 2, make: MakeMachine = QuasiStaticMachine
 ) -> Case:
     """Table 4: the paper's trajectory matching in preset `paper` at its own distance; updates at a held calibration."""
+    return fast_matching_run(machine, seed, noise, moves, make).case
+
+
+def fast_matching_run(
+    machine: Machine, seed: int, noise: NoiseModel, moves: int = 2, make: MakeMachine = QuasiStaticMachine
+) -> FastRun:
+    """As `matching_case`, with all behind it. Table 3's errors are in the case's notes."""
     kind = "matching, paper"
     world = _drawn(machine, "paper", seed, nearer)
     if isinstance(world, str):
-        return Case(seed, kind, "no set-up", world)
+        return FastRun(Case(seed, kind, "no set-up", world))
     cell = fast_cell(world, make(world), noise, PAPER_LATE_S)
     ctx = context_of(world, "paper")
     start = _start(cell, ctx)
     looks: list[tuple[str, LookTaken]] = []
+    reference: list[Array] = []
     try:
-        run_plan(_updates(ctx, moves, looks), cell)
+        run_plan(_updates(ctx, moves, looks, reference), cell)
     except ServerError as error:
-        return Case(seed, kind, "refused", str(error), (), start)
-    return Case(seed, kind, "done", "", tuple(_step(cell, ctx, name, taken) for name, taken in looks), start)
+        return FastRun(Case(seed, kind, "refused", str(error), (), start), cell, ctx)
+    steps = tuple(_step(cell, ctx, name, taken) for name, taken in looks)
+    track = ctx.knowledge.runs[-1]
+    encoder = EncoderTrack(track.joints.t_s, tcp_poses(ctx.chain, track.joints.qs))
+    sets = matched_sets(track.camera, encoder, machine.T_tcp_cam_left[:3, :3])
+    return FastRun(Case(seed, kind, "done", "", steps, start, sets.notes()), cell, ctx, reference[0], sets)
 
 
-def _updates(ctx: PlanContext, moves: int, looks: list[tuple[str, LookTaken]]) -> Generator[Request, object, None]:
+def _updates(
+    ctx: PlanContext, moves: int, looks: list[tuple[str, LookTaken]], reference: list[Array]
+) -> Generator[Request, object, None]:
     """Look, orient, calibrate, then as many look-then-moves as asked for, whatever their errors."""
     taken = yield from good_look(ctx)
     taken = yield from orient(ctx, taken)
     looks.append(("oriented", taken))
+    reference.append(plan_path(ctx, taken.reading).Ts_base_tcp[:, :3, 3])
     yield from calibrate(ctx, taken)
     taken = yield from good_look(ctx)
     for number in range(1, moves + 1):
@@ -154,7 +189,15 @@ def _joined(
         rotation_true_deg=true.rotation_deg,
         rotation_image_deg=image.rotation_deg,
         predicted_sigma_mm=sigma_mm,
+        euler_true_deg=true.euler_deg,
+        euler_image_deg=_euler_seen(cell.looks[t_plc_ns]),
     )
+
+
+def _euler_seen(look: Look) -> Three | None:
+    if look.T_cam_tool is None or look.T_cam_ooi is None:
+        return None
+    return euler_deg(look.T_cam_tool[:3, :3], look.T_cam_ooi[:3, :3])
 
 
 def _start(cell: FastCell, ctx: PlanContext) -> Three:

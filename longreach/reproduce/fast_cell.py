@@ -7,10 +7,11 @@ from typing import TypeVar
 import numpy as np
 
 from longreach.reproduce.fast_camera import FastCamera, Source
+from longreach.reproduce.fast_lens import bent_path, lens_affine
 from longreach.reproduce.fast_machine import Trace, TrueMachine
-from longreach.reproduce.fast_odometry import odometry_path, rig_scale
+from longreach.reproduce.fast_odometry import odometry_path
 from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.watching import Sighted, StartWatching, StopWatching, watch
+from longreach.reproduce.watching import watch
 from machine.chain import chain_of
 from machine.kinematics import tcp_poses
 from machine.rotations import Array
@@ -30,12 +31,12 @@ from server.jobs.requests import (
     StopOdometry,
     TakeLook,
 )
+from server.jobs.watching import Sighted, StartWatching, StopWatching
 from server.settings import ServerSettings
 from server.vision.contracts import Look
 from sim_plc.world import World, rng_for
 
 LOOK_S = 0.1  # of virtual time per pair
-Asked = Request | StartWatching | StopWatching
 Result = TypeVar("Result")
 
 
@@ -45,7 +46,7 @@ class FastWorldError(RuntimeError):
 
 @dataclass(slots=True)
 class FastCell:
-    """One drawn machine with its camera. `true_looks`: true tool poses at each look, by its PLC time [ns].
+    """One drawn machine with its camera. `true_looks`: true tool poses, `looks`: what was seen, by PLC time [ns].
 
     `late_s`: how much later than true the camera's exposures are taken to be (its latency, once the clocks are mapped).
     """
@@ -58,6 +59,7 @@ class FastCell:
     late_s: float
     spread_max_mm: float = 1.0
     true_looks: dict[int, Array] = field(default_factory=dict)
+    looks: dict[int, Look] = field(default_factory=dict)
     _odometry_from_s: float = 0.0
     _watching_from_s: float = 0.0
     _watching: Source = "mono"
@@ -67,7 +69,7 @@ class FastCell:
         """Virtual time [ns]."""
         return round(1e9 * self.machine.t_s)
 
-    def perform(self, request: Asked) -> object:
+    def perform(self, request: Request) -> object:
         """The reply to one request.
 
         Raises: FastWorldError: a request that no plan of the server makes.
@@ -108,7 +110,9 @@ class FastCell:
     def _look(self, request: TakeLook) -> Look:
         T_base_tcp = self.machine.T_base_tcp()
         self.true_looks[self.clock_ns] = T_base_tcp
-        return self.camera.look(T_base_tcp, request.pairs, request.source, self.spread_max_mm)
+        look = self.camera.look(T_base_tcp, request.pairs, request.source, self.spread_max_mm)
+        self.looks[self.clock_ns] = look
+        return look
 
     def _watched(self) -> tuple[Sighted, EncoderTrack]:
         trace = self.machine.trace(self._watching_from_s)
@@ -126,10 +130,8 @@ class FastCell:
         period_s = 1.0 / self.noise.odometry.rate_hz
         picks = np.searchsorted(trace.t_s, np.arange(trace.t_s[0], trace.t_s[-1], period_s))
         Ts_base_cam = trace.Ts_base_tcp[picks] @ self.world.camera.T_tcp_cam_left
-        camera = CameraTrack(
-            trace.t_s[picks] + self.late_s,
-            odometry_path(Ts_base_cam, self.noise.odometry, self.rng, rig_scale(self.world, trace.Ts_base_tcp[0])),
-        )
+        bent = bent_path(Ts_base_cam, lens_affine(self.world, trace.Ts_base_tcp[0]))
+        camera = CameraTrack(trace.t_s[picks] + self.late_s, odometry_path(bent, self.noise.odometry, self.rng))
         return camera, encoder
 
 
@@ -146,7 +148,7 @@ def context_of(world: World, method: Method, settings: ServerSettings | None = N
     return PlanContext(machine, chain_of(machine), settings or ServerSettings(), Knowledge(), method)
 
 
-def run_plan(plan: Generator[Asked, object, Result], cell: FastCell) -> Result:
+def run_plan(plan: Generator[Request, object, Result], cell: FastCell) -> Result:
     """Drive a plan to its result; its own errors pass through."""
     reply: object = None
     while True:

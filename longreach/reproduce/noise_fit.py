@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import ks_2samp
+from scipy.stats import ks_2samp, kstwobign
 
 from longreach.reproduce.noise_model import CornerNoise
 from longreach.reproduce.rendered_looks import RenderedLook
@@ -115,15 +115,21 @@ def pose_errors(T_cam_measured: Array, T_cam_true: Array) -> Array:
 AXES = ("tilt x", "tilt y", "roll", "x", "y", "z")
 
 
-def agreement(rendered: Array, fast: Array) -> tuple[Agreement, ...]:
-    """Axis by axis, whether two sets of pose errors (n, 6), (m, 6) come from the same distribution."""
+def agreement(rendered: Array, fast: Array, n_independent: int | None = None) -> tuple[Agreement, ...]:
+    """Axis by axis, whether two sets of pose errors (n, 6), (m, 6) come from the same distribution.
+
+    `n_independent`: how many of the rendered ones count as independent (the looks of one machine share their errors);
+    p is that of the KS distance with so many.
+    """
+    n = len(rendered) if n_independent is None else n_independent
     rows = []
     for k, axis in enumerate(AXES):
         a, b = rendered[:, k], fast[:, k]
-        statistic, p_value = np.asarray(ks_2samp(a, b), dtype=float)[:2]
+        statistic = float(np.asarray(ks_2samp(a, b), dtype=float)[0])
+        p_value = float(kstwobign.sf(statistic * np.sqrt(n * len(b) / (n + len(b)))))
         ratio = _robust_sd(b) / max(_robust_sd(a), 1e-12)
         rows.append(
-            Agreement(axis, float(statistic), float(p_value), ratio, float(np.median(a)), float(np.median(b)),
+            Agreement(axis, statistic, p_value, ratio, float(np.median(a)), float(np.median(b)),
                       _robust_sd(a), len(a))
         )  # fmt: skip
     return tuple(rows)

@@ -6,10 +6,12 @@ left is the corner finder and the odometry; their numbers are here, with the fil
 
 import json
 from dataclasses import asdict, dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 FORMAT = "longreach-noise/1"
+FITTED_FILE = "noise_fitted.json"
 
 
 class NoiseFileError(ValueError):
@@ -72,16 +74,34 @@ class NoiseModel:
         return json.dumps({"format": FORMAT, **asdict(self)}, indent=1)
 
 
+def fitted_noise() -> NoiseModel:
+    """The model that is shipped: fitted by `longreach reproduce noise`."""
+    return _parsed(files("longreach.reproduce").joinpath(FITTED_FILE).read_text(encoding="utf-8"), FITTED_FILE)
+
+
+def ship_fitted(model: NoiseModel) -> Path:
+    """Put a fit in the place of the shipped one; for a source tree. Returns its path."""
+    path = Path(__file__).with_name(FITTED_FILE)
+    path.write_text(model.to_json() + "\n", encoding="utf-8")
+    return path
+
+
 def read_noise_model(path: Path) -> NoiseModel:
     """The model of a file.
 
     Raises: NoiseFileError: not readable, another format, fields missing or too many.
     """
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        return _model(data)
-    except (OSError, json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+        return _parsed(path.read_text(encoding="utf-8"), str(path))
+    except OSError as error:
         raise NoiseFileError(f"noise model {path}: {error!r}; fit one anew") from error
+
+
+def _parsed(text: str, name: str) -> NoiseModel:
+    try:
+        return _model(json.loads(text))
+    except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
+        raise NoiseFileError(f"noise model {name}: {error!r}; fit one anew") from error
 
 
 def _model(data: dict[str, Any]) -> NoiseModel:

@@ -63,7 +63,7 @@ def rendered_looks(
     exact = FastCamera(world, _EXACT, rng_for(world.seed, "no noise"))
     rng, view = rng_for(world.seed, "rendered looks"), TrueView(world)
     for T_base_tcp in Ts_base_tcp:
-        frames = [_as_sent(*renderer.render_static(T_base_tcp, rng)) for _ in range(n_frames)]
+        frames = [as_sent(*renderer.render_static(T_base_tcp, rng)) for _ in range(n_frames)]
         T_tool, T_ooi = true_poses_cam(world, T_base_tcp)
         sources: dict[Source, ObjectPoseSource] = {
             "stereo": ArucoPoseSource(world.nominal),
@@ -98,7 +98,7 @@ def seen_by(
     )
 
 
-def _as_sent(left: Image, right: Image) -> tuple[Image, Image]:
+def as_sent(left: Image, right: Image) -> tuple[Image, Image]:
     """Through the camera's JPEG."""
     coded = cv2.imencode(".jpg", np.hstack((left, right)), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
     both = np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.uint8)

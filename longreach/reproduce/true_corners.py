@@ -11,7 +11,7 @@ from machine.description import Marker, StereoCamera
 from machine.markers import marker_corners
 from machine.poses import inverse_pose, transform_points
 from machine.rotations import Array
-from machine.visibility import object_in_view
+from machine.visibility import faces_eye, in_eye
 from sim_plc.camera.boards import marker_board, shank_board
 from sim_plc.world import World
 
@@ -37,23 +37,25 @@ class TrueView:
     def __init__(self, world: World) -> None:
         self._world = world
         self._T_cam_tcp = inverse_pose(world.camera.T_tcp_cam_left)
+        self._tool: list[SeenMarker] | None = None
         self._tool_px = {"left": self._tool_outlines("left"), "right": self._tool_outlines("right")}
 
     def corners(self, T_base_tcp: Array) -> tuple[SeenMarker, ...]:
         """Every marker from a true tool pose."""
         scene = self._world.scene
         T_cam_tool, T_cam_ooi = true_poses_cam(self._world, T_base_tcp)
-        seen = [self._seen(marker, "tool", T_cam_tool @ marker.T_on_marker) for marker in scene.tool_markers]
-        seen += [self._seen(marker, "ooi", T_cam_ooi @ marker.T_on_marker) for marker in scene.ooi_markers]
-        return tuple(seen)
+        if self._tool is None:  # rigid to the camera: always the same
+            self._tool = [self._seen(marker, "tool", T_cam_tool @ marker.T_on_marker) for marker in scene.tool_markers]
+        seen = [self._seen(marker, "ooi", T_cam_ooi @ marker.T_on_marker) for marker in scene.ooi_markers]
+        return (*self._tool, *seen)
 
     def _seen(self, marker: Marker, on: ObjectOn, T_cam_marker: Array) -> SeenMarker:
-        corners = marker_corners(marker.side_m)
-        points = transform_points(T_cam_marker, corners)
+        points = transform_points(T_cam_marker, marker_corners(marker.side_m))
         found: dict[EyeName, Array | None] = {}
-        for number, eye in enumerate(EYES):
+        for eye in EYES:
             camera = self._camera(eye)
-            in_view = object_in_view(camera, T_cam_marker, corners, MARGIN_PX)[number]
+            own = points if eye == "left" else points - np.array([camera.baseline_m, 0.0, 0.0])
+            in_view = faces_eye(T_cam_marker[:3, 2], own.mean(axis=0)) and in_eye(camera, own, MARGIN_PX)
             pixels = self._project(eye, points) if in_view else None
             hidden = pixels is not None and on == "ooi" and any(_overlap(pixels, px) for px in self._tool_px[eye])
             found[eye] = None if hidden else pixels

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from longreach.reproduce.true_corners import true_poses_cam
 from machine.poses import inverse_pose
@@ -16,7 +17,8 @@ Three = tuple[float, float, float]
 class StepErrors:
     """One look: true and image-based, (x, y, z) [mm] and rotation [deg].
 
-    `goal_*`: tool minus goal, OOI axes. `camera_*`: OOI minus tool, camera axes, stand-off contained.
+    `goal_*`: tool minus goal, OOI axes. `camera_*`: OOI minus tool, camera axes, stand-off contained. `euler_*`: of the
+    OOI in tool axes, x y z as the paper's Table 2; None where only the angle is known.
     """
 
     name: str
@@ -27,6 +29,8 @@ class StepErrors:
     rotation_true_deg: float
     rotation_image_deg: float
     predicted_sigma_mm: Three | None = None
+    euler_true_deg: Three | None = None
+    euler_image_deg: Three | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +40,7 @@ class TrueErrors:
     goal_mm: Three
     camera_mm: Three
     rotation_deg: float
+    euler_deg: Three
 
 
 def true_errors(world: World, T_base_tcp: Array, T_ooi_goal: Array) -> TrueErrors:
@@ -46,7 +51,14 @@ def true_errors(world: World, T_base_tcp: Array, T_ooi_goal: Array) -> TrueError
         goal_mm=three_mm(T_ooi_tool[:3, 3] - T_ooi_goal[:3, 3]),
         camera_mm=three_mm(T_cam_ooi[:3, 3] - T_cam_tool[:3, 3]),
         rotation_deg=float(np.rad2deg(geodesic_angle(T_ooi_goal[:3, :3], T_ooi_tool[:3, :3]))),
+        euler_deg=euler_deg(T_cam_tool[:3, :3], T_cam_ooi[:3, :3]),
     )
+
+
+def euler_deg(R_cam_tool: Array, R_cam_ooi: Array) -> Three:
+    """Euler angles x, y, z (fixed axes) [deg] of the OOI in tool axes: Figure 5 and Table 2."""
+    x, y, z = Rotation.from_matrix(R_cam_tool.T @ R_cam_ooi).as_euler("xyz", degrees=True)
+    return float(x), float(y), float(z)
 
 
 def three_mm(vector_m: Array) -> Three:

@@ -15,6 +15,7 @@ from server.api.views import (
     CalibrateRequest,
     ExecuteRequest,
     JobView,
+    LineRequest,
     LookRequest,
     OrientRequest,
     ParkRequest,
@@ -23,6 +24,7 @@ from server.api.views import (
     Problem,
     RetractRequest,
     ReturnRequest,
+    ServoRequest,
 )
 from server.jobs.engine import Job
 from server.jobs.service import JobService
@@ -34,6 +36,8 @@ AnyJobRequest = Annotated[
     | PreviewRequest
     | ExecuteRequest
     | PositionRequest
+    | LineRequest
+    | ServoRequest
     | RetractRequest
     | ReturnRequest
     | ParkRequest,

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from server.api.calibration_view import calibration_view
 from server.api.views import (
-    CalibrationView,
     CameraView,
     ErrorView,
     JobEventView,
@@ -23,6 +23,7 @@ from server.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.engine import Job, JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
+from server.jobs.plans.assurance import fits, told
 from server.jobs.plans.live_error import live_error
 from server.jobs.records import ErrorMm, MoveRecord
 from server.version import __version__
@@ -52,8 +53,9 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext) -> StateView:
         markers=_markers(cell),
         live_error=_error(live_error(cell, ctx)),
         look=_look(cell),
-        calibration=CalibrationView(**asdict(knowledge.calibration)) if knowledge.calibration else None,
-        plan=plan_view(knowledge.previewed) if knowledge.previewed else None,
+        calibration=calibration_view(cell, ctx, time.monotonic_ns()),
+        calibration_note=knowledge.calibration_note,
+        plan=plan_view(knowledge.previewed, ctx) if knowledge.previewed else None,
         moves=[move_view(move) for move in knowledge.moves],
         job=job_view(engine.current) if engine.current else None,
         tolerance_mm=goal.tolerance_mm,
@@ -175,7 +177,7 @@ def _error(error: ErrorMm | None) -> ErrorView | None:
     return ErrorView(**{name: round(value, 3) for name, value in asdict(error).items()})
 
 
-def plan_view(previewed: PreviewedPlan) -> PlanView:
+def plan_view(previewed: PreviewedPlan, ctx: PlanContext | None = None) -> PlanView:
     """The previewed plan as the operator checks it."""
     plan = previewed.plan
     points = plan.Ts_base_tcp[:, :3, 3]
@@ -190,10 +192,18 @@ def plan_view(previewed: PreviewedPlan) -> PlanView:
         sigma_min=round(plan.sigma_min, 4),
         joint_travel_deg=[round(float(value), 2) for value in np.rad2deg(plan.joint_travel_rad)],
         predicted_sigma_mm=[round(value, 2) for value in previewed.predicted_sigma_mm],
+        caution=_caution(previewed, ctx),
         before=ErrorView(**asdict(previewed.before)),
         path_base_m=np.round(picked, 4).tolist(),
         q_goal_rad=[float(value) for value in previewed.q_goal],
     )
+
+
+def _caution(previewed: PreviewedPlan, ctx: PlanContext | None) -> str:
+    """What the operator should know before Execute: an error that will not be known well enough."""
+    if ctx is None or fits(ctx, previewed.predicted_sigma_mm):
+        return ""
+    return f"{told(ctx, previewed.predicted_sigma_mm)}: calibrate, look from nearer, or look again after it"
 
 
 def move_view(move: MoveRecord) -> MoveView:

@@ -91,6 +91,17 @@ class CalibrationView(View):
     n_used: int
     observability: float
     duration_s: float
+    valid: bool = True
+    expiry_reason: str = ""
+    age_s: float | None = None
+    made_unix_s: float | None = None
+    sigmas_deg: list[float] = Field(default_factory=list, description="principal sigmas of the rotation")
+    observability_text: str = ""
+    path_length_m: float | None = None
+    radius_mm: float | None = Field(default=None, description="it holds within this distance of where it was made")
+    distance_mm: float | None = Field(default=None, description="of the tool from where it was made")
+    age_max_h: float | None = None
+    map_looks: int = Field(default=0, description="looks that the local map has learnt from")
 
 
 class PlanView(View):
@@ -105,6 +116,7 @@ class PlanView(View):
     sigma_min: float
     joint_travel_deg: list[float]
     predicted_sigma_mm: list[float]
+    caution: str = ""
     before: ErrorView
     path_base_m: list[list[float]]
     q_goal_rad: list[float]
@@ -167,6 +179,7 @@ class StateView(View):
     live_error: ErrorView | None
     look: LookView | None
     calibration: CalibrationView | None
+    calibration_note: str = ""
     plan: PlanView | None
     moves: list[MoveView]
     job: JobView | None
@@ -229,6 +242,19 @@ class PositionRequest(JobRequest):
     kind: Literal["position"]
     method: Literal["ours", "paper"] = "ours"
     recalibrate: bool = True
+
+
+class LineRequest(JobRequest):
+    """The paper's line-equation method: circle while looking, one move; its servo variant; or our fit."""
+
+    kind: Literal["line"]
+    variant: Literal["paper", "paper servo", "fit", "fit, OOI axes"] = "fit"
+
+
+class ServoRequest(JobRequest):
+    """The last way while looking (closed loop); needs `[position] closed_loop = true`."""
+
+    kind: Literal["servo"]
 
 
 class RetractRequest(JobRequest):

@@ -18,6 +18,7 @@ _JUMP_SIGMAS = 6.0
 _SCALE_STEP_MAX = 0.2
 _STEP_SMALL_SIGMAS = 0.01
 _STEP_SMALL = 1e-5  # rad, log scale and s: less shows nowhere, though tracks without noise know better
+TO_AND_FRO = 0.5  # share of a step that the next one takes back
 _FREE_ROUNDS = 8  # in which samples may come and go
 
 
@@ -74,17 +75,19 @@ def fit_chord_rotation(
     guess = _Guess(R_start, 1.0, offset_start_s)
     points, velocities = base_track(guess.offset_s)
     kept = _not_jumping(points - points_vo @ R_start.T)
-    tries = 0
+    tries, last = 0, np.zeros(5)
     while True:
         tries += 1
         tracks = PairedTracks(points, velocities, guess.scale * points_vo @ guess.R.T, arc_steps_m, kept)
         step = chord_step(tracks, guess.offset_s, offset_bound_s)
-        guess = guess.after(step.change, offset_bound_s)
+        sigmas = np.sqrt(np.diag(step.covariance))
+        change, last = _calmed(step.change, last, sigmas)
+        guess = guess.after(change, offset_bound_s)
         points, velocities = base_track(guess.offset_s)
         before, kept = kept, _likely(points, guess.scale * points_vo @ guess.R.T, step, kept)
         if tries > _FREE_ROUNDS and (before & kept).sum() >= 0.5 * len(kept):
             kept = before & kept  # who is still coming and going stays out: the choice cannot go round in circles
-        small = np.abs(step.change) < _STEP_SMALL_SIGMAS * np.sqrt(np.diag(step.covariance)) + _STEP_SMALL
+        small = np.abs(step.change) < _STEP_SMALL_SIGMAS * sigmas + _STEP_SMALL
         settled = bool(small.all()) and np.array_equal(before, kept)
         if settled or tries >= iterations_max:
             return ChordRotation(
@@ -97,6 +100,16 @@ def fit_chord_rotation(
                 jitter=step.jitter,
                 converged=settled,
             )
+
+
+def _calmed(change: Array, last: Array, sigmas: Array) -> tuple[Array, Array]:
+    """The step, halved where it takes back most of the one before; and itself in sigmas, for the next one.
+
+    Velocities at a swinging boom change with the offset, so full steps in the offset can go to and fro for long.
+    """
+    wide = change / sigmas
+    to_and_fro = float(wide @ last) < -TO_AND_FRO * float(last @ last)
+    return (0.5 * change, 0.5 * wide) if to_and_fro else (change, wide)
 
 
 def _not_jumping(residuals: Array) -> NDArray[np.bool_]:

@@ -6,7 +6,7 @@ executed move ends in a look, so every move improves the map; nothing else is ne
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,11 +14,13 @@ from machine.chain import chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_pose
 from server.calibration.contracts import Array, CalibrationStatus
+from server.calibration.joint_lens import LensPrior, layout_covariance, look_sensitivity, odometry_sensitivity
 from server.calibration.joint_observations import (
     LookAt,
     NoiseModel,
     OdometryRun,
     RunSamples,
+    Scatter,
     look_covariance,
     look_residual,
     run_covariance,
@@ -32,6 +34,8 @@ ROUNDS_MAX = 8
 STEP_DONE = 1e-3  # of a standard deviation
 HUBER_SIGMA = 2.5
 OUTLIERS_MAX_FRAC = 0.4
+SCATTER_ROUNDS_MAX, SCATTER_SAME = 3, 0.15
+TAKEN_BY_FIT = 20  # of a run's freedoms, about
 PATH_MIN_M = 0.15
 UNKNOWN_OOI = np.array([np.pi] * 3 + [10.0] * 3)
 MISFIT_MAX = 4.0  # mean square of the whitened residuals, above which observations and model contradict each other
@@ -43,16 +47,17 @@ class JointPrior:
 
     errors: ErrorPrior = field(default_factory=ErrorPrior)
     sigma_mount_rad: float = float(np.deg2rad(3.0))  # camera against the machine file, per axis
-    sigma_mount_m: float = 0.015
+    sigma_mount_m: float = 0.010
     sigma_tool_marker_rad: float = float(np.deg2rad(1.0))
     sigma_tool_marker_m: float = 0.002
-    sigma_scale_frac: float = 0.004
+    sigma_scale_frac: float = 0.001  # of the odometry, beyond the lens
     sigma_time_s: float = 0.1
+    lens: LensPrior = field(default_factory=LensPrior)
 
 
 @dataclass(frozen=True, slots=True)
 class JointEstimate:
-    """The fit. `state` and `covariance` (p + 20, p + 20; order of `JointState.moved`) are None unless status is OK."""
+    """The fit. `state` and `covariance` (p + 26, p + 26; order of `JointState.moved`) are None unless status is OK."""
 
     status: CalibrationStatus
     reason: str
@@ -66,6 +71,8 @@ class JointEstimate:
     n_looks: int
     path_length_m: float
     observability: float  # share of the prior's rotation variance of the mount that the data took away, 0..1
+    noise: NoiseModel = field(default_factory=NoiseModel)  # that was taken for granted
+    layout_covariance: Array | None = None  # (6, 6) of the OOI as its markers tell it, OOI axes; no data lessen it
 
 
 @dataclass(slots=True)
@@ -74,8 +81,10 @@ class _Problem:
     noise: NoiseModel
     believed: JointState
     sigma: Array
-    runs: tuple[tuple[OdometryRun, RunSamples, Array], ...]
-    looks: tuple[tuple[LookAt, Array], ...]
+    runs: list[tuple[OdometryRun, RunSamples, Array]]
+    scatters: list[Scatter]  # of each run
+    looks: tuple[tuple[LookAt, Array, Array], ...]  # with weight (12, 12) and sensitivity to the lens (12, 6)
+    bending: Array
     weights: list[Array]
 
 
@@ -111,14 +120,27 @@ def estimate_jointly(
         noise=accuracy,
         believed=start,
         sigma=_sigma(model, believed),
-        runs=tuple((run, samples, _inverse(run_covariance(samples, accuracy))) for run, samples in usable),
-        looks=tuple((look, _inverse(look_covariance(model, start, look, accuracy))) for look in looks),
+        runs=[
+            (run, samples, _inverse(run_covariance(samples, accuracy, Scatter(accuracy.sigma_position_m))))
+            for run, samples in usable
+        ],
+        scatters=[Scatter(accuracy.sigma_position_m)] * len(usable),
+        looks=tuple(
+            (
+                look,
+                _inverse(look_covariance(model, start, look, accuracy)),
+                look_sensitivity(machine, look.T_cam_tool, look.T_cam_ooi),
+            )
+            for look in looks
+        ),
+        bending=odometry_sensitivity(machine.camera, looks[-1].T_cam_ooi),
         weights=[np.ones(len(samples.t_s) - 1) for _, samples in usable],
     )
-    state, information = _minimise(problem)
+    state, information = _settled(problem)
     if state is None:
         return _refused(model, CalibrationStatus.DEGENERATE, "the normal matrix is singular", length)
-    return _judged(problem, state, information, length)
+    layout = layout_covariance(machine, looks[-1].T_cam_ooi, believed.lens)
+    return replace(_judged(problem, state, information, length), layout_covariance=layout)
 
 
 def _broken(
@@ -153,16 +175,55 @@ def _inverse(matrix: Array) -> Array:
 def _sigma(model: ErrorModel, prior: JointPrior) -> Array:
     camera = [prior.sigma_mount_rad] * 3 + [prior.sigma_mount_m] * 3
     tool = [prior.sigma_tool_marker_rad] * 3 + [prior.sigma_tool_marker_m] * 3
-    return np.concatenate([model.sigma, camera, tool, UNKNOWN_OOI, [prior.sigma_scale_frac, prior.sigma_time_s]])
+    rest = [prior.sigma_scale_frac, prior.sigma_time_s]
+    return np.concatenate([model.sigma, camera, tool, UNKNOWN_OOI, rest, prior.lens.sigma])
 
 
 def _residuals(problem: _Problem, state: JointState) -> tuple[list[tuple[Array, Array]], list[Array]]:
-    runs = [run_residuals(problem.model, state, run, samples) for run, samples, _ in problem.runs]
-    return runs, [look_residual(problem.model, state, look) for look, _ in problem.looks]
+    runs = [run_residuals(problem.model, state, run, samples, problem.bending) for run, samples, _ in problem.runs]
+    return runs, [look_residual(problem.model, state, look, S) for look, _, S in problem.looks]
 
 
-def _minimise(problem: _Problem) -> tuple[JointState | None, Array]:
-    state, gone = problem.believed, np.zeros(len(problem.sigma))
+def _settled(problem: _Problem) -> tuple[JointState | None, Array]:
+    """The fit with each run's scatter as the run itself shows it."""
+    state, information = _minimise(problem, problem.believed)
+    for _ in range(SCATTER_ROUNDS_MAX):
+        if state is None or not _scatter_renewed(problem, state):
+            break
+        state, information = _minimise(problem, state)
+    return state, information
+
+
+def _scatter_renewed(problem: _Problem, state: JointState) -> bool:
+    """Each run's scatter as its residuals show it; whether any changed enough to fit again.
+
+    Model:   variance component: sigma^2 times the mean square of the run's whitened positions, which is 1 if the sigma
+             was right; correlation of neighbours from the residuals themselves. How much the boom swings on the way is
+             not known before, and decides what the path is worth.
+    """
+    low, high = problem.noise.sigma_position_range_m
+    renewed = False
+    for i, (run, samples, W) in enumerate(problem.runs):
+        position, _ = run_residuals(problem.model, state, run, samples, problem.bending)
+        weighted = np.sqrt(problem.weights[i])[:, None] * position
+        freedoms = max(position.size - TAKEN_BY_FIT, 0.5 * position.size)
+        ratio = float(np.einsum("ia,ij,ja->", weighted, W, weighted)) / freedoms
+        alike = float(np.sum(weighted[1:] * weighted[:-1]) / max(np.sum(weighted**2), 1e-18))
+        before = problem.scatters[i]
+        after = Scatter(
+            float(np.clip(before.sigma_m * np.sqrt(ratio), low, high)),
+            float(np.clip(alike, *problem.noise.neighbours_range)),
+        )
+        changed = abs(after.sigma_m / before.sigma_m - 1.0), abs(after.neighbours - before.neighbours)
+        if max(changed) > SCATTER_SAME:
+            problem.scatters[i] = after
+            problem.runs[i] = run, samples, _inverse(run_covariance(samples, problem.noise, after))
+            renewed = True
+    return renewed
+
+
+def _minimise(problem: _Problem, start: JointState) -> tuple[JointState | None, Array]:
+    state, gone = start, start.less(problem.believed)
     information = np.eye(len(problem.sigma))
     for _ in range(ROUNDS_MAX):
         information, gradient = _normal_equations(problem, state, gone)
@@ -196,7 +257,7 @@ def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tupl
         wt = problem.weights[i] / problem.noise.sigma_turn_rad**2
         information += np.einsum("iap,i,iaq->pq", Jt, wt, Jt, optimize=True)
         gradient += np.einsum("iap,i,ia->p", Jt, wt, turn, optimize=True)
-    for i, (_, W) in enumerate(problem.looks):
+    for i, (_, W, _) in enumerate(problem.looks):
         J = np.column_stack([(other[1][i] - looks[i]) / h for other, h in zip(shifted, steps, strict=True)])
         information += J.T @ W @ J
         gradient += J.T @ W @ looks[i]
@@ -239,6 +300,7 @@ def _judged(problem: _Problem, state: JointState, information: Array, length_m: 
         n_looks=len(problem.looks),
         path_length_m=length_m,
         observability=float(np.clip(1.0 - left, 0.0, 1.0)),
+        noise=problem.noise,
     )
 
 
@@ -248,7 +310,7 @@ def _misfit(problem: _Problem, runs: list[tuple[Array, Array]], looks: list[Arra
         weighted = np.sqrt(weights)[:, None] * position
         squares += float(np.einsum("ia,ij,ja->", weighted, W, weighted))
         count += position.size
-    for residual, (_, W) in zip(looks, problem.looks, strict=True):
+    for residual, (_, W, _) in zip(looks, problem.looks, strict=True):
         squares += float(residual @ W @ residual)
         count += residual.size
     return squares / max(count, 1)

@@ -7,7 +7,7 @@ import numpy as np
 from machine.chain import Chain
 from machine.inverse import inverse_nearest
 from machine.kinematics import tcp_pose
-from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
+from machine.rotations import rotation_from_rotvec, rotvec_from_rotation, skew
 from server.calibration.contracts import Array
 from server.calibration.joint_estimate import JointEstimate
 from server.calibration.joint_observations import NoiseModel
@@ -65,7 +65,7 @@ def joints_for_goal(
         q = found.q
     else:
         return JointGoal(None, "the corrected goal does not converge; retract and calibrate again", T_nominal, None)
-    return JointGoal(q, "", tcp_pose(chain, q), goal_covariance(estimate, q, noise or NoiseModel(), side))
+    return JointGoal(q, "", tcp_pose(chain, q), goal_covariance(estimate, q, noise or estimate.noise, side))
 
 
 def _lacking(
@@ -88,7 +88,10 @@ def _corrected(T_base_tcp: Array, lacking: Array, turn: Array, state: JointState
 
 
 def goal_covariance(estimate: JointEstimate, q: Array, noise: NoiseModel, side: Array | None = None) -> Array:
-    """Covariance (6, 6) of T_ooi_tool at the joints q: what is not known, and play at rest. OOI axes."""
+    """Covariance (6, 6) of T_ooi_tool at the joints q, OOI axes.
+
+    What is not known, where joints come to rest, and where the OOI's markers hang.
+    """
     model, state, covariance = estimate.model, estimate.state, estimate.covariance
     if state is None or covariance is None:
         raise ValueError(f"joint estimate is {estimate.status.value}: {estimate.reason}")
@@ -107,8 +110,17 @@ def goal_covariance(estimate: JointEstimate, q: Array, noise: NoiseModel, side: 
         ]
     )
     play = np.resize(np.array(noise.sigma_joint_rad), len(q))
-    C = J @ covariance @ J.T + (Jq * play**2) @ Jq.T
+    C = J @ covariance @ J.T + (Jq * play**2) @ Jq.T + _of_layout(estimate, here)
     return 0.5 * (C + C.T)
+
+
+def _of_layout(estimate: JointEstimate, T_ooi_tool: Array) -> Array:
+    """Covariance (6, 6) of the tool in the OOI's own axes: all that was seen of the OOI is its markers."""
+    if estimate.layout_covariance is None:
+        return np.zeros((6, 6))
+    A = np.eye(6)
+    A[3:, :3] = -skew(T_ooi_tool[:3, 3])
+    return A @ estimate.layout_covariance @ A.T
 
 
 def _change(T: Array, before: Array) -> Array:

@@ -7,8 +7,9 @@ import numpy as np
 from machine.poses import inverse_pose
 from machine.rotations import rotvec_from_rotation
 from server.calibration.contracts import Array, CameraTrack
+from server.calibration.joint_lens import N_LENS
 from server.calibration.joint_state import JointState
-from server.calibration.kinematic_errors import ErrorModel, tcp_poses_with_errors
+from server.calibration.kinematic_errors import ErrorModel, play_widths, tcp_poses_with_errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +56,15 @@ class LookAt:
 class NoiseModel:
     """What the observations are worth, beyond their own covariances. Standard deviations."""
 
-    sigma_position_m: float = 4e-4  # of one odometry position
+    sigma_position_m: float = 4e-4  # of one odometry position: first guess, the path itself tells (swing of the boom)
+    sigma_position_range_m: tuple[float, float] = (1e-4, 1.2e-3)  # what it is believed within
     sigma_turn_rad: float = float(np.deg2rad(0.04))  # of one odometry rotation
-    sigma_affine_frac: float = 0.002  # smooth distortion of the odometry's space: lens, disparity, drift
-    sigma_drift_frac: float = 0.001  # random walk of the odometry, at one metre of path
-    sigma_joint_rad: tuple[float, ...] = (2e-4, 1e-4, 1e-4, 3e-4, 3e-4, 3e-4)  # at rest, beyond play and sag
-    sigma_look_turn_rad: float = float(np.deg2rad(0.03))  # of a marker pose: layout, lens
-    sigma_look_frac: float = 0.0015  # of its distance
+    sigma_affine_frac: float = 0.0005  # smooth distortion of the odometry's space beyond the lens unknowns'
+    sigma_drift_frac: float = 0.0002  # random walk of the odometry, at one metre of path
+    sigma_joint_rad: tuple[float, ...] = (1.5e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)  # at rest: trims end about there
+    sigma_look_turn_rad: float = float(np.deg2rad(0.01))  # of a marker pose, beyond lens unknowns and layout
+    sigma_look_frac: float = 0.0002  # of its distance
+    neighbours_range: tuple[float, float] = (-0.5, 0.8)  # correlation of neighbouring samples is believed within
     samples_max: int = 60
     sample_spacing_m: float = 0.015
 
@@ -87,20 +90,38 @@ def thinned(run: OdometryRun, noise: NoiseModel) -> RunSamples:
     return RunSamples(run.camera.t_s[index], relative, length[index])
 
 
-def run_covariance(samples: RunSamples, noise: NoiseModel) -> Array:
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """How a run's positions scatter: one sigma [m], and the correlation of neighbouring samples (-1 to 1).
+
+    A boom that swings faster than it is sampled gives a negative one, slow bends of the odometry a positive one.
+    """
+
+    sigma_m: float
+    neighbours: float = 0.0
+
+
+def run_covariance(samples: RunSamples, noise: NoiseModel, scatter: Scatter) -> Array:
     """Covariance of a run's positions relative to the first one, (k - 1, k - 1), the same for each axis [m^2].
 
-    Model:   white noise of the sample and of the first one, a random walk along the path, and the effect of nine
-             independent entries of a small linear distortion, sigma^2 (p_i . p_j).
+    Model:   scatter of the samples, first-order autoregressive; of the first one, which is taken at rest, the least
+             scatter there is; a random walk along the path; and the effect of nine independent entries of a small
+             linear distortion, sigma^2 (p_i . p_j).
     """
     p, length = samples.Ts_first_cam[1:, :3, 3], samples.length_m[1:]
-    white = noise.sigma_position_m**2 * (np.eye(len(p)) + 1.0)
+    apart = np.abs(np.subtract.outer(np.arange(len(p)), np.arange(len(p))))
+    own = scatter.sigma_m**2 * scatter.neighbours**apart + noise.sigma_position_range_m[0] ** 2
     walk = noise.sigma_drift_frac**2 * np.minimum.outer(length, length)
-    return white + walk + noise.sigma_affine_frac**2 * (p @ p.T)
+    return own + walk + noise.sigma_affine_frac**2 * (p @ p.T)
 
 
-def run_residuals(model: ErrorModel, state: JointState, run: OdometryRun, samples: RunSamples) -> tuple[Array, Array]:
-    """Expected less measured: positions (k - 1, 3) [m] in the first camera's axes, rotation vectors (k - 1, 3)."""
+def run_residuals(
+    model: ErrorModel, state: JointState, run: OdometryRun, samples: RunSamples, bending: Array
+) -> tuple[Array, Array]:
+    """Expected less measured: positions (k - 1, 3) [m] in the first camera's axes, rotation vectors (k - 1, 3).
+
+    bending (6, 3, 3): what each lens unknown adds to a step (`joint_lens.odometry_sensitivity`).
+    """
     qs, sides = run.joints.at(samples.t_s + state.time_offset_s)
     Ts_base_cam = tcp_poses_with_errors(model, qs, state.errors, sides) @ state.T_tcp_cam
     R_first, p_first = Ts_base_cam[0, :3, :3], Ts_base_cam[0, :3, 3]
@@ -111,11 +132,15 @@ def run_residuals(model: ErrorModel, state: JointState, run: OdometryRun, sample
     small = 0.5 * np.stack(
         [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
     )
-    return state.scale * p - measured[:, :3, 3], small
+    bent = p @ np.tensordot(state.lens, bending, axes=1).T
+    return state.scale * p + bent - measured[:, :3, 3], small
 
 
-def look_residual(model: ErrorModel, state: JointState, look: LookAt) -> Array:
-    """Expected less measured (12,): tool, then OOI; rotation vector [rad], then position [m], camera axes."""
+def look_residual(model: ErrorModel, state: JointState, look: LookAt, sensitivity: Array) -> Array:
+    """Expected less measured (12,): tool, then OOI; rotation vector [rad], then position [m], camera axes.
+
+    sensitivity (12, 6): to the lens unknowns (`joint_lens.look_sensitivity`).
+    """
     sides = None if look.side is None else look.side[None]
     T_base_tcp = tcp_poses_with_errors(model, look.q[None], state.errors, sides)[0]
     T_cam_tool = inverse_pose(state.T_tcp_cam) @ state.T_tcp_tool
@@ -124,23 +149,34 @@ def look_residual(model: ErrorModel, state: JointState, look: LookAt) -> Array:
     for expected, measured in ((T_cam_tool, look.T_cam_tool), (T_cam_ooi, look.T_cam_ooi)):
         parts.append(rotvec_from_rotation(expected[:3, :3] @ measured[:3, :3].T))
         parts.append(expected[:3, 3] - measured[:3, 3])
-    return np.concatenate(parts)
+    return np.concatenate(parts) + sensitivity @ state.lens
 
 
 def look_covariance(model: ErrorModel, state: JointState, look: LookAt, noise: NoiseModel) -> Array:
-    """Covariance (12, 12) of a look's residual: markers, layout and lens, and play between encoders and camera."""
+    """Covariance (12, 12) of a look's residual: markers, what the lens unknowns leave, play of the joints."""
     C = np.zeros((12, 12))
     for at, covariance, T in ((0, look.tool_covariance, look.T_cam_tool), (6, look.ooi_covariance, look.T_cam_ooi)):
         turn, shift = noise.sigma_look_turn_rad, noise.sigma_look_frac * float(np.linalg.norm(T[:3, 3]))
         C[at : at + 6, at : at + 6] = covariance + np.diag(np.square([turn] * 3 + [shift] * 3))
     step = 1e-5
-    base = look_residual(model, state, look)
+    no_lens = np.zeros((12, N_LENS))
+    base = look_residual(model, state, look, no_lens)
     columns = []
     for j in range(model.n_joints):
         q = look.q.copy()
         q[j] += step
         shifted = replace(look, q=q)
-        columns.append((look_residual(model, state, shifted) - base) / step)
+        columns.append((look_residual(model, state, shifted, no_lens) - base) / step)
     J = np.column_stack(columns)
-    sigma = np.resize(np.array(noise.sigma_joint_rad), model.n_joints)
+    sigma = _sigma_joints(model, look, noise)
     return C + (J * sigma**2) @ J.T
+
+
+def _sigma_joints(model: ErrorModel, look: LookAt, noise: NoiseModel) -> Array:
+    """One sigma of where each joint's output stands (n,) [rad]: at rest, and anywhere in its play if that is not known.
+
+    Model:   a joint on side s of its play w may still be anywhere within (1 - |s|) w / 2 of there, evenly.
+    """
+    rest = np.resize(np.array(noise.sigma_joint_rad), model.n_joints)
+    side = np.zeros(model.n_joints) if look.side is None else look.side
+    return np.hypot(rest, (1.0 - np.abs(side)) * 0.5 * play_widths(model, model.mean) / np.sqrt(3.0))

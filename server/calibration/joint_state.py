@@ -1,16 +1,18 @@
 """The unknowns of the joint estimate, in one vector: small deviations from where they are believed to be.
 
 [ kinematic errors (p) | camera on the TCP (6) | tool marker on the TCP (6) | OOI in the base (6) | odometry's scale |
-time offset ]. Poses deviate by a rotation vector from the left and a translation, both in the parent's axes.
+time offset | lens and tool print (6, `joint_lens.py`) ]. Poses deviate by a rotation vector from the left and a
+translation, both in the parent's axes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from machine.poses import inverse_pose, pose
-from machine.rotations import rotation_from_rotvec
+from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
 from server.calibration.contracts import Array
+from server.calibration.joint_lens import LENS_STEPS, N_LENS
 from server.calibration.kinematic_errors import ErrorModel, tcp_poses_with_errors
 
 
@@ -24,9 +26,10 @@ class JointState:
     T_base_ooi: Array
     scale: float  # odometry's lengths over true lengths
     time_offset_s: float  # add to the camera's time to get the encoders'
+    lens: Array = field(default_factory=lambda: np.zeros(N_LENS))  # true less the camera file's
 
     def moved(self, step: Array) -> "JointState":
-        """The state further along by `step` (p + 20,)."""
+        """The state further along by `step` (p + 26,)."""
         p = len(self.errors)
         rest = step[p:]
         return JointState(
@@ -36,7 +39,21 @@ class JointState:
             T_base_ooi=_turned(self.T_base_ooi, rest[12:18]),
             scale=self.scale + float(rest[18]),
             time_offset_s=self.time_offset_s + float(rest[19]),
+            lens=self.lens + rest[20:],
         )
+
+    def less(self, believed: "JointState") -> Array:
+        """The step (p + 26,) from `believed` to here."""
+        poses = [
+            np.concatenate([rotvec_from_rotation(T[:3, :3] @ T0[:3, :3].T), T[:3, 3] - T0[:3, 3]])
+            for T, T0 in (
+                (self.T_tcp_cam, believed.T_tcp_cam),
+                (self.T_tcp_tool, believed.T_tcp_tool),
+                (self.T_base_ooi, believed.T_base_ooi),
+            )
+        ]
+        rest = [self.scale - believed.scale, self.time_offset_s - believed.time_offset_s]
+        return np.concatenate([self.errors - believed.errors, *poses, rest, self.lens - believed.lens])
 
 
 def _turned(T: Array, step: Array) -> Array:
@@ -44,9 +61,9 @@ def _turned(T: Array, step: Array) -> Array:
 
 
 def state_steps(model: ErrorModel) -> Array:
-    """Steps of all unknowns for numerical derivatives (p + 20,)."""
+    """Steps of all unknowns for numerical derivatives (p + 26,)."""
     six = np.array([1e-5] * 3 + [1e-4] * 3)
-    return np.concatenate([model.steps, six, six, six, [1e-4, 1e-3]])
+    return np.concatenate([model.steps, six, six, six, [1e-4, 1e-3], LENS_STEPS])
 
 
 def tool_in_ooi(model: ErrorModel, state: JointState, q: Array, side: Array | None = None) -> Array:

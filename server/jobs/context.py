@@ -27,6 +27,7 @@ class PlanContext:
     settings: ServerSettings
     knowledge: Knowledge
     method: Method = "ours"
+    machine_id: str = ""  # of the machine file: a calibration of another one is not used
 
     def with_method(self, method: Method) -> "PlanContext":
         """The same context for another method."""

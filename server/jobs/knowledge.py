@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from server.calibration.calibration_life import LocalCalibration
 from server.calibration.contracts import Array, CameraRotationEstimate
 from server.calibration.joint_estimate import JointEstimate
 from server.calibration.joint_observations import LookAt, OdometryRun
@@ -55,10 +56,18 @@ class Knowledge:
     looks: list[LookAt] = field(default_factory=list)
     joint: JointEstimate | None = None
     side: Array | None = None  # where each joint rests in its play (n,), -1 to 1
+    life: LocalCalibration | None = None  # the calibration as a thing that is kept, shown and expires
+    calibration_note: str = ""  # why a kept calibration was not taken up, or is not kept
+    unix_minus_mono_s: float = 0.0  # 0 in virtual time
+
+    def unix_s(self, t_mono_ns: int) -> float:
+        """The calendar's time at a moment of the monotonic clock [s]."""
+        return t_mono_ns * 1e-9 + self.unix_minus_mono_s
 
     def forget_calibration(self) -> None:
         """Nothing learnt about this machine's mount and map is used any more."""
-        self.mount = self.calibration = self.joint = None
+        self.mount = self.calibration = self.joint = self.life = None
+        self.calibration_note = ""
         self.runs.clear()
         self.looks.clear()
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from machine.kinematics import tcp_poses
 from server.calibration.contracts import Array, EncoderTrack
+from server.camera.contracts import FrameReport
 from server.cell import Cell
 from server.errors import JobFailedError
 from server.jobs.requests import (
@@ -22,8 +23,12 @@ from server.jobs.requests import (
     StopOdometry,
     TakeLook,
 )
+from server.jobs.steer_requests import Correct, EndMove, NextPair, StartMove, Steer, StopMove
+from server.jobs.steering import Steering
+from server.jobs.watching import StartWatching, StopWatching, sighted_of
 from server.link.contracts import LinkPhase, PlcSample
 from server.motion.contracts import JointTrajectory
+from server.vision.contracts import PairObservation
 
 READING_S = 0.1
 SILENT_S = 1.0  # a job gives up then; motion is stopped by link process and PLC, both after 250 ms
@@ -39,6 +44,10 @@ class Performer:
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
         self._odometry_from_ns = 0
+        self._steering = Steering(cell)
+        self._watching_from_ns = 0
+        self._watched: list[tuple[float, PairObservation]] | None = None
+        cell.vision.on_report(self._watch)
         self.may_be_moving = False
 
     async def perform(self, request: Request) -> object:
@@ -58,6 +67,12 @@ class Performer:
                 return await self._start_odometry()
             case StopOdometry():
                 return await self._stop_odometry()
+            case StartWatching():
+                return await self._start_watching(request)
+            case StopWatching():
+                return self._stop_watching()
+            case StartMove() | NextPair() | Correct() | EndMove() | StopMove():
+                return await self._steer(request)
         raise TypeError(f"no way to perform {type(request).__name__}")
 
     def record(self, request: Record) -> None:
@@ -67,6 +82,7 @@ class Performer:
     async def stop_motion(self, reason: str) -> None:
         """Ramp down and hold."""
         await self._cell.link.stop(reason)
+        await self._steering.forget()
         self.may_be_moving = False
 
     def _fresh_samples(self, window_s: float) -> list[PlcSample]:
@@ -88,6 +104,7 @@ class Performer:
             q_ref_rad=np.array(samples[-1].q_ref_rad),
             t_plc_ns=samples[-1].t_plc_ns,
             t_mono_ns=samples[-1].t_mono_ns,
+            oil_temperature_c=_told(samples[-1].oil_temperature_c),
         )
 
     async def _arm(self) -> None:
@@ -108,6 +125,24 @@ class Performer:
         self.may_be_moving = False
         if not ended.reached:
             raise JobFailedError(f"{request.purpose}: motion ended early: {ended.reason}", "motion_ended_early")
+
+    async def _steer(self, request: Steer) -> object:
+        match request:
+            case StartMove():
+                self.may_be_moving = True
+                trajectory = self._from_reference(request.trajectory)
+                self._record_sent(trajectory)
+                await self._steering.start(trajectory)
+            case NextPair():
+                return await self._steering.next_pair(request)
+            case Correct():
+                self._steering.correct(request)
+            case EndMove():
+                await self._steering.end()
+                self.may_be_moving = False
+            case StopMove():
+                await self.stop_motion(request.reason)
+        return None
 
     def _from_reference(self, trajectory: JointTrajectory) -> JointTrajectory:
         """The trajectory begun at the PLC's reference: arming sets that to the encoders, a count off the plan.
@@ -156,11 +191,30 @@ class Performer:
         samples = self._cell.link.samples_since(self._odometry_from_ns - int(0.5e9))
         return camera, self._encoder_track(samples)
 
+    async def _start_watching(self, request: StartWatching) -> None:
+        await self._cell.vision.set_pose_source(request.source)
+        self._watching_from_ns = time.monotonic_ns()
+        self._watched = []
+
+    def _watch(self, report: FrameReport) -> None:
+        if self._watched is not None and report.usable:
+            self._watched.append((report.t_exposure_mapped_ns * 1e-9, report.observation))
+
+    def _stop_watching(self) -> object:
+        watched, self._watched = self._watched or [], None
+        samples = self._cell.link.samples_since(self._watching_from_ns - int(0.5e9))
+        return sighted_of(watched), self._encoder_track(samples)
+
     def _encoder_track(self, samples: list[PlcSample]) -> EncoderTrack:
         offset_ns = self._cell.link.plc_to_pc_offset_ns or 0
         t_s = np.array([(sample.t_plc_ns + offset_ns) * 1e-9 for sample in samples])
         qs: Array = np.array([sample.q_rad for sample in samples])
         return EncoderTrack(t_s=t_s, Ts_base_tcp=tcp_poses(self._cell.chain, qs), qs=qs)
+
+
+def _told(temperature_c: float) -> float | None:
+    """A temperature that the machine measures: a PLC without the sensor sends 0 or NaN."""
+    return temperature_c if np.isfinite(temperature_c) and temperature_c != 0.0 else None
 
 
 def _at_rest(samples: list[PlcSample]) -> bool:

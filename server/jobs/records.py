@@ -94,3 +94,37 @@ class PositionResult:
     t_start_plc_ns: int
     duration_s: float
     seconds_by_step: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LineLook:
+    """One look of a line-equation run: "oriented", "move", "servo 1"; and when it was taken."""
+
+    name: str
+    error: ErrorMm
+    t_plc_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class LineResult:
+    """The end of a line-equation job: its looks in order and what the fit said of itself."""
+
+    variant: str
+    note: str
+    looks: tuple[LineLook, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ServoResult:
+    """The end of a closed-loop job: how many pairs steered it and how many new tails the PLC took."""
+
+    reached: bool
+    reason: str
+    start: ErrorMm
+    end: ErrorMm
+    moves: tuple[MoveRecord, ...]
+    passes: int
+    pairs: int
+    corrections: int
+    t_start_plc_ns: int
+    duration_s: float

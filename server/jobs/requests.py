@@ -9,6 +9,8 @@ from typing import Literal, TypeVar
 
 from server.calibration.contracts import Array, CameraRotationEstimate
 from server.jobs.records import MoveRecord
+from server.jobs.steer_requests import Steer
+from server.jobs.watching import StartWatching, StopWatching
 from server.motion.contracts import JointTrajectory, PathPlan
 
 
@@ -25,6 +27,7 @@ class MachineReading:
     q_ref_rad: Array
     t_plc_ns: int
     t_mono_ns: int
+    oil_temperature_c: float | None = None  # None where the machine does not tell
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +85,20 @@ class Record:
     text: str = ""
 
 
-Request = ReadMachine | Arm | Move | Settle | TakeLook | StartOdometry | StopOdometry | Progress | Record
+Request = (
+    ReadMachine
+    | Arm
+    | Move
+    | Settle
+    | TakeLook
+    | StartOdometry
+    | StopOdometry
+    | StartWatching
+    | StopWatching
+    | Steer
+    | Progress
+    | Record
+)
 
 #: A plan yields requests, is sent their replies, and returns its result.
 Plan = Generator[Request, object, object]

@@ -6,6 +6,7 @@ from collections.abc import Generator
 from server.api.views import (
     CalibrateRequest,
     ExecuteRequest,
+    LineRequest,
     LookRequest,
     OrientRequest,
     ParkRequest,
@@ -13,18 +14,22 @@ from server.api.views import (
     PreviewRequest,
     RetractRequest,
     ReturnRequest,
+    ServoRequest,
 )
 from server.cell import Cell
 from server.errors import JobFailedError
+from server.jobs.calibration_store import CalibrationStore, machine_id_of
 from server.jobs.context import PlanContext
 from server.jobs.engine import Job, JobEngine, JobEvent
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.line import line_run
 from server.jobs.plans.looking import take_look
 from server.jobs.plans.moving import check_executable, execute, preview
 from server.jobs.plans.orienting import orient
 from server.jobs.plans.positioning import position
 from server.jobs.plans.returning import park, retract, return_to_start
+from server.jobs.plans.servoing import servo
 from server.jobs.requests import Plan, Progress, Request
 
 JobBody = (
@@ -34,6 +39,8 @@ JobBody = (
     | PreviewRequest
     | ExecuteRequest
     | PositionRequest
+    | LineRequest
+    | ServoRequest
     | RetractRequest
     | ReturnRequest
     | ParkRequest
@@ -43,10 +50,14 @@ JobBody = (
 class JobService:
     """Starts jobs for the API and follows them with a recording."""
 
-    def __init__(self, cell: Cell, engine: JobEngine) -> None:
+    def __init__(self, cell: Cell, engine: JobEngine, store: CalibrationStore | None = None) -> None:
         self.cell = cell
         self.engine = engine
-        self.context = PlanContext(cell.machine, cell.chain, cell.settings, cell.knowledge)
+        self._store = store or CalibrationStore(None)
+        machine_id = machine_id_of(cell.machine_text)
+        self.context = PlanContext(cell.machine, cell.chain, cell.settings, cell.knowledge, machine_id=machine_id)
+        cell.knowledge.unix_minus_mono_s = time.time() - time.monotonic()
+        self._store.restore(cell.knowledge, machine_id, cell.chain.n, time.time())
         engine.on_event(self._record)
 
     def start(self, body: JobBody) -> Job:
@@ -73,6 +84,10 @@ class JobService:
                 return execute(ctx, previewed, 1 + sum(move.kind == "move" for move in ctx.knowledge.moves))
             case PositionRequest():
                 return position(ctx.with_method(body.method), body.recalibrate)
+            case LineRequest():
+                return line_run(ctx.with_method("paper"), body.variant)
+            case ServoRequest():
+                return servo(ctx)
             case RetractRequest():
                 return retract(ctx, body.distance_mm)
             case ReturnRequest():
@@ -98,6 +113,7 @@ class JobService:
             recorder.start(f"{job.kind}-{job.job_id}", self.cell.settings.model_dump_json(), self.cell.machine_text)
         recorder.event("info" if job.code == "" else "error", event.text)
         if event.name == "ended":
+            self._store.keep(self.cell.knowledge)
             recorder.result(job.result if job.result is not None else job.reason)
             recorder.stop()
 

@@ -16,6 +16,7 @@ ITERATIONS_MAX = 15
 STEP_MIN_PX = 0.003
 AWAY_MAX_PX = 4.0  # from the guess; farther is another place
 CORRELATION_MIN = 0.85
+Greys = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +29,7 @@ class Alignment:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _template(image: Image, x: float, y: float, warp: Array, patch: Array) -> bool:
+def _template(image: Image, x: float, y: float, warp: Array, patch: Greys) -> bool:
     """Patch with a rim of one pixel, sampled through the warp; False where it leaves the image or is torn apart."""
     height, width = image.shape
     reach = HALF_PX + 1
@@ -57,7 +58,7 @@ def _template(image: Image, x: float, y: float, warp: Array, patch: Array) -> bo
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _align_one(
-    image: Image, patch: Array, x: float, y: float, across: Array, down: Array, middle: Array, grey: Array
+    image: Image, patch: Greys, x: float, y: float, across: Greys, down: Greys, middle: Greys, grey: Greys
 ) -> tuple[float, float, float]:
     """Inverse compositional translation with gain and offset of the light; correlation -1 where it fails.
 

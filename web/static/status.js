@@ -51,8 +51,7 @@ export function showStory(state) {
 }
 
 export function showJoints(state) {
-  const calibration = state.calibration;
-  document.getElementById("calibration").textContent = calibration ? `camera rotation known to ${calibration.sigma_deg.toFixed(2)}°, ${calibration.from_nominal_deg.toFixed(1)}° off nominal, clock ${calibration.time_offset_ms.toFixed(0)} ms` : "not calibrated";
+  showCalibration(state);
   const rows = state.joint_names.map((name, i) => {
     const row = document.createElement("tr");
     const range = document.createElement("td");
@@ -66,6 +65,27 @@ export function showJoints(state) {
     return row;
   });
   document.querySelector("#joints tbody").replaceChildren(...rows);
+}
+
+function showCalibration(state) {
+  const element = document.getElementById("calibration");
+  const found = state.calibration;
+  element.className = found && !found.valid ? "expired" : "";
+  element.title = found?.observability_text ?? "";
+  element.textContent = found ? calibrationText(found) : `not calibrated${state.calibration_note ? `: ${state.calibration_note}` : ""}`;
+}
+
+function calibrationText(found) {
+  if (!found.valid) return `calibration EXPIRED: ${found.expiry_reason}`;
+  const parts = [`camera rotation known to ${found.sigma_deg.toFixed(2)}°`, `residual ${found.residual_rms_mm.toFixed(1)} mm`];
+  if (found.age_s !== null) parts.push(`${ageText(found.age_s)} old (limit ${found.age_max_h} h)`);
+  if (found.radius_mm !== null) parts.push(`${found.distance_mm === null ? "?" : found.distance_mm.toFixed(0)} of ${found.radius_mm.toFixed(0)} mm from where it was made`);
+  parts.push(`${found.from_nominal_deg.toFixed(1)}° off nominal`, `clock ${found.time_offset_ms.toFixed(0)} ms`);
+  return parts.join(", ");
+}
+
+function ageText(seconds) {
+  return seconds < 5400 ? `${Math.max(0, Math.round(seconds / 60))} min` : `${(seconds / 3600).toFixed(1)} h`;
 }
 
 function text(content) {

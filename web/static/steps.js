@@ -41,6 +41,7 @@ function showPlan(plan) {
     plan: `${plan.plan_hash}, valid ${Math.max(0, Math.round(plan.expires_in_s))} s more`,
     path: `${plan.length_mm.toFixed(0)} mm in ${plan.duration_s.toFixed(1)} s, at most ${plan.tcp_speed_max_mm_s.toFixed(0)} mm/s`,
     clearance: plan.clearance_mm === null ? "wall not known" : `${plan.clearance_mm.toFixed(0)} mm to the wall`,
+    ...(plan.caution ? { caution: plan.caution } : {}),
     joints: plan.joint_travel_deg.map((d) => d.toFixed(1)).join(" / ") + " deg travel",
   };
   list.replaceChildren(

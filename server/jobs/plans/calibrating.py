@@ -13,6 +13,7 @@ from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.learning import remember_motion, remember_run, side_now
+from server.jobs.plans.living import born
 from server.jobs.plans.planning import onto_reference, plan_settings
 from server.jobs.records import CalibrationRecord
 from server.jobs.requests import (
@@ -44,7 +45,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     before = side_now(ctx)
     yield Move(plan.trajectory, "calibration path")
     remember_motion(ctx, plan.trajectory)
-    yield Settle()
+    rested = expect((yield Settle()), MachineReading)
     tracks = expect((yield StopOdometry()), tuple)
     camera, encoder = tracks
     estimate = match(ctx, taken, camera, encoder)
@@ -53,6 +54,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     if estimate.status is not CalibrationStatus.OK:
         raise JobFailedError(f"calibration failed ({estimate.status.value}): {estimate.reason}", "calibration_failed")
     ctx.knowledge.mount = estimate
+    born(ctx, estimate, taken, rested)
     remember_run(ctx, camera, encoder, before)
     ctx.knowledge.calibration = record
     text = f"camera rotation known to {record.sigma_deg:.2f} deg, clock offset {record.time_offset_ms:.0f} ms"

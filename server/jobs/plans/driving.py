@@ -10,6 +10,7 @@ import numpy as np
 
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
+from server.jobs.plans.integrating import integrate
 from server.jobs.plans.learning import remember_motion
 from server.jobs.plans.planning import trim_settings
 from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, Settle, expect
@@ -24,8 +25,10 @@ PLAY_MAX_RAD = float(np.deg2rad(2.5))  # 0.13 m at 3 m: further back than that, 
 def drive(
     ctx: PlanContext, plan: PathPlan, purpose: str, trims_max: int = TRIMS_MAX
 ) -> Generator[Request, object, int]:
-    """Execute a checked plan, rest, and trim. Returns the number of trims."""
+    """Execute a checked plan, rest, and trim. Returns the number of trims. The paper's method has its own end."""
     trajectory = yield from play(ctx, plan, purpose)
+    if ctx.method == "paper":
+        return (yield from integrate(ctx, plan, purpose))
     direction, play_rad = last_direction(trajectory), play_of(len(ctx.machine.joints))
     count = 0
     while True:

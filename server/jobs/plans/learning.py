@@ -46,10 +46,15 @@ def remember_look(ctx: PlanContext, taken: LookTaken) -> None:
 
 
 def remember_run(ctx: PlanContext, camera: CameraTrack, encoder: EncoderTrack, before: Array) -> None:
-    """A calibration path becomes an observation; `before`: the sides of the joints when it began."""
-    if encoder.qs is None:
+    """A calibration path becomes an observation; `before`: the sides of the joints when it began.
+
+    Where the joints rest in their play afterwards is told by the encoders: the reference turns back by the stall of a
+    valve, several times a play's width, where the joint behind it does not.
+    """
+    if encoder.qs is None or len(encoder.qs) == 0:
         return
     sides = play_sides(encoder.qs, play_width(ctx), before)
+    ctx.knowledge.side = sides[-1]
     ctx.knowledge.runs.append(OdometryRun(camera, JointTrack(encoder.t_s, encoder.qs, sides)))
     del ctx.knowledge.runs[:-RUNS_MAX]
     ctx.knowledge.joint = None

@@ -9,34 +9,36 @@ from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.learning import remember_look
+from server.jobs.plans.living import watch_slip
 from server.jobs.records import ErrorMm, LookRecord
 from server.jobs.requests import MachineReading, Progress, Request, Settle, TakeLook, expect
 from server.vision.contracts import Look, LookStatus
 from server.vision.goal_error import PoseError, PrintSigmas, error_to_goal
 
 
-def take_look(ctx: PlanContext) -> Generator[Request, object, LookTaken]:
-    """Rest, then look. A failed look is in the record, not an error."""
+def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, object, LookTaken]:
+    """Rest, then look, over `pairs_share` times the usual pairs. A failed look is in the record, not an error."""
     reading = expect((yield Settle()), MachineReading)
     yield Progress("look", 0.0, 1.0, "", "looking: tool and object of interest in both eyes")
     paper = ctx.method == "paper"
-    pairs = 1 if paper else ctx.settings.look.pairs
+    pairs = 1 if paper else ctx.settings.look.pairs * pairs_share
     look = expect((yield TakeLook(pairs=pairs, source="mono" if paper else "stereo")), Look)
     taken = _taken(ctx, look, reading)
     ctx.knowledge.last_look = taken
     if taken.error is not None:
         ctx.knowledge.T_base_ooi = ooi_in_base(ctx, taken)
+        yield from watch_slip(ctx, taken)
         remember_look(ctx, taken)
     yield Progress("look", 1.0, 1.0, "", describe(taken))
     return taken
 
 
-def good_look(ctx: PlanContext) -> Generator[Request, object, LookTaken]:
+def good_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, object, LookTaken]:
     """A look that may be acted upon.
 
     Raises: JobFailedError with the look's own reason otherwise.
     """
-    taken = yield from take_look(ctx)
+    taken = yield from take_look(ctx, pairs_share)
     if taken.error is None:
         raise JobFailedError(
             f"look failed ({taken.record.status}): {taken.record.reason}", f"look_{taken.record.status}"

@@ -13,6 +13,7 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken, PreviewedPlan, plan_hash
 from server.jobs.plans.driving import TRIMS_MAX, drive
 from server.jobs.plans.learning import joint_estimate
+from server.jobs.plans.living import note_map, require_valid, validity, validity_at
 from server.jobs.plans.looking import good_look, mount_rotation
 from server.jobs.plans.planning import plan_to
 from server.jobs.records import MoveRecord
@@ -33,10 +34,12 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
     """
     if taken.error is None:
         raise JobFailedError(f"no usable look: {taken.record.reason}; look again", "no_look")
+    require_valid(validity(ctx, taken.reading), "preview")
     T_goal, sigma_mm = move_goal(ctx, taken)
     plan = plan_to(ctx, taken.reading, T_goal)
     if plan.status is not PlanStatus.OK:
         raise JobFailedError(f"preview: {plan.reason}", f"plan_{plan.status.value}")
+    require_valid(validity_at(ctx, taken.reading, plan.q_end, T_goal), "preview, at the goal")
     previewed = PreviewedPlan(
         plan=plan,
         plan_hash=plan_hash(plan),
@@ -70,6 +73,7 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
         return T_goal, predicted_sigma_mm(ctx, taken)
     estimate = joint_estimate(ctx) if ctx.settings.position.local_map == "learnt" else None
     if estimate is not None and estimate.state is not None:
+        note_map(ctx, estimate)
         return _joint_goal(ctx, estimate, taken.reading.q_rad)
     T_goal = reference_from_look(
         T_base_tcp, R_tcp_cam, ctx.machine.T_tcp_tool, look.T_cam_tool, look.T_cam_ooi, ctx.T_ooi_goal
@@ -127,6 +131,7 @@ def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generato
     ctx.knowledge.previewed = None  # a plan fires once
     reading = expect((yield ReadMachine()), MachineReading)
     _check_not_moved(reading, previewed)
+    require_valid(validity(ctx, reading), f"move {number}")
     if ctx.knowledge.q_start is None:
         ctx.knowledge.q_start = reading.q_rad
     yield Progress("execute", number, ctx.settings.position.moves_max, "moves", f"move {number}")

@@ -2,11 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from machine.rotations import Array
 from server.jobs.context import PlanContext
 from server.jobs.requests import MachineReading
 from server.motion.approach import DEFAULT_APPROACH, plan_approach
 from server.motion.contracts import PathPlan
+from server.motion.lost_motion import first_stall
 from server.motion.lost_motion import onto_reference as shifted
 from server.motion.point_to_point import plan_move
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS, PlanSettings
@@ -20,6 +23,8 @@ def plan_to(ctx: PlanContext, reading: MachineReading, T_base_tcp_goal: Array, o
         plan = plan_approach(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
     else:
         plan = plan_move(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
+    if ctx.method == "paper":  # eq. 4-5 know no stall: their reference ends at the goal, and the error is integrated
+        return _with_stall(plan, reading, np.zeros(ctx.chain.n))
     return onto_reference(ctx, plan, reading)
 
 
@@ -34,7 +39,14 @@ def trim_settings(ctx: PlanContext) -> PlanSettings:
 
 
 def onto_reference(ctx: PlanContext, plan: PathPlan, reading: MachineReading) -> PathPlan:
-    """The same path as a path of the reference: its first knot is the present reference exactly."""
+    """The same path as a path of the reference: its first knot is the present reference exactly.
+
+    The paper's watched paths get the first guess of the stall only, in place of the feedback of eq. 4 on the way.
+    """
+    return _with_stall(plan, reading, first_stall(ctx.machine) if ctx.method == "paper" else ctx.stall)
+
+
+def _with_stall(plan: PathPlan, reading: MachineReading, stall_rad: Array) -> PathPlan:
     if plan.trajectory is None:
         return plan
-    return replace(plan, trajectory=shifted(plan.trajectory, reading.q_ref_rad, ctx.stall))
+    return replace(plan, trajectory=shifted(plan.trajectory, reading.q_ref_rad, stall_rad))

@@ -3,12 +3,15 @@
 import time
 from collections.abc import Callable, Generator
 
+from server.calibration.calibration_life import ValidityStatus
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
+from server.jobs.plans.assurance import assured_preview
 from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.living import require_valid, validity
 from server.jobs.plans.looking import good_look
-from server.jobs.plans.moving import execute, preview
+from server.jobs.plans.moving import execute
 from server.jobs.plans.orienting import orient
 from server.jobs.records import CalibrationRecord, ErrorMm, PositionResult
 from server.jobs.requests import MachineReading, Progress, ReadMachine, Request
@@ -27,18 +30,29 @@ def position(
     ctx.knowledge.moves.clear()
     if recalibrate:
         ctx.knowledge.forget_calibration()
+    ctx.knowledge.looks.clear()  # of the job before: the object of interest may be another one
     taken = first = yield from good_look(ctx)
     watch.lap("look")
+    yield from _drop_expired(ctx, taken)
     taken = yield from orient(ctx, taken)
     watch.lap("orient")
-    calibration = ctx.knowledge.calibration if ctx.knowledge.mount is not None else None
     if ctx.knowledge.mount is None:
-        calibration = yield from calibrate(ctx, taken)
+        yield from calibrate(ctx, taken)
         watch.lap("calibrate")
         taken = yield from good_look(ctx)
         watch.lap("look after calibration")
     taken = yield from _move_until_inside(ctx, taken, watch, clock_ns)
-    return _result(ctx, first, taken, calibration, watch)
+    return _result(ctx, first, taken, ctx.knowledge.calibration, watch)
+
+
+def _drop_expired(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, None]:
+    """A kept calibration that has expired is made anew; where something slipped, a person must look first."""
+    found = validity(ctx, taken.reading)
+    if found.status is ValidityStatus.SLIPPED:
+        require_valid(found, "calibration")
+    if not found.ok:
+        yield Progress("calibrate", 0.0, 1.0, "", f"calibrating anew: {found.reason}")
+        ctx.knowledge.forget_calibration()
 
 
 def _move_until_inside(
@@ -48,8 +62,10 @@ def _move_until_inside(
     for number in range(1, goal.moves_max + 1):
         if inside(ctx, taken):
             break
-        previewed = preview(ctx, taken, clock_ns())
-        taken = yield from execute(ctx, previewed, number)
+        assured = yield from assured_preview(ctx, taken, clock_ns(), goal.moves_max - number)
+        if assured.paths:
+            watch.lap("calibrate again")
+        taken = yield from execute(ctx, assured.previewed, number)
         watch.lap(f"move {number}")
         error = error_of(taken)
         yield Progress("error", error.distance_mm, goal.tolerance_mm, "mm", f"after move {number}")

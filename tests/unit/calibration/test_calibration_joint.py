@@ -14,6 +14,7 @@ from machine.rotations import geodesic_angle, rotvec_from_rotation
 from server.calibration.contracts import CalibrationStatus, CameraTrack
 from server.calibration.joint_estimate import JointPrior, estimate_jointly
 from server.calibration.joint_goal import joints_for_goal
+from server.calibration.joint_lens import LensPrior
 from server.calibration.joint_observations import JointTrack, NoiseModel, OdometryRun, thinned
 from server.calibration.joint_state import state_steps
 from server.calibration.kinematic_errors import ErrorKind, error_model, tcp_poses_with_errors
@@ -136,11 +137,13 @@ def test_the_map_that_was_learnt_beats_the_rigid_one(qs):
         stiff,
         errors=replace(
             stiff.errors,
-            sigma_length_m=1e-7,
+            sigma_a_m=(1e-7,),
+            sigma_d_m=(1e-7,),
             sigma_zero_rad=1e-8,
             sigma_twist_rad=1e-8,
             sigma_compliance=(0.0, 1e-12, 1e-12),
         ),
+        lens=LensPrior(1e-9, 1e-6, 1e-9, 1e-6, 1e-9),  # nor may the lens stand in for the map
     )
     ours, rigid = [], []
     for seed in range(12):
@@ -270,5 +273,5 @@ def test_no_tracks_make_it_raise(data):
 
 def test_steps_and_prior_have_one_entry_for_each_unknown():
     model = error_model(machine())
-    assert len(state_steps(model)) == model.n + 20
+    assert len(state_steps(model)) == model.n + 26
     assert len(model.names) == len(set(model.names)) == model.n

@@ -1,12 +1,15 @@
 """The noise model: its file, its fit to known noise, and the test of agreement."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from reproduce_worlds import NO_NOISE, NOISE, machine, world
 
 from longreach.reproduce.fast_camera import FastCamera, Source
+from longreach.reproduce.fast_lens import bent_path, lens_affine
 from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.fast_odometry import odometry_path, rig_scale
+from longreach.reproduce.fast_odometry import odometry_path
 from longreach.reproduce.noise_fit import TooFewLooksError, agreement, fit_corner_noise, pose_errors
 from longreach.reproduce.noise_model import NoiseFileError, NoiseModel, OdometryNoise, read_noise_model
 from longreach.reproduce.odometry_fit import OdometryRunPair, TooFewRunsError, fit_odometry_noise
@@ -110,11 +113,25 @@ def test_the_odometrys_noise_is_found_again():
         fit_odometry_noise(runs_with(true, 2))
 
 
-def test_a_disparity_bias_scales_the_path():
-    """0.1 px of 55 px are 0.2 %: checked against the triangulation of one point."""
+def with_lens(bias_px: float):
+    """The world of seed 2 with the nominal lens and a disparity bias."""
     one = world("realistic", 2)
-    T = QuasiStaticMachine(one).T_base_tcp()
-    bias = one.camera.right.cx_px - one.camera.left.cx_px
-    scale = rig_scale(one, T)
-    assert np.sign(scale - 1.0) == np.sign(bias)
-    assert 0.2e-2 * abs(bias) < abs(scale - 1.0) < 6e-2 * abs(bias)
+    nominal = one.nominal.camera
+    right = replace(nominal, cx_px=nominal.cx_px + bias_px)
+    return replace(one, camera=replace(one.camera, left=nominal, right=right))
+
+
+def test_an_exact_lens_bends_nothing_and_a_disparity_bias_scales_the_way():
+    """0.1 px of about 55 px are 0.2 %: seen d - 0.1 for d, everything is further away and every step is longer."""
+    T = QuasiStaticMachine(world("realistic", 2)).T_base_tcp()
+    np.testing.assert_allclose(lens_affine(with_lens(0.0), T), 0.0, atol=1e-8)
+    affine = lens_affine(with_lens(0.1), T)
+    assert 1e-3 < np.diag(affine).min() <= np.diag(affine).max() < 5e-3
+    np.testing.assert_allclose(lens_affine(with_lens(-0.1), T), -affine, atol=3e-5)
+
+
+def test_a_bent_path_starts_at_the_identity_and_is_moved_in_proportion():
+    Ts = np.array([pose(np.eye(3), np.array([0.1 * k, 1.0, 2.0])) for k in range(4)])
+    bent = bent_path(Ts, np.diag([0.01, 0.0, 0.0]))
+    np.testing.assert_allclose(bent[0], np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(bent[:, :3, 3], [[0.101 * k, 0.0, 0.0] for k in range(4)], atol=1e-12)

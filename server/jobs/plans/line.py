@@ -1,8 +1,4 @@
-"""The line-equation run as a plan of the server's own kind: orient, drive the circle while looking, one move, look.
-
-It asks for two things that the server's performer does not offer yet: looks on the way (`StartWatching`,
-`StopWatching`). Everything else are the server's requests and functions.
-"""
+"""The paper's line-equation method (section 3.2.1): orient, drive the circle while looking, one move, look."""
 
 from collections.abc import Generator
 from dataclasses import dataclass
@@ -10,7 +6,6 @@ from typing import Literal
 
 import numpy as np
 
-from longreach.reproduce.watching import Sighted, StartWatching, StopWatching
 from machine.poses import pose
 from machine.rotations import Array, nearest_rotation
 from server.calibration.contracts import CalibrationStatus, EncoderTrack
@@ -25,22 +20,13 @@ from server.jobs.plans.driving import drive
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.orienting import orient
 from server.jobs.plans.planning import onto_reference, plan_settings, plan_to
-from server.jobs.requests import Arm, MachineReading, Move, Request, Settle, expect
+from server.jobs.records import LineLook, LineResult
+from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, Settle, expect
+from server.jobs.watching import Sighted, StartWatching, StopWatching
 from server.motion.contracts import PlanStatus
 from server.motion.point_to_point import plan_through
 
-Asked = Request | StartWatching | StopWatching
 LineVariant = Literal["paper", "paper servo", "fit", "fit, OOI axes"]
-
-
-@dataclass(frozen=True, slots=True)
-class LineRun:
-    """What a run leaves: the look after orienting, after the one move, and after each servo step."""
-
-    oriented: LookTaken
-    moved: LookTaken
-    servo: tuple[LookTaken, ...]
-    note: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +38,7 @@ class Watched:
     sighted: Sighted
 
 
-def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Asked, object, LineRun]:
+def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Request, object, LineResult]:
     """Orient, circle, one move to the reference of the variant, look; for the servo variant further steps.
 
     Raises: JobFailedError with the method's own reason when it gives no reference.
@@ -62,13 +48,22 @@ def line_run(ctx: PlanContext, variant: LineVariant) -> Generator[Asked, object,
     watched = yield from drive_circle(ctx)
     T_ref, direction, note = _reference(ctx, watched, variant)
     moved = yield from _move_and_look(ctx, T_ref, "line-equation move")
-    steps: list[LookTaken] = []
+    looks = [("oriented", oriented), ("move", moved)]
     if variant == "paper servo":
-        yield from _servo(ctx, direction, moved, steps)
-    return LineRun(oriented, moved, tuple(steps), note)
+        try:
+            yield from _servo(ctx, direction, moved, looks)
+        except JobFailedError as error:  # the first move stands; the servo's end is told
+            note = f"{note}; servo: {error}"
+    return LineResult(variant, note, tuple(_line_look(name, one) for name, one in looks))
 
 
-def drive_circle(ctx: PlanContext) -> Generator[Asked, object, Watched]:
+def _line_look(name: str, taken: LookTaken) -> LineLook:
+    if taken.error is None:
+        raise JobFailedError(f"look '{name}' failed: {taken.record.reason}", "look_rejected")
+    return LineLook(name, taken.error, taken.record.t_plc_ns)
+
+
+def drive_circle(ctx: PlanContext) -> Generator[Request, object, Watched]:
     """The circle, point to point, resting at each (18 points); pairs are watched all the way."""
     reading = expect((yield Settle()), MachineReading)
     T_init = ctx.tcp(reading.q_rad)
@@ -78,6 +73,8 @@ def drive_circle(ctx: PlanContext) -> Generator[Asked, object, Watched]:
     )
     if plan.status is not PlanStatus.OK or plan.trajectory is None:
         raise JobFailedError(f"circle: {plan.reason}", f"plan_{plan.status.value}")
+    text = f"driving the circle in {plan.duration_s:.0f} s while looking"
+    yield Progress("circle", 0.0, plan.duration_s, "s", text)
     yield Arm()
     yield StartWatching("mono")
     yield Move(plan.trajectory, "circle")
@@ -131,7 +128,7 @@ def _move_and_look(ctx: PlanContext, T_ref: Array, purpose: str) -> Generator[Re
 
 
 def _servo(
-    ctx: PlanContext, direction: Array, moved: LookTaken, steps: list[LookTaken]
+    ctx: PlanContext, direction: Array, moved: LookTaken, looks: list[tuple[str, LookTaken]]
 ) -> Generator[Request, object, None]:
     """Further steps of eq. 16 until the stepper ends them."""
     servo = LineServo(direction / np.linalg.norm(direction), LineServoSettings(steps_max=1))
@@ -145,4 +142,4 @@ def _servo(
             return
         number += 1
         taken = yield from _move_and_look(ctx, step.T_base_tcp_ref, f"servo step {number}")
-        steps.append(taken)
+        looks.append((f"servo {number}", taken))

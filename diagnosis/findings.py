@@ -1,0 +1,61 @@
+"""What is wrong with a recording or its machine file: named, counted, with a remedy. A result, never a traceback."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+Severity = Literal["fatal", "problem", "note"]
+
+#: Every name a finding can have, and what it says. The names are fixed: reports and tests refer to them.
+CODES: dict[str, str] = {
+    "unreadable": "the recording cannot be read",
+    "cut_file": "the file ends before its end",
+    "format_version": "written in a version of the format that this program does not read, or an older one",
+    "no_machine_file": "there is no nominal machine to compare with",
+    "machine_file": "the machine file cannot be used",
+    "machine_mismatch": "the machine file does not describe the arm that was recorded",
+    "unknown_column": "a column whose name the format does not know",
+    "missing_column": "a column that a stage needs",
+    "no_data": "nothing that a stage could be judged by",
+    "too_short": "too few rows",
+    "not_a_number": "numbers are missing or infinite",
+    "constant": "a signal that never changes while others do",
+    "gap": "rows are missing",
+    "clock_jump": "the clock jumps while the signals go on",
+    "time_backwards": "time runs backwards",
+    "uneven_rate": "rows do not come at the rate of the machine file",
+    "degrees": "angles in degrees where radians belong",
+    "percent": "commands in percent where fractions belong",
+    "millimetres": "lengths in millimetres where metres belong",
+    "bar": "pressures in bar where pascals belong",
+    "swapped_columns": "two joints' columns are exchanged",
+    "reversed_column": "a column runs against the one that it should follow",
+    "duplicate_points": "two points with the same coordinates throughout",
+    "corner_order": "marker corners are not in OpenCV's order",
+    "no_segments": "run.toml names no segments",
+    "empty_segment": "a segment without rows",
+    "no_repeats": "no command was repeated: the noise floor is not known",
+    "few_repeats": "too few repeats for a sound noise floor",
+    "repeats_differ": "repeats of one command that were not driven by one command",
+    "clock_offset_unknown": "the offset between two clocks is not given",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong. "fatal": nothing can be diagnosed; "problem": data were left out; "note": it costs."""
+
+    code: str
+    severity: Severity
+    subject: str
+    text: str
+    count: int = 1
+
+    def __str__(self) -> str:
+        """How it is printed."""
+        return f"{self.subject}: {self.text}"
+
+
+def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
+    """Those after which there is nothing left to diagnose."""
+    return tuple(finding for finding in findings if finding.severity == "fatal")

@@ -1,0 +1,147 @@
+"""The noise floor of a signal from repeats of one command, and the filter that makes its increments white.
+
+Increments of 20 Hz block means, since the open-loop error of an integrating plant is a random walk. The noise comes
+from repeats, never from the residual of the model under test, which would hide the gap in it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.errors import DiagnosisError
+from machine.rotations import Array
+
+BLOCK_S = 0.05
+ORDER_MAX = 6
+SIGMA_MIN = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Whitener:
+    """r_k = (d_k - sum_i a_i d_(k-i)) / sigma, per channel. a: (p, n), row i for lag i + 1; sigma: (n,)."""
+
+    a: Array
+    sigma: Array
+
+    @property
+    def order(self) -> int:
+        """Lags used."""
+        return len(self.a)
+
+    def whiten(self, increments: Array) -> Array:
+        """White residuals (m - order, n) of increments (m, n)."""
+        d = np.asarray(increments, dtype=float)
+        p = self.order
+        if d.ndim != 2 or d.shape[1] != len(self.sigma) or len(d) <= p:
+            raise DiagnosisError(f"increments have shape {d.shape}; give (m, {len(self.sigma)}) with m above {p}")
+        predicted = np.zeros_like(d[p:])
+        for i in range(p):
+            predicted += self.a[i] * d[p - 1 - i : len(d) - 1 - i]
+        return (d[p:] - predicted) / self.sigma
+
+
+@dataclass(frozen=True, slots=True)
+class Floor:
+    """Noise of one signal: rms of its deviation (n,), rms of its increments (n,), the whitener, and what it rests on.
+
+    `known`: from repeats; else a bound from the signal's fastest part, to be said in the report.
+    """
+
+    rms: Array
+    increment_rms: Array
+    whitener: Whitener
+    repeats: int
+    rows: int
+    known: bool
+
+
+def block_means(values: Array, dt_s: float, block_s: float = BLOCK_S) -> Array:
+    """Means over blocks of 50 ms (m', n); a log slower than that is left as it is."""
+    size = max(1, round(block_s / dt_s))
+    rows = len(values) // size * size
+    return np.asarray(values[:rows].reshape(-1, size, values.shape[1]).mean(axis=1))
+
+
+def increments(values: Array, dt_s: float) -> Array:
+    """Differences of 20 Hz block means (m' - 1, n)."""
+    return np.diff(block_means(values, dt_s), axis=0)
+
+
+def floor_of_repeats(repeats: Array, dt_s: float) -> Floor:
+    """Noise from repeats of one command.
+
+    Model:   deviations from the repeats' mean, times sqrt(R / (R - 1)); block means at 20 Hz; increments; AR(p) over
+             all repeats, p of 0..6 by BIC, one order for all channels.
+    Args:    repeats: (R, m, n), R 2 or more, finite; of a measured signal, or of the nominal model's residual in each.
+    Raises:  DiagnosisError: fewer repeats, or too few rows.
+    """
+    values = np.asarray(repeats, dtype=float)
+    if values.ndim != 3 or len(values) < 2 or not np.isfinite(values).all():
+        raise DiagnosisError(f"repeats have shape {values.shape}; give finite (R, m, n) with R of 2 or more")
+    scale = np.sqrt(len(values) / (len(values) - 1.0))
+    deviations = (values - values.mean(axis=0)) * scale
+    steps = [increments(one, dt_s) for one in deviations]
+    if len(steps[0]) < 4 * ORDER_MAX:
+        raise DiagnosisError(
+            f"repeats are {len(values[0]) * dt_s:.3g} s long; give {4.5 * ORDER_MAX * BLOCK_S:g} s or more"
+        )
+    whitener = fit_whitener(steps)
+    rms = np.sqrt(np.mean(np.stack([block_means(one, dt_s) for one in deviations]) ** 2, axis=(0, 1)))
+    return Floor(rms, np.sqrt(np.mean(np.stack(steps) ** 2, axis=(0, 1))), whitener, len(values), len(steps[0]), True)
+
+
+def floor_without_repeats(signal: Array, dt_s: float) -> Floor:
+    """A stand-in where nothing was repeated: the part of the signal that a smooth motion cannot hold.
+
+    Model: increments' second differences over sqrt(6), robustly by their median: right for white increments (a random
+           walk), 1.3 times too large for white noise of the signal itself; never too low for either.
+    """
+    d = increments(np.asarray(signal, dtype=float), dt_s)
+    if len(d) < 4:
+        raise DiagnosisError(f"the signal has {len(d)} increments at 20 Hz; give at least a second of data")
+    sigma = np.maximum(np.median(np.abs(np.diff(d, n=2, axis=0)), axis=0) / 0.6745 / np.sqrt(6.0), SIGMA_MIN)
+    return Floor(sigma / np.sqrt(2.0), sigma, Whitener(np.zeros((0, d.shape[1])), sigma), 1, len(d), False)
+
+
+def fit_whitener(runs: list[Array]) -> Whitener:
+    """AR(p) by least squares over several runs of increments (m, n) each; no mean, p by BIC over all channels."""
+    best, best_score = None, np.inf
+    for p in range(ORDER_MAX + 1):
+        a, sigma, count = _autoregression(runs, p)
+        score = float(np.sum(2.0 * count * np.log(np.maximum(sigma, SIGMA_MIN)))) + p * a.shape[1] * np.log(count)
+        if score < best_score:
+            best, best_score = Whitener(a, np.maximum(sigma, SIGMA_MIN)), score
+    if best is None:
+        raise DiagnosisError("increments are not finite; mend the signal first")
+    return best
+
+
+def _autoregression(runs: list[Array], p: int) -> tuple[Array, Array, int]:
+    """Coefficients (p, n), innovation's sigma (n,), rows used; every order uses the same rows."""
+    n = runs[0].shape[1]
+    a, sigma = np.zeros((p, n)), np.zeros(n)
+    count = sum(len(run) - ORDER_MAX for run in runs)
+    for j in range(n):
+        y = np.concatenate([run[ORDER_MAX:, j] for run in runs])
+        lags = [np.concatenate([run[ORDER_MAX - i : len(run) - i, j] for run in runs]) for i in range(1, p + 1)]
+        if p:
+            X = np.stack(lags, axis=1)
+            a[:, j] = np.linalg.lstsq(X, y, rcond=None)[0]
+            y = y - X @ a[:, j]
+        sigma[j] = np.sqrt(np.mean(y**2))
+    return a, sigma, count
+
+
+def effective_count(residual: Array) -> float:
+    """Independent samples in a series (m,): m / (1 + 2 sum of its autocorrelations up to the first negative one)."""
+    x = np.asarray(residual, dtype=float) - np.mean(residual)
+    power = float(x @ x)
+    if power == 0.0:
+        return float(len(x))
+    total = 0.0
+    for lag in range(1, len(x) // 2):
+        rho = float(x[lag:] @ x[:-lag]) / power
+        if rho <= 0.0:
+            break
+        total += rho
+    return len(x) / (1.0 + 2.0 * total)

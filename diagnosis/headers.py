@@ -1,0 +1,56 @@
+"""Column names of a folder of CSV files against the format: unknown and half-missing ones are named."""
+
+import csv
+import difflib
+import re
+from pathlib import Path
+
+from diagnosis.findings import Finding
+from recording.rows import CSV_ROW_TYPES, Row, csv_fields
+
+
+def header_findings(folder: Path) -> list[Finding]:
+    """Unknown columns with the nearest known name; gaps in the count of joints; unknown files."""
+    findings: list[Finding] = []
+    for row_type in CSV_ROW_TYPES:
+        path = folder / row_type.file
+        if path.is_file():
+            findings += _of_file(path, row_type)
+    known = {row_type.file for row_type in CSV_ROW_TYPES}
+    for path in sorted(folder.glob("*.csv")):
+        if path.name not in known:
+            text = f"is not a file of the format and was not read{_nearest(path.name, known)}"
+            findings.append(Finding("unknown_column", "note", path.name, text))
+    return findings
+
+
+def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
+    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+        names = [name.strip().removeprefix("\ufeff") for name in next(csv.reader(file), [])]
+    patterns = [pattern for _, pattern in csv_fields(row_type)]
+    finders = [re.compile(re.escape(one).replace(re.escape("{j}"), r"(\d{1,2})")) for one in patterns]
+    findings = [
+        Finding(
+            "unknown_column", "problem", path.name, f"column {name!r} was not read{_nearest(name, _examples(patterns))}"
+        )
+        for name in names
+        if name and not any(finder.fullmatch(name) for finder in finders)
+    ]
+    for pattern, finder in zip(patterns, finders, strict=True):
+        joints = {int(match[1]) for name in names if "{j}" in pattern and (match := finder.fullmatch(name))}
+        absent = sorted(set(range(1, max(joints, default=0) + 1)) - joints)
+        if absent:
+            text = f"column {pattern.replace('{j}', str(absent[0]))!r} is missing between its neighbours; add it"
+            findings.append(Finding("missing_column", "fatal", path.name, text))
+    for name in sorted({name for name in names if name and names.count(name) > 1}):
+        findings.append(Finding("unknown_column", "problem", path.name, f"column {name!r} is there twice; remove one"))
+    return findings
+
+
+def _examples(patterns: list[str]) -> set[str]:
+    return {pattern.replace("{j}", str(j)) for pattern in patterns for j in range(1, 10)}
+
+
+def _nearest(name: str, known: set[str]) -> str:
+    close = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.6)
+    return f"; did you mean {close[0]!r}?" if close else ""

@@ -1,0 +1,271 @@
+"""Where the gap lies: each stage's residual beyond its own noise floor, by joint, axis and regime."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.floor import BLOCK_S, block_means, increments
+from diagnosis.nominal import Nominal
+from diagnosis.points import fit_points, static_data, tracked_data
+from diagnosis.reading import Read
+from diagnosis.regimes import regimes_of
+from diagnosis.repeats import overlaid
+from diagnosis.replay import Prepared, Replayer, replayer_of
+from diagnosis.stretches import Stretch, repeat_groups
+from diagnosis.views import ooi_residual, tool_residual, views_of
+from machine.effects.entries import pack
+from machine.effects.layout import ParameterSets, neutral_sets
+from machine.effects.structure import tcp_poses
+from machine.rotations import Array
+
+STAGE_UNITS = {"link": "rad", "controller": "1", "actuator": "rad/s"}
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+POSTURES = 25
+MOVE_RAD = 1e-4
+PARTS = ("still", "forward", "backward", "reversal", "first half", "second half")  # regimes inside "all"
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Gap of one stage, joint (1-based) or axis, and regime: sqrt(max(0, MSE - floor^2)) in `unit`.
+
+    `tcp_mm`: the gap carried to the tcp [mm, RMS]; `share_frac`: that over the sum of all stages.
+    """
+
+    stage: str
+    joint: int | None
+    axis: str | None
+    regime: str
+    gap: float
+    floor: float
+    unit: str
+    tcp_mm: float
+    share_frac: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Localisation:
+    """All places, largest share first within regime "all"; `floor_known`: from repeats. `merged`: (stages, why)."""
+
+    places: tuple[Place, ...]
+    merged: tuple[tuple[tuple[str, ...], str], ...]
+    floor_known: bool
+
+
+def localise(whole: Read) -> Localisation:
+    """The gap of the nominal machine (with its baseline, if its file has one) on every stage that can be judged."""
+    nominal, tables = whole.nominal, whole.tables
+    if nominal is None or tables is None or not whole.usable:
+        return Localisation((), (), False)
+    sets = pack(nominal.baseline, nominal.n)
+    groups = repeat_groups(whole.stretches)
+    replayer, places = replayer_of(nominal), []
+    lever = levers_mm(nominal, whole.stretches)
+    if replayer is not None:
+        prepared = [replayer.prepare(one) for one in whole.stretches]
+        for stage in STAGE_UNITS:
+            places += _dynamic(replayer, stage, prepared, groups, sets, lever)
+    places += _structure(whole, nominal, sets) + _camera(whole, nominal, sets)
+    return Localisation(_shared(places), merged_stages(whole), bool(groups))
+
+
+def _dynamic(
+    replayer: Replayer,
+    stage: str,
+    prepared: list[Prepared],
+    groups: dict[str, tuple[Stretch, ...]],
+    sets: ParameterSets,
+    lever: Array,
+) -> list[Place]:
+    errors: dict[str, Array] = {}
+    for one in prepared:
+        error = stage_error(replayer, stage, one, sets)
+        if error is not None:
+            errors[one.stretch.name] = error
+    judged = [one.stretch for one in prepared if one.stretch.name in errors]
+    if not judged:
+        return []
+    floor = _floor(stage, groups, errors)
+    carried = _to_radians(replayer, stage) * lever
+    places: list[Place] = []
+    for j in range(replayer.nominal.n):
+        values = [_regime_values(one, errors[one.name][:, j], j) for one in judged]
+        for regime in dict.fromkeys(name for by_name in values for name in by_name):
+            pooled = np.concatenate([by_name[regime] for by_name in values if regime in by_name])
+            if not np.isfinite(pooled).all():
+                continue  # a column that was not recorded
+            gap = excess(pooled, float(floor[j]))
+            tcp_mm = gap * float(carried[j])
+            places.append(Place(stage, j + 1, None, regime, gap, float(floor[j]), STAGE_UNITS[stage], tcp_mm))
+    return places
+
+
+def stage_error(replayer: Replayer, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
+    """A stage's error at 20 Hz (m, n): reference [rad], command [1], or speed of the actuator [rad/s]."""
+    residual = replayer.residuals(stage, prepared, sets)
+    if residual is None:
+        return None
+    dt_s = prepared.stretch.dt_s
+    if stage == "actuator":  # open loop: its error of position is a random walk, its error of speed is not
+        return increments(residual[0], dt_s) / max(BLOCK_S, dt_s)
+    return block_means(residual[0], dt_s)[1:]
+
+
+def _floor(stage: str, groups: dict[str, tuple[Stretch, ...]], errors: dict[str, Array]) -> Array:
+    """RMS deviation (n,) of the repeats' errors from their mean; without repeats, from their second differences."""
+    squares: list[Array] = []
+    for members in groups.values():
+        known = tuple(one for one in members if one.name in errors)
+        if len(known) > 1:
+            laid = overlaid(tuple(_at_20_hz(one) for one in known), [errors[one.name] for one in known])
+            squares.append(np.mean((laid - laid.mean(axis=0)) ** 2, axis=(0, 1)) * len(known) / (len(known) - 1.0))
+    if squares:
+        return np.sqrt(np.mean(squares, axis=0))
+    rough = [
+        np.median(np.abs(np.diff(error, n=2, axis=0)), axis=0) / 0.6745 / np.sqrt(6.0) for error in errors.values()
+    ]
+    return np.asarray(np.median(rough, axis=0), dtype=float)
+
+
+def _at_20_hz(stretch: Stretch) -> Stretch:
+    return replace(stretch, dt_s=max(BLOCK_S, stretch.dt_s))
+
+
+def _regime_values(stretch: Stretch, error: Array, j: int) -> dict[str, Array]:
+    position = stretch.enc if stretch.enc is not None else stretch.ref
+    if position is None:
+        return {"all": error}
+    blocks = block_means(position[:, [j]], stretch.dt_s)[1 : len(error) + 1, 0]
+    return {name: error[mask] for name, mask in regimes_of(blocks, max(BLOCK_S, stretch.dt_s)).items()}
+
+
+def excess(error: Array, floor: float) -> float:
+    """sqrt(max(0, MSE - floor^2)) of errors (m,)."""
+    return float(np.sqrt(max(0.0, float(np.mean(error**2)) - floor**2)))
+
+
+def _to_radians(replayer: Replayer, stage: str) -> Array:
+    """What one unit of a stage's error comes to at the joint (n,) [rad], in the closed loop at rest.
+
+    Model: a reference's error is the joint's; a command's error is held by error / kp; a speed's error by
+           speed / (kp velocity gain), or, without a controller, over one second.
+    """
+    gain, kp = replayer.plant.joints[:, 0], replayer.plant.joints[:, 3]
+    closed = replayer.nominal.has_controller
+    ones = np.ones(len(gain))
+    return {
+        "link": ones,
+        "controller": 1.0 / kp if closed else gain,
+        "actuator": 1.0 / (kp * gain) if closed else ones,
+    }[stage]
+
+
+def levers_mm(nominal: Nominal, stretches: tuple[Stretch, ...]) -> Array:
+    """RMS motion of the tcp per joint angle (n,) [mm/rad] over the recorded postures; 1000 without an arm."""
+    if nominal.arm is None or not stretches:
+        return np.full(nominal.n, 1e3)
+    found = [one.enc if one.enc is not None else one.ref for one in stretches]
+    stack = np.concatenate([q[np.isfinite(q).all(axis=1)] for q in found if q is not None])
+    if len(stack) == 0:
+        return np.full(nominal.n, 1e3)
+    qs = stack[np.linspace(0, len(stack) - 1, POSTURES).astype(int)]
+    sets = neutral_sets(nominal.n)
+    at = tcp_poses(nominal.arm, sets, qs)[:, :3, 3]
+    moved = [tcp_poses(nominal.arm, sets, qs + MOVE_RAD * row)[:, :3, 3] for row in np.eye(nominal.n)]
+    return np.array([1e3 * np.sqrt(np.mean(np.sum((one - at) ** 2, axis=1))) / MOVE_RAD for one in moved])
+
+
+def _structure(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
+    tables, places = whole.tables, []
+    if tables is None or nominal.arm is None:
+        return []
+    static = static_data(nominal, tables.static) if tables.static is not None else None
+    tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
+    for regime, data in (("at rest", static), ("tracked", tracked)):
+        if data is not None and len(data.xyz) >= 4:
+            residual = fit_points(nominal, sets, data).residual
+            places += _axes("structure", regime, residual, np.zeros(3))
+    return places
+
+
+def _camera(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
+    tables, places = whole.tables, []
+    if tables is None or tables.markers is None or nominal.camera is None:
+        return []
+    tool = tool_residual(nominal, views_of(nominal, tables.markers, "tool"))
+    if tool is not None:
+        places += _axes("camera", "tool marker", tool, _scatter(tool))
+    views = views_of(nominal, tables.markers, "ooi")
+    shift_s = (tables.run.camera_to_pc_offset_s or 0.0) - (tables.run.plc_to_pc_offset_s or 0.0)
+    q, inside = _encoders_at(whole.stretches, views.t_s + shift_s, nominal.n)
+    if inside.sum() > 1:
+        seen = replace(views, t_s=views.t_s[inside], Ts_cam_object=views.Ts_cam_object[inside])
+        ooi = ooi_residual(nominal, sets, seen, q[inside])
+        if ooi is not None:
+            places += _axes("camera", "ooi", ooi, _scatter(ooi))
+    return places
+
+
+def _encoders_at(stretches: tuple[Stretch, ...], t_s: Array, n: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Encoders (m, n) at these times, and whether a stretch holds them (m,)."""
+    q, inside = np.full((len(t_s), n), np.nan), np.zeros(len(t_s), dtype=bool)
+    for one in stretches:
+        if one.enc is not None:
+            now = (t_s >= one.t_s[0]) & (t_s <= one.t_s[-1])
+            q[now] = np.stack([np.interp(t_s[now], one.t_s, column) for column in one.enc.T], axis=1)
+            inside |= now
+    return q, np.asarray(inside & np.isfinite(q).all(axis=1), dtype=bool)
+
+
+def _scatter(error: Array) -> Array:
+    """Noise from one view to the next (k,), by the median of second differences; an upper bound in motion."""
+    if len(error) < 4:
+        return np.zeros(error.shape[1])
+    return np.asarray(np.median(np.abs(np.diff(error, n=2, axis=0)), axis=0) / 0.6745 / np.sqrt(6.0), dtype=float)
+
+
+def _axes(stage: str, regime: str, error: Array, floor: Array) -> list[Place]:
+    """One place an axis; positions [m] count at the tcp as they are, rotations are not carried on."""
+    places = []
+    for k in range(error.shape[1]):
+        gap = excess(error[:, k], float(floor[k]))
+        unit, tcp_mm = ("m", 1e3 * gap) if k < 3 else ("rad", 0.0)
+        places.append(Place(stage, None, AXES[k], regime, gap, float(floor[k]), unit, tcp_mm))
+    return places
+
+
+def _shared(places: list[Place]) -> tuple[Place, ...]:
+    """Shares of the sum over stages of their tcp motion (root sum of squares within a stage), largest first."""
+    whole = [place for place in places if place.regime not in PARTS]
+    stages = dict.fromkeys(place.stage for place in whole)
+    total = sum(math.hypot(*(p.tcp_mm for p in whole if p.stage == stage)) for stage in stages)
+    shared = [replace(place, share_frac=place.tcp_mm / total if total > 0.0 else 0.0) for place in places]
+    return tuple(sorted(shared, key=lambda place: (place.regime in PARTS, -place.share_frac)))
+
+
+def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:
+    """Neighbouring stages that this recording cannot tell apart, and the missing signal that merges them."""
+    tables = whole.tables
+    some = whole.stretches
+    if tables is None:
+        return ()
+    merged: list[tuple[tuple[str, ...], str]] = []
+    has_ref, has_u = any(one.ref is not None for one in some), any(one.u is not None for one in some)
+    if some and not any(one.sent is not None for one in some):
+        merged.append((("time", "link"), "no sent.csv: the link is not seen"))
+    if some and not has_ref:
+        merged.append((("link", "controller", "actuator"), "no q_ref in plc.csv: the received reference is not known"))
+    elif some and not has_u:
+        merged.append((("controller", "actuator"), "no u in plc.csv: the valve command is not known"))
+    outside = tables.static is not None or tables.tracker is not None
+    if tables.markers is None and not outside:
+        merged.append(
+            (("joint", "structure", "camera"), "nothing was measured behind the encoders: no camera, no tracker")
+        )
+    elif not outside:
+        merged.append((("joint", "structure", "camera"), "no tracker: the camera alone measures behind the encoders"))
+    elif tables.markers is None:
+        merged.append((("joint", "structure"), "no link-side angle: the tracker sees joints and links together"))
+    return tuple(merged)

@@ -1,0 +1,118 @@
+"""Measured points against the arm: poses at rest and tracked motion, in a frame and at places that may be unknown."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.errors import DiagnosisError
+from diagnosis.nominal import Nominal
+from diagnosis.stretches import Stretch
+from diagnosis.tables import PointTable
+from machine.effects.encoders import true_angles
+from machine.effects.layout import ParameterSets
+from machine.effects.structure import link_poses
+from machine.poses import pose
+from machine.rotations import Array
+
+ROUNDS = 100
+SETTLED_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class PointData:
+    """Measured points with the encoders' angles: q (m, n), point index (m,), xyz (m, 3), when (m,) [s, or pose index]
+    on the PLC's clock.
+    """
+
+    q: Array
+    which: NDArray[np.int64]
+    xyz: Array
+    when: Array
+
+
+@dataclass(frozen=True, slots=True)
+class PointFit:
+    """Residual (m, 3) [m] in base axes, measured less modelled; the tracker's frame and the points' places used."""
+
+    residual: Array
+    T_base_tracker: Array
+    places: Array
+    frame_known: bool
+
+
+def static_data(nominal: Nominal, table: PointTable) -> PointData | None:
+    """Usable rows of static.csv; None without any."""
+    if table.q is None:
+        return None
+    return _data(nominal, table, table.q)
+
+
+def tracked_data(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, ...]) -> PointData | None:
+    """Usable rows of tracker.csv with the encoders' angles of the same time; None without any."""
+    q = np.full((len(table.t_s), nominal.n), np.nan)
+    for one in stretches:
+        if one.enc is None:
+            continue
+        inside = (table.t_s >= one.t_s[0]) & (table.t_s <= one.t_s[-1])
+        q[inside] = np.stack([np.interp(table.t_s[inside], one.t_s, column) for column in one.enc.T], axis=1)
+    return _data(nominal, table, q)
+
+
+def _data(nominal: Nominal, table: PointTable, q: Array) -> PointData | None:
+    index = {point.name: k for k, point in enumerate(nominal.points)}
+    which = np.array([index.get(name, -1) for name in table.names], dtype=np.int64)
+    good = (which >= 0) & np.isfinite(q).all(axis=1) & np.isfinite(table.xyz).all(axis=1)
+    return PointData(q[good], which[good], table.xyz[good], table.t_s[good]) if good.any() else None
+
+
+def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_number: int = 0) -> PointFit:
+    """Residual of measured points under one parameter set.
+
+    Model:   p_base = T_base_link(q) x_point; measured p_tracker. A frame and places that the machine file does not give
+             are found by least squares, in turn, until they settle: they take up what they can of any effect.
+    Raises:  DiagnosisError: no arm, or too few points for an unknown frame.
+    """
+    if nominal.arm is None:
+        raise DiagnosisError(f"points need the arm's geometry; {nominal.why_absent('structure')}")
+    links = link_poses(nominal.arm, sets, true_angles(sets, data.q, set_number), set_number)
+    joints = np.array([point.joint for point in nominal.points])[data.which]
+    T_base_link = links[np.arange(len(links)), joints]
+    known = np.array([point.xyz_m is not None for point in nominal.points])
+    places = np.array([point.xyz_m or (0.0, 0.0, 0.0) for point in nominal.points])
+    T = np.eye(4) if nominal.T_base_tracker is None else nominal.T_base_tracker
+    if nominal.T_base_tracker is None and len(data.xyz) < 4:
+        raise DiagnosisError(f"{len(data.xyz)} measured points and no T_base_tracker; give 4 or more, or the frame")
+    before, residual = np.inf, np.zeros_like(data.xyz)
+    for _ in range(ROUNDS):
+        measured = data.xyz @ T[:3, :3].T + T[:3, 3]
+        places = _places(T_base_link, measured, data.which, places, known)
+        modelled = np.einsum("mij,mj->mi", T_base_link[:, :3, :3], places[data.which]) + T_base_link[:, :3, 3]
+        if nominal.T_base_tracker is None:
+            T = rigid_fit(data.xyz, modelled)
+        residual = data.xyz @ T[:3, :3].T + T[:3, 3] - modelled
+        error = float(np.sqrt(np.mean(residual**2)))
+        if abs(before - error) < SETTLED_M:
+            break
+        before = error
+    return PointFit(residual, T, places, nominal.T_base_tracker is not None)
+
+
+def _places(
+    T_base_link: Array, measured: Array, which: NDArray[np.int64], places: Array, known: NDArray[np.bool_]
+) -> Array:
+    """Places of the points on their links, the unknown ones by their mean over all samples."""
+    on_link = np.einsum("mji,mj->mi", T_base_link[:, :3, :3], measured - T_base_link[:, :3, 3])
+    out = places.copy()
+    for k in np.nonzero(~known)[0]:
+        if (which == k).any():
+            out[k] = on_link[which == k].mean(axis=0)
+    return out
+
+
+def rigid_fit(points_a: Array, points_b: Array) -> Array:
+    """T_b_a (4, 4) that brings points_a (m, 3) onto points_b (m, 3) in least squares (Kabsch 1976)."""
+    mean_a, mean_b = points_a.mean(axis=0), points_b.mean(axis=0)
+    u, _, vt = np.linalg.svd((points_a - mean_a).T @ (points_b - mean_b))
+    R = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
+    return pose(R, mean_b - R @ mean_a)

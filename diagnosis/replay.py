@@ -1,0 +1,137 @@
+"""Each dynamic stage run with its own measured input: what is left between its output and what was measured."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.nominal import Nominal
+from diagnosis.stretches import Stretch
+from diagnosis.tables import filled
+from machine.effects.dynamics import (
+    Actuators,
+    Drive,
+    DynamicStage,
+    at_cycles,
+    drive_actuator,
+    drive_by_sent,
+    drive_controller,
+    simulate,
+)
+from machine.effects.layout import ParameterSets, neutral_sets
+from machine.effects.structure import loads_along, reference_torques
+from machine.rotations import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows."""
+
+    plant: Actuators
+    drives: dict[str, Drive]
+    stretch: Stretch
+
+
+@dataclass(frozen=True, slots=True)
+class Replayer:
+    """The replays of one machine. `torque_reference`: (n,) [N m], None where masses or limits are not known."""
+
+    nominal: Nominal
+    plant: Actuators
+    torque_reference: Array | None
+
+    def prepare(self, stretch: Stretch) -> Prepared:
+        """Each stage's measured input at every PLC cycle.
+
+        Model: between two logged rows an input moves as the nominal stage before it says, corrected linearly so that
+               it meets both rows: a jump of the reference falls on its own cycle, and not on ten.
+        """
+        plant = self.at_rate(stretch.dt_s)
+        drives: dict[str, Drive] = {}
+        ref, enc, u = (None if signal is None else filled(signal) for signal in (stretch.ref, stretch.enc, stretch.u))
+        between: Array | None = None
+        if stretch.sent is not None and ref is not None:
+            cycles = (stretch.rows - 1) * plant.decimate + 1
+            drives["link"] = drive_by_sent(plant, stretch.sent.t_s, stretch.sent.q, float(stretch.t_s[0]), cycles)
+            between = self._fine("link", plant, drives["link"])
+        ref_fine = None if ref is None else _through(plant, ref, between)
+        between = None
+        if ref_fine is not None and enc is not None and u is not None and self.nominal.has_controller:
+            drives["controller"] = drive_controller(plant, ref_fine, at_cycles(plant, enc), u[0], fine=True)
+            between = self._fine("controller", plant, drives["controller"])
+        if u is not None and enc is not None:
+            u_fine = _through(plant, u, between)
+            drives["actuator"] = drive_actuator(plant, u_fine, enc[0], self._loads(enc), fine=True)
+        return Prepared(plant, drives, stretch)
+
+    def outputs(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
+        """What every set gives for a stage's output (sets, rows, n); None where the stretch lacks input or output."""
+        drive = prepared.drives.get(stage)
+        return None if drive is None else _output(stage, prepared.plant, sets, drive)
+
+    def residuals(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
+        """Measured less modelled, (sets, rows, n), in the stage's unit; NaN in columns that were not recorded."""
+        modelled, measured = self.outputs(stage, prepared, sets), measured_output(stage, prepared.stretch)
+        if modelled is None or measured is None:
+            return None
+        out = filled(measured)[: modelled.shape[1]] - modelled
+        for signal in _logged(stage, prepared.stretch):
+            out[..., ~np.isfinite(signal).any(axis=0)] = np.nan
+        return out
+
+    def at_rate(self, dt_s: float) -> Actuators:
+        """The plant logged at the recording's own rate, a whole number of PLC cycles."""
+        cycles = max(1, round(dt_s / self.plant.cycle_s))
+        return replace(self.plant, log_cycle_s=cycles * self.plant.cycle_s)
+
+    def _fine(self, stage: str, plant: Actuators, drive: Drive) -> Array | None:
+        """The nominal stage's output at every PLC cycle (cycles, n); None where each is logged anyway."""
+        if plant.decimate == 1:
+            return None
+        every = replace(plant, log_cycle_s=plant.cycle_s)
+        none = np.zeros((drive.cycles, plant.n))
+        return _output(stage, every, neutral_sets(plant.n), replace(drive, load=none, load_kg=none))[0]
+
+    def _loads(self, enc: Array) -> tuple[Array, Array] | None:
+        if self.torque_reference is None or self.nominal.arm is None:
+            return None
+        return loads_along(self.nominal.arm, neutral_sets(self.nominal.n), enc, self.torque_reference)
+
+
+def _output(stage: str, plant: Actuators, sets: ParameterSets, drive: Drive) -> Array:
+    last = {"link": DynamicStage.LINK, "controller": DynamicStage.CONTROLLER, "actuator": DynamicStage.ACTUATOR}[stage]
+    traces = simulate(plant, sets, drive, last)
+    return {"link": traces.ref, "controller": traces.u, "actuator": traces.enc}[stage]
+
+
+def _through(plant: Actuators, logged: Array, between: Array | None) -> Array:
+    """Logged rows at every PLC cycle (cycles, n): on a modelled course `between`, corrected to meet each row."""
+    if between is None:
+        return at_cycles(plant, logged)
+    return between + at_cycles(plant, logged - between[:: plant.decimate])
+
+
+def replayer_of(nominal: Nominal) -> Replayer | None:
+    """The replays of a machine; None where its file has no actuators."""
+    if nominal.actuators is None:
+        return None
+    limited = np.isfinite(nominal.q_min).all() and np.isfinite(nominal.q_max).all()
+    weighed = nominal.arm is not None and float(nominal.arm.mass.sum()) > 0.0
+    torque = None
+    if nominal.arm is not None and limited and weighed:
+        torque = reference_torques(nominal.arm, neutral_sets(nominal.n), nominal.q_min, nominal.q_max)
+    return Replayer(nominal, nominal.actuators, torque)
+
+
+def measured_output(stage: str, stretch: Stretch) -> Array | None:
+    """What was measured of a stage's output (rows, n)."""
+    return {"link": stretch.ref, "controller": stretch.u, "actuator": stretch.enc}.get(stage)
+
+
+def _logged(stage: str, stretch: Stretch) -> tuple[Array, ...]:
+    """The logged signals that a stage's residual rests on."""
+    signals = {
+        "link": (stretch.ref,),
+        "controller": (stretch.ref, stretch.enc, stretch.u),
+        "actuator": (stretch.u, stretch.enc),
+    }[stage]
+    return tuple(signal for signal in signals if signal is not None)

@@ -1,0 +1,228 @@
+"""Evenly sampled pieces of a recording: each segment, cut where the log is broken."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.findings import Finding
+from diagnosis.quality import DURATION_MIN_S, GAP_STEPS, ROWS_MIN
+from diagnosis.tables import PlcTable, Tables
+from machine.rotations import Array
+from recording.run import Segment
+
+MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
+JITTER_MAX = 1e-3  # of a step: stamps closer to the even grid than this are taken as they are
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """One unbroken piece of one segment, evenly sampled on the PLC's clock.
+
+    `t_s`: (m,), a step of `dt_s`; `t_segment_s`: of the segment's start, so that repeats can be laid over each other.
+    Signals (m, n), `p_supply` (m,); None where not recorded. `sent`: see `Sent`; None where the link cannot be judged.
+    """
+
+    name: str
+    kind: str
+    repeat_of: str
+    t_segment_s: float
+    dt_s: float
+    t_s: Array
+    ref: Array | None
+    enc: Array | None
+    u: Array | None
+    p_a: Array | None
+    p_b: Array | None
+    p_supply: Array | None
+    sent: "Sent | None" = None
+
+    @property
+    def rows(self) -> int:
+        """Number of samples."""
+        return len(self.t_s)
+
+    @property
+    def duration_s(self) -> float:
+        """Length [s]."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """The reference as sent, on the PLC's clock: t_s (k,), q (k, n); begins before the stretch does."""
+
+    t_s: Array
+    q: Array
+
+
+@dataclass(frozen=True, slots=True)
+class SentClock:
+    """How sent times become the PLC's: t_plc = t_pc - offset. `known`: given, not estimated from the data."""
+
+    offset_s: float
+    known: bool
+
+
+def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
+    """All usable stretches in the order of time, and what had to be left out."""
+    plc = tables.plc
+    if plc is None or plc.enc is None:
+        return (), []
+    findings: list[Finding] = []
+    segments = tables.run.segments or _whole(plc, findings)
+    clock = sent_clock(tables, findings)
+    found: list[Stretch] = []
+    for number, segment in enumerate(segments, start=1):
+        pieces = list(_pieces(plc, segment))
+        if not pieces:
+            text = f"segment {number} ({segment.name or segment.kind}) holds no usable stretch of {DURATION_MIN_S:g} s"
+            findings.append(Finding("empty_segment", "problem", "run.toml", text))
+        for part, rows in enumerate(pieces, start=1):
+            label = segment.name or f"{segment.kind}{number}"
+            name = f"{label}/{part}" if len(pieces) > 1 else label
+            found.append(_stretch(tables, plc, segment, name, rows, clock))
+    findings += _mended(plc)
+    return tuple(found), findings
+
+
+def _whole(plc: PlcTable, findings: list[Finding]) -> tuple[Segment, ...]:
+    text = "there are no segments: the whole recording is taken as one, of unknown kind; name them to use repeats"
+    findings.append(Finding("no_segments", "note", "run.toml", text))
+    return (Segment("whole", "workcycle", float(np.nanmin(plc.t_s)), float(np.nanmax(plc.t_s))),)
+
+
+def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
+    """The offset between the PC's and the PLC's clock; estimated from sequence numbers where not given.
+
+    Model: without an offset the fastest datagram is taken to have arrived at once: delays are known but for a constant.
+    """
+    if tables.sent is None:
+        return None
+    if tables.run.plc_to_pc_offset_s is not None:
+        return SentClock(tables.run.plc_to_pc_offset_s, True)
+    delays = _apparent_delays(tables)
+    if len(delays) == 0:
+        text = "no clocks.plc_to_pc_offset_s and no sequence numbers: sent and received reference cannot be compared"
+        findings.append(Finding("clock_offset_unknown", "problem", "run.toml", text))
+        return None
+    text = (
+        "no clocks.plc_to_pc_offset_s: the link's delay is known but for a constant (the fastest datagram counts as 0)"
+    )
+    findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
+    return SentClock(-float(delays.min()), False)
+
+
+def _apparent_delays(tables: Tables) -> Array:
+    """t_plc - t_pc of each datagram at the first log row that has it."""
+    sent, plc = tables.sent, tables.plc
+    if sent is None or plc is None or (plc.seq < 0).all():
+        return np.zeros(0)
+    number, first = np.unique(plc.seq, return_index=True)
+    both, at_plc, at_pc = np.intersect1d(number, sent.seq, return_indices=True)
+    keep = both >= 0
+    return plc.t_s[first[at_plc[keep]]] - sent.t_s[at_pc[keep]]
+
+
+def _pieces(plc: PlcTable, segment: Segment) -> Iterator[NDArray[np.int64]]:
+    """Row numbers of the unbroken pieces of a segment that are long enough."""
+    margin = 1e-6
+    inside = (plc.t_s >= segment.t_start_plc_s - margin) & (plc.t_s <= segment.t_end_plc_s + margin)
+    rows = np.nonzero(inside)[0]
+    if len(rows) < 2:
+        return
+    broken = _broken(plc)
+    steps = np.diff(plc.t_s[rows])
+    median = float(np.median(np.abs(steps)))
+    cut = (steps > GAP_STEPS * median) | (steps <= 0.0) | (np.diff(rows) > 1)
+    for piece in np.split(rows, np.nonzero(cut)[0] + 1):
+        for part in np.split(piece, np.nonzero(np.diff(broken[piece].astype(int)))[0] + 1):
+            if len(part) >= ROWS_MIN and not broken[part[0]] and np.ptp(plc.t_s[part]) >= DURATION_MIN_S:
+                yield part
+
+
+def _broken(plc: PlcTable) -> NDArray[np.bool_]:
+    """Rows inside a run of missing numbers too long to be mended (columns that are missing throughout do not count)."""
+    broken = np.zeros(len(plc.t_s), dtype=bool)
+    for values in (plc.ref, plc.enc, plc.u):
+        for column in [] if values is None else values.T:
+            missing = ~np.isfinite(column)
+            if missing.all():
+                continue
+            edges = np.diff(np.concatenate([[0], missing.astype(int), [0]]))
+            for start, end in zip(np.nonzero(edges > 0)[0], np.nonzero(edges < 0)[0], strict=True):
+                if end - start > MEND_ROWS_MAX or start == 0 or end == len(column):
+                    broken[start:end] = True
+    return broken
+
+
+def _mended(plc: PlcTable) -> list[Finding]:
+    broken, count = _broken(plc), 0
+    for values in (plc.ref, plc.enc, plc.u):
+        if values is not None:
+            count += int((~np.isfinite(values) & ~broken[:, None] & ~np.isnan(values).all(axis=0)).sum())
+    if not count:
+        return []
+    text = f"{count} single missing numbers (runs of {MEND_ROWS_MAX} rows or fewer) are filled by straight lines"
+    return [Finding("not_a_number", "note", "plc.csv", text, count)]
+
+
+def _stretch(
+    tables: Tables, plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64], clock: SentClock | None
+) -> Stretch:
+    t = plc.t_s[rows]
+    dt = float((t[-1] - t[0]) / (len(t) - 1))
+    grid = t[0] + dt * np.arange(len(t))
+    even = bool(np.abs(t - grid).max() <= JITTER_MAX * dt)
+    signals = {
+        field.name: _even(getattr(plc, field.name), rows, t, grid, even)
+        for field in fields(PlcTable)
+        if field.name in ("ref", "enc", "u", "p_a", "p_b", "p_supply")
+    }
+    sent = _sent(tables, clock, t[0], t[-1])
+    repeat = segment.repeat_of
+    return Stretch(name, segment.kind, repeat, segment.t_start_plc_s, dt, grid, **signals, sent=sent)
+
+
+def _even(values: Array | None, rows: NDArray[np.int64], t: Array, grid: Array, even: bool) -> Array | None:
+    if values is None:
+        return None
+    cut = values[rows]
+    table = cut if cut.ndim == 2 else cut[:, None]
+    if not even or not np.isfinite(table).all():
+        table = np.stack([_line(column, t, grid) for column in table.T], axis=1)
+    table = np.ascontiguousarray(table)
+    return table if cut.ndim == 2 else table[:, 0]
+
+
+def _line(column: Array, t: Array, grid: Array) -> Array:
+    good = np.isfinite(column)
+    return np.interp(grid, t[good], column[good]) if good.any() else np.full(len(grid), np.nan)
+
+
+def _sent(tables: Tables, clock: SentClock | None, start_s: float, end_s: float) -> Sent | None:
+    """References from the last one before the stretch (or 2 s before it) to its end."""
+    if clock is None or tables.sent is None:
+        return None
+    t = tables.sent.t_s - clock.offset_s
+    good = np.isfinite(t) & np.isfinite(tables.sent.q).all(axis=1) & (t >= start_s - 2.0) & (t <= end_s)
+    if int(good.sum()) < ROWS_MIN:
+        return None
+    order = np.argsort(t[good], kind="stable")
+    return Sent(t[good][order], np.ascontiguousarray(tables.sent.q[good][order]))
+
+
+def repeat_groups(stretches: tuple[Stretch, ...]) -> dict[str, tuple[Stretch, ...]]:
+    """Stretches that repeat one command, by the name they share; at least two, and whole segments only.
+
+    The segment that the others repeat belongs to its group, whether or not it names itself.
+    """
+    groups: dict[str, list[Stretch]] = {}
+    for stretch in stretches:
+        if stretch.repeat_of and "/" not in stretch.name:
+            groups.setdefault(stretch.repeat_of, []).append(stretch)
+    for stretch in stretches:
+        if not stretch.repeat_of and stretch.name in groups:
+            groups[stretch.name].insert(0, stretch)
+    return {name: tuple(members) for name, members in groups.items() if len(members) > 1}

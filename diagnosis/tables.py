@@ -1,0 +1,189 @@
+"""A recording's rows as arrays, still as they were written: nothing is resampled, sorted or mended here.
+
+Numbers beyond 1e9, which no angle, length or pressure reaches, count as infinite.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.rotations import Array
+from recording.content import Recording
+from recording.rows import MarkerCorners, OdometryRow, PlcState, Row, Sent, StaticPoint, TrackerPoint
+from recording.run import RunInfo
+
+#: Columns of the PLC's rows with one number a joint: name here, field of the row, column in plc.csv.
+JOINT_SIGNALS = (
+    ("ref", "q_ref_rad", "q_ref_{j}_rad"),
+    ("enc", "q_rad", "q_{j}_rad"),
+    ("u", "u_frac", "u_{j}_frac"),
+    ("p_a", "p_a_pa", "p_a_{j}_pa"),
+    ("p_b", "p_b_pa", "p_b_{j}_pa"),
+)
+
+
+HUGE = 1e9
+COUNT_MAX = 2**62
+
+
+@dataclass(frozen=True, slots=True)
+class PlcTable:
+    """The PLC's log: t_s (m,); signals (m, n) or None where never written; missing numbers are NaN."""
+
+    t_s: Array
+    ref: Array | None
+    enc: Array | None
+    u: Array | None
+    p_a: Array | None
+    p_b: Array | None
+    p_supply: Array | None
+    seq: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class SentTable:
+    """The reference as sent: t_s (m,) on the PC's clock, seq (m,), q (m, n)."""
+
+    t_s: Array
+    seq: NDArray[np.int64]
+    q: Array
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerTable:
+    """Marker corners: t_s (m,) on the camera's clock, eye (m,) 0 left 1 right, ids (m,), corners (m, 4, 2) [px]."""
+
+    t_s: Array
+    eye: NDArray[np.int64]
+    ids: NDArray[np.int64]
+    corners: Array
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryTable:
+    """Odometry: t_s (m,) on the camera's clock, position (m, 3) [m], quat_wxyz (m, 4)."""
+
+    t_s: Array
+    position: Array
+    quat_wxyz: Array
+
+
+@dataclass(frozen=True, slots=True)
+class PointTable:
+    """Measured points: t_s (m,) on the PLC's clock (static: pose index), names (m,), xyz (m, 3), q (m, n) or None."""
+
+    t_s: Array
+    names: tuple[str, ...]
+    xyz: Array
+    q: Array | None
+
+
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """All tables of a recording; None where it has no such rows. `n`: joints, 0 where no table says."""
+
+    run: RunInfo
+    n: int
+    plc: PlcTable | None
+    sent: SentTable | None
+    markers: MarkerTable | None
+    odometry: OdometryTable | None
+    tracker: PointTable | None
+    static: PointTable | None
+
+
+def tables_of(recording: Recording) -> Tables:
+    """The tables of a recording."""
+    plc, static, sent = recording.of(PlcState), recording.of(StaticPoint), recording.of(Sent)
+    widths = [len(getattr(row, field)) for row in plc for _, field, _ in JOINT_SIGNALS]
+    n = max([*widths, *(len(row.q_rad) for row in static), *(len(row.q_sent_rad) for row in sent)], default=0)
+    return Tables(
+        run=recording.run,
+        n=n,
+        plc=_plc(plc, n) if plc else None,
+        sent=SentTable(_numbers(sent, "t_pc_s"), _counts(sent, "seq"), _matrix(sent, "q_sent_rad", n))
+        if sent
+        else None,
+        markers=_markers(recording.of(MarkerCorners)),
+        odometry=_odometry(recording.of(OdometryRow)),
+        tracker=_points(recording.of(TrackerPoint), "t_plc_s", 0),
+        static=_points(static, "pose_index", n),
+    )
+
+
+def filled(values: Array) -> Array:
+    """(m, n) with missing and infinite numbers on straight lines between their neighbours; empty columns are 0."""
+    out = np.array(values, dtype=float)
+    rows = np.arange(len(out))
+    for j in range(out.shape[1]):
+        good = np.isfinite(out[:, j])
+        if not good.all():
+            out[:, j] = np.interp(rows, rows[good], out[good, j]) if good.any() else 0.0
+    return out
+
+
+def largest(values: Array) -> float:
+    """Largest finite absolute value; 0 without any."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(finite.max()) if finite.size else 0.0
+
+
+def _numbers(rows: Sequence[Row], name: str) -> Array:
+    return np.array([getattr(row, name) for row in rows], dtype=float)
+
+
+def _counts(rows: Sequence[Row], name: str) -> NDArray[np.int64]:
+    return np.array([min(max(getattr(row, name), -1), COUNT_MAX) for row in rows], dtype=np.int64)
+
+
+def _matrix(rows: Sequence[Row], name: str, n: int) -> Array:
+    """(m, n), NaN where a row has no or fewer numbers."""
+    values = np.full((len(rows), n), np.nan)
+    for k, row in enumerate(rows):
+        numbers = getattr(row, name)
+        values[k, : len(numbers)] = numbers
+    return _bounded(values)
+
+
+def _bounded(values: Array) -> Array:
+    return np.where(np.abs(values) > HUGE, np.inf, values)
+
+
+def _plc(rows: Sequence[PlcState], n: int) -> PlcTable:
+    found = {short: _matrix(rows, field, n) for short, field, _ in JOINT_SIGNALS}
+    kept = {short: values if np.isfinite(values).any() else None for short, values in found.items()}
+    supply = _numbers(rows, "p_supply_pa")
+    return PlcTable(
+        t_s=_numbers(rows, "t_plc_s"),
+        p_supply=supply if np.isfinite(supply).any() else None,
+        seq=_counts(rows, "seq_received"),
+        **kept,
+    )
+
+
+def _markers(rows: Sequence[MarkerCorners]) -> MarkerTable | None:
+    if not rows:
+        return None
+    corners = [[(getattr(row, f"u{c}_px"), getattr(row, f"v{c}_px")) for c in range(4)] for row in rows]
+    eye = np.array([{"left": 0, "right": 1}.get(row.eye, -1) for row in rows], dtype=np.int64)
+    return MarkerTable(
+        _numbers(rows, "t_camera_s"), eye, _counts(rows, "marker_id"), _bounded(np.array(corners, dtype=float))
+    )
+
+
+def _odometry(rows: Sequence[OdometryRow]) -> OdometryTable | None:
+    if not rows:
+        return None
+    position = np.stack([_numbers(rows, name) for name in ("x_m", "y_m", "z_m")], axis=1)
+    quat = np.stack([_numbers(rows, name) for name in ("qw", "qx", "qy", "qz")], axis=1)
+    return OdometryTable(_numbers(rows, "t_camera_s"), position, quat)
+
+
+def _points(rows: Sequence[TrackerPoint] | Sequence[StaticPoint], key: str, n: int) -> PointTable | None:
+    if not rows:
+        return None
+    xyz = _bounded(np.stack([_numbers(rows, name) for name in ("x_m", "y_m", "z_m")], axis=1))
+    q = _matrix(rows, "q_rad", n) if n else None
+    return PointTable(_numbers(rows, key), tuple(row.point for row in rows), xyz, q)

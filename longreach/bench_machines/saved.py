@@ -1,0 +1,86 @@
+"""Runs many machines: every one saved as a JSON line, a second run resumes, worker processes if wanted."""
+
+import json
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from longreach.bench_machines.machine_run import MachineRun, run_machine
+from longreach.bench_machines.variants import ABLATIONS, DEFAULT
+from longreach.reproduce.fast_machine import QuasiStaticMachine
+from longreach.reproduce.fine_machine import FineMachine
+from longreach.reproduce.noise_model import read_noise_model
+from server.settings import read_machine
+
+NOISE_FILE = Path(__file__).parents[1] / "reproduce" / "noise_fitted.json"
+VARIANTS = {one.name: one for one in (DEFAULT, *ABLATIONS)}
+Advance = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What is asked for: `again`: position once more with the calibration kept; `fine`: the fine plant."""
+
+    preset: str
+    variant: str = DEFAULT.name
+    again: bool = False
+    fine: bool = False
+    machine: str = "hiab033"
+
+    @property
+    def file_name(self) -> str:
+        """Of the lines of this order."""
+        name = f"{self.preset}-{self.variant}{'-fine' if self.fine else ''}{'-again' if self.again else ''}"
+        return "".join(c if c.isalnum() or c == "-" else "_" for c in name) + ".jsonl"
+
+
+def run_machines(
+    order: Order, seeds: Sequence[int], folder: Path, workers: int = 1, advance: Advance = lambda done: None
+) -> list[MachineRun]:
+    """The runs of these seeds in their order: those on file read back, the rest run and saved."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / order.file_name
+    found = {one.seed: one for one in read_runs(file) if one.seed in set(seeds)}
+    advance(len(found))
+    missing = [seed for seed in seeds if seed not in found]
+    with file.open("a", encoding="utf-8") as out:
+        out.write("\n")  # a line cut off by a stop must not swallow the next
+        for run in _fresh(order, missing, workers):
+            out.write(json.dumps(run.to_dict()) + "\n")
+            out.flush()
+            found[run.seed] = run
+            advance(1)
+    return [found[seed] for seed in seeds]
+
+
+def read_runs(file: Path) -> list[MachineRun]:
+    """Whole lines of a file; a line cut off by a stop, or of another version, is run again."""
+    runs = []
+    for text in filter(None, file.read_text(encoding="utf-8").splitlines() if file.exists() else []):
+        try:
+            runs.append(MachineRun.from_dict(json.loads(text)))
+        except (json.JSONDecodeError, KeyError, TypeError):
+            continue
+    return runs
+
+
+def _fresh(order: Order, seeds: Iterable[int], workers: int) -> Iterator[MachineRun]:
+    if workers <= 1:
+        for seed in seeds:
+            yield run_one(order, seed)
+        return
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):  # read by the fresh children
+        os.environ.setdefault(name, "1")
+    with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
+        for done in as_completed([pool.submit(run_one, order, seed) for seed in seeds]):
+            yield done.result()
+
+
+def run_one(order: Order, seed: int) -> MachineRun:
+    """One machine of an order."""
+    machine, noise = read_machine(order.machine), read_noise_model(NOISE_FILE)
+    make = FineMachine if order.fine else QuasiStaticMachine
+    return run_machine(machine, order.preset, seed, noise, VARIANTS[order.variant], order.again, make)

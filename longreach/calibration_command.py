@@ -1,0 +1,115 @@
+"""`longreach calibration ...`: show the local calibration, and export it for other programs."""
+
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import httpx
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from server.calibration.calibration_export import as_ros, as_yaml
+from server.calibration.calibration_file import CalibrationFileError, SavedCalibration, parse_calibration
+from server.calibration.calibration_life import observability_text
+
+app = typer.Typer(no_args_is_help=True)
+Url = Annotated[str, typer.Option(help="the server")]
+File = Annotated[Path | None, typer.Option("--file", help="a kept calibration.json instead of a server")]
+DEFAULT_URL = "http://127.0.0.1:8080"
+
+
+@app.command()
+def show(url: Url = DEFAULT_URL, file: File = None) -> None:
+    """What is known of the camera's mount and the local map: age, sigma, residual, where it holds."""
+    rows = _rows_of_file(_saved(file)) if file else _rows_of_server(_get(url, "").json())
+    table = Table(title="local calibration", title_justify="left", show_header=False)
+    for name, value in rows:
+        table.add_row(name, escape(value))
+    Console().print(table)
+
+
+@app.command()
+def export(
+    url: Url = DEFAULT_URL,
+    file: File = None,
+    form: Annotated[str, typer.Option("--format", help="yaml, or ros (static transform)")] = "yaml",
+    out: Annotated[Path | None, typer.Option("--out", help="file to write; standard output when absent")] = None,
+) -> None:
+    """Write the calibration as YAML or as ROS's static transform."""
+    if form not in ("yaml", "ros"):
+        raise typer.BadParameter(f"format is {form!r}; give yaml or ros")
+    text = _export_of_file(_saved(file), form) if file else _get(url, f"/export?format={form}").text
+    if out is None:
+        print(text, end="")
+        return
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        _complain(f"{out}: {error.strerror}; give a file that can be written")
+
+
+def _saved(file: Path) -> SavedCalibration:
+    try:
+        return parse_calibration(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        _complain(f"{file}: {error.strerror}; give a calibration.json of longreach")
+    except (CalibrationFileError, UnicodeDecodeError) as error:
+        _complain(f"{file}: {error}")
+
+
+def _get(url: str, path: str) -> httpx.Response:
+    try:
+        answer = httpx.get(f"{url}/v1/calibration{path}", timeout=10.0)
+    except httpx.TransportError as error:
+        _complain(f"server {url} does not answer ({error}); start it with 'longreach serve', or give --file")
+    if answer.status_code != 200:
+        _complain(answer.json().get("detail", answer.text))
+    return answer
+
+
+def _complain(text: str) -> NoReturn:
+    Console(stderr=True).print(f"[bold red]longreach:[/] {escape(text)}", soft_wrap=True)
+    raise typer.Exit(2)
+
+
+def _rows_of_server(view: dict[str, Any]) -> list[tuple[str, str]]:
+    valid = "valid" if view["valid"] else "EXPIRED"
+    far = "" if view["distance_mm"] is None else f", the tool is {view['distance_mm']:.0f} mm away"
+    return [
+        ("state", f"{valid} {view['expiry_reason']}".strip()),
+        ("age", f"{(view['age_s'] or 0.0) / 60.0:.1f} min (limit {view['age_max_h']:g} h)"),
+        ("holds within", f"{view['radius_mm']:.0f} mm of where it was made{far}"),
+        *_common(view["sigma_deg"], view["from_nominal_deg"], view["residual_rms_mm"], view["n_used"]),
+        ("observability", view["observability_text"]),
+        ("clock offset", f"{view['time_offset_ms']:.0f} ms"),
+    ]
+
+
+def _rows_of_file(saved: SavedCalibration) -> list[tuple[str, str]]:
+    one = saved.calibration
+    sigma_deg = float(one.sigmas_rad[-1]) * 57.29577951
+    return [
+        ("state", one.slip or "as kept; whether it holds is for the server to say"),
+        ("holds within", f"{1e3 * one.expiry.radius_m:.0f} mm of where it was made"),
+        *_common(sigma_deg, one.from_nominal_deg, one.residual_rms_mm, one.n_used),
+        ("observability", observability_text(one)),
+        ("clock offset", f"{1e3 * one.time_offset_s:.0f} ms"),
+        ("paths", str(len(saved.runs))),
+    ]
+
+
+def _common(sigma_deg: float, from_nominal_deg: float, rms_mm: float, n_used: int) -> list[tuple[str, str]]:
+    return [
+        (
+            "camera rotation",
+            f"known to {sigma_deg:.2f} deg (one sigma), {from_nominal_deg:.1f} deg off the machine file",
+        ),
+        ("residual", f"{rms_mm:.2f} mm rms over {n_used} samples"),
+    ]
+
+
+def _export_of_file(saved: SavedCalibration, form: str) -> str:
+    one = saved.calibration
+    found = one.valid_at(one.made.t_unix_s, one.made.q, one.made.T_base_tcp)
+    return as_ros(one, found) if form == "ros" else as_yaml(one, found)

@@ -1,0 +1,245 @@
+"""Many parameter sets through the dynamic stages at once: from the sent reference, or from each stage's own input."""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.description import Machine
+from machine.effects import kernel
+from machine.effects.layout import JOINT_COLUMNS, MACHINE_COLUMNS, ParameterSets
+from machine.errors import MachineError
+from machine.rotations import Array
+
+STEP_MAX_S = 1e-3  # of the integration (the nominal model's definition)
+STEP_ANGLE_MAX = 0.8  # valve's angular frequency times step: stable to 1.2 at any damping below 1
+
+
+class DynamicStage(IntEnum):
+    """Stages of the kernel, in the order of the chain."""
+
+    LINK = kernel.LINK
+    CONTROLLER = kernel.CONTROLLER
+    ACTUATOR = kernel.ACTUATOR
+    JOINT = kernel.JOINT
+
+
+@dataclass(frozen=True, slots=True)
+class Actuators:
+    """Nominal joints: columns velocity gain [rad/s], valve frequency [rad/s], damping, kp [1/rad], PT-1 [s]; times."""
+
+    joints: Array
+    cycle_s: float
+    log_cycle_s: float
+    transport_delay_s: float
+
+    def __post_init__(self) -> None:
+        """Refuse wrong shapes, values, and a log cycle that is no multiple of the PLC's cycle."""
+        joints = np.array(self.joints, dtype=float, order="C")
+        if joints.ndim != 2 or joints.shape[1] != 5 or not np.isfinite(joints).all() or (joints[:, :3] <= 0).any():
+            raise MachineError(
+                f"actuators have shape {joints.shape}; give finite (n, 5), velocity gain and valve above 0"
+            )
+        joints.setflags(write=False)
+        object.__setattr__(self, "joints", joints)
+        if not (self.cycle_s > 0.0 and abs(self.log_cycle_s / self.cycle_s - self.decimate) < 1e-6):
+            raise MachineError(
+                f"plc.log_cycle_s = {self.log_cycle_s} s is no multiple of cycle_s = {self.cycle_s} s; give one"
+            )
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.joints.shape[0]
+
+    @property
+    def decimate(self) -> int:
+        """PLC cycles per logged row."""
+        return max(1, round(self.log_cycle_s / self.cycle_s))
+
+    @property
+    def substeps(self) -> int:
+        """Integration steps per PLC cycle."""
+        wn = float(self.joints[:, kernel.WN].max())
+        return int(np.ceil(max(self.cycle_s / STEP_MAX_S, self.cycle_s * wn / STEP_ANGLE_MAX) - 1e-9))
+
+
+def actuators_of(machine: Machine) -> Actuators:
+    """The nominal actuators of a machine."""
+    rows = [
+        (j.velocity_gain_rad_s, 2.0 * np.pi * j.valve_frequency_hz, j.valve_damping, j.kp_frac_per_rad, j.pt1_tau_s)
+        for j in machine.joints
+    ]
+    return Actuators(np.array(rows), machine.plc_cycle_s, machine.plc_log_cycle_s, machine.transport_delay_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """What a run is driven by. Rows of `ref`, `enc`, `u`, `latest` are PLC cycles; loads are per logged row.
+
+    `load`: gravity torque over the joint's reference torque, along the motion; `load_kg`: its change per kg at the tcp.
+    """
+
+    first: DynamicStage
+    cycles: int
+    sent: Array
+    latest: NDArray[np.int64]
+    ref: Array
+    enc: Array
+    u: Array
+    load: Array
+    load_kg: Array
+    enc_start: Array
+    u_start: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Traces:
+    """Logged rows of each set, (sets, rows, n): received reference, valve command, encoder, link side."""
+
+    ref: Array
+    u: Array
+    enc: Array
+    link: Array
+
+
+def drive_by_sent(
+    plant: Actuators,
+    t_sent_s: Array,
+    sent: Array,
+    t_start_s: float,
+    cycles: int,
+    loads: tuple[Array, Array] | None = None,
+) -> Drive:
+    """From the reference as sent.
+
+    Args:    t_sent_s: (m,) [s], rising, on the PLC's clock. sent: (m, n) [rad]. t_start_s: of the first PLC cycle.
+             loads: (load, load_kg), each (rows, n); zero without.
+    Model:   the PLC holds the last reference that arrived, latest[k] = last i with t_sent[i] <= t_k; the transport
+             delay shifts by PLC cycles, a part of a cycle by interpolation between two neighbours.
+    """
+    times = np.asarray(t_sent_s, dtype=float)
+    values = _table(sent, plant.n, "sent reference")
+    if times.shape != (len(values),) or len(times) == 0 or (np.diff(times) < 0).any():
+        raise MachineError(f"sent times have shape {times.shape} for {len(values)} references; give one each, rising")
+    t_cycles = t_start_s + plant.cycle_s * np.arange(cycles)
+    latest = np.maximum(np.searchsorted(times, t_cycles + 1e-9, side="right") - 1, 0).astype(np.int64)
+    none = np.zeros((0, plant.n))
+    start = values[latest[0]].copy()
+    zero = np.zeros(plant.n)
+    return Drive(
+        DynamicStage.LINK, cycles, values, latest, none, none, none, *_loads(plant, cycles, loads), start, zero
+    )
+
+
+def drive_controller(plant: Actuators, ref: Array, enc: Array, u_start: Array, fine: bool = False) -> Drive:
+    """From received reference and encoders, logged rows (rows, n) [rad]; `u_start`: first valve command (n,).
+
+    `fine`: the rows are PLC cycles already.
+    """
+    ref_cycles, enc_cycles = _cycles(plant, ref, fine), _cycles(plant, enc, fine)
+    if ref_cycles.shape != enc_cycles.shape:
+        raise MachineError(f"references {np.shape(ref)} and encoders {np.shape(enc)} differ in shape; give equal rows")
+    cycles = len(ref_cycles)
+    none, nothing = np.zeros((0, plant.n)), np.zeros(0, np.int64)
+    loads = _loads(plant, cycles, None)
+    first = enc_cycles[0].copy()
+    start = np.array(u_start, dtype=float)
+    return Drive(DynamicStage.CONTROLLER, cycles, none, nothing, ref_cycles, enc_cycles, none, *loads, first, start)
+
+
+def drive_actuator(
+    plant: Actuators, u: Array, enc_start: Array, loads: tuple[Array, Array] | None = None, fine: bool = False
+) -> Drive:
+    """From the valve commands, logged rows (rows, n), and where the encoders stood (n,) [rad].
+
+    `fine`: the rows are PLC cycles already; loads stay logged rows.
+    """
+    u_cycles = _cycles(plant, u, fine)
+    none, nothing = np.zeros((0, plant.n)), np.zeros(0, np.int64)
+    both = _loads(plant, len(u_cycles), loads)
+    start = np.array(enc_start, dtype=float)
+    first = u_cycles[0].copy()
+    return Drive(DynamicStage.ACTUATOR, len(u_cycles), none, nothing, none, none, u_cycles, *both, start, first)
+
+
+def drive_joint(plant: Actuators, enc: Array) -> Drive:
+    """From the encoders, logged rows (rows, n) [rad]."""
+    cycles = at_cycles(plant, enc)
+    none, nothing = np.zeros((0, plant.n)), np.zeros(0, np.int64)
+    loads = _loads(plant, len(cycles), None)
+    start, zero = cycles[0].copy(), np.zeros(plant.n)
+    return Drive(DynamicStage.JOINT, len(cycles), none, nothing, none, cycles, none, *loads, start, zero)
+
+
+def simulate(plant: Actuators, sets: ParameterSets, drive: Drive, last: DynamicStage = DynamicStage.JOINT) -> Traces:
+    """Every set from the drive's stage to `last`.
+
+    Returns: logged rows (sets, rows, n), row r at PLC cycle r * decimate. Stages that did not run repeat their input.
+    Raises:  MachineError: shapes do not fit.
+    """
+    n = plant.n
+    if sets.joint.shape[1:] != (n, JOINT_COLUMNS) or sets.machine.shape != (sets.sets, MACHINE_COLUMNS):
+        raise MachineError(f"parameters have shapes {sets.joint.shape}, {sets.machine.shape}; the plant has {n} joints")
+    if last < drive.first:
+        raise MachineError(f"a run cannot begin at stage {drive.first.name} and end at {last.name}; swap them")
+    rows = (drive.cycles - 1) // plant.decimate + 1
+    traces = Traces(*(np.empty((sets.sets, rows, n)) for _ in range(4)))
+    kernel.run(
+        int(drive.first),
+        int(last),
+        sets.joint,
+        sets.machine,
+        plant.joints,
+        plant.cycle_s,
+        plant.substeps,
+        plant.decimate,
+        plant.transport_delay_s,
+        drive.sent,
+        drive.latest,
+        drive.ref,
+        drive.enc,
+        drive.u,
+        drive.load,
+        drive.load_kg,
+        drive.enc_start,
+        drive.u_start,
+        traces.ref,
+        traces.u,
+        traces.enc,
+        traces.link,
+    )
+    return traces
+
+
+def _cycles(plant: Actuators, rows: Array, fine: bool) -> Array:
+    return _table(rows, plant.n, "PLC cycles") if fine else at_cycles(plant, rows)
+
+
+def at_cycles(plant: Actuators, logged: Array) -> Array:
+    """Logged rows (rows, n) at every PLC cycle, linear in between; ((rows - 1) decimate + 1, n)."""
+    values = _table(logged, plant.n, "logged rows")
+    if plant.decimate == 1:
+        return values
+    cycles = np.arange((len(values) - 1) * plant.decimate + 1)
+    row, part = cycles // plant.decimate, (cycles % plant.decimate) / plant.decimate
+    following = values[np.minimum(row + 1, len(values) - 1)]
+    return np.ascontiguousarray(values[row] + part[:, None] * (following - values[row]))
+
+
+def _table(values: Array, n: int, subject: str) -> Array:
+    table = np.array(values, dtype=float, order="C")
+    if table.ndim != 2 or table.shape[1] != n or len(table) == 0 or not np.isfinite(table).all():
+        raise MachineError(f"{subject} have shape {table.shape}; give finite (rows, {n}), at least one row")
+    return table
+
+
+def _loads(plant: Actuators, cycles: int, loads: tuple[Array, Array] | None) -> tuple[Array, Array]:
+    rows = (cycles - 1) // plant.decimate + 1
+    if loads is None:
+        return np.zeros((rows, plant.n)), np.zeros((rows, plant.n))
+    load, load_kg = (_table(values, plant.n, "loads") for values in loads)
+    if load.shape != (rows, plant.n) or load_kg.shape != load.shape:
+        raise MachineError(f"loads have shapes {load.shape}, {load_kg.shape}; the run has {rows} logged rows")
+    return load, load_kg

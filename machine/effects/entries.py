@@ -1,0 +1,198 @@
+"""`[[effect]]` entries of a machine file: read with clear errors, written back, and packed for the kernel."""
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.effects.layout import ParameterSets, column_of, neutral_sets
+from machine.effects.registry import NAMES, effect_named
+from machine.effects.spec import Effect, Parameter
+from machine.errors import MachineFileError
+
+Vector = tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectEntry:
+    """One effect that is present: on joint `joint` (1-based) or, None, on the machine.
+
+    `values`: parameter name and value, sizes and shapes. `option`: of the effect's choice. `direction`: unit vector.
+    """
+
+    name: str
+    joint: int | None
+    values: tuple[tuple[str, float], ...]
+    option: str = ""
+    direction: Vector = ()
+
+    def value(self, name: str) -> float:
+        """A parameter's value."""
+        return dict(self.values)[name]
+
+
+def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
+    """The effects of a machine file's `effect` list, as `tomllib` gives it (None: no list).
+
+    Raises: MachineFileError: unknown name (with the nearest ones), joint or parameter; value out of bounds.
+    """
+    if tables is None:
+        return ()
+    if not isinstance(tables, list):
+        raise MachineFileError(f"effect = {tables!r} is not a list; write each effect as its own [[effect]] table")
+    return tuple(_entry(table, n_joints, f"effect {number}") for number, table in enumerate(tables, start=1))
+
+
+def _entry(table: object, n_joints: int, where: str) -> EffectEntry:
+    if not isinstance(table, dict):
+        raise MachineFileError(f"{where} is not a table; write [[effect]] with name, joint and parameters")
+    unknown = sorted(set(table) - {"name", "joint", "parameters"})
+    if unknown:
+        raise MachineFileError(f"{where}: unknown key {unknown[0]!r}; an effect has name, joint and parameters")
+    name = table.get("name")
+    effect = effect_named(name) if isinstance(name, str) else None
+    if effect is None:
+        raise MachineFileError(f"{where}: name = {name!r} is not in the catalogue{_nearest(name, NAMES)}")
+    where = f"{where} ({effect.name})"
+    joint = _joint(effect, table.get("joint"), n_joints, where)
+    parameters = table.get("parameters", {})
+    if not isinstance(parameters, dict):
+        raise MachineFileError(
+            f"{where}: parameters = {parameters!r} is not a table; write {{ {effect.size.name} = ... }}"
+        )
+    return make_entry(effect, joint, parameters, where)
+
+
+def _nearest(name: object, known: Iterable[str]) -> str:
+    close = difflib.get_close_matches(str(name), list(known), n=3, cutoff=0.4)
+    return f"; nearest: {', '.join(close)}" if close else f"; it knows {', '.join(known)}"
+
+
+def _joint(effect: Effect, joint: object, n_joints: int, where: str) -> int | None:
+    if effect.scope == "machine":
+        if joint is not None:
+            raise MachineFileError(f"{where}: joint = {joint!r}, but it belongs to the whole machine; leave joint out")
+        return None
+    if isinstance(joint, bool) or not isinstance(joint, int) or not 1 <= joint <= n_joints:
+        raise MachineFileError(
+            f"{where}: joint = {joint!r}; give a whole number 1 .. {n_joints}, counted from the base"
+        )
+    return joint
+
+
+def make_entry(effect: Effect, joint: int | None, parameters: Mapping[str, object], where: str = "") -> EffectEntry:
+    """An entry from parameters by name; shapes may be left out.
+
+    Raises: MachineFileError: a parameter is unknown, missing, not a number or out of bounds.
+    """
+    where = where or effect.name
+    words = [one.name for one in (effect.choice, effect.direction) if one is not None]
+    names = [parameter.name for parameter in effect.parameters]
+    for given in parameters:
+        if given not in names and given not in words:
+            raise MachineFileError(f"{where}: unknown parameter {given!r}{_nearest(given, names + words)}")
+    if effect.size.name not in parameters:
+        raise MachineFileError(f"{where}: {effect.size.name} is missing [{effect.size.unit}]; it says how large it is")
+    values = tuple((one.name, _number(one, parameters.get(one.name, one.neutral), where)) for one in effect.parameters)
+    return EffectEntry(
+        effect.name, joint, values, _option(effect, parameters, where), _direction(effect, parameters, where)
+    )
+
+
+def _number(parameter: Parameter, value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        raise MachineFileError(f"{where}: {parameter.name} = {value!r} is not a number [{parameter.unit}]")
+    if not parameter.contains(float(value)):
+        whole = "whole numbers " if parameter.integer else ""
+        neutral = (
+            f" (neutral {parameter.neutral:g})" if not parameter.low <= parameter.neutral <= parameter.high else ""
+        )
+        raise MachineFileError(
+            f"{where}: {parameter.name} = {value:g} is outside {whole}{parameter.low:g} .. {parameter.high:g}{neutral} "
+            f"[{parameter.unit}]; {parameter.meaning}"
+        )
+    return float(value)
+
+
+def _option(effect: Effect, parameters: Mapping[str, object], where: str) -> str:
+    if effect.choice is None:
+        return ""
+    given = parameters.get(effect.choice.name, effect.choice.options[0])
+    if given not in effect.choice.options:
+        options = " or ".join(repr(option) for option in effect.choice.options)
+        raise MachineFileError(f"{where}: {effect.choice.name} = {given!r}; give {options}: {effect.choice.meaning}")
+    return str(given)
+
+
+def _direction(effect: Effect, parameters: Mapping[str, object], where: str) -> Vector:
+    if effect.direction is None:
+        return ()
+    dims, name = len(effect.direction.default), effect.direction.name
+    given = parameters.get(name, effect.direction.default)
+    numbers = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else []
+    good = len(numbers) == dims and all(isinstance(x, int | float) for x in numbers)
+    vector = np.array(numbers, dtype=float) if good else np.zeros(dims)
+    length = float(np.linalg.norm(vector))
+    if not (math.isfinite(length) and length > 1e-9):
+        raise MachineFileError(
+            f"{where}: {name} = {given!r}; give {dims} numbers, not all 0, in {effect.direction.frame} axes"
+        )
+    return tuple(float(x) for x in vector / length)
+
+
+def entries_to_toml(entries: Iterable[EffectEntry]) -> str:
+    """`[[effect]]` tables that `parse_entries` reads back to the same entries."""
+    return "".join(_toml(entry) for entry in entries)
+
+
+def _toml(entry: EffectEntry) -> str:
+    effect = _known(entry)
+    pairs = [f"{name} = {_toml_number(effect, name, value)}" for name, value in entry.values]
+    if effect.choice is not None:
+        pairs.append(f'{effect.choice.name} = "{entry.option}"')
+    if effect.direction is not None:
+        pairs.append(f"{effect.direction.name} = [{', '.join(repr(x) for x in entry.direction)}]")
+    joint = f"joint = {entry.joint}\n" if entry.joint is not None else ""
+    return f'\n[[effect]]\nname = "{entry.name}"\n{joint}parameters = {{ {", ".join(pairs)} }}\n'
+
+
+def _toml_number(effect: Effect, name: str, value: float) -> str:
+    parameter = effect.parameter(name)
+    return str(int(value)) if parameter is not None and parameter.integer else repr(float(value))  # inf is TOML's too
+
+
+def _known(entry: EffectEntry) -> Effect:
+    effect = effect_named(entry.name)
+    if effect is None:
+        raise MachineFileError(f"effect {entry.name!r} is not in the catalogue{_nearest(entry.name, NAMES)}")
+    return effect
+
+
+def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
+    """One parameter set with these effects; several entries of one effect and joint add up.
+
+    Model: sizes with neutral 0 add, limits (neutral 1 or inf) take the smaller one, shapes take the last one given.
+    """
+    packed = neutral_sets(n_joints)
+    for entry in entries:
+        effect = _known(entry)
+        for name, value in entry.values:
+            parameter = effect.parameter(name)
+            if parameter is not None:
+                _put(packed, entry, effect, parameter, value)
+    return packed
+
+
+def _put(packed: ParameterSets, entry: EffectEntry, effect: Effect, parameter: Parameter, value: float) -> None:
+    column = column_of(effect, parameter.name, entry.option)
+    row = packed.machine[0] if entry.joint is None else packed.joint[0, entry.joint - 1]
+    if effect.direction is not None:
+        row[column : column + len(entry.direction)] += value * np.array(entry.direction)
+    elif parameter.role == "shape":
+        row[column] = value
+    elif parameter.neutral == 0.0:
+        row[column] += value
+    else:
+        row[column] = min(row[column], value)

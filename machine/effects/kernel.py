@@ -1,0 +1,231 @@
+"""One compiled kernel with every dynamic term of link, controller, actuator and joint, switched by values alone.
+
+Each term is an exact identity at its neutral value, so that the nominal model comes out bit by bit. The fixed order is
+delay and loss, rounding, rate limit | controller, its lag, its clip | valve hysteresis, lag, nominal spool, dead band,
+flow and load, stiction, pump sharing, leakage | encoder | backlash, flexibility. Columns of the parameter arrays are
+constants of this file, since a compiled cache sees changes of its own file only.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from machine.rotations import Array
+
+# Columns of the joints' parameters (sets, joints, JOINT_COLUMNS).
+STEP, RATE, KP_GAIN, PT1_LAG, U_LIMIT = 0, 1, 2, 3, 4
+HYSTERESIS, LAG, DEADBAND, FLOW, ASYMMETRY, DROOP, LEAK, BREAKAWAY = 5, 6, 7, 8, 9, 10, 11, 12
+BIAS, SCALE, ECC_AMPLITUDE, ECC_ORDER, ECC_PHASE = 13, 14, 15, 16, 17
+BACKLASH, FLEX_GAIN, FLEX_HZ, FLEX_DAMPING = 18, 19, 20, 21
+# Columns of the machine's parameters (sets, MACHINE_COLUMNS).
+DELAY, LOSS, FLOW_LIMIT, PAYLOAD = 0, 1, 2, 3
+# Columns of the nominal actuators (joints, 5).
+KV, WN, ZETA, KP, TAU = 0, 1, 2, 3, 4
+# Stages that a run begins and ends with.
+LINK, CONTROLLER, ACTUATOR, JOINT = 0, 1, 2, 3
+
+RESTICK_SHARE = 0.2  # of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
+LOSS_STREAM = 0x7061636B65745F6C  # "packet_l": the stream of packet_loss
+
+
+@njit(cache=True, inline="always")
+def _uniform(i: int, seed: int) -> float:
+    """Counter-based uniform number in 0..1 (splitmix64): the same for the same datagram, whatever else is drawn."""
+    z = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(seed)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return float(z >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+@njit(cache=True)
+def _kept(m: int, loss: float, seed: int) -> NDArray[np.int64]:
+    """Index of the last datagram that arrived, for each sent one; the first always arrives."""
+    kept = np.zeros(m, np.int64)
+    for i in range(1, m):
+        kept[i] = kept[i - 1] if _uniform(i, seed) < loss else i
+    return kept
+
+
+@njit(cache=True, inline="always")
+def _play(x: float, y: float, half: float) -> float:
+    """Play operator: y follows x at a distance of at most `half`."""
+    if x - y > half:
+        return x - half
+    if y - x > half:
+        return x + half
+    return y
+
+
+@njit(cache=True, inline="always")
+def _encoder(q: float, p: Array) -> float:
+    wave = p[ECC_AMPLITUDE] * np.sin(p[ECC_ORDER] * q + p[ECC_PHASE]) if p[ECC_AMPLITUDE] != 0.0 else 0.0
+    return q * (1.0 + p[SCALE]) + p[BIAS] + wave
+
+
+@njit(cache=True)
+def _true_angle(encoder: float, p: Array) -> float:
+    """The angle that an encoder reading stands for; fixed point, contraction below 0.14 inside the bounds."""
+    if p[ECC_AMPLITUDE] == 0.0:
+        return (encoder - p[BIAS]) / (1.0 + p[SCALE])
+    q = encoder
+    for _ in range(16):
+        q = (encoder - p[BIAS] - p[ECC_AMPLITUDE] * np.sin(p[ECC_ORDER] * q + p[ECC_PHASE])) / (1.0 + p[SCALE])
+    return q
+
+
+@njit(cache=True, inline="always")
+def _share(dt: float, tau: float) -> float:
+    """Share of the way that a first-order lag goes in dt under a held input; 1 without lag."""
+    return 1.0 - np.exp(-dt / tau) if tau > 0.0 else 1.0
+
+
+@njit(cache=True)
+def _swing(w: float, damping: float, dt: float, out: Array) -> None:
+    """Free motion of an underdamped oscillator over dt, exactly: (b, b') -> out (2, 2, row by row) times (b, b')."""
+    wd = w * np.sqrt(1.0 - damping * damping)
+    fade, c, s = np.exp(-damping * w * dt), np.cos(wd * dt), np.sin(wd * dt)
+    out[0], out[1] = fade * (c + damping * w / wd * s), fade * s / wd
+    out[2], out[3] = -fade * w * w / wd * s, fade * (c - damping * w / wd * s)
+
+
+@njit(cache=True, inline="always")
+def _flow(x: float, inverse_span: float, gain_up: float, gain_down: float, p: Array, load: float) -> float:
+    """Speed of a spool opening: dead band, flow gain by sign, droop by load."""
+    opening = abs(x) - p[DEADBAND]
+    if opening <= 0.0:
+        return 0.0
+    droop = max(1.0 + p[DROOP] * load, 0.0) if x > 0.0 else max(1.0 - p[DROOP] * load, 0.0)
+    return opening * inverse_span * gain_up * droop if x > 0.0 else -opening * inverse_span * gain_down * droop
+
+
+@njit(cache=True, nogil=True)
+def run(
+    first: int,
+    last: int,
+    joint: Array,
+    machine: Array,
+    nominal: Array,
+    cycle_s: float,
+    substeps: int,
+    decimate: int,
+    delay_s: float,
+    sent: Array,
+    latest: NDArray[np.int64],
+    ref_in: Array,
+    enc_in: Array,
+    u_in: Array,
+    load: Array,
+    load_kg: Array,
+    enc_start: Array,
+    u_start: Array,
+    ref_out: Array,
+    u_out: Array,
+    enc_out: Array,
+    link_out: Array,
+) -> None:
+    """Run stages `first`..`last` of every parameter set over the PLC's cycles; see `machine.effects.dynamics`."""
+    sets, n = joint.shape[0], joint.shape[1]
+    cycles = max(latest.shape[0], ref_in.shape[0], u_in.shape[0], enc_in.shape[0])
+    dt = cycle_s / substeps
+    ref, lagged, u = np.zeros(n), np.zeros(n), np.zeros(n)
+    play, slow, spool, spool_d, speed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    moving, q, enc = np.zeros(n), np.zeros(n), np.zeros(n)
+    side, side_d, bend, bend_d = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    pt1, slow_share, span = np.zeros(n), np.zeros(n), np.zeros(n)
+    up, down, swing = np.zeros(n), np.zeros(n), np.zeros((n, 4))
+    for s in range(sets):
+        P, G = joint[s], machine[s]
+        whole, part = 0, 0.0
+        kept = np.zeros(0, np.int64)
+        if first == LINK:
+            kept = _kept(sent.shape[0], G[LOSS], LOSS_STREAM)
+            delay = (delay_s + G[DELAY]) / cycle_s
+            whole = int(np.floor(delay + 1e-9))
+            part = delay - whole if delay - whole > 1e-9 else 0.0
+        for j in range(n):
+            tau = nominal[j, TAU] * (1.0 + P[j, PT1_LAG])
+            pt1[j] = _share(cycle_s, tau)
+            slow_share[j] = _share(dt, P[j, LAG])
+            span[j] = 1.0 / (1.0 - P[j, DEADBAND])
+            down[j] = nominal[j, KV] * (1.0 + P[j, FLOW])
+            up[j] = down[j] * (1.0 + P[j, ASYMMETRY])
+            _swing(2.0 * np.pi * P[j, FLEX_HZ], P[j, FLEX_DAMPING], cycle_s, swing[j])
+            ref[j] = sent[kept[latest[0]], j] if first == LINK else enc_start[j]
+            enc[j] = enc_start[j]
+            q[j] = _true_angle(enc_start[j], P[j])
+            lagged[j] = u[j] = play[j] = slow[j] = spool[j] = u_start[j]
+            spool_d[j] = moving[j] = side_d[j] = bend[j] = bend_d[j] = 0.0
+            side[j] = q[j]
+        for k in range(cycles):
+            row = k // decimate
+            logged = row * decimate == k
+            if first == LINK:
+                a = kept[latest[max(k - whole, 0)]]
+                b = kept[latest[max(k - whole - 1, 0)]]
+                for j in range(n):
+                    target = sent[a, j]
+                    if part > 0.0:
+                        target = (1.0 - part) * target + part * sent[b, j]
+                    if P[j, STEP] > 0.0:
+                        target = np.round(target / P[j, STEP]) * P[j, STEP]
+                    most = P[j, RATE] * cycle_s
+                    if target - ref[j] > most:
+                        ref[j] += most
+                    elif ref[j] - target > most:
+                        ref[j] -= most
+                    else:
+                        ref[j] = target
+            elif first == CONTROLLER:
+                for j in range(n):
+                    ref[j] = ref_in[k, j]
+            if first <= CONTROLLER and last >= CONTROLLER:
+                for j in range(n):
+                    enc[j] = _encoder(q[j], P[j]) if last >= ACTUATOR else enc_in[k, j]
+                    wanted = nominal[j, KP] * (1.0 + P[j, KP_GAIN]) * (ref[j] - enc[j])
+                    lagged[j] += pt1[j] * (wanted - lagged[j])
+                    u[j] = min(max(lagged[j], -P[j, U_LIMIT]), P[j, U_LIMIT])
+            elif first == ACTUATOR:
+                for j in range(n):
+                    u[j] = min(max(u_in[k, j], -1.0), 1.0)
+                    enc[j] = _encoder(q[j], P[j])
+            if last == JOINT:
+                for j in range(n):
+                    if first == JOINT:
+                        q[j] = _true_angle(enc_in[k, j], P[j])
+                    before, before_d = side[j], side_d[j]
+                    side[j] = _play(q[j], before, 0.5 * P[j, BACKLASH])
+                    side_d[j] = (side[j] - before) / cycle_s
+                    kicked = bend_d[j] - P[j, FLEX_GAIN] * (side_d[j] - before_d)
+                    bend_d[j] = swing[j, 2] * bend[j] + swing[j, 3] * kicked
+                    bend[j] = swing[j, 0] * bend[j] + swing[j, 1] * kicked
+            if logged:
+                for j in range(n):
+                    ref_out[s, row, j] = ref[j]
+                    u_out[s, row, j] = u[j]
+                    enc_out[s, row, j] = enc[j]
+                    link_out[s, row, j] = side[j] + bend[j]
+            if first <= ACTUATOR and last >= ACTUATOR:
+                for _ in range(substeps):
+                    total = 0.0
+                    for j in range(n):
+                        play[j] = _play(u[j], play[j], P[j, HYSTERESIS])
+                        if slow_share[j] == 1.0:
+                            slow[j] = play[j]
+                        else:
+                            slow[j] += slow_share[j] * (play[j] - slow[j])
+                        wn = nominal[j, WN]
+                        spool_d[j] += dt * (wn * wn * (slow[j] - spool[j]) - 2.0 * nominal[j, ZETA] * wn * spool_d[j])
+                        spool[j] += dt * spool_d[j]
+                        x = spool[j]
+                        if moving[j] != 0.0 and (x * moving[j] <= 0.0 or abs(x) <= RESTICK_SHARE * P[j, BREAKAWAY]):
+                            moving[j] = 0.0
+                        if moving[j] == 0.0 and abs(x) > P[j, BREAKAWAY]:
+                            moving[j] = 1.0 if x > 0.0 else -1.0
+                        pull = load[row, j] + G[PAYLOAD] * load_kg[row, j]
+                        speed[j] = _flow(x, span[j], up[j], down[j], P[j], pull) if moving[j] != 0.0 else 0.0
+                        total += abs(speed[j]) / nominal[j, KV]
+                    served = G[FLOW_LIMIT] / total if total > G[FLOW_LIMIT] else 1.0
+                    for j in range(n):
+                        pull = load[row, j] + G[PAYLOAD] * load_kg[row, j]
+                        q[j] += dt * (speed[j] * served + P[j, LEAK] * pull)

@@ -1,0 +1,174 @@
+"""Where each effect's parameters stand in the arrays of the kernel and of the static maps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.effects import kernel
+from machine.effects.registry import EFFECTS, effect_named
+from machine.effects.spec import Effect, Scope
+from machine.errors import MachineError
+from machine.rotations import Array
+
+# Columns behind the kernel's own, used by structure, camera and clocks.
+SAG, LENGTH_A, LENGTH_D, TILT_X, TILT_Y = 22, 23, 24, 25, 26
+JOINT_COLUMNS = 27
+CLOCK_OFFSET, CLOCK_RATE_PPM, BASE_TILT, BASE_COMPLIANCE = 4, 5, slice(6, 9), 9
+FOCAL, PRINCIPAL, K1, MARKER_SIZE = 10, slice(11, 13), 13, 14
+HAND_EYE_ROTATION, HAND_EYE_TRANSLATION, STEREO = slice(15, 18), slice(18, 21), slice(21, 24)
+LATENCY, READOUT, ODOMETRY_SCALE = 24, 25, 26
+MACHINE_COLUMNS = 27
+
+# (effect, parameter, option or "") -> column; a direction's size stands in as many columns as the vector has.
+_JOINT: dict[tuple[str, str, str], int] = {
+    ("reference_quantisation", "step_rad", ""): kernel.STEP,
+    ("reference_rate_limit", "rate_rad_s", ""): kernel.RATE,
+    ("controller_gain_error", "gain_frac", ""): kernel.KP_GAIN,
+    ("controller_lag_error", "lag_frac", ""): kernel.PT1_LAG,
+    ("controller_saturation", "limit_frac", ""): kernel.U_LIMIT,
+    ("valve_hysteresis", "half_width_frac", ""): kernel.HYSTERESIS,
+    ("valve_lag", "time_constant_s", ""): kernel.LAG,
+    ("valve_deadband", "half_width_frac", ""): kernel.DEADBAND,
+    ("flow_gain_error", "gain_frac", ""): kernel.FLOW,
+    ("valve_asymmetry", "gain_frac", ""): kernel.ASYMMETRY,
+    ("load_droop", "droop_frac", ""): kernel.DROOP,
+    ("internal_leakage", "drift_rad_s", ""): kernel.LEAK,
+    ("stiction", "breakaway_frac", ""): kernel.BREAKAWAY,
+    ("encoder_bias", "bias_rad", ""): kernel.BIAS,
+    ("encoder_scale", "scale_frac", ""): kernel.SCALE,
+    ("encoder_eccentricity", "amplitude_rad", ""): kernel.ECC_AMPLITUDE,
+    ("encoder_eccentricity", "order", ""): kernel.ECC_ORDER,
+    ("encoder_eccentricity", "phase_rad", ""): kernel.ECC_PHASE,
+    ("backlash", "width_rad", ""): kernel.BACKLASH,
+    ("link_flexibility", "gain", ""): kernel.FLEX_GAIN,
+    ("link_flexibility", "frequency_hz", ""): kernel.FLEX_HZ,
+    ("link_flexibility", "damping", ""): kernel.FLEX_DAMPING,
+    ("gravity_sag", "compliance_rad_nm", ""): SAG,
+    ("link_length_error", "error_m", "a"): LENGTH_A,
+    ("link_length_error", "error_m", "d"): LENGTH_D,
+    ("joint_axis_tilt", "tilt_rad", "x"): TILT_X,
+    ("joint_axis_tilt", "tilt_rad", "y"): TILT_Y,
+}
+_MACHINE: dict[tuple[str, str], int] = {
+    ("transport_delay", "delay_s"): kernel.DELAY,
+    ("packet_loss", "loss_frac"): kernel.LOSS,
+    ("supply_droop", "flow_limit_frac"): kernel.FLOW_LIMIT,
+    ("payload_error", "mass_kg"): kernel.PAYLOAD,
+    ("clock_offset", "offset_s"): CLOCK_OFFSET,
+    ("clock_drift", "rate_ppm"): CLOCK_RATE_PPM,
+    ("base_tilt", "tilt_rad"): BASE_TILT.start,
+    ("base_compliance", "compliance_rad_nm"): BASE_COMPLIANCE,
+    ("focal_length_error", "scale_frac"): FOCAL,
+    ("principal_point_error", "shift_px"): PRINCIPAL.start,
+    ("lens_distortion", "k1"): K1,
+    ("marker_size_error", "scale_frac"): MARKER_SIZE,
+    ("hand_eye_rotation", "angle_rad"): HAND_EYE_ROTATION.start,
+    ("hand_eye_translation", "distance_m"): HAND_EYE_TRANSLATION.start,
+    ("stereo_misalignment", "angle_rad"): STEREO.start,
+    ("camera_latency", "latency_s"): LATENCY,
+    ("rolling_shutter", "readout_s"): READOUT,
+    ("odometry_scale", "scale_frac"): ODOMETRY_SCALE,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Slot:
+    """One number that a fit may move: where it stands, its bounds, neutral, and a step that it feels.
+
+    `index`: 0 for plain numbers, else the component of a direction's vector. `joint`: 1-based, None for the machine.
+    """
+
+    effect: str
+    parameter: str
+    joint: int | None
+    option: str
+    scope: Scope
+    column: int
+    low: float
+    high: float
+    neutral: float
+    start: float
+    index: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSets:
+    """Parameters of many sets: joints (sets, n, JOINT_COLUMNS), machine (sets, MACHINE_COLUMNS). Written in place."""
+
+    joint: Array
+    machine: Array
+
+    @property
+    def sets(self) -> int:
+        """Number of parameter sets."""
+        return self.joint.shape[0]
+
+    def put(self, slot: Slot, values: float | Array, sets: slice | int | NDArray[np.int64] = slice(None)) -> None:
+        """Write one number into some sets (all without `sets`)."""
+        if slot.joint is None:
+            self.machine[sets, slot.column] = values
+        else:
+            self.joint[sets, slot.joint - 1, slot.column] = values
+
+    def get(self, slot: Slot, which: int = 0) -> float:
+        """Read one number of one set."""
+        if slot.joint is None:
+            return float(self.machine[which, slot.column])
+        return float(self.joint[which, slot.joint - 1, slot.column])
+
+    def repeated(self, sets: int) -> "ParameterSets":
+        """This single set, `sets` times, to be written on."""
+        if self.sets != 1:
+            raise MachineError(f"parameters hold {self.sets} sets; give one to repeat")
+        return ParameterSets(np.repeat(self.joint, sets, axis=0), np.repeat(self.machine, sets, axis=0))
+
+
+def neutral_sets(n_joints: int, sets: int = 1) -> ParameterSets:
+    """Every effect at neutral."""
+    joint, machine = np.zeros((sets, n_joints, JOINT_COLUMNS)), np.zeros((sets, MACHINE_COLUMNS))
+    for effect in EFFECTS:
+        for parameter in effect.parameters:
+            for column in _columns(effect, parameter.name):
+                (machine if effect.scope == "machine" else joint)[..., column] = parameter.neutral
+    return ParameterSets(joint, machine)
+
+
+def _columns(effect: Effect, parameter: str) -> list[int]:
+    if effect.scope == "machine":
+        first = _MACHINE[effect.name, parameter]
+        return list(range(first, first + (len(effect.direction.default) if effect.direction else 1)))
+    options = effect.choice.options if effect.choice else ("",)
+    return [_JOINT[effect.name, parameter, option] for option in options]
+
+
+def column_of(effect: Effect, parameter: str, option: str = "") -> int:
+    """The (first) column of a parameter."""
+    if effect.scope == "machine":
+        return _MACHINE[effect.name, parameter]
+    return _JOINT[effect.name, parameter, option]
+
+
+def slots_of(name: str, joint: int | None, option: str = "") -> tuple[Slot, ...]:
+    """What a fit moves for one effect, sizes before shapes; a direction gives one number per component.
+
+    Raises: MachineError: no such effect, or a joint where none belongs (or none where one does).
+    """
+    effect = effect_named(name)
+    if effect is None:
+        raise MachineError(f"effect {name!r} is not in the catalogue; see machine/effects/registry.py")
+    if (joint is None) != (effect.scope == "machine"):
+        raise MachineError(f"effect {name}: joint = {joint}; it belongs to {'the machine' if joint else 'one joint'}")
+    option = option or (effect.choice.options[0] if effect.choice else "")
+    slots: list[Slot] = []
+    for parameter in sorted(effect.parameters, key=lambda one: one.role != "size"):
+        column = column_of(effect, parameter.name, option)
+        bounds = (parameter.low, parameter.high, parameter.neutral)
+        if effect.direction is None:
+            slots.append(Slot(name, parameter.name, joint, option, effect.scope, column, *bounds, parameter.start))
+            continue
+        for index, along in enumerate(effect.direction.default):
+            around = (-parameter.high, parameter.high, 0.0)
+            start = parameter.start if along else 0.3 * parameter.start
+            slots.append(Slot(name, parameter.name, None, "", "machine", column + index, *around, start, index))
+    return tuple(slots)

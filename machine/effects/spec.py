@@ -1,0 +1,113 @@
+"""What an effect is: its parameters with bounds, unit, neutral and prior, and what tells it from its neighbours."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Stage = Literal["time", "link", "controller", "actuator", "joint", "structure", "camera"]
+STAGES: tuple[Stage, ...] = ("time", "link", "controller", "actuator", "joint", "structure", "camera")
+Scope = Literal["joint", "machine"]
+PriorKind = Literal["half_normal", "normal", "log_uniform", "uniform"]
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """How likely a size is before any data: `scale` is the standard deviation of the normal kinds."""
+
+    kind: PriorKind
+    scale: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of an effect. Role "size": at `neutral` the effect vanishes exactly; "shape": only says how it looks.
+
+    `start`: where a fit begins, never at neutral, where thresholds have no slope. `low`..`high`: what is believable;
+    a fit that ends there means "larger than assumed".
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    start: float
+    prior: Prior
+    meaning: str
+    neutral: float = 0.0
+    role: Literal["size", "shape"] = "size"
+    integer: bool = False
+
+    def contains(self, value: float) -> bool:
+        """Whether a value lies inside the bounds; a size may also be neutral."""
+        inside = self.low <= value <= self.high and (not self.integer or value == round(value))
+        return inside or (self.role == "size" and value == self.neutral)
+
+    def log_prior(self, value: float) -> float:
+        """Log density at a value, bounds left out (half a normal is twice as dense)."""
+        if self.prior.kind == "log_uniform":
+            return -math.log(value * math.log(self.high / self.low)) if value > 0.0 else -math.inf
+        if self.prior.kind == "uniform":
+            return -math.log(self.high - self.low)
+        fold = math.log(2.0) if self.prior.kind == "half_normal" else 0.0
+        sd = self.prior.scale
+        return fold - 0.5 * (value / sd) ** 2 - math.log(sd * math.sqrt(2.0 * math.pi))
+
+    def draw(self, rng: np.random.Generator) -> float:
+        """A value from the prior, inside the bounds."""
+        if self.prior.kind == "log_uniform":
+            value = math.exp(rng.uniform(math.log(self.low), math.log(self.high)))
+        elif self.prior.kind == "uniform":
+            value = float(rng.uniform(self.low, self.high))
+        else:
+            drawn = float(rng.normal(0.0, self.prior.scale))
+            value = min(max(abs(drawn) if self.prior.kind == "half_normal" else drawn, self.low), self.high)
+        return float(round(value)) if self.integer else value
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """A word that says which of two quantities the size belongs to (a or d; about x or y)."""
+
+    name: str
+    options: tuple[str, ...]
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Direction:
+    """The unit vector that a size is measured along or about. In a fit size and direction are one plain vector."""
+
+    name: str
+    default: tuple[float, ...]
+    frame: str
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """One entry of the catalogue. `looks_like`, `told_apart_by`: for the report; `source`: where it comes from."""
+
+    name: str
+    stage: Stage
+    scope: Scope
+    parameters: tuple[Parameter, ...]
+    looks_like: str
+    told_apart_by: str
+    source: str
+    choice: Choice | None = None
+    direction: Direction | None = None
+
+    def parameter(self, name: str) -> Parameter | None:
+        """The parameter of this name; None if there is none."""
+        return next((one for one in self.parameters if one.name == name), None)
+
+    @property
+    def size(self) -> Parameter:
+        """The parameter that makes the effect vanish at neutral."""
+        return next(one for one in self.parameters if one.role == "size")
+
+    @property
+    def shapes(self) -> tuple[Parameter, ...]:
+        """The parameters that mean nothing while the size is neutral."""
+        return tuple(one for one in self.parameters if one.role == "shape")

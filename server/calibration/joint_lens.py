@@ -1,0 +1,197 @@
+"""What a camera that is calibrated a little wrong makes of looks and odometry: first-order, the same for all of them.
+
+A focal length, principal point, distortion and disparity that are off do not scatter: they move every look and bend all
+odometry together, and a printed tool marker that is too large seems too near every time. So they are unknowns of the
+joint estimate, with their tolerances as priors, and no noise of single observations.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.camera import project, projection_jacobian, undistort_to_rays
+from machine.description import Machine, Marker, StereoCamera
+from machine.markers import marker_corners
+from machine.poses import transform_points
+from machine.rotations import rotation_from_rotvec, skew
+from server.calibration.contracts import Array
+
+LENS_NAMES = ("focal length", "principal point x", "principal point y", "k1", "disparity", "tool marker side")
+N_LENS = len(LENS_NAMES)
+#: Steps for numerical derivatives: share, px, px, 1, px, share.
+LENS_STEPS = np.array([1e-4, 1e-2, 1e-2, 1e-4, 1e-2, 1e-4])
+STAND_IN_SIDE_M = 0.15  # for an object without single markers
+WALL_GRID, BORDER_PX, WAY_M = (8, 6), 20.0, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class LensPrior:
+    """What a calibration leaves, one sigma; the class's tolerances (docs/decisions/0008-honest-ellipses.md)."""
+
+    sigma_focal_frac: float = 0.0015
+    sigma_principal_px: float = 1.0
+    sigma_k1: float = 0.002
+    sigma_disparity_px: float = 0.1
+    sigma_side_frac: float = 7e-4  # printed side of a marker
+    sigma_layout_m: float = 3e-4  # of each of the OOI's markers, per axis
+    sigma_layout_rad: float = float(np.deg2rad(0.1))
+
+    @property
+    def sigma(self) -> Array:
+        """Of the lens unknowns (6,), in the order of `LENS_NAMES`."""
+        principal = [self.sigma_principal_px] * 2
+        return np.array(
+            [self.sigma_focal_frac, *principal, self.sigma_k1, self.sigma_disparity_px, self.sigma_side_frac]
+        )
+
+
+def eyes_off(camera: StereoCamera, lens: Array) -> tuple[StereoCamera, StereoCamera]:
+    """The true left and right eye, if the file's camera were off by `lens` (6,)."""
+    focal, cx, cy, k1, disparity, _ = lens
+    left = replace(
+        camera,
+        fx_px=camera.fx_px * (1.0 + focal),
+        fy_px=camera.fy_px * (1.0 + focal),
+        cx_px=camera.cx_px + cx,
+        cy_px=camera.cy_px + cy,
+        distortion=(camera.distortion[0] + k1, *camera.distortion[1:]),
+    )
+    return left, replace(left, cx_px=left.cx_px + disparity)
+
+
+def look_sensitivity(machine: Machine, T_cam_tool: Array, T_cam_ooi: Array) -> Array:
+    """Change of what a look measures per lens unknown (12, 6): tool, then OOI; rotation vector, then position.
+
+    Model:   the corners' pixels by the true eyes are explained by a pose before the file's eyes, least squares over
+             both: d pose = (d px / d pose)^+ d px / d lens.
+    """
+    tool, ooi = _corners(machine.markers_on("tool")), _corners(machine.markers_on("ooi"))
+    S_tool = _pose_inverse(machine.camera, T_cam_tool, tool) @ _pixel_changes(machine.camera, T_cam_tool, tool, True)
+    S_ooi = _pose_inverse(machine.camera, T_cam_ooi, ooi) @ _pixel_changes(machine.camera, T_cam_ooi, ooi, False)
+    return np.vstack([S_tool, S_ooi])
+
+
+def layout_covariance(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> Array:
+    """Covariance (6, 6) of the OOI's pose as its markers tell it, from where they hang and how they are printed.
+
+    OOI axes: rotation vector [rad], then position [m]. No look at the same markers takes any of it away.
+    """
+    markers = machine.markers_on("ooi")
+    camera, everything = machine.camera, _corners(markers)
+    inverse = _pose_inverse(camera, T_cam_ooi, everything)
+    base = _pixels((camera, camera), transform_points(T_cam_ooi, everything))
+    sigmas = [*[prior.sigma_layout_rad] * 3, *[prior.sigma_layout_m] * 3, prior.sigma_side_frac]
+    effects = []
+    for i, marker in enumerate(markers):
+        for k, sigma in enumerate(sigmas):
+            moved = everything.copy()
+            moved[4 * i : 4 * i + 4] = _marker_off(marker, k, sigma)
+            change = _pixels((camera, camera), transform_points(T_cam_ooi, moved)) - base
+            effects.append(inverse @ np.nan_to_num(change).ravel())
+    R = np.kron(np.eye(2), T_cam_ooi[:3, :3].T)
+    found = R @ np.array(effects).reshape(-1, 6).T
+    return found @ found.T
+
+
+def odometry_sensitivity(camera: StereoCamera, T_cam_ooi: Array) -> Array:
+    """Share of a step that odometry adds to it, per lens unknown (6, 3, 3), camera axes.
+
+    Model:   points of the OOI's plane are triangulated once; a step of `WAY_M` later both eyes' pixels are explained by
+             the camera's pose, least squares. All to first order.
+    """
+    points = _plane_points(camera, T_cam_ooi)
+    still = _lens_changes(camera, points)
+    off = np.linalg.pinv(_point_jacobian(camera, points)) @ still  # of the triangulated points (n, 3, 6)
+    found = np.zeros((N_LENS, 3, 3))
+    for axis, step in enumerate(WAY_M * np.eye(3)):
+        seen = points - step
+        pixels = _pixels((camera, camera), seen).reshape(-1, 4)
+        rows = _in_image(camera, pixels[:, :2]) & _in_image(camera, pixels[:, 2:])
+        J = _point_jacobian(camera, seen[rows])
+        lacking = (J @ off[rows] - _lens_changes(camera, seen[rows])).reshape(-1, N_LENS)
+        turn = np.array([skew(-point) for point in seen[rows]])
+        J_camera = np.concatenate([J @ -turn, J], axis=2).reshape(-1, 6)
+        solved = np.linalg.lstsq(J_camera, lacking, rcond=None)[0]
+        found[:, :, axis] = solved[3:].T / WAY_M
+    return found
+
+
+def _corners(markers: Sequence[Marker]) -> Array:
+    """Corners (n, 3) [m] on their object; of a stand-in where it has no single markers."""
+    if not markers:
+        return marker_corners(STAND_IN_SIDE_M)
+    return np.vstack([transform_points(one.T_on_marker, marker_corners(one.side_m)) for one in markers])
+
+
+def _marker_off(marker: Marker, number: int, by: float) -> Array:
+    """Corners (4, 3) of a marker turned (0 to 2), shifted (3 to 5) or grown (6)."""
+    corners = marker_corners(marker.side_m * (1.0 + by if number == 6 else 1.0))
+    step = by * np.eye(7)[number]
+    T = marker.T_on_marker.copy()
+    T[:3, :3] = rotation_from_rotvec(step[:3]) @ T[:3, :3]
+    T[:3, 3] += step[3:6]
+    return transform_points(T, corners)
+
+
+def _pixels(eyes: tuple[StereoCamera, StereoCamera], points_cam: Array) -> Array:
+    """Left and right pixels side by side, flat (4 n,)."""
+    shift = np.array([eyes[0].baseline_m, 0.0, 0.0])
+    return np.concatenate([project(eyes[0], points_cam), project(eyes[1], points_cam - shift)], axis=1).ravel()
+
+
+def _pose_inverse(camera: StereoCamera, T_cam_object: Array, corners: Array) -> Array:
+    """(d px / d pose)^+ (6, 4 n): rotation vector about the object's origin, then position, camera axes."""
+    J_points = _point_jacobian(camera, transform_points(T_cam_object, corners))
+    arms = corners @ T_cam_object[:3, :3].T
+    turns = np.array([-skew(arm) for arm in arms])
+    J = np.concatenate([J_points @ turns, J_points], axis=2).reshape(-1, 6)
+    return np.asarray(np.linalg.pinv(np.nan_to_num(J)), dtype=np.float64)
+
+
+def _pixel_changes(camera: StereoCamera, T_cam_object: Array, corners: Array, sized: bool) -> Array:
+    """d px / d lens (4 n, 6); `sized`: with the object's own side as the last unknown."""
+    points = transform_points(T_cam_object, corners)
+    changes = _lens_changes(camera, points).reshape(-1, N_LENS)
+    if sized:
+        h = LENS_STEPS[-1]
+        grown = transform_points(T_cam_object, corners.mean(axis=0) + (1.0 + h) * (corners - corners.mean(axis=0)))
+        changes[:, -1] = (_pixels((camera, camera), grown) - _pixels((camera, camera), points)) / h
+    return np.nan_to_num(changes)
+
+
+def _lens_changes(camera: StereoCamera, points_cam: Array) -> Array:
+    """d px / d lens (n, 4, 6); zero for the side."""
+    base = _pixels((camera, camera), points_cam)
+    steps = np.diag(LENS_STEPS)
+    columns = [
+        (_pixels(eyes_off(camera, one), points_cam) - base) / h for one, h in zip(steps, LENS_STEPS, strict=True)
+    ]
+    return np.nan_to_num(np.stack(columns, axis=-1)).reshape(-1, 4, N_LENS)
+
+
+def _point_jacobian(camera: StereoCamera, points_cam: Array) -> Array:
+    """d px / d point (n, 4, 3), both eyes."""
+    shift = np.array([camera.baseline_m, 0.0, 0.0])
+    both = [projection_jacobian(camera, points_cam), projection_jacobian(camera, points_cam - shift)]
+    return np.nan_to_num(np.concatenate(both, axis=1))
+
+
+def _plane_points(camera: StereoCamera, T_cam_ooi: Array) -> Array:
+    """Points (n, 3) [m] of the OOI's plane over the left image, those that the right eye sees too."""
+    columns = np.linspace(BORDER_PX, camera.width_px - BORDER_PX, WALL_GRID[0])
+    rows = np.linspace(BORDER_PX, camera.height_px - BORDER_PX, WALL_GRID[1])
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
+    rays = np.column_stack([undistort_to_rays(camera, pixels), np.ones(len(pixels))])
+    normal = T_cam_ooi[:3, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        points = rays * (T_cam_ooi[:3, 3] @ normal / (rays @ normal))[:, None]
+    points = points[np.isfinite(points).all(axis=1) & (points[:, 2] > 2.0 * WAY_M)]
+    right = _pixels((camera, camera), points).reshape(-1, 4)[:, 2:]
+    return points[_in_image(camera, right)]
+
+
+def _in_image(camera: StereoCamera, pixels: Array) -> NDArray[np.bool_]:
+    last = np.array([camera.width_px, camera.height_px])
+    return np.all(np.isfinite(pixels) & (pixels > 0.0) & (pixels < last), axis=1)

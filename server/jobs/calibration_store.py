@@ -1,0 +1,109 @@
+"""The local calibration on disk: kept after each job that changed it, taken up at the start if it still holds."""
+
+import hashlib
+import logging
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from server.calibration.calibration_file import (
+    CalibrationFileError,
+    SavedCalibration,
+    calibration_text,
+    parse_calibration,
+)
+from server.calibration.calibration_life import LocalCalibration, observability_text
+from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate
+from server.jobs.knowledge import Knowledge
+from server.jobs.records import CalibrationRecord
+
+log = logging.getLogger(__name__)
+
+FILE_NAME = "calibration.json"
+
+
+def machine_id_of(machine_text: str) -> str:
+    """A fingerprint of the machine file: a calibration made with another one does not hold."""
+    return hashlib.sha256(machine_text.encode()).hexdigest()[:16]
+
+
+@dataclass(slots=True)
+class CalibrationStore:
+    """One file. `path` None keeps nothing."""
+
+    path: Path | None
+    _kept: LocalCalibration | None = None
+
+    def keep(self, knowledge: Knowledge) -> None:
+        """Write the calibration if it changed; a full disk is logged and noted, it does not end a job."""
+        life = knowledge.life
+        if self.path is None or life is None or life is self._kept:
+            return
+        fresh = self.path.with_suffix(".new")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            fresh.write_text(calibration_text(SavedCalibration(life, tuple(knowledge.runs))), encoding="utf-8")
+            os.replace(fresh, self.path)
+            self._kept, knowledge.calibration_note = life, ""
+        except OSError as error:
+            knowledge.calibration_note = f"calibration is not kept: {self.path}: {error.strerror}"
+            log.error(knowledge.calibration_note)
+
+    def restore(self, knowledge: Knowledge, machine_id: str, n_joints: int, t_unix_s: float) -> None:
+        """Take up the kept calibration, or note why not. Where it holds is asked when it is used."""
+        if self.path is None or not self.path.exists():
+            return
+        try:
+            saved = parse_calibration(self.path.read_text(encoding="utf-8"))
+            self._take_up(knowledge, saved, machine_id, n_joints, t_unix_s)
+        except (OSError, UnicodeDecodeError, CalibrationFileError) as error:
+            knowledge.calibration_note = f"kept calibration {self.path} was not taken up: {error}"
+            log.warning(knowledge.calibration_note)
+
+    def _take_up(
+        self, knowledge: Knowledge, saved: SavedCalibration, machine_id: str, n_joints: int, t_unix_s: float
+    ) -> None:
+        one = saved.calibration
+        if one.machine_id != machine_id:
+            raise CalibrationFileError("it was made with another machine or camera file; calibrate anew")
+        if one.made.q.shape != (n_joints,) or any(run.joints.qs.shape[1] != n_joints for run in saved.runs):
+            raise CalibrationFileError(f"it has {one.made.q.size} joints, the machine {n_joints}; calibrate anew")
+        found = one.valid_at(t_unix_s, one.made.q, one.made.T_base_tcp)
+        if not found.ok:
+            raise CalibrationFileError(found.reason)
+        knowledge.life = self._kept = one
+        knowledge.mount, knowledge.calibration = _estimate(one), _record(one)
+        knowledge.runs[:] = saved.runs
+
+
+def _estimate(one: LocalCalibration) -> CameraRotationEstimate:
+    return CameraRotationEstimate(
+        status=CalibrationStatus.OK,
+        reason="",
+        method=one.method,
+        R_tcp_cam=one.R_tcp_cam,
+        covariance=one.covariance,
+        time_offset_s=one.time_offset_s,
+        residual_rms_mm=one.residual_rms_mm,
+        residual_max_mm=one.residual_max_mm,
+        n_used=one.n_used,
+        observability=one.observability,
+        path_length_m=one.path_length_m,
+    )
+
+
+def _record(one: LocalCalibration) -> CalibrationRecord:
+    return CalibrationRecord(
+        method=one.method,
+        status="ok",
+        reason=f"kept from before; {observability_text(one)}",
+        sigma_deg=float(np.rad2deg(one.sigmas_rad[-1])),
+        from_nominal_deg=one.from_nominal_deg,
+        time_offset_ms=1e3 * one.time_offset_s,
+        residual_rms_mm=one.residual_rms_mm,
+        n_used=one.n_used,
+        observability=one.observability,
+        duration_s=0.0,
+    )

@@ -1,0 +1,127 @@
+"""Before a move: is the error it will leave known well enough, and if not, what makes it so.
+
+The ladder: a look over more pairs where the look is what spoils it, a further calibration path, then, while a later
+move is left to correct it, the move itself as a closer look. Only what none of these can help is refused.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+
+from server.calibration.calibration_life import ValidityStatus
+from server.calibration.reference import look_error_covariance
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken, PreviewedPlan
+from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.living import require_valid, validity
+from server.jobs.plans.looking import good_look
+from server.jobs.plans.moving import Sigmas, preview
+from server.jobs.requests import Progress, Request
+
+LOOK_AGAIN_SHARE = 3  # times the usual pairs: what changes from pair to pair falls by 1.7
+LOOK_MATTERS = 0.5  # of the predicted variance: below that more pairs do not help
+RUNS_WANTED = 2  # a third path brings little: what is left is in all of them
+NO_FURTHER_PATH = ("plan_", "calibration_failed")  # the path's planner or its match says no; nothing is lost by it
+CLOSER_LOOK_MAX = 3.0  # times the tolerance: worse is no approach but a guess
+
+
+@dataclass(frozen=True, slots=True)
+class Assured:
+    """The look that the move starts from, its plan, and what was done to know enough."""
+
+    taken: LookTaken
+    previewed: PreviewedPlan
+    paths: int
+
+
+def assured_preview(
+    ctx: PlanContext, taken: LookTaken, t_now_ns: int, moves_left: int
+) -> Generator[Request, object, Assured]:
+    """The plan of the next move, and its start look; the ladder above is climbed as far as needed.
+
+    Args:    moves_left: moves that may follow this one.
+    Raises:  JobFailedError: the calibration has slipped, there is no path, or 2 sigma stays beyond what may be driven.
+    """
+    paths = 0
+    if _must_renew(ctx, taken):
+        taken, paths = (yield from _another_path(ctx, taken)), paths + 1
+    previewed = preview(ctx, taken, t_now_ns)
+    if fits(ctx, previewed.predicted_sigma_mm):
+        return Assured(taken, previewed, paths)
+    if _look_matters(ctx, taken, previewed.predicted_sigma_mm):
+        yield Progress("assure", 1, 3, "", f"{told(ctx, previewed.predicted_sigma_mm)}: looking again over more pairs")
+        taken = yield from good_look(ctx, LOOK_AGAIN_SHARE)
+        previewed = preview(ctx, taken, t_now_ns)
+    if not fits(ctx, previewed.predicted_sigma_mm) and len(ctx.knowledge.runs) < RUNS_WANTED:
+        yield Progress("assure", 2, 3, "", f"{told(ctx, previewed.predicted_sigma_mm)}: a further calibration path")
+        taken, paths = (yield from _further_path(ctx, taken)), paths + 1
+        previewed = preview(ctx, taken, t_now_ns)
+    if not fits(ctx, previewed.predicted_sigma_mm):
+        yield from _closer_look_or_refuse(ctx, previewed.predicted_sigma_mm, moves_left)
+    return Assured(taken, previewed, paths)
+
+
+def fits(ctx: PlanContext, sigma_mm: Sigmas) -> bool:
+    """Whether 2 sigma is inside the tolerance on every axis. The paper's method does not ask."""
+    return ctx.method == "paper" or 2.0 * max(sigma_mm) <= ctx.settings.position.tolerance_mm
+
+
+def told(ctx: PlanContext, sigma_mm: Sigmas) -> str:
+    """The worst axis in words: what is predicted and what is allowed."""
+    worst = int(np.argmax(sigma_mm))
+    limit_mm = ctx.settings.position.tolerance_mm
+    return (
+        f"the move would leave {'xyz'[worst]} known to +-{2.0 * sigma_mm[worst]:.1f} mm (2 sigma, allowed {limit_mm:g})"
+    )
+
+
+def _must_renew(ctx: PlanContext, taken: LookTaken) -> bool:
+    """Whether the calibration has expired in a way that another path cures; a slip must be seen to by a person."""
+    found = validity(ctx, taken.reading)
+    if found.status is ValidityStatus.SLIPPED:
+        require_valid(found, "calibration")
+    return not found.ok
+
+
+def _another_path(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, LookTaken]:
+    yield from calibrate(ctx, taken)
+    return (yield from good_look(ctx))
+
+
+def _further_path(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, LookTaken]:
+    """Another path where there is room for one; what is known already stays good where there is not."""
+    try:
+        return (yield from _another_path(ctx, taken))
+    except JobFailedError as error:
+        if not error.code.startswith(NO_FURTHER_PATH):
+            raise
+        yield Progress("assure", 2, 3, "", f"no further path: {error}")
+    return (yield from good_look(ctx))
+
+
+def _look_matters(ctx: PlanContext, taken: LookTaken, sigma_mm: Sigmas) -> bool:
+    look = taken.look
+    if look.T_cam_tool is None or look.T_cam_ooi is None or look.tool_covariance is None or look.ooi_covariance is None:
+        return False
+    C = look_error_covariance(
+        look.T_cam_tool, look.T_cam_ooi, ctx.T_ooi_goal, look.tool_covariance, look.ooi_covariance
+    )
+    return float(np.trace(C)) * 1e6 > LOOK_MATTERS * float(np.sum(np.square(sigma_mm)))
+
+
+def _closer_look_or_refuse(ctx: PlanContext, sigma_mm: Sigmas, moves_left: int) -> Generator[Request, object, None]:
+    """Drive it as a closer look while it can still be corrected and cannot reach the wall; else refuse."""
+    goal = ctx.settings.position
+    spare_mm = goal.stand_off_mm - goal.wall_clearance_mm
+    may = 2.0 * max(sigma_mm) <= CLOSER_LOOK_MAX * goal.tolerance_mm and 2.0 * sigma_mm[2] <= spare_mm
+    if moves_left > 0 and may:
+        yield Progress("assure", 3, 3, "", f"{told(ctx, sigma_mm)}: driven as a closer look, to be corrected after it")
+        return
+    why = "no move is left to correct it" if may else "that is too little to approach by"
+    raise JobFailedError(
+        f"{told(ctx, sigma_mm)}, after {len(ctx.knowledge.runs)} calibration paths, and {why}; "
+        "start nearer to the target, clean lens and markers, or allow a wider tolerance",
+        "sigma_too_large",
+    )

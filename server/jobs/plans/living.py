@@ -1,0 +1,103 @@
+"""The life of the calibration as the plans see it: made by a path, watched by every look, asked before every motion."""
+
+from collections.abc import Generator
+from dataclasses import replace
+
+import numpy as np
+
+from machine.rotations import Array, geodesic_angle
+from server.calibration.calibration_life import LocalCalibration, LocalMap, MadeAt, Validity, ValidityStatus
+from server.calibration.contracts import CameraRotationEstimate
+from server.calibration.joint_estimate import JointEstimate
+from server.calibration.slip_monitor import ToolSeen, judge_slip
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken
+from server.jobs.requests import MachineReading, Progress, Request
+from server.vision.contracts import Look
+
+NONE = Validity(ValidityStatus.VALID)
+
+
+def born(ctx: PlanContext, estimate: CameraRotationEstimate, taken: LookTaken, reading: MachineReading) -> None:
+    """Keep a good estimate as the calibration of this place: where the machine rests now, the tool as last seen."""
+    if estimate.R_tcp_cam is None or estimate.covariance is None:
+        return
+    made = MadeAt(
+        t_unix_s=ctx.knowledge.unix_s(reading.t_mono_ns),
+        q=np.array(reading.q_rad),
+        T_base_tcp=ctx.tcp(reading.q_rad),
+        oil_temperature_c=reading.oil_temperature_c,
+    )
+    ctx.knowledge.life = LocalCalibration(
+        machine_id=ctx.machine_id,
+        method=estimate.method,
+        R_tcp_cam=estimate.R_tcp_cam,
+        covariance=estimate.covariance,
+        p_tcp_cam_m=ctx.machine.T_tcp_cam_left[:3, 3].copy(),
+        from_nominal_deg=float(np.rad2deg(geodesic_angle(ctx.machine.T_tcp_cam_left[:3, :3], estimate.R_tcp_cam))),
+        time_offset_s=estimate.time_offset_s,
+        residual_rms_mm=estimate.residual_rms_mm,
+        residual_max_mm=estimate.residual_max_mm,
+        n_used=estimate.n_used,
+        path_length_m=estimate.path_length_m,
+        observability=estimate.observability,
+        made=made,
+        tool=tool_seen(taken.look),
+        expiry=ctx.settings.calibration.expiry(),
+    )
+
+
+def tool_seen(look: Look) -> ToolSeen | None:
+    """The tool marker of a look, None where the look has no poses."""
+    if look.T_cam_tool is None or look.tool_covariance is None:
+        return None
+    return ToolSeen(look.T_cam_tool, look.tool_covariance)
+
+
+def note_map(ctx: PlanContext, estimate: JointEstimate) -> None:
+    """The joint estimate of the moment goes into the calibration that is kept and shown."""
+    life, state = ctx.knowledge.life, estimate.state
+    if life is None or state is None:
+        return
+    found = LocalMap(
+        T_tcp_cam=state.T_tcp_cam,
+        T_tcp_tool=state.T_tcp_tool,
+        errors=state.errors,
+        scale=state.scale,
+        misfit=estimate.misfit,
+        residual_rms_mm=estimate.residual_rms_mm,
+        n_samples=estimate.n_samples,
+        n_looks=estimate.n_looks,
+    )
+    ctx.knowledge.life = replace(life, local_map=found)
+
+
+def watch_slip(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, None]:
+    """Every good look compares the tool marker with what it was at the calibration. The paper's method does not."""
+    life, now = ctx.knowledge.life, tool_seen(taken.look)
+    if ctx.method == "paper" or life is None or life.tool is None or now is None or life.slip:
+        return
+    verdict = judge_slip(life.tool, now)
+    if verdict.slipped:
+        ctx.knowledge.life = replace(life, slip=verdict.reason)
+        yield Progress("slip", verdict.chi2, 0.0, "", verdict.reason)
+
+
+def validity(ctx: PlanContext, reading: MachineReading) -> Validity:
+    """Whether the calibration may be used with the machine as it was read; valid where there is none."""
+    return validity_at(ctx, reading, reading.q_rad, ctx.tcp(reading.q_rad))
+
+
+def validity_at(ctx: PlanContext, reading: MachineReading, q: Array, T_base_tcp: Array) -> Validity:
+    """The same with the machine elsewhere, such as at its goal."""
+    life: LocalCalibration | None = ctx.knowledge.life
+    if life is None or ctx.method == "paper":
+        return NONE
+    return life.valid_at(ctx.knowledge.unix_s(reading.t_mono_ns), q, T_base_tcp, reading.oil_temperature_c)
+
+
+def require_valid(found: Validity, subject: str) -> None:
+    """Raises: JobFailedError saying why the calibration has expired and what to do."""
+    if not found.ok:
+        raise JobFailedError(f"{subject}: {found.reason}", f"calibration_{found.status.value}")

@@ -1,0 +1,198 @@
+"""Closed-loop visual control, "looking and moving": slow, short, and only while every pair is good.
+
+Each pair, joined with the encoders at its exposure, places the goal anew; the tail of the running path is replaced so
+that it ends there. The first pair that is missing, unfit or off stops the motion.
+"""
+
+import time
+from collections.abc import Callable, Generator
+from dataclasses import replace
+
+import numpy as np
+
+from machine.rotations import Array
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken
+from server.jobs.plans.learning import remember_motion
+from server.jobs.plans.living import require_valid, validity
+from server.jobs.plans.looking import good_look
+from server.jobs.plans.pair_gate import PairGate
+from server.jobs.plans.positioning import error_of, inside
+from server.jobs.plans.steering_path import (
+    Steered,
+    correction_for,
+    goal_of,
+    joints_near,
+    next_pair,
+    note_tail,
+    off_goal,
+    path_onto_reference,
+)
+from server.jobs.records import ErrorMm, MoveRecord, ServoResult
+from server.jobs.requests import Arm, MachineReading, Progress, ReadMachine, Record, Request, Settle, expect
+from server.jobs.steer_requests import EndMove, PairSeen, StartMove, StopMove
+from server.motion.approach import play_of
+from server.motion.closed_loop import at_rest, with_start
+from server.motion.contracts import JointTrajectory
+from server.motion.lost_motion import last_direction, updated_stall
+from server.motion.refusal import Refusal
+from server.motion.seen_goal import SeenGoal
+
+PATIENCE_S = 1.0  # at rest, for a pair after one that was late or unfit
+LOST_CODE = "servo_look_lost"
+
+
+def servo(ctx: PlanContext, clock_ns: Callable[[], int] = time.monotonic_ns) -> Generator[Request, object, ServoResult]:
+    """From near the target into the tolerance while looking.
+
+    Raises: JobFailedError: switched off, not calibrated, too far, vision not reliable, or a pair was lost on the way.
+    """
+    _require_permitted(ctx)
+    started_ns = clock_ns()
+    taken = first = yield from good_look(ctx)
+    require_valid(validity(ctx, taken.reading), "closed loop")
+    pairs = corrections = passes = 0
+    while not inside(ctx, taken) and passes < ctx.settings.closed_loop.passes_max:
+        passes += 1
+        yield from _reliable(ctx)
+        before = error_of(taken)
+        steered = yield from _one_pass(ctx, taken, passes)
+        taken = yield from good_look(ctx)
+        yield Record(_remembered(ctx, passes, before, taken, steered.current))
+        pairs, corrections = pairs + steered.pairs, corrections + steered.corrections
+    return _result(ctx, first, taken, passes, pairs, corrections, (clock_ns() - started_ns) * 1e-9)
+
+
+def _require_permitted(ctx: PlanContext) -> None:
+    if not ctx.settings.position.closed_loop:
+        raise JobFailedError(
+            "closed-loop control is switched off; set [position] closed_loop = true in the settings", "closed_loop_off"
+        )
+    if ctx.knowledge.mount is None:
+        raise JobFailedError("closed-loop control needs a local calibration; calibrate first", "not_calibrated")
+
+
+def _reliable(ctx: PlanContext) -> Generator[Request, object, None]:
+    """Good pairs in a row, at rest, before anything moves by them."""
+    wanted, tries = ctx.settings.closed_loop.pairs_in_a_row, 0
+    gate, in_a_row, number, fault = PairGate(ctx), 0, 0, ""
+    yield Progress("servo", 0.0, wanted, "pairs", f"waiting for {wanted} good pairs in a row")
+    while in_a_row < wanted:
+        if tries >= 3 * wanted:
+            raise JobFailedError(f"vision is not reliable enough to move by it: {fault}", "vision_unreliable")
+        asked = next_pair(ctx, number)
+        seen = expect((yield asked if in_a_row else replace(asked, silence_max_s=PATIENCE_S)), PairSeen)
+        late, number = seen.number == number, seen.number
+        tries += 1
+        fault = gate.fault(seen) or fault
+        in_a_row = 0 if late or gate.fault(seen) else in_a_row + 1
+
+
+def _one_pass(ctx: PlanContext, taken: LookTaken, number: int) -> Generator[Request, object, Steered]:
+    """To just before the goal, then in from below, corrected on the way; where the joints rest tells their stall.
+
+    The last leg turns every joint forward by more than its play and stiction, as every approach does: a shorter one
+    would end wherever the dead bands let it.
+    """
+    reading = expect((yield Settle()), MachineReading)
+    T_goal = _goal_at_rest(ctx, taken, reading)
+    play_rad = play_of(ctx.chain.n)
+    goal = SeenGoal(T_goal)
+    yield Arm()
+    q_before = joints_near(ctx, T_goal, reading.q_rad) - play_rad
+    before = _begun(ctx, goal, reading, q_before, corrects=False)
+    yield from _driven(ctx, before, f"closed loop, pass {number}: to just before the goal")
+    reading = expect((yield ReadMachine()), MachineReading)
+    steered = _begun(ctx, goal, reading, joints_near(ctx, goal.pose, reading.q_rad), corrects=True)
+    yield from _driven(ctx, steered, f"closed loop, pass {number}: in")
+    rested = expect((yield Settle()), MachineReading)
+    direction = last_direction(steered.current)
+    ctx.knowledge.stall_rad, _ = updated_stall(ctx.stall, rested.q_ref_rad, rested.q_rad, direction, play_rad)
+    steered.pairs += before.pairs
+    return steered
+
+
+def _goal_at_rest(ctx: PlanContext, taken: LookTaken, reading: MachineReading) -> Array:
+    """T_base_tcp of the goal by the look at rest, if it is near enough to steer there."""
+    distance_mm, limit_mm = error_of(taken).distance_mm, ctx.settings.closed_loop.distance_max_mm
+    if distance_mm > limit_mm:
+        raise JobFailedError(
+            f"the goal is {distance_mm:.0f} mm away (closed loop: at most {limit_mm:.0f} mm); move nearer first",
+            "servo_too_far",
+        )
+    look = taken.look
+    if look.T_cam_tool is None or look.T_cam_ooi is None:
+        raise JobFailedError("no poses in the look; look again", "look_rejected")
+    return goal_of(ctx, taken, reading.q_rad, look.T_cam_tool, look.T_cam_ooi)
+
+
+def _begun(ctx: PlanContext, goal: SeenGoal, reading: MachineReading, q_goal: Array, corrects: bool) -> Steered:
+    start = at_rest(reading.q_ref_rad)
+    tail = path_onto_reference(ctx, start, reading, q_goal, 1.0)
+    if isinstance(tail, Refusal):
+        raise JobFailedError(f"closed loop: {tail.reason}", f"plan_{tail.status.value}")
+    return Steered(goal, goal.pose, with_start(tail, start), reading, corrects)
+
+
+def _driven(ctx: PlanContext, steered: Steered, purpose: str) -> Generator[Request, object, None]:
+    yield Progress("servo", 0.0, steered.current.duration_s, "s", purpose)
+    yield StartMove(steered.current, purpose)
+    yield from _follow(ctx, steered)
+    yield EndMove()
+    remember_motion(ctx, steered.current)
+
+
+def _follow(ctx: PlanContext, steered: Steered) -> Generator[Request, object, None]:
+    """Pair by pair until the path is at its end; the first fault stops the motion and the job."""
+    gate, number = PairGate(ctx), 0
+    while True:
+        seen = expect((yield next_pair(ctx, number)), PairSeen)
+        if seen.ended:
+            return
+        number = seen.number
+        fault = gate.fault(seen) or off_goal(ctx, steered, seen)
+        if fault:
+            text = f"closed loop stopped at the first lost look: {fault}"
+            yield StopMove(text)
+            raise JobFailedError(f"{text}; clear the view, then look again", LOST_CODE)
+        note_tail(steered, seen)
+        correction = correction_for(ctx, steered, seen)
+        if correction is not None:
+            yield correction
+
+
+def _remembered(ctx: PlanContext, number: int, before: ErrorMm, taken: LookTaken, path: JointTrajectory) -> MoveRecord:
+    T = ctx.tcp(path.q[0]), ctx.tcp(path.q[-1])
+    record = MoveRecord(
+        number=number,
+        kind="move",
+        before=before,
+        after=taken.error,
+        predicted_sigma_mm=(0.0, 0.0, 0.0),  # nothing is predicted: the loop is closed on what is seen
+        length_mm=1e3 * float(np.linalg.norm(T[1][:3, 3] - T[0][:3, 3])),
+        duration_s=path.duration_s,
+        trims=0,
+        t_rest_plc_ns=taken.record.t_plc_ns,
+    )
+    ctx.knowledge.moves.append(record)
+    return record
+
+
+def _result(
+    ctx: PlanContext, first: LookTaken, last: LookTaken, passes: int, pairs: int, corrections: int, duration_s: float
+) -> ServoResult:
+    goal, reached = ctx.settings.position, inside(ctx, last)
+    state = "inside" if reached else "not inside"
+    return ServoResult(
+        reached=reached,
+        reason=f"{state} +-{goal.tolerance_mm:g} mm and {goal.tolerance_deg:g} deg after {passes} passes while looking",
+        start=error_of(first),
+        end=error_of(last),
+        moves=tuple(ctx.knowledge.moves[-passes:]) if passes else (),
+        passes=passes,
+        pairs=pairs,
+        corrections=corrections,
+        t_start_plc_ns=first.record.t_plc_ns,
+        duration_s=round(duration_s, 2),
+    )

@@ -1,0 +1,124 @@
+"""The path of the closed loop while it is driven: where the goal is seen, and the new tail that leads there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.inverse import inverse_nearest
+from machine.rotations import Array
+from server.calibration.reference import reference_from_look
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken
+from server.jobs.plans.looking import mount_rotation
+from server.jobs.plans.pair_gate import PairGate
+from server.jobs.requests import MachineReading
+from server.jobs.steer_requests import Correct, NextPair, PairSeen
+from server.motion.closed_loop import JOIN_AHEAD_S, Join, join_after, path_to_rest, reference_goal, with_tail
+from server.motion.contracts import JointTrajectory
+from server.motion.refusal import Refusal
+from server.motion.seen_goal import SeenGoal
+
+CORRECTION_MIN_M = 0.0003  # the goal moved by less: not worth a new tail
+
+
+@dataclass(slots=True)
+class Steered:
+    """The path under way and what is known while it is."""
+
+    goal: SeenGoal
+    T_aimed: Array
+    current: JointTrajectory
+    reading: MachineReading  # where it began
+    corrects: bool
+    offered: JointTrajectory | None = None
+    T_offered: Array | None = None
+    pairs: int = 0
+    corrections: int = 0
+    refused: int = 0
+
+
+def off_goal(ctx: PlanContext, steered: Steered, seen: PairSeen) -> str:
+    """Take a good pair in; or why its goal cannot be believed."""
+    T_goal, sigma_m, way_m = _goal_seen(ctx, seen)
+    over = steered.goal.jump(T_goal, sigma_m, way_m)
+    if over > 1.0:
+        return f"the goal jumped by {over:.1f} times what is allowed"
+    steered.goal.add(T_goal, sigma_m, way_m)
+    steered.pairs += 1
+    return ""
+
+
+def note_tail(steered: Steered, seen: PairSeen) -> None:
+    """What the PLC answered to the last new tail."""
+    if seen.tail == "taken" and steered.offered is not None and steered.T_offered is not None:
+        steered.current, steered.T_aimed = steered.offered, steered.T_offered
+        steered.corrections += 1
+    if seen.tail == "refused":
+        steered.refused += 1
+    if seen.tail in ("taken", "refused"):
+        steered.offered = steered.T_offered = None
+
+
+def correction_for(ctx: PlanContext, steered: Steered, seen: PairSeen) -> Correct | None:
+    """A new tail to where the goal is seen now; None while one is on its way, near the end, or not worth it."""
+    if not steered.corrects:
+        return None
+    T_goal = steered.goal.pose
+    shift_m = float(np.linalg.norm(T_goal[:3, 3] - steered.T_aimed[:3, 3]))
+    if seen.t_play_s <= 0.0 or steered.offered is not None or shift_m < CORRECTION_MIN_M or seen.q_rad is None:
+        return None  # not before it plays: a tail sent while the PLC still fills its ring keeps it from starting
+    join = join_after(steered.current, seen.t_play_s)
+    if join is None:
+        return None
+    left_s = steered.current.duration_s - join.t_s
+    tail = path_onto_reference(
+        ctx, join, steered.reading, joints_near(ctx, T_goal, seen.q_rad), max(left_s, JOIN_AHEAD_S)
+    )
+    if isinstance(tail, Refusal):  # the path under way stays as good as it was
+        return None
+    steered.offered, steered.T_offered = with_tail(steered.current, join.first, tail), T_goal
+    return Correct(tail, join.first)
+
+
+def path_onto_reference(
+    ctx: PlanContext, start: Join, reading: MachineReading, q_goal: Array, duration_s: float
+) -> JointTrajectory | Refusal:
+    """Knots to where the encoders rest at q_goal, laid onto the reference; a Refusal when it cannot be."""
+    q_ref = reference_goal(q_goal, reading.q_rad, reading.q_ref_rad, ctx.stall)
+    speed_m_s = ctx.settings.closed_loop.speed_max_mm_s * 1e-3
+    return path_to_rest(ctx.machine, ctx.chain, start, q_ref, speed_m_s, duration_s, ctx.wall)
+
+
+def joints_near(ctx: PlanContext, T_goal: Array, q_near: Array) -> Array:
+    """Joints (n,) [rad] at a TCP goal, on the branch of q_near. Raises: JobFailedError: out of reach."""
+    found = inverse_nearest(ctx.chain, T_goal, q_near)
+    if found.q is None:
+        raise JobFailedError(f"closed loop: {found.reason}", "plan_out_of_reach")
+    return found.q
+
+
+def goal_of(ctx: PlanContext, taken: LookTaken, q_rad: Array, T_cam_tool: Array, T_cam_ooi: Array) -> Array:
+    """T_base_tcp of the goal as a pair places it, in the space of the nominal kinematics."""
+    R_tcp_cam = mount_rotation(ctx, taken)
+    return reference_from_look(ctx.tcp(q_rad), R_tcp_cam, ctx.machine.T_tcp_tool, T_cam_tool, T_cam_ooi, ctx.T_ooi_goal)
+
+
+def _goal_seen(ctx: PlanContext, seen: PairSeen) -> tuple[Array, float, float]:
+    """Goal (4, 4) of a pair that passed the gate, its sigma and the way that was left then [m]."""
+    taken = ctx.knowledge.last_look
+    T_cam_tool = None if seen.tool is None else seen.tool.T_cam_object
+    T_cam_ooi = None if seen.ooi is None else seen.ooi.T_cam_object
+    if taken is None or T_cam_tool is None or T_cam_ooi is None or seen.q_rad is None:
+        raise JobFailedError("a pair without poses came through the gate", "internal")
+    T_goal = goal_of(ctx, taken, seen.q_rad, T_cam_tool, T_cam_ooi)
+    way_m = float(np.linalg.norm(T_goal[:3, 3] - ctx.tcp(seen.q_rad)[:3, 3]))
+    return T_goal, PairGate(ctx).sigma_m(seen), way_m
+
+
+def next_pair(ctx: PlanContext, number: int) -> NextPair:
+    """The request for the pair after a number, its exposure mapped as the calibration found the clocks."""
+    known = ctx.knowledge
+    state = None if known.joint is None else known.joint.state
+    offset_s = state.time_offset_s if state is not None else known.mount.time_offset_s if known.mount else 0.0
+    return NextPair(number, ctx.settings.closed_loop.silence_max_ms * 1e-3, offset_s)

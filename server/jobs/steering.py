@@ -1,0 +1,151 @@
+"""Motion while looking, carried out: a trajectory under way, its pairs as they come, and its corrections.
+
+Nothing here waits for the link while a pair may be lost: corrections are answered by the next pair's report.
+"""
+
+import asyncio
+import time
+from typing import Literal
+
+import numpy as np
+
+from server.calibration.contracts import Array
+from server.camera.contracts import FrameReport
+from server.cell import Cell
+from server.errors import JobFailedError
+from server.jobs.steer_requests import Correct, NextPair, PairSeen
+from server.link.contracts import MotionEnded
+from server.link.errors import LinkRefusedError
+from server.motion.contracts import JointTrajectory
+
+ENCODER_GAP_S = 0.05  # an exposure further than this from any encoder sample cannot be joined with them
+HISTORY_S = 1.0
+ENDING_S = 0.1  # a stopped motion tells its end at once
+
+
+class Steering:
+    """At most one motion at a time; used from one event loop."""
+
+    def __init__(self, cell: Cell) -> None:
+        self._cell = cell
+        self._motion: asyncio.Task[MotionEnded] | None = None
+        self._tail: asyncio.Task[None] | None = None
+        self._listening = False
+        self._number, self._t_arrival_s = 0, 0.0
+        self._report: FrameReport | None = None
+        self._arrived = asyncio.Event()
+
+    async def start(self, trajectory: JointTrajectory) -> None:
+        """Hand the trajectory to the link; its refusal is told by `end` or shows as an ended motion."""
+        self._listen()
+        self._tail = None
+        self._motion = asyncio.create_task(self._cell.link.run(trajectory), name="steered-motion")
+        await asyncio.sleep(0.0)
+
+    async def next_pair(self, request: NextPair) -> PairSeen:
+        """The newest pair after a number, or a silence, or the motion's end, whichever comes first."""
+        self._listen()
+        deadline_s = max(self._t_arrival_s, time.monotonic() - request.silence_max_s) + request.silence_max_s
+        while self._number <= request.after:
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0.0:
+                return self._seen(request.after, f"no pair for {1e3 * request.silence_max_s:.0f} ms", None, request)
+            try:
+                await asyncio.wait_for(self._arrived.wait(), left_s)
+            except TimeoutError:
+                continue
+        return self._seen(self._number, "", self._report, request)
+
+    def correct(self, request: Correct) -> None:
+        """Send a new tail; while one is on its way another is refused by its own report."""
+        self._tail = asyncio.create_task(self._cell.link.correct(request.trajectory, request.first), name="new-tail")
+
+    async def end(self) -> None:
+        """Wait for the motion's end.
+
+        Raises: JobFailedError: it ended early. LinkError: it was refused.
+        """
+        motion, self._motion = self._motion, None
+        if motion is None:
+            raise JobFailedError("no motion was begun", "motion_ended_early")
+        ended = await motion
+        if not ended.reached:
+            raise JobFailedError(f"closed loop: motion ended early: {ended.reason}", "motion_ended_early")
+
+    async def forget(self) -> None:
+        """The machine was stopped: the motion ends by that, and whatever is left of it is of no interest."""
+        if self._motion is not None:
+            await asyncio.wait({self._motion}, timeout=ENDING_S)
+        for task in (self._motion, self._tail):
+            if task is not None:
+                task.cancel()
+                task.add_done_callback(_looked_at)
+        self._motion = self._tail = None
+
+    def _listen(self) -> None:
+        if not self._listening:
+            self._listening, self._t_arrival_s = True, time.monotonic()
+            self._cell.vision.on_report(self._on_report)
+
+    def _on_report(self, report: FrameReport) -> None:
+        self._number, self._report, self._t_arrival_s = self._number + 1, report, time.monotonic()
+        self._arrived.set()
+        self._arrived = asyncio.Event()
+
+    def _seen(self, number: int, fault: str, report: FrameReport | None, request: NextPair) -> PairSeen:
+        tail, tail_text = self._tail_state()
+        q = None
+        if report is not None:
+            q = self._joints_at(report.t_exposure_mapped_ns * 1e-9 + request.time_offset_s)
+            fault = "; ".join(report.warnings) or ("" if q is not None else "no encoders at the pair's exposure")
+        return PairSeen(
+            number=number,
+            fault=fault,
+            tool=report.observation.tool if report else None,
+            ooi=report.observation.ooi if report else None,
+            q_rad=q,
+            t_play_s=self._t_play_s(),
+            ended=self._motion is None or self._motion.done(),
+            tail=tail,
+            tail_text=tail_text,
+        )
+
+    def _tail_state(self) -> tuple[Literal["none", "pending", "taken", "refused"], str]:
+        """What became of the last correction; told once."""
+        task = self._tail
+        if task is None:
+            return "none", ""
+        if not task.done():
+            return "pending", ""
+        self._tail = None
+        error = None if task.cancelled() else task.exception()
+        if error is None:
+            return "taken", ""
+        if isinstance(error, LinkRefusedError):
+            return "refused", str(error)
+        raise error
+
+    def _t_play_s(self) -> float:
+        """Time on the running trajectory, as the PLC last told and since."""
+        latest = self._cell.link.latest
+        if latest is None or latest.plc_state != "RUN":
+            return 0.0
+        return (latest.t_play_ns + time.monotonic_ns() - latest.t_mono_ns) * 1e-9
+
+    def _joints_at(self, t_s: float) -> Array | None:
+        """Encoders at a moment of the PC's clock, linear between samples."""
+        link = self._cell.link
+        samples = link.samples_since(time.monotonic_ns() - int(HISTORY_S * 1e9))
+        if len(samples) < 2 or link.plc_to_pc_offset_ns is None:
+            return None
+        times = np.array([sample.t_plc_ns + link.plc_to_pc_offset_ns for sample in samples]) * 1e-9
+        if np.abs(times - t_s).min() > ENCODER_GAP_S:
+            return None
+        qs = np.array([sample.q_rad for sample in samples])
+        return np.array([np.interp(t_s, times, column) for column in qs.T])
+
+
+def _looked_at(task: "asyncio.Task[object]") -> None:
+    """Its error is known by the stop's reason: asyncio need not warn of it."""
+    if not task.cancelled():
+        task.exception()

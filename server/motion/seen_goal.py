@@ -1,0 +1,51 @@
+"""The goal as the last looks of a moving camera place it: each look's own goal in the base, near ones weighing more.
+
+A look taken on the way, joined with the encoders at its exposure, gives the goal's pose in base axes, whatever happens
+later: the OOI stands still. Errors of the map grow with the way that is left, so near looks weigh more.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from machine.poses import pose
+from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
+from server.motion.contracts import Array
+
+KEPT = 12
+MAP_FRAC = 0.03  # error of the local map, share of the way that is left
+JUMP_FLOOR_M = 0.004
+JUMP_SIGMAS = 5.0
+
+
+@dataclass(slots=True)
+class SeenGoal:
+    """Goals T_base_tcp of the last looks around a first one; forgets all but the newest `KEPT`."""
+
+    T_first: Array
+    _seen: deque[tuple[Array, float]] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+    def jump(self, T_base_goal: Array, sigma_m: float, way_m: float) -> float:
+        """How far a look's goal is off the present one, over what is allowed; above 1 it must not be used."""
+        apart_m = float(np.linalg.norm(T_base_goal[:3, 3] - self.pose[:3, 3]))
+        return apart_m / max(JUMP_FLOOR_M, JUMP_SIGMAS * _sigma(sigma_m, way_m))
+
+    def add(self, T_base_goal: Array, sigma_m: float, way_m: float) -> None:
+        """Take in a look's goal (4, 4): its own sigma [m] and the way that was left then [m]."""
+        turn = rotvec_from_rotation(T_base_goal[:3, :3] @ self.T_first[:3, :3].T)
+        shift = T_base_goal[:3, 3] - self.T_first[:3, 3]
+        self._seen.append((np.concatenate([turn, shift]), _sigma(sigma_m, way_m)))
+
+    @property
+    def pose(self) -> Array:
+        """The weighted mean (4, 4)."""
+        if not self._seen:
+            return self.T_first
+        weights = np.array([sigma**-2 for _, sigma in self._seen])
+        mean = weights @ np.array([d for d, _ in self._seen]) / weights.sum()
+        return pose(rotation_from_rotvec(mean[:3]) @ self.T_first[:3, :3], self.T_first[:3, 3] + mean[3:])
+
+
+def _sigma(sigma_m: float, way_m: float) -> float:
+    return float(np.hypot(sigma_m, MAP_FRAC * way_m))

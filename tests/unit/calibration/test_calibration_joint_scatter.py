@@ -1,0 +1,57 @@
+"""A run's scatter is what the run shows; a fit that goes to and fro is calmed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_scenes import GOAL, Q_START, machine, odometry_run, path_joints, scene
+
+from machine.chain import chain_of
+from server.calibration import chord_rotation, joint_estimate
+from server.calibration.joint_goal import joints_for_goal
+from server.calibration.joint_observations import NoiseModel, Scatter, run_covariance, thinned
+
+
+@pytest.mark.parametrize("neighbours", [-0.5, 0.0, 0.8])
+def test_a_runs_covariance_is_positive_and_symmetric(neighbours):
+    rng = np.random.default_rng(1)
+    run = odometry_run(scene(rng).true, path_joints(), rng)
+    samples = thinned(run, NoiseModel())
+    C = run_covariance(samples, NoiseModel(), Scatter(5e-4, neighbours))
+    assert np.allclose(C, C.T)
+    assert np.linalg.eigvalsh(C).min() > 0.0
+
+
+def test_a_path_that_scatters_more_makes_the_prediction_wider():
+    qs, told = path_joints(), []
+    for sigma_m in (2e-4, 9e-4):
+        rng = np.random.default_rng(3)
+        here = scene(rng)
+        run = odometry_run(here.true, qs, rng, sigma_m=sigma_m)
+        found = joint_estimate.estimate_jointly(machine(), [run], [here.look(Q_START)])
+        assert found.state is not None, found.reason
+        goal = joints_for_goal(chain_of(machine()), found, Q_START, GOAL)
+        told.append(float(np.sqrt(np.trace(goal.covariance[3:, 3:]))))
+    assert told[1] > 1.2 * told[0], told
+
+
+def test_contradictions_are_not_taken_for_scatter():
+    rng = np.random.default_rng(4)
+    here = scene(rng)
+    run = odometry_run(here.true, path_joints(), rng)
+    Ts = run.camera.Ts_vo_cam.copy()
+    Ts[:, :3, 3] += rng.normal(0.0, 0.02, (len(Ts), 3))
+    broken = replace(run, camera=replace(run.camera, Ts_vo_cam=Ts))
+    found = joint_estimate.estimate_jointly(machine(), [broken], [here.look(Q_START)])
+    assert found.state is None
+
+
+def test_a_step_that_takes_back_the_last_one_is_halved_and_others_are_not():
+    sigmas = np.ones(5)
+    first = np.array([0.0, 0.0, 0.0, 0.0, 1.0])
+    change, last = chord_rotation._calmed(first, np.zeros(5), sigmas)
+    assert np.array_equal(change, first)
+    change, _ = chord_rotation._calmed(-0.92 * first, last, sigmas)
+    assert np.allclose(change, -0.46 * first)
+    change, _ = chord_rotation._calmed(0.92 * first, last, sigmas)
+    assert np.allclose(change, 0.92 * first)

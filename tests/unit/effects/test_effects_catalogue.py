@@ -1,0 +1,162 @@
+"""The catalogue holds the names and parameters of the contract, with bounds that make sense."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from machine.effects import catalogue
+from machine.effects.layout import neutral_sets, slots_of
+from machine.effects.registry import EFFECTS, NAMES, effect_named, effects_of
+from machine.effects.spec import STAGES
+from machine.errors import MachineError
+
+CONTRACT = {
+    "time": {"clock_offset": "offset_s", "clock_drift": "rate_ppm"},
+    "link": {
+        "transport_delay": "delay_s",
+        "packet_loss": "loss_frac",
+        "reference_quantisation": "step_rad",
+        "reference_rate_limit": "rate_rad_s",
+    },
+    "controller": {
+        "controller_gain_error": "gain_frac",
+        "controller_lag_error": "lag_frac",
+        "controller_saturation": "limit_frac",
+    },
+    "actuator": {
+        "valve_deadband": "half_width_frac",
+        "valve_lag": "time_constant_s",
+        "valve_hysteresis": "half_width_frac",
+        "valve_asymmetry": "gain_frac",
+        "flow_gain_error": "gain_frac",
+        "supply_droop": "flow_limit_frac",
+        "internal_leakage": "drift_rad_s",
+        "load_droop": "droop_frac",
+        "stiction": "breakaway_frac",
+    },
+    "joint": {
+        "backlash": "width_rad",
+        "encoder_bias": "bias_rad",
+        "encoder_scale": "scale_frac",
+        "encoder_eccentricity": "amplitude_rad order phase_rad",
+    },
+    "structure": {
+        "gravity_sag": "compliance_rad_nm",
+        "link_length_error": "error_m",
+        "base_tilt": "tilt_rad",
+        "base_compliance": "compliance_rad_nm",
+        "payload_error": "mass_kg",
+        "link_flexibility": "frequency_hz damping gain",
+        "joint_axis_tilt": "tilt_rad",
+    },
+    "camera": {
+        "focal_length_error": "scale_frac",
+        "principal_point_error": "shift_px",
+        "lens_distortion": "k1",
+        "marker_size_error": "scale_frac",
+        "hand_eye_rotation": "angle_rad",
+        "hand_eye_translation": "distance_m",
+        "stereo_misalignment": "angle_rad",
+        "camera_latency": "latency_s",
+        "rolling_shutter": "readout_s",
+        "odometry_scale": "scale_frac",
+    },
+}
+NEUTRAL = {"reference_rate_limit": math.inf, "supply_droop": math.inf, "controller_saturation": 1.0}
+
+
+def test_names_stages_and_parameters_are_the_contracts() -> None:
+    ours = {
+        stage: {effect.name: {one.name for one in effect.parameters} for effect in effects_of(stage)}
+        for stage in STAGES
+    }
+    assert ours == {stage: {name: set(text.split()) for name, text in of.items()} for stage, of in CONTRACT.items()}
+
+
+def test_one_file_an_effect() -> None:
+    files = {path.stem for path in Path(catalogue.__path__[0]).glob("*.py")} - {"__init__"}
+    assert files == set(NAMES)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_each_effect_is_complete(effect) -> None:
+    assert effect.size.neutral == NEUTRAL.get(effect.name, 0.0)
+    assert sum(one.role == "size" for one in effect.parameters) == 1
+    for text in (effect.looks_like, effect.told_apart_by, effect.source, *(one.meaning for one in effect.parameters)):
+        assert len(text) > 3
+    named = [name for name in NAMES if name in effect.told_apart_by and name != effect.name]
+    assert named or effect.name in (
+        "base_tilt",
+        "payload_error",
+        "joint_axis_tilt",
+        "encoder_eccentricity",
+        "rolling_shutter",
+    )
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_a_fit_starts_inside_the_bounds_and_off_neutral(effect) -> None:
+    for parameter in effect.parameters:
+        assert parameter.low < parameter.start < parameter.high or parameter.integer
+        assert parameter.contains(parameter.start)
+        assert parameter.role == "shape" or parameter.start != parameter.neutral
+        assert parameter.contains(parameter.neutral)
+        assert not parameter.contains(parameter.high * 1.01)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_draws_from_the_prior_stay_inside_the_bounds_and_are_likely(effect) -> None:
+    rng = np.random.default_rng(1)
+    for parameter in effect.parameters:
+        values = [parameter.draw(rng) for _ in range(200)]
+        assert all(parameter.low <= value <= parameter.high for value in values)
+        assert all(math.isfinite(parameter.log_prior(value)) for value in values)
+        assert np.ptp(values) > 0.0
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
+def test_priors_are_densities(effect) -> None:
+    """They integrate to 1 over all values that they allow (half normals over positive ones)."""
+    for parameter in (one for one in effect.parameters if not one.integer):
+        low, high = {
+            "half_normal": (0.0, 9.0 * parameter.prior.scale),
+            "normal": (-9.0 * parameter.prior.scale, 9.0 * parameter.prior.scale),
+        }.get(parameter.prior.kind, (parameter.low, parameter.high))
+        grid = np.linspace(low, high, 20001)
+        density = [math.exp(parameter.log_prior(float(x))) for x in 0.5 * (grid[1:] + grid[:-1])]
+        assert sum(density) * (grid[1] - grid[0]) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_every_slot_of_every_effect_has_a_column_of_its_own() -> None:
+    taken: set[tuple[str, int]] = set()
+    for effect in EFFECTS:
+        for option in effect.choice.options if effect.choice else ("",):
+            for slot in slots_of(effect.name, 1 if effect.scope == "joint" else None, option):
+                assert (slot.scope, slot.column) not in taken, slot
+                taken.add((slot.scope, slot.column))
+                assert neutral_sets(3).get(slot) == slot.neutral
+    sizes = {scope: len([one for one in taken if one[0] == scope]) for scope in ("joint", "machine")}
+    neutral = neutral_sets(3)
+    assert sizes == {"joint": neutral.joint.shape[2], "machine": neutral.machine.shape[1]}
+
+
+def test_slots_refuse_what_is_not_there() -> None:
+    assert effect_named("cable_tug") is None
+    with pytest.raises(MachineError, match="not in the catalogue"):
+        slots_of("cable_tug", 1)
+    with pytest.raises(MachineError, match="belongs to the machine"):
+        slots_of("supply_droop", 1)
+    with pytest.raises(MachineError, match="belongs to one joint"):
+        slots_of("backlash", None)
+
+
+def test_the_documentation_lists_every_effect_with_its_bounds() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "effects.md").read_text(encoding="utf-8")
+    lines = {line.split("|")[1].strip(): line for line in text.splitlines() if line.startswith("| ")}
+    for effect in EFFECTS:
+        line = lines[effect.name]
+        assert f"| {effect.stage}, {effect.scope} |" in line
+        for one in effect.parameters:
+            assert f"`{one.name}` [{one.unit}] {one.low:g} .. {one.high:g}, start {one.start:g}" in line

@@ -1,0 +1,173 @@
+"""Steering: what the next pair's report says of silence, unfit pictures, missing encoders, corrections and ends."""
+
+import asyncio
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from server.errors import JobFailedError
+from server.jobs.steer_requests import Correct, NextPair
+from server.jobs.steering import Steering
+from server.link.contracts import MotionEnded
+from server.link.errors import LinkRefusedError
+from server.motion.contracts import JointTrajectory
+
+STILL = np.zeros((3, 6))
+PATH = JointTrajectory(np.array([0.0, 0.05, 0.1]), STILL, STILL, STILL)
+OFFSET_NS = 5_000_000_000  # t_pc - t_plc
+
+
+def sample(t_mono_ns):
+    t_plc_ns = t_mono_ns - OFFSET_NS
+    return SimpleNamespace(t_plc_ns=t_plc_ns, t_mono_ns=t_mono_ns, q_rad=(t_plc_ns * 1e-9, *[0.0] * 5))
+
+
+class Link:
+    """Joint 0 turns by 1 rad/s of PLC time; motions end and corrections are answered when the test says so."""
+
+    plc_to_pc_offset_ns = OFFSET_NS
+
+    def __init__(self):
+        self.motion = self.tail = None
+
+    def samples_since(self, t_mono_ns):
+        now = time.monotonic_ns()
+        stamps = range(max(t_mono_ns, now - int(1e9)), now, 10_000_000)
+        return [
+            SimpleNamespace(t_plc_ns=t - OFFSET_NS, t_mono_ns=t, q_rad=((t - OFFSET_NS) * 1e-9, *[0.0] * 5))
+            for t in stamps
+        ]
+
+    @property
+    def latest(self):
+        return SimpleNamespace(plc_state="RUN", t_play_ns=700_000_000, t_mono_ns=time.monotonic_ns())
+
+    async def run(self, trajectory):
+        self.motion = asyncio.get_running_loop().create_future()
+        return await self.motion
+
+    async def correct(self, trajectory, first):
+        self.tail = asyncio.get_running_loop().create_future()
+        await self.tail
+
+
+class Vision:
+    def on_report(self, callback):
+        self.report = callback
+
+
+def report(age_s=0.06, warnings=()):
+    exposed_ns = time.monotonic_ns() - int(age_s * 1e9)
+    observation = SimpleNamespace(tool="the tool", ooi="the object")
+    return SimpleNamespace(t_exposure_mapped_ns=exposed_ns, warnings=warnings, observation=observation)
+
+
+@pytest.fixture
+def cell():
+    return SimpleNamespace(link=Link(), vision=Vision())
+
+
+def asked(after=0, silence_max_s=5.0, time_offset_s=0.0):
+    return NextPair(after, silence_max_s, time_offset_s)
+
+
+async def begun(cell):
+    steering = Steering(cell)
+    await steering.start(PATH)
+    return steering
+
+
+async def test_a_pair_comes_with_the_joints_at_its_own_exposure(cell):
+    steering = await begun(cell)
+    one = report(age_s=0.2)
+    cell.vision.report(one)
+    seen = await steering.next_pair(asked(time_offset_s=-0.05))
+    assert (seen.number, seen.fault, seen.tool, seen.ended) == (1, "", "the tool", False)
+    assert seen.q_rad[0] == pytest.approx((one.t_exposure_mapped_ns - OFFSET_NS) * 1e-9 - 0.05, abs=1e-6)
+    assert seen.t_play_s == pytest.approx(0.7, abs=0.05)
+    await steering.forget()
+
+
+async def test_the_newest_pair_is_given_and_none_twice(cell):
+    steering = await begun(cell)
+    for _ in range(3):
+        cell.vision.report(report())
+    assert (await steering.next_pair(asked())).number == 3
+    waiting = asyncio.create_task(steering.next_pair(asked(after=3)))
+    await asyncio.sleep(0.0)
+    assert not waiting.done()
+    cell.vision.report(report())
+    assert (await waiting).number == 4
+    await steering.forget()
+
+
+async def test_silence_is_a_fault_that_counts_from_the_last_pair(cell):
+    steering = await begun(cell)
+    cell.vision.report(report())
+    seen = await steering.next_pair(asked(after=1, silence_max_s=0.03))
+    assert (seen.number, seen.fault, seen.q_rad) == (1, "no pair for 30 ms", None)
+    await steering.forget()
+
+
+@pytest.mark.parametrize(
+    ("one", "word"),
+    [
+        (lambda: report(warnings=("left eye is dark",)), "left eye is dark"),
+        (lambda: report(age_s=4.0), "no encoders"),
+        (lambda: report(age_s=-0.5), "no encoders"),
+    ],
+)
+async def test_an_unfit_pair_says_why(cell, one, word):
+    steering = await begun(cell)
+    cell.vision.report(one())
+    assert word in (await steering.next_pair(asked())).fault
+    await steering.forget()
+
+
+async def next_tail(cell, steering, number):
+    await asyncio.sleep(0.0)
+    cell.vision.report(report())
+    seen = await steering.next_pair(asked(after=number))
+    return seen.tail, seen.tail_text
+
+
+async def test_a_correction_never_keeps_a_pair_waiting_and_its_answer_is_told_once(cell):
+    steering = await begun(cell)
+    steering.correct(Correct(PATH, 2))
+    assert await next_tail(cell, steering, 0) == ("pending", "")
+    cell.link.tail.set_result(None)
+    await asyncio.sleep(0.0)
+    assert await next_tail(cell, steering, 1) == ("taken", "")
+    assert await next_tail(cell, steering, 2) == ("none", "")
+    steering.correct(Correct(PATH, 2))
+    await asyncio.sleep(0.0)
+    cell.link.tail.set_exception(LinkRefusedError("begins too near"))
+    await asyncio.sleep(0.0)
+    assert await next_tail(cell, steering, 3) == ("refused", "begins too near")
+    await steering.forget()
+
+
+async def test_the_end_is_told_and_an_early_one_fails(cell):
+    steering = await begun(cell)
+    cell.link.motion.set_result(MotionEnded(1, True, "reached", 0))
+    await asyncio.sleep(0.0)
+    cell.vision.report(report())
+    assert (await steering.next_pair(asked())).ended
+    await steering.end()
+    await steering.start(PATH)
+    cell.link.motion.set_result(MotionEnded(2, False, "underrun", 0))
+    with pytest.raises(JobFailedError, match="ended early: underrun"):
+        await steering.end()
+
+
+async def test_a_stopped_motion_leaves_no_task_behind(cell):
+    steering = await begun(cell)
+    steering.correct(Correct(PATH, 2))
+    await asyncio.sleep(0.0)
+    await steering.forget()
+    await asyncio.sleep(0.0)
+    assert {task.get_name() for task in asyncio.all_tasks()}.isdisjoint({"steered-motion", "new-tail"})
+    cell.vision.report(report())
+    assert (await steering.next_pair(asked())).ended
