@@ -163,12 +163,14 @@ class ClientLink:
         The new knots join the trajectory's own knot before them, never the measured joints. TailAnswered tells whether
         the PLC took them.
 
-        Raises: LocalProtocolError: that trajectory does not run, or the splice is too near.
+        Raises: LocalProtocolError: that trajectory does not run (yet), or the splice is too near.
         """
         run, state = self._run, self.state
         ours = run is not None and run.traj_id == traj_id and not run.tail_pending and not self._stop
         if run is None or state is None or not ours or not isinstance(run.motion, Playback):
             raise LocalProtocolError(f"trajectory {traj_id} is not running alone: nothing to correct; plan a new one")
+        if not run.started:  # the PLC plays nothing yet: a tail now would be its whole trajectory, from nowhere
+            raise LocalProtocolError(f"trajectory {traj_id} has not begun to move: nothing to correct yet; wait for it")
         playback = run.motion
         if not 1 <= first <= playback.last:
             raise LocalProtocolError(f"trajectory {traj_id}: knot {first} cannot be replaced, give 1..{playback.last}")

@@ -61,6 +61,17 @@ def test_a_correction_is_spliced_onto_the_reference_and_reached(loss):
     assert_no_step(virtual)
 
 
+def test_a_correction_before_the_first_motion_is_refused_and_the_trajectory_still_plays():
+    virtual = VirtualPlc()
+    virtual.arm()
+    knots = quintic_knots(virtual.plc.q_ref, Q_END, 3.0)
+    assert virtual.run(knots) == ()
+    with pytest.raises(LocalProtocolError, match="has not begun to move"):
+        virtual.client.request_tail(1, 25, corrected(knots, 25, np.zeros(6)), virtual.t_ns)
+    virtual.step(4000)
+    assert [(e.reached, e.traj_id) for e in answers(virtual, TrajectoryEnded)] == [(True, 1)]
+
+
 def test_two_corrections_one_after_the_other():
     virtual, knots = running()
     shift = np.deg2rad([0.3, 0.1, -0.2, 0.1, 0.1, 0.1])

@@ -1,0 +1,156 @@
+"""A plant of its own for the diagnosis' tests: plain numpy, written from the contract, no code of the kernel.
+
+Another integration step (0.5 ms, explicit midpoint), AR(1) disturbance of the speed, quantised encoders.
+Two joints: a slewing one with gravity along its axis, and a boom with mass.
+"""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+STEP_S = 0.0005
+CYCLE_S, LOG_S, SENT_S = 0.001, 0.01, 0.01
+DELAY_S = 0.004
+OFFSET_S = 3.0
+GAIN, WN, ZETA, KP = np.array([0.5, 0.4]), 2 * np.pi * np.array([8.0, 10.0]), 0.8, np.array([6.0, 7.0])
+COUNTS = 2**16
+START = np.array([0.2, 0.4])
+MACHINE = "\n".join(
+    [
+        '[machine]\nname = "made-up boom"\ngravity_base_m_s2 = [0.0, 0.0, -9.81]',
+        *(
+            f'[[joint]]\nname = "{name}"\ntype = "revolute"\ndh_convention = "classic"\n'
+            f"a_m = {a}\nd_m = {d}\nalpha_deg = {alpha}\ntheta_offset_deg = 0.0\nq_min_deg = -120.0\nq_max_deg = 120.0\n"
+            f"qd_max_deg_s = 40.0\nqdd_max_deg_s2 = 90.0\nvelocity_gain_rad_s = {GAIN[j]}\n"
+            f"valve_frequency_hz = {WN[j] / (2 * np.pi)}\nvalve_damping = {ZETA}\nkp_frac_per_rad = {KP[j]}\n"
+            f"pt1_tau_s = 0.0\nmass_kg = {mass}\ncom_m = {com}\nencoder_counts_rev = {COUNTS}"
+            for j, (name, a, d, alpha, mass, com) in enumerate(
+                (("slew", 0.0, 0.8, 90.0, 300.0, [0.0, 0.0, 0.0]), ("boom", 2.5, 0.0, 0.0, 200.0, [-1.2, 0.0, 0.0]))
+            )
+        ),
+        f"[plc]\ncycle_s = {CYCLE_S}\nlog_cycle_s = {LOG_S}\ntransport_delay_s = {DELAY_S}",
+        "[tool]\nT_flange_tcp = [1.0,0,0,0, 0,1.0,0,0, 0,0,1.0,0, 0,0,0,1.0]",
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong with the plant, each at nothing; (2,) per joint."""
+
+    deadband: tuple[float, float] = (0.0, 0.0)
+    lag_s: tuple[float, float] = (0.0, 0.0)
+    gain: tuple[float, float] = (0.0, 0.0)
+    asymmetry: tuple[float, float] = (0.0, 0.0)
+    hysteresis: tuple[float, float] = (0.0, 0.0)
+    kp: tuple[float, float] = (0.0, 0.0)
+    saturation: tuple[float, float] = (1.0, 1.0)
+    delay_s: float = 0.0
+    quantum: float = 0.0
+    spool_rate: tuple[float, float] = (np.inf, np.inf)  # foreign: largest speed of the spool [1/s]
+    warming: float = 0.0  # foreign: flow gain drifts by this share a minute
+    gear: tuple[float, float] = (0.0, 0.0)  # foreign: speed ripple, 23 periods a turn... in share of the speed
+
+
+def reference(kind: str, t: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Command (m, 2) [rad] that starts and ends at rest."""
+    fade = np.clip(np.minimum(t, t[-1] - t) / 1.0, 0.0, 1.0)[:, None]
+    rates = np.array([1.1, 0.83])
+    x = t[:, None] * rates
+    if kind == "steps":
+        level = np.sign(np.sin(0.9 * x)) * (0.4 + 0.6 * np.abs(np.sin(0.31 * x + seed)))
+        return START + fade * 0.12 * level
+    if kind == "workcycle":
+        return START + fade * 0.25 * np.clip(1.6 * np.sin(0.5 * x + 0.3), -1.0, 1.0)
+    if kind == "sweep":
+        return START + fade * 0.06 * np.sin(x * (0.4 + 0.06 * t[:, None]))
+    return START + fade * (0.1 * np.sin(x) + 0.05 * np.sin(2.7 * x + 1.0) + 0.02 * np.sin(6.1 * x))
+
+
+def run(kind: str, fault: Fault, rng: np.random.Generator, seconds: float, t0: float, noise: float) -> dict:
+    """One segment: PLC rows and sent rows."""
+    per, cycles = round(CYCLE_S / STEP_S), round(seconds / CYCLE_S)
+    t_sent = np.arange(0.0, seconds, SENT_S)
+    sent = reference(kind, t_sent)
+    dead, lag, hyst, rate = map(np.array, (fault.deadband, fault.lag_s, fault.hysteresis, fault.spool_rate))
+    up, limit = 1.0 + np.array(fault.asymmetry), np.array(fault.saturation)
+    gain = GAIN * (1.0 + np.array(fault.gain))
+    faults = np.array([dead, lag, hyst, rate, up, limit, KP * (1.0 + np.array(fault.kp)), gain, np.array(fault.gear)])
+    shock = rng.normal(0.0, noise, (cycles, 2))
+    rows = _stepped(cycles, per, sent, DELAY_S + fault.delay_s, fault.quantum, faults, fault.warming / 60.0, t0, shock)
+    return {"plc": rows.tolist(), "sent": [(t0 + t + OFFSET_S, *row) for t, row in zip(t_sent, sent, strict=True)]}
+
+
+@njit
+def _stepped(cycles, per, sent, delay, quantum, faults, warming, t0, shock):
+    """Rows time, ref (2,), encoder (2,), command (2,), number of the reference."""
+    dead, lag, hyst, rate, up, limit, kp, gain, gear = faults
+    every, step = round(LOG_S / CYCLE_S), 2.0 * np.pi / COUNTS
+    rows = np.zeros(((cycles - 1) // every + 1, 8))
+    q, x, xd, slow, play, wind, u = np.concatenate((START, np.zeros(12))).reshape(7, 2)
+    for k in range(cycles):
+        t = k * CYCLE_S
+        number = min(max(int(np.floor((t - delay) / SENT_S + 1e-9)), 0), len(sent) - 1)
+        for j in range(2):
+            ref = sent[number, j] if quantum == 0.0 else np.round(sent[number, j] / quantum) * quantum
+            enc = np.round(q[j] / step) * step
+            u[j] = min(max(kp[j] * (ref - enc), -limit[j]), limit[j])
+            if k % every == 0:
+                rows[k // every, 0], rows[k // every, 7] = t0 + t, number
+                rows[k // every, 1 + j], rows[k // every, 3 + j], rows[k // every, 5 + j] = ref, enc, u[j]
+            wind[j] = 0.995 * wind[j] + shock[k, j]
+            share = 1.0 - np.exp(-STEP_S / lag[j]) if lag[j] > 0.0 else 1.0
+            now = gain[j] * (1.0 + warming * (t0 + t))
+            for _ in range(per):
+                play[j] = min(max(play[j], u[j] - hyst[j]), u[j] + hyst[j])
+                slow[j] += share * (play[j] - slow[j])
+                half = xd[j] + 0.5 * STEP_S * (WN[j] ** 2 * (slow[j] - x[j]) - 2 * ZETA * WN[j] * xd[j])
+                middle = x[j] + 0.5 * STEP_S * xd[j]
+                xd[j] += STEP_S * (WN[j] ** 2 * (slow[j] - middle) - 2 * ZETA * WN[j] * half)
+                xd[j] = min(max(xd[j], -rate[j]), rate[j])
+                x[j] += STEP_S * min(max(half, -rate[j]), rate[j])
+                opening = max(abs(x[j]) - dead[j], 0.0) / (1.0 - dead[j])
+                speed = now * (opening * up[j] if x[j] > 0.0 else -opening)
+                q[j] += STEP_S * (speed * (1.0 + gear[j] * np.sin(23.0 * q[j])) + wind[j])
+    return rows
+
+
+KINDS = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle", "sweep")
+
+
+def write(
+    folder: Path, fault: Fault, seed: int = 1, seconds: float = 20.0, noise: float = 2e-5, kinds: tuple = KINDS
+) -> Path:
+    """A recording folder as the format says."""
+    rng = np.random.default_rng(seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "machine.toml").write_text(MACHINE + "\n", encoding="utf-8")
+    plc, sent, segments, first = [], [], [], 0
+    for number, kind in enumerate(kinds):
+        t0 = number * (seconds + 1.0)
+        made = run(kind, fault, rng, seconds, t0, noise)
+        plc += [(*row[:-1], first + int(row[-1])) for row in made["plc"]]
+        sent += [(row[0], first + k, *row[1:]) for k, row in enumerate(made["sent"])]
+        first += len(made["sent"])
+        again = '\nrepeat_of = "A"' if kind == "repeat" else ""
+        segments.append(
+            f'[[segment]]\nname = "{kind}{number}"\nkind = "{kind}"\nt_start_plc_s = {t0!r}\n'
+            f"t_end_plc_s = {made['plc'][-1][0]!r}{again}\n"
+        )
+    head = '[run]\nname = "made up"\nstarted_utc = "2026-01-01T00:00:00Z"\nseed = 1\nformat_version = 1\n'
+    clocks = f"[clocks]\nplc_to_pc_offset_s = {OFFSET_S}\n"
+    (folder / "run.toml").write_text(head + clocks + "\n".join(segments), encoding="utf-8")
+    names = ["t_plc_s", *(f"{n}_{j}_{u}" for n, u in (("q_ref", "rad"), ("q", "rad"), ("u", "frac")) for j in (1, 2))]
+    _csv(folder / "plc.csv", [*names, "seq_received"], plc)
+    _csv(folder / "sent.csv", ["t_pc_s", "seq", "q_sent_1_rad", "q_sent_2_rad"], sent)
+    return folder
+
+
+def _csv(path: Path, names: list, rows: list) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        writer.writerows(rows)
