@@ -14,6 +14,7 @@ ONE_GREY_ROWS_MIN = 2  # of 90: a decoder fills what is missing with one grey
 STEP_MIN_GREY, STEP_MIN_RATIO = 5.0, 1.6  # of the mean step from a thumbnail row to the next
 STEP_ROWS_NEAR = 3  # a horizontal edge of the scene moves by no more from pair to pair (24 px)
 BREAK_MIN_GREY, BREAK_RATIO = 10.0, 2.5
+SETTLED_PAIRS = 150  # a step that stays this long in a picture that keeps still is something in front of the camera
 
 
 def wrong_size(frame: StereoFrame, camera: StereoCamera | None) -> tuple[Finding, ...]:
@@ -37,18 +38,20 @@ class GarbageMonitor:
     """Data that broke off or went astray: from some row on the picture is another one, down to its end.
 
     Such a picture shows a step between two rows that no picture before it had there; and below the step everything has
-    changed since the last good picture, above it no more than motion changes.
+    changed since the last good picture, above it no more than motion changes. Only pictures that show something are to
+    be given to it: after a black one every edge is new.
     """
 
     def __init__(self) -> None:
         self._steps = np.zeros(0)
         self._bands = np.zeros(0)
+        self._still = 0
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
         """Look for rows of one grey, for a step, and for a break between the rows above and those below."""
         steps = 0.5 * (pair.left.rows + pair.right.rows)
         bands = np.minimum(_band_changes(pair.left.cells), _band_changes(pair.right.cells))
-        text = _one_grey(pair)
+        text = cut = _one_grey(pair)
         if not text and not pair.first and len(self._steps) == len(steps):
             row = int(_new_step(steps, self._steps))
             if row >= 0:
@@ -57,9 +60,10 @@ class GarbageMonitor:
                 )
             elif _break(bands, self._bands):
                 text = "its lower part is another picture than just before, its upper part is not"
-        if text:
+        self._still = self._still + 1 if text and not cut and bands.max() < BREAK_MIN_GREY else 0
+        if text and self._still < SETTLED_PAIRS:
             return (_garbage(text),)
-        self._steps, self._bands = steps, bands
+        self._steps, self._bands, self._still = steps, bands, 0
         return ()
 
 

@@ -214,3 +214,41 @@ def test_without_a_camera_file_size_and_rig_are_not_judged() -> None:
     left, right = camera.eyes()
     assert health.check(camera.frame(right, left)) == ()
     assert "differ" not in "".join(health.check(camera.frame(left[::2, ::2], right[::2, ::2])))
+
+
+def shelf(image: Image) -> Image:
+    """Something dark in front of the lower part of the picture, its edge along the rows."""
+    out = image.copy()
+    out[520:] = out[520:] // 3 + 10
+    return out
+
+
+@pytest.mark.parametrize("name", ["black", "white", "frozen"])
+def test_a_scene_with_an_edge_along_its_rows_is_usable_again_after_a_fault(name: str) -> None:
+    camera, health = Camera(), ImageHealth(CAMERA)
+    good = lambda: camera.frame(*(shelf(eye) for eye in camera.eyes()))  # noqa: E731
+    for _ in range(BEFORE):
+        assert health.before_use(good()) == ()
+    eyes = tuple(shelf(eye) for eye in camera.eyes())
+    grey = {"black": [eye // 64 for eye in eyes], "white": [eye | 255 for eye in eyes], "frozen": eyes}[name]
+    sick = [health.before_use(camera.frame(*grey)) for _ in range(5)]
+    assert all(sick[1:])
+    after = [health.before_use(good()) for _ in range(3 * GOOD_PAIRS)]
+    assert after[-1] == ()
+
+
+def test_what_came_to_stay_in_front_of_the_camera_is_taken_for_the_scene_in_time() -> None:
+    camera, health = Camera(), ImageHealth(CAMERA)
+    settled(camera, health)
+    found = [health.before_use(camera.frame(*(shelf(eye) for eye in camera.eyes()))) for _ in range(200)]
+    assert FaultCode.GARBAGE in codes(found[0])
+    assert found[-1] == ()
+
+
+def test_rows_that_are_missing_for_long_are_never_taken_for_the_scene() -> None:
+    camera, health = Camera(), ImageHealth(CAMERA)
+    settled(camera, health)
+    for _ in range(200):
+        left, right = camera.eyes()
+        left[600:] = right[600:] = 128
+        assert FaultCode.GARBAGE in codes(health.before_use(camera.frame(left, right)))
