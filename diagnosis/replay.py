@@ -39,12 +39,13 @@ class Replayer:
     plant: Actuators
     torque_reference: Array | None
 
-    def prepare(self, stretch: Stretch) -> Prepared:
+    def prepare(self, stretch: Stretch, course: ParameterSets | None = None) -> Prepared:
         """Each stage's measured input at every PLC cycle.
 
-        Model: between two logged rows an input moves as the nominal stage before it says, corrected linearly so that
-               it meets both rows: a jump of the reference falls on its own cycle, and not on ten.
+        Model: between two logged rows an input moves as the stage before it says (by `course`, nominal without),
+               corrected linearly so that it meets both rows: a jump of the reference falls on its own cycle.
         """
+        known = neutral_sets(self.nominal.n) if course is None else course
         plant = self.at_rate(stretch.dt_s)
         drives: dict[str, Drive] = {}
         ref, enc, u = (None if signal is None else filled(signal) for signal in (stretch.ref, stretch.enc, stretch.u))
@@ -52,15 +53,15 @@ class Replayer:
         if stretch.sent is not None and ref is not None:
             cycles = (stretch.rows - 1) * plant.decimate + 1
             drives["link"] = drive_by_sent(plant, stretch.sent.t_s, stretch.sent.q, float(stretch.t_s[0]), cycles)
-            between = self._fine("link", plant, drives["link"])
+            between = self._fine("link", plant, drives["link"], known)
         ref_fine = None if ref is None else _through(plant, ref, between)
         between = None
         if ref_fine is not None and enc is not None and u is not None and self.nominal.has_controller:
             drives["controller"] = drive_controller(plant, ref_fine, at_cycles(plant, enc), u[0], fine=True)
-            between = self._fine("controller", plant, drives["controller"])
+            between = self._fine("controller", plant, drives["controller"], known)
         if u is not None and enc is not None:
             u_fine = _through(plant, u, between)
-            drives["actuator"] = drive_actuator(plant, u_fine, enc[0], self._loads(enc), fine=True)
+            drives["actuator"] = drive_actuator(plant, u_fine, enc[0], self.loads(enc), fine=True)
         return Prepared(plant, drives, stretch)
 
     def outputs(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
@@ -83,15 +84,16 @@ class Replayer:
         cycles = max(1, round(dt_s / self.plant.cycle_s))
         return replace(self.plant, log_cycle_s=cycles * self.plant.cycle_s)
 
-    def _fine(self, stage: str, plant: Actuators, drive: Drive) -> Array | None:
-        """The nominal stage's output at every PLC cycle (cycles, n); None where each is logged anyway."""
+    def _fine(self, stage: str, plant: Actuators, drive: Drive, course: ParameterSets) -> Array | None:
+        """The stage's output at every PLC cycle (cycles, n); None where each is logged anyway."""
         if plant.decimate == 1:
             return None
         every = replace(plant, log_cycle_s=plant.cycle_s)
         none = np.zeros((drive.cycles, plant.n))
-        return _output(stage, every, neutral_sets(plant.n), replace(drive, load=none, load_kg=none))[0]
+        return _output(stage, every, course, replace(drive, load=none, load_kg=none))[0]
 
-    def _loads(self, enc: Array) -> tuple[Array, Array] | None:
+    def loads(self, enc: Array) -> tuple[Array, Array] | None:
+        """Load and load per kg along encoders (rows, n); None where masses or limits are not known."""
         if self.torque_reference is None or self.nominal.arm is None:
             return None
         return loads_along(self.nominal.arm, neutral_sets(self.nominal.n), enc, self.torque_reference)

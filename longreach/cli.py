@@ -14,6 +14,7 @@ from longreach import (
     camera_command,
     commission_command,
     demo,
+    diagnose_command,
     export_command,
     position,
     record_command,
@@ -34,6 +35,7 @@ app.command("export-plc")(export_command.export_plc)
 app.command("commission")(commission_command.commission)
 app.command("position")(position.position)
 app.command("demo")(demo.demo)
+app.command("diagnose")(diagnose_command.diagnose)
 app.command("reproduce")(reproduce_command.reproduce)
 app.add_typer(bench.app, name="bench", help="Measure; every figure in the README comes from here.")
 app.add_typer(calibration_command.app, name="calibration", help="Show and export the local calibration.")

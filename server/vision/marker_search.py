@@ -12,6 +12,7 @@ from server.vision.corners import refine_corners
 from server.vision.edge_fit import SideFit
 from server.vision.errors import UnknownDictionaryError
 
+SIDE_MIN_PX = 12  # of a picture; the smallest marker has 6 cells
 SAME_PLACE_FRAC = 0.25  # of a marker's size: closer than that, two finds are one marker
 
 
@@ -73,8 +74,6 @@ def _parameters(image_size_px: int, perimeter_min_px: float) -> "cv2.aruco.Detec
 def _detect(
     image: Image, dictionary: "cv2.aruco.Dictionary", parameters: "cv2.aruco.DetectorParameters"
 ) -> tuple[FoundMarker, ...]:
-    if min(image.shape) < 12:
-        return ()
     corners, ids, _ = cv2.aruco.ArucoDetector(dictionary, parameters).detectMarkers(image)
     if ids is None:
         return ()
@@ -89,8 +88,10 @@ def find_markers(
 ) -> tuple[FoundMarker, ...]:
     """Every marker of a dictionary in one grey image (h, w), corners as the contour gives them (about 0.7 px).
 
-    Pixel convention: the centre of the top left pixel is (0, 0).
+    Pixel convention: the centre of the top left pixel is (0, 0). A picture of less than 12 px shows none.
     """
+    if min(image.shape) < SIDE_MIN_PX:  # a place that a smaller picture no longer has
+        return ()
     return _detect(image, dictionary, _parameters(max(image.shape), perimeter_min_px))
 
 
@@ -98,6 +99,8 @@ def find_all_markers(
     image: Image, dictionary: "cv2.aruco.Dictionary", perimeter_min_px: float = 20.0
 ) -> tuple[FoundMarker, ...]:
     """As `find_markers`, slow and thorough: more thresholds, and a second pass at twice the size for cells of 2 px."""
+    if min(image.shape) < SIDE_MIN_PX:
+        return ()
     thorough = _parameters(2 * max(image.shape), perimeter_min_px)
     thorough.adaptiveThreshWinSizeStep = 4
     thorough.adaptiveThreshWinSizeMax = 43

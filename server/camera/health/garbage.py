@@ -38,33 +38,38 @@ class GarbageMonitor:
     """Data that broke off or went astray: from some row on the picture is another one, down to its end.
 
     Such a picture shows a step between two rows that no picture before it had there; and below the step everything has
-    changed since the last good picture, above it no more than motion changes. Only pictures that show something are to
-    be given to it: after a black one every edge is new.
+    changed since the last good picture, above it no more than motion changes. Only `take` makes a picture a good one:
+    after a black or a blurred one every edge would be new.
     """
 
     def __init__(self) -> None:
-        self._steps = np.zeros(0)
-        self._bands = np.zeros(0)
+        self._good: tuple[Array, Array] = np.zeros(0), np.zeros(0)  # steps and bands of the last good picture
+        self._now = self._good
         self._still = 0
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
         """Look for rows of one grey, for a step, and for a break between the rows above and those below."""
         steps = 0.5 * (pair.left.rows + pair.right.rows)
         bands = np.minimum(_band_changes(pair.left.cells), _band_changes(pair.right.cells))
+        self._now = steps, bands
         text = cut = _one_grey(pair)
-        if not text and not pair.first and len(self._steps) == len(steps):
-            row = int(_new_step(steps, self._steps))
+        if not text and not pair.first and len(self._good[0]) == len(steps):
+            row = int(_new_step(steps, self._good[0]))
             if row >= 0:
                 text = (
                     f"a step through the picture at {100 * row // len(steps)} % of its height that was not there before"
                 )
-            elif _break(bands, self._bands):
+            elif _break(bands, self._good[1]):
                 text = "its lower part is another picture than just before, its upper part is not"
         self._still = self._still + 1 if text and not cut and bands.max() < BREAK_MIN_GREY else 0
         if text and self._still < SETTLED_PAIRS:
             return (_garbage(text),)
-        self._steps, self._bands, self._still = steps, bands, 0
+        self._still = 0
         return ()
+
+    def take(self) -> None:
+        """The picture checked last was good in every other way, too: later ones are compared with it."""
+        self._good = self._now
 
 
 def _one_grey(pair: Pair) -> str:

@@ -43,7 +43,8 @@ class ImageHealth:
         self._pair: Pair | None = None
         self._images, self._marked = Latch(), Latch()
         self._stamps, self._blur, self._markers = StampMonitor(), BlurMonitor(), MarkerMonitor(camera)
-        self._first: tuple[Monitor, ...] = (ExposureMonitor(), FrozenMonitor(), GarbageMonitor())
+        self._garbage = GarbageMonitor()
+        self._first: tuple[Monitor, ...] = (ExposureMonitor(), FrozenMonitor(), self._garbage)
         self._then: tuple[Monitor, ...] = (LightMonitor(), RigMonitor(camera), SpotMonitor(), self._blur)
 
     def check(self, frame: StereoFrame) -> tuple[str, ...]:
@@ -76,6 +77,8 @@ class ImageHealth:
         if not any(finding.code in USELESS for finding in findings):
             for monitor in self._then:
                 findings += monitor.check(pair)
+        if not any(finding.forbids_look for finding in findings):
+            self._garbage.take()
         return self._images.hold(tuple(findings))
 
     def after_markers(self, observation: PairObservation | None) -> tuple[Finding, ...]:

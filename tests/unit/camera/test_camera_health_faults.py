@@ -223,14 +223,15 @@ def shelf(image: Image) -> Image:
     return out
 
 
-@pytest.mark.parametrize("name", ["black", "white", "frozen"])
+@pytest.mark.parametrize("name", ["black", "white", "frozen", "blurred"])
 def test_a_scene_with_an_edge_along_its_rows_is_usable_again_after_a_fault(name: str) -> None:
     camera, health = Camera(), ImageHealth(CAMERA)
     good = lambda: camera.frame(*(shelf(eye) for eye in camera.eyes()))  # noqa: E731
-    for _ in range(BEFORE):
+    for _ in range(BEFORE + 4):  # blur is judged from the fifteenth picture on
         assert health.before_use(good()) == ()
     eyes = tuple(shelf(eye) for eye in camera.eyes())
-    grey = {"black": [eye // 64 for eye in eyes], "white": [eye | 255 for eye in eyes], "frozen": eyes}[name]
+    dark, white, soft = [eye // 64 for eye in eyes], [eye | 255 for eye in eyes], [blur(blur(eye)) for eye in eyes]
+    grey = {"black": dark, "white": white, "frozen": eyes, "blurred": soft}[name]
     sick = [health.before_use(camera.frame(*grey)) for _ in range(5)]
     assert all(sick[1:])
     after = [health.before_use(good()) for _ in range(3 * GOOD_PAIRS)]

@@ -117,3 +117,13 @@ def test_an_empty_picture_is_searched_at_once_then_every_third():
     assert searches[:3] == [True, True, True]
     assert sum(searches[3:]) in (2, 3)
     assert cv2.countNonZero(blank) > 0
+
+
+def test_a_picture_that_has_become_smaller_than_the_last_places_shows_nothing():
+    """A camera that falls back to another size: the places of the last pair lie outside."""
+    detector = EyeDetector(machine().camera, machine().dictionary, WANTED)
+    image = left_eye(0.6)
+    assert detector.detect(image).markers
+    small = np.ascontiguousarray(image[:40, :60])
+    assert detector.detect(small).markers == {}
+    assert detector.detect(np.ascontiguousarray(image[:, :5])).markers == {}

@@ -1,0 +1,243 @@
+"""The answer as JSON: names, units and meanings are the contract's and never change."""
+
+from typing import Any
+
+import numpy as np
+
+from diagnosis.diagnose import CellAnswer, Diagnosis
+from diagnosis.experiment import next_experiment
+from diagnosis.fit import Fit
+from diagnosis.limits import Interval, closed_share
+from diagnosis.score import Score
+from diagnosis.weigh import calibration
+from machine.effects.registry import effect_named
+
+FORMAT = 1
+MASS_90 = 0.9
+HYPOTHESES_MAX = 10
+METRICS = {
+    "link": "RMS of 20 Hz increments on held-out trajectories",
+    "structure": "RMS of measured points on held-out poses",
+    "camera": "RMS of marker corners on held-out frames",
+}
+
+
+def answer(found: Diagnosis) -> dict[str, Any]:
+    """Everything the contract asks for."""
+    hypotheses = [_hypothesis(found, number) for number in range(min(len(found.hypotheses), HYPOTHESES_MAX))]
+    return {
+        "format_version": FORMAT,
+        "verdict": found.verdict.word,
+        "why": found.verdict.why,
+        "hypotheses": hypotheses,
+        "outside_probability": _outside(found),
+        "indistinguishable": _classes(found.cells),
+        "credible_set_90": _credible(found),
+        "localisation": _localisation(found),
+        "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in found.localisation.merged],
+        "shrink": _shrink(found),
+        "unexplained": _unexplained(found.cells),
+        "detection_limits": _limits(found.cells),
+        "next_experiment": next_experiment(found),
+        "missing": _missing(found),
+        "findings": [{"code": f.code, "severity": f.severity, "text": str(f)} for f in found.whole.findings],
+        "searched": [_searched(one) for one in found.cells],
+    }
+
+
+def _outside(found: Diagnosis) -> float:
+    """Probability that a cause outside the catalogue is at work."""
+    by_word = dict(calibration().outside_probability)
+    return float(by_word[found.verdict.word])
+
+
+def _hypothesis(found: Diagnosis, number: int) -> dict[str, Any]:
+    whole = found.hypotheses[number]
+    effects = [effect for score in whole.scores for effect in _effects(score, found.numbers.get(id(score), ()))]
+    return {"effects": effects, "probability": _round(whole.probability * (1.0 - _outside(found)))}
+
+
+def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]]:
+    out: list[dict[str, Any]] = []
+    at = 0
+    for one in score.fit.hypothesis:
+        mine = numbers[at : at + len(one.slots)] if numbers else _plain(score.fit, at, len(one.slots))
+        at += len(one.slots)
+        effect = effect_named(one.name)
+        parameters: dict[str, Any] = {}
+        vector = len({slot.parameter for slot in one.slots}) < len(one.slots)
+        if vector and effect is not None and effect.direction is not None:
+            parameters = _vector(one.slots[0].parameter, effect.size.unit, effect.direction.name, mine)
+        else:
+            for slot, number in zip(one.slots, mine, strict=True):
+                spec = effect.parameter(slot.parameter) if effect is not None else None
+                parameters[slot.parameter] = _number(number, spec.unit if spec is not None else "")
+        for slot, value in one.fixed:
+            parameters[slot.parameter] = {"value": value, "unit": "1", "low": value, "high": value}
+        if one.option and effect is not None and effect.choice is not None:
+            parameters[effect.choice.name] = {"value": one.option, "unit": "", "low": None, "high": None}
+        out.append({"name": one.name, "joint": one.joint, "stage": one.stage, "parameters": parameters})
+    return out
+
+
+def _plain(fit: Fit, at: int, count: int) -> tuple[Interval, ...]:
+    return tuple(Interval(float(x), float(x), float(x)) for x in fit.theta[at : at + count])
+
+
+def _number(number: Interval, unit: str) -> dict[str, Any]:
+    return {"value": _round(number.value), "unit": unit, "low": _round(number.low), "high": _round(number.high)}
+
+
+def _vector(name: str, unit: str, direction: str, numbers: tuple[Interval, ...]) -> dict[str, Any]:
+    vector = np.array([one.value for one in numbers])
+    half = max(0.5 * (one.high - one.low) for one in numbers)
+    size = float(np.linalg.norm(vector))
+    along = (vector / size).tolist() if size > 0.0 else vector.tolist()
+    return {
+        name: {"value": _round(size), "unit": unit, "low": _round(max(0.0, size - half)), "high": _round(size + half)},
+        direction: {"value": [_round(x) for x in along], "unit": "1", "low": None, "high": None},
+    }
+
+
+def _classes(cells: tuple[CellAnswer, ...]) -> list[list[dict[str, Any]]]:
+    return [[{"name": name, "joint": joint} for name, joint in members] for one in cells for members in one.same]
+
+
+def _credible(found: Diagnosis) -> list[dict[str, Any]]:
+    """The fewest hypotheses that hold 90 % of what the catalogue can explain."""
+    out, mass = [], 0.0
+    for whole in found.hypotheses:
+        keys = [one.key for score in whole.scores for one in score.fit.hypothesis]
+        named = [{"name": name, "joint": joint} for name, joint in keys]
+        probability = whole.probability * (1.0 - _outside(found))
+        out.append({"effects": named, "probability": _round(probability)})
+        mass += whole.probability
+        if mass >= MASS_90:
+            break
+    return out
+
+
+def _localisation(found: Diagnosis) -> list[dict[str, Any]]:
+    return [
+        {
+            "stage": place.stage,
+            "joint": place.joint,
+            "axis": place.axis,
+            "regime": place.regime,
+            "gap": _round(place.gap),
+            "floor": _round(place.floor),
+            "unit": place.unit,
+            "share_frac": _round(place.share_frac),
+        }
+        for place in found.localisation.places
+    ]
+
+
+def _shrink(found: Diagnosis) -> dict[str, Any]:
+    stages = []
+    for one in found.cells:
+        s = one.shrink
+        stages.append(
+            {
+                "stage": s.stage,
+                "joint": s.joint,
+                "metric": METRICS.get(s.stage, METRICS["link"]),
+                "unit": s.unit,
+                "before": _round(s.before),
+                "after": _round(s.after),
+                "floor": _round(s.floor),
+                "closed_frac": _round(s.closed_frac),
+                "low": _round(s.low),
+                "high": _round(s.high),
+            }
+        )
+    return {"overall": _overall(found.cells), "stages": stages}
+
+
+def _overall(cells: tuple[CellAnswer, ...]) -> dict[str, Any]:
+    """All cells together, each in units of its own floor."""
+    before, after, count = ([], [], [])
+    for one in cells:
+        block = one.search.cell.rows.block
+        before.append(np.bincount(block, weights=one.search.none.held_out**2))
+        after.append(np.bincount(block, weights=one.chosen.held_out**2))
+        count.append(one.search.cell.quiet * np.bincount(block))
+    if not cells:
+        return {}
+    b, a, c = (np.concatenate(one) for one in (before, after, count))
+    rows = sum(one.search.cell.rows.count for one in cells)
+    closed, low, high = closed_share(b, a, c, rows, 0)
+    return {
+        "metric": "RMS of held-out residuals",
+        "unit": "noise floors",
+        "before": _round(float(np.sqrt(b.sum() / rows))),
+        "after": _round(float(np.sqrt(a.sum() / rows))),
+        "floor": _round(float(np.sqrt(c.sum() / rows))),
+        "closed_frac": _round(closed),
+        "low": _round(low),
+        "high": _round(high),
+    }
+
+
+def _unexplained(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
+    return [
+        {
+            "test": fired.test,
+            "stage": fired.stage,
+            "joint": fired.joint,
+            "size": _round(fired.size),
+            "p_value": _round(fired.p_value),
+            "lead": fired.lead,
+        }
+        for one in cells
+        for fired in one.fired
+    ]
+
+
+def _limits(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
+    out = []
+    for one in cells:
+        for limit in one.limits:
+            effect = effect_named(limit.name)
+            out.append(
+                {
+                    "name": limit.name,
+                    "joint": limit.joint,
+                    "parameter": limit.parameter,
+                    "size": _round(limit.size),
+                    "unit": effect.size.unit if effect is not None else "",
+                }
+            )
+    return out
+
+
+def _missing(found: Diagnosis) -> list[dict[str, str]]:
+    out = [{"signal": why.split(":")[0], "costs": why} for _, why in found.localisation.merged]
+    nominal = found.whole.nominal
+    out += [{"signal": part, "costs": text} for part, text in nominal.absent] if nominal is not None else []
+    if any(not one.search.cell.floor_known for one in found.cells):
+        out.append({"signal": "repeats", "costs": "no usable repeats: noise floor estimated, probabilities widened"})
+    if any(one.search.cell.same_kind for one in found.cells):
+        text = "one kind of trajectory only: held-out data are of the same kind, which lag and delay can fool"
+        out.append({"signal": "other kinds of trajectory", "costs": text})
+    return out
+
+
+def _searched(one: CellAnswer) -> dict[str, Any]:
+    cell = one.search.cell
+    return {
+        "stage": cell.stage,
+        "joint": cell.joint,
+        "rows": cell.rows.count,
+        "hypotheses": len(one.search.scored),
+        "candidates": len(one.search.scans),
+        "spread": _round(one.search.spread),
+        "evidence_nats": _round(one.chosen.evidence - one.search.none.evidence),
+        "held_out_nats": _round(one.chosen.total - one.search.none.total),
+        "floor_known": cell.floor_known,
+    }
+
+
+def _round(value: float | None) -> float | None:
+    """Six digits; None for what is not a finite number."""
+    return float(f"{value:.6g}") if value is not None and np.isfinite(value) else None

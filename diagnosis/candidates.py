@@ -1,0 +1,117 @@
+"""The effects that a stage's residual can name: what a fit moves for each, and where it looks first."""
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from machine.effects.layout import ParameterSets, Slot, slots_of
+from machine.effects.registry import effect_named, effects_of
+from machine.effects.spec import Effect, Stage
+from machine.rotations import Array
+
+SIZES = (0.004, 0.012, 0.035, 0.1, 0.25, 0.6)  # of the bound: where the scan looks, neutral 0
+LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral 1 or inf)
+PHASES = (-2.0, -0.4, 1.2, 2.7)
+#: Effects of the joint stage that the encoder shows against the valve command.
+SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
+#: Effects of the joint stage that points or markers behind the encoder show.
+SEEN_BEHIND_ENCODER = ("encoder_bias", "encoder_scale", "encoder_eccentricity", "backlash")
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """One effect on one joint (1-based; None: the machine), in one variant: `fixed` numbers do not move in a fit."""
+
+    name: str
+    joint: int | None
+    stage: str
+    option: str
+    slots: tuple[Slot, ...]
+    fixed: tuple[tuple[Slot, float], ...] = ()
+
+    @property
+    def key(self) -> tuple[str, int | None]:
+        """Effect and joint, whatever the variant."""
+        return self.name, self.joint
+
+    def starts(self) -> Array:
+        """Where the scan looks (m, slots)."""
+        if len(self.slots) > 1 and self.slots[0].parameter == self.slots[1].parameter:
+            return _around(self.slots)  # a direction's vector: along each axis, both signs
+        grids = [_grid(slot) for slot in self.slots]
+        return np.array(list(product(*grids)))
+
+
+def candidates_of(stage: Stage, joints: tuple[int, ...], machine: bool) -> tuple[Candidate, ...]:
+    """Every candidate of a stage on these joints; with the machine's own where `machine`."""
+    return tuple(one for effect in effects_of(stage) for one in _of_effect(effect, joints, machine))
+
+
+def named(names: tuple[str, ...], joints: tuple[int, ...]) -> tuple[Candidate, ...]:
+    """Candidates of these effects."""
+    found = [effect_named(name) for name in names]
+    return tuple(one for effect in found if effect is not None for one in _of_effect(effect, joints, True))
+
+
+def _of_effect(effect: Effect, joints: tuple[int, ...], machine: bool) -> list[Candidate]:
+    places: tuple[int | None, ...] = joints
+    if effect.scope == "machine":
+        places = (None,) if machine else ()
+    options = effect.choice.options if effect.choice else ("",)
+    return [one for joint in places for option in options for one in _variants(effect, joint, option)]
+
+
+def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]:
+    slots = slots_of(effect.name, joint, option)
+    whole = {one.name: range(int(one.low), int(one.high) + 1) for one in effect.parameters if one.integer}
+    if not whole:
+        return [Candidate(effect.name, joint, effect.stage, option, slots)]
+    moved = tuple(slot for slot in slots if slot.parameter not in whole)
+    counted = [slot for slot in slots if slot.parameter in whole]
+    values = product(*(whole[slot.parameter] for slot in counted))
+    return [
+        Candidate(effect.name, joint, effect.stage, option, moved, tuple(zip(counted, map(float, row), strict=True)))
+        for row in values
+    ]
+
+
+def _grid(slot: Slot) -> Array:
+    if slot.parameter == "phase_rad":
+        return np.array(PHASES)
+    effect = effect_named(slot.effect)
+    if effect is not None and effect.size.name != slot.parameter:
+        return np.array([slot.start])
+    if slot.neutral != 0.0:
+        return np.geomspace(max(slot.low, 1e-6), slot.high, LIMITS)
+    above = slot.high * np.array(SIZES)
+    return np.concatenate([slot.low * np.array(SIZES), above]) if slot.low < 0.0 else above
+
+
+def _around(slots: tuple[Slot, ...]) -> Array:
+    sizes = np.array([slot.high for slot in slots]) * np.eye(len(slots))
+    return np.concatenate([share * sign * sizes for share in (0.02, 0.1) for sign in (1.0, -1.0)])
+
+
+def put(base: ParameterSets, candidates: tuple[Candidate, ...], thetas: Array) -> ParameterSets:
+    """`base` (one set) with these effects on top of it, once for each row of thetas (m, slots of all candidates).
+
+    Model: as `machine.effects.entries.pack`: what is neutral at 0 adds up, limits take the smaller, shapes replace.
+    """
+    thetas = np.atleast_2d(thetas)
+    sets = base.repeated(len(thetas))
+    column = 0
+    for one in candidates:
+        size = one.slots[0].parameter
+        for slot, value in one.fixed:
+            sets.put(slot, value)
+        for slot in one.slots:
+            values = thetas[:, column]
+            column += 1
+            if slot.parameter != size:
+                sets.put(slot, values)
+            elif slot.neutral == 0.0:
+                sets.put(slot, base.get(slot) + values)
+            else:
+                sets.put(slot, np.minimum(base.get(slot), values))
+    return sets

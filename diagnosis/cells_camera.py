@@ -1,0 +1,254 @@
+"""The cell of marker corners [px]: arm, mount, lens, markers and the camera's clock against the encoders."""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.candidates import SEEN_BEHIND_ENCODER, candidates_of, named
+from diagnosis.cells import Cell, Rows
+from diagnosis.cells_points import rows_of, saturated_floor
+from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
+from diagnosis.nominal import Nominal
+from diagnosis.reading import Read
+from diagnosis.tables import MarkerTable
+from diagnosis.views import mean_pose, views_of
+from machine.effects.layout import READOUT, ParameterSets
+from machine.effects.seen import camera_mount, seen_corners, true_times
+from machine.effects.structure import tcp_poses
+from machine.rotations import Array, rotation_from_rotvec
+from machine.targets import Marker
+
+FRAMES_MAX = 160
+TIME_TOLERANCE_S = 1e-6
+MARGIN_S = 0.6  # a stretch's ends: the clock's offset may lie this far off
+SIGMA_MIN_PX = 0.03
+STILL_RAD = 3e-4
+VISITS_S = 3.0
+NUDGE = 1e-4
+FAR_PX = 1e3
+TIMED = ("clock_offset", "clock_drift", "camera_latency", "rolling_shutter")
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Corners by frame: t_s (m,) on the PLC's clock as best known, pixels (m, 2 eyes, markers, 4, 2), NaN unseen."""
+
+    t_s: Array
+    pixels: Array
+    markers: tuple[Marker, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CornerResidual:
+    """Whitened corners (sets, N): measured less foreseen, the OOI's place in the base fitted each time."""
+
+    nominal: Nominal
+    frames: Frames
+    on: Literal["tool", "ooi"]
+    paths: tuple[Path, ...]
+    at: NDArray[np.int64]
+    t_zero_s: float
+    T_base_ooi: Array
+    nuisance: Array
+    sigma: float
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        """One row per set."""
+        plain = without_encoders(sets)
+        rows = [self._one(sets, plain, k) for k in range(sets.sets)]
+        return np.asarray(np.array(rows) / self.sigma, dtype=float)
+
+    def _one(self, sets: ParameterSets, plain: ParameterSets, k: int) -> Array:
+        later = bool(sets.machine[k, READOUT])
+        T, T_later = self.poses(sets, plain, k, 0.0), self.poses(sets, plain, k, 0.01) if later else None
+        residual = self.difference(plain, k, T, T_later, self.T_base_ooi)
+        if self.on == "tool" or self.nuisance.shape[1] == 0:
+            return residual
+        moved = self.T_base_ooi @ _small(-_solved(self.nuisance, residual))
+        residual = self.difference(plain, k, T, T_later, moved)
+        return np.asarray(residual - self.nuisance @ _solved(self.nuisance, residual), dtype=float)
+
+    def poses(self, sets: ParameterSets, plain: ParameterSets, k: int, later_s: float) -> Array:
+        """Ts_cam_base (m, 4, 4), or Ts_cam_tcp where the tool is looked at."""
+        mount = self.nominal.T_tcp_cam_left
+        if mount is None or self.nominal.arm is None:
+            return np.tile(np.eye(4), (len(self.frames.t_s), 1, 1))
+        T_cam_tcp = np.asarray(np.linalg.inv(camera_mount(sets, mount, k)), dtype=float)
+        if self.on == "tool":
+            return np.tile(T_cam_tcp, (len(self.frames.t_s), 1, 1))
+        t = true_times(sets, self.frames.t_s, self.t_zero_s, k) + later_s
+        q = link_angles(self.paths, sets, k, self.at, t)
+        return np.asarray(T_cam_tcp @ np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k)), dtype=float)
+
+    def difference(self, plain: ParameterSets, k: int, Ts: Array, later: Array | None, T_object: Array) -> Array:
+        """Measured less foreseen of the corners that were seen (N,) [px]."""
+        camera = self.nominal.camera
+        if camera is None:
+            return np.zeros(0)
+        after = None if later is None else later @ T_object
+        corners = seen_corners(plain, camera, self.frames.markers, Ts @ T_object, after, 0.01, k)
+        foreseen = np.stack([corners.left, corners.right], axis=1)
+        seen = np.isfinite(self.frames.pixels)
+        return np.clip(np.nan_to_num((self.frames.pixels - foreseen)[seen], nan=FAR_PX), -FAR_PX, FAR_PX)
+
+
+def _solved(A: Array, r: Array) -> Array:
+    return np.asarray(np.linalg.solve(A.T @ A + 1e-9 * np.eye(A.shape[1]), A.T @ r), dtype=float)
+
+
+def _small(x: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation_from_rotvec(x[3:]), x[:3]
+    return T
+
+
+def camera_cells(whole: Read, base: ParameterSets) -> list[Cell]:
+    """A cell for the object of interest, seen while the arm moves."""
+    nominal, tables = whole.nominal, whole.tables
+    if nominal is None or tables is None or tables.markers is None or nominal.arm is None:
+        return []
+    if nominal.camera is None or nominal.T_tcp_cam_left is None:
+        return []
+    paths = paths_of(whole.stretches, nominal.actuators)
+    to_plc_s = (tables.run.camera_to_pc_offset_s or 0.0) - (tables.run.plc_to_pc_offset_s or 0.0)
+    table = replace(tables.markers, t_s=tables.markers.t_s + to_plc_s)
+    cells = []
+    for on in ("ooi", "tool"):
+        frames = frames_of(nominal, table, on, paths)
+        if frames is not None:
+            cells += _cell(whole, nominal, frames, on, paths, base, table)
+    return cells
+
+
+def frames_of(
+    nominal: Nominal, table: MarkerTable, on: Literal["tool", "ooi"], paths: tuple[Path, ...]
+) -> Frames | None:
+    """At most 160 frames, spread evenly over those that lie within stretches."""
+    markers = tuple(one for one in nominal.markers if one.on == on)
+    number = {one.marker_id: k for k, one in enumerate(markers)}
+    usable = np.array([int(i) in number for i in table.ids]) & (table.eye >= 0) & np.isfinite(table.t_s)
+    if on == "ooi":
+        usable &= inside(paths, table.t_s, MARGIN_S) >= 0
+    if not markers or int(usable.sum()) < 8:
+        return None
+    rows = np.nonzero(usable)[0]
+    rows = rows[np.argsort(table.t_s[rows], kind="stable")]
+    groups = np.split(rows, np.nonzero(np.diff(table.t_s[rows]) > TIME_TOLERANCE_S)[0] + 1)
+    chosen = np.unique(np.linspace(0, len(groups) - 1, FRAMES_MAX).astype(int))
+    pixels = np.full((len(chosen), 2, len(markers), 4, 2), np.nan)
+    for k, group in enumerate(chosen):
+        for row in groups[group]:
+            pixels[k, table.eye[row], number[int(table.ids[row])]] = table.corners[row]
+    return Frames(np.array([table.t_s[groups[k][0]] for k in chosen]), pixels, markers)
+
+
+def _cell(
+    whole: Read,
+    nominal: Nominal,
+    frames: Frames,
+    on: Literal["tool", "ooi"],
+    paths: tuple[Path, ...],
+    base: ParameterSets,
+    table: MarkerTable,
+) -> list[Cell]:
+    at = inside(paths, frames.t_s) if on == "ooi" else np.zeros(len(frames.t_s), dtype=np.int64)
+    t_zero = float(paths[0].t_s[0]) if paths else 0.0
+    rough = CornerResidual(nominal, frames, on, paths, at, t_zero, np.eye(4), np.zeros((0, 0)), 1.0)
+    placed = _placed(rough, nominal, table, base)
+    if placed is None:
+        return []
+    joints = tuple(range(1, nominal.n + 1))
+    candidates = candidates_of("camera", joints, True)
+    if on == "ooi":
+        structure = candidates_of("structure", joints, True)
+        candidates = tuple(one for one in structure if one.name != "link_flexibility") + candidates
+        behind = tuple(name for name in SEEN_BEHIND_ENCODER if nominal.actuators is not None or name != "backlash")
+        candidates += named(behind, joints) + candidates_of("time", joints, True)
+    else:
+        candidates = tuple(one for one in candidates if one.name not in TIMED)
+    candidates = tuple(one for one in candidates if one.name != "odometry_scale")
+    known = _floor(placed, base)
+    sigma = max(known if known is not None else saturated_floor(placed, base, candidates), SIGMA_MIN_PX)
+    rows, t_s = _rows(frames)
+    return [
+        Cell(
+            stage="camera",
+            joint=None,
+            unit="px",
+            candidates=candidates,
+            base=base,
+            whitened=replace(placed, sigma=sigma),
+            rows=rows,
+            scale=np.full(rows.count, sigma),
+            quiet=1.0,
+            floor_known=known is not None,
+            same_kind=False,
+            regressors=(("time", t_s),),
+            t_s=t_s,
+        )
+    ]
+
+
+def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: ParameterSets) -> CornerResidual | None:
+    """With the object's nominal place: the tool's by the machine file, the OOI's by what was seen."""
+    if rough.on == "tool":
+        T = nominal.T_tcp_tool
+        return None if T is None else replace(rough, T_base_ooi=T)
+    views = views_of(nominal, table, "ooi")
+    at = inside(rough.paths, views.t_s, MARGIN_S)
+    kept = at >= 0
+    if int(kept.sum()) < 4 or nominal.arm is None or nominal.T_tcp_cam_left is None:
+        return None
+    some = np.nonzero(kept)[0][np.unique(np.linspace(0, int(kept.sum()) - 1, FRAMES_MAX).astype(int))]
+    q = link_angles(rough.paths, base, 0, at[some], views.t_s[some])
+    Ts = tcp_poses(nominal.arm, without_encoders(base), q) @ nominal.T_tcp_cam_left @ views.Ts_cam_object[some]
+    placed = replace(rough, T_base_ooi=mean_pose(Ts))
+    for _ in range(3):  # the mean of single poses is coarse: settle on the corners themselves
+        nuisance = _nuisance(placed, base)
+        plain = without_encoders(base)
+        residual = placed.difference(plain, 0, placed.poses(base, plain, 0, 0.0), None, placed.T_base_ooi)
+        placed = replace(placed, T_base_ooi=placed.T_base_ooi @ _small(-_solved(nuisance, residual)))
+    return replace(placed, nuisance=_nuisance(placed, base))
+
+
+def _nuisance(placed: CornerResidual, base: ParameterSets) -> Array:
+    """Change of the residual with the OOI's place (N, 6), per m and rad in its own axes."""
+    plain = without_encoders(base)
+    Ts = placed.poses(base, plain, 0, 0.0)
+    at = placed.difference(plain, 0, Ts, None, placed.T_base_ooi)
+    steps = [placed.difference(plain, 0, Ts, None, placed.T_base_ooi @ _small(NUDGE * row)) for row in np.eye(6)]
+    return np.array([(one - at) / NUDGE for one in steps]).T
+
+
+def _rows(frames: Frames) -> tuple[Rows, Array]:
+    """Rows by frame; the residual holds only what was seen."""
+    seen = np.isfinite(frames.pixels).reshape(len(frames.t_s), -1)
+    whole = rows_of(len(frames.t_s), seen.shape[1])
+    kept = seen.ravel()
+    cut = replace(
+        whole, fold=whole.fold[kept], block=whole.block[kept], series=whole.series[kept], channel=whole.channel[kept]
+    )
+    return cut, np.repeat(frames.t_s, seen.shape[1])[kept]
+
+
+def _floor(placed: CornerResidual, base: ParameterSets) -> float | None:
+    """RMS deviation where the same pose was looked at again, seconds apart; None where that never happened."""
+    if placed.on == "tool":
+        spread = np.nanstd(placed.frames.pixels, axis=0, ddof=1)
+        return float(np.sqrt(np.nanmean(spread**2))) if np.isfinite(spread).any() else None
+    q = link_angles(placed.paths, base, 0, placed.at, placed.frames.t_s)
+    flat = placed.frames.pixels.reshape(len(q), -1)
+    squares, dof = 0.0, 0
+    left = list(range(len(q)))
+    while left:
+        first = left.pop(0)
+        same = [k for k in left if np.abs(q[k] - q[first]).max() < STILL_RAD]
+        if any(placed.frames.t_s[k] - placed.frames.t_s[first] > VISITS_S for k in same):
+            group = flat[[first, *same]]
+            group = group[:, np.isfinite(group).all(axis=0)]
+            squares += float(((group - group.mean(axis=0)) ** 2).sum())
+            dof += group.shape[1] * len(same)
+        left = [k for k in left if k not in set(same)]
+    return float(np.sqrt(squares / dof)) if dof >= 40 else None

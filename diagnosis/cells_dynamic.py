@@ -1,0 +1,345 @@
+"""Cells of link, controller and actuator: 20 Hz increments of measured less replayed, white by the repeats' noise."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, candidates_of, named
+from diagnosis.cells import Cell, Rows, blocks_of, folds_of
+from diagnosis.errors import DiagnosisError
+from diagnosis.floor import BLOCK_S, Floor, Whitener, block_means, floor_of_repeats, floor_without_repeats
+from diagnosis.repeats import overlaid
+from diagnosis.replay import Prepared, Replayer, measured_output
+from diagnosis.stretches import Stretch, repeat_groups
+from diagnosis.tables import filled
+from machine.effects.dynamics import Actuators, Drive, DynamicStage, at_cycles, simulate
+from machine.effects.layout import ParameterSets, neutral_sets
+from machine.rotations import Array
+
+STAGES = ("link", "controller", "actuator")
+LAST = {"link": DynamicStage.LINK, "controller": DynamicStage.CONTROLLER, "actuator": DynamicStage.ACTUATOR}
+OUTPUT = {"link": "ref", "controller": "u", "actuator": "enc"}
+UNIT = {"link": "rad", "controller": "1", "actuator": "rad/s"}
+SKIPPED = 10  # increments at a stretch's start: the valve's state is not known there
+NO_NOISE = 0.2  # of the least sigma: below it repeats are equal but for rounding, and their filter means nothing
+SIGMA_MIN = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # nothing smaller moves the tcp by 0.1 mm
+TIMING_S = 1.5e-3
+PASSES = 3
+STEP_SHARE = 0.2  # of an encoder's step: rounding that repeats do not show when they round alike
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
+
+    `between`: (m, joints), how far two guesses of the input's course between logged rows drive the increments apart.
+    """
+
+    plant: Actuators
+    drive: Drive
+    measured: Array
+    stretch: Stretch
+    between: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """The whitened residual of a stage for some joints, over several stretches."""
+
+    stage: str
+    joints: tuple[int, ...]
+    parts: tuple[Part, ...]
+    whitener: Whitener
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        """Residuals (sets, N): stretches end to end, channels within each."""
+        chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(self.joints)]), sets.machine)
+        return np.concatenate([self._white(part, chosen) for part in self.parts], axis=1)
+
+    def _white(self, part: Part, sets: ParameterSets) -> Array:
+        steps, shift = part_increments(self.stage, part, sets)
+        white = whiten_sets(self.whitener, steps)[:, SKIPPED:]
+        if self.stage == "actuator":
+            columns = [shift, part.between[None]]
+            white = _excused(white, [whiten_sets(self.whitener, one)[:, SKIPPED:] for one in columns])
+        return white.transpose(0, 2, 1).reshape(len(white), -1)
+
+
+def _excused(white: Array, columns: list[Array]) -> Array:
+    """Residuals without what the log's own coarseness can explain, per set and joint.
+
+    Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
+    the command's course is a guess. A shift of at most TIMING_S, and at most once the
+    difference of two guesses, are no effects. Solved in turn (Gauss-Seidel), since each has its own limit.
+    """
+    amounts = [np.zeros_like(white[:, :1]) for _ in columns]
+    left = white
+    for _ in range(PASSES):
+        for k, (column, most) in enumerate(zip(columns, (TIMING_S, 1.0), strict=True)):
+            wanted = np.clip(amounts[k] - _share(left, column), -most, most)
+            left = left + (wanted - amounts[k]) * column
+            amounts[k] = wanted
+    return left
+
+
+def _share(white: Array, column: Array) -> Array:
+    """Least-squares amount of a column in the residual, (sets, 1, joints)."""
+    power = (column**2).sum(axis=1, keepdims=True)
+    return (column * white).sum(axis=1, keepdims=True) / np.where(power > 1e-12, power, np.inf)
+
+
+def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array, Array]:
+    """20 Hz increments (sets, m, joints) of measured less replayed, and their change per second of delay."""
+    traces = simulate(part.plant, sets, part.drive, LAST[stage])
+    modelled = getattr(traces, OUTPUT[stage])
+    error = part.measured[None, : modelled.shape[1]] - modelled
+    size = max(1, round(BLOCK_S / part.stretch.dt_s))
+    rows = error.shape[1] // size * size
+    shape = (len(error), -1, size, error.shape[2])
+    means = error[:, :rows].reshape(shape).mean(axis=2)
+    slopes = np.gradient(modelled[:, :rows], part.stretch.dt_s, axis=1).reshape(shape).mean(axis=2)
+    return np.diff(means, axis=1), np.diff(slopes, axis=1)
+
+
+def whiten_sets(whitener: Whitener, steps: Array) -> Array:
+    """White residuals (sets, m - order, n) of increments (sets, m, n)."""
+    p = whitener.order
+    out = steps[:, p:].copy()
+    for i in range(p):
+        out -= whitener.a[i] * steps[:, p - 1 - i : steps.shape[1] - 1 - i]
+    return out / whitener.sigma
+
+
+def stage_cells(
+    stage: str, replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets, course: ParameterSets
+) -> list[Cell]:
+    """The cells of one stage that the stretches allow: the link as one, controller and actuator joint by joint.
+
+    Args: course: what is known of the stages before, for the inputs' course between logged rows.
+    """
+    prepared = [replayer.prepare(one, course) for one in stretches]
+    some = [one for one in prepared if stage in one.drives and _measured(stage, one) is not None]
+    if not some:
+        return []
+    floor = stage_floor(replayer, stage, some, base)
+    seen = [j for j in range(replayer.nominal.n) if all(_recorded(stage, one, j) for one in some)]
+    groups = [tuple(seen)] if stage == "link" else [(j,) for j in seen]
+    return [_cell(stage, joints, some, floor, base, replayer) for joints in groups if joints]
+
+
+def coupled_cell(
+    replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets, course: ParameterSets
+) -> Cell | None:
+    """All joints' actuators at once, for what couples them: the pump's sharing."""
+    some = [one for one in (replayer.prepare(s, course) for s in stretches) if "actuator" in one.drives]
+    n = replayer.nominal.n
+    if not some or n < 2 or not all(_recorded("actuator", one, j) for one in some for j in range(n)):
+        return None
+    floor = stage_floor(replayer, "actuator", some, base)
+    cell = _cell("actuator", tuple(range(n)), some, floor, base, replayer)
+    return replace(cell, candidates=named(("supply_droop",), ()))
+
+
+def _measured(stage: str, one: Prepared) -> Array | None:
+    return measured_output(stage, one.stretch)
+
+
+def _recorded(stage: str, one: Prepared, j: int) -> bool:
+    """Whether everything that a joint's replay needs was recorded."""
+    needed = {
+        "link": (one.stretch.ref,),
+        "controller": (one.stretch.ref, one.stretch.enc, one.stretch.u),
+        "actuator": (one.stretch.u, one.stretch.enc),
+    }[stage]
+    return all(signal is not None and bool(np.isfinite(signal[:, j]).all()) for signal in needed)
+
+
+def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: ParameterSets) -> Floor:
+    """The noise of a stage's residual, all joints: from the largest group of repeats, else a stand-in."""
+    residuals = {one.stretch.name: replayer.residuals(stage, one, base) for one in prepared}
+    known = {name: np.nan_to_num(one[0]) for name, one in residuals.items() if one is not None}
+    groups = repeat_groups(tuple(one.stretch for one in prepared))
+    members = max(groups.values(), key=len, default=())
+    dt = prepared[0].stretch.dt_s
+    floor: Floor | None = None
+    if len(members) > 1:
+        try:
+            floor = floor_of_repeats(overlaid(members, [known[one.name] for one in members]), dt)
+        except DiagnosisError:
+            floor = None
+    if floor is None:
+        stand_ins = [floor_without_repeats(one, dt) for one in known.values()]
+        sigma = np.median([one.whitener.sigma for one in stand_ins], axis=0)
+        floor = replace(stand_ins[0], whitener=Whitener(np.zeros((0, len(sigma))), sigma), increment_rms=sigma)
+    return _not_below(floor, _smallest(stage, prepared))
+
+
+def _smallest(stage: str, prepared: list[Prepared]) -> Array:
+    """The least sigma of an increment (n,) that is believed."""
+    n = prepared[0].plant.n
+    least = np.full(n, SIGMA_MIN[stage])
+    if stage == "actuator":
+        steps = [
+            _encoder_step(one.stretch.enc[:, j])
+            for one in prepared[:1]
+            if one.stretch.enc is not None
+            for j in range(n)
+        ]
+        least = np.maximum(least, STEP_SHARE * np.array(steps))
+    return least
+
+
+def _encoder_step(column: Array) -> float:
+    """The encoder's resolution [rad]: the step that most changes are multiples of; 0 where it shows none."""
+    changes = np.abs(np.diff(column[np.isfinite(column)]))
+    changes = changes[changes > 1e-9]
+    if len(changes) < 50:
+        return 0.0
+    step = float(np.quantile(changes, 0.02))
+    away = np.abs(changes / step - np.round(changes / step))
+    return step if float(np.median(away)) < 0.02 else 0.0
+
+
+def _not_below(floor: Floor, least: Array) -> Floor:
+    """Sigma raised to what is believed; where there is no noise, the increments are taken as white.
+
+    Returns: the floor with `rms` turned into the share of sigma that the repeats themselves show (n,).
+    """
+    sigma = floor.whitener.sigma
+    a = np.where(sigma < NO_NOISE * least, 0.0, floor.whitener.a)
+    white = Whitener(a, np.maximum(sigma, least))
+    share = np.minimum(1.0, sigma / white.sigma)
+    return replace(floor, rms=share, whitener=white, increment_rms=np.maximum(floor.increment_rms, least))
+
+
+def _cell(
+    stage: str, joints: tuple[int, ...], prepared: list[Prepared], floor: Floor, base: ParameterSets, replayer: Replayer
+) -> Cell:
+    chosen = list(joints)
+    white = Whitener(np.ascontiguousarray(floor.whitener.a[:, chosen]), floor.whitener.sigma[chosen])
+    parts = tuple(_part(stage, one, chosen) for one in prepared)
+    replay = Replay(stage, joints, parts, white)
+    kinds = [part.stretch.kind for part in parts]
+    per_channel = [white_rows(part, white.order) for part in parts]
+    blocks_by_part, folds_by_part, same = layout_of(kinds, per_channel)
+    spread = [np.tile(one, len(chosen)) for one in blocks_by_part]
+    folds = [np.tile(one, len(chosen)) for one in folds_by_part]
+    channel = [np.repeat(np.arange(len(chosen)), rows) for rows in per_channel]
+    series = [k * len(chosen) + one for k, one in enumerate(channel)]
+    rows = Rows(*(np.concatenate(one).astype(np.int64) for one in (folds, spread, series, channel)))
+    per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
+    scale = (floor.increment_rms[chosen] * per_second)[rows.channel]
+    regressors, t_s = _regressors(parts, chosen, white.order)
+    one_based = tuple(j + 1 for j in joints)
+    whole = stage == "link" or len(joints) > 1
+    return Cell(
+        stage=stage,
+        joint=None if whole else one_based[0],
+        unit=UNIT[stage],
+        candidates=_candidates(stage, one_based, whole, replayer),
+        base=base,
+        whitened=replay,
+        rows=rows,
+        scale=scale,
+        quiet=float(np.mean(floor.rms[chosen] ** 2)),
+        floor_known=floor.known,
+        same_kind=same,
+        regressors=regressors,
+        t_s=t_s,
+        coarse=any(part.plant.decimate > 1 for part in parts),
+    )
+
+
+def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]], bool]:
+    """Blocks and folds of each piece, and whether the folds are of one kind."""
+    blocks, _ = blocks_of(lengths)
+    folds, same = folds_of(kinds, lengths, blocks)
+    cuts = np.cumsum(lengths)[:-1]
+    return np.split(blocks, cuts), np.split(folds, cuts), same
+
+
+def _candidates(stage: str, joints: tuple[int, ...], whole: bool, replayer: Replayer) -> tuple[Candidate, ...]:
+    machine = stage == "link"
+    found = candidates_of(stage, joints, machine)  # pyright: ignore[reportArgumentType]
+    if stage == "actuator":
+        found = tuple(one for one in found if one.name != "supply_droop") + named(SEEN_BY_ENCODER, joints)
+    loaded = replayer.torque_reference
+    return tuple(one for one in found if _possible(one, replayer, loaded))
+
+
+def _possible(one: Candidate, replayer: Replayer, loaded: Array | None) -> bool:
+    if one.joint is None:
+        return True
+    if one.name in ("load_droop", "internal_leakage"):
+        return loaded is not None and bool(np.isfinite(loaded[one.joint - 1]))
+    return one.name != "controller_lag_error" or bool(replayer.plant.joints[one.joint - 1, 4] > 0.0)
+
+
+def _part(stage: str, one: Prepared, joints: list[int]) -> Part:
+    drive = one.drives[stage]
+    signals = {name: getattr(drive, name) for name in ("sent", "ref", "enc", "u", "load", "load_kg")}
+    cut = {name: np.ascontiguousarray(values[:, joints]) for name, values in signals.items()}
+    narrowed = replace(drive, **cut, enc_start=drive.enc_start[joints].copy(), u_start=drive.u_start[joints].copy())
+    plant = replace(one.plant, joints=one.plant.joints[joints])
+    output = _measured(stage, one)
+    if output is None:
+        raise DiagnosisError(f"{one.stretch.name}: the output of stage {stage} was not recorded")
+    measured = filled(output)[:, joints]
+    part = Part(plant, narrowed, measured, one.stretch, np.zeros((0, len(joints))))
+    return replace(part, between=_between(stage, part))
+
+
+def _between(stage: str, part: Part) -> Array:
+    """Increments (m, joints) by the modelled course of the command less those by straight lines between rows."""
+    sets = neutral_sets(part.plant.n)
+    own = part_increments(stage, part, sets)[0][0]
+    if stage != "actuator" or part.plant.decimate == 1:
+        return np.zeros_like(own)
+    straight = replace(part.drive, u=at_cycles(part.plant, part.drive.u[:: part.plant.decimate]))
+    return own - part_increments(stage, replace(part, drive=straight), sets)[0][0]
+
+
+def white_rows(part: Part, order: int) -> int:
+    """White residuals of one channel in a part."""
+    size = max(1, round(BLOCK_S / part.stretch.dt_s))
+    return max(0, len(part.measured) // size - 1 - order - SKIPPED)
+
+
+def _regressors(parts: tuple[Part, ...], joints: list[int], order: int) -> tuple[tuple[tuple[str, Array], ...], Array]:
+    """What a remainder may go with, at the residuals' rows."""
+    by_name: dict[str, list[Array]] = {}
+    times: list[Array] = []
+    for part in parts:
+        one, dt = part.stretch, part.stretch.dt_s
+        position = one.enc if one.enc is not None else one.ref
+        q = block_means(filled(position) if position is not None else part.measured, dt)
+        u = block_means(filled(one.u), dt) if one.u is not None else np.zeros_like(q)
+        t = one.t_s[0] + max(BLOCK_S, dt) * np.arange(len(q))
+        skip, rows = 1 + order + SKIPPED, white_rows(part, order)
+        for j in joints:
+            for name, values in _signals(q, u, t - one.t_s[0], j).items():
+                by_name.setdefault(name, []).append(values[skip : skip + rows])
+            times.append(t[skip : skip + rows])
+    return tuple((name, np.concatenate(values)) for name, values in by_name.items()), np.concatenate(times)
+
+
+def _signals(q: Array, u: Array, t: Array, j: int) -> dict[str, Array]:
+    v, du = np.gradient(q[:, j]), np.gradient(u[:, j])
+    others = np.delete(np.abs(u), j, axis=1).sum(axis=1)
+    turning = np.abs(np.gradient(np.sign(np.where(np.abs(v) > 1e-4, v, 0.0))))
+    return {
+        "command": u[:, j],
+        "size of the command": np.abs(u[:, j]),
+        "change of the command": du,
+        "fast change of the command": du * np.abs(du),
+        "cube of the command": u[:, j] ** 3,
+        "sign of motion": np.sign(np.where(np.abs(v) > 1e-4, v, 0.0)),
+        "reversals": turning * np.sign(np.gradient(v)),
+        "position": q[:, j],
+        "speed times position": v * (q[:, j] - q[:, j].mean()),
+        "time": t,
+        "speed times time": v * (t - t.mean()),
+        "other joints' commands": others,
+        "speed times other joints' commands": v * (others - others.mean()),
+    }

@@ -1,0 +1,176 @@
+"""The cell of points measured at rest (static.csv) or in motion (tracker.csv) against the arm."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.candidates import SEEN_BEHIND_ENCODER, Candidate, candidates_of, named, put
+from diagnosis.cells import Cell, Rows
+from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
+from diagnosis.nominal import Nominal
+from diagnosis.points import PointData, fit_points, static_data, tracked_data
+from diagnosis.reading import Read
+from machine.effects.encoders import true_angles
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+ROWS_MAX = 300
+FOLDS = 4
+SIGMA_MIN_M = 2e-5
+SAME_POSE_RAD = 2e-3
+DIRECTION_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is no noise
+POINT_ROWS_MIN = 6
+
+
+@dataclass(frozen=True, slots=True)
+class PointResidual:
+    """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time."""
+
+    nominal: Nominal
+    data: PointData
+    paths: tuple[Path, ...]
+    at: NDArray[np.int64]
+    sigma: float
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        """One row per set."""
+        plain = without_encoders(sets)
+        rows = []
+        for k in range(sets.sets):
+            data = replace(self.data, q=self._angles(sets, k))
+            rows.append(fit_points(self.nominal, plain, data, k).residual.ravel())
+        return np.array(rows) / self.sigma
+
+    def _angles(self, sets: ParameterSets, which: int) -> Array:
+        if not self.paths:
+            return true_angles(sets, self.data.q, which)
+        return link_angles(self.paths, sets, which, self.at, self.data.when)
+
+
+def point_cells(whole: Read, base: ParameterSets) -> list[Cell]:
+    """A cell for poses at rest, and one for tracked motion."""
+    nominal, tables = whole.nominal, whole.tables
+    if nominal is None or tables is None or nominal.arm is None:
+        return []
+    cells = []
+    static = static_data(nominal, tables.static) if tables.static is not None else None
+    if static is not None and len(static.xyz) >= POINT_ROWS_MIN:
+        cells.append(_cell(nominal, _thinned(static), (), base))
+    tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
+    if tracked is not None and len(tracked.xyz) >= POINT_ROWS_MIN:
+        cells.append(_cell(nominal, _thinned(tracked), paths_of(whole.stretches, nominal.actuators), base))
+    return cells
+
+
+def _thinned(data: PointData) -> PointData:
+    rows = np.unique(np.linspace(0, len(data.xyz) - 1, ROWS_MAX).astype(int))
+    return PointData(data.q[rows], data.which[rows], data.xyz[rows], data.when[rows])
+
+
+def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: ParameterSets) -> Cell:
+    at = inside(paths, data.when) if paths else np.zeros(len(data.when), dtype=np.int64)
+    if paths and (at < 0).any():
+        kept = at >= 0
+        data = PointData(data.q[kept], data.which[kept], data.xyz[kept], data.when[kept])
+        at = at[kept]
+    joints = tuple(range(1, nominal.n + 1))
+    moving = bool(paths) and all(path.plant is not None for path in paths)
+    candidates = _candidates(joints, moving)
+    rough = PointResidual(nominal, data, paths, at, 1.0)
+    known = _floor(rough, base)
+    sigma = max(known if known is not None else saturated_floor(rough, base, candidates), SIGMA_MIN_M)
+    m = len(data.xyz)
+    rows = rows_of(m, 3)
+    q = {f"joint {j}": np.repeat(data.q[:, j - 1], 3) for j in joints}
+    return Cell(
+        stage="structure",
+        joint=None,
+        unit="m",
+        candidates=candidates,
+        base=base,
+        whitened=replace(rough, sigma=sigma),
+        rows=rows,
+        scale=np.full(3 * m, sigma),
+        quiet=1.0,
+        floor_known=known is not None,
+        same_kind=False,
+        regressors=tuple(q.items()),
+        t_s=np.repeat(data.when, 3),
+    )
+
+
+def _candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
+    structure = tuple(one for one in candidates_of("structure", joints, True) if one.name != "link_flexibility")
+    behind = tuple(name for name in SEEN_BEHIND_ENCODER if moving or name != "backlash")
+    return structure + named(behind, joints)
+
+
+def rows_of(m: int, channels: int) -> Rows:
+    """Blocks of whole samples, four folds of neighbouring ones; channels one by one within a sample."""
+    sample = np.repeat(np.arange(m), channels)
+    channel = np.tile(np.arange(channels), m)
+    fold = sample * FOLDS // max(m, 1)
+    blocks = min(m, 40)
+    return Rows(fold, sample * blocks // max(m, 1), channel.copy(), channel)
+
+
+def _floor(rough: PointResidual, base: ParameterSets) -> float | None:
+    """RMS deviation of the residual where one point was measured again in the same pose; None if it never was."""
+    residual = rough(base)[0].reshape(-1, 3)
+    direction = _directions(rough)
+    squares, dof = 0.0, 0
+    left = set(range(len(residual)))
+    while left:
+        first = left.pop()
+        q, which = rough.data.q[first], rough.data.which[first]
+        same = [
+            k
+            for k in left
+            if rough.data.which[k] == which
+            and np.abs(rough.data.q[k] - q).max() < SAME_POSE_RAD
+            and bool((direction[k] == direction[first]).all())
+        ]
+        left -= set(same)
+        group = residual[[first, *same]]
+        squares += float(((group - group.mean(axis=0)) ** 2).sum())
+        dof += 3 * len(same)
+    return float(np.sqrt(squares / dof)) if dof >= 9 else None
+
+
+def _directions(rough: PointResidual) -> Array:
+    """Sign of each joint's motion (m, n); 0 for poses at rest."""
+    out = np.zeros_like(rough.data.q)
+    for k, path in enumerate(rough.paths):
+        rows = rough.at == k
+        t = rough.data.when[rows]
+        for j in range(out.shape[1]):
+            now, before = (np.interp(when, path.t_s, path.enc[:, j]) for when in (t, t - DIRECTION_S))
+            out[rows, j] = np.sign(np.where(np.abs(now - before) > 1e-3, now - before, 0.0))
+    return out
+
+
+def saturated_floor(
+    residual: Callable[[ParameterSets], Array], base: ParameterSets, candidates: tuple[Candidate, ...]
+) -> float:
+    """RMS that no linear mixture of all effects at once can explain: a stand-in where nothing was measured twice.
+
+    Why not the residual of a model under test: that would hide the gap. This one has every effect in it.
+    """
+    r0 = residual(base)[0]
+    columns = []
+    for one in candidates:
+        theta = np.zeros(len(one.slots))
+        for k, slot in enumerate(one.slots):
+            theta[k] = 0.2 * slot.start if slot.neutral == 0.0 else slot.start
+            change = residual(put(base, (one,), theta[None]))[0] - r0
+            columns.append(change)
+            theta[k] = 0.0 if slot.neutral == 0.0 else slot.start
+    A = np.array(columns).T
+    A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-15)
+    u, s, _ = np.linalg.svd(A, full_matrices=False)
+    u = u[:, s > 1e-4 * s[0]] if len(s) else u
+    left = r0 - u @ (u.T @ r0)
+    dof = max(len(r0) - u.shape[1], max(3, len(r0) // 10))
+    return float(np.sqrt(left @ left / dof))

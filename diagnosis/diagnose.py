@@ -1,0 +1,167 @@
+"""From a recording to an answer: cells, search, refusal, probabilities. Reads like the method."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from diagnosis.candidates import Candidate, put
+from diagnosis.cells import Cell
+from diagnosis.cells_camera import camera_cells
+from diagnosis.cells_dynamic import STAGES, coupled_cell, stage_cells
+from diagnosis.cells_points import point_cells
+from diagnosis.limits import Interval, Limit, Shrink, detection_limit, intervals, shrink
+from diagnosis.localise import Localisation, localise
+from diagnosis.reading import Read
+from diagnosis.refusal import Fired, remainder
+from diagnosis.replay import replayer_of
+from diagnosis.score import MARGIN_SHARE, Score
+from diagnosis.search import Search, search
+from diagnosis.verdict import Verdict, verdict_of
+from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
+from machine.effects.entries import pack
+
+Progress = Callable[[str, int, int], None]
+SINGLES_COUPLED = 2  # of each joint, besides what was chosen there, that are searched again beside supply_droop
+CHOSEN_SHARE = 0.6  # of the two's probability, for a hypothesis that passed the margin against one that scored more
+
+
+@dataclass(frozen=True, slots=True)
+class CellAnswer:
+    """One cell's answer. `fired`: tests of the remainder; `same`: effects this recording cannot tell apart."""
+
+    search: Search
+    chosen: Score
+    weighed: tuple[Weighed, ...]
+    fired: tuple[Fired, ...]
+    shrink: Shrink
+    limits: tuple[Limit, ...]
+    same: tuple[tuple[Key, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """The whole answer. `numbers`: limits of every number of the reported hypotheses, by their score's identity."""
+
+    whole: Read
+    verdict: Verdict
+    cells: tuple[CellAnswer, ...]
+    hypotheses: tuple[Whole, ...]
+    numbers: dict[int, tuple[Interval, ...]]
+    localisation: Localisation
+
+
+def diagnose(whole: Read, progress: Progress = lambda _text, _done, _total: None) -> Diagnosis:
+    """Diagnose a recording that is usable."""
+    searches = _dynamic(whole, progress) + _behind(whole, progress)
+    progress("weighing", 0, 1)
+    answers = tuple(_answer(one, len(searches)) for one in searches)
+    hypotheses = _hypotheses(answers)
+    numbers = _numbers(answers, hypotheses)
+    verdict = verdict_of(answers, hypotheses)
+    progress("localising", 1, 1)
+    return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole))
+
+
+def _dynamic(whole: Read, progress: Progress) -> list[Search]:
+    """Link, controller, actuator in this order: what is found of one says how the next one's input really moved."""
+    nominal = whole.nominal
+    replayer = replayer_of(nominal) if nominal is not None else None
+    if nominal is None or replayer is None or not whole.stretches:
+        return []
+    base = pack(nominal.baseline, nominal.n)
+    course, searches = base, []
+    for stage in STAGES:
+        cells = stage_cells(stage, replayer, whole.stretches, base, course)
+        cells = [replace(one, least_nats=_least(one, searches)) for one in cells]
+        found = _searched(cells, progress)
+        if stage == "actuator" and found:
+            progress("what couples the joints", 0, 1)
+            found = _with_coupling(found, coupled_cell(replayer, whole.stretches, base, course))
+        for one in found:
+            course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
+        searches += found
+    return searches
+
+
+def _least(cell: Cell, before: list[Search]) -> float:
+    """What a guessed input may be wrong by: 0.2 % of what the stages before it gained; 0 if every cycle is logged."""
+    if not cell.coarse:
+        return 0.0
+    feeding = [one for one in before if one.cell.joint in (None, cell.joint)]
+    return MARGIN_SHARE * sum(one.chosen.total - one.none.total for one in feeding)
+
+
+def _behind(whole: Read, progress: Progress) -> list[Search]:
+    """What was measured behind the encoders: points, marker corners."""
+    if whole.nominal is None:
+        return []
+    base = pack(whole.nominal.baseline, whole.nominal.n)
+    return _searched(point_cells(whole, base) + camera_cells(whole, base), progress)
+
+
+def _searched(cells: list[Cell], progress: Progress) -> list[Search]:
+    out = []
+    for number, cell in enumerate(cells):
+        progress(f"searching {cell.label}", number, len(cells))
+        out.append(search(cell))
+    return out
+
+
+def _with_coupling(searches: list[Search], coupled: Cell | None) -> list[Search]:
+    """The actuators, searched together where the pump's sharing explains what single joints do not."""
+    if coupled is None:
+        return searches
+    alone = search(coupled)
+    if not alone.chosen.fit.hypothesis:
+        return searches
+    others = {one.key: one for found in searches for one in _likely(found)}
+    together = search(replace(coupled, candidates=(*coupled.candidates, *others.values())))
+    if not any(one.name == "supply_droop" for one in together.chosen.fit.hypothesis):
+        return searches
+    if together.chosen.total <= sum(one.chosen.total for one in searches):
+        return searches
+    return [together]
+
+
+def _likely(found: Search) -> list[Candidate]:
+    singles = [one for one in found.scored if len(one.fit.hypothesis) == 1]
+    singles.sort(key=lambda one: -one.total)
+    best = [effect for one in singles[:SINGLES_COUPLED] for effect in one.fit.hypothesis]
+    return [*found.chosen.fit.hypothesis, *best]
+
+
+def _answer(found: Search, cells: int) -> CellAnswer:
+    chosen = settled(found)
+    return CellAnswer(
+        search=found,
+        chosen=chosen,
+        weighed=_first(weighed(found), chosen),
+        fired=remainder(found.cell, chosen, cells),
+        shrink=shrink(found, chosen),
+        limits=tuple(detection_limit(one, found.spread) for one in found.scans),
+        same=same_here(found, chosen),
+    )
+
+
+def _first(all_of: tuple[Weighed, ...], chosen: Score) -> tuple[Weighed, ...]:
+    """The chosen hypothesis first: what passed the margin goes before what merely scored a little more."""
+    own = next(one for one in all_of if one.score is chosen)
+    top = all_of[0]
+    if own is top:
+        return all_of
+    both = own.probability + top.probability
+    moved = (Weighed(chosen, CHOSEN_SHARE * both), Weighed(top.score, (1.0 - CHOSEN_SHARE) * both))
+    return (*moved, *(one for one in all_of if one is not own and one is not top))
+
+
+def _hypotheses(answers: tuple[CellAnswer, ...]) -> tuple[Whole, ...]:
+    return combined([one.weighed for one in answers])
+
+
+def _numbers(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -> dict[int, tuple[Interval, ...]]:
+    """Limits of the numbers of every score that a reported hypothesis uses."""
+    out: dict[int, tuple[Interval, ...]] = {}
+    for hypothesis in hypotheses[:10]:
+        for answer, score in zip(answers, hypothesis.scores, strict=True):
+            if id(score) not in out:
+                out[id(score)] = intervals(answer.search.cell, score.fit, answer.search.spread)
+    return out

@@ -1,0 +1,113 @@
+"""Least squares of a hypothesis in one cell: every column of a Jacobian, and every trial step, in one kernel call."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.candidates import Candidate, put
+from diagnosis.cells import Cell
+from diagnosis.errors import DiagnosisError
+from machine.rotations import Array
+
+SOFT = 3.0  # whitened residuals beyond it count linearly (soft-L1)
+STEP_SHARE = 2e-3  # of the range: large against rounding and kinks
+ROUNDS = 10
+SETTLED_NATS = 0.02
+SETTLED_SHARE = 1e-5
+DAMPINGS = (1e-6, 1e-2, 1.0)
+Hypothesis = tuple[Candidate, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Where a hypothesis fits best. `theta` (k,), residual (N,), J (N, k), `cost` [nats], `at_bound` (k,)."""
+
+    hypothesis: Hypothesis
+    theta: Array
+    residual: Array
+    J: Array
+    cost: float
+    at_bound: tuple[bool, ...]
+
+    @property
+    def k(self) -> int:
+        """Numbers that were fitted."""
+        return len(self.theta)
+
+
+def costs(residual: Array) -> Array:
+    """Soft-L1 cost of each residual [nats]; 1/2 r^2 while small."""
+    return SOFT**2 * (np.sqrt(1.0 + (residual / SOFT) ** 2) - 1.0)
+
+
+def weights(residual: Array) -> Array:
+    """Of each residual in a Gauss-Newton step."""
+    return 1.0 / np.sqrt(1.0 + (residual / SOFT) ** 2)
+
+
+def evaluated(cell: Cell, hypothesis: Hypothesis, thetas: Array) -> Array:
+    """Residuals (m, N) at each row of thetas (m, k)."""
+    out = cell.whitened(put(cell.base, hypothesis, thetas))
+    return np.nan_to_num(out, nan=1e3, posinf=1e3, neginf=-1e3)
+
+
+def neutral_fit(cell: Cell) -> Fit:
+    """No effect at all."""
+    residual = evaluated(cell, (), np.zeros((1, 0)))[0]
+    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)), float(costs(residual).sum()), ())
+
+
+def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
+    """Lower and upper bounds (k,) each."""
+    slots = [slot for one in hypothesis for slot in one.slots]
+    return np.array([slot.low for slot in slots]), np.array([slot.high for slot in slots])
+
+
+def jacobian(cell: Cell, hypothesis: Hypothesis, theta: Array, residual: Array) -> Array:
+    """(N, k) by finite steps away from the nearer bound, one kernel call."""
+    low, high = bounds(hypothesis)
+    steps = STEP_SHARE * (high - low)
+    signs = np.where(theta + steps > high, -1.0, 1.0)
+    moved = theta + np.diag(signs * steps)
+    return ((evaluated(cell, hypothesis, moved) - residual) / (signs * steps)[:, None]).T
+
+
+def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) -> Fit:
+    """Gauss-Newton with damping inside bounds from one start.
+
+    Model:  min sum rho(r(theta)); each round solves (J'WJ + d diag) step = -J'Wr for three dampings d and takes the
+            best of them; it ends when a round gains less than 0.02 nats.
+    Raises: DiagnosisError: the start has another length than the hypothesis.
+    """
+    low, high = bounds(hypothesis)
+    if len(start) != len(low):
+        raise DiagnosisError(f"a start has {len(start)} numbers; the hypothesis has {len(low)}")
+    theta = np.clip(np.asarray(start, dtype=float), low, high)
+    residual = evaluated(cell, hypothesis, theta)[0]
+    cost = float(costs(residual).sum())
+    J = jacobian(cell, hypothesis, theta, residual)
+    for _ in range(rounds):
+        trials = np.clip(theta + _steps(J, residual, high - low), low, high)
+        tried = evaluated(cell, hypothesis, trials)
+        totals = costs(tried).sum(axis=1)
+        best = int(np.argmin(totals))
+        gained = cost - float(totals[best])
+        if gained <= 0.0:
+            break
+        theta, residual, cost = trials[best], tried[best], float(totals[best])
+        J = jacobian(cell, hypothesis, theta, residual)
+        if gained < SETTLED_NATS + SETTLED_SHARE * cost:
+            break
+    edge = 1e-3 * (high - low)
+    at_bound = tuple(bool(b) for b in (theta > high - edge) | ((theta < low + edge) & (low != 0.0)))
+    return Fit(hypothesis, theta, residual, J, cost, at_bound)
+
+
+def _steps(J: Array, residual: Array, span: Array) -> Array:
+    """Steps (dampings, k)."""
+    w = weights(residual)
+    scaled = J * span
+    H, g = (scaled * w[:, None]).T @ scaled, (scaled * w[:, None]).T @ residual
+    diagonal = np.diag(np.diag(H)) + 1e-9 * np.eye(len(g)) * max(1.0, float(np.trace(H)))
+    found = [np.linalg.lstsq(H + d * diagonal, -g, rcond=None)[0] * span for d in DAMPINGS]
+    return np.array([*found, 0.3 * found[0]])

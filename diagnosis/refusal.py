@@ -1,0 +1,137 @@
+"""Whether the chosen model leaves something behind: tests of its held-out residual, and the lead they give."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from diagnosis.cells import Cell
+from diagnosis.score import Score
+from machine.rotations import Array
+
+LEVEL = 1e-3  # of all tests of a recording together (Bonferroni)
+LAGS = 20
+# A test counts only if what it finds is also large: with thousands of rows everything is significant.
+ENERGY_MIN = 0.5  # chi2/n beyond 1: a gap of 0.7 floors; a few repeats know the floor to a quarter
+AUTOCORRELATION_MIN = 0.08  # sum of squares over 20 lags, besides what chance and a filter from few repeats give
+AUTOCORRELATION_CHANCE = 60.0  # over the number of rows
+EXCESS_MIN = 0.1  # of the noise's own energy: a pattern without more energy than the noise is the filter's error
+CORRELATION_MIN = 0.15
+PEAK_MIN = 0.06  # share of the variance in one period of time or position
+PERIODS = 200
+EVEN_STAGES = ("link", "controller", "actuator")  # evenly sampled in time; poses and corners are not
+
+
+@dataclass(frozen=True, slots=True)
+class Fired:
+    """One test that fired: which, how large, its p-value, and what the remainder goes with."""
+
+    test: str
+    stage: str
+    joint: int | None
+    size: float
+    p_value: float
+    lead: str
+
+
+def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
+    """The tests that fire at the chosen model, the largest first.
+
+    Args: cells: how many cells are tested in this recording.
+    """
+    r = np.clip(chosen.held_out, -30.0, 30.0)
+    if 0.5 * (float(r @ r) - cell.quiet * len(r)) < cell.least_nats:
+        return ()
+    quiet = min(1.0, float(np.mean(r**2)))  # below the floor a pattern is as small as the residual it is found in
+    n_tests = cells * (4 + len(cell.regressors))
+    level = LEVEL / max(n_tests, 1)
+    found = [*_energy(cell, r), *_autocorrelation(cell, r, quiet), *_peaks(cell, r, quiet)]
+    found += _correlations(cell, r, quiet)
+    kept = [one for one in found if one.p_value < level]
+    return tuple(sorted(kept, key=lambda one: (one.lead == "", -one.size)))
+
+
+def _energy(cell: Cell, r: Array) -> list[Fired]:
+    n = len(r)
+    ratio = float(r @ r) / n
+    if ratio - 1.0 < ENERGY_MIN or not cell.floor_known:
+        return []
+    return [Fired("energy", cell.stage, cell.joint, ratio, float(stats.chi2.sf(r @ r, n)), "")]
+
+
+def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:
+    """Ljung-Box over 20 lags, each series on its own, pooled."""
+    if cell.stage not in EVEN_STAGES or float(np.mean(r**2)) < (1.0 + EXCESS_MIN) * cell.quiet:
+        return []
+    total, count = np.zeros(LAGS), 0
+    for number in np.unique(cell.rows.series):
+        x = r[cell.rows.series == number]
+        x = x - x.mean()
+        power = float(x @ x)
+        if len(x) <= 3 * LAGS or power == 0.0:
+            continue
+        total += len(x) * np.array([float(x[k:] @ x[:-k]) / power for k in range(1, LAGS + 1)])
+        count += len(x)
+    if count == 0:
+        return []
+    rho = total / count
+    q = count * float(rho @ rho)
+    if float(rho @ rho) * quiet**2 < AUTOCORRELATION_MIN + AUTOCORRELATION_CHANCE / count:
+        return []
+    lag = int(np.argmax(np.abs(rho))) + 1
+    lead = f"goes on over {lag * 0.05:.2g} s"
+    return [Fired("autocorrelation", cell.stage, cell.joint, float(rho @ rho), float(stats.chi2.sf(q, LAGS)), lead)]
+
+
+def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
+    found = []
+    x = r - r.mean()
+    for name, values in cell.regressors:
+        y = values - values.mean()
+        power = float(np.sqrt((x @ x) * (y @ y)))
+        if power == 0.0:
+            continue
+        rho = float(x @ y) / power
+        p = float(2.0 * stats.norm.sf(abs(rho) * np.sqrt(len(x))))
+        if abs(rho) * np.sqrt(quiet) > CORRELATION_MIN:
+            found.append(Fired("correlation", cell.stage, cell.joint, abs(rho), p, f"goes with {name}"))
+    return found
+
+
+def _peaks(cell: Cell, r: Array, quiet: float) -> list[Fired]:
+    """Lomb's periodogram of the residual over time, and over position (eccentric gears, resonances)."""
+    found = []
+    axes = [("time", cell.t_s, "Hz")] if cell.stage in EVEN_STAGES else []
+    axes += [(name, x, "per turn") for name, x in cell.regressors if name == "position" or name.startswith("joint ")]
+    for name, values, unit in axes:
+        span = float(np.ptp(values))
+        if span <= 0.0 or len(values) < 100:
+            continue
+        # At least three periods, at most one in four samples; over position up to 60 a turn.
+        least = 3.0 / min(span, 60.0 if name == "time" else span)
+        most = 5.0 if name == "time" else 60.0 / (2.0 * np.pi)
+        if most <= least:
+            continue
+        f = np.linspace(least, most, PERIODS)
+        share = _lomb(values, r, f)
+        best = int(np.argmax(share))
+        if share[best] * quiet < PEAK_MIN:
+            continue
+        p = min(1.0, PERIODS * float(np.exp(-0.5 * len(r) * share[best])))
+        shown = f[best] if name == "time" else f[best] * 2.0 * np.pi
+        found.append(
+            Fired("peak", cell.stage, cell.joint, float(share[best]), p, f"periodic in {name}, {shown:.3g} {unit}")
+        )
+    return found
+
+
+def _lomb(x: Array, y: Array, frequencies: Array) -> Array:
+    """Share of y's variance in a sine of each frequency (f,)."""
+    y = y - y.mean()
+    power = float(y @ y) or 1.0
+    shares = []
+    for f in frequencies:
+        basis = np.stack([np.cos(2.0 * np.pi * f * x), np.sin(2.0 * np.pi * f * x)], axis=1)
+        coefficients = np.linalg.lstsq(basis, y, rcond=None)[0]
+        shares.append(float(np.sum((basis @ coefficients) ** 2)) / power)
+    return np.array(shares)

@@ -1,0 +1,44 @@
+"""The answer in a few lines for a terminal."""
+
+from typing import Any
+
+NAMES_MAX = 5
+
+
+def lines(result: dict[str, Any]) -> list[str]:
+    """What a person reads first."""
+    out = [f"verdict: {result['verdict']} ({result['why']})"]
+    for hypothesis in result["hypotheses"][:NAMES_MAX]:
+        out.append(f"  {100 * hypothesis['probability']:5.1f} %  {effects_text(hypothesis['effects'])}")
+    for members in result["indistinguishable"]:
+        out.append("this recording cannot tell apart: " + ", ".join(place_text(one) for one in members))
+    closed = result["shrink"].get("overall", {}).get("closed_frac")
+    if closed is not None:
+        out.append(f"gap closed on held-out trajectories: {100 * closed:.3g} %")
+    for one in result["unexplained"][:NAMES_MAX]:
+        out.append(f"unexplained: {one['stage']} {one['joint'] or ''} {one['test']} {one['size']:.3g} {one['lead']}")
+    following = result["next_experiment"]
+    if following["what"]:
+        out.append(f"next experiment: {following['what']}, {following['minutes']:g} min: {following['why']}")
+    out += [f"missing: {one['costs']}" for one in result["missing"]]
+    return out
+
+
+def place_text(one: dict[str, Any]) -> str:
+    """An effect and its joint."""
+    return one["name"] + (f" on joint {one['joint']}" if one["joint"] is not None else "")
+
+
+def effects_text(effects: list[dict[str, Any]]) -> str:
+    """A hypothesis in words."""
+    return " + ".join(f"{place_text(one)} ({_numbers(one['parameters'])})" for one in effects) or "no effect"
+
+
+def _numbers(parameters: dict[str, Any]) -> str:
+    return ", ".join(f"{name} = {_number(one)}" for name, one in parameters.items())
+
+
+def _number(one: dict[str, Any]) -> str:
+    if not isinstance(one["value"], int | float) or one["low"] is None:
+        return str(one["value"])
+    return f"{one['value']:.4g} [{one['low']:.4g} .. {one['high']:.4g}] {one['unit']}"

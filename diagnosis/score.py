@@ -1,0 +1,105 @@
+"""How well a fit foretells what it was not fitted to: held-out block scores, paired margin, log evidence."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.cells import Cell
+from diagnosis.fit import Fit, bounds, costs, evaluated, weights
+from machine.effects.registry import effect_named
+from machine.rotations import Array
+
+MARGIN_NATS = 6.0  # 3 gave false names among dozens of candidates in a dozen cells
+MARGIN_MORE_NATS = 2.0  # for each further number that a model has
+MARGIN_SE = 1.5
+MARGIN_SHARE = 0.002  # of all that a hypothesis gains: no model is right to better than this
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """A fit with its held-out residuals (N,), score by block (blocks,) [nats] and log evidence [nats]."""
+
+    fit: Fit
+    held_out: Array
+    by_block: Array
+    evidence: float
+
+    @property
+    def total(self) -> float:
+        """Held-out log score [nats]."""
+        return float(self.by_block.sum())
+
+
+def score(cell: Cell, found: Fit) -> Score:
+    """Leave each fold (kind of trajectory) out: refit by one Gauss-Newton step on the rest, then replay it.
+
+    Model: theta_f = theta - (J'WJ + R)^-1 (J'Wr + R (theta - theta)), rows of fold f left out, R = 1 / range^2; the
+           replay at theta_f is the full one, not the linear one.
+    """
+    held_out = found.residual if found.k == 0 else _held_out(cell, found)
+    by_block = -np.asarray(np.bincount(cell.rows.block, weights=costs(held_out)), dtype=float)
+    return Score(found, held_out, by_block, log_evidence(found))
+
+
+def _held_out(cell: Cell, found: Fit) -> Array:
+    low, high = bounds(found.hypothesis)
+    w = weights(found.residual)
+    folds = np.unique(cell.rows.fold)
+    ridge = np.diag(1.0 / (high - low) ** 2)
+    thetas = []
+    for fold in folds:
+        keep = cell.rows.fold != fold
+        JW = (found.J[keep] * w[keep, None]).T
+        step = np.linalg.lstsq(JW @ found.J[keep] + ridge, -JW @ found.residual[keep], rcond=None)[0]
+        thetas.append(np.clip(found.theta + step, low, high))
+    residuals = evaluated(cell, found.hypothesis, np.array(thetas))
+    place = np.searchsorted(folds, cell.rows.fold)
+    return residuals[place, np.arange(cell.rows.count)]
+
+
+def better(one: Score, other: Score, none: Score, spread: float = 1.0, least_nats: float = 0.0) -> bool:
+    """Whether `one` beats `other` by the margin: 6 nats, 0.2 % of its gain, and 1.5 standard errors over blocks.
+
+    `spread`: by how much scores are to be divided first (chi2/n of the best model, where the floor is too low);
+    `least_nats`: a higher margin, where the cell's input is not known well enough for 6 nats.
+    """
+    gains = (one.by_block - other.by_block) / spread
+    more = max(0, numbers_of(one.fit) - numbers_of(other.fit) - 1)
+    least = MARGIN_NATS + MARGIN_MORE_NATS * more
+    if float(gains.sum()) <= max(least, least_nats, MARGIN_SHARE * (one.total - none.total) / spread):
+        return False
+    return float(gains.mean()) > MARGIN_SE * float(gains.std(ddof=1)) / np.sqrt(len(gains))
+
+
+def numbers_of(found: Fit) -> int:
+    """Numbers that a hypothesis could choose: fitted ones, and those tried one by one."""
+    return sum(len(one.slots) + len(one.fixed) for one in found.hypothesis)
+
+
+def covariance(found: Fit) -> Array:
+    """Of theta (k, k), with the range as a weak prior."""
+    low, high = bounds(found.hypothesis)
+    H = (found.J * weights(found.residual)[:, None]).T @ found.J + np.diag(1.0 / (high - low) ** 2)
+    return np.asarray(np.linalg.pinv(H), dtype=float)
+
+
+def log_evidence(found: Fit) -> float:
+    """Laplace: -cost + log prior + k/2 log 2 pi - 1/2 log det H [nats]."""
+    if found.k == 0:
+        return -found.cost
+    sign, logdet = np.linalg.slogdet(covariance(found))
+    spread = 0.5 * logdet if sign > 0 else 0.0
+    return -found.cost + _log_prior(found) + 0.5 * found.k * np.log(2.0 * np.pi) + float(spread)
+
+
+def _log_prior(found: Fit) -> float:
+    total, at = 0.0, 0
+    for one in found.hypothesis:
+        effect = effect_named(one.name)
+        for slot in one.slots:
+            parameter = effect.parameter(slot.parameter) if effect is not None else None
+            if parameter is not None:
+                value = parameter.log_prior(float(found.theta[at]))
+                total += value if np.isfinite(value) else -50.0
+            at += 1
+    return total

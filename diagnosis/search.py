@@ -1,0 +1,210 @@
+"""Which effects one cell's residual asks for: all singles, all pairs by screening, triples by forward steps."""
+
+from dataclasses import dataclass, field
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from diagnosis.candidates import Candidate
+from diagnosis.cells import Cell
+from diagnosis.fit import Fit, Hypothesis, costs, evaluated, fit, neutral_fit
+from diagnosis.score import MARGIN_NATS, Score, better, score
+from machine.rotations import Array
+
+SCAN_GAIN_NATS = 1.0  # a candidate whose best scanned size gains less is not fitted: it cannot reach the margin
+SINGLES_MAX = 16  # fitted, the best of the scan
+PAIRS_REFINED = 5
+TRIPLES_REFINED = 2
+REFINED = 8  # sizes tried on either side of a scan's best
+ROUNDS_SINGLE = 8
+ROUNDS_PAIR = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """A candidate at several sizes: where (m, k), its cost at each (m,), and |change of the residual|^2 (m,)."""
+
+    candidate: Candidate
+    thetas: Array
+    costs: Array
+    energy: Array
+
+    @property
+    def best(self) -> int:
+        """Number of the best size."""
+        return int(np.argmin(self.costs))
+
+
+@dataclass(frozen=True, slots=True)
+class Search:
+    """What was tried in one cell. `chosen` passed the margin; `spread`: chi2/n of the best model, at least 1."""
+
+    cell: Cell
+    scans: tuple[Scan, ...]
+    none: Score
+    scored: tuple[Score, ...]
+    chosen: Score
+    spread: float
+
+
+@dataclass(slots=True)
+class _Book:
+    """Scores by hypothesis, so that nothing is fitted twice."""
+
+    cell: Cell
+    known: dict[frozenset[tuple[str, int | None]], Score] = field(default_factory=dict)
+
+    def scored(self, hypothesis: Hypothesis, start: Array, rounds: int) -> Score:
+        key = frozenset(one.key for one in hypothesis)
+        if key not in self.known:
+            self.known[key] = score(self.cell, fit(self.cell, hypothesis, start, rounds))
+        return self.known[key]
+
+
+def search(cell: Cell) -> Search:
+    """Search one cell.
+
+    Model: every candidate is scanned over its range; those that gain are fitted; all pairs of fitted singles are
+           screened by their finite columns, the best refined; triples go on from the best pair; then one backward pass.
+    """
+    none = score(cell, neutral_fit(cell))
+    scans = _variants_settled([scan(cell, one, none.fit) for one in cell.candidates])
+    book = _Book(cell, {frozenset(): none})
+    singles = _singles(book, scans, none)
+    pairs = _pairs(book, singles, none)
+    triples = _triples(book, singles, pairs)
+    levels = [level for level in (singles, pairs, triples) if level]
+    spread = _spread([none, *singles, *pairs, *triples])
+    chosen = none
+    for level in levels:
+        best = max(level, key=lambda one: one.total)
+        if better(best, chosen, none, spread, cell.least_nats):
+            chosen = best
+    chosen = _backward(book, chosen, spread)
+    if not better(chosen, none, none, spread, cell.least_nats):  # what is left of a pair has to stand on its own
+        chosen = none
+    return Search(cell, tuple(scans), none, tuple(book.known.values()), chosen, spread)
+
+
+def scan(cell: Cell, candidate: Candidate, none: Fit) -> Scan:
+    """One candidate over its range, in one kernel call."""
+    thetas = candidate.starts()
+    residuals = evaluated(cell, (candidate,), thetas)
+    energy = ((residuals - none.residual) ** 2).sum(axis=1)
+    return Scan(candidate, thetas, costs(residuals).sum(axis=1), energy)
+
+
+def _variants_settled(scans: list[Scan]) -> list[Scan]:
+    """The best variant of each effect and joint."""
+    best: dict[tuple[str, int | None], Scan] = {}
+    for one in scans:
+        key = one.candidate.key
+        if key not in best or one.costs[one.best] < best[key].costs[best[key].best]:
+            best[key] = one
+    return list(best.values())
+
+
+def _singles(book: _Book, scans: list[Scan], none: Score) -> list[Score]:
+    found = []
+    promising = sorted(scans, key=lambda one: one.costs[one.best])[:SINGLES_MAX]
+    for one in promising:
+        if none.fit.cost - one.costs[one.best] > SCAN_GAIN_NATS:
+            found.append(book.scored((one.candidate,), _refined(book.cell, one), ROUNDS_SINGLE))
+    return sorted(found, key=lambda one: -one.total)
+
+
+def _refined(cell: Cell, one: Scan) -> Array:
+    """A start between the scan's best size and its neighbours: a delay's cost has steps that no gradient sees."""
+    best = one.thetas[one.best]
+    if len(best) > 1:
+        return best
+    sizes = np.unique(one.thetas[:, 0])
+    at = int(np.searchsorted(sizes, best[0]))
+    edges = [sizes[max(at - 1, 0)], best[0], sizes[min(at + 1, len(sizes) - 1)]]
+    trials = np.concatenate([np.linspace(a, b, REFINED) for a, b in pairwise(edges)])[:, None]
+    total = costs(evaluated(cell, (one.candidate,), trials)).sum(axis=1)
+    return trials[int(np.argmin(total))]
+
+
+def _pairs(book: _Book, singles: list[Score], none: Score) -> list[Score]:
+    """Pairs of fitted singles that could beat the better of the two, refined jointly."""
+    if len(singles) < 2:
+        return []
+    r0 = none.fit.residual
+    best_single = max(one.fit.residual @ one.fit.residual for one in singles[:1])
+    ranked = []
+    for a, b in combinations(singles, 2):
+        columns = np.stack([a.fit.residual - r0, b.fit.residual - r0], axis=1)
+        amounts, left = _explained(columns, r0)
+        ranked.append((left, a, b, amounts))
+    ranked.sort(key=lambda row: row[0])
+    top = singles[0]
+    with_top = [row for row in ranked if row[1] is top or row[2] is top][:2]
+    chosen = ranked[:PAIRS_REFINED] + [row for row in with_top if row not in ranked[:PAIRS_REFINED]]
+    found = []
+    for left, a, b, amounts in chosen:
+        if 0.5 * (best_single - left) < -10.0 * MARGIN_NATS:
+            continue
+        start = np.concatenate([_scaled(a.fit, amounts[0]), _scaled(b.fit, amounts[1])])
+        found.append(book.scored((*a.fit.hypothesis, *b.fit.hypothesis), start, ROUNDS_PAIR))
+    return sorted(found, key=lambda one: -one.total)
+
+
+def _explained(columns: Array, r0: Array) -> tuple[Array, float]:
+    """Amounts of the columns that leave the least of r0, and what they leave (one Gauss-Newton step)."""
+    amounts = np.asarray(np.linalg.lstsq(columns, -r0, rcond=None)[0], dtype=float)
+    left = r0 + columns @ amounts
+    return amounts, float(left @ left)
+
+
+def _scaled(found: Fit, amount: float) -> Array:
+    """A single's size times an amount, kept off neutral and inside its own side; shapes and limits stay."""
+    theta = found.theta.copy()
+    slots = [slot for one in found.hypothesis for slot in one.slots]
+    for k, slot in enumerate(slots):
+        if slot.neutral == 0.0 and slot.parameter == slots[0].parameter:
+            theta[k] *= float(np.clip(amount, 0.1, 2.0)) if amount > 0.0 else 0.1
+    return theta
+
+
+def _triples(book: _Book, singles: list[Score], pairs: list[Score]) -> list[Score]:
+    """The best pair with one more single."""
+    if not pairs or len(singles) < 3:
+        return []
+    base = pairs[0]
+    names = {one.key for one in base.fit.hypothesis}
+    r0 = base.fit.residual
+    none = book.known[frozenset()].fit.residual
+    ranked = []
+    for one in singles:
+        if one.fit.hypothesis[0].key not in names:
+            column = (one.fit.residual - none)[:, None]
+            amounts, left = _explained(column, r0)
+            ranked.append((left, one, float(amounts[0])))
+    ranked.sort(key=lambda row: row[0])
+    found = []
+    for left, one, amount in ranked[:TRIPLES_REFINED]:
+        if 0.5 * (r0 @ r0 - left) > MARGIN_NATS:
+            start = np.concatenate([base.fit.theta, _scaled(one.fit, amount)])
+            found.append(book.scored((*base.fit.hypothesis, *one.fit.hypothesis), start, ROUNDS_PAIR))
+    return found
+
+
+def _backward(book: _Book, chosen: Score, spread: float) -> Score:
+    """Drop each effect that the rest does not need by the margin."""
+    hypothesis = chosen.fit.hypothesis
+    if len(hypothesis) < 2:
+        return chosen
+    for out in hypothesis:
+        rest = tuple(one for one in hypothesis if one is not out)
+        keep = np.concatenate([np.full(len(one.slots), one is not out) for one in hypothesis])
+        smaller = book.scored(rest, chosen.fit.theta[keep], ROUNDS_PAIR)
+        if not better(chosen, smaller, book.known[frozenset()], spread, book.cell.least_nats):
+            return _backward(book, smaller, spread)
+    return chosen
+
+
+def _spread(scored: list[Score]) -> float:
+    """chi2/n of the best model over all rows, at least 1: a floor that is too low must not sharpen anything."""
+    best = max(scored, key=lambda one: one.total)
+    return max(1.0, 2.0 * -best.total / len(best.held_out))

@@ -1,0 +1,91 @@
+"""None, effects, outside or undecided: what the cells' answers come to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+from diagnosis.score import Score
+from diagnosis.weigh import Whole
+
+if TYPE_CHECKING:
+    from diagnosis.diagnose import CellAnswer
+
+Word = Literal["none", "effects", "outside", "undecided"]
+LEFT_SMALL = 0.02  # share of the gap: a remainder below it does not take back a name
+LEFT_LARGE = 0.5  # share of the gap: a remainder above it says that no name fits
+SURE = 0.5  # probability of the best hypothesis with its equivalents
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The word, and why, in one sentence a person can act on."""
+
+    word: Word
+    why: str
+
+
+def verdict_of(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -> Verdict:
+    """The verdict over all cells.
+
+    Model: a remainder that tests find takes back a name: a wrong effect can close most of a foreign gap. It is
+           "outside" where it is most of the gap, or nothing was named; else "undecided", unless below 2 % of the gap.
+    """
+    if not answers:
+        return Verdict("undecided", "no stage could be replayed")
+    outside = [one for one in answers if one.fired and _left(one) > LEFT_LARGE]
+    partly = [one for one in answers if one.fired and LEFT_SMALL < _left(one) <= LEFT_LARGE]
+    named = [effect for one in answers for effect in one.chosen.fit.hypothesis]
+    if outside:
+        one = outside[0]
+        return Verdict("outside", f"{one.search.cell.label}: a gap that nothing in the catalogue explains{_lead(one)}")
+    if partly:
+        one = partly[0]
+        text = f"{one.search.cell.label}: the best names leave {100 * _left(one):.3g} % of the gap{_lead(one)}"
+        return Verdict("undecided", text)
+    if not named:
+        return Verdict("none", "nothing above the noise floor")
+    sure = _probability_with_equivalents(answers, hypotheses)
+    if sure < SURE:
+        return Verdict("undecided", f"the best hypothesis has a probability of {sure:.2g}")
+    return Verdict("effects", "catalogue effects explain the gap")
+
+
+def _left(one: CellAnswer) -> float:
+    """Share of the gap that is left; all of it where nothing was named."""
+    if not one.chosen.fit.hypothesis:
+        return 1.0
+    closed = one.shrink.closed_frac
+    return 1.0 if closed is None else 1.0 - closed
+
+
+def _lead(one: CellAnswer) -> str:
+    leads = [fired.lead for fired in one.fired if fired.lead]
+    return f"; the remainder {leads[0]}" if leads else ""
+
+
+def _probability_with_equivalents(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -> float:
+    """Probability of the best hypothesis and of those that only exchange effects of one class."""
+    if not hypotheses:
+        return 0.0
+    best = hypotheses[0].scores
+    total = 0.0
+    for one in hypotheses:
+        pairs = zip(answers, best, one.scores, strict=True)
+        if all(_equivalent(answer, a, b) for answer, a, b in pairs):
+            total += one.probability
+    return total
+
+
+def _equivalent(answer: CellAnswer, a: Score, b: Score) -> bool:
+    mine, other = ([effect.key for effect in one.fit.hypothesis] for one in (a, b))
+    if len(mine) != len(other):
+        return False
+    return sorted(_class(answer, key) for key in mine) == sorted(_class(answer, key) for key in other)
+
+
+def _class(answer: CellAnswer, key: tuple[str, int | None]) -> str:
+    for members in answer.same:
+        if key in members:
+            return str(members[0])
+    return str(key)

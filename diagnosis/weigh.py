@@ -1,0 +1,179 @@
+"""From held-out scores to probabilities: within a cell, then over all cells together; equivalence classes."""
+
+import heapq
+import json
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import count
+
+import numpy as np
+
+from diagnosis.cells import Cell
+from diagnosis.fit import evaluated
+from diagnosis.score import MARGIN_MORE_NATS, MARGIN_NATS, MARGIN_SHARE, Score, numbers_of
+from diagnosis.search import Search
+from machine.rotations import Array
+
+SAME_DIRECTION = 0.95
+SEPARATED_NATS = 9.0  # T below it: the data cannot tell two effects apart
+SHARE_MIN = 1e-3
+COMBINATIONS_MAX = 40
+Key = tuple[str, int | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Frozen numbers that turn scores into probabilities. `outside_probability`: of a foreign cause, by verdict."""
+
+    temperature: float
+    temperature_without_floor: float
+    penalty_nats_per_effect: float
+    foreign_stage_penalty_nats: float
+    outside_probability: tuple[tuple[str, float], ...]
+
+
+@cache
+def calibration() -> Calibration:
+    """As the package carries them."""
+    data = json.loads(files("diagnosis").joinpath("calibration.json").read_text(encoding="utf-8"))
+    plain = {name: float(data[name]) for name in Calibration.__dataclass_fields__ if name != "outside_probability"}
+    return Calibration(**plain, outside_probability=tuple(data["outside_probability"].items()))
+
+
+@dataclass(frozen=True, slots=True)
+class Weighed:
+    """A hypothesis of one cell and its probability there."""
+
+    score: Score
+    probability: float
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """One hypothesis on every cell together."""
+
+    scores: tuple[Score, ...]
+    probability: float
+
+
+def weighed(found: Search) -> tuple[Weighed, ...]:
+    """The cell's hypotheses, best first.
+
+    Model: p ~ exp((held-out score - penalty of each effect) / (T spread)); T larger where the floor is not known. An
+           effect also pays 0.2 % of all that is gained: no model is right to better than this.
+    """
+    numbers = calibration()
+    T = numbers.temperature if found.cell.floor_known else numbers.temperature_without_floor
+    gained = max(one.total for one in found.scored) - found.none.total
+    share = max(MARGIN_SHARE * gained / found.spread, found.cell.least_nats)
+    logs = np.array(
+        [one.total / found.spread - prior_cost(found.cell, one) - share * _count(one) for one in found.scored]
+    )
+    logs /= T
+    p = np.exp(logs - logs.max())
+    p /= p.sum()
+    order = np.argsort(-p, kind="stable")
+    return tuple(Weighed(found.scored[k], float(p[k])) for k in order)
+
+
+def _count(one: Score) -> int:
+    return len(one.fit.hypothesis)
+
+
+def prior_cost(cell: Cell, one: Score) -> float:
+    """Nats that a hypothesis pays for its effects."""
+    numbers = calibration()
+    foreign = sum(effect.stage != cell.stage for effect in one.fit.hypothesis)
+    effects = len(one.fit.hypothesis)
+    more = MARGIN_MORE_NATS * (numbers_of(one.fit) - effects)
+    return numbers.penalty_nats_per_effect * effects + more + numbers.foreign_stage_penalty_nats * foreign
+
+
+def settled(found: Search) -> Score:
+    """The chosen hypothesis, or an equivalent one whose effects belong to the cell's own stage.
+
+    Why: an encoder's scale and a flow gain are one direction in the data; the report names the class, and first the
+    one that is likelier before any data.
+    """
+    chosen, cell = found.chosen, found.cell
+    if not any(effect.stage != cell.stage for effect in chosen.fit.hypothesis):
+        return chosen
+    allowed = MARGIN_NATS + 0.01 * (chosen.total - found.none.total)
+    rivals = [
+        one
+        for one in found.scored
+        if len(one.fit.hypothesis) == len(chosen.fit.hypothesis)
+        and prior_cost(cell, one) < prior_cost(cell, chosen)
+        and chosen.total - one.total < allowed
+        and _cosine(one.fit.residual - found.none.fit.residual, chosen.fit.residual - found.none.fit.residual)
+        > SAME_DIRECTION
+    ]
+    return max(rivals, key=lambda one: one.total, default=chosen)
+
+
+def combined(per_cell: list[tuple[Weighed, ...]]) -> tuple[Whole, ...]:
+    """The most probable combinations over all cells, best first: the cells are independent."""
+    kept = [tuple(one for one in cell if one.probability >= SHARE_MIN) or cell[:1] for cell in per_cell]
+    number = count()
+    first: tuple[int, ...] = (0,) * len(kept)
+    queue: list[tuple[float, int, tuple[int, ...]]] = [(-_probability(kept, first), next(number), first)]
+    seen: set[tuple[int, ...]] = {first}
+    out: list[Whole] = []
+    while queue and len(out) < COMBINATIONS_MAX:
+        negative, _, at = heapq.heappop(queue)
+        out.append(Whole(tuple(cell[k].score for cell, k in zip(kept, at, strict=True)), -negative))
+        for i in range(len(kept)):
+            following = (*at[:i], at[i] + 1, *at[i + 1 :])
+            if following[i] < len(kept[i]) and following not in seen:
+                seen.add(following)
+                heapq.heappush(queue, (-_probability(kept, following), next(number), following))
+    return tuple(out)
+
+
+def _probability(kept: list[tuple[Weighed, ...]], at: tuple[int, ...]) -> float:
+    return float(np.prod([cell[k].probability for cell, k in zip(kept, at, strict=True)])) if kept else 1.0
+
+
+def same_here(found: Search, chosen: Score) -> tuple[tuple[Key, ...], ...]:
+    """Classes of effects that this recording cannot tell apart from each chosen effect.
+
+    Model: at the fitted size, T = least |W (f_i - f_j)|^2 over j's size (one linear step), or |cos| of the changes.
+    """
+    classes: list[tuple[Key, ...]] = []
+    for effect in chosen.fit.hypothesis:
+        own = _column(found, effect.key)
+        if own is None:
+            continue
+        rivals = [effect.key]
+        for scan in found.scans:
+            key = scan.candidate.key
+            other = _column(found, key)
+            if key == effect.key or other is None:
+                continue
+            cosine = _cosine(own, other)
+            left = float(own @ own) * (1.0 - cosine**2)
+            if abs(cosine) > SAME_DIRECTION or left / found.spread < SEPARATED_NATS:
+                rivals.append(key)
+        if len(rivals) > 1:
+            classes.append(tuple(rivals))
+    return tuple(classes)
+
+
+def _column(found: Search, key: Key) -> Array | None:
+    """How an effect changes the residual: at its fitted size, else where its scan was best."""
+    none = found.none.fit.residual
+    for one in found.scored:
+        if len(one.fit.hypothesis) == 1 and one.fit.hypothesis[0].key == key:
+            return one.fit.residual - none
+    for scan in found.scans:
+        if scan.candidate.key == key:
+            theta = scan.thetas[[scan.best]]
+            change = evaluated(found.cell, (scan.candidate,), theta)[0] - none
+            return change if float(change @ change) > 0.0 else None
+    return None
+
+
+def _cosine(a: Array, b: Array) -> float:
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0.0 else 0.0

@@ -1,0 +1,197 @@
+"""Fit, score, margin, classes and refusal on a made-up cell with a residual that is known in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagnosis.candidates import candidates_of, named, put
+from diagnosis.cells import Cell, Rows, blocks_of, folds_of
+from diagnosis.errors import DiagnosisError
+from diagnosis.fit import evaluated, fit, jacobian, neutral_fit
+from diagnosis.limits import closed_share, detection_limit, intervals
+from diagnosis.refusal import remainder
+from diagnosis.score import better, covariance, log_evidence, score
+from diagnosis.search import scan, search
+from diagnosis.weigh import calibration, combined, same_here, weighed
+from machine.effects.layout import ParameterSets, neutral_sets, slots_of
+
+GAIN, ASYMMETRY, LAG = (slots_of(name, 1)[0] for name in ("flow_gain_error", "valve_asymmetry", "valve_lag"))
+N = 600
+T = np.arange(N) * 0.05
+COLUMNS = np.stack([np.sin(1.3 * T), np.maximum(np.sin(1.3 * T), 0.0) + 0.3 * np.cos(3.1 * T), np.cos(1.3 * T)])
+
+
+def made_up(truth: tuple[float, float, float], seed: int = 4, noise: float = 1.0) -> Cell:
+    """Residual: noise + sum of (truth - size) columns, 40 noise levels per unit."""
+    rng = np.random.default_rng(seed)
+    base_noise = rng.normal(0.0, noise, N)
+
+    def whitened(sets: ParameterSets) -> np.ndarray:
+        sizes = np.stack([sets.joint[:, 0, slot.column] for slot in (GAIN, ASYMMETRY, LAG)], axis=1)
+        return base_noise + (np.array(truth) - sizes) @ (40.0 * COLUMNS)
+
+    block, _ = blocks_of([N // 2, N // 2])
+    fold, same = folds_of(["steps", "workcycle"], [N // 2, N // 2], block)
+    assert not same
+    zero = np.zeros(N, np.int64)
+    return Cell(
+        stage="actuator",
+        joint=1,
+        unit="rad/s",
+        candidates=named(("flow_gain_error", "valve_asymmetry", "valve_lag"), (1,)),
+        base=neutral_sets(1),
+        whitened=whitened,
+        rows=Rows(fold, block, zero, zero),
+        scale=np.ones(N),
+        quiet=1.0,
+        floor_known=True,
+        same_kind=False,
+        regressors=(("command", np.sin(1.9 * T)),),
+        t_s=T,
+    )
+
+
+def test_a_fit_finds_the_sizes_of_a_linear_residual() -> None:
+    cell = made_up((0.2, -0.1, 0.0), noise=0.0)
+    pair = cell.candidates[:2]
+    found = fit(cell, pair, np.array([0.05, 0.05]))
+    assert found.theta == pytest.approx([0.2, -0.1], abs=1e-6)
+    assert found.cost < 1e-6
+    J = jacobian(cell, pair, found.theta, found.residual)
+    assert pytest.approx(-40.0 * COLUMNS[:2].T, abs=1e-6) == J
+
+
+def test_a_start_of_the_wrong_length_is_refused() -> None:
+    with pytest.raises(DiagnosisError, match="a start has 1 numbers"):
+        fit(made_up((0.0, 0.0, 0.0)), named(("flow_gain_error", "valve_lag"), (1,)), np.zeros(1))
+
+
+def test_a_fit_stays_inside_its_bounds_and_says_so() -> None:
+    cell = made_up((0.0, 0.0, 0.9))
+    found = fit(cell, cell.candidates[2:], np.array([0.1]))
+    assert found.theta[0] == LAG.high
+    assert found.at_bound == (True,)
+
+
+def test_limits_of_a_number_are_those_of_least_squares() -> None:
+    cell = made_up((0.2, 0.0, 0.0))
+    found = fit(cell, cell.candidates[:1], np.array([0.1]))
+    sd = float(np.sqrt(covariance(found)[0, 0]))
+    (one,) = intervals(cell, found, 1.0)
+    assert one.high - one.low == pytest.approx(2.0 * 1.645 * sd, rel=0.15)
+    assert one.low < 0.2 < one.high
+
+
+@pytest.mark.parametrize(
+    ("truth", "expected"),
+    [
+        ((0.0, 0.0, 0.0), set()),
+        ((0.15, 0.0, 0.0), {"flow_gain_error"}),
+        ((0.0, 0.0, 0.1), {"valve_lag"}),
+        ((0.2, -0.15, 0.0), {"flow_gain_error", "valve_asymmetry"}),
+    ],
+)
+def test_search_takes_what_passes_the_margin_and_no_more(truth: tuple[float, float, float], expected: set[str]) -> None:
+    found = search(made_up(truth))
+    assert {one.name for one in found.chosen.fit.hypothesis} == expected
+    probabilities = [one.probability for one in weighed(found)]
+    assert sum(probabilities) == pytest.approx(1.0)
+    assert {one.name for one in weighed(found)[0].score.fit.hypothesis} == expected
+
+
+def test_a_larger_model_alone_does_not_pass_the_margin() -> None:
+    cell = made_up((0.0, 0.0, 0.0))
+    none = score(cell, neutral_fit(cell))
+    fuller = score(cell, fit(cell, cell.candidates, np.array([0.01, 0.01, 0.01])))
+    assert fuller.fit.cost < none.fit.cost  # it fits better, and foretells no better
+    assert not better(fuller, none, none)
+    assert log_evidence(fuller.fit) < log_evidence(none.fit)
+
+
+def test_effects_of_one_direction_are_one_class() -> None:
+    cell = made_up((0.2, 0.0, 0.0))
+    twins = replace(cell, whitened=lambda sets: cell.whitened(_both_into_gain(sets)))
+    found = search(twins)
+    classes = same_here(found, found.chosen)
+    assert {key[0] for key in classes[0]} >= {"flow_gain_error", "valve_asymmetry"}
+
+
+def _both_into_gain(sets: ParameterSets) -> ParameterSets:
+    joint = sets.joint.copy()
+    joint[..., GAIN.column] += joint[..., ASYMMETRY.column]
+    joint[..., ASYMMETRY.column] = 0.0
+    return ParameterSets(joint, sets.machine)
+
+
+def test_a_detection_limit_is_where_the_change_is_five_floors() -> None:
+    cell = made_up((0.0, 0.0, 0.0))
+    limit = detection_limit(scan(cell, cell.candidates[0], neutral_fit(cell)), 1.0)
+    assert limit.size is not None
+    change = evaluated(cell, cell.candidates[:1], np.array([[limit.size]]))[0] - cell.whitened(cell.base)[0]
+    assert float(change @ change) == pytest.approx(24.7, rel=0.02)
+
+
+def test_a_remainder_fires_with_its_lead_and_noise_does_not() -> None:
+    cell = made_up((0.0, 0.0, 0.0))
+    none = score(cell, neutral_fit(cell))
+    assert remainder(cell, none, 10) == ()
+    left = replace(none, held_out=none.held_out + 1.2 * np.sin(1.9 * T))
+    fired = remainder(cell, left, 10)
+    assert "goes with command" in [one.lead for one in fired]
+    assert any(one.test == "peak" and "time" in one.lead for one in fired)
+
+
+def test_closed_share_is_never_clipped_and_none_without_a_gap() -> None:
+    count = np.full(20, 50.0)
+    worse = closed_share(3.0 * count, 5.0 * count, count, 1000, 0)
+    assert worse[0] == pytest.approx(-1.0)
+    assert closed_share(count, 0.9 * count, count, 1000, 0) == (None, None, None)
+    whole = closed_share(9.0 * count, count, count, 1000, 0)
+    assert whole == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_blocks_and_folds() -> None:
+    blocks, number = blocks_of([400, 200])
+    assert number >= 12
+    assert (np.diff(blocks) >= 0).all()
+    assert len(np.unique(blocks)) == number
+    assert set(blocks[:400]).isdisjoint(blocks[400:])
+    fold, same = folds_of(["steps"], [600], blocks)
+    assert same
+    assert set(fold) == {0, 1, 2}
+
+
+def test_cells_combine_as_independent_parts() -> None:
+    one, two = (weighed(search(made_up(truth))) for truth in ((0.15, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    whole = combined([one, two])
+    assert whole[0].probability == pytest.approx(one[0].probability * two[0].probability)
+    assert [part.probability for part in whole] == sorted((part.probability for part in whole), reverse=True)
+
+
+def test_every_candidate_has_starts_inside_bounds_and_off_neutral() -> None:
+    for stage in ("time", "link", "controller", "actuator", "joint", "structure", "camera"):
+        for one in candidates_of(stage, (1, 2), True):
+            starts = one.starts()
+            low, high = np.array([s.low for s in one.slots]), np.array([s.high for s in one.slots])
+            assert (starts >= low - 1e-12).all(), one.key
+            assert (starts <= high + 1e-12).all(), one.key
+            changed = put(neutral_sets(2), (one,), starts[:1])
+            neutral = neutral_sets(2)
+            moved = not np.array_equal(changed.joint, neutral.joint) or not np.array_equal(
+                changed.machine, neutral.machine
+            )
+            assert moved, one.key
+
+
+def test_a_baseline_is_kept_under_a_hypothesis() -> None:
+    base = neutral_sets(1)
+    base.put(GAIN, 0.1)
+    (gain,) = named(("flow_gain_error",), (1,))
+    assert put(base, (gain,), np.array([[0.2]])).get(GAIN) == pytest.approx(0.3)
+
+
+def test_the_frozen_numbers_are_read() -> None:
+    numbers = calibration()
+    assert numbers.temperature_without_floor > numbers.temperature > 0.0
+    assert dict(numbers.outside_probability)["outside"] > 0.5
