@@ -159,10 +159,12 @@ def _line(case: Case) -> str:
 
 def inside(case: Case, moves_max: int, limit_mm: float = 5.0, limit_deg: float = 1.0) -> bool:
     """Whether the run ended truly inside the limits within that many moves."""
-    if not case.reached or case.moves > moves_max or not case.steps:
-        return False
-    last = case.steps[-1]
-    return max(abs(value) for value in last.true_mm) <= limit_mm and last.true_deg <= limit_deg
+    return case.reached and case.moves <= moves_max and ends_inside(case.steps, limit_mm, limit_deg)
+
+
+def ends_inside(steps: list[StepErrors], limit_mm: float = 5.0, limit_deg: float = 1.0) -> bool:
+    """Whether the last step was truly inside the limits; without steps nothing was."""
+    return bool(steps) and max(map(abs, steps[-1].true_mm)) <= limit_mm and steps[-1].true_deg <= limit_deg
 
 
 def pattern_of_paper(case: Case) -> bool:

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.bench_position import READY_S, StepErrors, join_truth, read_truth
+from longreach.bench_position import READY_S, StepErrors, ends_inside, join_truth, read_truth
 from longreach.fleet_client import Finished, JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
 
@@ -121,12 +121,9 @@ def _failed(preset: str, seed: int, state: str, reason: str) -> ServoCase:
     return ServoCase(preset, seed, state, reason, False, 0, 0, 0, 0.0, [])
 
 
-def truly_inside(case: ServoCase, limit_mm: float = 5.0, limit_deg: float = 1.0) -> bool:
+def truly_inside(case: ServoCase) -> bool:
     """Whether it ended truly inside the tolerance."""
-    if not case.reached or not case.steps:
-        return False
-    last = case.steps[-1]
-    return max(abs(value) for value in last.true_mm) <= limit_mm and last.true_deg <= limit_deg
+    return case.reached and ends_inside(case.steps)
 
 
 def _line(case: ServoCase) -> str:

@@ -12,10 +12,9 @@ from longreach.bench_machines.machine_run import MachineRun, run_machine
 from longreach.bench_machines.variants import ABLATIONS, DEFAULT
 from longreach.reproduce.fast_machine import QuasiStaticMachine
 from longreach.reproduce.fine_machine import FineMachine
-from longreach.reproduce.noise_model import read_noise_model
+from longreach.reproduce.noise_model import fitted_noise
 from server.settings import read_machine
 
-NOISE_FILE = Path(__file__).parents[1] / "reproduce" / "noise_fitted.json"
 VARIANTS = {one.name: one for one in (DEFAULT, *ABLATIONS)}
 Advance = Callable[[int], None]
 
@@ -81,6 +80,6 @@ def _fresh(order: Order, seeds: Iterable[int], workers: int) -> Iterator[Machine
 
 def run_one(order: Order, seed: int) -> MachineRun:
     """One machine of an order."""
-    machine, noise = read_machine(order.machine), read_noise_model(NOISE_FILE)
+    machine, noise = read_machine(order.machine), fitted_noise()
     make = FineMachine if order.fine else QuasiStaticMachine
     return run_machine(machine, order.preset, seed, noise, VARIANTS[order.variant], order.again, make)

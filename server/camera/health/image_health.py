@@ -72,8 +72,7 @@ class ImageHealth:
         pair = self._pair = self._seen(frame)
         findings = [*self._stamps.check(pair), *(eyes_apart(*eye_stamps_ns) if eye_stamps_ns else ())]
         for monitor in self._first:
-            if not any(finding.code in USELESS for finding in findings):
-                findings += monitor.check(pair)
+            findings += monitor.check(pair)
         if not any(finding.code in USELESS for finding in findings):
             for monitor in self._then:
                 findings += monitor.check(pair)

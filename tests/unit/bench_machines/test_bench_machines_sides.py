@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from longreach.bench_machines.saved import NOISE_FILE
 from longreach.reproduce.fast_cell import context_of, fast_cell
 from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.noise_model import read_noise_model
+from longreach.reproduce.noise_model import fitted_noise
 from server.jobs.plans.positioning import position
 from server.jobs.requests import TakeLook
 from server.settings import read_machine
@@ -17,7 +16,7 @@ SLEW = 0
 def test_slew_stands_where_the_encoders_left_it_not_where_the_reference_turned():
     world = draw_world(read_machine("hiab033"), "realistic", 7001)
     machine = QuasiStaticMachine(world)
-    cell, ctx = fast_cell(world, machine, read_noise_model(NOISE_FILE)), context_of(world, "ours")
+    cell, ctx = fast_cell(world, machine, fitted_noise()), context_of(world, "ours")
     plan, reply, seen = position(ctx, True, lambda: cell.clock_ns), None, []
     while len(seen) < 3:
         request = plan.send(reply)
