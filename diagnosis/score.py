@@ -42,6 +42,14 @@ def score(cell: Cell, found: Fit) -> Score:
 
 
 def _held_out(cell: Cell, found: Fit) -> Array:
+    folds, thetas = fold_thetas(cell, found)
+    residuals = evaluated(cell, found.hypothesis, thetas)
+    place = np.searchsorted(folds, cell.rows.fold)
+    return residuals[place, np.arange(cell.rows.count)]
+
+
+def fold_thetas(cell: Cell, found: Fit) -> tuple[Array, Array]:
+    """Fold numbers (m,), and where the fit would have ended without each of them (m, k)."""
     low, high = bounds(found.hypothesis)
     w = weights(found.residual)
     folds = np.unique(cell.rows.fold)
@@ -52,9 +60,7 @@ def _held_out(cell: Cell, found: Fit) -> Array:
         JW = (found.J[keep] * w[keep, None]).T
         step = np.linalg.lstsq(JW @ found.J[keep] + ridge, -JW @ found.residual[keep], rcond=None)[0]
         thetas.append(np.clip(found.theta + step, low, high))
-    residuals = evaluated(cell, found.hypothesis, np.array(thetas))
-    place = np.searchsorted(folds, cell.rows.fold)
-    return residuals[place, np.arange(cell.rows.count)]
+    return folds, np.array(thetas).reshape(len(folds), found.k)
 
 
 def better(one: Score, other: Score, none: Score, spread: float = 1.0, least_nats: float = 0.0) -> bool:

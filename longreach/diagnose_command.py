@@ -12,8 +12,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose as run_diagnosis
 from diagnosis.reading import Read, read
-from diagnosis.report_html import page
-from diagnosis.report_text import lines
+from diagnosis.report.curves import CellCurves, curves_of
+from diagnosis.report.page import page
+from diagnosis.report.text import lines
 
 BAD_INPUT = 2
 
@@ -31,14 +32,14 @@ def diagnose(
         screen.print(f"[yellow]{finding.severity}[/] {escape(str(finding))}", soft_wrap=True)
     if not whole.usable:
         raise typer.Exit(BAD_INPUT)
-    result = _with_progress(whole, screen)
+    result, curves = _with_progress(whole, screen)
     for text in lines(result):
         typer.echo(text)
     _write(json_file, json.dumps(result, indent=1, allow_nan=False) + "\n", screen)
-    _write(html_file, page(result, recording.name), screen)
+    _write(html_file, page(result, recording.name, curves), screen)
 
 
-def _with_progress(whole: Read, screen: Console) -> dict[str, Any]:
+def _with_progress(whole: Read, screen: Console) -> tuple[dict[str, Any], tuple[CellCurves, ...]]:
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=screen, transient=True) as shown:
         task = shown.add_task("preparing", total=None)
@@ -46,7 +47,7 @@ def _with_progress(whole: Read, screen: Console) -> dict[str, Any]:
             whole, lambda text, done, total: shown.update(task, description=text, completed=done, total=total)
         )
         shown.update(task, description="next experiment")
-        return answer(found)
+        return answer(found), curves_of(found)
 
 
 def _write(path: Path | None, text: str, screen: Console) -> None:

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from diagnosis.answer import answer
 from diagnosis.diagnose import Diagnosis, diagnose
 from diagnosis.reading import read
-from diagnosis.report_html import page
-from diagnosis.report_text import lines
+from diagnosis.report.page import page
+from diagnosis.report.text import lines
 from longreach.cli import app
 from machine.effects.registry import NAMES
 
@@ -166,7 +166,9 @@ def test_the_command_writes_json_and_a_page(tmp_path: Path) -> None:
     assert {one["name"] for one in result["hypotheses"][0]["effects"]} <= set(NAMES)
     text = files[1].read_text()
     assert "gravity_sag" in text
+    assert "Cause found" in text
     assert "<script" not in text
+    assert text.count('class="plot"') >= 3  # residual over time, its distribution, its autocorrelation
 
 
 @pytest.mark.parametrize("spoil", ["nothing there", "no machine", "degrees", "empty"])
@@ -191,4 +193,6 @@ def test_bad_input_is_one_clear_line_each_and_exit_code_2(tmp_path: Path, spoil:
 
 def test_the_page_escapes_what_it_shows(tmp_path: Path) -> None:
     _, result = diagnosed(tmp_path, Fault(), static=12, kinds=())
-    assert "<b>" not in page({**result, "why": "<b>"}, "<b>")
+    text = page({**result, "why": "<blink>"}, "<blink>")
+    assert "<blink>" not in text
+    assert "&lt;blink&gt;" in text

@@ -1,0 +1,85 @@
+"""The chain of stages with the gap on each: seven boxes, the size of the gap at the tcp as a bar in each."""
+
+from html import escape
+from typing import Any
+
+from diagnosis.verdict import Word
+from machine.effects.spec import STAGES
+
+BOX_W, BOX_H, STEP = 92, 112, 104
+LEFT, TOP = 6, 6
+BAR_H = 40
+
+
+def chain(result: dict[str, Any]) -> str:
+    """SVG of the chain with a line below it for what could not be judged apart."""
+    shares = stage_shares(result)
+    judged = {one["stage"] for one in result["searched"]} | set(shares)
+    named = _named(result)
+    largest = max(shares.values(), default=0.0)
+    boxes = [
+        _box(number, stage, shares.get(stage), stage in judged, named.get(stage, []), largest)
+        for number, stage in enumerate(STAGES)
+    ]
+    width = LEFT * 2 + STEP * (len(STAGES) - 1) + BOX_W
+    label = "chain of stages with the share of the gap on each"
+    size = f'viewBox="0 0 {width} {BOX_H + 2 * TOP}"'
+    svg = f'<svg class="chain" {size} role="img" aria-label="{label}">{"".join(boxes)}</svg>'
+    merged = "".join(
+        f"<li>{escape(' and '.join(one['stages']))} count as one: {escape(one['missing'])}</li>"
+        for one in result["merged_stages"]
+    )
+    note = "<p>Bar: share of the whole gap, carried to the tcp. A stage is judged by its own measured input.</p>"
+    return svg + note + (f"<ul>{merged}</ul>" if merged else "")
+
+
+def stage_shares(result: dict[str, Any]) -> dict[str, float]:
+    """Share of the gap on each judged stage: of its places that hold the whole recording."""
+    out: dict[str, float] = {}
+    for one in result["localisation"]:
+        if one["regime"] == "all" or one["joint"] is None:
+            out[one["stage"]] = out.get(one["stage"], 0.0) + float(one["share_frac"] or 0.0) ** 2
+    return {stage: value**0.5 for stage, value in out.items()}
+
+
+def _named(result: dict[str, Any]) -> dict[str, list[str]]:
+    word: Word = result["verdict"]
+    if word != "effects":
+        return {}
+    out: dict[str, list[str]] = {}
+    for one in result["hypotheses"][0]["effects"]:
+        out.setdefault(one["stage"], []).append(one["name"].replace("_", " "))
+        if one["joint"] is not None:
+            out[one["stage"]].append(f"joint {one['joint']}")
+    return out
+
+
+def _box(number: int, stage: str, share: float | None, judged: bool, named: list[str], largest: float) -> str:
+    x, css = LEFT + STEP * number, "stage" if judged else "stage unjudged"
+    css += " named" if named else ""
+    out = [f'<rect class="{css}" x="{x}" y="{TOP}" width="{BOX_W}" height="{BOX_H}" rx="6"/>']
+    if number:
+        out.append(f'<path class="arrow" d="M{x - STEP + BOX_W} {TOP + BOX_H / 2}h{STEP - BOX_W - 4}l-4 -4m4 4l-4 4"/>')
+    middle = x + BOX_W / 2
+    out.append(f'<text class="title" x="{middle}" y="{TOP + 17}" text-anchor="middle">{stage}</text>')
+    if share is None:
+        text = "nothing there" if judged else "not measured"
+        out.append(f'<text x="{middle}" y="{TOP + 55}" text-anchor="middle">{text}</text>')
+    else:
+        height = BAR_H * share / largest if largest > 0.0 else 0.0
+        base = TOP + 24 + BAR_H
+        out.append(f'<rect class="track" x="{middle - 12}" y="{base - BAR_H}" width="24" height="{BAR_H}"/>')
+        out.append(f'<rect class="bar" x="{middle - 12}" y="{base - height:.1f}" width="24" height="{height:.1f}"/>')
+        out.append(f'<text x="{middle}" y="{base + 14}" text-anchor="middle">{100 * share:.0f} %</text>')
+    for k, text in enumerate(_short(named)):
+        out.append(
+            f'<text class="cause" x="{middle}" y="{TOP + 90 + 11 * k}" text-anchor="middle">{escape(text)}</text>'
+        )
+    return "".join(out)
+
+
+def _short(named: list[str]) -> list[str]:
+    """At most two lines; more effects are counted, the list of hypotheses has them all."""
+    return (
+        named if len(named) <= 2 else [named[0], f"and {sum(not text.startswith('joint') for text in named) - 1} more"]
+    )

@@ -1,0 +1,115 @@
+"""What the page plots: held-out residuals before and after, and the worst held-out trajectory replayed both ways."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.candidates import put
+from diagnosis.cells_dynamic import LAST, OUTPUT, Part, Replay
+from diagnosis.diagnose import CellAnswer, Diagnosis
+from diagnosis.score import Score, fold_thetas
+from machine.effects.dynamics import simulate
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+CELLS_MAX = 4
+SIGNALS = {"link": "reference received", "controller": "valve command", "actuator": "joint angle"}
+SIGNAL_UNITS = {"link": "rad", "controller": "of full command", "actuator": "rad"}
+
+
+@dataclass(frozen=True, slots=True)
+class Residuals:
+    """White held-out residuals of one cell, in noise floors: t_s, before, after (N,) each."""
+
+    t_s: Array
+    before: Array
+    after: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """One held-out trajectory of one joint: t_s, measured, nominal, explained (m,) each, in `unit`."""
+
+    kind: str
+    joint: int
+    signal: str
+    unit: str
+    t_s: Array
+    measured: Array
+    nominal: Array
+    explained: Array
+
+
+@dataclass(frozen=True, slots=True)
+class CellCurves:
+    """The plots of one cell. `replayed` is None where the cell holds no trajectories (points, marker corners)."""
+
+    label: str
+    named: str
+    residuals: Residuals
+    replayed: Replayed | None
+
+
+def curves_of(found: Diagnosis) -> tuple[CellCurves, ...]:
+    """Of the cells with the largest gaps, at most four; those with a named effect first."""
+    ranked = sorted(found.cells, key=lambda one: (not one.chosen.fit.hypothesis, -_energy(one)))
+    return tuple(_cell(one) for one in ranked[:CELLS_MAX])
+
+
+def _energy(one: CellAnswer) -> float:
+    return float(np.mean(one.search.none.held_out**2))
+
+
+def _cell(one: CellAnswer) -> CellCurves:
+    cell = one.search.cell
+    named = " + ".join(effect.name for effect in one.chosen.fit.hypothesis)
+    order = np.argsort(cell.t_s, kind="stable")
+    white = Residuals(cell.t_s[order], one.search.none.held_out[order], one.chosen.held_out[order])
+    return CellCurves(cell.label, named, white, _replayed(one))
+
+
+def _replayed(one: CellAnswer) -> Replayed | None:
+    """The stretch and joint on which the effect matters most, replayed by numbers fitted without that stretch's kind.
+
+    Without a named effect: where the gap is largest; nominal and explained are then the same.
+    """
+    replay = one.search.cell.whitened
+    if not isinstance(replay, Replay) or not replay.parts:
+        return None
+    before, after = _energies(one, replay, one.search.none), _energies(one, replay, one.chosen)
+    wanted = before - after if one.chosen.fit.hypothesis else before
+    at, channel = np.unravel_index(int(np.argmax(wanted)), wanted.shape)
+    part = replay.parts[int(at)]
+    folds, thetas = fold_thetas(one.search.cell, one.chosen.fit)
+    fold = _fold_of(one, int(at) * len(replay.joints) + int(channel))
+    theta = thetas[int(np.searchsorted(folds, fold))]
+    base = one.search.cell.base
+    traces = [_output(replay, part, sets, int(channel)) for sets in (base, put(base, one.chosen.fit.hypothesis, theta))]
+    rows = len(traces[0])
+    return Replayed(
+        part.stretch.kind,
+        replay.joints[int(channel)] + 1,
+        SIGNALS[replay.stage],
+        SIGNAL_UNITS[replay.stage],
+        part.stretch.t_s[:rows] - part.stretch.t_s[0],
+        part.measured[:rows, int(channel)],
+        *traces,
+    )
+
+
+def _energies(one: CellAnswer, replay: Replay, score: Score) -> Array:
+    """Sum of squared held-out residuals by stretch and channel (parts, joints)."""
+    series = one.search.cell.rows.series
+    sums = np.bincount(series, weights=score.held_out**2, minlength=len(replay.parts) * len(replay.joints))
+    return np.asarray(sums, dtype=float).reshape(len(replay.parts), len(replay.joints))
+
+
+def _fold_of(one: CellAnswer, series: int) -> int:
+    rows = one.search.cell.rows
+    return int(rows.fold[np.argmax(rows.series == series)])
+
+
+def _output(replay: Replay, part: Part, sets: ParameterSets, channel: int) -> Array:
+    chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(replay.joints)]), sets.machine)
+    traces = simulate(part.plant, chosen, part.drive, LAST[replay.stage])
+    return np.asarray(getattr(traces, OUTPUT[replay.stage])[0, : len(part.measured), channel], dtype=float)

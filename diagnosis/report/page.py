@@ -1,0 +1,153 @@
+"""The answer as one page without scripts: the verdict first, then the evidence for it, then the details."""
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from diagnosis.report.chain import chain
+from diagnosis.report.curves import CellCurves
+from diagnosis.report.plots import plots
+from diagnosis.report.style import STYLE
+from diagnosis.report.svg import bar
+from diagnosis.report.text import effects_text, place_text
+from diagnosis.report.words import next_text, verdict_text, what_it_looks_like
+
+PLACES_MAX = 40
+HYPOTHESES_MAX = 6
+
+
+def page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] = ()) -> str:
+    """The whole page. `result`: the answer's JSON; `curves`: what cannot be drawn from it."""
+    body = [
+        _head(result, name),
+        _section("Where the gap lies", chain(result)),
+        _section("Measured, nominal, nominal with the effects", plots(curves)),
+        _section("How likely", _hypotheses(result) + _classes(result)),
+        _section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
+        _section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
+        _section("What nothing explains", _table(result["unexplained"], UNEXPLAINED)),
+        _section("What the recording lacked", _table(result["missing"], (("signal", "signal"), ("costs", "costs")))),
+        _section("Findings about the recording", _table(result["findings"], FINDINGS)),
+        _details("Every place: stage, joint, axis, regime", _table(_places(result), PLACES)),
+        _details("Smallest effects this recording could have shown", _table(result["detection_limits"], LIMITS)),
+    ]
+    title = escape(f"{name}: {result['verdict']}")
+    head = (
+        '<meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
+        f"<title>{title}</title><style>{STYLE}</style>"
+    )
+    return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(body)}</body></html>\n'
+
+
+UNEXPLAINED = (
+    ("stage", "stage"),
+    ("joint", "joint"),
+    ("test", "test"),
+    ("size", "size"),
+    ("p_value", "p"),
+    ("lead", "lead"),
+)
+FINDINGS = (("severity", ""), ("text", "finding"))
+PLACES = (
+    ("stage", "stage"),
+    ("joint", "joint"),
+    ("axis", "axis"),
+    ("regime", "regime"),
+    ("gap", "gap"),
+    ("floor", "noise floor"),
+    ("unit", "unit"),
+    ("share_frac", "share at the tcp"),
+)
+LIMITS = (("name", "effect"), ("joint", "joint"), ("parameter", "parameter"), ("size", "size"), ("unit", "unit"))
+SHRINK = (
+    ("stage", "stage"),
+    ("joint", "joint"),
+    ("before", "before"),
+    ("after", "after"),
+    ("floor", "noise floor"),
+    ("unit", "unit"),
+    ("closed", "closed"),
+    ("limits", "90 %"),
+)
+
+
+def _head(result: dict[str, Any], name: str) -> str:
+    words = verdict_text(result)
+    facts = "".join(f"<li>{escape(text)}</li>" for text in words.facts)
+    return (
+        f"<p class='name'>Sim-to-real gap of {escape(name)}</p>"
+        f'<header class="{escape(result["verdict"])}"><span aria-hidden="true">{words.sign}</span>'
+        f"<div><h1>{escape(words.headline)}</h1><ul>{facts}</ul></div></header>"
+        f"{what_it_looks_like(result)}"
+    )
+
+
+def _section(title: str, body: str) -> str:
+    return f"<section><h2>{escape(title)}</h2>{body}</section>" if body else ""
+
+
+def _details(title: str, body: str) -> str:
+    return f"<details><summary>{escape(title)}</summary>{body}</details>" if body else ""
+
+
+def _hypotheses(result: dict[str, Any]) -> str:
+    """Probability bars; what belongs to the 90 % set is marked; the cause outside the catalogue is one of them."""
+    credible = [_key(one["effects"]) for one in result["credible_set_90"]]
+    rows = [
+        (one["probability"], effects_text(one["effects"]), _key(one["effects"]) in credible)
+        for one in result["hypotheses"][:HYPOTHESES_MAX]
+    ]
+    rows.append((result["outside_probability"], "a cause outside the catalogue", False))
+    lines = "".join(
+        f'<tr><td class="n">{100 * probability:.1f} %</td><td>{bar(probability, "bar" if inside else "bar faint")}</td>'
+        f"<td>{escape(text)}{' <b>in the 90 % set</b>' if inside else ''}</td></tr>"
+        for probability, text, inside in rows
+    )
+    return f"<table>{lines}</table>"
+
+
+def _key(effects: list[dict[str, Any]]) -> tuple[tuple[str, int], ...]:
+    return tuple(sorted((one["name"], one["joint"] or 0) for one in effects))
+
+
+def _classes(result: dict[str, Any]) -> str:
+    lines = "".join(
+        f"<li>{escape(' and '.join(place_text(one) for one in members))}: the recording looks the same with either</li>"
+        for members in result["indistinguishable"]
+    )
+    return f"<p>Cannot be told apart here:</p><ul>{lines}</ul>" if lines else ""
+
+
+def _places(result: dict[str, Any]) -> list[dict[str, Any]]:
+    return [one for one in result["localisation"] if one["regime"] == "all" or one["joint"] is None][:PLACES_MAX]
+
+
+def _shrinks(result: dict[str, Any]) -> str:
+    overall = result["shrink"].get("overall") or {}
+    rows = [{"stage": "all", "joint": None, **overall}] if overall else []
+    rows += result["shrink"].get("stages", [])
+    return _table([{**one, "closed": _percent(one["closed_frac"]), "limits": _limits(one)} for one in rows], SHRINK)
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{100 * value:.1f} %"
+
+
+def _limits(one: dict[str, Any]) -> str:
+    if one["low"] is None or one["high"] is None:
+        return ""
+    return f"{_percent(one['low'])} to {_percent(one['high'])}"
+
+
+def _table(rows: list[dict[str, Any]], columns: tuple[tuple[str, str], ...]) -> str:
+    if not rows:
+        return ""
+    head = "".join(f"<th>{escape(title)}</th>" for _, title in columns)
+    lines = "".join("<tr>" + "".join(_cell(row.get(key)) for key, _ in columns) + "</tr>" for row in rows)
+    return f"<table><tr>{head}</tr>{lines}</table>"
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float):
+        return f'<td class="n">{value:.4g}</td>'
+    return f"<td>{'' if value is None else escape(str(value))}</td>"
