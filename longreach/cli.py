@@ -15,6 +15,7 @@ from longreach import (
     commission_command,
     demo,
     diagnose_command,
+    diagnose_fleet_command,
     export_command,
     position,
     record_command,
@@ -36,6 +37,7 @@ app.command("commission")(commission_command.commission)
 app.command("position")(position.position)
 app.command("demo")(demo.demo)
 app.command("diagnose")(diagnose_command.diagnose)
+app.command("diagnose-fleet")(diagnose_fleet_command.diagnose_fleet)
 app.command("reproduce")(reproduce_command.reproduce)
 app.add_typer(bench.app, name="bench", help="Measure; every figure in the README comes from here.")
 app.add_typer(calibration_command.app, name="calibration", help="Show and export the local calibration.")

@@ -1,0 +1,64 @@
+"""One recording of a fleet, diagnosed anywhere: in this process, in another, on another computer.
+
+The result is a plain dictionary that depends on the recording, the machine file and this program's version only.
+"""
+
+import hashlib
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from diagnosis.answer import answer
+from diagnosis.diagnose import diagnose
+from diagnosis.errors import DiagnosisError
+from diagnosis.reading import Read, read
+from recording.errors import RecordingError
+from recording.opening import read_run
+
+FORMAT = 1
+
+
+def diagnosed(path: str, machine_file: str | None = None) -> dict[str, Any]:
+    """The answer to one recording with what a fleet needs to know of it; a bad recording is an answer too.
+
+    Returns: `status` "diagnosed", "unusable" (see `findings`) or "failed" (see `reason`); whose and when.
+    """
+    file = None if machine_file is None else Path(machine_file)
+    whole = read(Path(path), file)
+    out: dict[str, Any] = {"format_version": FORMAT, "recording": Path(path).name, **_whose(Path(path), file, whole)}
+    findings = [{"code": one.code, "severity": one.severity, "text": str(one)} for one in whole.findings]
+    if not whole.usable:
+        return {**out, "status": "unusable", "findings": findings}
+    try:
+        return {**out, "status": "diagnosed", "findings": findings, "answer": answer(diagnose(whole))}
+    except DiagnosisError as error:
+        return {**out, "status": "failed", "findings": findings, "reason": str(error)}
+
+
+def fingerprint(path: Path, machine_file: Path | None, version: str) -> str:
+    """SHA-256 over everything that an answer depends on, so that a saved one is taken only while it still holds."""
+    digest = hashlib.sha256(version.encode())
+    files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
+    for one in [*files, *([machine_file] if machine_file is not None else [])]:
+        digest.update(one.name.encode() + b"\0")
+        with one.open("rb") as stream:
+            digest.update(hashlib.file_digest(stream, "sha256").digest())
+    return digest.hexdigest()
+
+
+def _whose(path: Path, machine_file: Path | None, whole: Read) -> dict[str, Any]:
+    """Machine, serial number and time of a recording; empty texts where it does not say."""
+    out = {"machine": whole.nominal.name if whole.nominal is not None else "", "serial": "", "started_utc": ""}
+    try:
+        recording = read_run(path)
+    except (RecordingError, OverflowError):
+        return out
+    out["started_utc"] = recording.run.started_utc
+    text = machine_file.read_text(encoding="utf-8") if machine_file is not None else recording.machine_toml
+    try:
+        section = tomllib.loads(text or "").get("machine", {})
+    except tomllib.TOMLDecodeError:
+        return out
+    if isinstance(section, dict):
+        out["serial"] = str(section.get("serial", ""))
+    return out

@@ -1,0 +1,62 @@
+"""The fleet's report: one page without scripts."""
+
+from html import escape
+
+from diagnosis.fleet.summary import Drift, Fleet, Shared
+from diagnosis.report.style import STYLE
+
+WORDS = {"none": "✓ none", "effects": "! effects", "outside": "✗ outside", "undecided": "? undecided"}
+
+
+def fleet_page(fleet: Fleet, name: str) -> str:
+    """Shared effects first, then drift, then machine by machine."""
+    total = sum(len(one) for one in fleet.verdicts.values())
+    facts = f"{len(fleet.machines)} machines, {total} recordings diagnosed, {len(fleet.unusable)} not usable"
+    body = [
+        f"<h1>Sim-to-real gap of a fleet: {escape(name)}</h1><p>{facts}.</p>",
+        _section("Effects that machines share", [_shared(one) for one in fleet.shared], SHARED),
+        _section("Drift", [_drift(one) for one in fleet.drifts], DRIFT),
+        _section("Machine by machine", [(m, _verdicts(fleet.verdicts[m])) for m in fleet.machines], MACHINES),
+        _section("Every size found", [_found(fleet, k) for k in range(len(fleet.found))], FOUND),
+        _section("Not usable", list(fleet.unusable), ("recording", "why")),
+    ]
+    head = f'<meta charset="utf-8"><title>{escape(name)}</title><style>{STYLE}</style>'
+    return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(body)}</body></html>\n'
+
+
+SHARED = ("effect", "joint", "machines that have it", "looked for and not found on")
+DRIFT = ("machine", "effect", "joint", "change per day", "90 %", "recordings", "")
+MACHINES = ("machine", "verdicts in the order of time")
+FOUND = ("machine", "recording", "effect", "joint", "size", "90 %", "unit")
+
+
+def _shared(one: Shared) -> tuple[str, ...]:
+    return one.name, _joint(one.joint), f"{len(one.machines)}: {', '.join(one.machines)}", ", ".join(one.without)
+
+
+def _drift(one: Drift) -> tuple[str, ...]:
+    limits = f"{one.low:.3g} to {one.high:.3g}"
+    word = "drifts" if one.drifts else "no drift told"
+    return one.machine, one.name, _joint(one.joint), f"{one.per_day:.3g} {one.unit}", limits, str(one.n), word
+
+
+def _verdicts(verdicts: tuple[tuple[str, str], ...]) -> str:
+    return ", ".join(f"{WORDS[word]} ({name})" for name, word in verdicts)
+
+
+def _found(fleet: Fleet, k: int) -> tuple[str, ...]:
+    one = fleet.found[k]
+    limits = f"{one.low:.4g} to {one.high:.4g}"
+    return one.machine, one.recording, one.name, _joint(one.joint), f"{one.value:.4g}", limits, one.unit
+
+
+def _joint(joint: int | None) -> str:
+    return "" if joint is None else str(joint)
+
+
+def _section(title: str, rows: list[tuple[str, ...]], columns: tuple[str, ...]) -> str:
+    if not rows:
+        return ""
+    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
+    lines = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<h2>{escape(title)}</h2><table><tr>{head}</tr>{lines}</table>"

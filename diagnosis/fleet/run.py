@@ -1,0 +1,93 @@
+"""A fleet's recordings over an executor: saved one by one, resumed, never stopped by a bad one."""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from pathlib import Path
+from typing import Any
+
+from diagnosis.fleet.case import diagnosed, fingerprint
+
+Told = Callable[[str, int, int], None]
+
+
+def recordings_below(folder: Path) -> list[Path]:
+    """MCAP files and CSV folders (those with a run.toml) below a folder, in name order."""
+    files = sorted(folder.rglob("*.mcap"))
+    folders = sorted(one.parent for one in folder.rglob("run.toml"))
+    return sorted({*files, *folders})
+
+
+def diagnose_all(
+    paths: Sequence[Path],
+    saved: Path,
+    executor: Executor,
+    version: str,
+    machine_file: Path | None = None,
+    told: Told = lambda _name, _done, _total: None,
+    at_once: int = 64,
+) -> list[dict[str, Any]]:
+    """Diagnose every recording, in the order of `paths`, at most `at_once` handed out at a time.
+
+    Args: saved: folder in which each answer lies; what is there and still holds is not computed again.
+    """
+    saved.mkdir(parents=True, exist_ok=True)
+    names = _names(paths)
+    results: dict[str, dict[str, Any]] = {}
+    marks = {name: fingerprint(path, machine_file, version) for name, path in zip(names, paths, strict=True)}
+    for name in names:
+        known = _loaded(saved / f"{name}.json", marks[name])
+        if known is not None:
+            results[name] = known
+    todo = [(name, path) for name, path in zip(names, paths, strict=True) if name not in results]
+    for name, result in _computed(todo, executor, machine_file, at_once):
+        results[name] = result
+        _save(saved / f"{name}.json", marks[name], result)
+        told(name, len(results), len(names))
+    return [results[name] for name in names]
+
+
+def _computed(
+    todo: list[tuple[str, Path]], executor: Executor, machine_file: Path | None, at_once: int
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    file = None if machine_file is None else str(machine_file.resolve())
+    left = list(reversed(todo))
+    running: dict[Future[dict[str, Any]], str] = {}
+    while left or running:
+        while left and len(running) < at_once:
+            name, path = left.pop()
+            running[executor.submit(diagnosed, str(path.resolve()), file)] = name
+        done, _ = wait(running, return_when=FIRST_COMPLETED)
+        for one in done:
+            yield running.pop(one), _result(one)
+
+
+def _result(one: "Future[dict[str, Any]]") -> dict[str, Any]:
+    """A worker that died takes one recording along, not the fleet."""
+    error = one.exception()
+    return one.result() if error is None else {"status": "failed", "reason": f"{type(error).__name__}: {error}"}
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """A name for each recording that is unique among them."""
+    out: list[str] = []
+    for path in paths:
+        name = path.name.removesuffix(".mcap")
+        out.append(name if name not in out else f"{path.parent.name}-{name}-{len(out)}")
+    return out
+
+
+def _loaded(file: Path, mark: str) -> dict[str, Any] | None:
+    try:
+        held = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    ok = isinstance(held, dict) and held.get("fingerprint") == mark and isinstance(held.get("result"), dict)
+    return held["result"] if ok and held["result"].get("status") != "failed" else None
+
+
+def _save(file: Path, mark: str, result: dict[str, Any]) -> None:
+    """Whole or not at all: a crash in between leaves the old file."""
+    part = file.with_suffix(".part")
+    part.write_text(json.dumps({"fingerprint": mark, "result": result}, indent=1) + "\n", encoding="utf-8")
+    part.replace(file)

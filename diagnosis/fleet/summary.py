@@ -1,0 +1,168 @@
+"""What a fleet's answers say together: which machines share an effect, and which sizes drift."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+
+Z_90 = 1.645
+DRIFT_MIN = 3  # recordings of one effect on one machine, for a drift
+SECONDS_A_DAY = 86400.0
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A named effect's size in one recording, with 90 % limits; `t_days` since 1970, None where no time was given."""
+
+    machine: str
+    recording: str
+    name: str
+    joint: int | None
+    parameter: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    t_days: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Shared:
+    """An effect with the machines that have it, and those on which it was looked for well enough and not found."""
+
+    name: str
+    joint: int | None
+    machines: tuple[str, ...]
+    without: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Change of an effect's size on one machine: slope per day with 90 % limits. `drifts`: zero lies outside them."""
+
+    machine: str
+    name: str
+    joint: int | None
+    unit: str
+    per_day: float
+    low: float
+    high: float
+    n: int
+
+    @property
+    def drifts(self) -> bool:
+        """Whether the slope is told apart from none."""
+        return self.low > 0.0 or self.high < 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """The whole: verdicts by machine in the order of time, what is shared, what drifts, what could not be used."""
+
+    machines: tuple[str, ...]
+    verdicts: dict[str, tuple[tuple[str, str], ...]]
+    found: tuple[Found, ...]
+    shared: tuple[Shared, ...]
+    drifts: tuple[Drift, ...]
+    unusable: tuple[tuple[str, str], ...]
+
+
+def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
+    """Of the dictionaries that `diagnosed` gives."""
+    good = [one for one in results if one["status"] == "diagnosed"]
+    good.sort(key=lambda one: (machine_of(one), one["started_utc"], one["recording"]))
+    found = tuple(item for one in good for item in _found(one))
+    machines = tuple(dict.fromkeys(machine_of(one) for one in good))
+    verdicts = {
+        machine: tuple((one["recording"], one["answer"]["verdict"]) for one in good if machine_of(one) == machine)
+        for machine in machines
+    }
+    bad = tuple((one.get("recording", "?"), _why(one)) for one in results if one["status"] != "diagnosed")
+    return Fleet(machines, verdicts, found, _shared(good, found), _drifts(found), bad)
+
+
+def machine_of(one: dict[str, Any]) -> str:
+    """Name and serial number; the recording's own name where the machine file says neither."""
+    return " ".join(text for text in (one["machine"], one["serial"]) if text) or one["recording"]
+
+
+def _why(one: dict[str, Any]) -> str:
+    fatal = [finding["text"] for finding in one.get("findings", []) if finding["severity"] == "fatal"]
+    return one.get("reason") or "; ".join(fatal) or one["status"]
+
+
+def _found(one: dict[str, Any]) -> list[Found]:
+    """Named effects of a recording; nothing is taken from a verdict that names none."""
+    if one["answer"]["verdict"] != "effects":
+        return []
+    out = []
+    for effect in one["answer"]["hypotheses"][0]["effects"]:
+        sized = [
+            (name, x) for name, x in effect["parameters"].items() if x["low"] is not None and x["high"] is not None
+        ]
+        if sized:
+            name, x = sized[0]
+            size = (name, x["unit"], float(x["value"]), float(x["low"]), float(x["high"]))
+            when = _days(one["started_utc"])
+            out.append(Found(machine_of(one), one["recording"], effect["name"], effect["joint"], *size, when))
+    return out
+
+
+def _days(text: str) -> float | None:
+    try:
+        when = datetime.fromisoformat(text)
+    except ValueError:
+        return None
+    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp() / SECONDS_A_DAY
+
+
+def _shared(good: list[dict[str, Any]], found: tuple[Found, ...]) -> tuple[Shared, ...]:
+    """Effects by how many machines have them; a machine is without one only if its size there would have been seen."""
+    out = []
+    for key in dict.fromkeys((one.name, one.joint) for one in found):
+        mine = [one for one in found if (one.name, one.joint) == key]
+        having = tuple(dict.fromkeys(one.machine for one in mine))
+        size = float(np.median([abs(one.value) for one in mine]))
+        able = [machine_of(one) for one in good if _could_see(one, key, size)]
+        out.append(Shared(*key, having, tuple(name for name in dict.fromkeys(able) if name not in having)))
+    return tuple(sorted(out, key=lambda one: (-len(one.machines), one.name, one.joint or 0)))
+
+
+def _could_see(one: dict[str, Any], key: tuple[str, int | None], size: float) -> bool:
+    limits = {(x["name"], x["joint"]): x["size"] for x in one["answer"]["detection_limits"]}
+    limit = limits.get(key)
+    return one["answer"]["verdict"] in ("none", "effects") and limit is not None and limit <= size
+
+
+def _drifts(found: tuple[Found, ...]) -> tuple[Drift, ...]:
+    out = []
+    for key in dict.fromkeys((one.machine, one.name, one.joint) for one in found):
+        mine = [one for one in found if (one.machine, one.name, one.joint) == key and one.t_days is not None]
+        if len({one.t_days for one in mine}) >= DRIFT_MIN:
+            out.append(_drift(mine))
+    return tuple(out)
+
+
+def _drift(mine: list[Found]) -> Drift:
+    """Weighted straight line over time.
+
+    Model: value = a + b t, weights 1 / sigma^2 with sigma = (high - low) / (2 * 1.645); where the line fits worse than
+           these sigmas say, its own scatter widens the limits (Birge), by Student's t for so few points.
+    """
+    from scipy.stats import t as student
+
+    t = np.array([one.t_days or 0.0 for one in mine])
+    y = np.array([one.value for one in mine])
+    width = np.array([max(one.high - one.low, 1e-12) for one in mine])
+    w = 1.0 / (width / (2.0 * Z_90)) ** 2
+    A = np.stack([np.ones_like(t), t - t.mean()], axis=1)
+    covariance = np.linalg.inv(A.T @ (w[:, None] * A))
+    a_b = covariance @ (A.T @ (w * y))
+    dof = len(mine) - 2
+    chi2 = float((w * (y - A @ a_b) ** 2).sum()) / dof
+    sd = float(np.sqrt(covariance[1, 1] * max(1.0, chi2)))
+    half = float(student.ppf(0.95, dof)) * sd
+    first, slope = mine[0], float(a_b[1])
+    return Drift(first.machine, first.name, first.joint, first.unit, slope, slope - half, slope + half, len(mine))

@@ -1,0 +1,79 @@
+"""`longreach diagnose-fleet`: many recordings over processes of this computer, or over a Dask cluster."""
+
+import json
+import os
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Annotated, cast
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from diagnosis.fleet.page import fleet_page
+from diagnosis.fleet.run import diagnose_all, recordings_below
+from diagnosis.fleet.summary import summary_of
+from server.version import __version__
+
+BAD_INPUT = 2
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+def diagnose_fleet(
+    folder: Annotated[Path, typer.Argument(help="recordings below it: MCAP files and folders with run.toml")],
+    out: Annotated[Path, typer.Option(help="answers and report go here; a second run resumes")] = Path("runs/fleet"),
+    machine_file: Annotated[Path | None, typer.Option("--machine", help="use this machine.toml for all")] = None,
+    workers: Annotated[int, typer.Option(min=1, help="processes on this computer")] = os.cpu_count() or 1,
+    dask: Annotated[str, typer.Option(help="a Dask scheduler instead, such as tcp://host:8786")] = "",
+) -> None:
+    """Diagnose every recording below a folder, and write what the machines share and how it drifts."""
+    screen = Console(stderr=True)
+    paths = recordings_below(folder)
+    if not paths:
+        text = f"{folder}: no recording below it (MCAP files, folders with run.toml)"
+        screen.print(f"[bold red]longreach:[/] {escape(text)}", soft_wrap=True)
+        raise typer.Exit(BAD_INPUT)
+    columns = (TextColumn("diagnosing"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with _executor(workers, dask) as executor, Progress(*columns, console=screen, transient=True) as shown:
+        task = shown.add_task("", total=len(paths))
+        results = diagnose_all(
+            paths,
+            out / "answers",
+            executor,
+            __version__,
+            machine_file,
+            lambda _name, done, _total: shown.update(task, completed=done),
+        )
+    fleet = summary_of(results)
+    (out / "fleet.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    (out / "fleet.html").write_text(fleet_page(fleet, folder.name), encoding="utf-8")
+    for one in fleet.shared:
+        joint = "" if one.joint is None else f" on joint {one.joint}"
+        typer.echo(f"{one.name}{joint}: {len(one.machines)} of {len(fleet.machines)} machines")
+    for one in fleet.drifts:
+        if one.drifts:
+            typer.echo(f"{one.machine}: {one.name} drifts by {one.per_day:.3g} {one.unit} a day")
+    typer.echo(f"{len(paths)} recordings, {len(fleet.unusable)} not usable; report: {out / 'fleet.html'}")
+
+
+@contextmanager
+def _executor(workers: int, dask: str) -> Iterator[Executor]:
+    """Processes by default; Dask's client gives an executor of the same kind."""
+    for name in ONE_THREAD:  # a worker each is the parallelism; and sums do not depend on the number of threads
+        os.environ.setdefault(name, "1")
+    if not dask:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            yield pool
+        return
+    try:
+        from dask.distributed import Client  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise typer.BadParameter(
+            "Dask is not installed: pip install 'longreach[fleet]'", param_hint="--dask"
+        ) from error
+    with Client(dask) as client:
+        yield cast(Executor, client.get_executor(pure=False))

@@ -1,0 +1,107 @@
+"""Many recordings: the same answers over every executor, resumed, and read together."""
+
+import json
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import pytest
+from foreign_plant import Fault, write
+from typer.testing import CliRunner
+
+from diagnosis.fleet.case import diagnosed
+from diagnosis.fleet.page import fleet_page
+from diagnosis.fleet.run import diagnose_all, recordings_below
+from diagnosis.fleet.summary import summary_of
+from longreach.cli import app
+
+
+class NoWork(Executor):
+    """An executor that must not be asked."""
+
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        raise AssertionError(f"asked to compute {args}")
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("fleet")
+    write(folder / "a", Fault(), static=9, kinds=())
+    write(folder / "b", Fault(sag_rad_nm=2e-6), static=12, kinds=())
+    write(folder / "broken", Fault(), static=9, kinds=())
+    (folder / "broken" / "machine.toml").write_text("[machine\n")
+    return folder
+
+
+def test_processes_and_dask_give_what_one_process_gives(recordings: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    paths = recordings_below(recordings)
+    assert [one.name for one in paths] == ["a", "b", "broken"]
+    here = [diagnosed(str(one)) for one in paths]
+    assert [one["status"] for one in here] == ["diagnosed", "diagnosed", "unusable"]
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        processes = diagnose_all(paths, tmp_path / "processes", pool, "1")
+    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None)
+    with cluster, distributed.Client(cluster) as client:
+        dask = diagnose_all(paths, tmp_path / "dask", client.get_executor(pure=False), "1")
+    assert json.dumps(processes) == json.dumps(here)
+    assert json.dumps(dask) == json.dumps(here)
+
+
+def test_a_second_run_computes_only_what_changed(recordings: Path, tmp_path: Path) -> None:
+    paths = recordings_below(recordings)[:1]
+    with ThreadPoolExecutor(1) as pool:
+        first = diagnose_all(paths, tmp_path, pool, "1")
+    assert diagnose_all(paths, tmp_path, NoWork(), "1") == first
+    with pytest.raises(AssertionError, match="asked to compute"):
+        diagnose_all(paths, tmp_path, NoWork(), "2")
+
+
+def answer_with(recording: str, day: int, size: float | None, serial: str = "7", limit: float = 1e-3) -> dict[str, Any]:
+    parameters = {"width_rad": {"value": size, "unit": "rad", "low": (size or 0) - 1e-4, "high": (size or 0) + 1e-4}}
+    effects = [] if size is None else [{"name": "backlash", "joint": 2, "stage": "joint", "parameters": parameters}]
+    return {
+        "recording": recording,
+        "machine": "hiab033",
+        "serial": serial,
+        "started_utc": f"2026-03-{day:02d}T08:00:00Z",
+        "status": "diagnosed",
+        "findings": [],
+        "answer": {
+            "verdict": "none" if size is None else "effects",
+            "hypotheses": [{"effects": effects, "probability": 0.9}],
+            "detection_limits": [{"name": "backlash", "joint": 2, "parameter": "width_rad", "size": limit}],
+        },
+    }
+
+
+def test_a_play_that_grows_is_a_drift_and_one_that_stays_is_none() -> None:
+    grows = [answer_with(f"g{day}", day, 2e-3 + 2e-4 * day) for day in (1, 2, 3, 4)]
+    stays = [answer_with(f"s{day}", day, 3e-3 + 3e-5 * (-1) ** day, "8") for day in (1, 2, 3, 4)]
+    drifts = {one.machine: one for one in summary_of(grows + stays).drifts}
+    assert drifts["hiab033 7"].drifts
+    assert abs(drifts["hiab033 7"].per_day - 2e-4) < 1e-6
+    assert not drifts["hiab033 8"].drifts
+
+
+def test_a_machine_is_without_an_effect_only_if_it_would_have_been_seen() -> None:
+    results = [
+        answer_with("a", 1, 3e-3, "1"),
+        answer_with("b", 1, 2e-3, "2"),
+        answer_with("c", 1, None, "3"),
+        answer_with("d", 1, None, "4", limit=0.5),
+    ]
+    shared = summary_of(results).shared
+    assert [(one.name, one.joint) for one in shared] == [("backlash", 2)]
+    assert shared[0].machines == ("hiab033 1", "hiab033 2")
+    assert shared[0].without == ("hiab033 3",)
+    text = fleet_page(summary_of([*results, {"status": "failed", "reason": "<b>", "recording": "x"}]), "mine")
+    assert "<b>" not in text
+    assert "backlash" in text
+
+
+def test_the_command_says_what_is_missing(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["diagnose-fleet", str(tmp_path)])
+    assert done.exit_code == 2
+    assert "no recording below it" in done.output
