@@ -1,7 +1,7 @@
 """Pose of an object from all its visible markers in both eyes: all planar solutions tried, ambiguity told."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from server.vision.ambiguity_time import (
     usable_prior,
 )
 from server.vision.contracts import Array, MarkerView, ObjectPose, PoseStatus
+from server.vision.covered_view import without_covered_view
 from server.vision.pose_problem import PointSighting, PoseProblem, Sighting, pose_problem
 from server.vision.pose_refinement import RefinedPose, distinct_minima
 
@@ -45,6 +46,7 @@ class PoseSettings:
 
     sigma_px: float = 0.06  # standard deviation of one corner coordinate
     residual_max_px: float = 2.0  # rms above which the layout and the images contradict each other
+    covered_rms_px: float = 0.3  # rms above which one eye's view of one target is asked whether it is covered
     chi2_margin_min: float = (
         11.0  # between the two planar solutions: the wrong one wins by that much once in 1700 at worst
     )
@@ -91,6 +93,11 @@ def estimate_object_pose(
     minima = _minima(problem, range(len(sightings)))
     if not minima:
         return _rejected(on, problem, "no pose puts the corners in front of the camera", float("nan"))
+    if _rms(minima[0]) > settings.covered_rms_px:
+        cleared = without_covered_view(problem, minima[0], SAME_MINIMUM_RAD)
+        if cleared is not None:
+            found, views = estimate_object_pose(on, cleared.sightings, camera, settings, "", prior)
+            return replace(found, reason="; ".join(text for text in (found.reason, cleared.reason) if text)), views
     used = list(range(len(sightings)))
     dropped: dict[int, str] = {}
     if _rms(minima[0]) > settings.residual_max_px and len(used) > 1:
