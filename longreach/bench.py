@@ -12,6 +12,11 @@ from rich.console import Console
 from longreach import bench_fuzz, bench_kills, bench_link, bench_position, bench_schedules
 from longreach.bench_bundle.command import bundle
 from longreach.bench_camera_faults.command import camera_faults
+from longreach.bench_compensation.command import compensation
+from longreach.bench_crashes import crashes
+from longreach.bench_experiments.command import experiments
+from longreach.bench_gap.command import gap
+from longreach.bench_hold.command import hold
 from longreach.bench_machines.command import ablation, machines
 from longreach.bench_markers.command import markers
 from longreach.bench_odometry.command import odometry
@@ -41,6 +46,11 @@ app.command("ablation")(ablation)
 app.command("camera-faults")(camera_faults)
 app.command("vision-soak")(vision_soak)
 app.command("servo")(servo)
+app.command("crashes")(crashes)
+app.command("hold")(hold)
+app.command("gap")(gap)
+app.command("experiments")(experiments)
+app.command("compensation")(compensation)
 
 
 @app.command()
@@ -56,8 +66,12 @@ def position(
     console.print(bench_position.summary(cases))
     seconds = [case.duration_s for case in cases if case.steps]
     for moves in (1, 2, 3):
+        stood = sum(bench_position.inside_after(case, moves) for case in cases)
         count = sum(bench_position.inside(case, moves) for case in cases)
-        console.print(f"truly inside 5 mm and 1 deg within {moves} moves: {count} of {len(cases)}")
+        console.print(
+            f"truly inside 5 mm and 1 deg after move {moves}: {stood} of {len(cases)}; "
+            f"job ended there within {moves} moves: {count}"
+        )
     if method == "paper":
         count = sum(bench_position.pattern_of_paper(case) for case in cases)
         console.print(f"pattern of the paper's Table 4: {count} of {len(cases)}")

@@ -162,6 +162,16 @@ def inside(case: Case, moves_max: int, limit_mm: float = 5.0, limit_deg: float =
     return case.reached and case.moves <= moves_max and ends_inside(case.steps, limit_mm, limit_deg)
 
 
+def inside_after(case: Case, moves: int, limit_mm: float = 5.0, limit_deg: float = 1.0) -> bool:
+    """Whether the tool was truly inside at rest after that move, or where the job ended before it.
+
+    A job that cannot yet be sure moves again although it is inside; this counts where the machine stood, not its doubt.
+    """
+    made = {step.name: step for step in case.steps}
+    last = next((made[f"move {k}"] for k in range(moves, 0, -1) if f"move {k}" in made), None)
+    return last is not None and ends_inside([last], limit_mm, limit_deg)
+
+
 def ends_inside(steps: list[StepErrors], limit_mm: float = 5.0, limit_deg: float = 1.0) -> bool:
     """Whether the last step was truly inside the limits; without steps nothing was."""
     return bool(steps) and max(map(abs, steps[-1].true_mm)) <= limit_mm and steps[-1].true_deg <= limit_deg
