@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 
 from diagnosis.diagnose import CellAnswer, Diagnosis
-from diagnosis.experiment import next_experiment
+from diagnosis.experiments.choice import next_experiment
 from diagnosis.fit import Fit
 from diagnosis.limits import Interval, closed_share
+from diagnosis.rivals import rivals
 from diagnosis.score import Score
 from diagnosis.weigh import calibration
 from machine.effects.registry import effect_named
@@ -42,6 +43,7 @@ def answer(found: Diagnosis) -> dict[str, Any]:
         "missing": _missing(found),
         "findings": [{"code": f.code, "severity": f.severity, "text": str(f)} for f in found.whole.findings],
         "searched": [_searched(one) for one in found.cells],
+        "rivals": rivals(found.cells),
     }
 
 
@@ -135,8 +137,7 @@ def _localisation(found: Diagnosis) -> list[dict[str, Any]]:
 
 def _shrink(found: Diagnosis) -> dict[str, Any]:
     stages = []
-    for one in found.cells:
-        s = one.shrink
+    for s in (part for one in found.cells for part in one.shrinks):
         stages.append(
             {
                 "stage": s.stage,

@@ -40,6 +40,8 @@ class Candidate:
         if len(self.slots) > 1 and self.slots[0].parameter == self.slots[1].parameter:
             return _around(self.slots)  # a direction's vector: along each axis, both signs
         grids = [_grid(slot) for slot in self.slots]
+        if self.fixed:  # many variants of one effect, each as strong as it is large
+            grids[0] = grids[0][::2]
         return np.array(list(product(*grids)))
 
 

@@ -40,6 +40,9 @@ class Cell:
     `scale`: (N,) what one whitened unit is in `unit`; `base`: the baseline's parameters; `floor_known`: from repeats.
     `quiet`: the noise's own energy in whitened units, below 1 where the floor was raised to what is believed.
     `coarse`: its input between logged rows is a guess; `least_nats`: what that guess may be wrong by, at least.
+    `spread_least`: scores are divided by it at least (a baseline's remainder is no white noise).
+    `usual`: tests that fire on the undisturbed machine, and their sizes there.
+    `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
 
@@ -58,6 +61,9 @@ class Cell:
     t_s: Array
     coarse: bool = False
     least_nats: float = 0.0
+    spread_least: float = 1.0
+    usual: tuple[tuple[str, float], ...] = ()
+    parts: tuple["Cell", ...] = ()
 
     @property
     def label(self) -> str:

@@ -14,6 +14,7 @@ from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
 from diagnosis.tables import MarkerTable
 from diagnosis.views import mean_pose, views_of
+from diagnosis.views_one_eye import one_eye_views
 from machine.effects.layout import READOUT, ParameterSets
 from machine.effects.seen import camera_mount, seen_corners, true_times
 from machine.effects.structure import tcp_poses
@@ -28,6 +29,7 @@ STILL_RAD = 3e-4
 VISITS_S = 3.0
 NUDGE = 1e-4
 FAR_PX = 1e3
+VIEWS_MIN = 4  # poses of the object to place it by
 TIMED = ("clock_offset", "clock_drift", "camera_latency", "rolling_shutter")
 
 
@@ -104,14 +106,17 @@ def _small(x: Array) -> Array:
     return T
 
 
-def camera_cells(whole: Read, base: ParameterSets) -> list[Cell]:
-    """A cell for the object of interest, seen while the arm moves."""
+def camera_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None = None) -> list[Cell]:
+    """Cells for the object of interest, seen while the arm moves, and for the tool.
+
+    `paths`: the encoders' courses, if they are known.
+    """
     nominal, tables = whole.nominal, whole.tables
     if nominal is None or tables is None or tables.markers is None or nominal.arm is None:
         return []
     if nominal.camera is None or nominal.T_tcp_cam_left is None:
         return []
-    paths = paths_of(whole.stretches, nominal.actuators)
+    paths = paths_of(whole.stretches, nominal.actuators) if paths is None else paths
     to_plc_s = (tables.run.camera_to_pc_offset_s or 0.0) - (tables.run.plc_to_pc_offset_s or 0.0)
     table = replace(tables.markers, t_s=tables.markers.t_s + to_plc_s)
     cells = []
@@ -171,6 +176,8 @@ def _cell(
     candidates = tuple(one for one in candidates if one.name != "odometry_scale")
     known = _floor(placed, base)
     sigma = max(known if known is not None else saturated_floor(placed, base, candidates), SIGMA_MIN_PX)
+    record = nominal.remainder("camera", on=on)
+    sigma = float(np.hypot(sigma, record.sigma)) if record is not None else sigma
     rows, t_s = _rows(frames)
     return [
         Cell(
@@ -187,6 +194,7 @@ def _cell(
             same_kind=False,
             regressors=(("time", t_s),),
             t_s=t_s,
+            usual=record.usual if record is not None else (),
         )
     ]
 
@@ -197,23 +205,25 @@ def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: P
         T = nominal.T_tcp_tool
         return None if T is None else replace(rough, T_base_ooi=T)
     views = views_of(nominal, table, "ooi")
+    if len(views.t_s) < VIEWS_MIN:
+        views = one_eye_views(nominal, table, "ooi")
     at = inside(rough.paths, views.t_s, MARGIN_S)
     kept = at >= 0
-    if int(kept.sum()) < 4 or nominal.arm is None or nominal.T_tcp_cam_left is None:
+    if int(kept.sum()) < VIEWS_MIN or nominal.arm is None or nominal.T_tcp_cam_left is None:
         return None
     some = np.nonzero(kept)[0][np.unique(np.linspace(0, int(kept.sum()) - 1, FRAMES_MAX).astype(int))]
     q = link_angles(rough.paths, base, 0, at[some], views.t_s[some])
     Ts = tcp_poses(nominal.arm, without_encoders(base), q) @ nominal.T_tcp_cam_left @ views.Ts_cam_object[some]
     placed = replace(rough, T_base_ooi=mean_pose(Ts))
     for _ in range(3):  # the mean of single poses is coarse: settle on the corners themselves
-        nuisance = _nuisance(placed, base)
+        nuisance = nuisance_of(placed, base)
         plain = without_encoders(base)
         residual = placed.difference(plain, 0, placed.poses(base, plain, 0, 0.0), None, placed.T_base_ooi)
         placed = replace(placed, T_base_ooi=placed.T_base_ooi @ _small(-_solved(nuisance, residual)))
-    return replace(placed, nuisance=_nuisance(placed, base))
+    return replace(placed, nuisance=nuisance_of(placed, base))
 
 
-def _nuisance(placed: CornerResidual, base: ParameterSets) -> Array:
+def nuisance_of(placed: CornerResidual, base: ParameterSets) -> Array:
     """Change of the residual with the OOI's place (N, 6), per m and rad in its own axes."""
     plain = without_encoders(base)
     Ts = placed.poses(base, plain, 0, 0.0)

@@ -8,7 +8,17 @@ from numpy.typing import NDArray
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, candidates_of, named
 from diagnosis.cells import Cell, Rows, blocks_of, folds_of
 from diagnosis.errors import DiagnosisError
-from diagnosis.floor import BLOCK_S, Floor, Whitener, block_means, floor_of_repeats, floor_without_repeats
+from diagnosis.floor import (
+    BLOCK_S,
+    Floor,
+    Whitener,
+    deviations,
+    floor_of_repeats,
+    floor_without_repeats,
+    increments,
+    with_remainder,
+)
+from diagnosis.regressors import regressors_of
 from diagnosis.repeats import overlaid
 from diagnosis.replay import Prepared, Replayer, measured_output
 from diagnosis.stretches import Stretch, repeat_groups
@@ -125,7 +135,7 @@ def stage_cells(
     floor = stage_floor(replayer, stage, some, base)
     seen = [j for j in range(replayer.nominal.n) if all(_recorded(stage, one, j) for one in some)]
     groups = [tuple(seen)] if stage == "link" else [(j,) for j in seen]
-    return [_cell(stage, joints, some, floor, base, replayer) for joints in groups if joints]
+    return [cell_of(stage, joints, some, floor, base, replayer) for joints in groups if joints]
 
 
 def coupled_cell(
@@ -137,7 +147,7 @@ def coupled_cell(
     if not some or n < 2 or not all(_recorded("actuator", one, j) for one in some for j in range(n)):
         return None
     floor = stage_floor(replayer, "actuator", some, base)
-    cell = _cell("actuator", tuple(range(n)), some, floor, base, replayer)
+    cell = cell_of("actuator", tuple(range(n)), some, floor, base, replayer)
     return replace(cell, candidates=named(("supply_droop",), ()))
 
 
@@ -163,16 +173,28 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: 
     members = max(groups.values(), key=len, default=())
     dt = prepared[0].stretch.dt_s
     floor: Floor | None = None
+    steps: list[Array] = []
     if len(members) > 1:
         try:
-            floor = floor_of_repeats(overlaid(members, [known[one.name] for one in members]), dt)
+            repeats = overlaid(members, [known[one.name] for one in members])
+            floor = floor_of_repeats(repeats, dt)
+            steps = [increments(one, dt) for one in deviations(repeats)]
         except DiagnosisError:
             floor = None
     if floor is None:
         stand_ins = [floor_without_repeats(one, dt) for one in known.values()]
         sigma = np.median([one.whitener.sigma for one in stand_ins], axis=0)
         floor = replace(stand_ins[0], whitener=Whitener(np.zeros((0, len(sigma))), sigma), increment_rms=sigma)
-    return _not_below(floor, _smallest(stage, prepared))
+    floor = _not_below(floor, _smallest(stage, prepared))
+    records = [replayer.nominal.remainder(stage, j + 1) for j in range(replayer.nominal.n)]
+    if not any(records):
+        return floor
+    ar = np.zeros((max(len(one.ar) for one in records if one is not None), len(records)))
+    for j, one in enumerate(records):
+        if one is not None:
+            ar[: len(one.ar), j] = one.ar
+    sigma, rms = (np.array([getattr(one, name) if one else 0.0 for one in records]) for name in ("sigma", "rms"))
+    return with_remainder(floor, steps, ar, sigma, rms)
 
 
 def _smallest(stage: str, prepared: list[Prepared]) -> Array:
@@ -213,12 +235,13 @@ def _not_below(floor: Floor, least: Array) -> Floor:
     return replace(floor, rms=share, whitener=white, increment_rms=np.maximum(floor.increment_rms, least))
 
 
-def _cell(
+def cell_of(
     stage: str, joints: tuple[int, ...], prepared: list[Prepared], floor: Floor, base: ParameterSets, replayer: Replayer
 ) -> Cell:
+    """One cell of a stage: these joints (0-based) over all prepared stretches."""
     chosen = list(joints)
     white = Whitener(np.ascontiguousarray(floor.whitener.a[:, chosen]), floor.whitener.sigma[chosen])
-    parts = tuple(_part(stage, one, chosen) for one in prepared)
+    parts = tuple(part_of(stage, one, chosen) for one in prepared)
     replay = Replay(stage, joints, parts, white)
     kinds = [part.stretch.kind for part in parts]
     per_channel = [white_rows(part, white.order) for part in parts]
@@ -230,7 +253,7 @@ def _cell(
     rows = Rows(*(np.concatenate(one).astype(np.int64) for one in (folds, spread, series, channel)))
     per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
     scale = (floor.increment_rms[chosen] * per_second)[rows.channel]
-    regressors, t_s = _regressors(parts, chosen, white.order)
+    regressors, t_s = regressors_of(parts, chosen, white.order, SKIPPED, per_channel)
     one_based = tuple(j + 1 for j in joints)
     whole = stage == "link" or len(joints) > 1
     return Cell(
@@ -248,7 +271,22 @@ def _cell(
         regressors=regressors,
         t_s=t_s,
         coarse=any(part.plant.decimate > 1 for part in parts),
+        spread_least=_spread_least(replayer, stage, joints),
+        usual=_usual(replayer, stage, joints),
     )
+
+
+def _usual(replayer: Replayer, stage: str, joints: tuple[int, ...]) -> tuple[tuple[str, float], ...]:
+    """Tests that fire on the undisturbed machine, the largest size of any joint."""
+    records = [replayer.nominal.remainder(stage, j + 1) for j in joints]
+    rows = [row for one in records if one is not None for row in one.usual]
+    return tuple({name: max(size for n, size in rows if n == name) for name, _ in rows}.items())
+
+
+def _spread_least(replayer: Replayer, stage: str, joints: tuple[int, ...]) -> float:
+    """By how much a cell's scores are divided at least: the most that its joints' remainders ask for."""
+    records = [replayer.nominal.remainder(stage, j + 1) for j in joints]
+    return max(1.0, *(one.spread for one in records if one is not None), 1.0)
 
 
 def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]], bool]:
@@ -265,10 +303,11 @@ def _candidates(stage: str, joints: tuple[int, ...], whole: bool, replayer: Repl
     if stage == "actuator":
         found = tuple(one for one in found if one.name != "supply_droop") + named(SEEN_BY_ENCODER, joints)
     loaded = replayer.torque_reference
-    return tuple(one for one in found if _possible(one, replayer, loaded))
+    return tuple(one for one in found if possible(one, replayer, loaded))
 
 
-def _possible(one: Candidate, replayer: Replayer, loaded: Array | None) -> bool:
+def possible(one: Candidate, replayer: Replayer, loaded: Array | None) -> bool:
+    """Whether a machine can have an effect at all: no droop without load, no lag error without a lag."""
     if one.joint is None:
         return True
     if one.name in ("load_droop", "internal_leakage"):
@@ -276,7 +315,8 @@ def _possible(one: Candidate, replayer: Replayer, loaded: Array | None) -> bool:
     return one.name != "controller_lag_error" or bool(replayer.plant.joints[one.joint - 1, 4] > 0.0)
 
 
-def _part(stage: str, one: Prepared, joints: list[int]) -> Part:
+def part_of(stage: str, one: Prepared, joints: list[int]) -> Part:
+    """One stretch's replay narrowed to some joints (0-based)."""
     drive = one.drives[stage]
     signals = {name: getattr(drive, name) for name in ("sent", "ref", "enc", "u", "load", "load_kg")}
     cut = {name: np.ascontiguousarray(values[:, joints]) for name, values in signals.items()}
@@ -294,7 +334,7 @@ def _between(stage: str, part: Part) -> Array:
     """Increments (m, joints) by the modelled course of the command less those by straight lines between rows."""
     sets = neutral_sets(part.plant.n)
     own = part_increments(stage, part, sets)[0][0]
-    if stage != "actuator" or part.plant.decimate == 1:
+    if stage != "actuator" or part.plant.decimate == 1 or part.drive.first is not DynamicStage.ACTUATOR:
         return np.zeros_like(own)
     straight = replace(part.drive, u=at_cycles(part.plant, part.drive.u[:: part.plant.decimate]))
     return own - part_increments(stage, replace(part, drive=straight), sets)[0][0]
@@ -304,42 +344,3 @@ def white_rows(part: Part, order: int) -> int:
     """White residuals of one channel in a part."""
     size = max(1, round(BLOCK_S / part.stretch.dt_s))
     return max(0, len(part.measured) // size - 1 - order - SKIPPED)
-
-
-def _regressors(parts: tuple[Part, ...], joints: list[int], order: int) -> tuple[tuple[tuple[str, Array], ...], Array]:
-    """What a remainder may go with, at the residuals' rows."""
-    by_name: dict[str, list[Array]] = {}
-    times: list[Array] = []
-    for part in parts:
-        one, dt = part.stretch, part.stretch.dt_s
-        position = one.enc if one.enc is not None else one.ref
-        q = block_means(filled(position) if position is not None else part.measured, dt)
-        u = block_means(filled(one.u), dt) if one.u is not None else np.zeros_like(q)
-        t = one.t_s[0] + max(BLOCK_S, dt) * np.arange(len(q))
-        skip, rows = 1 + order + SKIPPED, white_rows(part, order)
-        for j in joints:
-            for name, values in _signals(q, u, t - one.t_s[0], j).items():
-                by_name.setdefault(name, []).append(values[skip : skip + rows])
-            times.append(t[skip : skip + rows])
-    return tuple((name, np.concatenate(values)) for name, values in by_name.items()), np.concatenate(times)
-
-
-def _signals(q: Array, u: Array, t: Array, j: int) -> dict[str, Array]:
-    v, du = np.gradient(q[:, j]), np.gradient(u[:, j])
-    others = np.delete(np.abs(u), j, axis=1).sum(axis=1)
-    turning = np.abs(np.gradient(np.sign(np.where(np.abs(v) > 1e-4, v, 0.0))))
-    return {
-        "command": u[:, j],
-        "size of the command": np.abs(u[:, j]),
-        "change of the command": du,
-        "fast change of the command": du * np.abs(du),
-        "cube of the command": u[:, j] ** 3,
-        "sign of motion": np.sign(np.where(np.abs(v) > 1e-4, v, 0.0)),
-        "reversals": turning * np.sign(np.gradient(v)),
-        "position": q[:, j],
-        "speed times position": v * (q[:, j] - q[:, j].mean()),
-        "time": t,
-        "speed times time": v * (t - t.mean()),
-        "other joints' commands": others,
-        "speed times other joints' commands": v * (others - others.mean()),
-    }

@@ -49,8 +49,8 @@ class PointResidual:
         return link_angles(self.paths, sets, which, self.at, self.data.when)
 
 
-def point_cells(whole: Read, base: ParameterSets) -> list[Cell]:
-    """A cell for poses at rest, and one for tracked motion."""
+def point_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None = None) -> list[Cell]:
+    """A cell for poses at rest, and one for tracked motion. `paths`: the encoders' courses, if they are known."""
     nominal, tables = whole.nominal, whole.tables
     if nominal is None or tables is None or nominal.arm is None:
         return []
@@ -60,7 +60,8 @@ def point_cells(whole: Read, base: ParameterSets) -> list[Cell]:
         cells.append(_cell(nominal, _thinned(static), (), base))
     tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
     if tracked is not None and len(tracked.xyz) >= POINT_ROWS_MIN:
-        cells.append(_cell(nominal, _thinned(tracked), paths_of(whole.stretches, nominal.actuators), base))
+        courses = paths_of(whole.stretches, nominal.actuators) if paths is None else paths
+        cells.append(_cell(nominal, _thinned(tracked), courses, base))
     return cells
 
 
@@ -81,6 +82,8 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
     rough = PointResidual(nominal, data, paths, at, 1.0)
     known = _floor(rough, base)
     sigma = max(known if known is not None else saturated_floor(rough, base, candidates), SIGMA_MIN_M)
+    record = nominal.remainder("structure", on="tracker" if paths else "static")
+    sigma = float(np.hypot(sigma, record.sigma)) if record is not None else sigma
     m = len(data.xyz)
     rows = rows_of(m, 3)
     q = {f"joint {j}": np.repeat(data.q[:, j - 1], 3) for j in joints}
@@ -98,6 +101,7 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
         same_kind=False,
         regressors=tuple(q.items()),
         t_s=np.repeat(data.when, 3),
+        usual=record.usual if record is not None else (),
     )
 
 

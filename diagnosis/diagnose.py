@@ -3,12 +3,12 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from diagnosis.candidates import Candidate, put
+from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, put
 from diagnosis.cells import Cell
-from diagnosis.cells_camera import camera_cells
+from diagnosis.cells_behind import behind_cells, energies, told_behind, without
 from diagnosis.cells_dynamic import STAGES, coupled_cell, stage_cells
-from diagnosis.cells_points import point_cells
-from diagnosis.limits import Interval, Limit, Shrink, detection_limit, intervals, shrink
+from diagnosis.cells_merged import merged_cells
+from diagnosis.limits import Interval, Limit, Shrink, detection_limit, intervals, shrink, shrinks
 from diagnosis.localise import Localisation, localise
 from diagnosis.reading import Read
 from diagnosis.refusal import Fired, remainder
@@ -18,6 +18,7 @@ from diagnosis.search import Search, search
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack
+from machine.effects.layout import ParameterSets
 
 Progress = Callable[[str, int, int], None]
 SINGLES_COUPLED = 2  # of each joint, besides what was chosen there, that are searched again beside supply_droop
@@ -26,13 +27,17 @@ CHOSEN_SHARE = 0.6  # of the two's probability, for a hypothesis that passed the
 
 @dataclass(frozen=True, slots=True)
 class CellAnswer:
-    """One cell's answer. `fired`: tests of the remainder; `same`: effects this recording cannot tell apart."""
+    """One cell's answer. `fired`: tests of the remainder; `same`: effects this recording cannot tell apart.
+
+    `shrinks`: by part of a joined cell.
+    """
 
     search: Search
     chosen: Score
     weighed: tuple[Weighed, ...]
     fired: tuple[Fired, ...]
     shrink: Shrink
+    shrinks: tuple[Shrink, ...]
     limits: tuple[Limit, ...]
     same: tuple[tuple[Key, ...], ...]
 
@@ -49,37 +54,50 @@ class Diagnosis:
     localisation: Localisation
 
 
-def diagnose(whole: Read, progress: Progress = lambda _text, _done, _total: None) -> Diagnosis:
-    """Diagnose a recording that is usable."""
-    searches = _dynamic(whole, progress) + _behind(whole, progress)
+def diagnose(
+    whole: Read, progress: Progress = lambda _text, _done, _total: None, lacking: tuple[str, ...] = ()
+) -> Diagnosis:
+    """Diagnose a recording that is usable. `lacking`: effects taken out of the library, to test its refusals."""
+    behind = _behind(whole, progress, lacking)
+    return concluded(whole, _dynamic(whole, progress, behind, lacking) + behind, progress)
+
+
+def concluded(whole: Read, searches: list[Search], progress: Progress = lambda _text, _done, _total: None) -> Diagnosis:
+    """The answer from the cells' searches."""
     progress("weighing", 0, 1)
     answers = tuple(_answer(one, len(searches)) for one in searches)
     hypotheses = _hypotheses(answers)
     numbers = _numbers(answers, hypotheses)
     verdict = verdict_of(answers, hypotheses)
     progress("localising", 1, 1)
-    return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole))
+    energy = energies([(one.cell, one.none.fit.residual) for one in searches])
+    return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy))
 
 
-def _dynamic(whole: Read, progress: Progress) -> list[Search]:
-    """Link, controller, actuator in this order: what is found of one says how the next one's input really moved."""
+def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tuple[str, ...]) -> list[Search]:
+    """Link, controller, actuator in this order: what is found of one says how the next one's input really moved.
+
+    What was found of the encoders from behind is no news to the actuators: they are replayed with it.
+    """
     nominal = whole.nominal
     replayer = replayer_of(nominal) if nominal is not None else None
     if nominal is None or replayer is None or not whole.stretches:
         return []
-    base = pack(nominal.baseline, nominal.n)
+    base = _with_encoders(pack(nominal.baseline, nominal.n), behind)
     course, searches = base, []
+    unseen = (*lacking, *told_behind([one.cell for one in behind]))
     for stage in STAGES:
-        cells = stage_cells(stage, replayer, whole.stretches, base, course)
+        cells = without(stage_cells(stage, replayer, whole.stretches, base, course), unseen)
         cells = [replace(one, least_nats=_least(one, searches)) for one in cells]
         found = _searched(cells, progress)
         if stage == "actuator" and found:
             progress("what couples the joints", 0, 1)
-            found = _with_coupling(found, coupled_cell(replayer, whole.stretches, base, course))
+            coupled = coupled_cell(replayer, whole.stretches, base, course)
+            found = _with_coupling(found, coupled if "supply_droop" not in lacking else None)
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
         searches += found
-    return searches
+    return searches + _searched(without(merged_cells(replayer, whole.stretches, base), unseen), progress)
 
 
 def _least(cell: Cell, before: list[Search]) -> float:
@@ -90,12 +108,24 @@ def _least(cell: Cell, before: list[Search]) -> float:
     return MARGIN_SHARE * sum(one.chosen.total - one.none.total for one in feeding)
 
 
-def _behind(whole: Read, progress: Progress) -> list[Search]:
+def _with_encoders(base: ParameterSets, behind: list[Search]) -> ParameterSets:
+    """The baseline with the encoders' scale and waves as they were found from behind them."""
+    for one in behind:
+        at = 0
+        for effect in one.chosen.fit.hypothesis:
+            theta = one.chosen.fit.theta[at : at + len(effect.slots)]
+            at += len(effect.slots)
+            if effect.name in SEEN_BY_ENCODER:
+                base = put(base, (effect,), theta)
+    return base
+
+
+def _behind(whole: Read, progress: Progress, lacking: tuple[str, ...]) -> list[Search]:
     """What was measured behind the encoders: points, marker corners."""
     if whole.nominal is None:
         return []
     base = pack(whole.nominal.baseline, whole.nominal.n)
-    return _searched(point_cells(whole, base) + camera_cells(whole, base), progress)
+    return _searched(without(behind_cells(whole, base), lacking), progress)
 
 
 def _searched(cells: list[Cell], progress: Progress) -> list[Search]:
@@ -137,6 +167,7 @@ def _answer(found: Search, cells: int) -> CellAnswer:
         weighed=_first(weighed(found), chosen),
         fired=remainder(found.cell, chosen, cells),
         shrink=shrink(found, chosen),
+        shrinks=shrinks(found, chosen),
         limits=tuple(detection_limit(one, found.spread) for one in found.scans),
         same=same_here(found, chosen),
     )

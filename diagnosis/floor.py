@@ -4,7 +4,7 @@ Increments of 20 Hz block means, since the open-loop error of an integrating pla
 from repeats, never from the residual of the model under test, which would hide the gap in it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,6 +88,36 @@ def floor_of_repeats(repeats: Array, dt_s: float) -> Floor:
     whitener = fit_whitener(steps)
     rms = np.sqrt(np.mean(np.stack([block_means(one, dt_s) for one in deviations]) ** 2, axis=(0, 1)))
     return Floor(rms, np.sqrt(np.mean(np.stack(steps) ** 2, axis=(0, 1))), whitener, len(values), len(steps[0]), True)
+
+
+def with_remainder(floor: Floor, steps: list[Array], ar: Array, sigma: Array, rms: Array) -> Floor:
+    """A floor raised by what a baseline leaves of the model's form.
+
+    Model: the filter is the remainder's (its innovations are the larger part); sigma^2 = remainder's^2 + what the
+           noise comes to behind that filter.
+    Args:  steps: increments (m, n) of the repeats' deviations, none where nothing was repeated. ar: (p, n), zero in
+           columns without autoregression. sigma, rms: (n,), 0 in columns without a remainder, which are left alone.
+    """
+    order = max(floor.whitener.order, len(ar))
+    a = np.zeros((order, len(sigma)))
+    a[: floor.whitener.order] = floor.whitener.a
+    out = floor.whitener.sigma.copy()
+    for j in np.nonzero(sigma > 0.0)[0]:
+        a[:, j] = 0.0
+        a[: len(ar), j] = ar[:, j]
+        one = Whitener(a[:, [j]], np.ones(1))
+        noise = [one.whiten(run[:, [j]]) for run in steps]
+        quiet = float(np.mean(np.concatenate(noise) ** 2)) if noise else float(out[j] ** 2)
+        out[j] = np.sqrt(sigma[j] ** 2 + quiet)
+    raised = np.sqrt(floor.increment_rms**2 + rms**2)
+    share = np.where(sigma > 0.0, 1.0, floor.rms)
+    return replace(floor, rms=share, increment_rms=raised, whitener=Whitener(a, out))
+
+
+def deviations(repeats: Array) -> list[Array]:
+    """Each repeat less their mean, at the noise's own size, of repeats (R, m, n)."""
+    scale = np.sqrt(len(repeats) / (len(repeats) - 1.0))
+    return list((repeats - repeats.mean(axis=0)) * scale)
 
 
 def floor_without_repeats(signal: Array, dt_s: float) -> Floor:

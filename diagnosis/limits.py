@@ -96,9 +96,12 @@ class Shrink:
 
 def shrink(found: Search, chosen: Score, seed: int = 0) -> Shrink:
     """How far the chosen effects close one cell's gap; limits by resampling blocks."""
-    cell = found.cell
+    return _shrunk(found.cell, found.none.held_out, chosen.held_out, seed)
+
+
+def _shrunk(cell: Cell, residual_before: Array, residual_after: Array, seed: int) -> Shrink:
     block, scale = cell.rows.block, cell.scale
-    before, after = (_sums(block, one**2) for one in (found.none.held_out, chosen.held_out))
+    before, after = (_sums(block, one**2) for one in (residual_before, residual_after))
     count = np.asarray(cell.quiet * np.bincount(block), dtype=float)
     unit_scale = float(np.sqrt(np.mean(scale**2)))
     gap, left = (unit_scale * float(np.sqrt(one.sum() / cell.rows.count)) for one in (before, after))
@@ -106,6 +109,16 @@ def shrink(found: Search, chosen: Score, seed: int = 0) -> Shrink:
     return Shrink(
         cell.stage, cell.joint, cell.unit, gap, left, unit_scale * float(np.sqrt(cell.quiet)), closed, low, high
     )
+
+
+def shrinks(found: Search, chosen: Score, seed: int = 0) -> tuple[Shrink, ...]:
+    """The same for each part of a joined cell, in its own unit; a plain cell is its own only part."""
+    cell = found.cell
+    if not cell.parts:
+        return (shrink(found, chosen, seed),)
+    cuts = np.cumsum([part.rows.count for part in cell.parts])[:-1]
+    before, after = (np.split(one.held_out, cuts) for one in (found.none, chosen))
+    return tuple(_shrunk(part, b, a, seed) for part, b, a in zip(cell.parts, before, after, strict=True))
 
 
 def closed_share(

@@ -1,6 +1,7 @@
 """Where the gap lies: each stage's residual beyond its own noise floor, by joint, axis and regime."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -54,8 +55,12 @@ class Localisation:
     floor_known: bool
 
 
-def localise(whole: Read) -> Localisation:
-    """The gap of the nominal machine (with its baseline, if its file has one) on every stage that can be judged."""
+def localise(whole: Read, energy: Mapping[str, float] | None = None) -> Localisation:
+    """The gap of the nominal machine (with its baseline, if its file has one) on every stage that can be judged.
+
+    Args: energy: mean squared residual in floors of static, tracker, ooi, tool; what of it is floor is no gap.
+    """
+    energy = {} if energy is None else energy
     nominal, tables = whole.nominal, whole.tables
     if nominal is None or tables is None or not whole.usable:
         return Localisation((), (), False)
@@ -67,7 +72,7 @@ def localise(whole: Read) -> Localisation:
         prepared = [replayer.prepare(one) for one in whole.stretches]
         for stage in STAGE_UNITS:
             places += _dynamic(replayer, stage, prepared, groups, sets, lever)
-    places += _structure(whole, nominal, sets) + _camera(whole, nominal, sets)
+    places += _structure(whole, nominal, sets, energy) + _camera(whole, nominal, sets, energy)
     return Localisation(_shared(places), merged_stages(whole), bool(groups))
 
 
@@ -87,7 +92,7 @@ def _dynamic(
     judged = [one.stretch for one in prepared if one.stretch.name in errors]
     if not judged:
         return []
-    floor = _floor(stage, groups, errors)
+    floor = np.hypot(_floor(stage, groups, errors), _remainder(replayer.nominal, stage))
     carried = _to_radians(replayer, stage) * lever
     places: list[Place] = []
     for j in range(replayer.nominal.n):
@@ -100,6 +105,13 @@ def _dynamic(
             tcp_mm = gap * float(carried[j])
             places.append(Place(stage, j + 1, None, regime, gap, float(floor[j]), STAGE_UNITS[stage], tcp_mm))
     return places
+
+
+def _remainder(nominal: Nominal, stage: str) -> Array:
+    """What the baseline leaves of a stage, in the unit of its error (n,)."""
+    records = [nominal.remainder(stage, j + 1) for j in range(nominal.n)]
+    per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
+    return per_second * np.array([one.rms if one is not None else 0.0 for one in records])
 
 
 def stage_error(replayer: Replayer, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
@@ -177,7 +189,7 @@ def levers_mm(nominal: Nominal, stretches: tuple[Stretch, ...]) -> Array:
     return np.array([1e3 * np.sqrt(np.mean(np.sum((one - at) ** 2, axis=1))) / MOVE_RAD for one in moved])
 
 
-def _structure(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
+def _structure(whole: Read, nominal: Nominal, sets: ParameterSets, energy: Mapping[str, float]) -> list[Place]:
     tables, places = whole.tables, []
     if tables is None or nominal.arm is None:
         return []
@@ -186,17 +198,18 @@ def _structure(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place
     for regime, data in (("at rest", static), ("tracked", tracked)):
         if data is not None and len(data.xyz) >= 4:
             residual = fit_points(nominal, sets, data).residual
-            places += _axes("structure", regime, residual, np.zeros(3))
+            floor = _floor_share(residual, energy.get("static" if regime == "at rest" else "tracker"), np.zeros(3))
+            places += _axes("structure", regime, residual, floor)
     return places
 
 
-def _camera(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
+def _camera(whole: Read, nominal: Nominal, sets: ParameterSets, energy: Mapping[str, float]) -> list[Place]:
     tables, places = whole.tables, []
     if tables is None or tables.markers is None or nominal.camera is None:
         return []
     tool = tool_residual(nominal, views_of(nominal, tables.markers, "tool"))
     if tool is not None:
-        places += _axes("camera", "tool marker", tool, _scatter(tool))
+        places += _axes("camera", "tool marker", tool, _floor_share(tool, energy.get("tool"), _scatter(tool)))
     views = views_of(nominal, tables.markers, "ooi")
     shift_s = (tables.run.camera_to_pc_offset_s or 0.0) - (tables.run.plc_to_pc_offset_s or 0.0)
     q, inside = _encoders_at(whole.stretches, views.t_s + shift_s, nominal.n)
@@ -204,7 +217,7 @@ def _camera(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
         seen = replace(views, t_s=views.t_s[inside], Ts_cam_object=views.Ts_cam_object[inside])
         ooi = ooi_residual(nominal, sets, seen, q[inside])
         if ooi is not None:
-            places += _axes("camera", "ooi", ooi, _scatter(ooi))
+            places += _axes("camera", "ooi", ooi, _floor_share(ooi, energy.get("ooi"), _scatter(ooi)))
     return places
 
 
@@ -217,6 +230,14 @@ def _encoders_at(stretches: tuple[Stretch, ...], t_s: Array, n: int) -> tuple[Ar
             q[now] = np.stack([np.interp(t_s[now], one.t_s, column) for column in one.enc.T], axis=1)
             inside |= now
     return q, np.asarray(inside & np.isfinite(q).all(axis=1), dtype=bool)
+
+
+def _floor_share(error: Array, energy: float | None, otherwise: Array) -> Array:
+    """The floor's part of errors (m, k): all but what the whitened residual has beyond one floor; (k,)."""
+    if energy is None:
+        return otherwise
+    rms = np.sqrt(np.mean(error**2, axis=0))
+    return np.asarray(np.maximum(otherwise, rms / np.sqrt(max(1.0, energy))), dtype=float)
 
 
 def _scatter(error: Array) -> Array:

@@ -14,6 +14,7 @@ from machine.effects.arm_urdf import arm_from_urdf
 from machine.effects.dynamics import Actuators
 from machine.effects.entries import EffectEntry, parse_entries
 from machine.errors import MachineError
+from machine.remainder import Remainder, parse_remainders
 from machine.rotations import Array
 from machine.targets import Marker
 
@@ -55,6 +56,11 @@ class Nominal:
     points: tuple[TrackedPoint, ...]
     baseline: tuple[EffectEntry, ...]
     absent: tuple[tuple[str, str], ...]
+    remainders: tuple[Remainder, ...] = ()
+
+    def remainder(self, stage: str, joint: int | None = None, on: str = "") -> Remainder | None:
+        """What the baseline leaves of one stage; None where the file says nothing."""
+        return next((r for r in self.remainders if (r.stage, r.joint, r.on) == (stage, joint, on)), None)
 
     @property
     def n(self) -> int:
@@ -117,6 +123,7 @@ class _Reader:
             points=self._points(len(names)),
             baseline=parse_entries(self._tables.get("effect"), max(len(names), 1)),
             absent=tuple(self._absent),
+            remainders=parse_remainders(self._tables.get("remainder")),
         )
 
     def _lack(self, part: str, needed: tuple[str, ...]) -> bool:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from diagnosis.cells_merged import merge_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.findings import Finding, fatal
 from diagnosis.fitting_file import corner_findings, machine_findings
@@ -157,6 +158,7 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
         ("link", any(one.sent is not None and one.ref is not None for one in some) and driven),
         ("controller", nominal.has_controller and any(one.ref is not None and one.u is not None for one in some)),
         ("actuator", driven and any(one.u is not None for one in some)),
+        ("actuator", nominal.has_controller and merge_of(some) is not None),
         ("structure", nominal.arm is not None and (tables.static is not None or tables.tracker is not None)),
         ("camera", nominal.arm is not None and nominal.camera is not None and tables.markers is not None),
     )

@@ -19,6 +19,7 @@ EXCESS_MIN = 0.1  # of the noise's own energy: a pattern without more energy tha
 CORRELATION_MIN = 0.15
 PEAK_MIN = 0.06  # share of the variance in one period of time or position
 PERIODS = 200
+USUAL_TIMES = 1.5  # a test that fires on the undisturbed machine counts only beyond this share of its size there
 EVEN_STAGES = ("link", "controller", "actuator")  # evenly sampled in time; poses and corners are not
 
 
@@ -40,6 +41,19 @@ def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
     Args: cells: how many cells are tested in this recording.
     """
     r = np.clip(chosen.held_out, -30.0, 30.0)
+    if not cell.parts:
+        return tests_of(cell, r, cells)
+    cuts = np.cumsum([part.rows.count for part in cell.parts])[:-1]
+    found = [
+        one
+        for part, own in zip(cell.parts, np.split(r, cuts), strict=True)
+        for one in tests_of(part, own, cells + len(cell.parts) - 1)
+    ]
+    return tuple(sorted(found, key=lambda one: (one.lead == "", -one.size)))
+
+
+def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
+    """The tests of one residual (N,) that fire beyond what is usual on the undisturbed machine."""
     if 0.5 * (float(r @ r) - cell.quiet * len(r)) < cell.least_nats:
         return ()
     quiet = min(1.0, float(np.mean(r**2)))  # below the floor a pattern is as small as the residual it is found in
@@ -47,8 +61,14 @@ def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
     level = LEVEL / max(n_tests, 1)
     found = [*_energy(cell, r), *_autocorrelation(cell, r, quiet), *_peaks(cell, r, quiet)]
     found += _correlations(cell, r, quiet)
-    kept = [one for one in found if one.p_value < level]
+    usual = dict(cell.usual)
+    kept = [one for one in found if one.p_value < level and one.size > USUAL_TIMES * usual.get(key_of(one), 0.0)]
     return tuple(sorted(kept, key=lambda one: (one.lead == "", -one.size)))
+
+
+def key_of(one: Fired) -> str:
+    """A test's name with what it goes with, without numbers."""
+    return f"{one.test} {one.lead.split(',')[0].split(' over ')[0]}".strip()
 
 
 def _energy(cell: Cell, r: Array) -> list[Fired]:

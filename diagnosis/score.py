@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.cells import Cell
 from diagnosis.fit import Fit, bounds, costs, evaluated, weights
@@ -48,7 +49,7 @@ def _held_out(cell: Cell, found: Fit) -> Array:
     return residuals[place, np.arange(cell.rows.count)]
 
 
-def fold_thetas(cell: Cell, found: Fit) -> tuple[Array, Array]:
+def fold_thetas(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array]:
     """Fold numbers (m,), and where the fit would have ended without each of them (m, k)."""
     low, high = bounds(found.hypothesis)
     w = weights(found.residual)

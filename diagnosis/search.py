@@ -1,6 +1,6 @@
 """Which effects one cell's residual asks for: all singles, all pairs by screening, triples by forward steps."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -18,6 +18,7 @@ TRIPLES_REFINED = 2
 REFINED = 8  # sizes tried on either side of a scan's best
 ROUNDS_SINGLE = 8
 ROUNDS_PAIR = 6
+Key = tuple[str, int | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +53,7 @@ class _Book:
     """Scores by hypothesis, so that nothing is fitted twice."""
 
     cell: Cell
-    known: dict[frozenset[tuple[str, int | None]], Score] = field(default_factory=dict)
+    known: dict[frozenset[Key], Score] = field(default_factory=dict)
 
     def scored(self, hypothesis: Hypothesis, start: Array, rounds: int) -> Score:
         key = frozenset(one.key for one in hypothesis)
@@ -69,12 +70,28 @@ def search(cell: Cell) -> Search:
     """
     none = score(cell, neutral_fit(cell))
     scans = _variants_settled([scan(cell, one, none.fit) for one in cell.candidates])
-    book = _Book(cell, {frozenset(): none})
+    return _searched(cell, none, scans, {})
+
+
+def searched_without(found: Search, name: str) -> Search:
+    """The same search with one effect taken out of the library: what was fitted without it is not fitted again."""
+    cell = replace(found.cell, candidates=tuple(one for one in found.cell.candidates if one.name != name))
+    scans = [one for one in found.scans if one.candidate.name != name]
+    kept = {
+        frozenset(one.key for one in score.fit.hypothesis): score
+        for score in found.scored
+        if all(one.name != name for one in score.fit.hypothesis)
+    }
+    return _searched(cell, found.none, scans, kept)
+
+
+def _searched(cell: Cell, none: Score, scans: list[Scan], known: dict[frozenset[Key], Score]) -> Search:
+    book = _Book(cell, {**known, frozenset(): none})
     singles = _singles(book, scans, none)
     pairs = _pairs(book, singles, none)
     triples = _triples(book, singles, pairs)
     levels = [level for level in (singles, pairs, triples) if level]
-    spread = _spread([none, *singles, *pairs, *triples])
+    spread = _spread(cell, [none, *singles, *pairs, *triples])
     chosen = none
     for level in levels:
         best = max(level, key=lambda one: one.total)
@@ -204,7 +221,7 @@ def _backward(book: _Book, chosen: Score, spread: float) -> Score:
     return chosen
 
 
-def _spread(scored: list[Score]) -> float:
+def _spread(cell: Cell, scored: list[Score]) -> float:
     """chi2/n of the best model over all rows, at least 1: a floor that is too low must not sharpen anything."""
     best = max(scored, key=lambda one: one.total)
-    return max(1.0, 2.0 * -best.total / len(best.held_out))
+    return max(1.0, cell.spread_least, 2.0 * -best.total / len(best.held_out))

@@ -84,10 +84,15 @@ def _count(one: Score) -> int:
 def prior_cost(cell: Cell, one: Score) -> float:
     """Nats that a hypothesis pays for its effects."""
     numbers = calibration()
-    foreign = sum(effect.stage != cell.stage for effect in one.fit.hypothesis)
+    foreign = sum(_foreign(cell, effect.stage) for effect in one.fit.hypothesis)
     effects = len(one.fit.hypothesis)
     more = MARGIN_MORE_NATS * (numbers_of(one.fit) - effects)
     return numbers.penalty_nats_per_effect * effects + more + numbers.foreign_stage_penalty_nats * foreign
+
+
+def _foreign(cell: Cell, stage: str) -> bool:
+    """Whether an effect's stage is not the cell's own; a joined cell is at home in every stage behind the encoders."""
+    return not cell.parts and stage != cell.stage
 
 
 def settled(found: Search) -> Score:
@@ -97,7 +102,7 @@ def settled(found: Search) -> Score:
     one that is likelier before any data.
     """
     chosen, cell = found.chosen, found.cell
-    if not any(effect.stage != cell.stage for effect in chosen.fit.hypothesis):
+    if not any(_foreign(cell, effect.stage) for effect in chosen.fit.hypothesis):
         return chosen
     allowed = MARGIN_NATS + 0.01 * (chosen.total - found.none.total)
     rivals = [

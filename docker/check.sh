@@ -16,11 +16,12 @@ daemon_pid=""
 network_before=""
 forward_before=""
 up=""
+extra=""
 
 say() { printf '\n== %s (%s s)\n' "$*" "$SECONDS"; }
 have() { command -v "$1" >/dev/null 2>&1; }
 
-compose() { docker compose -f "$here/compose.yaml" -f "$here/compose.proxy.yaml" "$@"; }
+compose() { docker compose -f "$here/compose.yaml" -f "$here/compose.proxy.yaml" ${extra:+-f "$here/$extra"} "$@"; }
 
 install_packages() {
     if [ "$(id -u)" != 0 ]; then
@@ -153,12 +154,31 @@ prepare_build
 say "building"
 compose build
 docker image inspect longreach:local --format 'image: {{.Size}} bytes, user {{.Config.User}}'
-say "starting"
-up=1
-compose up --detach --no-build --wait --wait-timeout "$wait_s"
-compose ps
-say "positioning once over REST"
-compose exec -T server longreach position --url http://127.0.0.1:8080 --wait-s 120
-say "what the run left behind"
-# shellcheck disable=SC2016 # expanded inside the container
-compose exec -T server sh -c 'ls -l /var/lib/longreach/runs && longreach recording check "$(ls -t /var/lib/longreach/runs/*.mcap | head -n 1)"'
+run_once() {
+    up=1
+    say "starting ${extra:-compose.yaml}"
+    compose up --detach --no-build --wait --wait-timeout "$wait_s"
+    compose ps
+    say "positioning once over REST (${extra:-compose.yaml})"
+    compose exec -T server longreach position --url http://127.0.0.1:8080 --wait-s 120
+    say "what the run left behind"
+    # shellcheck disable=SC2016 # expanded inside the container
+    compose exec -T server sh -c 'ls -l /var/lib/longreach/runs && longreach recording check "$(ls -t /var/lib/longreach/runs/*.mcap | head -n 1)"'
+}
+
+run_once
+say "without a key the published port tells nothing but that it lives, and stops"
+compose exec -T server python -c '
+import urllib.error, urllib.request as r
+def status(path, method="GET"):
+    try:
+        return r.urlopen(r.Request("http://127.0.0.1:8080" + path, method=method), timeout=5).status
+    except urllib.error.HTTPError as error:
+        return error.code
+told = status("/healthz"), status("/v1/state"), status("/v1/jobs", "POST"), status("/v1/stop", "POST")
+assert told == (200, 401, 401, 200), told'
+if [ "${BAD_LINK:-1}" = 1 ]; then
+    compose down --timeout 10 >/dev/null 2>&1
+    extra=compose.bad-link.yaml
+    run_once
+fi

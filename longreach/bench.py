@@ -25,6 +25,7 @@ from longreach.bench_registration.command import registration
 from longreach.bench_registration.hand_eye_command import hand_eye
 from longreach.bench_servo import servo
 from longreach.bench_soak import vision_soak
+from longreach.bench_video.command import video
 from longreach.bench_vision import bench_vision_real
 from machine.chain import chain_of
 from machine.inverse import inverse_all, inverse_nearest
@@ -48,6 +49,7 @@ app.command("vision-soak")(vision_soak)
 app.command("servo")(servo)
 app.command("crashes")(crashes)
 app.command("hold")(hold)
+app.command("video")(video)
 app.command("gap")(gap)
 app.command("experiments")(experiments)
 app.command("compensation")(compensation)

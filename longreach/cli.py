@@ -1,6 +1,7 @@
 """`longreach`: one command, one subcommand per thing a person does."""
 
 import logging
+import sys
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -9,7 +10,6 @@ from rich.console import Console
 from rich.markup import escape
 
 from longreach import (
-    bench,
     calibration_command,
     camera_command,
     commission_command,
@@ -17,6 +17,8 @@ from longreach import (
     diagnose_command,
     diagnose_fleet_command,
     export_command,
+    fleet_command,
+    keys_command,
     position,
     record_command,
     relay_command,
@@ -25,6 +27,8 @@ from longreach import (
     target_command,
 )
 from machine.errors import MachineError
+from server.access.keys import first_key as make_first_key
+from server.access.roles import Role
 from server.errors import ServerError
 from server.settings import ServerSettings, read_settings
 from server.version import __version__
@@ -39,10 +43,17 @@ app.command("demo")(demo.demo)
 app.command("diagnose")(diagnose_command.diagnose)
 app.command("diagnose-fleet")(diagnose_fleet_command.diagnose_fleet)
 app.command("reproduce")(reproduce_command.reproduce)
-app.add_typer(bench.app, name="bench", help="Measure; every figure in the README comes from here.")
+if sys.argv[1:2] not in (["serve"], ["sim"], ["demo"]):
+    # These run beside a machine, and each of their child processes imports this file anew: the benches, which pull in
+    # everything, took three quarters of their start.
+    from longreach import bench
+
+    app.add_typer(bench.app, name="bench", help="Measure; every figure in the README comes from here.")
 app.add_typer(calibration_command.app, name="calibration", help="Show and export the local calibration.")
 app.add_typer(camera_command.app, name="camera", help="Look at the stereo camera.")
 app.add_typer(target_command.app, name="target", help="Print targets; measure how they sit.")
+app.add_typer(fleet_command.app, name="fleet", help="Many machines from one program.")
+app.add_typer(keys_command.app, name="keys", help="API keys: make, list, revoke.")
 app.add_typer(record_command.app, name="recording", help="Check, convert and recover recordings.")
 
 SettingsFile = Annotated[Path | None, typer.Option("--settings", help="TOML settings file; defaults when absent")]
@@ -66,6 +77,9 @@ def serve(
     plc_local_port: Annotated[int | None, typer.Option(help="our UDP port")] = None,
     camera_url: Annotated[str | None, typer.Option(help="multipart stream of side-by-side JPEG")] = None,
     runs: Annotated[str | None, typer.Option(help="folder for recordings")] = None,
+    keys: Annotated[str | None, typer.Option(help="key file; required to listen beyond this computer")] = None,
+    allow_host: Annotated[list[str] | None, typer.Option(help="a name it is reached by, beside addresses")] = None,
+    first_key: Annotated[Path | None, typer.Option(help="make an operator's key here if there is none")] = None,
 ) -> None:
     """Start the server: panel, REST, link and vision processes."""
     from server.app import serve as run_server
@@ -73,12 +87,15 @@ def serve(
     settings = _with_options(
         read_settings(settings_file),
         {
-            "http": {"host": host, "port": port},
+            "http": {"host": host, "port": port, "keys_file": keys, "allowed_hosts": allow_host or None},
             "plc": {"host": plc_host, "port": plc_port, "local_port": plc_local_port},
             "camera": {"kind": "http", "url": camera_url} if camera_url else {},
             "recording": {"folder": runs},
         },
     )
+    keys_file = settings.http.keys_file
+    if first_key and keys_file and make_first_key(Path(keys_file), Role.OPERATOR, first_key):
+        Console(stderr=True).print(f"a first key was made: it is in {first_key}")
     Console(stderr=True).print(f"longreach {__version__}: panel at http://{settings.http.host}:{settings.http.port}/")
     run_server(settings)
 

@@ -10,44 +10,112 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from diagnosis.answer import answer
+from diagnosis.diagnose import Diagnosis
 from diagnosis.diagnose import diagnose as run_diagnosis
-from diagnosis.reading import Read, read
+from diagnosis.errors import DiagnosisError
+from diagnosis.leave_out import leave_named_out
+from diagnosis.reading import Read
 from diagnosis.report.curves import CellCurves, curves_of
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
+from diagnosis.together import read_together
+from longreach.fit_baseline import BaselineError, make_baseline
+from longreach.machine_out import MachineOutError, write_machine
+from machine.effects.registry import NAMES
+from recording.opening import read_run
 
 BAD_INPUT = 2
 
 
 def diagnose(
-    recording: Annotated[Path, typer.Argument(help="an MCAP file or a folder of CSV files")],
+    recordings: Annotated[
+        list[Path], typer.Argument(help="an MCAP file or a folder of CSV files; several of one machine count as one")
+    ],
     machine_file: Annotated[Path | None, typer.Option("--machine", help="use this machine.toml instead")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the whole answer here")] = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="write a report here")] = None,
+    lacking: Annotated[
+        list[str] | None, typer.Option("--without", help="leave this effect out of the library, to test refusals")
+    ] = None,
+    fitting: Annotated[
+        bool, typer.Option("--fit-baseline", help="make a machine file from undisturbed recordings instead")
+    ] = False,
+    leaving: Annotated[
+        bool, typer.Option("--leave-named-out", help="also tell in the JSON what it said without each name it gives")
+    ] = False,
+    machine_out: Annotated[
+        Path | None, typer.Option("--machine-out", help="write the machine file with the diagnosed effects added")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="where --fit-baseline writes the machine file")] = None,
 ) -> None:
     """Diagnose the gap between a recording and its nominal machine."""
     screen = Console(stderr=True)
-    whole = read(recording, machine_file)
+    if fitting:
+        _fit_baseline(recordings, machine_file, out, screen)
+        return
+    unknown = sorted(set(lacking or ()) - set(NAMES))
+    if unknown:
+        raise typer.BadParameter(f"--without {unknown[0]}: no such effect; see docs/effects.md")
+    recording = recordings[0]
+    whole = _read(recordings, machine_file, screen)
     for finding in whole.findings:
         screen.print(f"[yellow]{finding.severity}[/] {escape(str(finding))}", soft_wrap=True)
     if not whole.usable:
         raise typer.Exit(BAD_INPUT)
-    result, curves = _with_progress(whole, screen)
+    found, result, curves = _with_progress(whole, screen, tuple(lacking or ()), leaving)
     for text in lines(result):
         typer.echo(text)
     _write(json_file, json.dumps(result, indent=1, allow_nan=False) + "\n", screen)
     _write(html_file, page(result, recording.name, curves), screen)
+    if machine_out is not None:
+        _machine_out(recording, machine_file, found, machine_out, screen)
 
 
-def _with_progress(whole: Read, screen: Console) -> tuple[dict[str, Any], tuple[CellCurves, ...]]:
+def _read(recordings: list[Path], machine_file: Path | None, screen: Console) -> Read:
+    """One recording, or several of one machine together."""
+    try:
+        return read_together(recordings, machine_file)
+    except DiagnosisError as error:
+        screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
+        raise typer.Exit(BAD_INPUT) from error
+
+
+def _machine_out(recording: Path, machine_file: Path | None, found: Diagnosis, out: Path, screen: Console) -> None:
+    """The machine file with the diagnosed effects added."""
+    try:
+        given = machine_file is not None
+        text = machine_file.read_text(encoding="utf-8") if given else read_run(recording).machine_toml
+        typer.echo(write_machine(text, found, out))
+    except MachineOutError as error:
+        screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
+        raise typer.Exit(BAD_INPUT) from error
+
+
+def _fit_baseline(recordings: list[Path], machine_file: Path | None, out: Path | None, screen: Console) -> None:
+    if out is None:
+        raise typer.BadParameter("--fit-baseline needs --out FILE, the machine file to write")
+    try:
+        typer.echo(make_baseline(recordings, machine_file, out, screen))
+    except BaselineError as error:
+        screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
+        raise typer.Exit(BAD_INPUT) from error
+
+
+def _with_progress(
+    whole: Read, screen: Console, lacking: tuple[str, ...], leaving: bool
+) -> tuple[Diagnosis, dict[str, Any], tuple[CellCurves, ...]]:
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=screen, transient=True) as shown:
         task = shown.add_task("preparing", total=None)
         found = run_diagnosis(
-            whole, lambda text, done, total: shown.update(task, description=text, completed=done, total=total)
+            whole, lambda text, done, total: shown.update(task, description=text, completed=done, total=total), lacking
         )
         shown.update(task, description="next experiment")
-        return answer(found), curves_of(found)
+        result = answer(found)
+        if leaving:
+            shown.update(task, description="without each name")
+            result["left_out"] = leave_named_out(found)
+        return found, result, curves_of(found)
 
 
 def _write(path: Path | None, text: str, screen: Console) -> None:

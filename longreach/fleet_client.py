@@ -4,9 +4,16 @@ import json
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Self
+from uuid import uuid4
 
 import httpx
+
+from longreach.lease_holder import ControlRefusedError, LeaseHolder
+
+RETRIES = 3
+RETRY_S = 0.5
 
 
 class JobRefusedError(Exception):
@@ -23,11 +30,26 @@ class Finished:
     elapsed_s: float
 
 
-class JobClient:
-    """Starts jobs on one server and follows them to their end."""
+def read_key(path: Path | None) -> str:
+    """The key in a file; empty without one."""
+    return path.read_text(encoding="utf-8").strip() if path is not None else ""
 
-    def __init__(self, url: str, timeout_s: float = 10.0) -> None:
-        self._http = httpx.Client(base_url=url, timeout=timeout_s)
+
+class JobClient:
+    """Starts jobs on one server and follows them to their end, each under control of its own."""
+
+    def __init__(
+        self,
+        url: str,
+        timeout_s: float = 10.0,
+        *,
+        owner: str = "longreach",
+        kind: str = "operator",
+        key: str = "",
+    ) -> None:
+        headers = {"Authorization": f"Bearer {key}"} if key else {}
+        self._http = httpx.Client(base_url=url, timeout=timeout_s, headers=headers)
+        self._owner, self._kind = owner, kind
 
     def __enter__(self) -> Self:
         return self
@@ -65,12 +87,21 @@ class JobClient:
         self._http.post("/v1/stop").raise_for_status()
 
     def run(self, body: dict[str, Any], on_event: Callable[[dict[str, Any]], None] | None = None) -> Finished:
-        """Start a job and follow it to its end.
+        """Acquire control, start a job, follow it to its end, release.
 
-        Raises: JobRefusedError when the server does not start it.
+        Raises: JobRefusedError when control is not given or the server does not start it.
         """
-        answer = self._http.post("/v1/jobs", json=body)
-        if answer.status_code != 202:
+        try:
+            with LeaseHolder(self._http, body.get("owner", self._owner), self._kind) as held:
+                return self._run(body, held.headers, on_event)
+        except ControlRefusedError as error:
+            raise JobRefusedError(str(error)) from error
+
+    def _run(
+        self, body: dict[str, Any], headers: dict[str, str], on_event: Callable[[dict[str, Any]], None] | None
+    ) -> Finished:
+        answer = self._sent(body, headers | {"Idempotency-Key": str(uuid4())})
+        if answer.status_code != httpx.codes.ACCEPTED:
             raise JobRefusedError(answer.json().get("detail", answer.text))
         for kind, data in self._events(answer.headers["location"]):
             if kind == "end":
@@ -79,12 +110,39 @@ class JobClient:
                 on_event(data)
         raise JobRefusedError("the server ended the story of the job before its end; look at its log")
 
+    def _sent(self, body: dict[str, Any], headers: dict[str, str]) -> httpx.Response:
+        """Send a command; when its answer is lost, send it again with the same key: it is carried out once."""
+        for _ in range(RETRIES):
+            try:
+                return self._http.post("/v1/jobs", json=body, headers=headers)
+            except httpx.TransportError:
+                time.sleep(RETRY_S)
+        return self._http.post("/v1/jobs", json=body, headers=headers)
+
     def _events(self, location: str) -> Iterator[tuple[str, dict[str, Any]]]:
-        timeout = httpx.Timeout(10.0, read=60.0)
-        with self._http.stream("GET", f"{location}/events", timeout=timeout) as stream:
-            kind = ""
+        """The story to its end; a connection that breaks is taken up behind the last event."""
+        last, broken = "0", 0
+        while broken <= RETRIES:
+            try:
+                for number, kind, data in self._stream(location, last):
+                    last, broken = number or last, 0
+                    yield kind, data
+                    if kind == "end":
+                        return
+                return
+            except httpx.TransportError:
+                broken += 1
+                time.sleep(RETRY_S)
+
+    def _stream(self, location: str, last: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
+        timeout, headers = httpx.Timeout(10.0, read=60.0), {"Last-Event-ID": last}
+        with self._http.stream("GET", f"{location}/events", timeout=timeout, headers=headers) as stream:
+            number = kind = ""
             for line in stream.iter_lines():
-                if line.startswith("event: "):
+                if line.startswith("id: "):
+                    number = line[4:]
+                elif line.startswith("event: "):
                     kind = line[7:]
                 elif line.startswith("data: "):
-                    yield kind, json.loads(line[6:])
+                    yield number, kind, json.loads(line[6:])
+                    number = ""

@@ -1,12 +1,13 @@
 """`longreach position`: the whole look-then-move loop over REST, with progress and the table of errors."""
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.fleet_client import JobClient, JobRefusedError
+from longreach.fleet_client import JobClient, JobRefusedError, read_key
 
 
 def position(
@@ -14,12 +15,16 @@ def position(
     method: Annotated[str, typer.Option(help="ours or paper")] = "ours",
     owner: Annotated[str, typer.Option(help="who asks")] = "cli",
     keep_calibration: Annotated[bool, typer.Option(help="use the calibration at hand, if any")] = False,
+    key_file: Annotated[
+        Path | None, typer.Option(help="file with the API key", envvar="LONGREACH_KEY_FILE", exists=True)
+    ] = None,
+    kind: Annotated[str, typer.Option(help="control as operator, fleet or engineer")] = "operator",
     wait_s: Annotated[float, typer.Option(help="how long to wait for the server to be ready")] = 30.0,
 ) -> None:
     """Position the tool on its target: look, orient, calibrate, then look and move until inside tolerance."""
     console = Console()
-    client = JobClient(url)
-    body = {"kind": "position", "method": method, "owner": owner, "recalibrate": not keep_calibration}
+    client = JobClient(url, owner=owner, kind=kind, key=read_key(key_file))
+    body = {"kind": "position", "method": method, "recalibrate": not keep_calibration}
     try:
         client.wait_ready(wait_s)
         with console.status("positioning") as status:

@@ -47,6 +47,7 @@ class Stack:
     truth_log: Path | None = None
     runs: Path | None = None
     settings_file: Path | None = None
+    sim_options: tuple[str, ...] = ()  # further options of `longreach sim`
     log_folder: Path | None = None
     processes: dict[str, subprocess.Popen[bytes]] = field(default_factory=dict)
 
@@ -71,7 +72,7 @@ class Stack:
         command += ["--camera-port", str(self.ports.camera), "--camera-rate-hz", str(self.camera_rate_hz)]
         if self.truth_log is not None:
             command += ["--truth-log", str(self.truth_log)]
-        self._start("sim", command)
+        self._start("sim", [*command, *self.sim_options])
 
     def start_server(self) -> None:
         """Start the server."""

@@ -21,6 +21,10 @@ def sim(
     camera_host: Annotated[str, typer.Option(help="address the camera serves on")] = "127.0.0.1",
     camera_port: Annotated[int, typer.Option(help="HTTP port of the camera")] = 8090,
     camera_rate_hz: Annotated[float, typer.Option(help="stereo pairs a second")] = 15.0,
+    camera_faults: Annotated[bool, typer.Option("--camera-faults", help="obey POST /fault at the camera")] = False,
+    camera_time_code: Annotated[
+        bool, typer.Option("--camera-time-code", help="paint the exposure's time into the left picture")
+    ] = False,
     enable: Annotated[str, typer.Option(help="auto, or panel: SIGUSR1 presses the local enable")] = "auto",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="play everything, but leave the valves neutral")] = False,
     auth_key_file: Annotated[str | None, typer.Option(help="hexadecimal key: only signed commands are taken")] = None,
@@ -50,6 +54,8 @@ def sim(
                 camera_host=camera_host,
                 camera_port=camera_port,
                 camera_rate_hz=camera_rate_hz,
+                camera_faults=camera_faults,
+                camera_time_code=camera_time_code,
                 enable=enable,
                 dry_run=dry_run,
                 key=read_key(auth_key_file),

@@ -5,7 +5,7 @@ Reading the file itself is a shell's work; here is only text -> `Machine`.
 
 import tomllib
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, ValidationError
@@ -14,8 +14,12 @@ from machine.boards import board_markers
 from machine.errors import MachineFileError
 from machine.lens import distorted_radius_max
 from machine.marker_sections import REMEDIES, BoardSection, MarkerSection, MarkersSection, Pose16, Strict, check_markers
+from machine.remainder import Remainder, parse_baseline, parse_remainders
 from machine.rotations import Array
 from machine.targets import Board, Marker
+
+if TYPE_CHECKING:
+    from machine.effects.entries import EffectEntry
 
 SHOWN_MAX = 120  # characters of a wrong value in a message
 PLACE_MAX_M = 20.0  # of a marker or board on its object
@@ -84,6 +88,8 @@ class Machine:
     plc_log_cycle_s: float
     transport_delay_s: float
     boards: tuple[Board, ...] = ()
+    effects: "tuple[EffectEntry, ...]" = ()  # the baseline: of this machine undisturbed
+    remainders: tuple[Remainder, ...] = ()
 
     def markers_on(self, on: Literal["tool", "ooi"]) -> tuple[Marker, ...]:
         """The markers that sit on one object."""
@@ -165,6 +171,10 @@ class _MachineFile(Strict):
     camera: _CameraSection
     markers: MarkersSection
     plc: _PlcSection
+    effect: list[dict[str, Any]] | None = None  # read by machine.effects.entries
+    remainder: list[dict[str, Any]] | None = None  # read by machine.remainder
+    points: dict[str, Any] | None = None  # of a tracker; the diagnosis reads them
+    tracker: dict[str, Any] | None = None
 
 
 def _joint(section: _JointSection) -> Joint:
@@ -329,4 +339,6 @@ def parse_machine_toml(text: str) -> Machine:
         plc_cycle_s=sections.plc.cycle_s,
         plc_log_cycle_s=sections.plc.log_cycle_s,
         transport_delay_s=sections.plc.transport_delay_s,
+        effects=parse_baseline(sections.effect, len(sections.joint)),
+        remainders=parse_remainders(sections.remainder),
     )

@@ -10,26 +10,31 @@ from fastapi import FastAPI
 
 from machine.chain import chain_of
 from machine.description import parse_machine_toml
-from server.api.calibration import calibration_router
-from server.api.jobs import jobs_router
-from server.api.live import live_router
+from server.access.gatekeeper import Gatekeeper
+from server.access.hosts import is_loopback
+from server.access.keys import KeyRing
+from server.api.application import Served, application
 from server.api.panel import install_panel
-from server.api.problems import install_problem_handlers
-from server.api.state import state_router
+from server.api.slow_clients import PatientH11Protocol
+from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.cell import Cell
+from server.errors import SettingsError
 from server.jobs.calibration_store import FILE_NAME, CalibrationStore
 from server.jobs.engine import JobEngine
-from server.jobs.journal import JobJournal
 from server.jobs.performer import Performer
 from server.jobs.service import JobService
 from server.link.client import LinkClient
 from server.recorder import Recorder
-from server.settings import ServerSettings, read_machine_text
+from server.settings import HttpSettings, ServerSettings, read_machine_text
 from server.settings_source import machine_text_with, source_and_machine
 from server.shell_settings import link_settings, vision_settings
+from server.store.database import Database
+from server.store.keeper import Keeper
 from server.version import __version__
 from server.warm_up import warm_up
+
+DATABASE_NAME = "longreach.sqlite3"
 
 
 def build_cell(settings: ServerSettings) -> Cell:
@@ -49,13 +54,34 @@ def build_cell(settings: ServerSettings) -> Cell:
     )
 
 
+def gatekeeper_of(http: HttpSettings) -> Gatekeeper:
+    """Who may call.
+
+    Raises: SettingsError: reachable from other computers without a key in force.
+    """
+    keys = KeyRing(Path(http.keys_file) if http.keys_file else None)
+    if not is_loopback(http.host) and (keys.path is None or keys.empty):
+        raise SettingsError(
+            f"[http] host = '{http.host}' is reachable from other computers, and there is no key: make one with "
+            "'longreach keys add NAME --role operator --file keys.json' and set [http] keys_file (or --keys), "
+            "or listen on 127.0.0.1"
+        )
+    if http.behind_proxy and keys.path is None:
+        raise SettingsError("[http] behind_proxy = true needs [http] keys_file: the proxy opens this port to others")
+    return Gatekeeper(keys, http.allowed_hosts)
+
+
 def build_app(settings: ServerSettings) -> FastAPI:
     """The ASGI application; link and vision processes live as long as it does."""
+    gatekeeper = gatekeeper_of(settings.http)
     cell = build_cell(settings)
-    journal = JobJournal(Path(settings.recording.folder) / "jobs.jsonl")
-    engine = JobEngine(Performer(cell), journal.restore())
-    engine.on_event(journal.note)
-    service = JobService(cell, engine, CalibrationStore(Path(settings.recording.folder) / FILE_NAME))
+    folder = Path(settings.recording.folder)
+    keeper = Keeper(Database(folder / DATABASE_NAME), result_data)
+    keeper.database.open()
+    engine = JobEngine(Performer(cell))
+    keeper.on_restored(engine.restore)
+    keeper.restore()
+    service = JobService(cell, engine, CalibrationStore(folder / FILE_NAME), keeper)
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
@@ -66,20 +92,25 @@ def build_app(settings: ServerSettings) -> FastAPI:
         await asyncio.to_thread(warm_up, cell.machine, cell.chain)
         panel = await install_panel_tasks(app)
         try:
-            yield
+            async with running.tasks():
+                yield
         finally:
             await panel()
             await engine.close()
             await cell.vision.close()
             await cell.link.close()
             cell.recorder.stop()
+            await asyncio.to_thread(keeper.database.close)
 
-    app = FastAPI(title="longreach", version=__version__, lifespan=lifespan)
-    install_problem_handlers(app)
-    app.include_router(state_router(service))
-    app.include_router(jobs_router(service))
-    app.include_router(live_router(service))
-    app.include_router(calibration_router(service))
+    app = FastAPI(
+        title="longreach",
+        version=__version__,
+        lifespan=lifespan,
+        openapi_url="/v1/openapi.json",
+        docs_url=None,  # their pages load scripts from elsewhere
+        redoc_url=None,
+    )
+    running = application(app, Served(service, keeper, gatekeeper, secure_cookie=settings.http.behind_proxy))
     install_panel_tasks = install_panel(app, service)
     return app
 
@@ -91,6 +122,10 @@ def serve(settings: ServerSettings) -> None:
         host=settings.http.host,
         port=settings.http.port,
         log_level="warning",
+        access_log=False,  # its lines would hold lease ids
+        http=PatientH11Protocol,
+        proxy_headers=settings.http.behind_proxy,
+        server_header=False,
         timeout_graceful_shutdown=3,
     )
     asyncio.run(uvicorn.Server(config).serve())

@@ -5,6 +5,11 @@ class ServerError(Exception):
     """Base of the server's errors. `code` is stable for machines, the text is for people."""
 
     code = "server_error"
+    hint = ""
+
+    def __init__(self, text: str = "", references: dict[str, str] | None = None) -> None:
+        super().__init__(text)
+        self.references = references or {}
 
 
 class SettingsError(ServerError):
@@ -17,6 +22,7 @@ class BusyError(ServerError):
     """Another job owns the machine."""
 
     code = "busy"
+    hint = "wait for the end of that job (GET /v1/jobs/{job_id}/events) or cancel it; jobs are not queued"
 
 
 class JobFailedError(ServerError):

@@ -24,6 +24,7 @@ from server.version import __version__
 from server.vision.contracts import Look
 
 TRANSFORM_PERIOD_NS = 100_000_000
+IMAGE_PERIOD_NS = 100_000_000
 CAMERA_PERIOD_NS = 1_000_000_000  # the camera's intrinsics are repeated, so that a reader may start anywhere
 
 _log = logging.getLogger(__name__)
@@ -46,7 +47,7 @@ class Recorder:
         self._segments: list[Segment] = []
         self._open_segment: tuple[str, SegmentKind, str, int] | None = None
         self._transforms_ns = 0
-        self._camera_ns = 0
+        self._camera_ns = self._image_ns = 0
         self.problem = ""
         self.last_report: WriterReport | None = None
 
@@ -116,6 +117,9 @@ class Recorder:
             self._image(writer, report.preview_jpeg, report)
 
     def _image(self, writer: RunWriter, jpeg: bytes, report: FrameReport) -> None:
+        if report.t_receive_mono_ns - self._image_ns < IMAGE_PERIOD_NS:
+            return
+        self._image_ns = report.t_receive_mono_ns
         writer.image(jpeg, report.t_receive_mono_ns, report.t_exposure_mapped_ns)
         if report.t_receive_mono_ns - self._camera_ns >= CAMERA_PERIOD_NS:
             self._camera_ns = report.t_receive_mono_ns

@@ -17,6 +17,7 @@ __all__ = [
     "CalibrationSettings",
     "CameraSettings",
     "ClosedLoopSettings",
+    "CompensationSettings",
     "DeviceCameraSettings",
     "FileCameraSettings",
     "HttpCameraSettings",
@@ -45,6 +46,9 @@ class HttpSettings(_Strict):
 
     host: str = "127.0.0.1"
     port: LocalPort = 8080
+    keys_file: str | None = None  # of `longreach keys`; required unless host is a loopback address
+    allowed_hosts: tuple[Annotated[str, Field(min_length=1, max_length=253)], ...] = ()  # names it is reached by
+    behind_proxy: bool = False  # a TLS proxy on this computer is in front: its X-Forwarded-For is believed
 
 
 class PlcSettings(_Strict):
@@ -118,6 +122,13 @@ class ClosedLoopSettings(_Strict):
     passes_max: Annotated[int, Field(ge=1, le=5)] = 3
 
 
+class CompensationSettings(_Strict):
+    """A diagnosed machine whose effects are taken into account; off without a file."""
+
+    machine_file: str | None = None  # with [[effect]], as `longreach diagnose --machine-out` writes it
+    diagnosis_file: str | None = None  # the answer (--json) that it comes from: undecided or outside is refused
+
+
 class RecordingSettings(_Strict):
     """Where runs are written."""
 
@@ -137,6 +148,7 @@ class ServerSettings(_Strict):
     position: PositionSettings = PositionSettings()
     calibration: CalibrationSettings = CalibrationSettings()
     closed_loop: ClosedLoopSettings = ClosedLoopSettings()
+    compensation: CompensationSettings = CompensationSettings()
     recording: RecordingSettings = RecordingSettings()
 
 

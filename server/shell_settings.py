@@ -10,6 +10,9 @@ from server.errors import SettingsError
 from server.link.client import LinkSettings
 from server.settings import ServerSettings
 
+PREVIEW_WIDTH_PX = 1280  # the panel shows 720p; recordings keep ten pictures a second of it
+PREVIEW_RATE_HZ = 30.0
+
 
 def read_key(path: str | None) -> bytes:
     """The key of the PLC link from its file; no file, no key.
@@ -41,4 +44,4 @@ def link_settings(settings: ServerSettings) -> LinkSettings:
 
 def vision_settings(source: SourceSettings) -> VisionSettings:
     """How pictures from this source are looked through."""
-    return VisionSettings(source=source)
+    return VisionSettings(source=source, preview_width_px=PREVIEW_WIDTH_PX, preview_rate_hz=PREVIEW_RATE_HZ)

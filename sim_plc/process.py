@@ -14,6 +14,7 @@ from types import FrameType
 from typing import Literal, cast
 
 from machine.description import parse_machine_toml
+from sim_plc.diagnosed import with_effects
 from sim_plc.draw_world import draw_world
 from sim_plc.machine_loop import MS, MachineLoop, plc_framing
 from sim_plc.plc import path
@@ -43,7 +44,8 @@ def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda worl
     Raises: SimSettingsError (also when the UDP port is taken), PresetError, MachineFileError: nothing was started.
     """
     with _stop_flag() as stopped:
-        world = place(draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed))
+        drawn = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
+        world = place(with_effects(drawn))
         panel = LocalPanel(cast(EnableMode, settings.enable))
         _panel_signals(panel)
         return _run(settings, world, panel, stopped)
@@ -182,7 +184,8 @@ def _start_camera(world: World, feed: PoseFeed, settings: SimSettings) -> BasePr
 
     context = multiprocessing.get_context("spawn")
     arguments = (world, feed.name, settings.camera_host, settings.camera_port, settings.camera_rate_hz)
-    camera = context.Process(target=run_camera, args=arguments, name="sim-camera", daemon=True)
+    switches = {"faults": settings.camera_faults, "time_code": settings.camera_time_code}
+    camera = context.Process(target=run_camera, args=arguments, kwargs=switches, name="sim-camera", daemon=True)
     camera.start()
     log.info("camera on http://%s:%d/stream", settings.camera_host, settings.camera_port)
     return camera

@@ -30,6 +30,8 @@ class SimSettings:
     camera_host: str = "127.0.0.1"
     camera_port: int = 8090
     camera_rate_hz: float = 15.0
+    camera_faults: bool = False  # POST /fault at the camera's address is obeyed
+    camera_time_code: bool = False  # the exposure's time painted into the left picture, for latency measurements
     dry_run: bool = False  # everything is played, but the valves stay neutral
     key: bytes = b""  # 16..64 bytes: take only signed commands, and sign states
     enable: str = "auto"  # or "panel": SIGUSR1 presses and releases the enable, SIGUSR2 the lever, SIGRTMIN the E-stop

@@ -1,35 +1,31 @@
 """The 3D scene: viser, fed with frozen views; it holds no command and may die without taking the page along."""
 
 import io
-from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import viser
 import yourdfpy
 from viser.extras import ViserUrdf
 
+from machine.chain import chain_of
 from machine.description import Machine
 from machine.markers import object_corners
 from machine.rotations import Array, quat_wxyz_from_rotation
 from machine.urdf import urdf_text
+from web.scene_envelope import reach_segments, slew_limits
+from web.scene_view import PlanShown, SceneView
 
 LIVE_COLOR = (0.93, 0.66, 0.15, 1.0)
 GHOST_COLOR = (0.25, 0.55, 0.95, 0.35)
 PATH_COLOR = (30, 110, 220)
 WALL_SIZE_M = 2.4
 STILL_RAD = 2e-4
-
-
-@dataclass(frozen=True, slots=True)
-class SceneView:
-    """What the scene shows: joints [rad], the machine's tcp and camera, the OOI if known, the previewed plan if any."""
-
-    q_rad: tuple[float, ...]
-    T_base_cam: Array
-    T_base_tool: Array
-    T_base_ooi: Array | None
-    q_goal_rad: tuple[float, ...] | None
-    path_base_m: Array | None  # (m, 3)
+TRACK_COLOR = (200, 60, 160)
+ENVELOPE_COLOR = (170, 180, 186)
+LIMIT_COLOR = (190, 60, 40)
+ELLIPSOID_COLOR = (40, 170, 120)
+ELLIPSOID_TIMES = 10.0  # two sigma, drawn ten times as large: a few millimetres would not be seen
 
 
 class Scene:
@@ -70,9 +66,20 @@ class Scene:
         )
         self._tool = scene.add_frame("/tool", axes_length=0.12, axes_radius=0.004)
         self._ooi = scene.add_frame("/ooi", axes_length=0.15, axes_radius=0.005, visible=False)
+        self._ellipsoid = scene.add_icosphere(
+            "/error", radius=1.0, color=ELLIPSOID_COLOR, opacity=0.45, visible=False, cast_shadow=False
+        )
+        self._add_envelope()
         wall = (WALL_SIZE_M, WALL_SIZE_M, 0.02)
         scene.add_box("/ooi/wall", dimensions=wall, position=(0.0, 0.0, -0.07), color=(150, 145, 138), opacity=0.5)
         self._add_markers()
+
+    def _add_envelope(self) -> None:
+        """How far the tool reaches, and where slewing ends."""
+        chain = chain_of(self._machine)
+        reach, ends = reach_segments(chain), slew_limits(chain)
+        self._server.scene.add_line_segments("/envelope", points=reach, colors=ENVELOPE_COLOR, thickness=0.006)
+        self._server.scene.add_line_segments("/slew_limits", points=ends, colors=LIMIT_COLOR, thickness=0.014)
 
     def _add_markers(self) -> None:
         scene = self._server.scene
@@ -85,7 +92,10 @@ class Scene:
 
     def show(self, view: SceneView) -> None:
         """Bring the scene up to date, as one consistent frame; a view that shows nothing new costs nothing."""
-        if self._shown is not None and _same(view, self._shown):
+        before = self._shown
+        if view.picture_jpeg is not None:
+            self._show_picture(view.picture_jpeg)
+        if before is not None and _same(view, before):
             return
         with self._server.atomic():
             self._live.update_cfg(np.array(view.q_rad))
@@ -94,26 +104,59 @@ class Scene:
             self._ooi.visible = view.T_base_ooi is not None
             if view.T_base_ooi is not None:
                 _place(self._ooi, view.T_base_ooi)
-            if self._shown is None or view.q_goal_rad != self._shown.q_goal_rad:
-                self._show_plan(view)
+            if before is None or _plan_name(view) != _plan_name(before):
+                self._show_plan(view.plan)
+            if view.plan is not None:
+                self._show_on_path(view.plan, view.scrub_frac)
+            if before is None or not _alike(view.track_base_m, before.track_base_m):
+                self._show_track(view.track_base_m)
         self._shown = view
 
-    def _show_plan(self, view: SceneView) -> None:
-        self._ghost_root.visible = view.q_goal_rad is not None
-        if view.q_goal_rad is None or view.path_base_m is None or len(view.path_base_m) < 2:
+    def _show_plan(self, plan: PlanShown | None) -> None:
+        self._ghost_root.visible = self._ellipsoid.visible = plan is not None
+        if plan is None or len(plan.path_base_m) < 2:
             self._server.scene.remove_by_name("/path")
             return
-        self._ghost.update_cfg(np.array(view.q_goal_rad))
-        segments = np.stack([view.path_base_m[:-1], view.path_base_m[1:]], axis=1)
+        segments = np.stack([plan.path_base_m[:-1], plan.path_base_m[1:]], axis=1)
         self._server.scene.add_line_segments("/path", points=segments, colors=PATH_COLOR, thickness=0.012)
+        _place(self._ellipsoid, plan.T_base_ellipsoid)
+        x, y, z = ELLIPSOID_TIMES * plan.ellipsoid_radii_m
+        self._ellipsoid.scale = (float(x), float(y), float(z))
+
+    def _show_on_path(self, plan: PlanShown, frac: float) -> None:
+        """The ghost where the scrubber stands."""
+        index = round(frac * (len(plan.qs_rad) - 1))
+        self._ghost.update_cfg(plan.qs_rad[index])
+
+    def _show_track(self, track_base_m: Array | None) -> None:
+        if track_base_m is None or len(track_base_m) < 2:
+            self._server.scene.remove_by_name("/odometry")
+            return
+        segments = np.stack([track_base_m[:-1], track_base_m[1:]], axis=1)
+        self._server.scene.add_line_segments("/odometry", points=segments, colors=TRACK_COLOR, thickness=0.008)
+
+    def _show_picture(self, jpeg: bytes) -> None:
+        """The newest picture, small, in the frustum."""
+        image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_REDUCED_COLOR_8)
+        if image is not None:
+            self._frustum.image = np.ascontiguousarray(image[:, :, ::-1])
 
 
 def _same(a: SceneView, b: SceneView) -> bool:
     """Whether nobody could see a difference: an encoder that flickers must not redraw every viewer's screen."""
     turned = max(abs(x - y) for x, y in zip(a.q_rad, b.q_rad, strict=True))
     moved = float(np.abs(a.T_base_cam - b.T_base_cam).max())
-    ooi = a.T_base_ooi is b.T_base_ooi
-    return turned < STILL_RAD and moved < STILL_RAD and ooi and a.q_goal_rad == b.q_goal_rad
+    rest = _alike(a.T_base_ooi, b.T_base_ooi) and _alike(a.track_base_m, b.track_base_m)
+    plan = _plan_name(a) == _plan_name(b) and a.scrub_frac == b.scrub_frac
+    return turned < STILL_RAD and moved < STILL_RAD and rest and plan
+
+
+def _alike(a: Array | None, b: Array | None) -> bool:
+    return (a is None and b is None) or (a is not None and b is not None and np.array_equal(a, b))
+
+
+def _plan_name(view: SceneView) -> str:
+    return "" if view.plan is None else view.plan.name
 
 
 def _urdf(text: str) -> yourdfpy.URDF:

@@ -25,6 +25,7 @@ class ServerUnderTest:
         self._stack: Stack | None = None
         self._http: httpx.Client | None = None
         self._starts = 0
+        self._lease = ""
 
     def start(self) -> None:
         """Start it and wait until it has linked with the PLC.
@@ -68,6 +69,13 @@ class ServerUnderTest:
         return self._stack.processes["server"].pid
 
     @property
+    def http_port(self) -> int:
+        """Where it serves REST and panel."""
+        if self._stack is None:
+            raise RuntimeError("the server is not started; start it first")
+        return self._stack.ports.http
+
+    @property
     def link_pid(self) -> int:
         """Of its link process."""
         pid = holder_of_udp_port(self._stack.ports.plc_local, self.pid) if self._stack else None
@@ -97,17 +105,31 @@ class ServerUnderTest:
 
     # --- jobs -------------------------------------------------------------------------------------------------------
 
-    def start_job(self, body: dict[str, Any]) -> str:
-        """Start a job; its id.
+    def start_job(self, body: dict[str, Any], headers: dict[str, str] | None = None) -> str:
+        """Start a job under control of this drill; its id.
 
         Raises: httpx.HTTPStatusError: refused.
         """
-        return self._client.post("/v1/jobs", json=body).raise_for_status().json()["job_id"]
+        answer = self._client.post("/v1/jobs", json=body, headers=self._control() | (headers or {}))
+        return answer.raise_for_status().json()["job_id"]
+
+    def _control(self) -> dict[str, str]:
+        """Headers of control: the lease of before if this server still knows it, else a new one for two minutes."""
+        kept = self._lease and self._client.put(f"/v1/lease/{self._lease}")
+        if not kept or kept.is_error:
+            kept = self._client.post("/v1/lease", json={"owner": "kill drill", "ttl_s": 120.0}).raise_for_status()
+        lease = kept.json()
+        self._lease = lease["lease_id"]
+        return {"Longreach-Lease": self._lease, "Longreach-Fencing": str(lease["fencing"])}
 
     def job(self, job_id: str) -> dict[str, Any]:
         """The job as the server reports it; empty if it does not know it."""
         answer = self._client.get(f"/v1/jobs/{job_id}")
         return {} if answer.status_code == httpx.codes.NOT_FOUND else answer.raise_for_status().json()
+
+    def newest_job(self) -> dict[str, Any]:
+        """The job that was started last, whoever started it."""
+        return self._get("/v1/jobs")[-1]
 
     def wait_ended(self, job_id: str, timeout_s: float) -> dict[str, Any]:
         """The job at its end, or as it is when time is up."""
@@ -140,5 +162,5 @@ class ServerUnderTest:
             raise RuntimeError("the server is not started; start it first")
         return self._http
 
-    def _get(self, path: str) -> dict[str, Any]:
+    def _get(self, path: str) -> Any:
         return self._client.get(path).raise_for_status().json()

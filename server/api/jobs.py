@@ -6,9 +6,12 @@ import time
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Header
-from fastapi.responses import JSONResponse, StreamingResponse
+from fastapi import APIRouter, Body, Depends, Header, Request
+from fastapi.responses import JSONResponse, Response, StreamingResponse
 
+from server.api.callers import caller_of, request_id_of
+from server.api.job_commands import JobCommands, Sent
+from server.api.lease import FencingHeader, LeaseHeader, leased
 from server.api.problems import problem
 from server.api.state_view import job_view
 from server.api.views import (
@@ -43,20 +46,50 @@ AnyJobRequest = Annotated[
     | ParkRequest,
     Body(discriminator="kind"),
 ]
+KeyHeader = Annotated[
+    str,
+    Header(
+        max_length=128, pattern=r"^[\x21-\x7e]*$", description="fresh per command, the same on a retry; fleets must"
+    ),
+]
+ExpiresHeader = Annotated[
+    float,
+    Header(ge=0, le=1e11, description="unix seconds of this server (GET /v1/time) after which not to start; 0: never"),
+]
+STORY: dict[int | str, dict[str, Any]] = {
+    200: {"description": "server-sent events", "content": {"text/event-stream": {"schema": {"type": "string"}}}},
+    404: {"model": Problem},
+}
 EVENT_POLL_S = 0.1
 
 
 def jobs_router(service: JobService) -> APIRouter:
     """Routes under /v1/jobs and /v1/stop."""
     router = APIRouter(prefix="/v1", tags=["jobs"])
-    refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (400, 409, 422, 503)}
+    refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (400, 403, 409, 422, 503)}
+    cancelled: dict[int | str, dict[str, Any]] = {404: {"model": Problem}, 409: {"model": Problem}}
+    control, commands = leased(service.engine.leases), JobCommands(service)
 
     @router.post("/jobs", status_code=202, response_model=JobView, responses=refused)
-    async def start_job(request: AnyJobRequest) -> JSONResponse:
+    async def start_job(
+        body: AnyJobRequest,
+        request: Request,
+        longreach_lease: LeaseHeader = "",
+        longreach_fencing: FencingHeader = 0,
+        idempotency_key: KeyHeader = "",
+        longreach_expires: ExpiresHeader = 0.0,
+    ) -> Response:
         """Start a job; 202 with its Location, 409 when another one runs or a plan is refused."""
-        job = service.start(request)
-        headers = {"Location": f"/v1/jobs/{job.job_id}"}
-        return JSONResponse(job_view(job).model_dump(mode="json"), status_code=202, headers=headers)
+        sent = Sent(
+            caller=caller_of(request),
+            request_id=request_id_of(request),
+            key=idempotency_key,
+            lease_id=longreach_lease,
+            fencing=longreach_fencing,
+            expires_unix_s=longreach_expires,
+        )
+        given = await commands.start(body, sent)
+        return Response(given.answer, given.status, {"Location": given.location}, "application/json")
 
     @router.get("/jobs", response_model=list[JobView])
     async def list_jobs() -> list[JobView]:
@@ -69,29 +102,41 @@ def jobs_router(service: JobService) -> APIRouter:
         job = service.engine.find(job_id)
         return job_view(job) if job else _unknown(job_id)
 
-    @router.get("/jobs/{job_id}/events", responses={404: {"model": Problem}}, response_model=None)
+    @router.get("/jobs/{job_id}/events", response_model=None, response_class=StreamingResponse, responses=STORY)
     async def follow_job(
-        job_id: str, last_event_id: Annotated[str | None, Header()] = None
+        job_id: str, last_event_id: Annotated[str, Header(max_length=64)] = ""
     ) -> StreamingResponse | JSONResponse:
         """The story as server-sent events; resumes behind Last-Event-ID; ends with the job."""
         job = service.engine.find(job_id)
         if job is None:
             return _unknown(job_id)
-        seen = int(last_event_id) if last_event_id and last_event_id.isdecimal() else 0
+        seen = int(last_event_id[:18]) if last_event_id.isdecimal() else 0
         return StreamingResponse(_story(job, seen), media_type="text/event-stream")
 
-    @router.post("/stop", response_model=JobView | None)
-    async def stop() -> JobView | None:
+    @router.post("/jobs/{job_id}/cancel", status_code=202, response_model=JobView, responses=cancelled)
+    async def cancel(job_id: str, request: Request) -> Response:
+        """Stop one job: its state is `stopping` until the machine stands still, then `stopped`. Needs no control."""
+        job = service.engine.find(job_id)
+        if job is None:
+            return _unknown(job_id)
+        if job.ended:
+            return problem(409, "Job has ended", f"job {job_id} is {job.state.value}", "job_ended", "nothing to do")
+        commands.cancel(job, caller_of(request), request_id_of(request))
+        return JSONResponse(job_view(job).model_dump(mode="json"), status_code=202)
+
+    @router.post("/stop", response_model=JobView | None, responses={503: {"model": Problem}})
+    async def stop(request: Request) -> JobView | None:
         """Stop motion (software) and the running job; from anyone, at any time."""
+        commands.stopped(caller_of(request), request_id_of(request))
         await service.engine.stop("stopped over REST")
         return job_view(service.engine.current) if service.engine.current else None
 
-    @router.post("/disarm", status_code=204)
+    @router.post("/disarm", status_code=204, dependencies=[Depends(control)], responses=refused)
     async def disarm() -> None:
         """Leave the armed state."""
         await service.cell.link.disarm()
 
-    @router.post("/reset", status_code=204)
+    @router.post("/reset", status_code=204, dependencies=[Depends(control)], responses=refused)
     async def reset() -> None:
         """Clear a latched PLC fault; never restarts motion."""
         await service.cell.link.reset()

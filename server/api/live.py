@@ -1,19 +1,54 @@
-"""The live channel: the state ten times a second, and the camera picture, over one WebSocket."""
+"""The live channel: the state ten times a second over a WebSocket, made once for all who look."""
 
 import asyncio
 import contextlib
-from urllib.parse import urlsplit
+import json
+import logging
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
-from server.api.state_view import state_view
-from server.jobs.service import JobService
+from server.api.panel_memory import PanelMemory
+from server.api.panel_origin import same_origin
+
+log = logging.getLogger(__name__)
 
 STATE_PERIOD_S = 0.1
 
 
-def live_router(service: JobService) -> APIRouter:
-    """Route /v1/live: text frames hold StateView JSON, binary frames the newest camera picture (JPEG)."""
+class LiveFeed:
+    """The newest state as text. Runs as one task; alarms are latched here also while nobody looks."""
+
+    def __init__(self, memory: PanelMemory) -> None:
+        self._memory = memory
+        self._text = ""
+        self._fresh = asyncio.Event()
+
+    async def run(self) -> None:
+        """Until cancelled."""
+        while True:
+            self._tick()
+            await asyncio.sleep(STATE_PERIOD_S)
+
+    def _tick(self) -> None:
+        try:
+            view = self._memory.live()
+        except Exception:  # a defect in the view: the page says that nothing is current, and the next tick tries again
+            log.exception("the live state could not be made")
+            return
+        self._text = view.model_dump_json() if self._memory.viewers else ""
+        self._fresh.set()
+        self._fresh = asyncio.Event()
+
+    async def next(self) -> str:
+        """The next state, as soon as there is one."""
+        while True:
+            await self._fresh.wait()
+            if self._text:
+                return self._text
+
+
+def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
+    """Route /v1/live: text frames hold LiveView JSON; the page may send {"scrub": 0..1}."""
     router = APIRouter()
 
     @router.websocket("/v1/live")
@@ -22,25 +57,24 @@ def live_router(service: JobService) -> APIRouter:
             await socket.close(code=4403, reason="foreign origin")
             return
         await socket.accept()
-        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-            await _feed(socket, service)
+        memory.viewers += 1
+        hearing = asyncio.create_task(_hear(socket, memory))
+        try:
+            with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+                while not hearing.done():
+                    await socket.send_text(await feed.next())
+        finally:
+            memory.viewers -= 1
+            hearing.cancel()
+            await asyncio.gather(hearing, return_exceptions=True)
 
     return router
 
 
-async def _feed(socket: WebSocket, service: JobService) -> None:
-    shown_ns = 0
+async def _hear(socket: WebSocket, memory: PanelMemory) -> None:
+    """Wishes about the view only; what is not understood is passed over."""
     while True:
-        view = state_view(service.cell, service.engine, service.context)
-        await socket.send_text(view.model_dump_json())
-        preview = service.cell.vision.latest_preview
-        if preview is not None and preview[1] != shown_ns:
-            shown_ns = preview[1]
-            await socket.send_bytes(preview[0])
-        await asyncio.sleep(STATE_PERIOD_S)
-
-
-def same_origin(socket: WebSocket) -> bool:
-    """Whether the socket was opened by our own page, or by a program that sends no Origin."""
-    origin = socket.headers.get("origin")
-    return origin is None or urlsplit(origin).netloc == socket.headers.get("host")
+        with contextlib.suppress(ValueError, TypeError, AttributeError):
+            frac = json.loads(await socket.receive_text()).get("scrub")
+            if frac is not None:
+                memory.scrub(float(frac))

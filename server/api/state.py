@@ -1,42 +1,68 @@
 """State, health and readiness over REST."""
 
+from typing import Any, Literal
+
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse, Response
 
+from server.api.problems import problem
+from server.api.state_cache import StateCache
 from server.api.state_view import state_view
-from server.api.views import StateView
+from server.api.views import Problem, StateView, View
 from server.jobs.service import JobService
 
+PICTURE: dict[int | str, dict[str, Any]] = {
+    200: {"description": "the picture", "content": {"image/jpeg": {"schema": {"type": "string"}}}},
+    503: {"model": Problem, "description": "no picture yet"},
+}
 
-def state_router(service: JobService) -> APIRouter:
+
+class HealthView(View):
+    """The process lives."""
+
+    status: Literal["ok"] = "ok"
+
+
+class ReadyView(View):
+    """Whether a job could start now."""
+
+    ready: bool
+    reasons: list[str]
+
+
+def state_router(service: JobService, cache: StateCache | None = None) -> APIRouter:
     """Routes /v1/state, /v1/camera.jpg, /healthz, /readyz."""
     router = APIRouter(tags=["state"])
+    states = cache or StateCache(service)
 
     @router.get("/v1/state", response_model=StateView)
-    async def read_state() -> StateView:
-        """Everything one screen needs, at one instant."""
-        return state_view(service.cell, service.engine, service.context)
+    async def read_state() -> Response:
+        """Everything one screen needs, at one instant at most 50 ms ago."""
+        return Response(states.text(), media_type="application/json", headers={"Cache-Control": "no-store"})
 
-    @router.get("/v1/camera.jpg", response_model=None)
+    @router.get("/v1/camera.jpg", response_model=None, response_class=Response, responses=PICTURE)
     async def picture() -> Response:
         """The newest camera picture, left eye."""
         preview = service.cell.vision.latest_preview
         if preview is None:
-            return JSONResponse({"detail": "no image yet: check the camera"}, status_code=503)
+            return problem(503, "No picture", "no image yet", "no_picture", "check the camera")
         return Response(preview[0], media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
-    @router.get("/healthz")
-    async def health() -> dict[str, str]:
+    @router.get("/healthz", response_model=HealthView)
+    async def health() -> HealthView:
         """The process lives."""
-        return {"status": "ok"}
+        return HealthView()
 
-    @router.get("/readyz", response_model=None)
+    @router.get("/readyz", response_model=ReadyView, responses={503: {"model": ReadyView}})
     async def ready() -> JSONResponse:
         """Whether a job could start now; 503 with the reasons when not."""
         view = state_view(service.cell, service.engine, service.context)
         reasons = [reason for reason in [view.steps["look"]] if reason]
         if view.camera.age_ms is None or view.camera.age_ms > 1000.0:
             reasons.append("the camera gives no images: check its cable and [camera] settings")
-        return JSONResponse({"ready": not reasons, "reasons": reasons}, status_code=503 if reasons else 200)
+        if service.keeper is not None and service.keeper.problem:
+            reasons.append(f"nothing can be written down: {service.keeper.problem}")
+        told = ReadyView(ready=not reasons, reasons=reasons)
+        return JSONResponse(told.model_dump(), status_code=503 if reasons else 200)
 
     return router

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from server.api.calibration_view import calibration_view
+from server.api.lease_views import control_view
 from server.api.views import (
     CameraView,
+    CompensationView,
     ErrorView,
     JobEventView,
     JobView,
@@ -38,7 +40,7 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext) -> StateView:
     n = len(joints)
     degrees = [round(float(np.rad2deg(value)), 4) for value in (latest.q_rad if latest else [0.0] * n)]
     references = [round(float(np.rad2deg(value)), 4) for value in (latest.q_ref_rad if latest else [0.0] * n)]
-    knowledge, goal = cell.knowledge, cell.settings.position
+    knowledge, goal = cell.knowledge, ctx.settings.position
     return StateView(
         version=__version__,
         mode=cell.settings.mode,
@@ -61,8 +63,15 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext) -> StateView:
         tolerance_mm=goal.tolerance_mm,
         tolerance_deg=goal.tolerance_deg,
         stand_off_mm=goal.stand_off_mm,
+        control=control_view(engine.leases),
+        compensation=_compensation(ctx),
         steps=steps(cell, engine),
     )
+
+
+def _compensation(ctx: PlanContext) -> CompensationView:
+    known = ctx.compensation
+    return CompensationView() if known is None else CompensationView(active=True, effects=list(known.sorted.told()))
 
 
 def steps(cell: Cell, engine: JobEngine) -> dict[str, str]:
@@ -222,12 +231,13 @@ def job_view(job: Job, events_from: int = 0) -> JobView:
         reason=job.reason,
         elapsed_s=round(job.elapsed_s, 2),
         events=[JobEventView(**asdict(event)) for event in job.events if event.number > events_from],
-        result=_result(job.result),
+        result=result_data(job.result),
     )
 
 
-def _result(result: object) -> object:
-    if result is None or isinstance(result, str):
+def result_data(result: object) -> object:
+    """A job's result as JSON data."""
+    if result is None or isinstance(result, str | dict):
         return result
     if isinstance(result, PreviewedPlan):
         return plan_view(result).model_dump()

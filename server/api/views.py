@@ -11,6 +11,24 @@ class View(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
+class Strict(BaseModel):
+    """Base of all request bodies: exact types, nothing undeclared, no NaN or infinity."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class ControlView(View):
+    """Who has control of the machine; without an owner nobody has."""
+
+    owner: str | None = None
+    kind: Literal["operator", "fleet", "engineer"] | None = None
+    fencing: int = Field(default=0, description="grows with every new holder")
+    expires_in_s: float | None = None
+    stale: bool = Field(default=False, description="not kept alive: nothing moves, its holder may revive it")
+    asked_by: list[str] = Field(default_factory=list, description="who would like to have control")
+    offered_to: str = Field(default="", description="who may acquire it now")
+
+
 class LinkView(View):
     """The PLC link."""
 
@@ -28,6 +46,13 @@ class LinkView(View):
     recent_rejects: list[str]
     lateness_p99_ms: float
     warning: str
+
+
+class CompensationView(View):
+    """A diagnosed machine in use: its effects, and what each changes."""
+
+    active: bool = False
+    effects: list[str] = Field(default_factory=list)
 
 
 class CameraView(View):
@@ -186,6 +211,8 @@ class StateView(View):
     tolerance_mm: float
     tolerance_deg: float
     stand_off_mm: float
+    control: ControlView = Field(default_factory=ControlView)
+    compensation: CompensationView = Field(default_factory=CompensationView)
     steps: dict[str, str] = Field(description="why a step's button is disabled; empty text = enabled")
 
 
@@ -197,18 +224,22 @@ class Problem(View):
     status: int
     detail: str
     code: str
+    hint: str = Field(default="", description="what to do")
+    references: dict[str, str] = Field(default_factory=dict, description="facts for programs: owner, job_id, ...")
 
 
-class JobRequest(View):
+class JobRequest(Strict):
     """Body of a job request without parameters of its own."""
 
-    owner: str = Field(default="operator", min_length=1, max_length=64)
+    owner: str | None = Field(
+        default=None, min_length=1, max_length=64, description="shown with the job; else the owner of the lease"
+    )
 
 
 class LookRequest(JobRequest):
     """Look: pose error between tool and goal."""
 
-    kind: Literal["look"] = "look"
+    kind: Literal["look"]
 
 
 class OrientRequest(JobRequest):

@@ -10,6 +10,7 @@ from machine.description import Machine
 from machine.kinematics import tcp_pose
 from machine.poses import pose
 from machine.rotations import Array
+from server.compensation.compensation import Compensation
 from server.jobs.knowledge import Knowledge
 from server.motion.contracts import Wall
 from server.motion.lost_motion import first_stall
@@ -28,6 +29,7 @@ class PlanContext:
     knowledge: Knowledge
     method: Method = "ours"
     machine_id: str = ""  # of the machine file: a calibration of another one is not used
+    compensation: Compensation | None = None  # a diagnosed machine, where the settings name one
 
     def with_method(self, method: Method) -> "PlanContext":
         """The same context for another method."""
@@ -41,7 +43,10 @@ class PlanContext:
     def stall(self) -> Array:
         """How far each joint rests from its reference (n,) [rad]: as last seen, or a first guess."""
         seen = self.knowledge.stall_rad
-        return first_stall(self.machine) if seen is None else seen
+        if seen is not None:
+            return seen
+        guessed = first_stall(self.machine)
+        return guessed if self.compensation is None else self.compensation.first_stall(guessed)
 
     @property
     def T_ooi_goal(self) -> Array:

@@ -4,12 +4,14 @@ import asyncio
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 from uuid import uuid4
 
+from server.access.desk import LeaseDesk
+from server.access.lease import Lease
 from server.errors import BusyError, ServerError
 from server.jobs.performer import Performer
 from server.jobs.requests import Plan, Progress, Record, Request
@@ -61,6 +63,7 @@ class Job:
     started_mono_s: float = field(default_factory=time.monotonic)
     ended_mono_s: float | None = None
     events: list[JobEvent] = field(default_factory=list)
+    fencing: int = 0  # of the lease it runs under; 0: the server's own
 
     @property
     def ended(self) -> bool:
@@ -76,12 +79,20 @@ class Job:
 class JobEngine:
     """Runs one motion job at a time. Busy is an error that names who is."""
 
-    def __init__(self, performer: Performer, earlier: Iterable[Job] = ()) -> None:
+    def __init__(self, performer: Performer, earlier: Iterable[Job] = (), leases: LeaseDesk | None = None) -> None:
         self._performer = performer
+        self.leases = leases or LeaseDesk()
         self._task: asyncio.Task[None] | None = None
         self._listeners: list[Callable[[Job, JobEvent], None]] = []
         self.current: Job | None = None
         self.jobs: deque[Job] = deque(earlier, maxlen=200)
+
+    def restore(self, jobs: Iterable[Job], fencing: int) -> None:
+        """Take up what an earlier life left: its jobs, and the fencing number that the next holder's is above."""
+        ours = list(self.jobs)
+        self.jobs.clear()
+        self.jobs.extend([*(job for job in jobs if job not in ours), *ours])
+        self.leases.book.fencing = max(self.leases.book.fencing, fencing)
 
     def on_event(self, listener: Callable[[Job, JobEvent], None]) -> None:
         """Call `listener(job, event)` for everything that happens to any job, on the event loop."""
@@ -91,32 +102,69 @@ class JobEngine:
         """The job of that id among the last 200."""
         return next((job for job in self.jobs if job.job_id == job_id), None)
 
-    def submit(self, kind: str, plan: Plan, owner: str) -> Job:
-        """Start a plan now.
+    def submit(self, kind: str, plan: Plan, owner: str, lease: Lease | None = None) -> Job:
+        """Start a plan now, under a lease; without one it is the server's own.
 
         Raises: BusyError naming the running job and its owner.
         """
+        job = self._reserved(kind, plan, owner, lease)
+        self._begin(job, plan)
+        return job
+
+    async def submit_kept(
+        self, kind: str, plan: Plan, owner: str, lease: Lease | None, keep: Callable[[Job], Awaitable[None]]
+    ) -> Job:
+        """As `submit`, but nothing begins before `keep` has written the job down; if it cannot, nothing begins.
+
+        Raises: BusyError; whatever `keep` raises, the job has failed then.
+        """
+        job = self._reserved(kind, plan, owner, lease)
+        try:
+            await keep(job)
+        except BaseException as error:
+            plan.close()
+            job.code = getattr(error, "code", "internal")
+            self._end(job, JobState.FAILED, f"it was not begun: {error}")
+            raise
+        lost = self.leases.lost(job.fencing) if lease else ""
+        if job.state is JobState.STOPPING or lost:  # while it was written down
+            plan.close()
+            self._end(job, JobState.STOPPED, job.reason or lost)
+        else:
+            self._begin(job, plan)
+        return job
+
+    def _reserved(self, kind: str, plan: Plan, owner: str, lease: Lease | None) -> Job:
         if self.current is not None and not self.current.ended:
             plan.close()
             busy = self.current
             raise BusyError(
                 f"job {busy.job_id} ({busy.kind}) of {busy.owner} is {busy.state.value} since {busy.elapsed_s:.0f} s; "
-                "wait for its end or stop it"
+                "wait for its end or stop it",
+                {"owner": busy.owner, "job_id": busy.job_id, "kind": busy.kind, "state": busy.state.value},
             )
-        job = Job(job_id=uuid4().hex[:12], kind=kind, owner=owner)
-        self.current = job
+        job = Job(job_id=uuid4().hex[:12], kind=kind, owner=owner, fencing=lease.fencing if lease else 0)
+        self.current, self._task = job, None
         self.jobs.append(job)
-        self._task = asyncio.create_task(self._run(job, plan), name=f"job-{job.kind}-{job.job_id}")
         return job
 
-    async def stop(self, reason: str) -> None:
-        """Stop the motion and whatever job runs; always allowed. Returns when the job has ended."""
+    def _begin(self, job: Job, plan: Plan) -> None:
+        self._task = asyncio.create_task(self._run(job, plan), name=f"job-{job.kind}-{job.job_id}")
+
+    async def stop(self, reason: str, only: Job | None = None) -> None:
+        """Stop the motion and whatever job runs; always allowed. Returns when the job has ended.
+
+        With `only`, nothing is stopped unless it is that job which runs.
+        """
         job, task = self.current, self._task
-        if job is not None and not job.ended and task is not None:
+        if only is not None and (job is not only or only.ended):
+            return
+        if job is not None and not job.ended:
             job.state, job.reason = JobState.STOPPING, reason
             self._tell(job, "stopping", 0.0, 1.0, "", reason)
-            task.cancel()
-            await asyncio.wait({task}, timeout=STOP_BOUND_S)
+            if task is not None:
+                task.cancel()
+                await asyncio.wait({task}, timeout=STOP_BOUND_S)
         await self._performer.stop_motion(reason)
 
     async def close(self) -> None:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Generator
 
+from server.access.lease import Lease
 from server.api.views import (
     CalibrateRequest,
     ExecuteRequest,
@@ -17,10 +18,13 @@ from server.api.views import (
     ServoRequest,
 )
 from server.cell import Cell
+from server.compensation.reading import compensation_from
 from server.errors import JobFailedError
 from server.jobs.calibration_store import CalibrationStore, machine_id_of
+from server.jobs.commands import INSIDE_COMMAND, Command, began
 from server.jobs.context import PlanContext
 from server.jobs.engine import Job, JobEngine, JobEvent
+from server.jobs.finding_log import FindingLog
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.line import line_run
@@ -31,6 +35,7 @@ from server.jobs.plans.positioning import position
 from server.jobs.plans.returning import park, retract, return_to_start
 from server.jobs.plans.servoing import servo
 from server.jobs.requests import Plan, Progress, Request
+from server.store.keeper import Keeper
 
 JobBody = (
     LookRequest
@@ -50,23 +55,39 @@ JobBody = (
 class JobService:
     """Starts jobs for the API and follows them with a recording."""
 
-    def __init__(self, cell: Cell, engine: JobEngine, store: CalibrationStore | None = None) -> None:
+    def __init__(
+        self, cell: Cell, engine: JobEngine, store: CalibrationStore | None = None, keeper: Keeper | None = None
+    ) -> None:
         self.cell = cell
+        self.keeper = keeper
         self.engine = engine
         self._store = store or CalibrationStore(None)
         machine_id = machine_id_of(cell.machine_text)
-        self.context = PlanContext(cell.machine, cell.chain, cell.settings, cell.knowledge, machine_id=machine_id)
+        known = compensation_from(cell.settings, cell.machine)
+        self.context = PlanContext(
+            cell.machine, cell.chain, cell.settings, cell.knowledge, machine_id=machine_id, compensation=known
+        )
         cell.knowledge.unix_minus_mono_s = time.time() - time.monotonic()
         self._store.restore(cell.knowledge, machine_id, cell.chain.n, time.time())
         engine.on_event(self._record)
+        if keeper is not None:
+            engine.on_event(keeper.note)
+            engine.on_event(FindingLog(cell, keeper).note)
 
-    def start(self, body: JobBody) -> Job:
-        """Check what can be checked now, then start the job.
+    async def start(self, body: JobBody, lease: Lease | None = None, command: Command = INSIDE_COMMAND) -> Job:
+        """Check what can be checked now, write the job down, then start it under `engine.leases.check`'s lease.
 
-        Raises: BusyError, PlanRefusedError, JobFailedError when it may not start; nothing moves then.
+        Raises: BusyError, PlanRefusedError, JobFailedError, StoreError when it may not start; nothing moves then.
         """
         plan = self._plan(body)
-        return self.engine.submit(body.kind, plan, body.owner)
+        owner = body.owner or (lease.owner if lease else "server")
+        plan_hash = body.plan_hash if isinstance(body, ExecuteRequest) else ""
+
+        async def keep(job: Job) -> None:
+            if self.keeper is not None:
+                await self.keeper.begin(began(job, body.model_dump_json(), plan_hash, lease, command))
+
+        return await self.engine.submit_kept(body.kind, plan, owner, lease, keep)
 
     def _plan(self, body: JobBody) -> Plan:
         ctx = self.context

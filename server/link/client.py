@@ -38,7 +38,7 @@ from server.motion.contracts import JointTrajectory
 
 _LOG = logging.getLogger(__name__)
 _ARM_REPEAT_S = 0.3
-_START_S = 15.0  # spawning a Python process on a busy small computer
+_START_S = 60.0  # spawning a Python process on a busy small computer: 20 s were seen
 _STOP_S = 3.0  # the slowest ramp takes half a second
 _RESTART_S = 1.0
 _HEALTH_STALE_NS = 1_000_000_000

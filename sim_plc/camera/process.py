@@ -20,6 +20,7 @@ from sim_plc.camera.http_app import camera_app
 from sim_plc.camera.pacing import ExposureGrid, RateGovernor, TrueClock
 from sim_plc.camera.renderer import StereoRenderer
 from sim_plc.camera.texture import Grey
+from sim_plc.camera.time_code import painted
 from sim_plc.pose_feed import PoseFeed, PoseFeedError
 from sim_plc.world import World, rng_for
 
@@ -41,6 +42,7 @@ class CameraLoop:
         jpeg_quality: int,
         faults: FaultSwitch,
         deliver: Callable[[Frame, int], None],
+        time_code: bool = False,
     ) -> None:
         self.governor = RateGovernor(rate_hz)
         self.stop = threading.Event()
@@ -53,6 +55,7 @@ class CameraLoop:
         self._rng = rng_for(world.seed, "camera")
         self._done_mono_ns: deque[int] = deque(maxlen=200)
         self._due_mono_ns = 0
+        self._time_code = time_code
 
     @property
     def skipped(self) -> int:
@@ -133,6 +136,8 @@ class CameraLoop:
 
     def _hand_over(self, left: Grey, right: Grey, t_mid_ns: int) -> None:
         camera = self._world.camera
+        if self._time_code:
+            left = painted(left, self._clock.mono_ns(t_mid_ns))
         jpeg = self._faults.sent(left, right, self._jpeg_quality)
         t_exposure_ns = self._faults.stamp(t_mid_ns + round(1e9 * camera.clock_offset_s) + CAMERA_EPOCH_NS)
         if jpeg is None:
@@ -192,7 +197,14 @@ def _end_with_parent(server: uvicorn.Server, loop: asyncio.AbstractEventLoop) ->
 
 
 async def _serve(
-    world: World, feed_name: str, host: str, port: int, rate_hz: float, jpeg_quality: int, faults: bool
+    world: World,
+    feed_name: str,
+    host: str,
+    port: int,
+    rate_hz: float,
+    jpeg_quality: int,
+    faults: bool,
+    time_code: bool,
 ) -> None:
     hub = FrameHub()
     switch = FaultSwitch()
@@ -202,7 +214,7 @@ async def _serve(
         delay_s = max(0.0, 1e-9 * (due_mono_ns - time.monotonic_ns()))
         loop.call_soon_threadsafe(loop.call_later, delay_s, hub.publish, frame)
 
-    camera = CameraLoop(world, rate_hz, jpeg_quality, switch, deliver)
+    camera = CameraLoop(world, rate_hz, jpeg_quality, switch, deliver, time_code)
     app = camera_app(hub, lambda: health_of(camera, hub), switch if faults else None)
     config = uvicorn.Config(
         app, host=host, port=port, log_level="warning", lifespan="off", timeout_graceful_shutdown=_SHUTDOWN_S
@@ -226,13 +238,14 @@ def run_camera(
     rate_hz: float,
     jpeg_quality: int = 95,
     faults: bool = False,
+    time_code: bool = False,
 ) -> None:
     """Serve the simulated camera until SIGTERM or SIGINT, or until the parent process is gone.
 
     Args:    world: what there is to see. feed_name: pose feed of the PLC process. rate_hz: wanted pairs per second.
-             faults: whether POST /fault is obeyed.
+             faults: whether POST /fault is obeyed. time_code: the exposure's time is painted into the left picture.
     """
     cv2.setNumThreads(1)  # leaves the other core to the PLC process and the server
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, signal.SIG_IGN)  # uvicorn handles them while it serves, then raises them again
-    asyncio.run(_serve(world, feed_name, host, port, rate_hz, jpeg_quality, faults))
+    asyncio.run(_serve(world, feed_name, host, port, rate_hz, jpeg_quality, faults, time_code))

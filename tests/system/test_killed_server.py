@@ -50,7 +50,9 @@ def drill(bench, kill: Callable[[int], None]) -> KillFigures:
     server = start_server(folder, sim, relay)
     try:
         body = {"kind": "retract", "distance_mm": 300.0}
-        assert httpx.post(f"{server.url}/v1/jobs", json=body).status_code == 202
+        lease = httpx.post(f"{server.url}/v1/lease", json={"owner": "drill", "ttl_s": 60.0}).json()
+        held = {"Longreach-Lease": lease["lease_id"], "Longreach-Fencing": str(lease["fencing"])}
+        assert httpx.post(f"{server.url}/v1/jobs", json=body, headers=held).status_code == 202
         relay.wait(lambda state: state.plc_state is PlcState.RUN, 20.0, "the retract")
         relay.wait(lambda state: state.t_play_ns >= MIDDLE_S * 1e9, 10.0, "the middle of the retract")
         figures = observe_kill(relay, lambda: kill(server.processes["server"].pid), MACHINE)

@@ -1,36 +1,23 @@
-"""The panel in a real browser, on a real stack: Look, Orient, Calibrate, Preview, Move by clicks, and STOP.
+"""The panel in a real browser, on a real stack: a whole positioning run by clicks, STOP, two people, what it asks for.
 
-Set LONGREACH_SCREENSHOTS to a folder to keep the pictures (the README's are made this way).
+Set LONGREACH_SCREENSHOTS to a folder to keep the pictures and the capture (the README's are made this way).
 """
 
-import os
-import shutil
-import time
-from pathlib import Path
+import json
+from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from panel_browser import CHROMIUM, FLAGS, Capture, keep, person, picture_folder
 
 from longreach.fleet_client import JobClient
 from longreach.processes import Stack, StackPorts
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test installs it")
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = [
     pytest.mark.system,
-    pytest.mark.timeout(420),
+    pytest.mark.timeout(600),
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer: install Debian's package chromium"),
-]
-FLAGS = [
-    "--no-sandbox",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
 ]
 READY_S = 180.0
 
@@ -44,79 +31,231 @@ def stack(tmp_path_factory):
         yield stack
 
 
-@pytest.fixture
-def page(stack):
+@pytest.fixture(scope="module")
+def browser():
     with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
-        opened = browser.new_page(viewport={"width": 1440, "height": 1000})
-        faults = []
-        opened.on("pageerror", lambda error: faults.append(str(error)))
-        opened.goto(stack.url)
+        opened = driver.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS)
         yield opened
-        browser.close()
-        assert faults == []
+        opened.close()
 
 
-def keep(page, name, tmp_path):
-    folder = Path(os.environ.get("LONGREACH_SCREENSHOTS") or tmp_path)
-    folder.mkdir(parents=True, exist_ok=True)
-    page.screenshot(path=folder / f"{name}.png")
+@pytest.fixture
+def anna(browser, stack):
+    made = person(browser, stack.url)
+    yield made
+    made.page.context.close()
+    assert made.faults == []
 
 
-def click_and_finish(page, kind, timeout_s):
-    """Click a step and wait for the end of its job, as the page tells it."""
-    page.locator(f"button[data-kind={kind}]:enabled").first.click(timeout=20_000)
-    done = "kind => document.getElementById('job').textContent.startsWith(kind + ' done')"
-    page.wait_for_function(done, arg=kind, timeout=timeout_s * 1e3)
+@pytest.fixture
+def bert(browser, stack):
+    made = person(browser, stack.url, path="/?no3d")
+    yield made
+    made.page.context.close()
+    assert made.faults == []
 
 
-def look_error(stack):
-    with JobClient(stack.url) as client:
-        return client.state()["look"]["error"]
+def state(stack):
+    return httpx.get(f"{stack.url}/v1/state", timeout=10.0).json()
 
 
-def test_an_operator_positions_the_tool_by_clicks(page, stack, tmp_path):
-    page.wait_for_function("() => document.getElementById('camera').textContent.includes('pairs/s')", timeout=60_000)
-    click_and_finish(page, "look", 60)
-    page.wait_for_timeout(1500)
-    keep(page, "panel-before", tmp_path)
-    before = look_error(stack)
-    click_and_finish(page, "orient", 120)
-    click_and_finish(page, "calibrate", 120)
-    click_and_finish(page, "look", 60)
-    click_and_finish(page, "preview", 30)
-    page.wait_for_timeout(1500)
-    keep(page, "panel-preview", tmp_path)
-    click_and_finish(page, "execute", 120)
-    page.wait_for_timeout(1000)
-    keep(page, "panel-after", tmp_path)
-    after = look_error(stack)
+def moved_deg(stack, before):
+    return max(abs(a - b) for a, b in zip(state(stack)["q_ref_deg"], before["q_ref_deg"], strict=True))
+
+
+def primaries(page):
+    return page.locator("button.primary").count()
+
+
+def test_an_operator_positions_the_tool_by_clicks(anna, stack, tmp_path):
+    """From opening the page to the accepted result: at most 8 clicks, never two next steps, no dialog."""
+    page, folder, capture = anna.page, picture_folder(tmp_path), Capture(anna.page)
+    page.on("dialog", lambda dialog: pytest.fail(f"a dialog: {dialog.message}"))
+    keep(page, "0-open", folder)
+    assert primaries(page) == 1  # Take control
+    anna.take_control()
+    for number, kind in enumerate(("look", "orient", "calibrate", "look_again", "preview", "execute"), start=1):
+        page.locator(f"button[data-kind={kind}].primary").wait_for(timeout=30_000)
+        assert primaries(page) == 1
+        if kind == "look":
+            before = None
+        anna.step(kind, while_waiting=capture.shoot)
+        page.wait_for_timeout(700)
+        keep(page, f"{number}-{kind}", folder)
+        before = before or state(stack)["look"]["error"]
+    after = state(stack)["look"]["error"]
     assert before["distance_mm"] > 300.0
     assert after["distance_mm"] < 40.0  # one move; the loop goes on from here
-    assert page.locator("#moves tbody tr").count() >= 1
+    if page.locator("button[data-kind=accept]:enabled").count():
+        anna.step("accept")
+        page.wait_for_function("() => /accepted by/.test(document.getElementById('history-body').textContent)")
+        capture.shoot()
+    keep(page, "7-accept", folder)
+    capture.save(folder / "panel.webp")
+    assert anna.clicks <= 8
+    assert page.locator("#history-body tr").count() >= 4
 
 
-def test_stop_is_always_there_and_ends_a_moving_job(page, stack):
-    with httpx.Client(base_url=stack.url) as client:
-        job = client.post("/v1/jobs", json={"kind": "return"}).json()  # half a metre, back to the start
-        deadline = time.monotonic() + 60.0
-        while client.get("/v1/state").json()["link"]["phase"] != "running":
-            assert time.monotonic() < deadline
-            page.wait_for_timeout(100)
-        page.locator("#stop").click(force=True)  # no waiting for a still picture: an operator does not wait either
-        stopped = "() => /return stopped/.test(document.getElementById('job').textContent)"
-        page.wait_for_function(stopped, timeout=20_000)
-        ended = client.get(f"/v1/jobs/{job['job_id']}").json()
-        assert ended["state"] == "stopped"
-        assert client.get("/v1/state").json()["link"]["phase"] == "armed"
+def test_every_view_of_the_drawer_opens_and_a_run_is_replayed(anna, tmp_path):
+    page, folder = anna.page, picture_folder(tmp_path)
+    page.locator("#open-drawer").click()
+    for tab in ("link", "vision", "calibration", "gap", "recordings", "settings"):
+        page.locator(f"[data-tab={tab}]").click()
+        page.wait_for_timeout(400)
+        keep(page, f"drawer-{tab}", folder)
+    assert page.locator("#settings-body tr").count() > 20
+    page.locator("[data-tab=recordings]").click()
+    row = page.locator("#recordings-body tr", has_text="execute").first
+    row.get_by_role("button").click()
+    page.wait_for_function(
+        "() => /of [0-9.]+ s/.test(document.getElementById('replay-at').textContent)", timeout=60_000
+    )
+    page.locator("#replay-slider").fill("5")
+    page.wait_for_function("() => document.getElementById('replay-picture').naturalWidth > 0", timeout=20_000)
+    assert "°" in anna.text("#replay-joints")
+    keep(page, "drawer-replay", folder)
 
 
-def test_a_foreign_page_cannot_open_the_live_channel(stack):
+def test_the_second_person_cannot_execute_but_can_stop(anna, bert, stack):
+    anna.take_control()
+    page = bert.page
+    page.wait_for_function("() => /has control/.test(document.getElementById('holder').textContent)")
+    assert page.locator("#main-steps button:enabled").count() == 0
+    assert "has control" in bert.text("#main-steps button small")  # says why, in words
+    assert bert.fetch("POST", "/v1/jobs", body={"kind": "return"})[0] == 403
+    anna.page.locator("button[data-kind=return]:enabled").click()
+    page.wait_for_function("() => /running/.test(document.getElementById('link').textContent)", timeout=60_000)
+    page.locator("#stop").click(force=True)  # no waiting for a still picture: an operator does not wait either
+    anna.page.wait_for_function("() => !document.querySelector('.step.running')", timeout=20_000)
+    ended = state(stack)
+    assert (ended["job"]["kind"], ended["job"]["state"]) == ("return", "stopped")
+    assert ended["link"]["phase"] == "armed"
+
+
+def test_control_is_asked_for_and_handed_over(anna, bert):
+    anna.take_control()
+    bert.page.get_by_role("button", name="Ask for control", exact=True).click()
+    anna.page.get_by_role("button", name="Hand over to").click(timeout=20_000)
+    bert.page.locator("#control-buttons button.primary").click(timeout=20_000)
+    bert.page.wait_for_function("() => document.getElementById('control').classList.contains('mine')")
+    anna.page.wait_for_function("() => !document.getElementById('control').classList.contains('mine')")
+
+
+def test_a_stale_tab_cannot_fire_a_plan_nor_can_a_replayed_request(anna, bert, stack):
+    """Anna previews; Bert takes over and previews anew. Anna's request, her old plan under Bert's control, and Bert's
+    own request sent again: none of them moves anything."""
+    sent = []
+    for who in (anna, bert):
+        who.page.on("request", lambda one: sent.append(one) if one.url.endswith("/v1/jobs") else None)
+    anna.take_control()
+    anna.step("look")
+    anna.step("preview")
+    old_hash = state(stack)["plan"]["plan_hash"]
+    old_headers = headers_of(sent[-1])
+    bert.page.get_by_role("button", name="Take over", exact=True).click()
+    bert.page.wait_for_function("() => document.getElementById('control').classList.contains('mine')")
+    bert.step("look")
+    bert.step("preview")
+    before = state(stack)
+    assert before["plan"]["plan_hash"] != old_hash
+    status, told = anna.fetch("POST", "/v1/jobs", old_headers, {"kind": "execute", "plan_hash": old_hash})
+    assert (status, told["code"]) == (409, "lease_lost")
+    mine = headers_of(sent[-1])
+    status, told = bert.fetch("POST", "/v1/jobs", mine, {"kind": "execute", "plan_hash": old_hash})
+    assert (status, told["code"]) == (409, "plan_refused")
+    assert moved_deg(stack, before) < 1e-6
+    bert.step("execute")
+    fired = sent[-1]
+    rested = state(stack)
+    assert json.loads(fired.post_data)["kind"] == "execute"
+    again = headers_of(fired) | {"Idempotency-Key": fired.headers["idempotency-key"]}
+    status, told = bert.fetch("POST", "/v1/jobs", again, json.loads(fired.post_data))
+    assert (status, told["job_id"]) == (202, rested["job"]["job_id"])  # the first answer again, not another job
+    status, told = bert.fetch("POST", "/v1/jobs", mine, json.loads(fired.post_data))
+    assert (status, told["code"]) == (409, "plan_refused")
+    assert moved_deg(stack, rested) < 1e-6
+
+
+def headers_of(request):
+    return {name: value for name, value in request.headers.items() if name.startswith("longreach-")}
+
+
+def test_held_in_sim_it_moves_only_while_held(anna, stack):
+    """The switch makes SIM behave like REAL: the key goes down, it moves; the key comes up, it ramps down."""
+    page = anna.page
+    anna.take_control()
+    page.locator("details.options summary").click()
+    page.locator("#hold-switch").check()
+    button = page.locator("button[data-kind=retract]:enabled")
+    assert button.inner_text().startswith("HOLD: ")
+    button.focus()
+    page.keyboard.down("Space")
+    page.wait_for_function("() => /running/.test(document.getElementById('link').textContent)", timeout=60_000)
+    page.keyboard.up("Space")
+    page.wait_for_function("() => !document.querySelector('.step.running')", timeout=20_000)
+    ended = state(stack)["job"]
+    assert ended["state"] == "stopped"
+    assert "button up" in ended["reason"]
+
+
+def test_a_dead_3d_view_takes_nothing_along(anna, stack):
+    import psutil
+
+    page = anna.page
+    anna.take_control()
+    page.wait_for_function("() => document.getElementById('view').src.includes('run=')", timeout=60_000)
+    process = int(page.evaluate("() => new URL(document.getElementById('view').src).searchParams.get('run')"))
+    psutil.Process(process).kill()
+    page.wait_for_function("() => document.getElementById('view').hidden", timeout=10_000)
+    assert "3D view is not running" in anna.text("#scene-off")
+    with page.expect_response("**/v1/stop") as answered:
+        page.locator("#stop").click()
+    assert answered.value.status == 200
+    page.wait_for_function(f"() => /run=(?!{process})/.test(document.getElementById('view').src)", timeout=60_000)
+
+
+def test_nothing_is_asked_of_another_host_and_no_inline_code_is_allowed(anna, stack):
+    anna.page.wait_for_function("() => document.getElementById('view').src.includes('run=')", timeout=60_000)
+    anna.page.wait_for_timeout(3000)
+    ours = urlsplit(stack.url).netloc
+    hosts = {urlsplit(url).netloc for url in anna.requests if urlsplit(url).scheme not in ("data", "blob")}
+    assert hosts == {ours}
+    policy = httpx.get(stack.url).headers["content-security-policy"]
+    assert "unsafe" not in policy
+    assert "default-src 'none'" in policy
+
+
+def test_axe_finds_no_serious_violation(anna, tmp_path):
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe-playwright-python is not installed")
+    page = anna.page
+    for tab in ("history", "alarms", "joints", "story"):
+        page.locator(f"#tab-{tab}").click()
+        found = axe.Axe().run(page, context={"exclude": [["iframe"]]}).response["violations"]
+        assert grave(found) == []
+    for scheme in ("dark", "light"):
+        page.emulate_media(color_scheme=scheme)
+        page.locator("#open-drawer").click()
+        found = axe.Axe().run(page, context={"exclude": [["iframe"]]}).response["violations"]
+        assert grave(found) == []
+        keep(page, f"scheme-{scheme}", picture_folder(tmp_path))
+
+
+def grave(violations):
+    return [
+        (one["id"], node["target"], node["failureSummary"][:200])
+        for one in violations
+        if one["impact"] in ("serious", "critical")
+        for node in one["nodes"][:3]
+    ]
+
+
+def test_a_foreign_page_cannot_open_the_sockets(stack):
     import websockets.sync.client as client
     from websockets.exceptions import InvalidStatus
 
-    address = stack.url.replace("http", "ws") + "/v1/live"
-    with pytest.raises(InvalidStatus):
-        client.connect(address, additional_headers={"Origin": "http://evil.example"})
-    with client.connect(address) as ours:
+    address = stack.url.replace("http", "ws")
+    for path in ("/v1/live", "/v1/video", "/v1/hold", "/view"):
+        with pytest.raises(InvalidStatus):
+            client.connect(address + path, additional_headers={"Origin": "http://evil.example"})
+    with client.connect(address + "/v1/live") as ours:
         assert '"machine":"hiab033"' in ours.recv(timeout=5.0)

@@ -1,73 +1,69 @@
-// The page: one live socket in, REST out. Every command goes through startJob or stop.
-import { drawPicture, noPicture } from "./picture.js";
-import { showErrors } from "./errors.js";
-import { showSteps, onStep } from "./steps.js";
-import { showBar, showJoints, showStory } from "./status.js";
+// The page: states in over one socket, commands out over REST, everything drawn again a few times a second so that
+// ages grow also when nothing comes.
+import { ageText, serverSilent, silence } from "./age.js";
+import { showAlarms } from "./alarms.js";
+import { showBar } from "./bar.js";
+import { describePicture, showCameraAge, startCamera } from "./camera.js";
+import { notice, stop } from "./commands.js";
+import { Live } from "./connection.js";
+import { showControl, startControl } from "./control.js";
+import { byId, setClass, setText } from "./dom.js";
+import { showDrawer, startDrawer } from "./drawer.js";
+import { buildErrors, showErrors } from "./errors.js";
+import { showHistory, showJoints, showStory } from "./history.js";
+import { release, watchHold } from "./hold.js";
+import { showScene, startScene } from "./scene.js";
+import { buildSteps, showSteps } from "./steps.js";
+import { startTabs } from "./tabs.js";
+import { fillTexts, t } from "./texts.js";
+import { startTour } from "./tour.js";
 
-const STATE_OLD_MS = 1000;
+const AGES_MS = 200;
+const PARTS = [showBar, showControl, showErrors, showSteps, showHistory, showStory, showJoints, showAlarms, showDrawer, showScene, describePicture];
 let state = null;
-let heardAt = 0;
-
-function connect() {
-  const scheme = location.protocol === "https:" ? "wss" : "ws";
-  const socket = new WebSocket(`${scheme}://${location.host}/v1/live`);
-  socket.binaryType = "blob";
-  socket.onmessage = async (message) => {
-    heardAt = performance.now();
-    if (typeof message.data === "string") {
-      state = JSON.parse(message.data);
-      show();
-    } else if (state) {
-      drawPicture(await createImageBitmap(message.data), state);
-    }
-  };
-  socket.onclose = () => setTimeout(connect, 1000);
-}
 
 function show() {
-  showBar(state);
-  showErrors(state);
-  showSteps(state);
-  showStory(state);
-  showJoints(state);
-  if (state.camera.age_ms === null || state.camera.age_ms > STATE_OLD_MS) noPicture(state.camera);
+  const silent = serverSilent();
+  setClass(document.body, "silent", silent);
+  const line = byId("silent");
+  line.hidden = !silent;
+  setText(line, silent ? (state ? t("server_silent", { age: ageText(silence()) }) : t("reconnecting")) : "");
+  guarded(showCameraAge);
+  if (state) PARTS.forEach(guarded);
 }
 
-async function post(path, body) {
-  const answer = await fetch(path, {
-    method: "POST",
-    headers: { "Content-Type": "application/json" },
-    body: JSON.stringify(body ?? {}),
-  });
-  if (!answer.ok) {
-    const problem = await answer.json().catch(() => ({ detail: `${answer.status} ${answer.statusText}` }));
-    alarm(problem.detail);
-  } else {
-    alarm("");
+// A defect in one part of the page must not leave the others standing with what they last showed.
+const failed = new Set();
+function guarded(part) {
+  try {
+    part(state);
+  } catch (error) {
+    if (failed.has(part.name)) return;
+    failed.add(part.name);
+    notice(t("part_failed", { name: part.name, why: error.message }));
+    reportError(error);
   }
 }
 
-function alarm(text) {
-  const line = document.getElementById("alarm");
-  line.hidden = !text;
-  line.textContent = text;
+function halt() {
+  release("STOP pressed");
+  stop();
 }
 
-onStep((kind) => {
-  const body = { kind, owner: "operator" };
-  if (kind === "execute") body.plan_hash = state.plan.plan_hash;
-  post("/v1/jobs", body);
+fillTexts(document);
+buildErrors();
+buildSteps();
+startControl();
+startDrawer();
+startTabs();
+startTour();
+watchHold();
+startCamera();
+const live = new Live((fresh) => {
+  state = fresh;
+  show();
 });
-document.getElementById("stop").onclick = () => post("/v1/stop");
-
-setInterval(() => {
-  const silent = performance.now() - heardAt > STATE_OLD_MS;
-  document.body.classList.toggle("silent", silent);
-  if (silent) {
-    alarm("The server does not answer: nothing on this page is current. The PLC stops by itself when the link is silent.");
-    noPicture({ warnings: ["server silent"] });
-  } else if (document.getElementById("alarm").textContent.startsWith("The server does not answer")) {
-    alarm("");
-  }
-}, 300);
-connect();
+startScene(live);
+byId("stop").onclick = halt;
+addEventListener("keydown", (event) => { if (event.key === "Escape") halt(); });
+setInterval(show, AGES_MS);

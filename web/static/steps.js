@@ -1,56 +1,177 @@
-// The steps: which one is next, and why the others are not possible now.
-const buttons = [...document.querySelectorAll("button[data-kind]")];
+// The steps: exactly one is primary, the others say why they are not possible now.
+import { LIMITS_MS, grown, isOld, serverSilent } from "./age.js";
+import { notice, send } from "./commands.js";
+import { haveControl } from "./control.js";
+import { byId, make, setClass, setText, whenChanged } from "./dom.js";
+import { holdButton, holding } from "./hold.js";
+import { t } from "./texts.js";
 
-export function onStep(act) {
-  for (const button of buttons) button.onclick = () => act(button.dataset.kind);
-}
+const MAIN = ["look", "orient", "calibrate", "preview", "execute", "look_again", "accept"];
+const MINOR = ["retract", "return", "park", "position", "reset"];
+const MOVES = new Set(["orient", "calibrate", "execute", "retract", "return", "park", "position"]);
+const MOVED_DEG = 0.11; // as the server's own limit for a look that is acted upon
+const JOB_OF = { look_again: "look" };
+let state = null;
+const buttons = new Map();
 
-export function showSteps(state) {
-  const next = nextStep(state);
-  for (const button of buttons) {
-    const reason = state.steps[button.dataset.kind] ?? "";
-    button.disabled = reason !== "";
-    button.title = reason;
-    button.classList.toggle("next", button.dataset.kind === next && !reason);
+export function buildSteps() {
+  for (const [box, kinds] of [["main-steps", MAIN], ["minor-steps", MINOR]]) {
+    byId(box).replaceChildren(...kinds.map(stepButton));
   }
-  document.getElementById("hint").textContent = hint(state, next);
+  byId("hold-switch").onchange = () => showSteps(state);
+  byId("goal-form").onsubmit = (event) => {
+    event.preventDefault();
+    const value = (id) => Number(byId(id).value);
+    send("PUT", "/v1/goal", { stand_off_mm: value("stand-off"), offset_x_mm: value("offset-x"), offset_y_mm: value("offset-y") });
+  };
+}
+
+function stepButton(kind) {
+  const button = make("button", { type: "button", class: "step", "data-kind": kind }, make("b", {}, ""), make("small", { class: "about" }));
+  button.onclick = (event) => {
+    if (MOVES.has(kind) && mustHold()) return; // held, never clicked
+    if (event.detail > 1) return; // the second half of a double click is no wish of its own
+    act(kind);
+  };
+  if (MOVES.has(kind)) holdButton(button, mustHold, () => bodyOf(kind));
+  buttons.set(kind, button);
+  return button;
+}
+
+const mustHold = () => Boolean(state) && (state.panel.hold.required || byId("hold-switch").checked);
+
+function bodyOf(kind) {
+  const body = { kind: JOB_OF[kind] ?? kind };
+  if (kind === "execute") body.plan_hash = byId("plan").dataset.hash; // the plan that this page shows, and no other
+  if (kind === "retract") body.distance_mm = Number(byId("retract-mm").value);
+  return body;
+}
+
+function act(kind) {
+  if (kind === "accept") return send("POST", "/v1/accept");
+  if (kind === "reset") return send("POST", "/v1/reset");
+  if (kind === "execute" && byId("plan").dataset.hash !== state.plan?.plan_hash) return notice(t("stale_plan"));
+  return send("POST", "/v1/jobs", bodyOf(kind));
+}
+
+export function showSteps(now) {
+  state = now;
+  if (!state) return;
+  const next = nextStep();
+  noteEnds();
+  for (const [kind, button] of buttons) showButton(kind, button, next);
+  setText(byId("hint"), hint(next));
+  byId("hold-switch").disabled = state.panel.hold.required;
+  if (state.panel.hold.required) byId("hold-switch").checked = true;
+  setText(byId("hold-label"), t(state.panel.hold.required ? "hold_forced" : "hold_mode"));
   showPlan(state.plan);
+  showGoal(state.panel.goal);
 }
 
-function nextStep(state) {
-  if (state.plan) return "execute";
-  const error = state.look?.error;
-  if (!error || state.look.age_s > 60) return "look";
-  if (error.rotation_deg > state.tolerance_deg && !state.calibration) return "orient";
-  if (!state.calibration) return "calibrate";
-  const inside = ["x", "y", "z"].every((a) => Math.abs(error[`${a}_mm`]) <= state.tolerance_mm);
-  return inside ? "" : "preview";
+function showButton(kind, button, next) {
+  const why = reason(kind);
+  const disabled = why !== "" && !holding();
+  if (button.disabled !== disabled) button.disabled = disabled;
+  setClass(button, "primary", kind === next && !why);
+  setClass(button, "running", running() && jobKind() === (JOB_OF[kind] ?? kind) && kind !== "look_again");
+  const hold = MOVES.has(kind) && mustHold() ? t("hold_prefix") : "";
+  const number = MAIN.includes(kind) ? `${MAIN.indexOf(kind) + 1} ` : "";
+  setText(button.querySelector("b"), number + hold + t(`step_${kind}`));
+  setText(button.querySelector("small"), why || about(kind));
+  if (kind === "reset") button.hidden = state.link.phase !== "fault";
 }
 
-function hint(state, next) {
-  if (state.job && ["running", "stopping"].includes(state.job.state)) return state.job.events.at(-1)?.text ?? "";
-  const blocked = state.steps.look;
-  if (blocked) return blocked;
-  return next ? `next: ${next === "execute" ? "move" : next}` : "on target";
+function about(kind) {
+  if (kind === "calibrate" && calibrated()) return t("why_calibrated");
+  return t(`about_${kind}`, { mm: byId("retract-mm").value });
+}
+
+// How many jobs this page has seen end: for those who follow it by program.
+let lastEnded = "";
+function noteEnds() {
+  const job = state.job;
+  if (!job || running() || job.job_id === lastEnded) return;
+  lastEnded = job.job_id;
+  document.body.dataset.jobs = String(Number(document.body.dataset.jobs ?? 0) + 1);
+}
+
+const running = () => Boolean(state.job) && ["running", "stopping"].includes(state.job.state);
+const jobKind = () => (state.job ? state.job.kind : "");
+const calibrated = () => Boolean(state.calibration?.valid);
+const planFresh = () => Boolean(state.plan) && grown(0) < 1000 && state.plan.expires_in_s - grown(0) / 1000 > 0;
+const lookFresh = () => Boolean(state.look?.error) && !isOld(1000 * state.look.age_s, LIMITS_MS.look) && !movedSince();
+// A calibration is driven: the look before it is no look of now, also where the machine came back.
+const movedSince = () => state.panel.look_moved_deg > MOVED_DEG || (state.calibration?.age_s ?? Infinity) < (state.look?.age_s ?? 0);
+const lastLook = () => state.panel.history.at(-1);
+const atGoal = () => lookFresh() && Boolean(lastLook()?.inside);
+const accepted = () => Boolean(lastLook()?.accepted_by);
+
+function reason(kind) {
+  if (serverSilent()) return t("why_server");
+  if (!haveControl(state)) return state.control.owner && !state.control.stale ? t("other_control", { owner: state.control.owner }) : t("no_control");
+  if (running()) return jobKind() === (JOB_OF[kind] ?? kind) ? t("why_running") : t("busy_short", { kind: jobKind() });
+  if (kind === "accept") return accepted() ? t("why_accepted") : !lookFresh() ? t(state.look ? "why_look_again" : "why_no_look") : atGoal() ? "" : t("why_not_inside");
+  if (kind === "reset") return "";
+  if (kind === "look_again" && !state.panel.history.length) return t("why_first");
+  const told = state.steps[JOB_OF[kind] ?? kind] ?? "";
+  if (told) return told;
+  if (["orient", "calibrate", "preview"].includes(kind) && !lookFresh()) return t(!state.look ? "why_no_look" : movedSince() ? "why_moved" : "why_look_old");
+  if (kind === "preview" && !calibrated()) return t("why_calibrate_first");
+  if (kind === "execute" && !planFresh()) return t(state.plan ? "why_expired" : "why_no_plan");
+  return "";
+}
+
+// What comes next; "" while something runs, without control, or when all is done.
+function nextStep() {
+  if (serverSilent() || !haveControl(state) || running()) return "";
+  if (state.link.phase === "fault") return "reset";
+  if (state.steps.look) return "";
+  if (accepted() && lookFresh()) return "retract";
+  if (atGoal()) return "accept";
+  if (planFresh()) return "execute";
+  if (!lookFresh()) return state.panel.history.length ? "look_again" : "look";
+  if (!calibrated()) return state.look.error.rotation_deg > state.tolerance_deg ? "orient" : "calibrate";
+  return "preview";
+}
+
+function hint(next) {
+  if (serverSilent()) return t("why_server");
+  if (holding()) return t("holding");
+  if (running()) {
+    const { kind, owner, events, elapsed_s } = state.job;
+    return t("busy", { kind, owner, text: events.findLast((event) => event.text)?.text ?? "", s: Math.round(elapsed_s) });
+  }
+  if (!haveControl(state)) return t("next", { what: t("take_control") });
+  if (state.steps.look) return state.steps.look;
+  if (next === "retract") return t("done");
+  return next ? t("next", { what: t(`step_${next}`) }) : "";
 }
 
 function showPlan(plan) {
-  const list = document.getElementById("plan");
-  if (!plan) return list.replaceChildren();
-  const rows = {
-    plan: `${plan.plan_hash}, valid ${Math.max(0, Math.round(plan.expires_in_s))} s more`,
-    path: `${plan.length_mm.toFixed(0)} mm in ${plan.duration_s.toFixed(1)} s, at most ${plan.tcp_speed_max_mm_s.toFixed(0)} mm/s`,
-    clearance: plan.clearance_mm === null ? "wall not known" : `${plan.clearance_mm.toFixed(0)} mm to the wall`,
-    ...(plan.caution ? { caution: plan.caution } : {}),
-    joints: plan.joint_travel_deg.map((d) => d.toFixed(1)).join(" / ") + " deg travel",
-  };
-  list.replaceChildren(
-    ...Object.entries(rows).flatMap(([name, text]) => {
-      const term = document.createElement("dt");
-      const detail = document.createElement("dd");
-      term.textContent = name;
-      detail.textContent = text;
-      return [term, detail];
-    }),
-  );
+  const list = byId("plan");
+  list.hidden = !plan;
+  if (!plan) {
+    delete list.dataset.hash;
+    return;
+  }
+  const left = Math.max(0, Math.round(plan.expires_in_s));
+  const rows = [
+    ["plan", t("plan_text", { hash: plan.plan_hash.slice(0, 8), s: left })],
+    ["path", t("path_text", { mm: plan.length_mm.toFixed(0), s: plan.duration_s.toFixed(1), v: plan.tcp_speed_max_mm_s.toFixed(0) })],
+    ["clearance", plan.clearance_mm === null ? t("clearance_none") : t("clearance_text", { mm: plan.clearance_mm.toFixed(0) })],
+    ["travel", t("travel_text", { list: plan.joint_travel_deg.map((d) => d.toFixed(1)).join(" / ") })],
+    ["checks", t("checks_text")],
+    ...(plan.caution ? [["caution", plan.caution]] : []),
+  ];
+  whenChanged("plan", rows, () => {
+    list.replaceChildren(...rows.flatMap(([name, text]) => [make("dt", {}, t(name)), make("dd", { class: `v ${name === "caution" ? "caution" : ""}` }, text)]));
+  });
+  list.dataset.hash = plan.plan_hash;
+}
+
+function showGoal(goal) {
+  for (const [id, name] of [["stand-off", "stand_off_mm"], ["offset-x", "offset_x_mm"], ["offset-y", "offset_y_mm"]]) {
+    const field = byId(id);
+    if (document.activeElement?.form !== byId("goal-form")) field.value = goal[name];
+  }
 }

@@ -12,6 +12,7 @@ from server.calibration.trajectory_matching_paper import estimate_camera_rotatio
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
+from server.jobs.plans.diagnosed import believed_mount, believed_track
 from server.jobs.plans.learning import remember_motion, remember_run, side_now
 from server.jobs.plans.living import born
 from server.jobs.plans.planning import onto_reference, plan_settings
@@ -48,7 +49,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     rested = expect((yield Settle()), MachineReading)
     tracks = expect((yield StopOdometry()), tuple)
     camera, encoder = tracks
-    estimate = match(ctx, taken, camera, encoder)
+    estimate = match(ctx, taken, camera, believed_track(ctx, encoder, before))
     record = describe_calibration(ctx, estimate, plan.duration_s)
     yield Record(estimate)
     if estimate.status is not CalibrationStatus.OK:
@@ -76,8 +77,8 @@ def match(ctx: PlanContext, taken: LookTaken, camera: CameraTrack, encoder: Enco
     T_tcp_cam = ctx.machine.T_tcp_cam_left
     if ctx.method == "paper":
         return estimate_camera_rotation_paper(camera, encoder, T_tcp_cam[:3, :3])
-    prior = None
-    if taken.look.T_cam_tool is not None:
+    prior = believed_mount(ctx)
+    if prior is None and taken.look.T_cam_tool is not None:
         sigma_rad = float(np.deg2rad(ctx.settings.position.sigma_tool_mount_deg))
         prior = prior_from_tool_marker(ctx.machine.T_tcp_tool[:3, :3], taken.look.T_cam_tool[:3, :3], sigma_rad)
     return estimate_camera_rotation(camera, encoder, T_tcp_cam, prior)

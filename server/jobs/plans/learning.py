@@ -70,8 +70,16 @@ def joint_estimate(ctx: PlanContext) -> JointEstimate | None:
     if not known.runs or not known.looks:
         return None
     if known.joint is None:
-        known.joint = estimate_jointly(ctx.machine, known.runs, known.looks)
+        known.joint = _estimated(ctx)
         if known.joint.status is CalibrationStatus.POOR_FIT and len(known.looks) > 1:
             del known.looks[:-1]
-            known.joint = estimate_jointly(ctx.machine, known.runs, known.looks)
+            known.joint = _estimated(ctx)
     return known.joint
+
+
+def _estimated(ctx: PlanContext) -> JointEstimate:
+    """From the nominal machine and its class's prior, or from the diagnosed machine where the settings name one."""
+    known, diagnosed = ctx.knowledge, ctx.compensation
+    if diagnosed is None:
+        return estimate_jointly(ctx.machine, known.runs, known.looks)
+    return estimate_jointly(diagnosed.believed_machine(), known.runs, known.looks, prior=diagnosed.joint_prior())

@@ -70,6 +70,11 @@ def ooi_in_base(ctx: PlanContext, taken: LookTaken) -> Array:
     return T_base_ooi
 
 
+def against_goal(ctx: PlanContext, taken: LookTaken) -> LookTaken:
+    """The same look, its error judged against the context's goal: after the operator has set another one."""
+    return _taken(ctx, taken.look, taken.reading)
+
+
 def _taken(ctx: PlanContext, look: Look, reading: MachineReading) -> LookTaken:
     error = _error(ctx, look)
     record = LookRecord(

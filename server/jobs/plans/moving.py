@@ -7,10 +7,11 @@ import numpy as np
 from machine.rotations import Array
 from server.calibration.joint_estimate import JointEstimate
 from server.calibration.joint_goal import joints_for_goal
-from server.calibration.reference import position_reference_paper, predicted_error_covariance, reference_from_look
+from server.calibration.reference import position_reference_paper, predicted_error_covariance
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken, PreviewedPlan, plan_hash
+from server.jobs.plans.diagnosed import goal_from_look
 from server.jobs.plans.driving import TRIMS_MAX, drive
 from server.jobs.plans.learning import joint_estimate
 from server.jobs.plans.living import note_map, require_valid, validity, validity_at
@@ -62,12 +63,13 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
     orientation.
     Raises: JobFailedError when the joint estimate's goal cannot be reached.
     """
-    look, T_base_tcp = taken.look, ctx.tcp(taken.reading.q_rad)
+    look = taken.look
     if look.T_cam_tool is None or look.T_cam_ooi is None:
         raise JobFailedError("no poses in the look; look again", "look_rejected")
     R_tcp_cam = mount_rotation(ctx, taken)
     if ctx.method == "paper":
         b_m = ctx.settings.position.stand_off_mm * 1e-3
+        T_base_tcp = ctx.tcp(taken.reading.q_rad)
         R_base_cam = T_base_tcp[:3, :3] @ R_tcp_cam
         T_goal = position_reference_paper(T_base_tcp, R_base_cam, look.T_cam_tool[:3, 3], look.T_cam_ooi[:3, 3], b_m)
         return T_goal, predicted_sigma_mm(ctx, taken)
@@ -75,9 +77,7 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
     if estimate is not None and estimate.state is not None:
         note_map(ctx, estimate)
         return _joint_goal(ctx, estimate, taken.reading.q_rad)
-    T_goal = reference_from_look(
-        T_base_tcp, R_tcp_cam, ctx.machine.T_tcp_tool, look.T_cam_tool, look.T_cam_ooi, ctx.T_ooi_goal
-    )
+    T_goal = goal_from_look(ctx, taken.reading.q_rad, R_tcp_cam, look.T_cam_tool, look.T_cam_ooi)
     return T_goal, predicted_sigma_mm(ctx, taken)
 
 

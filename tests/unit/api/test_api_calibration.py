@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from fastapi import FastAPI
-from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecorder, StandInVision
+from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecorder, StandInVision, control
 from typer.testing import CliRunner
 
 from longreach.cli import app
@@ -63,7 +63,8 @@ def client_of(service):
     install_problem_handlers(api)
     for router in (state_router, jobs_router, calibration_router):
         api.include_router(router(service))
-    return httpx.AsyncClient(transport=httpx.ASGITransport(app=api), base_url="http://test")
+    transport = httpx.ASGITransport(app=api)
+    return httpx.AsyncClient(transport=transport, base_url="http://test", headers=control(service))
 
 
 async def test_a_kept_calibration_is_shown_after_a_restart(tmp_path):

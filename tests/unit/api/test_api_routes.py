@@ -59,6 +59,12 @@ class StandInPerformer:
         await self._link.stop(reason)
 
 
+def control(service):
+    """Headers of one who has control."""
+    lease = service.engine.leases.acquire("test", ttl_s=60.0)
+    return {"Longreach-Lease": lease.lease_id, "Longreach-Fencing": str(lease.fencing)}
+
+
 @pytest.fixture
 def service():
     cell = Cell(ServerSettings(), MACHINE, chain_of(MACHINE), "", StandInLink(), StandInVision(), StandInRecorder())
@@ -71,7 +77,8 @@ async def client(service):
     install_problem_handlers(app)
     for router in (state_router, jobs_router):
         app.include_router(router(service))
-    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://test") as opened:
+    transport, headers = httpx.ASGITransport(app), control(service)
+    async with httpx.AsyncClient(transport=transport, base_url="http://test", headers=headers) as opened:
         yield opened
 
 

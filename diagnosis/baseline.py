@@ -1,0 +1,323 @@
+"""The baseline of a machine: effects that belong to it undisturbed, and what they leave of the model's form.
+
+Fitted on some recordings, judged on others. Why a remainder at all: docs/decisions/0011-baseline.md.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.candidates import Candidate, put
+from diagnosis.cells import Cell
+from diagnosis.cells_behind import behind_cells, joined, measurement_of, told_behind, without
+from diagnosis.cells_dynamic import SKIPPED, STAGES, Replay, part_increments, stage_cells
+from diagnosis.errors import DiagnosisError
+from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
+from diagnosis.floor import deviations, fit_whitener
+from diagnosis.reading import Read
+from diagnosis.refusal import key_of, tests_of
+from diagnosis.replay import replayer_of
+from diagnosis.score import Score, better, score
+from diagnosis.search import Scan, scan, search
+from diagnosis.stretches import repeat_groups
+from machine.effects.entries import EffectEntry, make_entry, pack
+from machine.effects.layout import ParameterSets
+from machine.effects.registry import effect_named
+from machine.errors import MachineFileError
+from machine.remainder import Remainder
+from machine.rotations import Array
+
+EFFECTS_MAX = 9  # in one cell
+TRIED = 3  # of the best scanned, fitted at each step
+ROUNDS = 5
+FELT = 100.0  # change of the residual, squared floors
+FEW = 2
+CHANCE_NATS = 3.0  # that the best of some dozen wrong names gains by chance
+CHECKED_MIN = 2  # recordings that the baseline is judged on
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class CellBaseline:
+    """What was found for one cell: RMS in floors before and with the effects, on recordings not used for the fit."""
+
+    label: str
+    effects: tuple[EffectEntry, ...]
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """Effects and remainders for the machine file. `best_wrong_nats`: by cell, what a wrong name gains at most."""
+
+    effects: tuple[EffectEntry, ...]
+    remainders: tuple[Remainder, ...]
+    cells: tuple[CellBaseline, ...]
+    best_wrong_nats: tuple[tuple[str, float], ...]
+
+
+def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = lambda _text: None) -> Baseline:
+    """A baseline from undisturbed recordings of one machine.
+
+    Raises: DiagnosisError: fewer than one recording to fit or two to judge, or nothing in them to replay.
+    """
+    if not fitted or len(checked) < CHECKED_MIN:
+        raise DiagnosisError(
+            f"{len(fitted)} recordings to fit and {len(checked)} to judge; give at least 1 and {CHECKED_MIN}"
+        )
+    groups = _grouped([_bare(one) for one in fitted])
+    if not groups:
+        raise DiagnosisError("no stage of these recordings can be replayed; see what is missing by `recording check`")
+    effects: list[EffectEntry] = []
+    for label, cell in groups.items():
+        progress(f"fitting {label}")
+        effects += entries_of(forward(cell).fit)
+    entries = tuple(effects)
+    progress("what is left on the other recordings")
+    remainders = _remainders([_with(one, entries, ()) for one in checked])
+    gains, usual = _wrong_gains([_with(one, entries, remainders) for one in checked], progress)
+    finished = _spread(tuple(_with_usual(one, usual) for one in remainders), gains)
+    return Baseline(entries, finished, _judged(checked, entries), tuple(gains.items()))
+
+
+def _with(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:
+    if whole.nominal is None:
+        raise DiagnosisError(f"{whole.path.name}: there is no machine file")
+    return replace(whole, nominal=replace(whole.nominal, baseline=effects, remainders=remainders))
+
+
+def _bare(whole: Read) -> Read:
+    return _with(whole, (), ())
+
+
+def cells_of(whole: Read) -> list[Cell]:
+    """Every cell of a recording, with its machine's baseline, link first."""
+    nominal = whole.nominal
+    if nominal is None:
+        return []
+    base, cells = pack(nominal.baseline, nominal.n), []
+    replayer, behind = replayer_of(nominal), behind_cells(whole, base)
+    if replayer is not None and whole.stretches:
+        for stage in STAGES:
+            cells += stage_cells(stage, replayer, whole.stretches, base, base)
+    return without(cells, told_behind(behind)) + behind
+
+
+def _grouped(wholes: list[Read]) -> dict[str, Cell]:
+    """The same cell of all recordings as one, by its label."""
+    found: dict[str, list[Cell]] = {}
+    for whole in wholes:
+        for cell in cells_of(whole):
+            found.setdefault(cell.label, []).append(cell)
+    return {label: joined(cells) if len(cells) > 1 else cells[0] for label, cells in found.items()}
+
+
+def forward(cell: Cell) -> Score:
+    """Effects added one by one while they pass the margin, all refitted each time; then dropped where not needed.
+
+    The margin is counted in units of what the best model leaves (chi2/n): a plant's form is never met to the floor.
+    """
+    none = chosen = score(cell, neutral_fit(cell))
+    scans = [scan(cell, one, none.fit) for one in cell.candidates]
+    while len(chosen.fit.hypothesis) < EFFECTS_MAX:
+        found = [_more(cell, chosen, one) for one in _promising(cell, chosen.fit, scans)]
+        best = max(found, key=lambda one: one.total, default=None)
+        if best is None or not better(best, chosen, none, _left(best)):
+            break
+        chosen = best
+    return _pruned(cell, chosen, none)
+
+
+def _left(one: Score) -> float:
+    return max(1.0, float(np.mean(np.minimum(one.held_out**2, 100.0))))
+
+
+def _promising(cell: Cell, found: Fit, scans: list[Scan]) -> list[tuple[Candidate, Array]]:
+    """The best candidates on top of a fit, each at a few sizes about what moves the residual by ten floors."""
+    used = {one.key for one in found.hypothesis}
+    on_top = replace(cell, base=put(cell.base, found.hypothesis, found.theta))
+    ranked: list[tuple[float, Candidate, Array]] = []
+    for one in scans:
+        if one.candidate.key in used:
+            continue
+        tried = one.thetas if not found.hypothesis else _few(one)
+        totals = costs(evaluated(on_top, (one.candidate,), tried)).sum(axis=1)
+        ranked.append((float(totals.min()), one.candidate, tried[int(np.argmin(totals))]))
+    ranked.sort(key=lambda row: row[0])
+    return [(candidate, theta) for _, candidate, theta in ranked[:TRIED]]
+
+
+def _few(one: Scan) -> Array:
+    """The scan's best size, and on each side of neutral the smallest that moves the residual clearly."""
+    felt = np.nonzero(one.energy > FELT)[0]
+    order = felt[np.argsort(one.energy[felt])][:FEW]
+    return one.thetas[np.unique(np.append(order, one.best))]
+
+
+def _more(cell: Cell, chosen: Score, added: tuple[Candidate, Array]) -> Score:
+    candidate, theta = added
+    start = np.concatenate([chosen.fit.theta, theta])
+    return score(cell, fit(cell, (*chosen.fit.hypothesis, candidate), start, ROUNDS))
+
+
+def _pruned(cell: Cell, chosen: Score, none: Score) -> Score:
+    for out in chosen.fit.hypothesis[:-1]:
+        rest = tuple(one for one in chosen.fit.hypothesis if one is not out)
+        keep = np.concatenate([np.full(len(one.slots), one is not out) for one in chosen.fit.hypothesis])
+        smaller = score(cell, fit(cell, rest, chosen.fit.theta[keep], ROUNDS))
+        if not better(chosen, smaller, none, _left(chosen)):
+            return _pruned(cell, smaller, none)
+    return chosen
+
+
+def entries_of(found: Fit) -> list[EffectEntry]:
+    """A fit as `[[effect]]` entries; sizes that ended at a bound lie on it."""
+    out, at = [], 0
+    for one in found.hypothesis:
+        effect = effect_named(one.name)
+        values = found.theta[at : at + len(one.slots)]
+        at += len(one.slots)
+        if effect is None:
+            continue
+        parameters: dict[str, object] = {slot.parameter: value for slot, value in one.fixed}
+        if effect.direction is not None:
+            size = float(np.linalg.norm(values))
+            parameters |= {effect.size.name: min(size, effect.size.high)}
+            if size > 0.0:
+                parameters[effect.direction.name] = [float(x) for x in values / size]
+        else:
+            parameters |= {slot.parameter: float(value) for slot, value in zip(one.slots, values, strict=True)}
+        if effect.choice is not None and one.option:
+            parameters[effect.choice.name] = one.option
+        try:
+            out.append(make_entry(effect, one.joint, parameters))
+        except MachineFileError as error:
+            raise DiagnosisError(f"a fitted effect does not fit its own bounds: {error}") from error
+    return out
+
+
+def _remainders(checked: list[Read]) -> tuple[Remainder, ...]:
+    """What the baseline leaves on these recordings, without the noise, cell by cell."""
+    found: dict[tuple[str, int | None, str], list[Cell]] = {}
+    for whole in checked:
+        for cell in cells_of(whole):
+            for part in cell.parts or (cell,):
+                found.setdefault((part.stage, part.joint, measurement_of(part)), []).append(part)
+    out: list[Remainder] = []
+    for (stage, joint, on), cells in found.items():
+        if stage in STAGES:
+            out += _dynamic(stage, cells)
+        else:
+            out.append(Remainder(stage, joint, on, *_plain(cells)))
+    return tuple(out)
+
+
+def _plain(cells: list[Cell]) -> tuple[float, float]:
+    """Remainder [m or px] of points or corners, twice: nothing is whitened there."""
+    squares = [float(np.mean((cell.whitened(cell.base)[0] * cell.scale) ** 2) - cell.scale[0] ** 2) for cell in cells]
+    left = float(np.sqrt(max(0.0, np.mean(squares))))
+    return left, left
+
+
+def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
+    """Remainders of one stage, joint by joint: AR over all recordings' increments, less what repeats show as noise."""
+    replays = [cell.whitened for cell in cells if isinstance(cell.whitened, Replay)]
+    out = []
+    for column, joint in enumerate(replays[0].joints if replays else ()):
+        runs = [
+            part_increments(stage, part, _own_joints(cell, replay))[0][0][SKIPPED:, [column]]
+            for cell, replay in zip(cells, replays, strict=True)
+            for part in replay.parts
+        ]
+        whitener = fit_whitener(runs)
+        noise = [
+            one
+            for cell, replay in zip(cells, replays, strict=True)
+            for one in _noise(stage, cell, replay, column, whitener.order)
+        ]
+        white = [whitener.whiten(one) for one in noise if len(one) > whitener.order]
+        quiet = float(np.mean(np.concatenate(white) ** 2)) * float(whitener.sigma[0] ** 2) if white else 0.0
+        sigma = float(np.sqrt(max(0.0, whitener.sigma[0] ** 2 - quiet)))
+        total = float(np.mean(np.concatenate(runs) ** 2))
+        own = float(np.mean(np.concatenate(noise) ** 2)) if noise else 0.0
+        rms = float(np.sqrt(max(0.0, total - own)))
+        out.append(Remainder(stage, joint + 1, "", sigma, rms, tuple(float(a) for a in whitener.a[:, 0])))
+    return out
+
+
+def _own_joints(cell: Cell, replay: Replay) -> ParameterSets:
+    """The baseline's parameters of the joints that a replay holds."""
+    joints = list(replay.joints)
+    return replace(cell.base, joint=np.ascontiguousarray(cell.base.joint[:, joints]))
+
+
+def _noise(stage: str, cell: Cell, replay: Replay, column: int, order: int) -> list[Array]:
+    """Increments (m, 1) of the repeats' deviations from their mean."""
+    by_name = {part.stretch.name: part for part in replay.parts}
+    groups = repeat_groups(tuple(part.stretch for part in replay.parts))
+    members = max(groups.values(), key=len, default=())
+    if len(members) < 2:
+        return []
+    sets = _own_joints(cell, replay)
+    steps = [part_increments(stage, by_name[one.name], sets)[0][0][SKIPPED:, [column]] for one in members]
+    rows = min(len(one) for one in steps)
+    return deviations(np.stack([one[:rows] for one in steps])) if rows > order + 20 else []
+
+
+Usual = dict[tuple[str, int | None, str], dict[str, float]]
+
+
+def _wrong_gains(checked: list[Read], progress: Progress) -> tuple[dict[str, float], Usual]:
+    """On undisturbed recordings: by cell, the most that any wrong name gains [nats, not yet divided]; by part, the
+    tests that fire and their largest sizes.
+    """
+    out: dict[str, float] = {}
+    usual: Usual = {}
+    for number, whole in enumerate(checked, start=1):
+        progress(f"what a wrong name would gain: recording {number} of {len(checked)}")
+        for cell in cells_of(whole):
+            found = search(cell)
+            best = max(one.total for one in found.scored) - found.none.total
+            out[cell.label] = max(out.get(cell.label, 0.0), best)
+            _note_tests(cell, found.none.held_out, usual)
+    return out, usual
+
+
+def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
+    parts = cell.parts or (cell,)
+    cuts = np.cumsum([part.rows.count for part in parts])[:-1]
+    for part, own in zip(parts, np.split(np.clip(residual, -30.0, 30.0), cuts), strict=True):
+        sizes = usual.setdefault((part.stage, part.joint, measurement_of(part)), {})
+        for fired in tests_of(part, own, 1):
+            sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)
+
+
+def _with_usual(one: Remainder, usual: Usual) -> Remainder:
+    """The link is tested with all joints at once; each of its remainders keeps the whole."""
+    joint = None if one.stage == "link" else one.joint
+    return replace(one, usual=tuple(usual.get((one.stage, joint, one.on), {}).items()))
+
+
+def _spread(remainders: tuple[Remainder, ...], gains: dict[str, float]) -> tuple[Remainder, ...]:
+    """Remainders with the spread that brings every wrong name's gain down to what chance gives."""
+    out = []
+    for one in remainders:
+        label = one.stage if one.stage == "link" or one.joint is None else f"{one.stage} {one.joint}"
+        out.append(replace(one, spread=max(1.0, gains.get(label, 0.0) / CHANCE_NATS)))
+    if "structure" in gains:
+        out.append(Remainder("structure", None, "", 0.0, 0.0, (), max(1.0, gains["structure"] / CHANCE_NATS)))
+    return tuple(out)
+
+
+def _judged(checked: list[Read], effects: tuple[EffectEntry, ...]) -> tuple[CellBaseline, ...]:
+    """RMS in units of the noise floor, before and with the effects, on recordings not used for the fit."""
+    before, after = (_grouped([_with(one, entries, ()) for one in checked]) for entries in ((), effects))
+    return tuple(
+        CellBaseline(label, effects, _rms(before[label]), _rms(after[label])) for label in before if label in after
+    )
+
+
+def _rms(cell: Cell) -> float:
+    return float(np.sqrt(np.mean(cell.whitened(cell.base)[0] ** 2)))

@@ -1,0 +1,158 @@
+"""One cell for all that was measured behind the encoders: static points, tracked points and corners share the arm.
+
+A long link moves tracked points and marker corners alike. Searched apart it would be named twice, or by two names.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.candidates import SEEN_BY_ENCODER, Candidate
+from diagnosis.cells import Cell, Rows
+from diagnosis.cells_camera import CornerResidual, camera_cells
+from diagnosis.cells_points import PointResidual, point_cells
+from diagnosis.link_angles import paths_of
+from diagnosis.reading import Read
+from machine.effects.kernel import PAYLOAD
+from machine.effects.layout import BASE_COMPLIANCE, BASE_TILT, FOCAL, STEREO, ParameterSets
+from machine.rotations import Array
+
+REMEMBERED = 400  # residuals of one part
+OF_ARM = [PAYLOAD, *range(BASE_TILT.start, BASE_TILT.stop), BASE_COMPLIANCE]
+OF_MOUNT = list(range(FOCAL, STEREO.stop))
+JOINED_UNIT = "floors"
+
+
+def behind_cells(whole: Read, base: ParameterSets) -> list[Cell]:
+    """What was measured behind the encoders: one cell, or none."""
+    nominal = whole.nominal
+    paths = paths_of(whole.stretches, nominal.actuators if nominal is not None else None)
+    parts = point_cells(whole, base, paths) + camera_cells(whole, base, paths)
+    if len(parts) < 2:
+        return parts
+    known = nominal.remainder("structure") if nominal is not None else None
+    return [joined(parts, known.spread if known is not None else 1.0)]
+
+
+def joined(parts: list[Cell], spread: float = 1.0) -> Cell:
+    """Several cells as one: candidates of all, residuals end to end.
+
+    Folds keep their numbers (a quarter of every part is left out together), blocks and series do not.
+    """
+    candidates: dict[tuple[object, ...], Candidate] = {}
+    for part in parts:
+        for one in part.candidates:
+            candidates.setdefault((one.key, one.option, one.fixed), one)
+    pieces = [_Remembered(part.whitened, *_columns(part)) for part in parts]
+
+    def whitened(sets: ParameterSets) -> Array:
+        return np.concatenate([piece(sets) for piece in pieces], axis=1)
+
+    stages = {part.stage for part in parts}
+    return Cell(
+        stage="structure" if "structure" in stages else parts[0].stage,
+        joint=parts[0].joint if len({part.joint for part in parts}) == 1 else None,
+        unit=parts[0].unit if len({part.unit for part in parts}) == 1 else JOINED_UNIT,
+        candidates=tuple(candidates.values()),
+        base=parts[0].base,
+        whitened=whitened,
+        rows=_rows([part.rows for part in parts]),
+        scale=np.concatenate([part.scale for part in parts]),
+        quiet=float(np.average([part.quiet for part in parts], weights=[part.rows.count for part in parts])),
+        floor_known=2 * sum(part.rows.count for part in parts if part.floor_known) >= sum(p.rows.count for p in parts),
+        same_kind=all(part.same_kind for part in parts),
+        regressors=(),
+        t_s=np.concatenate([part.t_s for part in parts]),
+        coarse=any(part.coarse for part in parts),
+        least_nats=max(part.least_nats for part in parts),
+        spread_least=max(spread, *(part.spread_least for part in parts)),
+        parts=tuple(parts),
+    )
+
+
+def _rows(rows: list[Rows]) -> Rows:
+    def shifted(name: str) -> NDArray[np.int64]:
+        out, first = [], 0
+        for one in rows:
+            numbers = getattr(one, name)
+            out.append(numbers + first)
+            first += int(numbers.max(initial=-1)) + 1
+        return np.concatenate(out).astype(np.int64)
+
+    fold = np.concatenate([one.fold for one in rows]).astype(np.int64)
+    return Rows(fold, shifted("block"), shifted("series"), shifted("channel"))
+
+
+def _columns(part: Cell) -> tuple[bool, list[int] | None]:
+    """Whether a part feels the joints' parameters, and which of the machine's; None: all."""
+    if part.parts:
+        return True, None
+    if not isinstance(part.whitened, CornerResidual):
+        return True, OF_ARM if part.stage == "structure" else None
+    return (True, None) if part.whitened.on == "ooi" else (False, OF_MOUNT)
+
+
+@dataclass(slots=True)
+class _Remembered:
+    """A part's residual, run only for sets that differ in what the part feels: a lens moves no tracked point."""
+
+    whitened: Callable[[ParameterSets], Array]
+    joints: bool
+    machine: list[int] | None
+    known: dict[bytes, Array] = field(default_factory=dict)
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        keys = [self._key(sets, k) for k in range(sets.sets)]
+        found = {key: self.known[key] for key in keys if key in self.known}
+        fresh = {key: k for k, key in enumerate(keys) if key not in found}
+        if fresh:
+            chosen = np.array(list(fresh.values()))
+            rows = self.whitened(ParameterSets(sets.joint[chosen].copy(), sets.machine[chosen].copy()))
+            found.update(zip(fresh, rows, strict=True))
+            self._keep(found, fresh)
+        return np.stack([found[key] for key in keys])
+
+    def _keep(self, found: dict[bytes, Array], fresh: dict[bytes, int]) -> None:
+        for key in fresh:
+            self.known[key] = found[key]
+        while len(self.known) > REMEMBERED:
+            self.known.pop(next(iter(self.known)))
+
+    def _key(self, sets: ParameterSets, k: int) -> bytes:
+        machine = sets.machine[k] if self.machine is None else sets.machine[k, self.machine]
+        return machine.tobytes() + (sets.joint[k].tobytes() if self.joints else b"")
+
+
+def measurement_of(part: Cell) -> str:
+    """Which measurement behind the encoders a part is: static, tracker, ooi or tool; empty for other stages."""
+    if isinstance(part.whitened, CornerResidual):
+        return part.whitened.on
+    if isinstance(part.whitened, PointResidual):
+        return "tracker" if part.whitened.paths else "static"
+    return ""
+
+
+def energies(cells: list[tuple[Cell, Array]]) -> dict[str, float]:
+    """Mean squared residual in floors by measurement, of cells with their residuals (N,)."""
+    out: dict[str, float] = {}
+    for cell, residual in cells:
+        parts = cell.parts or (cell,)
+        cuts = np.cumsum([part.rows.count for part in parts])[:-1]
+        for part, own in zip(parts, np.split(residual, cuts), strict=True):
+            out[measurement_of(part)] = float(np.mean(own**2))
+    return out
+
+
+def told_behind(cells: list[Cell]) -> tuple[str, ...]:
+    """The encoders' effects that these cells show: actuators leave them to what was measured behind."""
+    seen = {one.name for cell in cells for one in cell.candidates}
+    return tuple(name for name in SEEN_BY_ENCODER if name in seen)
+
+
+def without(cells: list[Cell], names: tuple[str, ...]) -> list[Cell]:
+    """Cells whose library lacks these effects."""
+    if not names:
+        return cells
+    return [replace(cell, candidates=tuple(c for c in cell.candidates if c.name not in names)) for cell in cells]

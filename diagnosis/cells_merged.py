@@ -1,0 +1,79 @@
+"""Where the valve command was not logged: the stages up to the encoder as one cell, run with what was logged before it.
+
+From the received reference (controller and actuator merge) or, without it, from the one that was sent (the link too).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.candidates import Candidate, candidates_of
+from diagnosis.cells import Cell
+from diagnosis.cells_dynamic import cell_of, possible, stage_floor
+from diagnosis.replay import Prepared, Replayer
+from diagnosis.stretches import Stretch
+from diagnosis.tables import filled
+from machine.effects.dynamics import Drive, drive_by_sent, drive_controller
+from machine.effects.layout import ParameterSets
+
+START_COMMAND = 0.0  # stretches begin at rest
+
+
+@dataclass(frozen=True, slots=True)
+class Merge:
+    """The stages that one cell holds, and the signals whose absence merges them."""
+
+    stages: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+def merge_of(stretches: tuple[Stretch, ...]) -> Merge | None:
+    """What a recording without valve commands merges; None where they are there, or nothing drives the joints."""
+    if any(one.u is not None for one in stretches):
+        return None
+    if stretches and all(one.ref is not None for one in stretches):
+        return Merge(("controller", "actuator"), ("u_<j>_frac",))
+    if stretches and all(one.sent is not None for one in stretches):
+        return Merge(("link", "controller", "actuator"), ("q_ref_<j>_rad", "u_<j>_frac"))
+    return None
+
+
+def merged_cells(replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> list[Cell]:
+    """One cell over all joints: a late link moves them all."""
+    merge = merge_of(stretches)
+    if merge is None or not replayer.nominal.has_controller:
+        return []
+    prepared = [one for stretch in stretches if (one := merged(replayer, stretch, merge)) is not None]
+    if not prepared:
+        return []
+    joints = tuple(range(replayer.nominal.n))
+    floor = stage_floor(replayer, "actuator", prepared, base)
+    cell = cell_of("actuator", joints, prepared, floor, base, replayer)
+    return [replace(cell, candidates=_candidates(merge, tuple(j + 1 for j in joints), replayer))]
+
+
+def merged(replayer: Replayer, stretch: Stretch, merge: Merge) -> Prepared | None:
+    """A stretch whose encoders are driven by the first signal that was logged; None where encoders are missing."""
+    enc = stretch.enc
+    if enc is None or not np.isfinite(enc).any(axis=0).all():
+        return None
+    plant, angles = replayer.at_rate(stretch.dt_s), filled(enc)
+    drive: Drive | None = None
+    if "link" in merge.stages and stretch.sent is not None:
+        cycles = (stretch.rows - 1) * plant.decimate + 1
+        loads = replayer.loads(angles)
+        drive = drive_by_sent(plant, stretch.sent.t_s, stretch.sent.q, float(stretch.t_s[0]), cycles, loads)
+    elif "link" not in merge.stages and stretch.ref is not None:
+        drive = drive_controller(plant, filled(stretch.ref), angles, np.full(plant.n, START_COMMAND))
+        loads = replayer.loads(angles)
+        drive = drive if loads is None else replace(drive, load=loads[0], load_kg=loads[1])
+    return None if drive is None else Prepared(plant, {"actuator": replace(drive, enc_start=angles[0].copy())}, stretch)
+
+
+def _candidates(merge: Merge, joints: tuple[int, ...], replayer: Replayer) -> tuple[Candidate, ...]:
+    found = tuple(
+        one
+        for stage in merge.stages
+        for one in candidates_of(stage, joints, stage == "link")  # pyright: ignore[reportArgumentType]
+    )
+    return tuple(one for one in found if possible(one, replayer, replayer.torque_reference))

@@ -1,0 +1,145 @@
+"""The next experiment: what of the library best separates the hypotheses that a diagnosis leaves open."""
+
+from typing import Any
+
+import numpy as np
+
+from diagnosis.cells_camera import CornerResidual
+from diagnosis.cells_dynamic import Replay
+from diagnosis.diagnose import Diagnosis
+from diagnosis.experiments.described import described
+from diagnosis.experiments.library import Experiment, Motion, motions
+from diagnosis.experiments.live import Pair, live_pairs
+from diagnosis.experiments.postures import extremes, looks, pool, visible
+from diagnosis.experiments.prediction import rows_of_motion, rows_of_postures, sets_of
+from diagnosis.experiments.separation import separation_nats
+from diagnosis.nominal import Nominal
+from diagnosis.weigh import SEPARATED_NATS, Key
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+ENOUGH_NATS = 30.0  # beyond it two hypotheses are told apart; more is not better, sooner is
+POOL_SEED = 5
+MINUTES_COST = 0.01  # nats a minute: of equals the shorter one
+SEEN_BEHIND = ("encoder_scale", "encoder_eccentricity")
+SIGNALS = {
+    "actuator": "a measurement behind the encoder (a tracked point, a marker)",
+    "structure": "points on other links, or a load of known mass",
+    "camera": "the second eye, or points from a tracker",
+}
+
+
+def next_experiment(found: Diagnosis) -> dict[str, Any]:
+    """What to drive or look at, how long, which pair it separates, the nats it should give; how to execute it."""
+    pairs = live_pairs(found)
+    nominal = found.whole.nominal
+    if not pairs or nominal is None:
+        settled = found.verdict.word in ("none", "effects")
+        why = "nothing is left to separate" if settled else "no pair of names is live"
+        return {"what": None, "minutes": None, "separates": [], "expected_nats": None, "why": why}
+    library = _library(found, nominal, pairs)
+    table = {one.name: [_nats(found, pair, one) for pair in pairs] for one in library}
+    best = max(library, key=lambda one: _worth(pairs, table[one.name], one), default=None)
+    if best is None or table[best.name][0] < 0.5 * SEPARATED_NATS:
+        return _nothing(pairs[0], table)
+    return {
+        "what": best.name,
+        "minutes": round(best.minutes, 2),
+        "separates": _told(pairs[0]),
+        "expected_nats": _digits(table[best.name][0]),
+        "alternatives": {name: _digits(row[0]) for name, row in table.items()},
+        "why": f"the recording does not tell {_word(pairs[0].names[0])} from {_word(pairs[0].names[1])}",
+        "pairs": [
+            {"separates": _told(pair), "expected_nats": _digits(nats)}
+            for pair, nats in zip(pairs, table[best.name], strict=True)
+        ],
+        "execute": described(best),
+    }
+
+
+def _library(found: Diagnosis, nominal: Nominal, pairs: tuple[Pair, ...]) -> tuple[Experiment, ...]:
+    """Everything that this machine can do about these pairs."""
+    cell = pairs[0].answer.search.cell
+    centre = middle(found)
+    near = pool(nominal, centre, np.random.default_rng(POOL_SEED))
+    if isinstance(cell.whitened, Replay):
+        joints = _joints(pairs, nominal.n)
+        return motions(nominal, centre, joints, extremes(nominal, cell.base, near, joints))
+    parts = [part.whitened for part in cell.parts or (cell,)]
+    seen = next((one for one in parts if isinstance(one, CornerResidual) and one.on == "ooi"), None)
+    if seen is None:
+        return looks(nominal, cell.base, near, None)
+    kept = near[visible(nominal, cell.base, near, seen.T_base_ooi)]
+    return looks(nominal, cell.base, kept, seen.T_base_ooi)
+
+
+def middle(found: Diagnosis) -> Array:
+    """The posture (n,) around which the recording was made."""
+    nominal = found.whole.nominal
+    recorded = [one.enc for one in found.whole.stretches if one.enc is not None]
+    static = found.whole.tables.static if found.whole.tables is not None else None
+    if not recorded and static is not None and static.q is not None:
+        recorded = [static.q]
+    n = nominal.n if nominal is not None else 0
+    return np.nan_to_num(np.nanmedian(np.concatenate(recorded), axis=0)) if recorded else np.zeros(n)
+
+
+def _joints(pairs: tuple[Pair, ...], n: int) -> tuple[int, ...]:
+    """The joints (0-based) that the open names are about; all where one is the machine's own."""
+    names = [name for pair in pairs for name in pair.names if name is not None]
+    if any(joint is None for _, joint in names):
+        return tuple(range(n))
+    return tuple(sorted({joint - 1 for _, joint in names if joint is not None}))
+
+
+def _nats(found: Diagnosis, pair: Pair, experiment: Experiment) -> float:
+    """The least expected nats of the pair, whichever of the two is true."""
+    cell = pair.answer.search.cell
+    both = []
+    for mine, other in ((pair.mine, pair.other), (pair.other, pair.mine)):
+        truth: ParameterSets = sets_of(cell, mine)
+        if isinstance(experiment, Motion):
+            rows, holds = rows_of_motion(found.whole, cell, experiment, truth), True
+        else:
+            rows, holds = rows_of_postures(found.whole, cell, experiment, truth), False
+        if rows is None:
+            return 0.0
+        both.append(separation_nats(pair.answer.search, rows, truth, other, holds))
+    return min(both)
+
+
+def _worth(pairs: tuple[Pair, ...], nats: list[float], experiment: Experiment) -> float:
+    """Nats that count, weighed over the pairs, less what the machine's time costs."""
+    gained = sum(pair.weight * min(one, ENOUGH_NATS) for pair, one in zip(pairs, nats, strict=True))
+    return gained / sum(pair.weight for pair in pairs) - MINUTES_COST * experiment.minutes
+
+
+def _nothing(pair: Pair, table: dict[str, list[float]]) -> dict[str, Any]:
+    """No experiment of the library separates the pair: which signal would."""
+    cell = pair.answer.search.cell
+    signal = SIGNALS.get(cell.stage, SIGNALS["structure"])
+    if cell.joint is None and cell.stage == "actuator":
+        signal = "log the received reference (q_ref) and the valve command (u)"
+    behind = cell.stage == "actuator" and any(name is not None and name[0] in SEEN_BEHIND for name in pair.names)
+    names = f"{_word(pair.names[0])} from {_word(pair.names[1])}"
+    return {
+        "what": "look at a marker, or track a point, from ten postures" if behind else None,
+        "minutes": 5.0 if behind else None,
+        "separates": _told(pair),
+        "expected_nats": None,
+        "alternatives": {name: _digits(row[0]) for name, row in table.items()},
+        "why": f"no motion tells {names} by what was logged; needed: {signal}",
+        "signal": signal,
+    }
+
+
+def _told(pair: Pair) -> list[dict[str, Any]]:
+    return [{"name": name[0], "joint": name[1]} for name in pair.names if name is not None]
+
+
+def _word(name: Key | None) -> str:
+    return "nothing" if name is None else name[0]
+
+
+def _digits(nats: float) -> float:
+    return float(f"{nats:.3g}")

@@ -1,0 +1,70 @@
+"""Experiments as a machine takes them: a reference by its knots, or postures to look from; and back again."""
+
+from typing import Any
+
+import numpy as np
+
+from diagnosis.errors import DiagnosisError
+from diagnosis.experiments.library import LOOK_S, SAMPLE_S, Experiment, Motion, Postures
+from machine.rotations import Array
+
+KNOT_ROWS = 10  # a knot every 0.1 s
+DIGITS = 6
+MOVED_RAD = 1e-6
+
+
+def described(experiment: Experiment) -> dict[str, Any]:
+    """For the answer's JSON. Motions: joints that move, and their knots; the others stay where they start.
+
+    `t_knot_s`: between two knots; the course between them is the cubic spline with zero speed at both ends.
+    """
+    if isinstance(experiment, Postures):
+        postures = np.round(experiment.q, DIGITS).tolist()
+        return {"kind": "looks", "name": experiment.name, "q_rad": postures, "look_s": LOOK_S, "from_below": True}
+    knots = experiment.q[_knots(len(experiment.q))]
+    moving = np.nonzero(np.abs(knots - knots[0]).max(axis=0) > MOVED_RAD)[0]
+    return {
+        "kind": "motion",
+        "name": experiment.name,
+        "segment_kind": experiment.kind,
+        "start_rad": np.round(knots[0], DIGITS).tolist(),
+        "t_knot_s": KNOT_ROWS * SAMPLE_S,
+        "joints": (moving + 1).tolist(),
+        "q_rad": np.round(knots[:, moving], DIGITS).tolist(),
+    }
+
+
+def _knots(rows: int) -> Array:
+    return np.arange(0, rows, KNOT_ROWS)
+
+
+def experiment_of(description: dict[str, Any]) -> Experiment:
+    """An experiment back from its description.
+
+    Raises: DiagnosisError: not a description of this version.
+    """
+    try:
+        if description["kind"] == "looks":
+            return Postures(str(description["name"]), np.array(description["q_rad"], dtype=float))
+        start = np.array(description["start_rad"], dtype=float)
+        knots = np.tile(start, (len(description["q_rad"]), 1))
+        knots[:, np.array(description["joints"], dtype=int) - 1] = np.array(description["q_rad"], dtype=float)
+        q = splined(knots, round(float(description["t_knot_s"]) / SAMPLE_S))
+        return Motion(str(description["name"]), description["segment_kind"], q)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise DiagnosisError(f"not an experiment's description: {error!r}") from error
+
+
+def splined(knots: Array, rows: int) -> Array:
+    """A course through knots (k, n), `rows` samples each, by the cubic spline at rest at both ends."""
+    k = len(knots)
+    A = np.diag(np.full(k, 4.0)) + np.diag(np.ones(k - 1), 1) + np.diag(np.ones(k - 1), -1)
+    rhs = np.zeros_like(knots)
+    rhs[1:-1] = 3.0 * (knots[2:] - knots[:-2])
+    A[0], A[-1] = 0.0, 0.0
+    A[0, 0] = A[-1, -1] = 1.0
+    slopes = np.linalg.solve(A, rhs)
+    u = (np.arange(rows) / rows)[None, :, None]
+    a, b, da, db = knots[:-1, None], knots[1:, None], slopes[:-1, None], slopes[1:, None]
+    course = a * (2 * u**3 - 3 * u**2 + 1) + da * (u**3 - 2 * u**2 + u) + b * (3 * u**2 - 2 * u**3) + db * (u**3 - u**2)
+    return np.concatenate([course.reshape(-1, knots.shape[1]), knots[-1:]])

@@ -1,0 +1,195 @@
+"""Experiments that a machine can do within its limits: motions of the reference, postures to look or measure from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.nominal import Nominal
+from machine.rotations import Array
+from recording.run import SegmentKind
+
+SAMPLE_S = 0.01
+SECONDS = 45.0
+HOLD_S = 60.0
+TRAVEL_S = 12.0  # to a posture, and back
+SPEED_SHARE = 0.55  # of the velocity gain: commands stay below 55 %, and below the joints' speed limits
+PER_S = 1.0  # acceleration over velocity gain [1/s]
+RANGE_SHARE = 0.15  # of the joint's range, at most this much to either side
+REACH_RAD = 0.3  # and never more
+MARGIN_RAD = 0.05
+FADE_S = 3.0  # in and out
+CORNERS = 10.0  # times over the limits: a course with corners, which scaling would make nothing of
+WIDTH_MIN_S, WIDTH_MAX_S = 0.2, 6.0
+UNKNOWN_SPEED = 0.3  # rad/s where the file gives no velocity gain
+LOOK_S = 12.0  # to drive to a posture, come to rest and look
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A reference over time: q (m, n) [rad] every SAMPLE_S; begins and ends at rest in the posture it starts from."""
+
+    name: str
+    kind: SegmentKind
+    q: Array
+
+    @property
+    def minutes(self) -> float:
+        """Machine time."""
+        return len(self.q) * SAMPLE_S / 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class Postures:
+    """Encoder readings (k, n) [rad] to come to rest in, each from below, and to look (or measure points) from."""
+
+    name: str
+    q: Array
+
+    @property
+    def minutes(self) -> float:
+        """Machine time."""
+        return len(self.q) * LOOK_S / 60.0
+
+
+Experiment = Motion | Postures
+Shape = Callable[[Array, int], Array]  # t (m,), joint (0-based) -> (m,), within -1..1
+
+
+def motions(
+    nominal: Nominal, centre: Array, joints: tuple[int, ...], loaded: tuple[Array, Array] | None
+) -> tuple[Motion, ...]:
+    """The library's motions of some joints (0-based) around a posture (n,) [rad].
+
+    Args: loaded: postures (n,) of high and of low load on these joints; None where loads are not known.
+    """
+    t = np.asarray(np.arange(round(SECONDS / SAMPLE_S)) * SAMPLE_S, dtype=float)
+    everyone = tuple(range(nominal.n))
+
+    def around(name: str, kind: SegmentKind, shape: Shape, moving: tuple[int, ...] = joints) -> Motion:
+        return Motion(name, kind, _driven(nominal, centre, moving, shape, t))
+
+    found = [
+        around("multisine", "multisine", _multisine),
+        *(around(f"{word}steps", "steps", _steps(size)) for word, size in STEP_SIZES),
+        around("jogs there and back", "workcycle", _jogs),
+        around("slow reversals through zero", "sweep", lambda t, j: 0.3 * np.sin((0.25 + 0.03 * j) * t)),
+        around("staircase around zero", "staircase", _staircase),
+    ]
+    if len(joints) < nominal.n:
+        found.append(around("all joints together", "multisine", _multisine, everyone))
+    if loaded is not None:
+        found += _under_load(nominal, centre, joints, loaded)
+    return tuple(found)
+
+
+STEP_SIZES = (("small ", 0.06), ("", 0.35), ("large ", 1.0))
+
+
+def _under_load(
+    nominal: Nominal, centre: Array, joints: tuple[int, ...], loaded: tuple[Array, Array]
+) -> tuple[Motion, ...]:
+    """The same motion where the load is high and where it is low, and a minute of rest under load."""
+    t = np.asarray(np.arange(round(0.5 * SECONDS / SAMPLE_S)) * SAMPLE_S, dtype=float)
+    legs = []
+    here = centre
+    for posture in loaded:
+        there = _driven(nominal, posture, joints, _jogs, t)
+        legs += [_travel(nominal, here, there[0]), there]
+        here = there[-1]
+    legs.append(_travel(nominal, here, centre))
+    still = np.tile(loaded[0], (round(HOLD_S / SAMPLE_S), 1))
+    hold = [_travel(nominal, centre, loaded[0]), still, _travel(nominal, loaded[0], centre)]
+    return (
+        Motion("the same motion at high and at low load", "workcycle", np.concatenate(legs)),
+        Motion("hold under load", "hold", np.concatenate(hold)),
+    )
+
+
+def speed_limits(nominal: Nominal) -> Array:
+    """Speeds (n,) [rad/s] that no motion of the library exceeds."""
+    if nominal.actuators is None:
+        return np.full(nominal.n, SPEED_SHARE * UNKNOWN_SPEED)
+    return SPEED_SHARE * nominal.actuators.joints[:, 0]
+
+
+def _driven(nominal: Nominal, centre: Array, joints: tuple[int, ...], shape: Shape, t: Array) -> Array:
+    """Reference (m, n): each joint's shape scaled into its range, speed and acceleration."""
+    low, high = _bounds(nominal)
+    q = np.tile(np.clip(centre, low, high), (len(t), 1))
+    u = np.clip(np.minimum(t, t[-1] - t) / FADE_S, 0.0, 1.0)
+    fade = 10 * u**3 - 15 * u**4 + 6 * u**5
+    for j in joints:
+        span = high[j] - low[j] if np.isfinite(high[j] - low[j]) else 2.0
+        size = min(RANGE_SHARE * span, REACH_RAD)
+        course = _within(size * fade * shape(t, j), speed_limits(nominal)[j])
+        q[:, j] = np.clip(q[0, j] + course, low[j], high[j])
+    return q
+
+
+def _bounds(nominal: Nominal) -> tuple[Array, Array]:
+    return nominal.q_min + MARGIN_RAD, nominal.q_max - MARGIN_RAD
+
+
+def _within(x: Array, speed: float) -> Array:
+    """A course from 0 to 0 within a speed and PER_S / SPEED_SHARE times as much acceleration.
+
+    Model: what is smooth already is scaled; what has corners is averaged (Hann) over as little as the limits ask for.
+    """
+    acceleration = speed * PER_S / SPEED_SHARE
+    y, width_s = x, WIDTH_MIN_S
+    if _excess(x, speed, acceleration) > CORNERS:
+        while True:
+            y = _smoothed(x, round(0.5 * width_s / SAMPLE_S))
+            if _excess(y, speed, acceleration) <= 1.0 or width_s > WIDTH_MAX_S:
+                break
+            width_s *= 1.25
+    return y / max(1.0, _excess(y, speed, acceleration))
+
+
+def _excess(x: Array, speed: float, acceleration: float) -> float:
+    """How many times over its limits a course (m,) is."""
+    v = np.diff(x) / SAMPLE_S
+    a = np.diff(v) / SAMPLE_S
+    return max(float(np.abs(v).max(initial=0.0)) / speed, float(np.abs(a).max(initial=0.0)) / acceleration)
+
+
+def _smoothed(x: Array, half: int) -> Array:
+    """A course averaged over 2 half + 1 samples, at rest at 0 at both ends."""
+    held = x.copy()
+    held[: half + 1] = held[-half - 1 :] = 0.0
+    window = np.hanning(2 * half + 1)
+    return np.convolve(np.pad(held, half), window / window.sum(), mode="valid")
+
+
+def _travel(nominal: Nominal, start: Array, end: Array) -> Array:
+    """From rest to rest by a quintic, no faster than the limits."""
+    slowest = float((1.9 * np.abs(end - start) / speed_limits(nominal)).max())
+    rows = round(max(TRAVEL_S, slowest) / SAMPLE_S)
+    u = np.linspace(0.0, 1.0, rows)[:, None]
+    return start + (10 * u**3 - 15 * u**4 + 6 * u**5) * (end - start)
+
+
+def _multisine(t: Array, j: int) -> Array:
+    w = 0.7 + 0.13 * j
+    return 0.5 * np.sin(w * t) + 0.3 * np.sin(2.3 * w * t + 1.0) + 0.2 * np.sin(5.1 * w * t + 2.0)
+
+
+def _steps(size: float) -> Shape:
+    def shape(t: Array, j: int) -> Array:
+        w = 0.8 + 0.11 * j
+        return size * np.sign(np.sin(w * t)) * (0.3 + 0.7 * np.abs(np.sin(0.29 * w * t)))
+
+    return shape
+
+
+def _jogs(t: Array, j: int) -> Array:
+    """Constant speed up and down, at four speeds."""
+    period = 11.0 + 0.7 * j
+    return (2.0 / np.pi) * np.arcsin(np.sin(2.0 * np.pi * t / period)) * (1.0 - 0.2 * np.floor(t / period) % 0.8)
+
+
+def _staircase(t: Array, j: int) -> Array:
+    """Steps of growing size to both sides: commands around the middle of the valve."""
+    number = np.floor(t / (2.5 + 0.1 * j))
+    return np.where(number % 2 == 0, 1.0, -1.0) * 0.012 * (1.0 + number % 8)

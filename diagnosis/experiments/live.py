@@ -1,0 +1,88 @@
+"""Which hypotheses a diagnosis leaves open, cell by cell: what a next experiment has to separate."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.candidates import Candidate
+from diagnosis.diagnose import CellAnswer, Diagnosis
+from diagnosis.experiments.prediction import Hypothesis, held
+from diagnosis.fit import Fit, fit
+from diagnosis.score import Score
+from diagnosis.weigh import Key
+
+LIVE_MIN = 0.01  # probability of the less likely of two
+RIVALS_MAX = 3  # of one hypothesis
+ROUNDS = 6
+CLASS_WEIGHT = 0.05  # of a name that a class holds, whatever probability its penalty left it
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two hypotheses of one cell, how much their difference matters, and the names that differ."""
+
+    answer: CellAnswer
+    mine: Hypothesis
+    other: Hypothesis
+    weight: float
+    names: tuple[Key | None, Key | None]
+
+
+def live_pairs(found: Diagnosis) -> tuple[Pair, ...]:
+    """The open pairs of the cell with the weightiest one, in this order; none where nothing is open."""
+    cells = [pairs for one in found.cells if (pairs := _of_cell(one))]
+    return tuple(max(cells, key=lambda pairs: pairs[0].weight, default=[]))
+
+
+def _of_cell(one: CellAnswer) -> list[Pair]:
+    spread, top = one.search.spread, one.weighed[0]
+    rivals: dict[frozenset[Key], tuple[Fit, float]] = {}
+    for weighed in one.weighed[1:]:
+        if weighed.probability >= LIVE_MIN:
+            rivals[_keys(weighed.score.fit)] = (weighed.score.fit, weighed.probability)
+    for members in one.same:
+        for key in members[1:]:
+            swapped = _swapped(one, members[0], key)
+            if swapped is not None and _keys(swapped) not in rivals:
+                rivals[_keys(swapped)] = (swapped, CLASS_WEIGHT)
+    mine = held(top.score.fit, spread)
+    pairs = [
+        Pair(one, mine, held(other, spread), top.probability * weight, _differing(top.score.fit, other))
+        for other, weight in rivals.values()
+    ]
+    return sorted(pairs, key=lambda pair: -pair.weight)[:RIVALS_MAX]
+
+
+def _keys(found: Fit) -> frozenset[Key]:
+    return frozenset(one.key for one in found.hypothesis)
+
+
+def _swapped(one: CellAnswer, out: Key, into: Key) -> Fit | None:
+    """The first hypothesis with one name exchanged for another, fitted; None where it does not hold the first name."""
+    first = one.weighed[0].score.fit
+    if out not in _keys(first) or into in _keys(first):
+        return None
+    known = next((s.fit for s in _scored(one) if _keys(s.fit) == (_keys(first) - {out}) | {into}), None)
+    if known is not None:
+        return known
+    scan = next((scan for scan in one.search.scans if scan.candidate.key == into), None)
+    if scan is None:
+        return None
+    rest: tuple[Candidate, ...] = tuple(c for c in first.hypothesis if c.key != out)
+    start, at = [], 0
+    for candidate in first.hypothesis:
+        theta = first.theta[at : at + len(candidate.slots)]
+        at += len(candidate.slots)
+        start += list(theta) if candidate.key != out else []
+    return fit(one.search.cell, (*rest, scan.candidate), np.array([*start, *scan.thetas[scan.best]]), ROUNDS)
+
+
+def _scored(one: CellAnswer) -> tuple[Score, ...]:
+    return one.search.scored
+
+
+def _differing(a: Fit, b: Fit) -> tuple[Key | None, Key | None]:
+    """The first name that only one of two hypotheses has, each; None where it has none of its own."""
+    only_a = [one.key for one in a.hypothesis if one.key not in _keys(b)]
+    only_b = [one.key for one in b.hypothesis if one.key not in _keys(a)]
+    return (only_a[0] if only_a else None), (only_b[0] if only_b else None)

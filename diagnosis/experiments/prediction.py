@@ -1,0 +1,174 @@
+"""What an experiment would show: its residuals under a hypothesis, foretold with the recording's own floor."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.candidates import put
+from diagnosis.cells import Cell
+from diagnosis.cells_camera import CornerResidual, Frames, nuisance_of
+from diagnosis.cells_dynamic import Replay, part_of
+from diagnosis.cells_merged import merge_of, merged
+from diagnosis.cells_points import PointResidual
+from diagnosis.experiments.library import LOOK_S, SAMPLE_S, Motion, Postures
+from diagnosis.fit import Fit
+from diagnosis.link_angles import Path, without_encoders
+from diagnosis.points import PointData
+from diagnosis.reading import Read
+from diagnosis.replay import Replayer, replayer_of
+from diagnosis.stretches import Sent, Stretch
+from machine.effects.dynamics import DynamicStage, drive_by_sent, simulate
+from machine.effects.encoders import true_angles
+from machine.effects.layout import ParameterSets
+from machine.effects.seen import points_on_links, seen_corners
+from machine.effects.structure import link_poses
+from machine.rotations import Array
+
+Rows = Callable[[ParameterSets], Array]  # (sets, N) whitened
+LATER_S = 100.0  # after the recording
+EDGE_PX = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """Effects at their fitted sizes in one cell, with what the first recording says of the sizes.
+
+    `hold`: (k, k), rows that a deviation from theta costs there, whitened.
+    """
+
+    fit: Fit
+    hold: Array
+
+
+def held(found: Fit, spread: float) -> Hypothesis:
+    """A fit as a hypothesis: |hold (theta - theta_fit)|^2 is what it costs on the recording to move away."""
+    if found.k == 0:
+        return Hypothesis(found, np.zeros((0, 0)))
+    R = np.linalg.qr(found.J / np.sqrt(spread), mode="r")
+    return Hypothesis(found, np.asarray(R, dtype=float))
+
+
+def sets_of(cell: Cell, hypothesis: Hypothesis) -> ParameterSets:
+    """The parameters of a hypothesis, on the baseline."""
+    return put(cell.base, hypothesis.fit.hypothesis, hypothesis.fit.theta)
+
+
+def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets) -> Rows | None:
+    """The cell's residuals on a motion, driven as the machine would be under `truth`; None where it cannot be run."""
+    replay, replayer = cell.whitened, replayer_of(whole.nominal) if whole.nominal is not None else None
+    if not isinstance(replay, Replay) or replayer is None or not replayer.nominal.has_controller:
+        return None
+    stretch = _foretold(whole, replayer, motion, truth)
+    merge = merge_of(whole.stretches)
+    if merge is not None and cell.joint is None and cell.stage == "actuator":
+        prepared = merged(replayer, stretch, merge)
+    else:
+        prepared = replayer.prepare(stretch, cell.base)
+    if prepared is None or replay.stage not in prepared.drives:
+        return None
+    return replace(replay, parts=(part_of(replay.stage, prepared, list(replay.joints)),))
+
+
+def _foretold(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterSets) -> Stretch:
+    """The log of a motion: the signals that the recording has, at its rate."""
+    like = whole.stretches[0]
+    plant = replayer.at_rate(like.dt_s)
+    t_sent = SAMPLE_S * np.arange(len(motion.q))
+    rows = int(len(motion.q) * SAMPLE_S / plant.log_cycle_s)
+    t_log = plant.log_cycle_s * np.arange(rows)
+    q_log = np.stack([np.interp(t_log, t_sent, column) for column in motion.q.T], axis=1)
+    cycles = (rows - 1) * plant.decimate + 1
+    drive = drive_by_sent(plant, t_sent, motion.q, 0.0, cycles, replayer.loads(q_log))
+    out = simulate(plant, truth, drive, DynamicStage.ACTUATOR)
+    ref, u = (None if getattr(like, name) is None else getattr(out, name)[0] for name in ("ref", "u"))
+    sent = None if like.sent is None else Sent(t_sent, motion.q)
+    return Stretch(
+        motion.name, motion.kind, "", 0.0, plant.log_cycle_s, t_log, ref, out.enc[0], u, None, None, None, sent
+    )
+
+
+def rows_of_postures(whole: Read, cell: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
+    """Residuals of the cell's looks or points together with those from more postures; None where it has neither."""
+    parts = cell.parts or (cell,)
+    extended = [_extended(one, postures, truth) for one in parts]
+    if all(one is None for one in extended):
+        return None
+    rows = [one.whitened if more is None else more for one, more in zip(parts, extended, strict=True)]
+    return lambda sets: np.concatenate([one(sets) for one in rows], axis=1)
+
+
+def _extended(part: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:
+    if isinstance(part.whitened, CornerResidual) and part.whitened.on == "ooi":
+        return _more_frames(part.whitened, part.base, postures, truth)
+    if isinstance(part.whitened, PointResidual):
+        return _more_points(part.whitened, postures, truth)
+    return None
+
+
+def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, truth: ParameterSets) -> Rows | None:
+    """Corners of the recording and, as `truth` foretells them, from more postures; the object has one place in both."""
+    camera = seen.nominal.camera
+    if camera is None:
+        return None
+    q = postures.q
+    t_s, course = _dwelling(q, max((float(path.t_s[-1]) for path in seen.paths), default=0.0))
+    at = np.full(len(q), len(seen.paths), dtype=np.int64)
+    blank = np.full((len(q), *seen.frames.pixels.shape[1:]), np.nan)
+    alone = replace(seen, frames=Frames(t_s, blank, seen.frames.markers), paths=(*seen.paths, course), at=at)
+    plain = without_encoders(truth)
+    Ts = _still_poses(alone, truth, plain)
+    corners = seen_corners(plain, camera, seen.frames.markers, Ts @ seen.T_base_ooi)
+    pixels = _in_picture(np.stack([corners.left, corners.right], axis=1), camera.width_px, camera.height_px)
+    pixels[:, ~np.isfinite(seen.frames.pixels).any(axis=(0, 2, 3, 4))] = np.nan  # an eye that never saw anything
+    if not np.isfinite(pixels).any():
+        return None
+    frames = Frames(
+        np.concatenate([seen.frames.t_s, t_s]), np.concatenate([seen.frames.pixels, pixels]), seen.frames.markers
+    )
+    more = replace(alone, frames=frames, at=np.concatenate([seen.at, at]))
+    return replace(more, nuisance=nuisance_of(more, base))
+
+
+def _dwelling(q: Array, end_s: float) -> tuple[Array, Path]:
+    """When each posture (k, n) is looked from (k,) [s], and the encoders' course: at rest around each look."""
+    start = end_s + LATER_S + LOOK_S * np.arange(len(q))
+    t_s = (start[:, None] + np.array([0.0, 0.5 * LOOK_S])).ravel()
+    return start + 0.25 * LOOK_S, Path(t_s, np.repeat(q, 2, axis=0), None)
+
+
+def _still_poses(alone: CornerResidual, truth: ParameterSets, plain: ParameterSets) -> Array:
+    """Ts_cam_base at rest: the camera's clock does not matter there."""
+    still = ParameterSets(truth.joint.copy(), truth.machine.copy())
+    return alone.poses(still, plain, 0, 0.0)
+
+
+def _in_picture(pixels: Array, width: int, height: int) -> Array:
+    """Corners (m, eyes, markers, 4, 2); NaN for markers that are not whole in the picture."""
+    inside = (pixels > EDGE_PX) & (pixels < np.array([width, height]) - EDGE_PX)
+    whole = (np.isfinite(pixels) & inside).all(axis=(3, 4))
+    return np.where(whole[..., None, None], pixels, np.nan)
+
+
+def _more_points(measured: PointResidual, postures: Postures, truth: ParameterSets) -> Rows | None:
+    """Points of the recording and, as `truth` foretells them, from more postures."""
+    nominal, data = measured.nominal, measured.data
+    known = [k for k, point in enumerate(nominal.points) if point.xyz_m is not None and (data.which == k).any()]
+    if nominal.arm is None or nominal.T_base_tracker is None or not known:
+        return None
+    q = np.repeat(postures.q, len(known), axis=0)
+    which = np.tile(np.array(known, dtype=np.int64), len(postures.q))
+    links = link_poses(nominal.arm, without_encoders(truth), true_angles(truth, postures.q))
+    joints = np.array([nominal.points[k].joint for k in known])
+    places = np.array([nominal.points[k].xyz_m for k in known], dtype=float)
+    base = points_on_links(links, joints, places).reshape(-1, 3)
+    T = np.linalg.inv(nominal.T_base_tracker)
+    xyz = base @ T[:3, :3].T + T[:3, 3]
+    looked, course = _dwelling(postures.q, max((float(path.t_s[-1]) for path in measured.paths), default=0.0))
+    when = np.repeat(looked, len(known))
+    more = PointData(
+        *(np.concatenate(pair) for pair in ((data.q, q), (data.which, which), (data.xyz, xyz), (data.when, when)))
+    )
+    paths = (*measured.paths, course) if measured.paths else ()
+    at = np.concatenate([measured.at, np.full(len(q), len(measured.paths), dtype=np.int64)])
+    return replace(measured, data=more, paths=paths, at=at)

@@ -1,0 +1,39 @@
+"""What the answer would be if an effect that it names were not in the library: it should refuse, not rename."""
+
+from typing import Any
+
+from diagnosis.answer import answer
+from diagnosis.diagnose import Diagnosis, concluded
+from diagnosis.search import searched_without
+
+
+def leave_named_out(found: Diagnosis) -> list[dict[str, Any]]:
+    """Verdict, names and first stage without each named effect in turn; everything fitted without it is reused."""
+    named = dict.fromkeys(one.name for cell in found.cells for one in cell.chosen.fit.hypothesis)
+    return [_told(name, without_effect(found, name)) for name in named]
+
+
+def without_effect(found: Diagnosis, name: str) -> Diagnosis:
+    """The diagnosis with one effect less in its library; only cells that could name it are searched again."""
+    searches = [
+        searched_without(one.search, name) if _holds(one.search.cell.candidates, name) else one.search
+        for one in found.cells
+    ]
+    return concluded(found.whole, searches)
+
+
+def _holds(candidates: tuple[Any, ...], name: str) -> bool:
+    return any(one.name == name for one in candidates)
+
+
+def _told(name: str, left: Diagnosis) -> dict[str, Any]:
+    result = answer(left)
+    best = result["hypotheses"][0]["effects"] if result["hypotheses"] else []
+    return {
+        "without": name,
+        "verdict": result["verdict"],
+        "why": result["why"],
+        "named": [{"name": one["name"], "joint": one["joint"]} for one in best],
+        "outside_probability": result["outside_probability"],
+        "localisation": [one for one in result["localisation"] if one["regime"] == "all" or one["joint"] is None],
+    }

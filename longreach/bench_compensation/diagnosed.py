@@ -1,0 +1,80 @@
+"""The effects of one machine by its recordings: a baseline fitted to one, judged on others, a diagnosis beyond it."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from diagnosis.baseline import cells_of, entries_of, forward
+from diagnosis.diagnose import diagnose
+from diagnosis.reading import Read, examine
+from machine.effects.entries import EffectEntry
+from machine.remainder import Remainder
+from recording.content import Recording
+
+CLOSED_MIN = 0.8  # of the squared gap on a recording not used for the fit: less is no cause, and is not compensated
+
+
+@dataclass(frozen=True)
+class Found:
+    """Effects, and what stands for them: the verdict with them, and the share of the gap closed on that recording."""
+
+    effects: tuple[EffectEntry, ...]
+    verdict: str
+    closed_frac: float
+    why: str
+
+    @property
+    def usable(self) -> bool:
+        """Whether the server may compensate them: the diagnosis is settled, and the gap was closed by them."""
+        return bool(self.effects) and self.verdict in ("none", "effects") and self.closed_frac >= CLOSED_MIN
+
+
+def effects_of(fitted: Recording, left: Recording, judged: Recording) -> Found:
+    """Fit on one recording, measure what is left of the model's form on a second, diagnose a third.
+
+    Model: as `longreach diagnose --fit-baseline` and then `longreach diagnose` with the file that it makes; the second
+           step's search for wrong names is left out here, since it would triple the time and only widens the limits.
+    """
+    first = _read(fitted)
+    entries: list[EffectEntry] = []
+    for cell in cells_of(first):
+        entries += entries_of(forward(cell).fit)
+    effects = tuple(entries)
+    remainder = _remainder(_with(_read(left), effects, ()))
+    last = _read(judged)
+    before, after = (_energy(_with(last, some, ())) for some in ((), effects))
+    found = diagnose(_with(last, effects, remainder))
+    more = [effect for one in found.cells for effect in entries_of(one.chosen.fit)]
+    closed = 1.0 - (after - 1.0) / max(before - 1.0, 1e-9)
+    both = (*effects, *more) if found.verdict.word == "effects" else effects
+    return Found(both, found.verdict.word, closed, found.verdict.why)
+
+
+def _read(recording: Recording) -> Read:
+    whole = examine(recording, Path("tour"))
+    if not whole.usable:
+        raise RuntimeError("; ".join(str(one) for one in whole.findings))
+    return whole
+
+
+def _with(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:
+    if whole.nominal is None:
+        raise RuntimeError("a tour without a machine file")
+    return replace(whole, nominal=replace(whole.nominal, baseline=effects, remainders=remainders))
+
+
+def _remainder(whole: Read) -> tuple[Remainder, ...]:
+    """What the effects leave of the wall's corners, without the noise [px]."""
+    out = []
+    for cell in cells_of(whole):
+        px = cell.whitened(cell.base)[0] * cell.scale
+        left = float(np.sqrt(max(0.0, float(np.mean(px**2)) - float(cell.scale[0] ** 2))))
+        out.append(Remainder("camera", None, "ooi", left, left, (), max(1.0, (left / float(cell.scale[0])) ** 2)))
+    return tuple(out)
+
+
+def _energy(whole: Read) -> float:
+    """Mean squared residual in floors."""
+    rows = [cell.whitened(cell.base)[0] for cell in cells_of(whole)]
+    return float(np.mean(np.concatenate(rows) ** 2)) if rows else 1.0

@@ -1,0 +1,85 @@
+"""`longreach bench gap`: the blind benchmark, for hours in the background; every case saved, a second run resumes."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from longreach.bench_gap import figures
+from longreach.bench_gap.runner import GENERATORS, Campaign, CampaignError, run_campaign, scores
+from longreach.bench_machines.command import told
+
+console = Console(width=170)
+
+
+def gap(
+    n: Annotated[int, typer.Option(help="cases")] = 600,
+    seed: Annotated[int, typer.Option(help="of the campaign; judgement seeds are 100 and above")] = 100,
+    plant: Annotated[str, typer.Option(help="own")] = "own",
+    first: Annotated[int, typer.Option(help="number of the first case")] = 0,
+    factor: Annotated[float | None, typer.Option(help="all sizes at this many detection limits")] = None,
+    only_tell: Annotated[bool, typer.Option("--tell", help="run nothing, tell what is on file")] = False,
+    folder: Annotated[Path, typer.Option(help="where every case is saved")] = Path("runs/bench-gap"),
+) -> None:
+    """Blind cases of the gap diagnosis: names, refusals, probabilities, limits and shrink against sealed truths."""
+    if plant not in GENERATORS:
+        raise typer.BadParameter(f"--plant {plant}; there are {', '.join(GENERATORS)}")
+    asked, numbers = Campaign(plant, seed, folder.resolve(), factor), range(first, first + n)
+    if not only_tell:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, TimeRemainingColumn(), console=console) as shown:
+            task = shown.add_task("baseline", total=n)
+            try:
+                failed = run_campaign(
+                    asked, numbers, lambda text: shown.update(task, description=text, advance=text.startswith("case"))
+                )
+            except CampaignError as error:
+                console.print(f"[bold red]longreach:[/] {escape(str(error))}")
+                raise typer.Exit(2) from error
+        console.print(f"{failed} cases could not be judged: see their log.txt") if failed else None
+    tell(scores(asked, numbers), f"{plant}, seed {seed}")
+
+
+def tell(cases: figures.Cases, title: str) -> None:
+    """Every table of a campaign."""
+    console.print(f"{title}: N reached {len(cases)}")
+    if not cases:
+        return
+    console.print(_table("names and refusals (from 2x the detection limit on)", figures.naming(cases)))
+    console.print(_table("by size, by stage", [*figures.by_factor(cases), *figures.by_stage(cases)]))
+    console.print(_table("the true name left out of the library", figures.left_out(cases)))
+    console.print(_table("simpler methods, same cases", figures.rivals(cases)))
+    table = Table(title="reliability of the best answer's probability", title_justify="left")
+    for heading in ("stated", "cases", "mean stated", "share right"):
+        table.add_column(heading)
+    for bin_name, count, stated, right in figures.reliability(cases):
+        table.add_row(bin_name, str(count), f"{stated:.2f}", f"{right:.2f}")
+    console.print(table)
+    sizes = [one["credible_size"] for one in cases]
+    classes = [size for one in cases for size in one["classes"]]
+    console.print(
+        f"mean size of the 90 % set {sum(sizes) / len(sizes):.2f}; mean class size "
+        f"{(sum(classes) / len(classes)) if classes else 1.0:.2f} over {len(classes)} classes"
+    )
+    ratios = sorted(figures.limit_ratios(cases))
+    if ratios:
+        middle, high = ratios[len(ratios) // 2], ratios[int(0.9 * (len(ratios) - 1))]
+        console.print(f"tool's limit over the scorer's: median {middle:.2f}, 90 % below {high:.2f}, N = {len(ratios)}")
+    closed, count = figures.shrinks(cases)
+    console.print(f"median closed_frac of exact answers: {'-' if closed is None else f'{closed:.3f}'} (N = {count})")
+    console.print(_table("parameters", [figures.inside_limits(cases)]))
+    for line in figures.failures(cases):
+        console.print(f"  {escape(line)}")
+
+
+def _table(title: str, lines: list[figures.Line]) -> Table:
+    table = Table(title=title, title_justify="left")
+    for heading in ("claim", "wanted", "reached"):
+        table.add_column(heading)
+    for line in lines:
+        table.add_row(line.claim, line.wanted, told(line.share) if line.share is not None else "no case")
+    return table

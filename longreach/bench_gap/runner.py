@@ -1,0 +1,150 @@
+"""One case after another, each in processes of its own: generate, diagnose, judge. Saved; a second run resumes."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[2]
+GENERATORS = {"own": "tests.gap_benchmark.generate"}
+UNDISTURBED = 5  # recordings for a baseline: two to fit, three to judge
+CASE_S = 3600.0  # a process that takes longer is stopped, and its case is run again next time
+BAD_INPUT = 2  # exit code of a recording that the tool will not judge: a refusal, not a crash
+ONE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+class CampaignError(Exception):
+    """The benchmark cannot be run here: no generator, or no baseline could be made."""
+
+
+@dataclass(frozen=True, slots=True)
+class Campaign:
+    """What is asked for. `factor`: a fixed size over the detection limit; None: drawn from 0.5 to 8."""
+
+    plant: str
+    seed: int
+    folder: Path
+    factor: float | None = None
+
+    @property
+    def place(self) -> Path:
+        """Where this campaign's cases lie."""
+        size = f"-{self.factor:g}x" if self.factor is not None else ""
+        return self.folder / f"{self.plant}-{self.seed}{size}"
+
+    @property
+    def machine(self) -> Path:
+        """The plant's machine file with its baseline: one a plant."""
+        return self.folder / f"{self.plant}.toml"
+
+    @property
+    def limits(self) -> Path:
+        """The scorer's detection limits: one table a plant."""
+        return self.folder / f"{self.plant}-limits.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """How a process ended: its exit code (None: stopped for its time) and its words."""
+
+    code: int | None
+    text: str
+
+
+def run_campaign(asked: Campaign, numbers: range, advance: Callable[[str], None] = lambda _text: None) -> int:
+    """Run the cases that are not on file yet; how many could not be judged.
+
+    Raises: CampaignError: no generator here, or no baseline or table of limits could be made.
+    """
+    if not (ROOT / "tests" / "gap_benchmark").is_dir():
+        raise CampaignError("the generator lies in tests/ of the source tree; run this from a checkout")
+    if not asked.machine.is_file():
+        advance("fitting the baseline")
+        _fit(asked)
+    if not asked.limits.is_file():
+        advance("the scorer's detection limits")
+        _limits(asked)
+    failed = 0
+    for number in numbers:
+        folder = asked.place / f"case{number:05d}"
+        if not (folder / "score.json").is_file():
+            failed += not _case(asked, number, folder)
+        advance(f"case {number}")
+    return failed
+
+
+def _fit(asked: Campaign) -> None:
+    """The plant's baseline, from undisturbed recordings, by the command that a person would use."""
+    folder = asked.folder / f"{asked.plant}-undisturbed"
+    _run(["-m", GENERATORS[asked.plant], "--undisturbed", str(UNDISTURBED), "--out", str(folder)], folder, None)
+    recordings = [str(folder / f"undisturbed{k}") for k in range(UNDISTURBED)]
+    fitting = ["-m", "longreach.cli", "diagnose", *recordings, "--fit-baseline", "--out", str(asked.machine)]
+    ended = _run(fitting, folder, None)
+    if not asked.machine.is_file():
+        raise CampaignError(f"no baseline could be made; see {folder / 'log.txt'}")
+    (folder / "baseline.txt").write_text(ended.text, encoding="utf-8")
+
+
+def _limits(asked: Campaign) -> None:
+    folder = asked.folder / f"{asked.plant}-undisturbed"
+    table = ["--machine", str(asked.machine), "--out", str(asked.limits)]
+    _run(["-m", "tests.gap_benchmark.limits", *table], folder, None)
+    if not asked.limits.is_file():
+        raise CampaignError(f"no table of limits could be made; see {folder / 'log.txt'}")
+
+
+def _case(asked: Campaign, number: int, folder: Path) -> bool:
+    """One case from its truth to its score; False where a process crashed or was stopped."""
+    folder.mkdir(parents=True, exist_ok=True)
+    machine = ["--machine", str(asked.machine)]
+    case = ["--case", str(number), "--seed", str(asked.seed), "--out", str(folder), "--limits", str(asked.limits)]
+    size = ["--factor", str(asked.factor)] if asked.factor is not None else []
+    if _run(["-m", GENERATORS[asked.plant], *case, *machine, *size], folder).code != 0:
+        return False
+    lacking = (folder / "lacking.txt").read_text(encoding="utf-8").strip()  # no secret: the tool has to do without it
+    how = ["--without", lacking] if lacking else ["--leave-named-out"]
+    answer = folder / "answer.json"
+    told = _run(
+        ["-m", "longreach.cli", "diagnose", str(folder / "recording"), "--json", str(answer), *how], folder
+    )  # fmt: skip
+    if told.code == BAD_INPUT:
+        answer.write_text(json.dumps({"refused_to_read": told.text[-2000:]}), encoding="utf-8")
+    elif told.code != 0:
+        return False
+    judged = _run(["-m", "tests.gap_benchmark.judge", "--folder", str(folder), *machine], folder)
+    if judged.code == 0:
+        for file in (folder / "recording").glob("*.csv"):
+            file.unlink()  # the generator makes it again from its numbers
+    return judged.code == 0
+
+
+def _run(arguments: list[str], folder: Path, longest_s: float | None = CASE_S) -> Ended:
+    """A process of its own, politely; its words also go to the folder's log."""
+    folder.mkdir(parents=True, exist_ok=True)
+    environment = {**os.environ, **dict.fromkeys(ONE_THREAD, "1")}
+    command = [*(["nice", "-n", "19"] if shutil.which("nice") else []), sys.executable, *arguments]
+    try:
+        done = subprocess.run(
+            command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=longest_s, check=False
+        )
+        ended = Ended(done.returncode, done.stdout + done.stderr)
+    except subprocess.TimeoutExpired:
+        ended = Ended(None, f"stopped after {longest_s:g} s")
+    with (folder / "log.txt").open("a", encoding="utf-8") as log:
+        log.write(f"$ {' '.join(arguments)}\n{ended.text}\nexit {ended.code}\n")
+    return ended
+
+
+def scores(asked: Campaign, numbers: range) -> list[dict[str, Any]]:
+    """What the judge wrote, of the cases that have been run."""
+    found = []
+    for number in numbers:
+        file = asked.place / f"case{number:05d}" / "score.json"
+        if file.is_file():
+            found.append(json.loads(file.read_text(encoding="utf-8")))
+    return found

@@ -1,0 +1,95 @@
+"""`longreach bench hold`."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from longreach.bench_hold.drill import FLAGS, LIMIT_MS, WAYS, HoldCase, HoldDrill
+
+console = Console(width=160)
+RETRIES = 3
+
+
+def hold(
+    n: Annotated[int, typer.Option(help="presses ended in each of the five ways")] = 100,
+    seed: Annotated[int, typer.Option(help="draws the moments")] = 1,
+    folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = Path(
+        "runs/bench-hold"
+    ),
+    chromium: Annotated[str, typer.Option(help="the browser")] = "/usr/bin/chromium",
+) -> None:
+    """Hold-to-run in a real browser: time from letting go to the ramp in the PLC's states."""
+    try:
+        from playwright.sync_api import sync_playwright
+    except ImportError:
+        console.print("playwright is not installed: pip install 'longreach[test]'")
+        raise typer.Exit(2) from None
+    folder.mkdir(parents=True, exist_ok=True)
+    cases = saved(folder, seed)
+    wanted = [(way, number) for number in range(n) for way in WAYS if (way, number) not in cases]
+    if wanted:
+        with sync_playwright() as driver:
+            browser = driver.chromium.launch(executable_path=chromium, headless=True, args=list(FLAGS))
+            with HoldDrill(folder / "stack", browser) as drill:
+                for way, number in wanted:
+                    cases[way, number] = _tried(drill, way, number, seed)
+                    _save(folder, seed, cases[way, number])
+            browser.close()
+    console.print(summary([case for case in cases.values() if case.number < n]))
+
+
+def _tried(drill: HoldDrill, way: str, number: int, seed: int) -> HoldCase:
+    """A computer that is too busy may end the move before the button is let go: tried again, and told."""
+    for attempt in range(RETRIES):
+        try:
+            case = drill.case(way, number, seed)
+        except (TimeoutError, RuntimeError) as error:
+            console.print(f"{way} {number}, attempt {attempt + 1}: {error}")
+            drill.forget_page()
+            continue
+        console.print(f"{way} {number}: {case.delay_ms:.1f} ms ({case.reason})", highlight=False)
+        return case
+    raise typer.Exit(1)
+
+
+def saved(folder: Path, seed: int) -> dict[tuple[str, int], HoldCase]:
+    """The cases of earlier runs with this seed."""
+    path = folder / f"cases-{seed}.jsonl"
+    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+    found: list[dict[str, Any]] = [json.loads(line) for line in lines]
+    return {(one["way"], one["number"]): HoldCase(**one) for one in found}
+
+
+def _save(folder: Path, seed: int, case: HoldCase) -> None:
+    with (folder / f"cases-{seed}.jsonl").open("a", encoding="utf-8") as file:
+        file.write(json.dumps(asdict(case)) + "\n")
+
+
+def summary(cases: list[HoldCase]) -> Table:
+    """One row a way."""
+    table = Table(title="from letting go to the first PLC state that shows the ramp, ms", title_justify="left")
+    for heading in ("way", "N", "p50", "p99", "max", "limit", "over it", "moved again", "clock +-"):
+        table.add_column(heading)
+    for way in WAYS:
+        mine = [case for case in cases if case.way == way]
+        if not mine:
+            continue
+        delays = np.array([case.delay_ms for case in mine])
+        table.add_row(
+            way,
+            str(len(mine)),
+            f"{np.median(delays):.0f}",
+            f"{np.percentile(delays, 99):.0f}",
+            f"{delays.max():.0f}",
+            f"{LIMIT_MS[way]:.0f}",
+            str(int((delays > LIMIT_MS[way]).sum())),
+            str(sum(case.moved_again for case in mine)),
+            f"{max(case.clock_error_ms for case in mine):.1f}",
+        )
+    return table

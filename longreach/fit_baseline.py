@@ -1,0 +1,70 @@
+"""`longreach diagnose --fit-baseline`: a machine file with the effects that belong to a machine undisturbed."""
+
+import re
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from diagnosis.baseline import Baseline, fit_baseline
+from diagnosis.errors import DiagnosisError
+from diagnosis.reading import Read, read
+from machine.effects.entries import entries_to_toml
+from machine.remainder import remainders_to_toml
+
+FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
+
+
+class BaselineError(Exception):
+    """Recordings from which no baseline can be made, or a file that cannot be written."""
+
+
+def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, screen: Console) -> str:
+    """Fit a baseline and write the machine file; what it says of itself, for the screen.
+
+    Raises: BaselineError: an unusable recording, too few of them, or a file that cannot be written.
+    """
+    wholes = [_usable(path, machine_file) for path in recordings]
+    count = max(1, round(len(wholes) * FITTED_SHARE))
+    try:
+        found = fit_baseline(wholes[:count], wholes[count:], lambda text: screen.print(f"[dim]{escape(text)}[/]"))
+    except DiagnosisError as error:
+        raise BaselineError(str(error)) from error
+    text = with_baseline(_machine_text(wholes[0], recordings[0], machine_file), found)
+    try:
+        out.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise BaselineError(f"{out} cannot be written: {error.strerror}") from error
+    return told(found, count, len(wholes))
+
+
+def _usable(path: Path, machine_file: Path | None) -> Read:
+    whole = read(path, machine_file)
+    if not whole.usable:
+        raise BaselineError(f"{path} cannot be used: {'; '.join(str(one) for one in whole.findings)}")
+    return whole
+
+
+def _machine_text(whole: Read, path: Path, machine_file: Path | None) -> str:
+    if machine_file is not None:
+        return machine_file.read_text(encoding="utf-8")
+    inside = path / "machine.toml"
+    if not inside.is_file():
+        raise BaselineError(f"{path} holds no machine.toml file; give one by --machine")
+    return inside.read_text(encoding="utf-8")
+
+
+def with_baseline(text: str, found: Baseline) -> str:
+    """A machine file's text with this baseline in place of any that it had."""
+    parts = re.split(r"(?m)^(?=[ \t]*\[)", text)  # one part a table
+    kept = [one for one in parts if not re.match(r"[ \t]*\[\[(effect|remainder)\]\]", one)]
+    return "".join(kept).rstrip() + "\n" + entries_to_toml(found.effects) + remainders_to_toml(found.remainders)
+
+
+def told(found: Baseline, fitted: int, count: int) -> str:
+    """What was fitted and what is left, one line a cell."""
+    rows = [f"fitted on {fitted} recordings, judged on {count - fitted}; RMS in noise floors before and after:"]
+    rows += [f"  {one.label}: {one.before:.3g} -> {one.after:.3g}" for one in found.cells]
+    rows += [f"  {one.name} {one.joint or ''} {dict(one.values)}" for one in found.effects]
+    rows += [f"  a wrong name gains up to {nats:.3g} nats in {label}" for label, nats in found.best_wrong_nats]
+    return "\n".join(rows)

@@ -1,0 +1,75 @@
+"""`longreach fleet ...`: many machines from one program. Short on purpose: an example to copy."""
+
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Annotated
+
+import httpx
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from longreach.fleet_client import Finished, JobClient, JobRefusedError, read_key
+
+app = typer.Typer(no_args_is_help=True)
+console = Console()
+Urls = Annotated[list[str], typer.Argument(help="the servers, one machine each")]
+KeyFile = Annotated[Path | None, typer.Option(help="file with the API key", envvar="LONGREACH_KEY_FILE", exists=True)]
+
+
+@app.command()
+def position(urls: Urls, key_file: KeyFile = None, wait_s: float = 60.0) -> None:
+    """Position all machines at once, each under control of its own, and say how each of them ended."""
+    key = read_key(key_file)
+    with ThreadPoolExecutor(len(urls)) as pool:
+        ends = list(pool.map(lambda url: position_one(url, key, wait_s), urls))
+    table = Table(title=f"{len(urls)} machines", title_justify="left")
+    for heading in ("machine", "state", "reason", "s"):
+        table.add_column(heading)
+    for url, end in zip(urls, ends, strict=True):
+        table.add_row(url, end.state, end.reason, f"{end.elapsed_s:.0f}")
+    console.print(table)
+    if any(end.state != "done" or not end.result["reached"] for end in ends):
+        raise typer.Exit(1)
+
+
+def position_one(url: str, key: str = "", wait_s: float = 60.0) -> Finished:
+    """One machine: wait until it is ready, take control as a fleet does, position, give control back."""
+    with JobClient(url, owner="fleet example", kind="fleet", key=key) as client:
+        try:
+            client.wait_ready(wait_s)
+            end = client.run({"kind": "position"})
+        except JobRefusedError as error:
+            return Finished("refused", str(error), None, 0.0)
+    return Finished(end.state, end.reason or end.result["reason"], end.result, end.elapsed_s)
+
+
+@app.command()
+def scrape(
+    urls: Urls,
+    key_file: KeyFile = None,
+    every_s: Annotated[float, typer.Option(help="pause between two rounds; 0 = one round")] = 0.0,
+) -> None:
+    """Fetch /metrics of all machines and print one line each: what a Prometheus would keep."""
+    key = read_key(key_file)
+    while True:
+        for url in urls:
+            console.print(f"{url}: {metrics_line(url, key)}", highlight=False, soft_wrap=True)
+        if every_s <= 0.0:
+            return
+        time.sleep(every_s)
+
+
+SHOWN = ("job_running", "faults", "store_ok", "camera_pairs_per_second", "plc_states_lost", "plc_underruns_total")
+
+
+def metrics_line(url: str, key: str = "") -> str:
+    """The figures of one machine in one line, or why there are none."""
+    headers = {"Authorization": f"Bearer {key}"} if key else {}
+    try:
+        text = httpx.get(f"{url}/metrics", headers=headers, timeout=5.0).raise_for_status().text
+    except httpx.HTTPError as error:
+        return f"no metrics ({error})"
+    rows = dict(line.rsplit(" ", 1) for line in text.splitlines() if line and not line.startswith("#"))
+    return ", ".join(f"{name} {rows[f'longreach_{name}']}" for name in SHOWN if f"longreach_{name}" in rows)

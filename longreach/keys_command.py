@@ -1,0 +1,54 @@
+"""`longreach keys ...`: the API keys of a server that others than this computer reach."""
+
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from server.access.keys import new_key, read_keys, with_key, without_key, write_keys
+from server.access.roles import Role
+
+app = typer.Typer(no_args_is_help=True)
+Name = Annotated[str, typer.Argument(help="whose key it is; shown in the audit")]
+File = Annotated[Path, typer.Option("--file", help="the key file that [http] keys_file names")]
+DEFAULT = Path("keys.json")
+
+
+@app.command()
+def add(
+    name: Name,
+    role: Annotated[Role, typer.Option(help="what the key may do")] = Role.OPERATOR,
+    file: File = DEFAULT,
+) -> None:
+    """Make a key and print it, once: only its SHA-256 is kept."""
+    secret = new_key()
+    write_keys(file, with_key(read_keys(file), name, role, secret, time.time()))
+    Console(stderr=True).print(f"key of {name} ({role}), shown this once; send it as 'Authorization: Bearer KEY'")
+    typer.echo(secret)
+
+
+@app.command("list")
+def list_keys(file: File = DEFAULT) -> None:
+    """Names, roles and dates; never a key."""
+    table = Table()
+    for heading in ("name", "role", "made", "revoked"):
+        table.add_column(heading)
+    for key in read_keys(file):
+        revoked = "" if key.revoked_unix_s is None else _date(key.revoked_unix_s)
+        table.add_row(key.name, key.role, _date(key.made_unix_s), revoked)
+    Console().print(table)
+
+
+@app.command()
+def revoke(name: Name, file: File = DEFAULT) -> None:
+    """Put a key out of force; a running server sees it within a second, and its sessions end."""
+    write_keys(file, without_key(read_keys(file), name, time.time()))
+    typer.echo(f"key of {name} revoked")
+
+
+def _date(t_unix_s: float) -> str:
+    return datetime.fromtimestamp(t_unix_s, UTC).strftime("%Y-%m-%d %H:%M UTC")

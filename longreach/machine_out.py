@@ -1,0 +1,51 @@
+"""`longreach diagnose --machine-out`: the machine file with the diagnosed effects, for the simulator and the server."""
+
+from pathlib import Path
+
+from diagnosis.baseline import entries_of
+from diagnosis.diagnose import Diagnosis
+from diagnosis.errors import DiagnosisError
+from machine.effects.entries import EffectEntry, entries_to_toml
+
+USABLE = ("effects", "none")
+
+
+class MachineOutError(Exception):
+    """A diagnosis from which no machine file must be made, or a file that cannot be written."""
+
+
+def effects_found(found: Diagnosis) -> tuple[EffectEntry, ...]:
+    """What was chosen in every cell, as entries of a machine file."""
+    try:
+        return tuple(entry for one in found.cells for entry in entries_of(one.chosen.fit))
+    except DiagnosisError as error:
+        raise MachineOutError(str(error)) from error
+
+
+def machine_with_effects(text: str, found: Diagnosis) -> str:
+    """A machine file's text with the diagnosed effects behind it; its baseline, if it has one, stays.
+
+    Raises: MachineOutError: the diagnosis is undecided, or outside the catalogue.
+    """
+    word = found.verdict.word
+    if word not in USABLE:
+        raise MachineOutError(
+            f"the diagnosis is '{word}' ({found.verdict.why}): no machine file is made of it; "
+            "do the next experiment and diagnose both recordings together"
+        )
+    probability = found.hypotheses[0].probability if found.hypotheses else 1.0
+    line = f"\n# longreach diagnose: verdict {word}, probability {probability:.3g}\n"
+    return text.rstrip() + "\n" + line + entries_to_toml(effects_found(found))
+
+
+def write_machine(text: str, found: Diagnosis, path: Path) -> str:
+    """Write the file; what was written, for the screen.
+
+    Raises: MachineOutError: see `machine_with_effects`; or the file cannot be written.
+    """
+    try:
+        path.write_text(machine_with_effects(text, found), encoding="utf-8")
+    except OSError as error:
+        raise MachineOutError(f"{path} cannot be written: {error.strerror}") from error
+    names = ", ".join(f"{one.name} {one.joint or ''}".strip() for one in effects_found(found)) or "no effect"
+    return f"{path}: the machine with {names}"

@@ -1,0 +1,117 @@
+"""`[[remainder]]` of a machine file: what a fitted baseline leaves of the model's form, as an addition to the noise."""
+
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from machine.errors import MachineFileError
+
+if TYPE_CHECKING:
+    from machine.effects.entries import EffectEntry
+
+STAGES = ("link", "controller", "actuator", "structure", "camera")
+KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual"}
+
+
+@dataclass(frozen=True, slots=True)
+class Remainder:
+    """What the baseline does not explain of one stage's residual, on recordings that it was not fitted to.
+
+    `sigma`: innovation of the 20 Hz increments (link [rad], controller [1], actuator [rad]) or of points [m], corners
+    [px], without the noise; `rms`: the same before whitening; `ar`: the increments' autoregression; `spread`: by how
+    much scores are divided, since a remainder of form is no white noise. `on`: static, tracker, ooi or tool.
+    `usual`: tests of a residual that fire on the undisturbed machine, and how large they get there.
+    """
+
+    stage: str
+    joint: int | None
+    on: str
+    sigma: float
+    rms: float
+    ar: tuple[float, ...] = ()
+    spread: float = 1.0
+    usual: tuple[tuple[str, float], ...] = ()
+
+
+def parse_baseline(tables: object, n_joints: int) -> "tuple[EffectEntry, ...]":
+    """The effects of a machine file's `effect` list; the compiled kernel behind its reader only where there is one.
+
+    Raises: MachineFileError: see `machine.effects.entries.parse_entries`.
+    """
+    if tables is None:
+        return ()
+    from machine.effects.entries import parse_entries
+
+    return parse_entries(tables, n_joints)
+
+
+def parse_remainders(tables: object) -> tuple[Remainder, ...]:
+    """The remainders of a machine file's `remainder` list, as `tomllib` gives it (None: no list).
+
+    Raises: MachineFileError: naming entry, field and value.
+    """
+    if tables is None:
+        return ()
+    if not isinstance(tables, list):
+        raise MachineFileError(f"remainder = {tables!r} is not a list; write each as its own [[remainder]] table")
+    return tuple(_one(table, f"remainder {number}") for number, table in enumerate(tables, start=1))
+
+
+def _one(table: object, where: str) -> Remainder:
+    if not isinstance(table, dict):
+        raise MachineFileError(f"{where} is not a table; write [[remainder]] with stage, joint, sigma and rms")
+    unknown = sorted(set(table) - KEYS)
+    if unknown:
+        raise MachineFileError(f"{where}: unknown key {unknown[0]!r}; it has {', '.join(sorted(KEYS))}")
+    stage, joint, on, ar = (table.get(key) for key in ("stage", "joint", "on", "ar"))
+    if stage not in STAGES:
+        raise MachineFileError(f"{where}: stage = {stage!r}; give one of {', '.join(STAGES)}")
+    if joint is not None and (isinstance(joint, bool) or not isinstance(joint, int) or joint < 1):
+        raise MachineFileError(f"{where}: joint = {joint!r}; give a whole number from 1, or leave it out")
+    if not isinstance(ar or [], list):
+        raise MachineFileError(f"{where}: ar = {ar!r} is not a list of numbers")
+    return Remainder(
+        stage,
+        joint,
+        str(on or ""),
+        _number(table, "sigma", 0.0, where),
+        _number(table, "rms", 0.0, where),
+        tuple(_finite(value, f"{where}: ar") for value in ar or []),
+        _number(table, "spread", 1.0, where),
+        _usual(table.get("usual", {}), where),
+    )
+
+
+def _usual(value: object, where: str) -> tuple[tuple[str, float], ...]:
+    if not isinstance(value, dict):
+        raise MachineFileError(f"{where}: usual = {value!r} is not a table of tests and sizes")
+    return tuple((str(name), _finite(size, f"{where}: usual.{name}")) for name, size in value.items())
+
+
+def _number(table: dict[str, object], key: str, least: float, where: str) -> float:
+    value = _finite(table.get(key, least), f"{where}: {key}")
+    if value < least:
+        raise MachineFileError(f"{where}: {key} = {value:g} is below {least:g}")
+    return value
+
+
+def _finite(value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise MachineFileError(f"{where} = {value!r} is not a finite number")
+    return float(value)
+
+
+def remainders_to_toml(remainders: Iterable[Remainder]) -> str:
+    """`[[remainder]]` tables that `parse_remainders` reads back to the same numbers."""
+    return "".join(_toml(one) for one in remainders)
+
+
+def _toml(one: Remainder) -> str:
+    joint = f"joint = {one.joint}\n" if one.joint is not None else ""
+    on = f'on = "{one.on}"\n' if one.on else ""
+    pairs = ", ".join(f"{json.dumps(name)} = {size!r}" for name, size in one.usual)
+    usual = f"usual = {{ {pairs} }}\n" if pairs else ""
+    numbers = f"sigma = {one.sigma!r}\nrms = {one.rms!r}\nspread = {one.spread!r}\n"
+    return f'\n[[remainder]]\nstage = "{one.stage}"\n{joint}{on}{numbers}ar = [{", ".join(map(repr, one.ar))}]\n{usual}'

@@ -1,0 +1,1 @@
+"""Who may command the machine: the lease of control, keys and roles. Pure but for the desk's clock and the key file."""

@@ -1,0 +1,77 @@
+"""The lease desk: the book with this process' clock and secrets, and who wants to know when control changes.
+
+A fencing number is on disk before its holder is told it (server/api/lease.py): after a crash it is never given twice.
+"""
+
+import secrets
+import time
+from collections.abc import Callable
+
+from server.access.lease import Lease, LeaseBook, LeaseKind
+
+TTL_S = 10.0  # three keep-alives may be lost when they come every third of it
+
+
+class LeaseDesk:
+    """Where REST, WebSocket and the engine ask for control."""
+
+    def __init__(self, fencing: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
+        self.book = LeaseBook(fencing)
+        self._clock = clock
+        self._listeners: list[Callable[[], None]] = []
+
+    def on_change(self, listener: Callable[[], None]) -> None:
+        """Call when the holder changes."""
+        self._listeners.append(listener)
+
+    @property
+    def now_s(self) -> float:
+        """Now, on the book's clock."""
+        return self._clock()
+
+    @property
+    def held(self) -> Lease | None:
+        """The lease, live or stale."""
+        return self.book.held
+
+    def acquire(self, owner: str, kind: LeaseKind = LeaseKind.OPERATOR, ttl_s: float = TTL_S) -> Lease:
+        """As LeaseBook.acquire, with a new secret."""
+        return self._told(self.book.acquire(owner, kind, ttl_s, new_lease_id(), self.now_s))
+
+    def take(self, owner: str, kind: LeaseKind, reason: str, ttl_s: float = TTL_S) -> Lease:
+        """As LeaseBook.take, with a new secret."""
+        return self._told(self.book.take(owner, kind, ttl_s, reason, new_lease_id(), self.now_s))
+
+    def release(self, lease_id: str) -> Lease:
+        """As LeaseBook.release."""
+        return self._told(self.book.release(lease_id, self.now_s))
+
+    def keep_alive(self, lease_id: str) -> Lease:
+        """As LeaseBook.keep_alive."""
+        return self.book.keep_alive(lease_id, self.now_s)
+
+    def ask(self, owner: str) -> Lease | None:
+        """As LeaseBook.ask."""
+        return self.book.ask(owner)
+
+    def grant(self, lease_id: str, to: str) -> Lease:
+        """As LeaseBook.grant."""
+        return self.book.grant(lease_id, to, self.now_s)
+
+    def check(self, lease_id: str, fencing: int | None) -> Lease:
+        """As LeaseBook.check: what a command that moves or arms must pass."""
+        return self.book.check(lease_id, fencing, self.now_s)
+
+    def lost(self, fencing: int) -> str:
+        """As LeaseBook.lost."""
+        return self.book.lost(fencing, self.now_s)
+
+    def _told(self, lease: Lease) -> Lease:
+        for listener in self._listeners:
+            listener()
+        return lease
+
+
+def new_lease_id() -> str:
+    """A secret of 192 random bits."""
+    return secrets.token_urlsafe(24)

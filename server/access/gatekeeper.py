@@ -1,0 +1,122 @@
+"""Who is calling and whether they may: host, origin, lock-out, key or cookie, role. Pure but for the key file."""
+
+from dataclasses import dataclass, field
+
+from server.access.errors import AccessError, RoleError
+from server.access.hosts import host_allowed, origin_allowed
+from server.access.keys import KeyRing
+from server.access.lockout import Lockout
+from server.access.roles import ANYBODY, SAFE_METHODS, Role, needed
+from server.access.sessions import Sessions
+from server.store.audit_rows import Caller
+
+
+class HostError(AccessError):
+    """The Host header is none of this server's names."""
+
+    code = "foreign_host"
+    status = 421
+    hint = "use the address, or add the name to [http] allowed_hosts"
+
+
+class OriginError(AccessError):
+    """Another web page sent this request."""
+
+    code = "foreign_origin"
+    hint = "open the panel itself; other pages may not command the machine"
+
+
+class KeyRequiredError(AccessError):
+    """No key, or one that is not in force."""
+
+    code = "unauthorized"
+    status = 401
+    hint = "send 'Authorization: Bearer KEY', or log in at /login; keys are made by `longreach keys add`"
+
+
+class LockedOutError(AccessError):
+    """Too many wrong keys from this address."""
+
+    code = "locked_out"
+    status = 429
+    hint = "wait a minute; a stop needs no key"
+
+
+@dataclass(frozen=True, slots=True)
+class Credentials:
+    """What a request carries about itself."""
+
+    method: str
+    path: str
+    address: str
+    host: str
+    origin: str | None = None
+    bearer: str = field(default="", repr=False)
+    cookie: str = field(default="", repr=False)
+
+
+class Gatekeeper:
+    """Mutable on purpose: failures and sessions. Without keys everybody on this computer is its operator."""
+
+    def __init__(self, keys: KeyRing, allowed_hosts: tuple[str, ...] = ()) -> None:
+        self.keys, self.sessions, self._lockout = keys, Sessions(), Lockout()
+        self._hosts = allowed_hosts
+
+    @property
+    def open(self) -> bool:
+        """Whether there are no keys: then the server listens on loopback only."""
+        return self.keys.path is None
+
+    def admit(self, request: Credentials, now_s: float) -> Caller:
+        """Who it is.
+
+        Raises: HostError, OriginError, LockedOutError, KeyRequiredError, RoleError.
+        """
+        if not host_allowed(request.host, self._hosts):
+            raise HostError(f"host '{request.host[:64]}' is none of this server's names")
+        if request.method not in SAFE_METHODS and not origin_allowed(request.origin, request.host):
+            raise OriginError(f"a page of {(request.origin or '')[:64]} may not command this machine")
+        roles = needed("GET" if request.method == "WEBSOCKET" else request.method, request.path)
+        if self.open:
+            return self._role(Caller("local", Role.OPERATOR, request.address), roles, request)
+        if roles == ANYBODY and not (request.bearer or request.cookie):
+            return Caller("nobody", "", request.address)
+        caller = self._known(request, now_s, required=roles != ANYBODY)
+        return self._role(caller, roles, request)
+
+    def log_in(self, secret: str, address: str, now_s: float) -> str:
+        """A cookie for a key. Raises: LockedOutError, KeyRequiredError."""
+        caller = self._by_key(secret, address, now_s)
+        return self.sessions.open(caller.name, Role(caller.role), now_s)
+
+    def _known(self, request: Credentials, now_s: float, required: bool) -> Caller:
+        try:
+            if request.bearer:
+                return self._by_key(request.bearer, request.address, now_s)
+            session = self.sessions.find(request.cookie, now_s)
+            if session is not None and self.keys.in_force(session.name, now_s):
+                return Caller(session.name, session.role, request.address)
+            raise KeyRequiredError("no key, or a session that has ended")
+        except AccessError:
+            if required:
+                raise
+            return Caller("nobody", "", request.address)  # a stop is a stop, whatever key it carries
+
+    def _by_key(self, secret: str, address: str, now_s: float) -> Caller:
+        left_s = self._lockout.locked_s(address, now_s)
+        if left_s > 0.0:
+            raise LockedOutError(
+                f"too many wrong keys from {address}; {left_s:.0f} s left", {"retry_s": f"{left_s:.0f}"}
+            )
+        key = self.keys.find(secret, now_s)
+        if key is None:
+            self._lockout.failed(address, now_s)
+            raise KeyRequiredError("the key is wrong or was revoked")
+        self._lockout.passed(address)
+        return Caller(key.name, key.role, address)
+
+    def _role(self, caller: Caller, roles: frozenset[Role], request: Credentials) -> Caller:
+        if roles and caller.role not in roles:
+            wanted = ", ".join(sorted(roles))
+            raise RoleError(f"role {caller.role} may not {request.method} {request.path}; it takes {wanted}")
+        return caller

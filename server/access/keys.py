@@ -1,0 +1,170 @@
+"""API keys: 256 random bits each, of which the file holds only a SHA-256. Why not scrypt: docs/decisions/."""
+
+import hashlib
+import hmac
+import json
+import os
+import secrets
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from server.access.roles import Role
+from server.errors import SettingsError
+
+PREFIX = "longreach_"
+NAME_MAX = 64
+
+
+class KeysError(SettingsError):
+    """A key file that cannot be used, or a name that is taken or unknown."""
+
+    code = "keys"
+
+
+@dataclass(frozen=True, slots=True)
+class ApiKey:
+    """One key as it is kept: everything but the key."""
+
+    name: str
+    role: Role
+    sha256: str
+    made_unix_s: float
+    revoked_unix_s: float | None = None
+
+
+def new_key() -> str:
+    """A fresh secret."""
+    return PREFIX + secrets.token_urlsafe(32)
+
+
+def digest_of(key: str) -> str:
+    """What is kept of a key."""
+    return hashlib.sha256(key.encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def found(keys: tuple[ApiKey, ...], presented: str) -> ApiKey | None:
+    """The key that was presented, unless revoked; every kept one is compared, in constant time."""
+    digest = digest_of(presented)
+    match = [key for key in keys if hmac.compare_digest(key.sha256, digest) and key.revoked_unix_s is None]
+    return match[0] if match else None
+
+
+def with_key(keys: tuple[ApiKey, ...], name: str, role: Role, secret: str, t_unix_s: float) -> tuple[ApiKey, ...]:
+    """One key more.
+
+    Raises: KeysError: the name is in use, empty or too long.
+    """
+    if not 0 < len(name) <= NAME_MAX or not name.isprintable():
+        raise KeysError(f"key name {name[:NAME_MAX]!r}: give 1 to {NAME_MAX} printable characters")
+    if any(key.name == name and key.revoked_unix_s is None for key in keys):
+        raise KeysError(f"key '{name}' exists; revoke it first or choose another name")
+    return (*keys, ApiKey(name, role, digest_of(secret), t_unix_s))
+
+
+def without_key(keys: tuple[ApiKey, ...], name: str, t_unix_s: float) -> tuple[ApiKey, ...]:
+    """The key of that name revoked; it stays in the list.
+
+    Raises: KeysError: there is none.
+    """
+    if not any(key.name == name and key.revoked_unix_s is None for key in keys):
+        raise KeysError(f"no key '{name}' in force; `longreach keys list` shows all")
+    return tuple(
+        replace(key, revoked_unix_s=t_unix_s) if key.name == name and key.revoked_unix_s is None else key
+        for key in keys
+    )
+
+
+def read_keys(path: Path) -> tuple[ApiKey, ...]:
+    """The keys of a file; none when it does not exist.
+
+    Raises: KeysError: it cannot be read or is no key file.
+    """
+    try:
+        rows = json.loads(path.read_text(encoding="utf-8"))["keys"]
+        return tuple(ApiKey(**{**row, "role": Role(row["role"])}) for row in rows)
+    except FileNotFoundError:
+        return ()
+    except OSError as error:
+        raise KeysError(f"key file {path}: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise KeysError(f"key file {path} is none ({error}); make one with `longreach keys add`") from error
+
+
+def write_keys(path: Path, keys: tuple[ApiKey, ...]) -> None:
+    """In one step, readable by the owner only.
+
+    Raises: KeysError: it cannot be written.
+    """
+    write_private(path, json.dumps({"keys": [asdict(key) for key in keys]}, indent=1) + "\n")
+
+
+def write_private(path: Path, text: str) -> None:
+    """A file that only its owner reads.
+
+    Raises: KeysError: it cannot be written.
+    """
+    fresh = path.with_suffix(".new")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        fresh.unlink(missing_ok=True)
+        with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+            file.write(text)
+        os.replace(fresh, path)
+    except OSError as error:
+        raise KeysError(f"{path}: {error.strerror}; give a folder that can be written") from error
+
+
+def first_key(path: Path, role: Role, secret_path: Path) -> bool:
+    """Make one key if the file holds none in force, and leave the secret beside; whether one was made."""
+    keys = read_keys(path)
+    if any(key.revoked_unix_s is None for key in keys):
+        return False
+    secret = new_key()
+    write_private(secret_path, secret + "\n")
+    write_keys(path, with_key(keys, "first", role, secret, time.time()))
+    return True
+
+
+class KeyRing:
+    """The keys in force: the file is read again when it changes, so that a revoked key is out within a second."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._stamp: tuple[int, int] | None = None
+        self._looked_s = float("-inf")
+        self._keys: tuple[ApiKey, ...] = ()
+        self.refresh(time.monotonic())
+
+    @property
+    def path(self) -> Path | None:
+        """Where they are kept; None: there are none."""
+        return self._path
+
+    def refresh(self, now_s: float) -> None:
+        """Read again at most once a second, when the file has changed. A file that went away leaves no key."""
+        if self._path is None or now_s - self._looked_s < 1.0:
+            return
+        self._looked_s = now_s
+        try:
+            state = self._path.stat()
+            stamp = (state.st_mtime_ns, state.st_ino)
+        except OSError:
+            stamp = None
+        if stamp != self._stamp or stamp is None:
+            self._keys, self._stamp = read_keys(self._path), stamp
+
+    def find(self, presented: str, now_s: float) -> ApiKey | None:
+        """The key that was presented, if it is in force."""
+        self.refresh(now_s)
+        return found(self._keys, presented)
+
+    def in_force(self, name: str, now_s: float) -> bool:
+        """Whether a key of that name is."""
+        self.refresh(now_s)
+        return any(key.name == name and key.revoked_unix_s is None for key in self._keys)
+
+    @property
+    def empty(self) -> bool:
+        """Whether no key is in force."""
+        return all(key.revoked_unix_s is not None for key in self._keys)

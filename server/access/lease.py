@@ -1,0 +1,194 @@
+"""The lease of control: one holder, a fencing number that only grows, stale before lost. Pure; time is an argument.
+
+`free -> held -> stale -> held` by its holder's keep-alive, `-> held by another` by acquire (free, stale or offered) or
+by a person's take. Every new holder gets a higher fencing number, so an older holder's command can be told for ever.
+"""
+
+import hmac
+import math
+from collections import deque
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+from server.access.errors import LeaseHeldError, LeaseLostError, LeaseStaleError, NoLeaseError, TakeRefusedError
+
+ASKED_MAX = 8  # wishes for a hand-over that the holder sees; the oldest go first
+OFFER_S = 30.0  # so long may the one that was granted control take to acquire it
+REMEMBERED = 64  # ended leases whose holders are told what happened
+
+
+class LeaseKind(StrEnum):
+    """Who holds it: a person at the machine, a fleet's program, a person who engineers."""
+
+    OPERATOR = "operator"
+    FLEET = "fleet"
+    ENGINEER = "engineer"
+
+    @property
+    def person(self) -> bool:
+        """Whether somebody is there who sees the machine."""
+        return self is not LeaseKind.FLEET
+
+
+@dataclass(frozen=True, slots=True)
+class Lease:
+    """Control of one machine. `lease_id` is the holder's secret; times in seconds of the caller's clock."""
+
+    lease_id: str = field(repr=False)
+    owner: str
+    kind: LeaseKind
+    fencing: int
+    ttl_s: float
+    heard_s: float
+    asked_by: tuple[str, ...] = ()
+    offered_to: str = ""
+    offered_until_s: float = -math.inf
+
+    def expires_in_s(self, now_s: float) -> float:
+        """Seconds until it is stale; 0 when it is."""
+        return max(0.0, self.heard_s + self.ttl_s - now_s)
+
+    def stale(self, now_s: float) -> bool:
+        """Whether its holder has not been heard for its whole time."""
+        return now_s >= self.heard_s + self.ttl_s
+
+    def offered(self, owner: str, now_s: float) -> bool:
+        """Whether its holder has granted it to that owner."""
+        return bool(owner) and self.offered_to == owner and now_s < self.offered_until_s
+
+
+class LeaseBook:
+    """Mutable on purpose: the one holder of one machine. Secrets come from the caller."""
+
+    def __init__(self, fencing: int = 0) -> None:
+        self.fencing = fencing
+        self.held: Lease | None = None
+        self._ended: deque[tuple[str, str]] = deque(maxlen=REMEMBERED)
+
+    # --- changes of the holder --------------------------------------------------------------------------------------
+
+    def acquire(self, owner: str, kind: LeaseKind, ttl_s: float, lease_id: str, now_s: float) -> Lease:
+        """Control for `owner`, if it is free, stale or offered to them.
+
+        Raises: LeaseHeldError: naming the holder and the time left.
+        """
+        held = self.held
+        if held is None or held.stale(now_s) or held.offered(owner, now_s):
+            return self._give(owner, kind, ttl_s, lease_id, now_s, f"{owner} acquired it")
+        raise LeaseHeldError(
+            f"{held.owner} ({held.kind}) has control for {held.expires_in_s(now_s):.0f} s more unless kept alive",
+            self.references(now_s),
+        )
+
+    def take(self, owner: str, kind: LeaseKind, ttl_s: float, reason: str, lease_id: str, now_s: float) -> Lease:
+        """Control for a person, whoever has it.
+
+        Raises: TakeRefusedError: a fleet's program may not; an operator's control is never a fleet's to take.
+        """
+        if not kind.person:
+            raise TakeRefusedError(
+                f"{owner} is a fleet's program: control is taken by a person", self.references(now_s)
+            )
+        return self._give(owner, kind, ttl_s, lease_id, now_s, f"{owner} took it: {reason}")
+
+    def release(self, lease_id: str, now_s: float) -> Lease:
+        """Nobody has control; the lease that ended. Raises as `known`."""
+        held = self.known(lease_id, now_s)
+        self._end(held, f"{held.owner} released it")
+        return held
+
+    def _give(self, owner: str, kind: LeaseKind, ttl_s: float, lease_id: str, now_s: float, why: str) -> Lease:
+        if self.held is not None:
+            self._end(self.held, why)
+        self.fencing += 1
+        self.held = Lease(lease_id, owner, kind, self.fencing, ttl_s, now_s)
+        return self.held
+
+    def _end(self, lease: Lease, why: str) -> None:
+        self._ended.append((lease.lease_id, why))
+        self.held = None
+
+    # --- what the holder does ---------------------------------------------------------------------------------------
+
+    def keep_alive(self, lease_id: str, now_s: float) -> Lease:
+        """Heard again: live for another ttl_s, also from stale. Raises as `known`."""
+        self.held = replace(self.known(lease_id, now_s), heard_s=now_s)
+        return self.held
+
+    def grant(self, lease_id: str, to: str, now_s: float) -> Lease:
+        """Let `to` acquire it within OFFER_S; until then the holder keeps it. Raises as `known`."""
+        held = self.known(lease_id, now_s)
+        self.held = replace(held, offered_to=to, offered_until_s=now_s + OFFER_S)
+        return self.held
+
+    def ask(self, owner: str) -> Lease | None:
+        """A wish that the holder sees; None when nobody has control."""
+        if self.held is None:
+            return None
+        others = tuple(name for name in self.held.asked_by if name != owner)
+        self.held = replace(self.held, asked_by=(*others, owner)[-ASKED_MAX:])
+        return self.held
+
+    # --- what a command is checked against --------------------------------------------------------------------------
+
+    def known(self, lease_id: str, now_s: float, fencing: int | None = None) -> Lease:
+        """The lease of that secret, live or stale.
+
+        Raises: LeaseLostError: it ended, and how; its fencing number is an older one. NoLeaseError: never given.
+        """
+        held = self.held
+        if held is not None and _same(held.lease_id, lease_id):
+            if fencing is None or fencing == held.fencing:
+                return held
+            raise LeaseLostError(
+                f"fencing number {fencing} is not this lease's ({held.fencing})", self.references(now_s)
+            )
+        why = next((told for ended, told in reversed(self._ended) if _same(ended, lease_id)), "")
+        if why or (fencing is not None and 0 < fencing <= self.fencing):
+            raise LeaseLostError(
+                f"control was lost: {why or 'it has ended'}; {self._now(now_s)}", self.references(now_s)
+            )
+        raise NoLeaseError(f"the command carries no lease of this machine; {self._now(now_s)}", self.references(now_s))
+
+    def check(self, lease_id: str, fencing: int | None, now_s: float) -> Lease:
+        """The lease under which a command may move the machine.
+
+        Raises: NoLeaseError, LeaseLostError as `known`; LeaseStaleError: not kept alive.
+        """
+        if not lease_id or not fencing:
+            raise NoLeaseError(f"the command carries no lease; {self._now(now_s)}", self.references(now_s))
+        held = self.known(lease_id, now_s, fencing)
+        if held.stale(now_s):
+            raise LeaseStaleError(
+                f"control of {held.owner} is stale: not kept alive for {now_s - held.heard_s:.1f} s "
+                f"(limit {held.ttl_s:.1f} s)",
+                self.references(now_s),
+            )
+        return held
+
+    def lost(self, fencing: int, now_s: float) -> str:
+        """Why motion under that fencing number must end now; empty while it may go on."""
+        held = self.held
+        if held is not None and held.fencing == fencing:
+            if not held.stale(now_s):
+                return ""
+            return f"control of {held.owner} went stale: not kept alive for {held.ttl_s:.1f} s"
+        return f"control was lost: {self._ended[-1][1] if self._ended else 'it has ended'}"
+
+    def references(self, now_s: float) -> dict[str, str]:
+        """Who has control, as facts for programs."""
+        held = self.held
+        if held is None:
+            return {"fencing": str(self.fencing)}
+        left = f"{held.expires_in_s(now_s):.1f}"
+        return {"owner": held.owner, "kind": held.kind.value, "fencing": str(held.fencing), "expires_in_s": left}
+
+    def _now(self, now_s: float) -> str:
+        held = self.held
+        if held is None:
+            return "nobody has control"
+        return f"{held.owner} ({held.kind}) has control" + (", stale" if held.stale(now_s) else "")
+
+
+def _same(one: str, other: str) -> bool:
+    return hmac.compare_digest(one.encode(), other.encode())

@@ -1,0 +1,46 @@
+"""Roles and what each may ask for. Default deny: what is not in the table needs an operator."""
+
+from enum import StrEnum
+
+
+class Role(StrEnum):
+    """Of a key or a session."""
+
+    VIEWER = "viewer"  # sees everything but the audit, commands nothing
+    OPERATOR = "operator"  # a person at the machine
+    FLEET = "fleet"  # a program: every command carries an Idempotency-Key, control is never taken by force
+    ENGINEER = "engineer"  # an operator who may also hold control as engineer
+    ADMIN = "admin"  # everything
+
+
+ANYBODY: frozenset[Role] = frozenset()
+EVERY_ROLE = frozenset(Role)
+PERSONS = frozenset({Role.OPERATOR, Role.ENGINEER, Role.ADMIN})
+COMMANDERS = PERSONS | {Role.FLEET}
+
+#: Without a key: whether it lives, how one logs in, and the stop, which never needs anything.
+OPEN = {("GET", "/healthz"), ("GET", "/readyz"), ("GET", "/login"), ("POST", "/v1/session"), ("POST", "/v1/stop")}
+SAFE_METHODS = {"GET", "HEAD", "OPTIONS"}
+METHODS = SAFE_METHODS | {"POST", "PUT", "PATCH", "DELETE"}
+COMMANDS = ("/v1/jobs", "/v1/lease", "/v1/disarm", "/v1/reset")
+
+
+def needed(method: str, path: str) -> frozenset[Role]:
+    """The roles of which one is needed; empty: nobody is asked."""
+    if (method.replace("HEAD", "GET"), path) in OPEN:
+        return ANYBODY
+    if _under(path, "/v1/audit"):
+        return PERSONS
+    if _under(path, "/v1/hold"):
+        return PERSONS
+    if method not in METHODS or any(path == open_path for _, open_path in OPEN):
+        return EVERY_ROLE  # there is no such route: 405 for everybody who is known
+    if method in SAFE_METHODS or (method == "DELETE" and path == "/v1/session"):
+        return EVERY_ROLE
+    if path.startswith("/v1/jobs/") and path.endswith("/cancel"):
+        return EVERY_ROLE  # a stop of one job: as STOP, anybody who is known
+    return COMMANDERS if any(_under(path, command) for command in COMMANDS) else PERSONS
+
+
+def _under(path: str, prefix: str) -> bool:
+    return path == prefix or path.startswith(prefix + "/")

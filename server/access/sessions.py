@@ -1,0 +1,48 @@
+"""Browser sessions: a cookie in place of a key, in memory only; a restart logs everybody out."""
+
+import hashlib
+import secrets
+from dataclasses import dataclass
+
+from server.access.roles import Role
+
+LIFE_S = 12 * 3600.0
+SESSIONS_MAX = 1000
+COOKIE = "longreach_session"
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """Whose cookie it is; it ends with its key."""
+
+    name: str
+    role: Role
+    ends_s: float
+
+
+class Sessions:
+    """Mutable on purpose. Cookies are kept as hashes, so that a memory dump opens nothing."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, Session] = {}
+
+    def open(self, name: str, role: Role, now_s: float) -> str:
+        """The new cookie's value."""
+        token = secrets.token_urlsafe(32)
+        self._kept[_digest(token)] = Session(name, role, now_s + LIFE_S)
+        if len(self._kept) > SESSIONS_MAX:
+            self._kept.pop(next(iter(self._kept)))
+        return token
+
+    def find(self, token: str, now_s: float) -> Session | None:
+        """Whose it is, while it lives."""
+        session = self._kept.get(_digest(token))
+        return session if session is not None and now_s < session.ends_s else None
+
+    def close(self, token: str) -> None:
+        """Log out."""
+        self._kept.pop(_digest(token), None)
+
+
+def _digest(token: str) -> str:
+    return hashlib.sha256(token.encode("utf-8", "surrogateescape")).hexdigest()

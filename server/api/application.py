@@ -1,0 +1,94 @@
+"""All of REST on one application: guard, routes, errors, document. Used by the server and by its tests."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from uuid import uuid4
+
+from fastapi import FastAPI
+
+from server.access.gatekeeper import Gatekeeper
+from server.api.calibration import calibration_router
+from server.api.diagnoses import diagnoses_router
+from server.api.event_log import EventLog
+from server.api.events import EventFeed, events_router
+from server.api.findings import LookLog, findings_router
+from server.api.guard import Guard
+from server.api.jobs import jobs_router
+from server.api.lease import lease_router
+from server.api.metrics import metrics_router
+from server.api.openapi import install_openapi
+from server.api.oversight import oversight_router
+from server.api.problems import install_problem_handlers
+from server.api.runs import runs_router
+from server.api.session import session_router
+from server.api.state import state_router
+from server.api.state_cache import StateCache
+from server.jobs.diagnosing import Diagnoses
+from server.jobs.lease_guard import guard_lease
+from server.jobs.service import JobService
+from server.store.keeper import Keeper
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """What REST serves, and to whom."""
+
+    service: JobService
+    keeper: Keeper
+    gatekeeper: Gatekeeper
+    secure_cookie: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """What has to run beside the requests."""
+
+    served: Served
+    feed: EventFeed
+    diagnoses: Diagnoses
+
+    @asynccontextmanager
+    async def tasks(self) -> AsyncIterator[None]:
+        """Event feed, lease guard and store watch, for as long as the application lives."""
+        running = [
+            asyncio.create_task(self.feed.run(), name="event-feed"),
+            asyncio.create_task(guard_lease(self.served.service.engine), name="lease-guard"),
+            asyncio.create_task(self.served.keeper.watch(), name="store-watch"),
+        ]
+        try:
+            yield
+        finally:
+            for task in running:
+                task.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.gather(*running, return_exceptions=True)
+            await self.diagnoses.close()
+
+
+def application(app: FastAPI, served: Served) -> Running:
+    """Add everything; what it returns runs in the application's lifespan."""
+    service = served.service
+    folder = Path(service.cell.settings.recording.folder)
+    log, cache, diagnoses = EventLog(uuid4().hex[:8]), StateCache(service), Diagnoses(folder)
+    app.add_middleware(Guard, gatekeeper=served.gatekeeper)
+    install_problem_handlers(app)
+    for router in (
+        state_router(service, cache),
+        events_router(log),
+        lease_router(service.engine.leases, served.keeper),
+        jobs_router(service),
+        findings_router(service, LookLog(service)),
+        calibration_router(service),
+        runs_router(folder),
+        diagnoses_router(folder, diagnoses),
+        oversight_router(service, log.life),
+        session_router(served.gatekeeper, secure=served.secure_cookie),
+        metrics_router(service, lambda: log.readers),
+    ):
+        app.include_router(router)
+    install_openapi(app)
+    return Running(served, EventFeed(service, log, cache), diagnoses)

@@ -1,0 +1,18 @@
+"""Who sent a request: set by the guard in front of the application, read by the routes that write the audit."""
+
+from starlette.requests import HTTPConnection
+
+from server.store.audit_rows import Caller
+
+
+def caller_of(request: HTTPConnection) -> Caller:
+    """The caller that the guard recognised; without a guard, the operator at this computer."""
+    known = getattr(request.state, "caller", None)
+    if isinstance(known, Caller):
+        return known
+    return Caller(address=request.client.host if request.client else "")
+
+
+def request_id_of(request: HTTPConnection) -> str:
+    """The id under which this request is found in log and audit."""
+    return str(getattr(request.state, "request_id", ""))

@@ -1,0 +1,131 @@
+"""Gap diagnoses over REST: start one on a recording, follow it, fetch its answer as JSON or as a page."""
+
+import asyncio
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter
+from fastapi import Path as InPath
+from fastapi.responses import FileResponse, JSONResponse, Response
+from pydantic import Field
+
+from server.api.problems import problem
+from server.api.run_files import RUN_ID, inside, run_path
+from server.api.views import Problem, Strict, View
+from server.jobs.diagnosing import Diagnoses, Diagnosis
+
+REPORT_CSP = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox"  # a document, not a page of ours
+Id = Annotated[str, InPath(pattern=r"^[0-9a-f]{12}$")]
+UNKNOWN: dict[int | str, dict[str, Any]] = {404: {"model": Problem}}
+UNFINISHED = UNKNOWN | {409: {"model": Problem, "description": "it has no answer (yet)"}}
+
+
+class RunDiagnosis(Strict):
+    """Of a recorded run."""
+
+    run_id: Annotated[str, Field(pattern=RUN_ID, description="as GET /v1/runs tells it")]
+
+
+class PathDiagnosis(Strict):
+    """Of what lies at a path inside the recordings folder, such as a folder of CSV files."""
+
+    path: Annotated[str, Field(min_length=1, max_length=255)]
+
+
+class DiagnosisView(View):
+    """One diagnosis."""
+
+    diagnosis_id: str
+    recording: str
+    state: Literal["running", "done", "failed", "stopped"]
+    reason: str
+    last_line: str
+    elapsed_s: float
+
+
+def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
+    """Routes under /v1/diagnoses."""
+    router = APIRouter(prefix="/v1/diagnoses", tags=["diagnoses"])
+    refused: dict[int | str, dict[str, Any]] = {404: {"model": Problem}, 409: {"model": Problem}}
+
+    @router.post("", status_code=202, response_model=DiagnosisView, responses=refused)
+    async def start(body: RunDiagnosis | PathDiagnosis) -> JSONResponse:
+        """Start `longreach diagnose` in a process of its own at low priority; 409 while another one runs."""
+        found = await asyncio.to_thread(_recording, folder, body)
+        if found is None:
+            return problem(
+                404, "Unknown recording", "no such recording in the folder", "unknown_run", "see GET /v1/runs"
+            )
+        one = diagnoses.start(found)
+        headers = {"Location": f"/v1/diagnoses/{one.diagnosis_id}"}
+        return JSONResponse(_view(one).model_dump(), status_code=202, headers=headers)
+
+    @router.get("", response_model=list[DiagnosisView])
+    async def list_all() -> list[DiagnosisView]:
+        """The last ones of this life, newest first."""
+        return [_view(one) for one in reversed(diagnoses.all)]
+
+    @router.get("/{diagnosis_id}", response_model=DiagnosisView, responses=UNKNOWN)
+    async def read(diagnosis_id: Id) -> DiagnosisView | JSONResponse:
+        """How far it is."""
+        one = diagnoses.find(diagnosis_id)
+        return _view(one) if one else _unknown(diagnosis_id)
+
+    @router.delete("/{diagnosis_id}", status_code=204, response_class=Response, responses=UNKNOWN)
+    async def stop(diagnosis_id: Id) -> Response:
+        """End it."""
+        one = diagnoses.find(diagnosis_id)
+        if one is None:
+            return _unknown(diagnosis_id)
+        await diagnoses.stop(one)
+        return Response(status_code=204)
+
+    @router.get("/{diagnosis_id}/result", response_model=None, responses=UNFINISHED)
+    async def result(diagnosis_id: Id) -> JSONResponse:
+        """The whole answer as JSON; its form is described in docs/diagnosis.md."""
+        one = diagnoses.find(diagnosis_id)
+        if one is None or one.state != "done":
+            return _unfinished(one) if one else _unknown(diagnosis_id)
+        return JSONResponse(await asyncio.to_thread(diagnoses.result, one))
+
+    @router.get(
+        "/{diagnosis_id}/report",
+        response_model=None,
+        response_class=FileResponse,
+        responses=UNFINISHED | {200: {"description": "a page", "content": {"text/html": {}}}},
+    )
+    async def report(diagnosis_id: Id) -> FileResponse | JSONResponse:
+        """The report as a page of its own."""
+        one = diagnoses.find(diagnosis_id)
+        if one is None or one.state != "done":
+            return _unfinished(one) if one else _unknown(diagnosis_id)
+        headers = {"Content-Security-Policy": REPORT_CSP}
+        return FileResponse(diagnoses.page(one), media_type="text/html", headers=headers)
+
+    return router
+
+
+def _recording(folder: Path, body: RunDiagnosis | PathDiagnosis) -> Path | None:
+    return run_path(folder, body.run_id) if isinstance(body, RunDiagnosis) else inside(folder, body.path)
+
+
+def _view(one: Diagnosis) -> DiagnosisView:
+    return DiagnosisView.model_validate(
+        {
+            "diagnosis_id": one.diagnosis_id,
+            "recording": one.recording,
+            "state": one.state,
+            "reason": one.reason,
+            "last_line": one.last_line,
+            "elapsed_s": round(one.elapsed_s, 1),
+        }
+    )
+
+
+def _unknown(diagnosis_id: str) -> JSONResponse:
+    return problem(404, "Unknown diagnosis", f"no diagnosis {diagnosis_id}", "unknown_diagnosis", "POST /v1/diagnoses")
+
+
+def _unfinished(one: Diagnosis) -> JSONResponse:
+    detail = f"diagnosis is {one.state}{': ' + one.reason if one.reason else ''}"
+    return problem(409, "No answer", detail, "no_answer", "wait until its state is done")

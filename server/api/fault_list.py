@@ -1,0 +1,61 @@
+"""What is wrong with the machine now: one constant id per cause. A refused request is no fault."""
+
+import time
+from typing import Literal
+
+from server.api.views import View
+from server.jobs.service import JobService
+
+CAMERA_SILENT_MS = 1000.0
+
+
+class FaultView(View):
+    """One fault. URGENT: no new motion; WARNING: goes on."""
+
+    fault_id: str
+    level: Literal["WARNING", "URGENT"]
+    text: str
+    hint: str
+
+
+def fault_views(service: JobService) -> list[FaultView]:
+    """All of them, the gravest first."""
+    found = [*_link(service), *_store(service), *_camera(service), *_recorder(service)]
+    return sorted(found, key=lambda fault: fault.level != "URGENT")
+
+
+def _link(service: JobService) -> list[FaultView]:
+    phase = service.cell.link.health.phase.value
+    texts = {
+        "offline": ("plc_silent", "the PLC does not answer", "check its program, cable and address"),
+        "fault": ("plc_fault", "the PLC reports a fault", "clear its cause, then POST /v1/reset"),
+        "local": ("plc_local", "the machine is on its local lever", "give it back to remote at the machine"),
+    }
+    if phase not in texts:
+        return []
+    fault_id, text, hint = texts[phase]
+    return [FaultView(fault_id=fault_id, level="URGENT", text=text, hint=hint)]
+
+
+def _store(service: JobService) -> list[FaultView]:
+    told = service.keeper.problem if service.keeper is not None else ""
+    hint = "free space, or make the folder writable; a damaged database is moved away by hand"
+    return [FaultView(fault_id="store", level="URGENT", text=told, hint=hint)] if told else []
+
+
+def _camera(service: JobService) -> list[FaultView]:
+    report = service.cell.vision.latest
+    age_ms = None if report is None else (time.monotonic_ns() - report.t_receive_mono_ns) * 1e-6
+    if age_ms is not None and age_ms < CAMERA_SILENT_MS:
+        return []
+    text = "no picture yet" if age_ms is None else "the camera gives no new pictures"
+    return [
+        FaultView(fault_id="camera_silent", level="URGENT", text=text, hint="check the camera, its cable, [camera]")
+    ]
+
+
+def _recorder(service: JobService) -> list[FaultView]:
+    told = service.cell.recorder.problem
+    if not isinstance(told, str) or not told:
+        return []
+    return [FaultView(fault_id="recorder", level="WARNING", text=told, hint="free space in the recordings folder")]

@@ -1,0 +1,155 @@
+"""The guard in front of the application, for HTTP and WebSocket: request id, who is calling, size and patience."""
+
+import asyncio
+import logging
+import re
+import time
+from http.cookies import CookieError, SimpleCookie
+from uuid import uuid4
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from server.access.errors import AccessError
+from server.access.gatekeeper import Credentials, Gatekeeper, KeyRequiredError
+from server.access.sessions import COOKIE
+from server.api.problems import problem_of
+
+log = logging.getLogger(__name__)
+BODY_MAX = 64 * 1024  # the longest command is 300 bytes
+BODY_S = 10.0  # a body that comes slower is given up
+REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+SECURE_HEADERS = {
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+class BodyTooLargeError(AccessError):
+    """More than any command needs."""
+
+    code = "body_too_large"
+    status = 413
+    hint = "the longest command is a few hundred bytes"
+
+
+class SlowBodyError(AccessError):
+    """A body that does not arrive."""
+
+    code = "slow_body"
+    status = 408
+    hint = "send the body with its request"
+
+
+class Guard:
+    """ASGI middleware."""
+
+    def __init__(self, app: ASGIApp, gatekeeper: Gatekeeper) -> None:
+        self._app, self._gatekeeper = app, gatekeeper
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One connection."""
+        if scope["type"] not in ("http", "websocket"):
+            return await self._app(scope, receive, send)
+        request_id = _request_id(Headers(scope=scope))
+        try:
+            scope.setdefault("state", {})["caller"] = self._gatekeeper.admit(credentials_of(scope), time.monotonic())
+            scope["state"]["request_id"] = request_id
+            if scope["type"] == "websocket":
+                return await self._app(scope, receive, send)
+            _check_length(Headers(scope=scope))
+            body = await _arrived(receive)
+            await self._app(scope, body.receive, _with_headers(send, request_id))
+        except AccessError as error:
+            await _refuse(error, scope, receive, send, request_id)
+
+
+class _Body:
+    """A body that has arrived whole; after it, what the connection says next (its end)."""
+
+    def __init__(self, body: bytes, receive: Receive) -> None:
+        self._message: Message | None = {"type": "http.request", "body": body, "more_body": False}
+        self._receive = receive
+
+    async def receive(self) -> Message:
+        message, self._message = self._message, None
+        return message if message is not None else await self._receive()
+
+
+async def _arrived(receive: Receive) -> _Body:
+    """The whole body. Raises: BodyTooLargeError, SlowBodyError."""
+    parts, size = [], 0
+    try:
+        async with asyncio.timeout(BODY_S):
+            while True:
+                message = await receive()
+                parts.append(message.get("body", b""))
+                size += len(parts[-1])
+                if size > BODY_MAX:
+                    raise BodyTooLargeError(f"the body is longer than {BODY_MAX} bytes")
+                if not message.get("more_body", False):
+                    return _Body(b"".join(parts), receive)
+    except TimeoutError:
+        raise SlowBodyError(f"the body did not arrive within {BODY_S:.0f} s") from None
+
+
+def credentials_of(scope: Scope) -> Credentials:
+    """What a connection says about itself."""
+    headers = Headers(scope=scope)
+    kind, _, secret = headers.get("authorization", "").partition(" ")
+    return Credentials(
+        method="WEBSOCKET" if scope["type"] == "websocket" else scope["method"],
+        path=scope["path"],
+        address=scope["client"][0] if scope.get("client") else "",
+        host=headers.get("host", ""),
+        origin=headers.get("origin"),
+        bearer=secret.strip() if kind.lower() == "bearer" else "",
+        cookie=_cookie(headers.get("cookie", "")),
+    )
+
+
+def _cookie(header: str) -> str:
+    try:
+        morsel = SimpleCookie(header).get(COOKIE)
+    except CookieError:
+        return ""
+    return morsel.value if morsel is not None else ""
+
+
+def _request_id(headers: Headers) -> str:
+    given = headers.get("x-request-id", "")
+    return given if REQUEST_ID.fullmatch(given) else uuid4().hex[:16]
+
+
+def _check_length(headers: Headers) -> None:
+    length = headers.get("content-length", "0")
+    if length.isdecimal() and int(length[:20]) > BODY_MAX:
+        raise BodyTooLargeError(f"the body has {length[:20]} bytes (limit {BODY_MAX})")
+
+
+def _with_headers(send: Send, request_id: str) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            headers = MutableHeaders(scope=message)
+            headers["X-Request-Id"] = request_id
+            for name, value in SECURE_HEADERS.items():
+                headers.setdefault(name, value)
+        await send(message)
+
+    return sending
+
+
+async def _refuse(error: AccessError, scope: Scope, receive: Receive, send: Send, request_id: str) -> None:
+    log.info("refused %s (%s): %s", scope.get("method", "WEBSOCKET"), request_id, error.code)
+    if scope["type"] == "websocket":
+        return await send({"type": "websocket.close", "code": 4403, "reason": error.code})
+    answer = problem_of(error)
+    if isinstance(error, KeyRequiredError):
+        if scope["path"] == "/" and "text/html" in Headers(scope=scope).get("accept", ""):
+            answer.status_code = 303
+            answer.headers["Location"] = "/login"
+        answer.headers["WWW-Authenticate"] = "Bearer"
+    if error.status in (408, 413):
+        answer.headers["Connection"] = "close"
+    await answer(scope, receive, _with_headers(send, request_id))

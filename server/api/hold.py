@@ -1,0 +1,168 @@
+"""Hold-to-run over a WebSocket of its own: press with a job, answer every challenge, let go and it ramps down.
+
+Page: `{"press": {job}, "lease_id": "...", "fencing": n}`; then `{"seq", "reply", "bond"}` for each challenge; then
+`{"release": "why"}`. Server: `{"held": job_id, "bond": "..."}` or `{"refused": "...", "code": "..."}`; `{"challenge":
+{"seq", "nonce"}}` 25 times a second; `{"ended": state, "reason"}` when the button was let go, or need not be held any
+more. A socket that closes is a button let go.
+"""
+
+import asyncio
+import contextlib
+import json
+import logging
+import secrets
+import time
+from typing import Annotated, Any
+
+from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from server.api.panel_memory import PanelMemory
+from server.api.panel_origin import same_origin
+from server.api.views import ExecuteRequest
+from server.errors import ServerError
+from server.jobs.engine import Job
+from server.jobs.hold import HoldToRun
+from server.jobs.service import JobBody, JobService
+from server.link.errors import LinkError
+
+log = logging.getLogger(__name__)
+
+TICK_S = 0.05  # how soon the end of the job is seen
+PRESS_WAIT_S = 5.0
+
+
+class Press(BaseModel):
+    """The first message: what is to run while the button is down, and under whose control."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    press: Annotated[JobBody, Field(discriminator="kind")]
+    lease_id: str = Field(min_length=1, max_length=128)
+    fencing: int = Field(ge=0, le=2**62)
+
+
+class Answer(BaseModel):
+    """An answer to a challenge."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    seq: int
+    reply: int
+    bond: str
+
+
+class Release(BaseModel):
+    """The button was let go, and what the page says it was."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    release: str = Field(max_length=200)
+
+
+FROM_PAGE: TypeAdapter[Answer | Release] = TypeAdapter(Answer | Release)
+
+
+def hold_router(service: JobService, memory: PanelMemory) -> APIRouter:
+    """Route /v1/hold."""
+    router = APIRouter()
+
+    @router.websocket("/v1/hold")
+    async def hold(socket: WebSocket) -> None:
+        if not same_origin(socket):
+            await socket.close(code=4403, reason="foreign origin")
+            return
+        await socket.accept()
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            await _serve(socket, service, memory)
+        with contextlib.suppress(RuntimeError):
+            await socket.close()
+
+    return router
+
+
+async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) -> None:
+    try:
+        text = await asyncio.wait_for(socket.receive_text(), PRESS_WAIT_S)
+        press = Press.model_validate_json(text)
+        lease = service.engine.leases.check(press.lease_id, press.fencing)
+        job = await service.start(press.press, lease)
+    except (ServerError, LinkError) as error:
+        return await _tell(socket, refused=str(error), code=getattr(error, "code", "link"))
+    except (ValidationError, TimeoutError) as error:
+        return await _tell(socket, refused=f"not a press: {error}"[:300], code="invalid_request")
+    bond = press.press.plan_hash if isinstance(press.press, ExecuteRequest) else job.job_id
+    held = HoldToRun(bond, lambda: secrets.randbits(32), time.monotonic_ns())
+    memory.held_by = lease.owner
+    try:
+        await _hold(socket, service, memory, job, held, bond)
+    finally:
+        memory.held_by = ""
+
+
+async def _hold(
+    socket: WebSocket, service: JobService, memory: PanelMemory, job: Job, held: HoldToRun, bond: str
+) -> None:
+    """Until the job needs no hold any more or the button is up; then the stop comes first, words after it."""
+    changed = asyncio.Event()
+    hearing = asyncio.create_task(_hear(socket, held, changed))
+    try:
+        await _tell(socket, held=job.job_id, bond=bond)
+        await _ask_until_over(socket, job, held, changed)
+    finally:  # whatever ended it, a socket that broke or the server's own end: nothing may go on moving
+        hearing.cancel()
+        if _needed(job):
+            await _stop(service, memory, held.ended or "the page is gone")
+        await asyncio.gather(hearing, return_exceptions=True)
+    await _tell(socket, ended=job.state.value, reason=job.reason)
+
+
+async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed: asyncio.Event) -> None:
+    while _needed(job):
+        challenge = held.poll(time.monotonic_ns())
+        if held.ended:
+            return
+        if challenge is not None:
+            try:
+                await _tell(socket, challenge={"seq": challenge.seq, "nonce": challenge.nonce})
+            except (WebSocketDisconnect, RuntimeError):
+                return held.release("the page's socket closed")
+        wait_s = min(TICK_S, max(0.0, (held.next_ns - time.monotonic_ns()) * 1e-9))
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(changed.wait(), wait_s)
+        changed.clear()
+
+
+async def _hear(socket: WebSocket, held: HoldToRun, changed: asyncio.Event) -> None:
+    """Answers and the release; anything else, and the socket's end, is a button let go."""
+    try:
+        while not held.ended:
+            match FROM_PAGE.validate_json(await socket.receive_text()):
+                case Answer(seq=seq, reply=reply, bond=bond):
+                    held.answer(seq, reply, bond)
+                case Release(release=why):
+                    held.release(f"button up ({why})")
+    except (WebSocketDisconnect, RuntimeError):
+        held.release("the page's socket closed")
+    except ValidationError:
+        held.release("the page sent what is no answer")
+    changed.set()
+
+
+def _needed(job: Job) -> bool:
+    """Whether the job may still move: an execute moves no more once it looks, anything else until its end."""
+    looks = job.kind == "execute" and any(event.name == "look" for event in job.events)
+    return not job.ended and not looks
+
+
+async def _stop(service: JobService, memory: PanelMemory, why: str) -> None:
+    if "silent" in why:
+        memory.book.raise_event("hold_lost", why, time.time())
+    try:
+        await asyncio.shield(service.engine.stop(f"hold-to-run: {why}"))
+    except LinkError as error:
+        log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
+
+
+async def _tell(socket: WebSocket, **message: Any) -> None:
+    await socket.send_text(json.dumps(message))

@@ -1,0 +1,141 @@
+"""Starting a job for somebody: key first, then control, then the job, its audit and its answer in one transaction."""
+
+import asyncio
+import json
+import logging
+import time
+from dataclasses import dataclass
+
+from server.access.errors import AccessError
+from server.access.lease import Lease, LeaseKind
+from server.api.hold_rule import require_hold
+from server.api.state_view import job_view
+from server.errors import ServerError
+from server.jobs.commands import Command
+from server.jobs.engine import Job, JobState
+from server.jobs.service import JobBody, JobService
+from server.link.errors import LinkError
+from server.store.audit_rows import AuditEntry, Caller
+from server.store.idempotency import Answered, KeyMissingError, hash_of, read_answer, replay_of
+
+log = logging.getLogger(__name__)
+ACCEPTED = 202
+
+
+class ExpiredError(AccessError):
+    """The command came later than its sender wanted it."""
+
+    code = "expired"
+    status = 409
+    hint = "GET /v1/time tells this server's clock; send the command anew if it is still wanted"
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """What a request carried beside its body."""
+
+    caller: Caller
+    request_id: str
+    key: str
+    lease_id: str
+    fencing: int | None
+    expires_unix_s: float = 0.0
+
+
+class JobCommands:
+    """Belongs to the event loop. Only accepted commands are kept under their key: a refusal moved nothing."""
+
+    def __init__(self, service: JobService) -> None:
+        self._service = service
+        self._in_progress: set[tuple[str, str]] = set()
+        self._stopping: set[asyncio.Future[None]] = set()
+
+    async def start(self, body: JobBody, sent: Sent) -> Answered:
+        """The answer to a command, the same one for every retry with its key.
+
+        Raises: KeyMissingError, KeyReusedError, KeyInProgressError, refusals of control, of the service, of the store.
+        """
+        try:
+            return await self._once(body, sent)
+        except (ServerError, LinkError) as error:
+            self._refused(body.kind, sent, getattr(error, "code", "link"))
+            raise
+
+    async def _once(self, body: JobBody, sent: Sent) -> Answered:
+        if not sent.key:
+            return await self._carried_out(body, sent, "")
+        mark, body_hash = (sent.caller.name, sent.key), hash_of(body.model_dump_json().encode())
+        mine = mark not in self._in_progress
+        self._in_progress.add(mark)
+        try:
+            known = await self._known(*mark)
+            replay = replay_of(known, not mine, body_hash, time.time())
+            return replay or await self._carried_out(body, sent, body_hash)
+        finally:
+            if mine:
+                self._in_progress.discard(mark)
+
+    async def _known(self, who: str, key: str) -> Answered | None:
+        keeper = self._service.keeper
+        return None if keeper is None else await keeper.database.found(lambda db: read_answer(db, who, key))
+
+    async def _carried_out(self, body: JobBody, sent: Sent, body_hash: str) -> Answered:
+        if 0.0 < sent.expires_unix_s < time.time():
+            raise ExpiredError(f"the command expired {time.time() - sent.expires_unix_s:.1f} s ago")
+        lease = self._service.engine.leases.check(sent.lease_id, sent.fencing)
+        _require_key(sent, lease)
+        require_hold(self._service.cell.settings.mode, body, lease)
+        kept: list[Answered] = []
+
+        def answer(job: Job) -> Answered:
+            kept.append(answer_of(job, body_hash))
+            return kept[0]
+
+        command = Command(sent.caller, sent.request_id, sent.key, answer)
+        job = await self._service.start(body, lease, command)
+        return kept[0] if kept else answer_of(job, body_hash)
+
+    def cancel(self, job: Job, caller: Caller, request_id: str) -> None:
+        """Begin to stop a job; returns at once, the job is `stopping` then."""
+        self._audited(caller, request_id, "job.cancel", job.job_id)
+        stopping = asyncio.ensure_future(self._service.engine.stop(f"cancelled by {caller.name}", job))
+        self._stopping.add(stopping)
+        stopping.add_done_callback(self._stop_done)
+        if job.state is JobState.RUNNING:
+            job.state, job.reason = JobState.STOPPING, f"cancelled by {caller.name}"
+
+    def stopped(self, caller: Caller, request_id: str) -> None:
+        """A line about STOP, which itself waits for nothing."""
+        job = self._service.engine.current
+        self._audited(caller, request_id, "stop", job.job_id if job is not None and not job.ended else "")
+
+    def _stop_done(self, done: "asyncio.Future[None]") -> None:
+        self._stopping.discard(done)
+        if not done.cancelled() and (error := done.exception()) is not None:
+            log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
+
+    def _audited(self, caller: Caller, request_id: str, action: str, job_id: str) -> None:
+        if self._service.keeper is not None:
+            entry = AuditEntry(
+                time.time(), caller.name, caller.role, caller.address, action, request_id=request_id, job_id=job_id
+            )
+            self._service.keeper.audit(entry)
+
+    def _refused(self, kind: str, sent: Sent, code: str) -> None:
+        keeper, held = self._service.keeper, self._service.engine.leases.held
+        if keeper is not None:
+            who = sent.caller
+            owner, fencing = (held.owner, held.fencing) if held else ("", 0)
+            entry = AuditEntry(time.time(), who.name, who.role, who.address, f"job.{kind}", code, owner, fencing)
+            keeper.audit(entry)
+
+
+def _require_key(sent: Sent, lease: Lease) -> None:
+    if not sent.key and (sent.caller.role == "fleet" or lease.kind is LeaseKind.FLEET):
+        raise KeyMissingError("a fleet's command carries an Idempotency-Key, so that a retry cannot move twice")
+
+
+def answer_of(job: Job, body_hash: str) -> Answered:
+    """202 with the job as it is now and its Location."""
+    text = json.dumps(job_view(job).model_dump(mode="json"))
+    return Answered(body_hash, ACCEPTED, f"/v1/jobs/{job.job_id}", text, time.time())

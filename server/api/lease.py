@@ -1,0 +1,115 @@
+"""Control over REST: who has it, acquire, keep alive, release, take, ask, grant."""
+
+from collections.abc import Callable
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Path, Request
+from fastapi.responses import JSONResponse, Response
+from pydantic import Field
+
+from server.access.desk import TTL_S, LeaseDesk
+from server.access.lease import Lease, LeaseKind
+from server.api.lease_log import ControlLog
+from server.api.lease_views import Kind, LeaseView, control_view, lease_view
+from server.api.views import ControlView, Problem, Strict
+from server.store.keeper import Keeper
+
+Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Ttl = Annotated[float, Field(ge=1.0, le=120.0, description="stale when not kept alive for so long")]
+LeaseHeader = Annotated[str, Header(max_length=128, description="the lease_id of who has control")]
+FencingHeader = Annotated[int, Header(ge=0, le=2**62, description="the fencing number of that lease")]
+LeaseId = Annotated[str, Path(min_length=1, max_length=128, description="the secret that its holder was given")]
+REFUSED: dict[int | str, dict[str, Any]] = {
+    403: {"model": Problem, "description": "no lease, or not yours to take"},
+    409: {"model": Problem, "description": "somebody else has control; the answer names who and for how long"},
+}
+UNKEPT: dict[int | str, dict[str, Any]] = {
+    503: {"model": Problem, "description": "cannot be written down; see /readyz"}
+}
+
+
+class LeaseRequest(Strict):
+    """Who wants control."""
+
+    owner: Name
+    kind: Kind = "operator"
+    ttl_s: Ttl = TTL_S
+
+
+class TakeRequest(LeaseRequest):
+    """A person who takes control from whoever has it."""
+
+    reason: Annotated[str, Field(min_length=1, max_length=200)]
+
+
+class AskRequest(Strict):
+    """Who would like to have control."""
+
+    owner: Name
+
+
+class GrantRequest(Strict):
+    """To whom the holder hands over."""
+
+    to: Name
+
+
+def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
+    """Routes under /v1/lease. With a keeper, a new holder is on disk before they are told."""
+    router = APIRouter(prefix="/v1/lease", tags=["lease"])
+    log = ControlLog(desk, keeper)
+
+    @router.get("", response_model=ControlView)
+    async def read_lease() -> ControlView:
+        """Who has control; never the secret."""
+        return control_view(desk)
+
+    @router.post("", status_code=201, response_model=LeaseView, responses=REFUSED | UNKEPT)
+    async def acquire(body: LeaseRequest, request: Request) -> JSONResponse:
+        """Acquire free, stale or granted control; 409 names the holder and the time left."""
+        log.check(request, body.kind)
+        return await log.given(request, desk.acquire(body.owner, LeaseKind(body.kind), body.ttl_s), "lease.acquire")
+
+    @router.post("/take", status_code=201, response_model=LeaseView, responses=REFUSED | UNKEPT)
+    async def take(body: TakeRequest, request: Request) -> JSONResponse:
+        """Take control as a person, whoever has it; a running job of theirs is stopped with a ramp."""
+        log.check(request, body.kind)
+        lease = desk.take(body.owner, LeaseKind(body.kind), body.reason, body.ttl_s)
+        return await log.given(request, lease, "lease.take", body.reason)
+
+    @router.post("/ask", response_model=ControlView)
+    async def ask(body: AskRequest, request: Request) -> ControlView:
+        """Tell the holder that somebody would like to have control."""
+        log.note(request, desk.ask(body.owner), "lease.ask", body.owner)
+        return control_view(desk)
+
+    @router.put("/{lease_id}", response_model=LeaseView, responses=REFUSED)
+    async def keep_alive(lease_id: LeaseId) -> LeaseView:
+        """Keep alive; revives a stale lease that nobody else has acquired."""
+        return lease_view(desk, desk.keep_alive(lease_id))
+
+    @router.delete("/{lease_id}", status_code=204, response_class=Response, responses=REFUSED)
+    async def release(lease_id: LeaseId, request: Request) -> Response:
+        """Give control back; a running job of this lease is stopped with a ramp."""
+        log.note(request, desk.release(lease_id), "lease.release")
+        return Response(status_code=204)
+
+    @router.post("/{lease_id}/grant", response_model=ControlView, responses=REFUSED)
+    async def grant(lease_id: LeaseId, body: GrantRequest, request: Request) -> ControlView:
+        """Hand over: the named one may acquire within 30 s; until then the holder keeps control."""
+        log.note(request, desk.grant(lease_id, body.to), "lease.grant", body.to)
+        return control_view(desk)
+
+    return router
+
+
+def leased(desk: LeaseDesk) -> Callable[..., Lease]:
+    """Dependency of every route that can move or arm: the lease that the request's headers name.
+
+    Raises: NoLeaseError, LeaseLostError, LeaseStaleError.
+    """
+
+    async def lease(longreach_lease: LeaseHeader = "", longreach_fencing: FencingHeader = 0) -> Lease:
+        return desk.check(longreach_lease, longreach_fencing)
+
+    return lease  # pyright: ignore[reportReturnType] # FastAPI awaits it

@@ -1,0 +1,74 @@
+"""Control and the audit: a new holder is on disk, fencing number and line together, before they are told."""
+
+import time
+
+from fastapi import Request
+from fastapi.responses import JSONResponse
+
+from server.access.desk import LeaseDesk
+from server.access.errors import AccessError, RoleError
+from server.access.lease import Lease
+from server.api.callers import caller_of, request_id_of
+from server.api.lease_views import lease_view
+from server.store.audit_rows import AuditEntry
+from server.store.errors import StoreError
+from server.store.keeper import Keeper
+
+KINDS_OF_ROLE = {"operator": ("operator", "fleet"), "fleet": ("fleet",)}  # engineers and admins: every kind
+
+
+class ControlLog:
+    """Writes what happens to control. Without a keeper nothing is written."""
+
+    def __init__(self, desk: LeaseDesk, keeper: Keeper | None) -> None:
+        self._desk, self._keeper = desk, keeper
+
+    def check(self, request: Request, kind: str) -> None:
+        """Whether this caller may have control of that kind now.
+
+        Raises: RoleError: not with this role. StoreError: it could not be written down.
+        """
+        role = caller_of(request).role
+        if kind not in KINDS_OF_ROLE.get(role, ("operator", "fleet", "engineer")):
+            raise RoleError(f"role {role} may not hold control as {kind}", {"role": role, "kind": kind})
+        if self._keeper is not None:
+            self._keeper.check()
+
+    async def given(self, request: Request, lease: Lease, action: str, detail: str = "") -> JSONResponse:
+        """201 with the lease, once it is on disk.
+
+        Raises: StoreError: it is not; nobody has control then.
+        """
+        if self._keeper is not None:
+            try:
+                await self._keeper.control(self._entry(request, lease, action, detail))
+            except StoreError:
+                self._withdraw(lease)
+                raise
+        headers = {"Cache-Control": "no-store"}
+        return JSONResponse(lease_view(self._desk, lease).model_dump(), status_code=201, headers=headers)
+
+    def note(self, request: Request, lease: Lease | None, action: str, detail: str = "") -> None:
+        """A line about what happened already."""
+        if self._keeper is not None and lease is not None:
+            self._keeper.audit(self._entry(request, lease, action, detail))
+
+    def _withdraw(self, lease: Lease) -> None:
+        try:
+            self._desk.release(lease.lease_id)
+        except AccessError:
+            return  # it is somebody else's by now
+
+    def _entry(self, request: Request, lease: Lease, action: str, detail: str) -> AuditEntry:
+        who = caller_of(request)
+        return AuditEntry(
+            t_unix_s=time.time(),
+            who=who.name,
+            role=who.role,
+            address=who.address,
+            action=action,
+            lease_owner=lease.owner,
+            fencing=lease.fencing,
+            request_id=request_id_of(request),
+            detail=detail,
+        )

@@ -1,0 +1,98 @@
+"""/metrics in Prometheus' text format: read from the cell when scraped, nothing is counted twice."""
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from fastapi import APIRouter
+from fastapi.responses import Response
+from prometheus_client import CollectorRegistry, Counter, Metric, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+from prometheus_client.exposition import CONTENT_TYPE_LATEST
+from prometheus_client.registry import Collector
+
+from server.api.fault_list import fault_views
+from server.jobs.engine import Job, JobEvent
+from server.jobs.service import JobService
+
+TEXT: dict[int | str, dict[str, Any]] = {
+    200: {"description": "Prometheus text format", "content": {"text/plain": {"schema": {"type": "string"}}}}
+}
+
+
+def metrics_router(service: JobService, readers: Callable[[], int]) -> APIRouter:
+    """Route /metrics."""
+    router = APIRouter(tags=["metrics"])
+    registry = CollectorRegistry()
+    registry.register(CellCollector(service, readers))
+    ProcessCollector(registry=registry)
+    ended = Counter("longreach_jobs_ended", "jobs by kind and end", ("kind", "state"), registry=registry)
+
+    def count(job: Job, event: JobEvent) -> None:
+        if event.name == "ended":
+            ended.labels(job.kind, job.state.value).inc()
+
+    service.engine.on_event(count)
+
+    @router.get("/metrics", response_model=None, response_class=Response, responses=TEXT)
+    async def metrics() -> Response:
+        """For a scraper; with keys, it sends one of a viewer."""
+        return Response(generate_latest(registry), headers={"Content-Type": CONTENT_TYPE_LATEST})
+
+    return router
+
+
+class CellCollector(Collector):
+    """The cell's figures at the moment of the scrape."""
+
+    def __init__(self, service: JobService, readers: Callable[[], int]) -> None:
+        self._service, self._readers = service, readers
+
+    def collect(self) -> Iterator[Metric]:
+        """One family per figure."""
+        for name, text, value in [*_link(self._service), *_camera(self._service), *_service(self._service)]:
+            yield GaugeMetricFamily(f"longreach_{name}", text, value)
+        yield GaugeMetricFamily("longreach_event_readers", "readers of /v1/events", self._readers())
+        latest = self._service.cell.link.latest
+        yield CounterMetricFamily(
+            "longreach_plc_underruns", "knot buffer ran dry", latest.underruns if latest is not None else 0
+        )
+
+
+Figures = list[tuple[str, str, float]]
+
+
+def _link(service: JobService) -> Figures:
+    health, latest = service.cell.link.health, service.cell.link.latest
+    age_s = (time.monotonic_ns() - latest.t_mono_ns) * 1e-9 if latest is not None else float("nan")
+    return [
+        ("plc_state_age_seconds", "age of the newest PLC state", age_s),
+        ("plc_round_trip_seconds", "link round trip", health.round_trip_ms * 1e-3),
+        ("plc_states_received", "PLC states received", health.received),
+        ("plc_states_lost", "PLC states lost", health.lost),
+        ("plc_lateness_p99_seconds", "99th percentile of the sender's lateness", health.lateness_p99_us * 1e-6),
+    ]
+
+
+def _camera(service: JobService) -> Figures:
+    report = service.cell.vision.latest
+    if report is None:
+        return []
+    age_s = (time.monotonic_ns() - report.t_receive_mono_ns) * 1e-9
+    return [
+        ("camera_pairs_per_second", "stereo pairs worked through", report.fps),
+        ("camera_age_seconds", "age of the newest pair", age_s),
+        ("camera_process_seconds", "time one pair takes", report.process_ms * 1e-3),
+    ]
+
+
+def _service(service: JobService) -> Figures:
+    job = service.engine.current
+    keeper = service.keeper
+    return [
+        ("job_running", "1 while a job runs", float(job is not None and not job.ended)),
+        ("control_held", "1 while somebody has control", float(service.engine.leases.held is not None)),
+        ("fencing", "the highest fencing number given", service.engine.leases.book.fencing),
+        ("store_ok", "1 while the database can be written", float(keeper is not None and not keeper.problem)),
+        ("faults", "faults now", len(fault_views(service))),
+    ]

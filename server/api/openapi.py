@@ -1,0 +1,100 @@
+"""The OpenAPI document: what every operation may answer because of the guard, problems with their media type, keys."""
+
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from server.access.roles import ANYBODY, Role, needed
+
+PROBLEM = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
+BY_GUARD = {
+    "400": "the request cannot be read",
+    "401": "no key, or one that is not in force",
+    "403": "not with this role, without control, or from another web page",
+    "408": "the body did not arrive in time",
+    "413": "the body is too large",
+    "421": "the Host header is none of this server's names",
+    "422": "the request is not as described here",
+    "429": "too many wrong keys from this address",
+    "500": "a defect; the server's log says more",
+}
+KEY_HEADER = "Authorization: Bearer KEY; not needed while the server listens on loopback without keys"
+
+
+def install_openapi(app: FastAPI) -> None:
+    """Make `app.openapi()` the complete document, made once."""
+
+    def document() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            made = get_openapi(title=app.title, version=app.version, routes=app.routes, description=ABOUT)
+            app.openapi_schema = completed(made)
+        return app.openapi_schema
+
+    app.openapi = document  # type: ignore[method-assign]
+
+
+ABOUT = """One machine, one server. Commands that can move or arm carry control (POST /v1/lease) in the headers
+Longreach-Lease and Longreach-Fencing; a fleet's also an Idempotency-Key. POST /v1/stop needs nothing.
+Errors are RFC 9457 problems with a stable `code`. WebSockets (/v1/live, /v1/hold, /v1/video) serve the panel and are
+not part of this document."""
+
+_CONTROL = {
+    "lease_id": "$response.body#/lease_id",
+    "header.longreach-lease": "$response.body#/lease_id",
+    "header.longreach-fencing": "{$response.body#/fencing}",  # in braces: as text, which a header is
+}
+_HELD = ("PUT /v1/lease/{lease_id}", "DELETE /v1/lease/{lease_id}", "POST /v1/lease/{lease_id}/grant")
+_JOB = ("GET /v1/jobs/{job_id}", "GET /v1/jobs/{job_id}/events", "POST /v1/jobs/{job_id}/cancel")
+_DIAGNOSIS = ("GET /v1/diagnoses/{diagnosis_id}", "DELETE /v1/diagnoses/{diagnosis_id}")
+_COMMANDS = ("POST /v1/jobs", "POST /v1/disarm", "POST /v1/reset")
+LINKS: dict[tuple[str, str], tuple[dict[str, str], tuple[str, ...]]] = {
+    ("/v1/lease", "201"): (_CONTROL, (*_HELD, *_COMMANDS)),
+    ("/v1/lease/take", "201"): (_CONTROL, (*_HELD, *_COMMANDS)),
+    ("/v1/jobs", "202"): ({"job_id": "$response.body#/job_id"}, _JOB),
+    ("/v1/diagnoses", "202"): ({"diagnosis_id": "$response.body#/diagnosis_id"}, _DIAGNOSIS),
+}
+
+
+def completed(document: dict[str, Any]) -> dict[str, Any]:
+    """The document with what the guard adds."""
+    document["components"]["securitySchemes"] = {
+        "key": {"type": "http", "scheme": "bearer", "description": KEY_HEADER},
+    }
+    for name in ("HTTPValidationError", "ValidationError"):
+        document["components"]["schemas"].pop(name, None)
+    _link(document["paths"])
+    for path, operations in document["paths"].items():
+        for method, operation in operations.items():
+            _complete(operation, method.upper(), path)
+    return document
+
+
+def _link(paths: dict[str, Any]) -> None:
+    """Say which answer gives what another request takes (OpenAPI links): control, jobs, diagnoses."""
+    for (path, status), (source, targets) in LINKS.items():
+        links = {}
+        for target in targets:
+            method, _, to = target.partition(" ")
+            label = f"{method.lower()}{to.replace('/', '_').replace('{', '').replace('}', '')}"
+            there = paths[to][method.lower()]
+            taken = {one["name"].lower() for one in there.get("parameters", ())}
+            given = {name: value for name, value in source.items() if name.split(".")[-1] in taken}
+            links[label] = {"operationId": there["operationId"], "parameters": given}
+        paths[path]["post"]["responses"][status]["links"] = links
+
+
+def _complete(operation: dict[str, Any], method: str, path: str) -> None:
+    responses = operation["responses"]
+    for status, text in BY_GUARD.items():
+        if status not in responses or "HTTPValidationError" in str(responses[status]):
+            responses[status] = {"description": text}
+    for status, response in responses.items():
+        told = str(response.get("content", ""))
+        if status >= "400" and (not told or "schemas/Problem" in told):
+            response["content"] = PROBLEM
+    roles = needed(method, path)
+    if roles != ANYBODY:
+        operation["security"] = [{"key": []}]
+        wanted = ", ".join(role.value for role in Role if role in roles)
+        operation["description"] = f"{operation.get('description', '')}\n\nRoles: {wanted}.".strip()

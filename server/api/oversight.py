@@ -1,0 +1,64 @@
+"""Faults, audit and time."""
+
+import time
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from server.api.fault_list import FaultView, fault_views
+from server.api.findings import Before
+from server.api.views import Problem, View
+from server.jobs.service import JobService
+from server.store.audit_rows import read_audit
+
+
+class AuditView(View):
+    """One line of the audit."""
+
+    number: int
+    t_unix_s: float
+    who: str
+    role: str
+    address: str
+    action: str
+    outcome: str
+    lease_owner: str
+    fencing: int
+    request_id: str
+    idempotency_key: str
+    plan_hash: str
+    job_id: str
+    detail: str
+
+
+class TimeView(View):
+    """The server's clocks at one instant: estimate an offset as (t_unix - (sent + received) / 2)."""
+
+    t_unix_ns: int
+    t_mono_ns: int
+    life: str
+
+
+def oversight_router(service: JobService, life: str) -> APIRouter:
+    """Routes /v1/faults, /v1/audit, /v1/time."""
+    router = APIRouter(prefix="/v1", tags=["oversight"])
+
+    @router.get("/faults", response_model=list[FaultView])
+    async def faults() -> list[FaultView]:
+        """What is wrong with the machine now, the gravest first."""
+        return fault_views(service)
+
+    @router.get("/audit", response_model=list[AuditView], responses={503: {"model": Problem}})
+    async def audit(limit: Annotated[int, Query(ge=1, le=1000)] = 100, before: Before = 2**62) -> list[AuditView]:
+        """Who commanded what and what came of it, newest first. For operators, engineers and admins."""
+        if service.keeper is None:
+            return []
+        rows = await service.keeper.database.found(lambda db: read_audit(db, before, limit))
+        return [AuditView(**row) for row in rows]
+
+    @router.get("/time", response_model=TimeView)
+    async def now() -> TimeView:
+        """For the expiry of commands (Longreach-Expires), in this server's time."""
+        return TimeView(t_unix_ns=time.time_ns(), t_mono_ns=time.monotonic_ns(), life=life)
+
+    return router

@@ -1,0 +1,208 @@
+"""Every alarm: what, cause, what to do, who may clear it. The help pages and docs/alarms/ come from this table."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Level = Literal["high", "medium", "low"]  # high: motion is impossible or has been stopped; low: an extra is missing
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmKind:
+    """One kind of alarm; texts are complete sentences for the operator."""
+
+    code: str
+    level: Level
+    title: str
+    cause: str
+    remedy: str
+    clears: str
+
+
+OPERATOR = "whoever has control, by Acknowledge; it disappears once its cause is gone too"
+MACHINE = "a person at the machine removes the cause; then whoever has control presses Reset fault; then Acknowledge"
+
+_KINDS = (
+    AlarmKind(
+        "plc_silent",
+        "high",
+        "The PLC does not answer",
+        "No state has come from the PLC for 250 ms: it is off, its program is stopped, or the network between is cut.",
+        "Check the PLC's power and program, the cable and the address in [plc]. The PLC stops the machine by itself.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "plc_estop",
+        "high",
+        "Emergency stop at the machine",
+        "The PLC tells that its hard-wired emergency stop was pressed.",
+        "Find out why. Release the button at the machine, then Reset fault. Nothing moves by that.",
+        MACHINE,
+    ),
+    AlarmKind(
+        "plc_enable_lost",
+        "high",
+        "Local enable lost",
+        "The enable at the machine was withdrawn while the machine was armed.",
+        "See that nobody is near, give the enable at the machine, then Reset fault.",
+        MACHINE,
+    ),
+    AlarmKind(
+        "plc_lag",
+        "high",
+        "A joint does not follow its reference",
+        "Encoder and reference are too far apart: a blocked joint, low supply pressure, a stuck or disconnected valve.",
+        "Look at the machine, the pump and the valve plugs before Reset fault. Retract before you try again.",
+        MACHINE,
+    ),
+    AlarmKind(
+        "plc_joint_range",
+        "high",
+        "A joint is outside its range",
+        "The PLC reads a joint angle beyond the limits of the machine file.",
+        "Drive the joint back with the local lever, then Reset fault. If it is inside, its encoder zero is wrong.",
+        MACHINE,
+    ),
+    AlarmKind(
+        "plc_sensor",
+        "high",
+        "A sensor of the machine failed",
+        "The PLC tells that an encoder or a pressure sensor gives no or impossible values.",
+        "Check plug and cable of the sensor that the PLC names, then Reset fault.",
+        MACHINE,
+    ),
+    AlarmKind(
+        "plc_pressure",
+        "high",
+        "Hydraulic pressure outside its limits",
+        "The supply pressure is too low or too high.",
+        "Check pump, oil level and relief valve, then Reset fault.",
+        MACHINE,
+    ),
+    AlarmKind(
+        "plc_oil_temperature",
+        "high",
+        "Oil temperature outside its limits",
+        "The oil is too cold to control precisely, or too hot for the seals.",
+        "Let it warm up without load, or cool down; then Reset fault and calibrate anew.",
+        MACHINE,
+    ),
+    AlarmKind(
+        "plc_program",
+        "high",
+        "The PLC's program reports a defect",
+        "Its cycle took too long, or its message layout is not the one of this version.",
+        "Have the PLC engineer compare the versions and look at the task's execution time, then Reset fault.",
+        MACHINE,
+    ),
+    AlarmKind(
+        "link_lossy",
+        "medium",
+        "The PLC link loses many datagrams",
+        "More than 5 % of the states of the last ten seconds did not arrive.",
+        "Use a cable of its own between PC and PLC; see the lateness histogram under Engineering, Link.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "camera_silent",
+        "high",
+        "No picture from the camera",
+        "No new picture has come for a second: the camera is off, its cable is loose, or its computer is busy.",
+        "Check the camera's power and cable and [camera] in the settings. A look is not possible until it is back.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "camera_unfit",
+        "medium",
+        "The pictures are not fit to measure with",
+        "Pictures come, but the checks found them frozen, blurred, too dark, swapped or damaged: the text says which.",
+        "Do what the text says: clean the lens, light the target, reseat the cable. Looks are refused until then.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "vision_ended",
+        "medium",
+        "The vision process has ended",
+        "The program that finds the markers ended unexpectedly. It is being started again.",
+        "Wait for ten seconds. If it comes back every time, note the text and look into the server's log.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "recording_failed",
+        "medium",
+        "The run is not being recorded",
+        "The file of the recording could not be written: full disk, missing folder, or no permission.",
+        "Free space in the recordings' folder. Jobs go on without a recording.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "disk_low",
+        "medium",
+        "The disk is nearly full",
+        "Less than 1 GB is left where recordings are written.",
+        "Move old recordings away (Engineering, Recordings).",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "calibration_expired",
+        "medium",
+        "The local calibration does not hold here",
+        "It is too old, the machine is too far from where it was made, or something slipped: the text says which.",
+        "Press Calibrate.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "job_failed",
+        "medium",
+        "A job ended without reaching its goal",
+        "The text is the job's own reason.",
+        "Do what the text says, then begin again with Look.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "hold_lost",
+        "medium",
+        "Hold-to-run was lost",
+        "The page that held the button was silent for more than 250 ms: a stalled network, browser or computer.",
+        "The machine was ramped to a stop. Check the network, then preview again and hold again.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "scene_ended",
+        "low",
+        "The 3D view is not running",
+        "The program that draws the 3D view has ended. It holds no command; everything else works.",
+        "Nothing: it is started again by itself. If it stays away, look into the server's log.",
+        OPERATOR,
+    ),
+)
+CATALOGUE: dict[str, AlarmKind] = {kind.code: kind for kind in _KINDS}
+
+
+def page_markdown(kind: AlarmKind) -> str:
+    """The help page of one alarm, as it stands in docs/alarms/."""
+    return (
+        f"# {kind.title}\n\n`{kind.code}`, priority {kind.level}\n\n"
+        f"**Cause.** {kind.cause}\n\n**What to do.** {kind.remedy}\n\n**Who may clear it:** {kind.clears}.\n\n"
+        "Acknowledging an alarm or resetting a fault never starts a motion.\n"
+    )
+
+
+def index_markdown() -> str:
+    """docs/alarms.md: one row an alarm."""
+    rows = [
+        f"| [{kind.title}](alarms/{kind.code}.md) | `{kind.code}` | {kind.level} | {kind.remedy} |" for kind in _KINDS
+    ]
+    return "\n".join(
+        [
+            "# Alarms",
+            "",
+            "An alarm is latched: it stays until it is acknowledged and its cause is gone.",
+            "Acknowledging never restarts motion.",
+            "Generated from `server/api/panel_alarm_catalogue.py`; a test compares it.",
+            "",
+            "| Alarm | Code | Priority | What to do |",
+            "|---|---|---|---|",
+            *rows,
+            "",
+        ]
+    )

@@ -1,0 +1,145 @@
+"""The alarm list: latched until acknowledged, gone when acknowledged and no longer so. Pure; time is an argument."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from protocol.codes import FaultBit
+from server.api.panel_alarm_catalogue import CATALOGUE
+from server.api.views import StateView
+
+DISK_LOW_BYTES = 10**9
+LOSS_MAX_PCT = 5.0
+UNFIT_AFTER_S = 0.5
+STARTING_S = 90.0  # what has never been heard is no alarm while everything starts; on a new machine it compiles
+FAULT_CODES: tuple[tuple[FaultBit, str], ...] = (
+    (FaultBit.ESTOP, "plc_estop"),
+    (FaultBit.LOCAL_ENABLE_LOST, "plc_enable_lost"),
+    (FaultBit.LAG, "plc_lag"),
+    (FaultBit.JOINT_RANGE, "plc_joint_range"),
+    (FaultBit.SENSOR, "plc_sensor"),
+    (FaultBit.PRESSURE, "plc_pressure"),
+    (FaultBit.OIL_TEMPERATURE, "plc_oil_temperature"),
+    (FaultBit.CYCLE_OVERRUN | FaultBit.LAYOUT, "plc_program"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """One alarm in the list. `ended_unix_s` None: its cause is still there."""
+
+    code: str
+    detail: str
+    since_unix_s: float
+    ended_unix_s: float | None = None
+    acknowledged_by: str = ""
+
+
+class AlarmBook:
+    """What is wrong and what was."""
+
+    def __init__(self) -> None:
+        self._alarms: dict[str, Alarm] = {}
+
+    @property
+    def alarms(self) -> tuple[Alarm, ...]:
+        """Unacknowledged first, then by priority, the newest first."""
+        order = {"high": 0, "medium": 1, "low": 2}
+        return tuple(
+            sorted(
+                self._alarms.values(),
+                key=lambda one: (bool(one.acknowledged_by), order[CATALOGUE[one.code].level], -one.since_unix_s),
+            )
+        )
+
+    def update(self, active: Mapping[str, str], t_unix_s: float) -> None:
+        """`active`: the alarms whose cause is there now, with their details."""
+        for code, detail in active.items():
+            known = self._alarms.get(code)
+            if known is None or known.ended_unix_s is not None:  # it came back: a new one, to be acknowledged anew
+                self._alarms[code] = Alarm(code, detail, t_unix_s)
+            else:
+                self._alarms[code] = replace(known, detail=detail)
+        for code, known in list(self._alarms.items()):
+            if code in active:
+                continue
+            if known.acknowledged_by:
+                del self._alarms[code]
+            elif known.ended_unix_s is None:
+                self._alarms[code] = replace(known, ended_unix_s=t_unix_s)
+
+    def raise_event(self, code: str, detail: str, t_unix_s: float) -> None:
+        """Something that happened once: its cause is over, the alarm stays until acknowledged."""
+        self._alarms[code] = Alarm(code, detail, t_unix_s, ended_unix_s=t_unix_s)
+
+    def acknowledge(self, code: str, who: str) -> bool:
+        """Seen by a person; False when there is no such alarm."""
+        known = self._alarms.get(code)
+        if known is None:
+            return False
+        if known.ended_unix_s is not None:
+            del self._alarms[code]
+        else:
+            self._alarms[code] = replace(known, acknowledged_by=who)
+        return True
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What is not in the state view: disk, recorder, 3D view, recent loss."""
+
+    disk_free_bytes: int | None
+    recorder_problem: str
+    scene_problem: str
+    vision_problem: str
+    loss_pct: float
+    unfit_for_s: float
+    up_s: float  # since the server started
+
+
+def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
+    """Alarms whose cause is there now: code -> what is to be told beside the catalogue's text."""
+    return (
+        _plc(state, around)
+        | _camera(state, around)
+        | ({"link_lossy": f"{around.loss_pct:.1f} % lost"} if around.loss_pct > LOSS_MAX_PCT else {})
+        | ({"recording_failed": around.recorder_problem} if around.recorder_problem else {})
+        | _disk(around)
+        | ({"scene_ended": around.scene_problem} if around.scene_problem else {})
+        | _calibration(state)
+    )
+
+
+def _plc(state: StateView, around: Surroundings) -> dict[str, str]:
+    link = state.link
+    if link.phase == "offline":
+        if link.age_ms is None and around.up_s < STARTING_S:
+            return {}
+        age = "never heard" if link.age_ms is None else f"last heard {link.age_ms / 1e3:.1f} s ago"
+        return {"plc_silent": f"{age}. {link.warning}".strip()}
+    bits = link.fault_bits
+    return {code: f"fault bits {bits:#x}" for mask, code in FAULT_CODES if bits & mask}
+
+
+def _camera(state: StateView, around: Surroundings) -> dict[str, str]:
+    if around.vision_problem:
+        return {"vision_ended": around.vision_problem}
+    age_ms = state.camera.age_ms
+    if age_ms is None and around.up_s < STARTING_S:
+        return {}
+    if age_ms is None or age_ms > 1000.0:
+        return {"camera_silent": state.camera.warnings[-1] if state.camera.warnings else "no picture yet"}
+    if state.camera.warnings and around.unfit_for_s > UNFIT_AFTER_S:
+        return {"camera_unfit": state.camera.warnings[-1]}
+    return {}
+
+
+def _disk(around: Surroundings) -> dict[str, str]:
+    free = around.disk_free_bytes
+    if free is None or free >= DISK_LOW_BYTES:
+        return {}
+    return {"disk_low": f"{free / 1e6:.0f} MB left"}
+
+
+def _calibration(state: StateView) -> dict[str, str]:
+    found = state.calibration
+    return {} if found is None or found.valid else {"calibration_expired": found.expiry_reason}

@@ -1,0 +1,206 @@
+"""What the page remembers between two messages: alarms, history of looks, recent loss, who holds, what was accepted."""
+
+import shutil
+import time
+from collections import deque
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from server.api.panel_alarm_catalogue import CATALOGUE
+from server.api.panel_alarms import Alarm, AlarmBook, Surroundings, active_alarms
+from server.api.panel_figures import calibration_figures, link_figures, loss_pct, safety_view, vision_figures
+from server.api.panel_view import (
+    AlarmView,
+    GoalView,
+    HistoryView,
+    HoldState,
+    LinkFigures,
+    LiveView,
+    PanelView,
+    SceneState,
+)
+from server.api.state_view import state_view
+from server.api.views import ErrorView, StateView
+from server.jobs.engine import Job, JobEvent, JobState
+from server.jobs.hold import SILENCE_NS
+from server.jobs.knowledge import LookTaken
+from server.jobs.plans.positioning import inside
+from server.jobs.records import ErrorMm
+from server.jobs.service import JobService
+
+HISTORY_KEPT = 100
+SHOWN = 30
+FIGURES_S = 1.0
+DISK_S = 5.0
+LOSS_WINDOW = 10  # seconds, one entry each
+
+
+@dataclass(slots=True)
+class PanelMemory:
+    """Mutable on purpose; one for all viewers. `scene` is filled by whoever runs the 3D view."""
+
+    service: JobService
+    book: AlarmBook = field(default_factory=AlarmBook)
+    history: deque[HistoryView] = field(default_factory=lambda: deque(maxlen=HISTORY_KEPT))
+    scene: SceneState = field(
+        default_factory=lambda: SceneState(running=False, problem="", process_id=None, scrub_frac=1.0)
+    )
+    viewers: int = 0
+    held_by: str = ""
+    _shown_look: LookTaken | None = None
+    _looks: int = 0
+    _job_kind: str = "look"
+    _counts: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=LOSS_WINDOW))
+    _figures: LinkFigures | None = None
+    _figures_s: float = -1e9
+    _disk_s: float = -1e9
+    _disk_free: int | None = None
+    _fit_s: float = 0.0
+    _started_s: float = field(default_factory=time.monotonic)
+    _loss_pct: float = 0.0
+
+    def __post_init__(self) -> None:
+        self.service.engine.on_event(self._on_event)
+        self._shown_look = self.service.cell.knowledge.last_look
+
+    def live(self) -> LiveView:
+        """One message, as of now."""
+        service, now_s = self.service, time.monotonic()
+        state = state_view(service.cell, service.engine, service.context)
+        self._note_look()
+        self._refresh(now_s)
+        self.book.update(active_alarms(state, self._surroundings(state, now_s)), time.time())
+        return LiveView(**state.__dict__, panel=self._panel())
+
+    # --- parts ------------------------------------------------------------------------------------------------------
+
+    def _panel(self) -> PanelView:
+        service = self.service
+        cell, goal = service.cell, service.context.settings.position
+        alarms = [_alarm_view(alarm) for alarm in self.book.alarms]
+        faults = [one.title for one in alarms if one.code.startswith("plc_") and one.ended_unix_s is None]
+        return PanelView(
+            unix_s=round(time.time(), 3),
+            alarms=alarms,
+            goal=GoalView(stand_off_mm=goal.stand_off_mm, offset_x_mm=goal.offset_x_mm, offset_y_mm=goal.offset_y_mm),
+            history=list(self.history)[-SHOWN:],
+            safety=safety_view(cell.link.health, cell.link.latest, faults),
+            link=self._figures or link_figures([], cell.link.health, 0.0),
+            vision=vision_figures(cell.vision, self.viewers),
+            calibration=calibration_figures(cell.knowledge.life),
+            scene=self.scene,
+            hold=HoldState(required=cell.settings.mode == "REAL", held_by=self.held_by, limit_ms=SILENCE_NS * 1e-6),
+            look_moved_deg=self._look_moved_deg(),
+            recording=cell.recorder.recording,
+            recorder_problem=cell.recorder.problem,
+            disk_free_gb=None if self._disk_free is None else round(self._disk_free / 1e9, 2),
+        )
+
+    def _surroundings(self, state: StateView, now_s: float) -> Surroundings:
+        if not state.camera.warnings:
+            self._fit_s = now_s
+        text = self.service.cell.vision.stream_text
+        return Surroundings(
+            disk_free_bytes=self._disk_free,
+            recorder_problem=self.service.cell.recorder.problem,
+            scene_problem="" if self.scene.running else self.scene.problem,
+            vision_problem=text if text.startswith("vision process ended") else "",
+            loss_pct=self._loss_pct,
+            unfit_for_s=now_s - self._fit_s,
+            up_s=now_s - self._started_s,
+        )
+
+    def _refresh(self, now_s: float) -> None:
+        """What costs something, once a second; the disk every five."""
+        cell = self.service.cell
+        if now_s - self._figures_s >= FIGURES_S:
+            self._figures_s = now_s
+            health = cell.link.health
+            self._loss_pct = loss_pct(self._counts[0], health) if self._counts else 0.0
+            self._counts.append((health.received, health.lost))
+            since_ns = time.monotonic_ns() - LOSS_WINDOW * 10**9
+            self._figures = link_figures(cell.link.samples_since(since_ns), health, self._loss_pct)
+        if now_s - self._disk_s >= DISK_S:
+            self._disk_s, self._disk_free = now_s, _free_bytes(Path(cell.settings.recording.folder))
+
+    # --- history ----------------------------------------------------------------------------------------------------
+
+    def _note_look(self) -> None:
+        taken = self.service.cell.knowledge.last_look
+        if taken is None or taken is self._shown_look:
+            return
+        again = self._shown_look is not None and self._shown_look.look is taken.look
+        self._shown_look = taken
+        self._looks += not again
+        entry = HistoryView(
+            number=self._looks,
+            unix_s=round(self.service.cell.knowledge.unix_s(taken.record.t_mono_ns), 1),
+            after=self._job_kind,
+            status=taken.record.status,
+            reason=taken.record.reason,
+            error=None
+            if taken.error is None
+            else ErrorView(**{k: round(v, 3) for k, v in asdict(taken.error).items()}),
+            inside=taken.error is not None and inside(self.service.context, taken),
+        )
+        if again and self.history:  # the same look against another goal
+            self.history[-1] = entry.model_copy(update={"after": self.history[-1].after})
+        else:
+            self.history.append(entry)
+
+    def _look_moved_deg(self) -> float | None:
+        taken, latest = self.service.cell.knowledge.last_look, self.service.cell.link.latest
+        if taken is None or latest is None:
+            return None
+        return round(float(np.rad2deg(np.abs(np.array(latest.q_rad) - taken.reading.q_rad).max())), 3)
+
+    def accept(self, who: str) -> str:
+        """Mark the newest look as accepted; the reason when it cannot be."""
+        if not self.history or self.history[-1].error is None:
+            return "there is no good look to accept; look first"
+        if not self.history[-1].inside:
+            return "the last look is not inside the tolerance with two sigma to spare; preview and move, or look again"
+        self.history[-1] = self.history[-1].model_copy(update={"accepted_by": who})
+        return ""
+
+    def _on_event(self, job: Job, event: JobEvent) -> None:
+        if event.name == "started":
+            self._job_kind = job.kind
+        if event.name == "ended" and job.state is JobState.FAILED:
+            self.book.raise_event("job_failed", f"{job.kind}: {job.reason}", time.time())
+
+    def scrub(self, frac: float) -> None:
+        """Where on the previewed path the ghost stands, 0..1; shown to everybody, moves nothing."""
+        self.scene = self.scene.model_copy(update={"scrub_frac": min(1.0, max(0.0, frac))})
+
+
+def _rounded(error: ErrorMm) -> ErrorView:
+    return ErrorView(**{name: round(value, 3) for name, value in asdict(error).items()})
+
+
+def _alarm_view(alarm: Alarm) -> AlarmView:
+    kind = CATALOGUE[alarm.code]
+    return AlarmView(
+        code=alarm.code,
+        level=kind.level,
+        title=kind.title,
+        detail=alarm.detail,
+        cause=kind.cause,
+        remedy=kind.remedy,
+        clears=kind.clears,
+        since_unix_s=round(alarm.since_unix_s, 1),
+        ended_unix_s=None if alarm.ended_unix_s is None else round(alarm.ended_unix_s, 1),
+        acknowledged_by=alarm.acknowledged_by,
+    )
+
+
+def _free_bytes(folder: Path) -> int | None:
+    """Left on the disk of that folder, or of the nearest parent that exists; None when it cannot be told."""
+    try:
+        while not folder.exists() and folder != folder.parent:
+            folder = folder.parent
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None

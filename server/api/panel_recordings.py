@@ -1,0 +1,114 @@
+"""Recordings for the page: list, download, and the replay of one finished run."""
+
+import asyncio
+import re
+import struct
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from fastapi import APIRouter
+from fastapi.responses import FileResponse, JSONResponse, Response
+
+from server.api.problems import problem
+from server.api.views import View
+from server.jobs.service import JobService
+
+NAME = re.compile(r"^[0-9A-Za-z][0-9A-Za-z_.-]{0,120}\.mcap$")
+LISTED = 100
+READING_S = 60.0
+
+
+class RecordingView(View):
+    """One file."""
+
+    name: str
+    size_mb: float
+    unix_s: float
+
+
+@dataclass(slots=True)
+class _Opened:
+    """The one run that is being replayed."""
+
+    name: str = ""
+    told: bytes = b""
+    pictures: bytes = b""
+
+
+def recordings_router(service: JobService) -> APIRouter:
+    """Routes under /v1/panel/recordings."""
+    router = APIRouter(prefix="/v1/panel/recordings", tags=["panel"])
+    folder = Path(service.cell.settings.recording.folder)
+    opened = _Opened()
+    reading = asyncio.Lock()
+
+    @router.get("", response_model=list[RecordingView])
+    async def recordings() -> list[RecordingView]:
+        """The newest first."""
+        return await asyncio.to_thread(_listed, folder)
+
+    @router.get("/{name}/file", response_model=None)
+    async def file(name: str) -> FileResponse | JSONResponse:
+        """The MCAP file: opens in Foxglove and Rerun."""
+        path = _path(folder, name)
+        return FileResponse(path, media_type="application/octet-stream", filename=name) if path else _unknown(name)
+
+    @router.get("/{name}/replay", response_model=None)
+    async def replay(name: str) -> Response:
+        """What happened, second by second; read in a process of its own."""
+        path = _path(folder, name)
+        if path is None:
+            return _unknown(name)
+        async with reading:
+            if opened.name != name:
+                code, out, error = await _read(path)
+                if code != 0:
+                    return problem(409, "Not readable", error or f"reading ended with code {code}", "unreadable")
+                (size,) = struct.unpack_from("<I", out)
+                opened.name, opened.told, opened.pictures = name, out[4 : 4 + size], out[4 + size :]
+        return Response(opened.told, media_type="application/json")
+
+    @router.get("/{name}/pictures/{start}-{end}", response_model=None)
+    async def picture(name: str, start: int, end: int) -> Response:
+        """A picture of the run that was opened last."""
+        if opened.name != name or not 0 <= start < end <= len(opened.pictures):
+            return problem(404, "Not opened", "open the run's replay first", "not_opened")
+        return Response(opened.pictures[start:end], media_type="image/jpeg")
+
+    return router
+
+
+async def _read(path: Path) -> tuple[int | None, bytes, str]:
+    pipe = asyncio.subprocess.PIPE
+    command = (sys.executable, "-m", "server.api.panel_replay_reading", str(path))
+    process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=pipe)
+    try:
+        out, error = await asyncio.wait_for(process.communicate(), READING_S)
+    except TimeoutError:
+        process.kill()
+        await process.wait()
+        return None, b"", f"reading took longer than {READING_S:.0f} s"
+    return process.returncode, out, error.decode(errors="replace")[-300:]
+
+
+def _listed(folder: Path) -> list[RecordingView]:
+    try:
+        found = [(path, path.stat()) for path in folder.glob("*.mcap")]
+    except OSError:
+        return []
+    newest = sorted(found, key=lambda one: -one[1].st_mtime)[:LISTED]
+    return [
+        RecordingView(name=path.name, size_mb=round(stat.st_size / 1e6, 1), unix_s=round(stat.st_mtime, 1))
+        for path, stat in newest
+    ]
+
+
+def _path(folder: Path, name: str) -> Path | None:
+    """A recording of that plain name; nothing outside the folder can be named."""
+    path = folder / name
+    return path if NAME.match(name) and path.is_file() else None
+
+
+def _unknown(name: str) -> JSONResponse:
+    return problem(404, "Unknown recording", f"there is no recording {name[:80]!r}", "unknown_recording")

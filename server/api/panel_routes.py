@@ -1,0 +1,115 @@
+"""What the page asks of the server beside jobs and lease: goal, accept, acknowledge, settings, help."""
+
+import html
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends
+from fastapi.responses import HTMLResponse, JSONResponse
+from pydantic import Field
+
+from server.access.lease import Lease
+from server.api.lease import leased
+from server.api.panel_alarm_catalogue import CATALOGUE, AlarmKind
+from server.api.panel_goal import set_goal
+from server.api.panel_memory import PanelMemory
+from server.api.panel_view import GoalView
+from server.api.problems import problem
+from server.api.views import Problem, Strict, View
+from server.jobs.service import JobService
+
+PAGE_CSP = "default-src 'none'; style-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+
+
+class GoalRequest(Strict):
+    """Where the tool is to stand: on the target's normal, shifted in the target's plane."""
+
+    stand_off_mm: Annotated[float, Field(ge=50.0, le=1000.0)]
+    offset_x_mm: Annotated[float, Field(ge=-300.0, le=300.0)] = 0.0
+    offset_y_mm: Annotated[float, Field(ge=-300.0, le=300.0)] = 0.0
+
+
+class SettingRow(View):
+    """One setting, to be read; it is changed in the settings file."""
+
+    name: str
+    value: str
+    unit: str
+
+
+def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
+    """Routes /v1/goal, /v1/accept, /v1/alarms, /v1/settings and /help."""
+    router = APIRouter(tags=["panel"])
+    control = leased(service.engine.leases)
+    refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 404, 409, 422)}
+
+    @router.put("/v1/goal", response_model=GoalView, responses=refused, dependencies=[Depends(control)])
+    async def put_goal(request: GoalRequest) -> GoalView:
+        """Set the goal for the next preview; a plan that was previewed for another goal is gone."""
+        set_goal(service, request.stand_off_mm, request.offset_x_mm, request.offset_y_mm)
+        goal = service.context.settings.position
+        return GoalView(stand_off_mm=goal.stand_off_mm, offset_x_mm=goal.offset_x_mm, offset_y_mm=goal.offset_y_mm)
+
+    @router.post("/v1/accept", status_code=204, response_model=None, responses=refused)
+    async def accept(lease: Annotated[Lease, Depends(control)]) -> JSONResponse | None:
+        """Note that the last look is accepted as the result."""
+        reason = memory.accept(lease.owner)
+        return problem(409, "Not accepted", reason, "not_acceptable") if reason else None
+
+    @router.post("/v1/alarms/{code}/acknowledge", status_code=204, response_model=None, responses=refused)
+    async def acknowledge(code: str, lease: Annotated[Lease, Depends(control)]) -> JSONResponse | None:
+        """Note that a person has seen an alarm. Nothing moves by it."""
+        found = memory.book.acknowledge(code, lease.owner)
+        return None if found else problem(404, "No such alarm", f"no alarm {code[:40]!r} is on", "no_such_alarm")
+
+    @router.get("/v1/settings", response_model=list[SettingRow])
+    async def settings() -> list[SettingRow]:
+        """The resolved settings, with units; secrets are files and are named only."""
+        return setting_rows(service.context.settings.model_dump())
+
+    @router.get("/help/alarms/{code}", include_in_schema=False, response_model=None)
+    async def help_page(code: str) -> HTMLResponse | JSONResponse:
+        kind = CATALOGUE.get(code)
+        if kind is None:
+            return problem(404, "No such page", f"there is no alarm {code[:40]!r}", "no_such_alarm")
+        return HTMLResponse(_page(kind), headers={"Content-Security-Policy": PAGE_CSP})
+
+    return router
+
+
+UNITS = {
+    "_mm": "mm",
+    "_m": "m",
+    "_deg": "deg",
+    "_ms": "ms",
+    "_s": "s",
+    "_h": "h",
+    "_hz": "Hz",
+    "_k": "K",
+    "_px": "px",
+    "_frac": "0..1",
+    "_mm_s": "mm/s",
+}
+
+
+def setting_rows(settings: dict[str, Any], prefix: str = "") -> list[SettingRow]:
+    """One row a setting, sections in the name, units from the name's ending (the longest that fits)."""
+    rows: list[SettingRow] = []
+    for name, value in settings.items():
+        if isinstance(value, dict):
+            rows += setting_rows(value, f"{prefix}{name}.")
+            continue
+        unit = next((UNITS[end] for end in sorted(UNITS, key=len, reverse=True) if name.endswith(end)), "")
+        rows.append(SettingRow(name=prefix + name, value="not set" if value is None else str(value), unit=unit))
+    return rows
+
+
+def _page(kind: AlarmKind) -> str:
+    rows = (("Cause", kind.cause), ("What to do", kind.remedy), ("Who may clear it", kind.clears))
+    body = "".join(f"<h2>{title}</h2><p>{html.escape(text)}</p>" for title, text in rows)
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>longreach: alarm</title>'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        '<link rel="stylesheet" href="/static/style.css"></head><body class="help"><main>'
+        f"<h1>{html.escape(kind.title)}</h1><p><code>{kind.code}</code>, priority {kind.level}</p>{body}"
+        "<p>Acknowledging an alarm or resetting a fault never starts a motion.</p></main></body></html>"
+    )

@@ -1,0 +1,77 @@
+"""A compensation from files: the diagnosed machine file, and the diagnosis that stands for it."""
+
+import json
+import re
+from pathlib import Path
+
+from machine.description import Machine, parse_machine_toml
+from machine.errors import MachineError
+from server.compensation.compensation import Compensation, compensation_of
+from server.compensation.errors import CompensationError
+from server.settings import ServerSettings
+
+VERDICT_LINE = re.compile(r"^# longreach diagnose: verdict (\w+)", re.MULTILINE)  # as `--machine-out` writes it
+USABLE = ("effects", "none")
+
+
+def read_compensation(machine: Machine, machine_file: Path, diagnosis_file: Path | None = None) -> Compensation:
+    """The compensation that a diagnosed machine file asks for.
+
+    Raises: CompensationError: a file that cannot be read, another machine, no effect, or a diagnosis that is undecided
+            or outside the catalogue.
+    """
+    text = _text(machine_file)
+    found = VERDICT_LINE.search(text)
+    if found is not None:
+        _require_usable(found.group(1), machine_file)
+    if diagnosis_file is not None:
+        _require_usable(_verdict(diagnosis_file), diagnosis_file)
+    try:
+        diagnosed = parse_machine_toml(text)
+    except MachineError as error:
+        raise CompensationError(f"[compensation] machine_file {machine_file}: {error}") from error
+    if diagnosed.name != machine.name or len(diagnosed.joints) != len(machine.joints):
+        raise CompensationError(
+            f"[compensation] machine_file {machine_file} is of '{diagnosed.name}' with {len(diagnosed.joints)} joints; "
+            f"the server drives '{machine.name}' with {len(machine.joints)}"
+        )
+    if not diagnosed.effects:
+        raise CompensationError(
+            f"[compensation] machine_file {machine_file} has no [[effect]]: nothing to compensate; "
+            "make one by `longreach diagnose RECORDING --machine-out FILE`"
+        )
+    return compensation_of(machine, diagnosed.effects)
+
+
+def compensation_from(settings: ServerSettings, machine: Machine) -> Compensation | None:
+    """The compensation that the settings ask for; None where they name no file.
+
+    Raises: CompensationError: as `read_compensation`.
+    """
+    named = settings.compensation
+    if named.machine_file is None:
+        return None
+    diagnosis = None if named.diagnosis_file is None else Path(named.diagnosis_file)
+    return read_compensation(machine, Path(named.machine_file), diagnosis)
+
+
+def _require_usable(verdict: str, path: Path) -> None:
+    if verdict not in USABLE:
+        raise CompensationError(
+            f"[compensation] {path}: the diagnosis is '{verdict}' and must not be compensated; "
+            "do the experiment that it proposes, and diagnose both recordings together"
+        )
+
+
+def _verdict(path: Path) -> str:
+    try:
+        return str(json.loads(_text(path))["verdict"])
+    except (json.JSONDecodeError, KeyError, TypeError) as error:
+        raise CompensationError(f"[compensation] diagnosis_file {path} is no answer of `longreach diagnose`") from error
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CompensationError(f"[compensation] {path} cannot be read: {error}") from error

@@ -1,0 +1,130 @@
+"""Gap diagnoses beside the server: one process each, low priority, never in the way of motion."""
+
+import asyncio
+import contextlib
+import json
+import logging
+import sys
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from server.errors import BusyError, ServerError
+
+log = logging.getLogger(__name__)
+NICE = "10"
+TIMEOUT_S = 3600.0
+KEPT = 50
+COMMAND = (sys.executable, "-m", "longreach.cli", "diagnose")
+
+
+@dataclass(slots=True)
+class Diagnosis:
+    """One run of `longreach diagnose`; its state is running, done, failed or stopped."""
+
+    diagnosis_id: str
+    recording: str
+    state: str = "running"
+    reason: str = ""
+    last_line: str = ""
+    started_s: float = field(default_factory=time.monotonic)
+    ended_s: float | None = None
+
+    @property
+    def elapsed_s(self) -> float:
+        """Seconds since the start, up to the end."""
+        return (self.ended_s or time.monotonic()) - self.started_s
+
+
+class Diagnoses:
+    """Belongs to the event loop. One at a time: the processors are the machine's."""
+
+    def __init__(self, folder: Path, command: tuple[str, ...] = COMMAND) -> None:
+        self._folder, self._command = folder / "diagnoses", command
+        self._task: asyncio.Task[None] | None = None
+        self.all: deque[Diagnosis] = deque(maxlen=KEPT)
+
+    def find(self, diagnosis_id: str) -> Diagnosis | None:
+        """The one of that id."""
+        return next((one for one in self.all if one.diagnosis_id == diagnosis_id), None)
+
+    def start(self, recording: Path) -> Diagnosis:
+        """Begin. Raises: BusyError naming the one that runs."""
+        running = next((one for one in self.all if one.state == "running"), None)
+        if running is not None:
+            raise BusyError(
+                f"diagnosis {running.diagnosis_id} of {running.recording} runs since {running.elapsed_s:.0f} s",
+                {"diagnosis_id": running.diagnosis_id},
+            )
+        one = Diagnosis(uuid4().hex[:12], recording.name)
+        self.all.append(one)
+        self._task = asyncio.create_task(self._run(one, recording), name=f"diagnosis-{one.diagnosis_id}")
+        return one
+
+    async def stop(self, one: Diagnosis) -> None:
+        """End it, if it runs."""
+        if one.state == "running" and self._task is not None:
+            self._task.cancel()
+            await asyncio.wait({self._task})
+
+    async def close(self) -> None:
+        """End what runs."""
+        for one in self.all:
+            await self.stop(one)
+
+    def result(self, one: Diagnosis) -> dict[str, Any]:
+        """The whole answer. Raises: ServerError: the file is gone or no JSON."""
+        try:
+            return json.loads(self._file(one, "json").read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise ServerError(f"result of diagnosis {one.diagnosis_id}: {error}") from error
+
+    def page(self, one: Diagnosis) -> Path:
+        """The report for people."""
+        return self._file(one, "html")
+
+    def _file(self, one: Diagnosis, ending: str) -> Path:
+        return self._folder / f"{one.diagnosis_id}.{ending}"
+
+    async def _run(self, one: Diagnosis, recording: Path) -> None:
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            async with asyncio.timeout(TIMEOUT_S):
+                code = await self._process(one, recording)
+            one.state, one.reason = ("done", "") if code == 0 else ("failed", one.last_line or f"exit code {code}")
+        except asyncio.CancelledError:
+            one.state, one.reason = "stopped", "stopped"
+            raise
+        except (OSError, TimeoutError) as error:
+            one.state, one.reason = "failed", str(error) or f"not done within {TIMEOUT_S:.0f} s"
+        finally:
+            one.ended_s = time.monotonic()
+
+    async def _process(self, one: Diagnosis, recording: Path) -> int:
+        outputs = ("--json", str(self._file(one, "json")), "--html", str(self._file(one, "html")))
+        process = await asyncio.create_subprocess_exec(
+            *("nice", "-n", NICE, *self._command, str(recording), *outputs),
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.DEVNULL,
+            stderr=asyncio.subprocess.PIPE,
+        )
+        try:
+            await _followed(process, one)
+            return await process.wait()
+        finally:
+            if process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()
+                await process.wait()
+
+
+async def _followed(process: asyncio.subprocess.Process, one: Diagnosis) -> None:
+    """Keep the last line that it says."""
+    if process.stderr is None:
+        return
+    while chunk := await process.stderr.read(4096):
+        lines = [line.strip() for line in chunk.decode("utf-8", "replace").splitlines() if line.strip()]
+        one.last_line = lines[-1][:300] if lines else one.last_line

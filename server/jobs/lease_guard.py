@@ -1,0 +1,37 @@
+"""The guard: a job whose lease was lost or went stale is stopped with a ramp, and says why."""
+
+import asyncio
+import contextlib
+import logging
+
+from server.jobs.engine import JobEngine
+from server.link.errors import LinkError
+
+log = logging.getLogger(__name__)
+PERIOD_S = 0.1
+
+
+async def guard_lease(engine: JobEngine) -> None:
+    """Until cancelled: look at every change of the holder, and ten times a second for staleness."""
+    changed = asyncio.Event()
+    engine.leases.on_change(changed.set)
+    while True:
+        changed.clear()
+        await enforce_lease(engine)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(changed.wait(), PERIOD_S)
+
+
+async def enforce_lease(engine: JobEngine) -> None:
+    """Stop the running job if its lease no longer holds. A job without one (fencing 0) is the server's own."""
+    job = engine.current
+    if job is None or job.ended or job.fencing == 0:
+        return
+    lost = engine.leases.lost(job.fencing)
+    if not lost or job.state.value == "stopping":
+        return
+    log.warning("job %s (%s) is stopped: %s", job.job_id, job.kind, lost)
+    try:
+        await engine.stop(lost)
+    except LinkError as error:
+        log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)

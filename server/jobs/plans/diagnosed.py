@@ -1,0 +1,49 @@
+"""Where plans ask the diagnosed machine in place of the nominal one, if the settings name one."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from machine.rotations import Array
+from server.calibration.contracts import EncoderTrack, MountRotation
+from server.calibration.play import play_sides
+from server.calibration.reference import reference_from_look
+from server.compensation.errors import CompensationError
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.plans.learning import play_width, side_now
+
+SIGMA_MOUNT_RAD = float(np.deg2rad(0.3))  # of a diagnosed camera mount
+
+
+def goal_from_look(ctx: PlanContext, q_rad: Array, R_tcp_cam: Array, T_cam_tool: Array, T_cam_ooi: Array) -> Array:
+    """The nominal pose to plan for, from a look taken with the encoders at q_rad (n,).
+
+    Model:  the step from the look is taken on the diagnosed machine; the planner gets the nominal pose of the joints at
+            which that machine stands at the goal, coming from below. Without a compensation both are nominal.
+    Raises: JobFailedError: the diagnosed machine does not reach the goal.
+    """
+    known = ctx.compensation
+    T_base_tcp = ctx.tcp(q_rad) if known is None else known.tcp_poses(q_rad[None], side_now(ctx))[0]
+    T_goal = reference_from_look(T_base_tcp, R_tcp_cam, ctx.machine.T_tcp_tool, T_cam_tool, T_cam_ooi, ctx.T_ooi_goal)
+    if known is None:
+        return T_goal
+    try:
+        return known.nominal_goal(ctx.chain, q_rad, T_goal)
+    except CompensationError as error:
+        raise JobFailedError(f"preview: {error}", "plan_out_of_reach") from error
+
+
+def believed_track(ctx: PlanContext, encoder: EncoderTrack, before: Array) -> EncoderTrack:
+    """The TCP's way by the diagnosed machine; `before`: sides in the play when it began (n,)."""
+    if ctx.compensation is None or encoder.qs is None or len(encoder.qs) == 0:
+        return encoder
+    sides = play_sides(encoder.qs, play_width(ctx), before)
+    return replace(encoder, Ts_base_tcp=ctx.compensation.tcp_poses(encoder.qs, sides))
+
+
+def believed_mount(ctx: PlanContext) -> MountRotation | None:
+    """The camera's rotation as diagnosed; None where it was not."""
+    if ctx.compensation is None or not ctx.compensation.knows_mount:
+        return None
+    return MountRotation(ctx.compensation.T_tcp_cam[:3, :3], SIGMA_MOUNT_RAD**2 * np.eye(3))

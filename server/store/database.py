@@ -1,0 +1,184 @@
+"""One SQLite file, one writer: a thread that runs each piece of work in a transaction, and readers of their own.
+
+A write that fails (disk full, read-only) leaves the database as it was, and `problem` says why until a write succeeds.
+"""
+
+import asyncio
+import contextlib
+import logging
+import queue
+import sqlite3
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, TypeVar
+
+from server.store.errors import StoreBusyError, StoreError
+from server.store.migrations import migrate
+
+log = logging.getLogger(__name__)
+T = TypeVar("T")
+Work = Callable[[sqlite3.Connection], T]
+QUEUE_MAX = 256
+WRITE_S = 5.0  # longest wait of a command for the disk
+BUSY_MS = 2000
+_Item = tuple[Work[Any], Future[Any]] | None
+
+
+class Database:
+    """Opened and closed by its owner; every method may be called from any thread. `path` None: memory, for tests."""
+
+    def __init__(self, path: Path | None) -> None:
+        self.path = path
+        self.problem = "the database is not open"
+        self._queue: queue.Queue[_Item] = queue.Queue(QUEUE_MAX)
+        self._db: sqlite3.Connection | None = None
+        self._thread: threading.Thread | None = None
+
+    def open(self) -> None:
+        """Start the writer: integrity check and migrations; a failure shows in `problem` and is tried again."""
+        self._thread = threading.Thread(target=self._write_all, name="store", daemon=True)
+        self._thread.start()
+        with contextlib.suppress(StoreError):
+            self.write(_nothing)
+
+    def close(self) -> None:
+        """Write what is waiting, then close."""
+        if self._thread is not None:
+            self._queue.put(None)
+            self._thread.join(2 * WRITE_S)
+            self._thread = None
+
+    # --- writing ----------------------------------------------------------------------------------------------------
+
+    def submit(self, work: Work[T]) -> Future[T]:
+        """Queue one transaction; its result comes with the future.
+
+        Raises: StoreBusyError: the queue is full.
+        """
+        done: Future[T] = Future()
+        try:
+            self._queue.put_nowait((work, done))
+        except queue.Full:
+            raise StoreBusyError(f"{QUEUE_MAX} writes are waiting for the disk") from None
+        return done
+
+    def write(self, work: Work[T]) -> T:
+        """Run one transaction and wait for it.
+
+        Raises: StoreError: it was not written.
+        """
+        try:
+            return self.submit(work).result(WRITE_S)
+        except TimeoutError:
+            raise StoreError(f"the disk did not take a write within {WRITE_S:.0f} s") from None
+
+    async def written(self, work: Work[T]) -> T:
+        """As `write`, for the event loop."""
+        try:
+            return await asyncio.wait_for(asyncio.wrap_future(self.submit(work)), WRITE_S)
+        except TimeoutError:
+            raise StoreError(f"the disk did not take a write within {WRITE_S:.0f} s") from None
+
+    def _write_all(self) -> None:
+        while (item := self._queue.get()) is not None:
+            work, done = item
+            if done.set_running_or_notify_cancel():
+                self._write_one(work, done)
+        if self._db is not None:
+            self._db.close()
+            self._db = None
+
+    def _write_one(self, work: Work[T], done: Future[T]) -> None:
+        try:
+            db = self._opened()
+            result = _in_transaction(db, work)
+        except (sqlite3.OperationalError, sqlite3.DatabaseError, OSError, StoreError) as error:
+            done.set_exception(self._failed(error))
+        except Exception as error:  # the work's own refusal: the transaction is rolled back, the store is well
+            done.set_exception(error)
+        else:
+            if self.problem:
+                log.info("store: writing again to %s", self.path)
+            self.problem = ""
+            done.set_result(result)
+
+    def _failed(self, error: Exception) -> StoreError:
+        if isinstance(error, sqlite3.IntegrityError):
+            return StoreError(f"database {self.path}: {error}")  # a defect of the work, not of the disk
+        told = str(error) if isinstance(error, StoreError) else f"database {self.path}: {error}"
+        if told != self.problem:
+            log.error("store: %s; motion is refused until it can be written again", told)
+        self.problem = told
+        return error if isinstance(error, StoreError) else StoreError(told)
+
+    def _opened(self) -> sqlite3.Connection:
+        if self._db is None:
+            self._db = _connected(self.path)
+        return self._db
+
+    # --- reading ----------------------------------------------------------------------------------------------------
+
+    def read(self, work: Work[T]) -> T:
+        """Run a query beside the writer, on what was committed last.
+
+        Raises: StoreError: the file cannot be read.
+        """
+        if self.path is None:
+            return self.write(work)
+        try:
+            with contextlib.closing(sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)) as db:
+                db.row_factory = sqlite3.Row
+                return work(db)
+        except sqlite3.Error as error:
+            raise StoreError(f"database {self.path}: {error}") from error
+
+    async def found(self, work: Work[T]) -> T:
+        """As `read`, for the event loop."""
+        return await asyncio.to_thread(self.read, work)
+
+
+def _connected(path: Path | None) -> sqlite3.Connection:
+    """Open, check and migrate.
+
+    Raises: StoreError: damaged, or from a newer program. sqlite3.Error, OSError: cannot be opened.
+    """
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    db = sqlite3.connect(":memory:" if path is None else path, isolation_level=None, check_same_thread=False)
+    try:
+        db.row_factory = sqlite3.Row
+        db.execute(f"PRAGMA busy_timeout = {BUSY_MS}")
+        found = db.execute("PRAGMA integrity_check(3)").fetchall()
+        if found[0][0] != "ok":
+            raise StoreError(f"database {path} is damaged ({found[0][0]}); move it away and start again")
+        db.execute("PRAGMA journal_mode = WAL")
+        db.execute("PRAGMA synchronous = FULL")  # a fencing number or a key that was answered survives a power cut
+        migrate(db)
+    except BaseException as error:
+        db.close()
+        if isinstance(error, sqlite3.DatabaseError) and not isinstance(error, sqlite3.OperationalError):
+            raise StoreError(f"database {path} is damaged ({error}); move it away and start again") from error
+        raise
+    return db
+
+
+def _in_transaction(db: sqlite3.Connection, work: Work[T]) -> T:
+    db.execute("BEGIN IMMEDIATE")
+    try:
+        result = work(db)
+        db.execute("COMMIT")
+    except BaseException:
+        if db.in_transaction:  # a full disk rolls back by itself
+            db.execute("ROLLBACK")
+        raise
+    return result
+
+
+def _nothing(db: sqlite3.Connection) -> None:
+    """A write that changes nothing that matters: says whether writing is possible."""
+    db.execute("UPDATE meta SET value = value + 1 WHERE name = 'probe'")
+
+
+PROBE: Work[None] = _nothing

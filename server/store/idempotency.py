@@ -1,0 +1,81 @@
+"""Idempotency keys: the same key and body get the same answer for 24 hours, and nothing is done twice."""
+
+import hashlib
+import sqlite3
+from dataclasses import dataclass
+
+from server.access.errors import AccessError
+
+KEPT_S = 24 * 3600.0
+
+
+class KeyReusedError(AccessError):
+    """The key came before with another body."""
+
+    code = "idempotency_key_reused"
+    status = 422
+    hint = "a new command needs a new Idempotency-Key"
+
+
+class KeyInProgressError(AccessError):
+    """The first request with this key has no answer yet."""
+
+    code = "idempotency_in_progress"
+    status = 409
+    hint = "wait a moment and send it again with the same key"
+
+
+class KeyMissingError(AccessError):
+    """A fleet's command carries no key, so a retry could move twice."""
+
+    code = "idempotency_key_missing"
+    status = 400
+    hint = "send the header Idempotency-Key with a fresh random value (such as a UUID) per command, the same on a retry"
+
+
+@dataclass(frozen=True, slots=True)
+class Answered:
+    """What was answered to a key."""
+
+    body_hash: str
+    status: int
+    location: str
+    answer: str
+    t_unix_s: float
+
+
+def hash_of(body: bytes) -> str:
+    """Fingerprint of a request's body as it was sent."""
+    return hashlib.sha256(body).hexdigest()
+
+
+def replay_of(known: Answered | None, in_progress: bool, body_hash: str, t_unix_s: float) -> Answered | None:
+    """The answer to give again; None when the command is new and may be carried out.
+
+    Raises: KeyReusedError: other body. KeyInProgressError: the first one is still on its way.
+    """
+    if known is not None and t_unix_s - known.t_unix_s < KEPT_S:
+        if known.body_hash != body_hash:
+            raise KeyReusedError("this Idempotency-Key was used with another body")
+        return known
+    if in_progress:
+        raise KeyInProgressError("a request with this Idempotency-Key is being worked on")
+    return None
+
+
+def read_answer(db: sqlite3.Connection, who: str, key: str) -> Answered | None:
+    """What was answered to that caller's key."""
+    row = db.execute("SELECT * FROM idempotency WHERE who = ? AND key = ?", (who, key)).fetchone()
+    if row is None:
+        return None
+    return Answered(row["body_hash"], row["status"], row["location"], row["answer"], row["t_unix_s"])
+
+
+def save_answer(db: sqlite3.Connection, who: str, key: str, answered: Answered) -> None:
+    """Keep an answer; forget those of yesterday."""
+    db.execute("DELETE FROM idempotency WHERE t_unix_s <= ?", (answered.t_unix_s - KEPT_S,))
+    db.execute(
+        "INSERT INTO idempotency (who, key, body_hash, status, location, answer, t_unix_s) "
+        "VALUES (?, ?, ?, ?, ?, ?, ?)",
+        (who, key, answered.body_hash, answered.status, answered.location, answered.answer, answered.t_unix_s),
+    )

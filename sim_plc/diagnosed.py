@@ -1,0 +1,146 @@
+"""A drawn machine with the effects of its machine file on top: what a diagnosis found, made true."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from machine.effects.entries import EffectEntry
+from machine.poses import pose
+from machine.rotations import rotation_from_rotvec
+from sim_plc.presets import PresetError
+from sim_plc.world import World
+
+SPRUNG = {2: 0, 3: 2}  # joints (1-based) with a spring about their own axis, and its number
+Change = Callable[[World, EffectEntry], World]
+
+
+def with_effects(world: World) -> World:
+    """The world with every `[[effect]]` of its machine file.
+
+    Raises: PresetError: an effect that this plant cannot have; names those that it can.
+    """
+    for entry in world.nominal.effects:
+        change = CHANGES.get(entry.name)
+        if change is None:
+            raise PresetError(
+                f"effect {entry.name} cannot be simulated by the plant; it knows {', '.join(sorted(CHANGES))}"
+            )
+        world = change(world, entry)
+    return world
+
+
+def _joint(world: World, part: str, name: str, entry: EffectEntry, change: Callable[[float], float]) -> World:
+    """One number of one joint changed: `part` and `name` of the plant's truth."""
+    group = getattr(world.plant, part)
+    values = np.array(getattr(group, name), dtype=float)
+    values[(entry.joint or 1) - 1] = change(float(values[(entry.joint or 1) - 1]))
+    return replace(world, plant=replace(world.plant, **{part: replace(group, **{name: values})}))
+
+
+def _oil_only(world: World, entry: EffectEntry) -> None:
+    if world.plant.rigid:
+        raise PresetError(f"effect {entry.name} needs a plant with oil and springs; preset '{world.preset}' has none")
+
+
+def _deadband(world: World, entry: EffectEntry) -> World:
+    _oil_only(world, entry)
+    return _joint(world, "valve", "dead_band_frac", entry, lambda x: x + entry.value("half_width_frac"))
+
+
+def _hysteresis(world: World, entry: EffectEntry) -> World:
+    _oil_only(world, entry)
+    return _joint(world, "valve", "hysteresis_frac", entry, lambda x: x + entry.value("half_width_frac"))
+
+
+def _flow_gain(world: World, entry: EffectEntry) -> World:
+    factor = 1.0 + entry.value("gain_frac")
+    gains = np.array(world.plant.velocity_gain_rad_s, dtype=float)
+    gains[(entry.joint or 1) - 1] *= factor
+    world = replace(world, plant=replace(world.plant, velocity_gain_rad_s=gains))
+    return _joint(world, "valve", "flow_gain_m3_s_sqrt_pa", entry, lambda x: x * factor)
+
+
+def _backlash(world: World, entry: EffectEntry) -> World:
+    return _joint(world, "kinematics", "backlash_rad", entry, lambda x: x + entry.value("width_rad"))
+
+
+def _bias(world: World, entry: EffectEntry) -> World:
+    return _joint(world, "kinematics", "theta_zero_rad", entry, lambda x: x - entry.value("bias_rad"))
+
+
+def _length(world: World, entry: EffectEntry) -> World:
+    return _joint(world, "kinematics", f"{entry.option}_m", entry, lambda x: x + entry.value("error_m"))
+
+
+def _sag(world: World, entry: EffectEntry) -> World:
+    _oil_only(world, entry)
+    if entry.joint not in SPRUNG:
+        raise PresetError(f"effect gravity_sag, joint {entry.joint}: the plant bends at joints 2 and 3 only")
+    stiffness = np.array(world.plant.flex.stiffness_nm_rad, dtype=float)
+    k = SPRUNG[entry.joint]
+    stiffness[k] = 1.0 / (1.0 / stiffness[k] + entry.value("compliance_rad_nm"))
+    return replace(world, plant=replace(world.plant, flex=replace(world.plant.flex, stiffness_nm_rad=stiffness)))
+
+
+def _lens(world: World, entry: EffectEntry) -> World:
+    eyes = {}
+    for name in ("left", "right"):
+        eye = getattr(world.camera, name)
+        if entry.name == "focal_length_error":
+            scale = 1.0 + entry.value("scale_frac")
+            eyes[name] = replace(eye, fx_px=eye.fx_px * scale, fy_px=eye.fy_px * scale)
+        elif entry.name == "principal_point_error":
+            x, y = entry.value("shift_px") * np.array(entry.direction)
+            eyes[name] = replace(eye, cx_px=eye.cx_px + float(x), cy_px=eye.cy_px + float(y))
+        else:
+            eyes[name] = replace(eye, distortion=(eye.distortion[0] + entry.value("k1"), *eye.distortion[1:]))
+    return replace(world, camera=replace(world.camera, **eyes))
+
+
+def _mount(world: World, entry: EffectEntry) -> World:
+    T, along = world.camera.T_tcp_cam_left, np.array(entry.direction)
+    if entry.name == "hand_eye_rotation":
+        turned = pose(T[:3, :3] @ rotation_from_rotvec(entry.value("angle_rad") * along), T[:3, 3])
+    else:
+        turned = pose(T[:3, :3], T[:3, 3] + entry.value("distance_m") * along)
+    return replace(world, camera=replace(world.camera, T_tcp_cam_left=turned))
+
+
+def _print(world: World, entry: EffectEntry) -> World:
+    scale = 1.0 + entry.value("scale_frac")
+    scene = world.scene
+    bigger = {
+        name: tuple(replace(one, side_m=one.side_m * scale) for one in getattr(scene, name))
+        for name in ("ooi_markers", "tool_markers")
+    }
+    return replace(world, scene=replace(scene, **bigger))
+
+
+def _clock(world: World, entry: EffectEntry) -> World:
+    camera = world.camera
+    if entry.name == "clock_offset":
+        return replace(world, camera=replace(camera, clock_offset_s=camera.clock_offset_s + entry.value("offset_s")))
+    if entry.name == "camera_latency":
+        return replace(world, camera=replace(camera, latency_s=camera.latency_s + entry.value("latency_s")))
+    return replace(world, camera=replace(camera, readout_s=camera.readout_s + entry.value("readout_s")))
+
+
+CHANGES: dict[str, Change] = {
+    "valve_deadband": _deadband,
+    "valve_hysteresis": _hysteresis,
+    "flow_gain_error": _flow_gain,
+    "backlash": _backlash,
+    "encoder_bias": _bias,
+    "link_length_error": _length,
+    "gravity_sag": _sag,
+    "focal_length_error": _lens,
+    "principal_point_error": _lens,
+    "lens_distortion": _lens,
+    "hand_eye_rotation": _mount,
+    "hand_eye_translation": _mount,
+    "marker_size_error": _print,
+    "clock_offset": _clock,
+    "camera_latency": _clock,
+    "rolling_shutter": _clock,
+}

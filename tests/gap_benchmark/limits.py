@@ -1,0 +1,137 @@
+"""`python -m tests.gap_benchmark.limits --machine FILE --out FILE`: the scorer's detection limits, one table a plant.
+
+Every effect at a few sizes on one undisturbed recording, whitened for each noise level; the size at which |s|^2
+reaches 24.7 lies between them on a straight line of the logarithms. Effects with a direction or a word: the geometric
+mean of two shapes. A recording's own motion moves a limit by some ten per cent.
+"""
+
+import argparse
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from machine.remainder import Remainder, parse_remainders
+from tests.gap_benchmark import nominal_own as own
+from tests.gap_benchmark.faults import faults_of
+from tests.gap_benchmark.own_plant import run
+from tests.gap_benchmark.recorded import NOISES, make
+from tests.gap_benchmark.scales import DIRECTIONS, KINDS, OPTIONS, Kind, placed
+from tests.gap_benchmark.sensitivity import FOUND, OF_PLANT, Scene, encoder_signature, scene_of, signature, size2, sized
+
+SEED = 4242  # of the recording that the table is made on
+SHARES = (0.25, 1.0, 4.0)  # of the guess
+Table = dict[str, list[float | None]]  # "name joint" -> limit at each noise level
+
+
+def scenes(remainders: tuple[Remainder, ...]) -> list[Scene]:
+    """The same recording at every noise level: its disturbance's part of the floor in proportion."""
+    made = make(faults_of((), own.N), NOISES[0], SEED)
+    first = scene_of(made, NOISES[0], SEED, remainders)
+    return [
+        replace(first, noise=noise, speed_noise=first.speed_noise * noise.speed / NOISES[0].speed, plain={}, place=[])
+        for noise in NOISES
+    ]
+
+
+def table(remainders: tuple[Remainder, ...]) -> Table:
+    """Limits of every effect and joint."""
+    levels, rng = scenes(remainders), np.random.default_rng(SEED)
+    levels = [replace(one, plain=levels[0].plain, place=levels[0].place) for one in levels]
+    out: Table = {}
+    for kind in KINDS:
+        if kind.stage == "actuator":
+            out |= _of_actuators(kind, levels, rng)
+            continue
+        for joint in kind.joints or (None,):
+            out[key(kind.name, joint)] = _of_shapes(kind, joint, levels, rng)
+        print(kind.name, {name: value for name, value in out.items() if name.split()[0] == kind.name}, flush=True)
+    return out
+
+
+def key(name: str, joint: int | None) -> str:
+    """A row's name."""
+    return f"{name} {joint or 0}"
+
+
+def _sizes(kind: Kind) -> list[float]:
+    if kind.limits:
+        return [float(x) for x in np.geomspace(3.0 * kind.guess, kind.largest, 6)]
+    return [min(share * kind.guess, kind.largest) for share in SHARES]
+
+
+def _of_actuators(kind: Kind, levels: list[Scene], rng: np.random.Generator) -> Table:
+    """All joints of one actuator effect at once: each is felt by its own encoder."""
+    scene, joints = levels[0], kind.joints
+    strengths: dict[str, list[list[float]]] = {}
+    for size in _sizes(kind)[:: 2 if kind.limits else 1]:
+        effects = tuple(sized(kind, placed(kind, joint, size, rng), size) for joint in joints or (None,))
+        change = run(faults_of(effects, own.N), scene.made.ref, scene.shock, scene.made.course.u).enc
+        for level in levels:
+            found = encoder_signature(level, change - scene.made.course.enc)
+            for joint in joints or (None,):
+                part = found if joint is None else {"": found[f"actuator {joint}"]}
+                rows = strengths.setdefault(key(kind.name, joint), [[] for _ in levels])
+                rows[levels.index(level)].append(size2(part))
+    used = _sizes(kind)[:: 2 if kind.limits else 1]
+    out: Table = {name: [_crossing(kind, used, row) for row in rows] for name, rows in strengths.items()}
+    print(kind.name, out, flush=True)
+    return out
+
+
+def _of_shapes(kind: Kind, joint: int | None, levels: list[Scene], rng: np.random.Generator) -> list[float | None]:
+    shapes = 2 if kind.name in DIRECTIONS or kind.name in OPTIONS else 1
+    sizes = _sizes(kind) if kind.stage in ("link", "controller") or kind.name == "backlash" else _sizes(kind)[1:2]
+    found: list[list[float | None]] = []
+    for _ in range(shapes):
+        shaped = placed(kind, joint, kind.guess, rng)
+        rows = [[size2(signature(level, sized(kind, shaped, size))) for size in sizes] for level in _once(kind, levels)]
+        if len(rows) == 1:
+            rows = rows * len(levels)
+        found.append([_crossing(kind, sizes, row) for row in rows])
+    return [_mean([one[k] for one in found]) for k in range(len(levels))]
+
+
+def _once(kind: Kind, levels: list[Scene]) -> list[Scene]:
+    """The levels that differ: a controller knows no noise."""
+    return levels[:1] if kind.stage == "controller" and kind.name not in OF_PLANT else levels
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.exp(np.mean(np.log(known)))) if len(known) == len(values) else None
+
+
+def _crossing(kind: Kind, sizes: list[float], squares: list[float]) -> float | None:
+    """Where |s|^2 reaches 24.7, on straight lines of the logarithms, continued by the last one's slope."""
+    x, y = np.log(sizes), 0.5 * np.log(np.maximum(squares, 1e-12) / FOUND)
+    if len(x) == 1:
+        at = float(x[0] - y[0])
+    else:
+        above = int(np.argmax(y > 0.0)) if (y > 0.0).any() else len(y) - 1
+        a = max(above - 1, 0)
+        slope = (y[a + 1] - y[a]) / (x[a + 1] - x[a])
+        if kind.limits:
+            if not (y > 0.0).any() or above == 0:
+                return None if above else float(np.exp(x[0]))
+            return float(np.exp(x[a] - y[a] / slope))
+        slope = float(np.clip(slope, 0.3, 3.0))
+        at = float(x[a] - y[a] / slope)
+    size = float(np.exp(at))
+    return size if size < 0.8 * kind.largest else None
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--machine", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    given = parser.parse_args()
+    remainders = parse_remainders(tomllib.loads(given.machine.read_text(encoding="utf-8")).get("remainder"))
+    given.out.write_text(json.dumps(table(remainders), indent=1), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

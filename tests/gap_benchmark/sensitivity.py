@@ -1,0 +1,281 @@
+"""The scorer's own whitened sensitivity: how far an effect moves what was measured, in units of the floor.
+
+Each stage is run with the same measured input with and without the effect, by the plant itself. The floor is the noise
+that the generator draws, and what the machine file's baseline says it leaves ([[remainder]]); nothing of the tool.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.signal import lfilter
+
+from machine.remainder import Remainder
+from machine.rotations import Array
+from sim_plc.plant.tree import MOTORS
+from tests.gap_benchmark import behind, own_plant
+from tests.gap_benchmark import faults as f
+from tests.gap_benchmark import nominal_own as own
+from tests.gap_benchmark.faults import Faults, Injected, faults_of
+from tests.gap_benchmark.link import received
+from tests.gap_benchmark.recorded import CAMERA_S, STATIC, TRACKER_S, Made, Noise, streams
+from tests.gap_benchmark.scales import BY_NAME, Kind
+
+BLOCK = round(0.05 / own.CYCLE_S)
+LEAST = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # smaller moves the tip by less than 0.1 mm
+FOUND = 24.7  # |s|^2 that is found with 90 % at 2 % false alarms
+OF_PLANT = ("payload_error",)  # the plant itself has to be run again
+Signature = dict[str, Array]
+
+
+@dataclass
+class Scene:
+    """What one recording without faults looked like, to be disturbed."""
+
+    made: Made
+    noise: Noise
+    seed: int
+    remainders: tuple[Remainder, ...]
+    speed_noise: Array  # (joints,) innovation of the increments behind the remainder's filter, by disturbance alone
+    shock: Array  # the disturbance as it was drawn: the same commands and shocks give the same motion again
+    plain: dict[str, Array] = field(default_factory=dict)  # what is measured behind the joints, noise-free
+    place: list[Array] = field(default_factory=list)  # change of the corners with the object's place
+
+    def record(self, stage: str, joint: int | None = None, on: str = "") -> Remainder:
+        """What the baseline leaves there; nothing where the file has no record."""
+        found = [one for one in self.remainders if (one.stage, one.joint, one.on) == (stage, joint, on)]
+        return found[0] if found else Remainder(stage, joint, on, 0.0, 0.0)
+
+
+def scene_of(made: Made, noise: Noise, seed: int, remainders: tuple[Remainder, ...]) -> Scene:
+    """A recording without faults, with its floor: the disturbance's part by a second run with other noise."""
+    shock = streams(seed)["plant"].normal(0.0, noise.speed, made.ref.shape)
+    scene = Scene(made, noise, seed, remainders, np.zeros(own.N), shock)
+    other = np.random.default_rng([seed, 99]).normal(0.0, noise.speed, made.ref.shape)
+    again = own_plant.run(faults_of((), own.N), made.ref, other, made.course.u)
+    apart = (again.enc - made.course.enc) / np.sqrt(2.0)
+    steps = np.diff(_means(apart), axis=0)
+    scene.speed_noise = np.array(
+        [float(np.std(_filtered(steps[:, j], scene.record("actuator", j + 1).ar))) for j in range(own.N)]
+    )
+    return scene
+
+
+def _means(values: Array) -> Array:
+    rows = len(values) // BLOCK * BLOCK
+    return values[:rows].reshape(-1, BLOCK, values.shape[1]).mean(axis=1)
+
+
+def _filtered(x: Array, ar: tuple[float, ...]) -> Array:
+    return np.asarray(lfilter(np.concatenate([[1.0], -np.array(ar)]), [1.0], x))
+
+
+def signature(scene: Scene, one: Injected) -> Signature:
+    """Change of every cell's residual by one effect, in floors."""
+    stage = BY_NAME[one.name].stage if one.name in BY_NAME else "actuator"
+    faults = faults_of((one,), own.N)
+    if one.name in OF_PLANT:
+        return _by_plant(scene, faults)
+    if stage == "link":
+        return _link(scene, faults)
+    if stage == "controller":
+        return _controller(scene, faults)
+    if stage == "actuator":
+        return _actuator(scene, faults)
+    return _behind(scene, faults)
+
+
+def size2(found: Signature) -> float:
+    """|s|^2 over all cells."""
+    return float(sum(part @ part for part in found.values()))
+
+
+def separation(a: Signature, b: Signature) -> float:
+    """T: least |a - k b|^2 over the size k."""
+    names = set(a) | set(b)
+    aa, bb, ab = size2(a), size2(b), 0.0
+    for name in names:
+        if name in a and name in b:
+            ab += float(a[name] @ b[name])
+    return aa if bb == 0.0 else max(0.0, aa - ab * ab / bb)
+
+
+def sized(kind: Kind, shaped: Injected, size: float) -> Injected:
+    """The same effect at another size, its sign kept."""
+    sign = -1.0 if shaped.size < 0.0 else 1.0
+    return replace(shaped, values={**shaped.values, kind.parameter: sign * size})
+
+
+def _link(scene: Scene, faults: Faults) -> Signature:
+    sides = []
+    for one in (faults_of((), own.N), faults):
+        rng = streams(scene.seed)["link"]
+        sides.append(received(one, scene.made.sent, scene.made.t_sent_s, scene.made.t_s, 0.0, rng)[0])
+    jittered = received(
+        faults_of((), own.N), scene.made.sent, scene.made.t_sent_s, scene.made.t_s, scene.noise.jitter_s,
+        streams(scene.seed)["link"],
+    )[0]  # fmt: skip
+    noise = np.std(np.diff(_means(jittered - sides[0]), axis=0), axis=0)
+    steps = np.diff(_means(sides[1] - sides[0]), axis=0) / np.hypot(noise, LEAST["link"])
+    return {"link": steps.T.ravel()}
+
+
+def _controller(scene: Scene, faults: Faults) -> Signature:
+    ref, enc = scene.made.ref, scene.made.course.enc
+    out: Signature = {}
+    commands = [_commands(one, ref, enc) for one in (faults_of((), own.N), faults)]
+    steps = np.diff(_means(commands[1] - commands[0]), axis=0)
+    for j in range(own.N):
+        record = scene.record("controller", j + 1)
+        out[f"controller {j + 1}"] = _filtered(steps[:, j], record.ar) / np.hypot(LEAST["controller"], record.sigma)
+    return out
+
+
+def _commands(faults: Faults, ref: Array, enc: Array) -> Array:
+    out = np.zeros_like(ref)
+    for j, joint in enumerate(own.six_joints().joints[: own.N]):
+        wanted = joint.kp_frac_per_rad * (1.0 + faults.joint[j, f.KP_GAIN]) * (ref[:, j] - enc[:, j])
+        tau = joint.pt1_tau_s * (1.0 + faults.joint[j, f.KP_LAG])
+        share = 1.0 - np.exp(-own.CYCLE_S / tau) if tau > 0.0 else 1.0
+        lagged = lfilter([share], [1.0, share - 1.0], wanted)
+        most = faults.joint[j, f.U_LIMIT]
+        out[:, j] = np.clip(lagged, -most, most)
+    return out
+
+
+def _actuator(scene: Scene, faults: Faults) -> Signature:
+    moved = own_plant.run(faults, scene.made.ref, scene.shock, scene.made.course.u)
+    return encoder_signature(scene, moved.enc - scene.made.course.enc)
+
+
+def encoder_signature(scene: Scene, change: Array) -> Signature:
+    """A change of the encoders (m, n) under the same commands, in floors."""
+    steps = np.diff(_means(change), axis=0)
+    out: Signature = {}
+    for j in range(own.N):
+        record = scene.record("actuator", j + 1)
+        sigma = np.sqrt(LEAST["actuator"] ** 2 + record.sigma**2 + scene.speed_noise[j] ** 2)
+        out[f"actuator {j + 1}"] = _filtered(steps[:, j], record.ar) / sigma
+    return out
+
+
+def _moved(scene: Scene, faults: Faults) -> Array:
+    """True angles of the tree (m, 11) with the same encoder readings, through other encoders and wider play."""
+    q = scene.made.course.tree_q.copy()
+    encoder = own_plant.encoder_rows(faults, own.N)
+    enc = scene.made.course.enc
+    if encoder[:, :3].any():
+        true = enc.copy()
+        for _ in range(20):
+            wave = encoder[:, 2] * np.sin(encoder[:, 3] * true + encoder[:, 4])
+            true = (enc - encoder[:, 0] - wave) / (1.0 + encoder[:, 1])
+        q[:, MOTORS[: own.N]] += true - enc
+    for one in faults.injected:
+        if one.name == "backlash" and one.joint is not None:
+            i = MOTORS[one.joint - 1]
+            width = one.size + own_plant.truth().kinematics.backlash_rad[one.joint - 1]
+            q[:, i] = _play(enc[:, one.joint - 1], 0.5 * width)
+    return q
+
+
+def _play(x: Array, half: float) -> Array:
+    y = np.empty_like(x)
+    at = x[0]
+    for k, value in enumerate(x):
+        at = min(max(at, value - half), value + half)
+        y[k] = at
+    return y
+
+
+def _behind(scene: Scene, faults: Faults) -> Signature:
+    return _in_floors(scene, _plain(scene), _measured(scene, faults, _moved(scene, faults)))
+
+
+def _plain(scene: Scene) -> dict[str, Array]:
+    if not scene.plain:
+        scene.plain = _measured(scene, faults_of((), own.N), scene.made.course.tree_q)
+    return scene.plain
+
+
+def _by_plant(scene: Scene, faults: Faults) -> Signature:
+    moved = own_plant.run(faults, scene.made.ref, scene.shock, scene.made.course.u)
+    second = _measured(scene, faults, moved.tree_q)
+    return {**_in_floors(scene, _plain(scene), second), **encoder_signature(scene, moved.enc - scene.made.course.enc)}
+
+
+def _measured(scene: Scene, faults: Faults, tree_q: Array) -> dict[str, Array]:
+    """Noise-free tracker, poses at rest and corners."""
+    made, structure, sight = scene.made, behind.structure_of(faults), behind.sight_of(faults)
+    when = np.arange(0.5, made.t_s[-1] - 0.5, TRACKER_S)
+    tracker = [list(behind.points_at(structure, q).values()) for q in behind.at_times(made.t_s, tree_q, when)]
+    _, trees = behind.rest_poses(faults, streams(scene.seed)["static"], STATIC)
+    static = [list(behind.points_at(structure, q).values()) for q in trees]
+    stamps = np.arange(0.6, made.t_s[-1] - 0.6, CAMERA_S)
+    seen = (stamps - sight.late_s) / (1.0 + sight.rate)  # the same stamps show another moment
+    ooi = [
+        _corners(structure, sight, q, later)
+        for q, later in zip(
+            behind.at_times(made.t_s, tree_q, seen), behind.at_times(made.t_s, tree_q, seen + 0.01), strict=True
+        )
+    ]
+    T_tool = np.linalg.inv(sight.T_tcp_cam) @ own.T_tcp_marker_tool()
+    tool = behind.corners(sight, np.eye(4), T_tool, own.TOOL_SIDE_M, np.zeros(3))
+    return {"tracker": np.array(tracker), "static": np.array(static), "ooi": np.array(ooi), "tool": tool[None]}
+
+
+def _corners(structure: behind.Structure, sight: behind.Sight, q: Array, later: Array) -> Array:
+    sides = []
+    for one in (q, later) if sight.readout_s else (q,):
+        T = behind.link_frames(structure, *behind.bodies_at(structure, one))[0] @ sight.T_tcp_cam
+        places = [behind.corners(sight, T, own.T_base_ooi(), own.SIDE_M, np.array(xyz)) for _, *xyz in own.PLACES]
+        sides.append(np.array(places))
+    if not sight.readout_s:
+        return sides[0]
+    row = sides[0][..., 1:] / (sight.camera.height_px - 1.0) - 0.5
+    return sides[0] + (sides[1] - sides[0]) / 0.01 * row * sight.readout_s
+
+
+def _in_floors(scene: Scene, first: dict[str, Array], second: dict[str, Array]) -> Signature:
+    out: Signature = {}
+    for on in ("tracker", "static"):
+        sigma = np.hypot(scene.noise.tracker_m, scene.record("structure", None, on).sigma)
+        out[on] = ((second[on] - first[on]) / sigma).ravel()
+    sigma = np.hypot(scene.noise.corner_px, scene.record("camera", None, "ooi").sigma)
+    out["ooi"] = _without_place(scene, first["ooi"], second["ooi"] - first["ooi"]) / sigma
+    frames = len(first["ooi"])  # the tool is seen in each of them
+    sigma = np.hypot(scene.noise.corner_px, scene.record("camera", None, "tool").sigma)
+    out["tool"] = ((second["tool"] - first["tool"]) / sigma * np.sqrt(frames)).ravel()
+    return {name: np.nan_to_num(part) for name, part in out.items()}
+
+
+def _without_place(scene: Scene, corners: Array, change: Array) -> Array:
+    """A change of the corners less what another place of the object gives: nobody knows where it stands."""
+    if not scene.place:
+        scene.place = [_place_columns(scene, corners)]
+    A, b = scene.place[0], np.nan_to_num(change.ravel())
+    return b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
+
+
+def _place_columns(scene: Scene, corners: Array) -> Array:
+    """Change of the corners (N, 6) per m and rad of the object's place."""
+    sight, structure = behind.sight_of(faults_of((), own.N)), behind.structure_of(faults_of((), own.N))
+    T_ooi = own.T_base_ooi()
+    stamps = np.arange(0.6, scene.made.t_s[-1] - 0.6, CAMERA_S)
+    trees = behind.at_times(scene.made.t_s, scene.made.course.tree_q, stamps)
+    cameras = [behind.link_frames(structure, *behind.bodies_at(structure, q))[0] @ sight.T_tcp_cam for q in trees]
+    columns = []
+    for k in range(6):
+        step = np.zeros(6)
+        step[k] = 1e-4
+        moved = T_ooi @ _small(step)
+        pixels = [
+            [behind.corners(sight, T, moved, own.SIDE_M, np.array(xyz)) for _, *xyz in own.PLACES] for T in cameras
+        ]
+        columns.append(((np.array(pixels) - corners) / 1e-4).ravel())
+    return np.nan_to_num(np.array(columns).T)
+
+
+def _small(x: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3] = behind.rotation_from_rotvec(x[3:])
+    T[:3, 3] = x[:3]
+    return T

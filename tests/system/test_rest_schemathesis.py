@@ -1,0 +1,72 @@
+"""Requests made from our own OpenAPI document by schemathesis, by every role: no 5xx, nothing undocumented, and no job
+without control. LONGREACH_SCHEMATHESIS_N sets the examples per operation of the slow test (default 20).
+
+Left out: /v1/events (a stream without end), /readyz and /v1/camera.jpg (503 by contract: there is no camera here).
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rest_stand import served
+
+SCHEMATHESIS = Path(sys.executable).with_name("schemathesis")
+LEFT_OUT = ("/v1/events", "/readyz", "/v1/camera.jpg")
+COUNT = re.compile(r"(\d+) generated")
+pytestmark = [
+    pytest.mark.system,
+    pytest.mark.skipif(shutil.which(str(SCHEMATHESIS)) is None, reason="schemathesis is not installed"),
+]
+
+
+def run(url: str, key: str, *options: str) -> tuple[int, str]:
+    """Cases made, and what it said; fails on any finding."""
+    command = [
+        str(SCHEMATHESIS),
+        "run",
+        f"{url}/v1/openapi.json",
+        "--no-color",
+        "--seed",
+        "1",
+        "--request-timeout",
+        "10",
+    ]
+    command += ["-H", f"Authorization: Bearer {key}", *options]
+    for path in LEFT_OUT:
+        command += ["--exclude-path", path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-6000:] + done.stderr[-1000:]
+    counted = COUNT.search(done.stdout)
+    return int(counted.group(1)) if counted else 0, done.stdout
+
+
+def jobs_of(made):
+    """(fencing, role) of every job that was ever begun."""
+    query = "SELECT jobs.fencing, audit.role FROM jobs JOIN audit USING (job_id) WHERE audit.outcome = 'accepted'"
+    return made.keeper.database.read(lambda db: [tuple(row) for row in db.execute(query)])
+
+
+def test_one_request_of_each_kind_is_answered_as_documented(tmp_path):
+    with served(tmp_path) as (url, made):
+        cases, _ = run(url, made.keys["operator"], "--phases", "fuzzing", "--max-examples", "1")
+        assert cases >= 37
+        assert all(fencing > 0 for fencing, _ in jobs_of(made))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("role", ["viewer", "operator", "fleet", "engineer", "admin"])
+def test_whatever_a_role_sends_is_answered_as_documented_and_moves_nothing_without_control(tmp_path, role):
+    examples = os.environ.get("LONGREACH_SCHEMATHESIS_N", "20")
+    with served(tmp_path) as (url, made):
+        cases, _ = run(url, made.keys[role], "--phases", "coverage,fuzzing,stateful", "--max-examples", examples)
+        begun = jobs_of(made)
+        print(f"{role}: {cases} cases, {len(begun)} jobs begun")
+        assert all(fencing > 0 for fencing, _ in begun)
+        assert role != "viewer" or (not begun and not made.performer.performed)

@@ -1,0 +1,48 @@
+"""Connections that say nothing, or half a request, are closed; others are served meanwhile."""
+
+import socket
+import sys
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from rest_stand import served
+
+from server.api import slow_clients
+
+pytestmark = pytest.mark.system
+
+
+@pytest.mark.parametrize(
+    "said", [b"", b"GET /v1/state HTTP/1.1\r\nHost: 127.0", b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /he"]
+)
+def test_half_a_head_is_closed_and_holds_nobody_up(tmp_path, monkeypatch, said):
+    monkeypatch.setattr(slow_clients, "HEADER_S", 0.3)
+    with served(tmp_path, keyed=False) as (url, _):
+        parts = urlsplit(url)
+        slow = [socket.create_connection((parts.hostname, parts.port), timeout=10.0) for _ in range(50)]
+        try:
+            for connection in slow:
+                connection.sendall(said)
+            assert httpx.get(f"{url}/v1/state", timeout=10.0).status_code == 200
+            for connection in slow:
+                while connection.recv(65536):
+                    pass  # the answer to the whole request; then the end, not a timeout
+        finally:
+            for connection in slow:
+                connection.close()
+
+
+def test_a_long_stream_is_not_taken_for_a_slow_client(tmp_path, monkeypatch):
+    monkeypatch.setattr(slow_clients, "HEADER_S", 0.1)
+    with served(tmp_path, keyed=False) as (url, _):
+        with httpx.stream("GET", f"{url}/v1/events", timeout=10.0) as stream:
+            told = ""
+            for text in stream.iter_text():
+                told += text
+                if told.count("event: state") >= 3:  # three seconds
+                    break
+        assert told.count("event: state") >= 3

@@ -1,0 +1,56 @@
+"""API keys: the command, the file, revocation while a server runs."""
+
+import pytest
+from typer.testing import CliRunner
+
+from longreach.cli import app
+from server.access.keys import KeyRing, KeysError, first_key, found, read_keys
+from server.access.roles import Role
+
+
+def keys(*words):
+    return CliRunner().invoke(app, ["keys", *map(str, words)])
+
+
+def secret_of(result):
+    return next(line for line in result.output.splitlines() if line.startswith("longreach_"))
+
+
+def test_a_key_is_made_listed_used_and_revoked(tmp_path):
+    file = tmp_path / "keys.json"
+    secret = secret_of(keys("add", "truck 7", "--role", "fleet", "--file", file))
+    ring = KeyRing(file)
+    assert (ring.find(secret, 0.0).name, ring.find(secret, 0.0).role) == ("truck 7", Role.FLEET)
+    assert ring.find(secret + "x", 0.0) is None
+    listed = keys("list", "--file", file).output
+    assert "truck 7" in listed
+    assert secret not in listed
+    assert keys("revoke", "truck 7", "--file", file).exit_code == 0
+    assert ring.find(secret, 1e9) is None
+    assert ring.empty
+    assert isinstance(keys("revoke", "truck 7", "--file", file).exception, KeysError)
+    assert secret_of(keys("add", "truck 7", "--role", "fleet", "--file", file)) != secret
+
+
+def test_a_name_in_force_is_not_given_twice_and_a_role_is_one_of_five(tmp_path):
+    file = tmp_path / "keys.json"
+    keys("add", "anna", "--file", file)
+    assert isinstance(keys("add", "anna", "--file", file).exception, KeysError)
+    assert keys("add", "bert", "--role", "king", "--file", file).exit_code == 2
+    assert len(read_keys(file)) == 1
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"keys": [{"name": 1}]}', '{"keys": [{"role": "king"}]}'])
+def test_a_file_that_is_none_is_named(tmp_path, text):
+    file = tmp_path / "keys.json"
+    file.write_text(text)
+    with pytest.raises(KeysError, match=r"keys\.json"):
+        read_keys(file)
+
+
+def test_the_first_key_is_made_once_and_read_by_its_owner_only(tmp_path):
+    file, secret = tmp_path / "keys" / "keys.json", tmp_path / "keys" / "first.txt"
+    assert first_key(file, Role.OPERATOR, secret)
+    assert not first_key(file, Role.OPERATOR, secret)
+    assert secret.stat().st_mode & 0o077 == 0
+    assert found(read_keys(file), secret.read_text().strip()).name == "first"

@@ -1,0 +1,70 @@
+"""What the page is told beside the state: figures, goal, history, settings with units, overlay."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from machine.poses import pose
+from server.api.panel_figures import EDGES_MS, link_figures, loss_pct, safety_view
+from server.api.panel_routes import setting_rows
+from server.api.video_overlay import _cross
+from server.link.contracts import LinkHealth, LinkPhase
+from server.settings import ServerSettings, read_machine
+
+HEALTH = LinkHealth(LinkPhase.ARMED, 1.0, 100, 1000, 20, 3, 50.0, 700.0, 9000.0, 0.4, "", 1)
+
+
+def sample(t_plc_ms, t_mono_ms, bits=0):
+    return SimpleNamespace(
+        t_plc_ns=int(t_plc_ms * 1e6), t_mono_ns=int(t_mono_ms * 1e6), buffer_us=120_000, fault_bits=bits
+    )
+
+
+def test_the_histogram_counts_every_state_from_the_earliest_one():
+    late_ms = [0.0, 0.2, 0.7, 3.0, 100.0]
+    figures = link_figures([sample(10 * i, 5000 + 10 * i + late) for i, late in enumerate(late_ms)], HEALTH, 0.0)
+    assert figures.lateness_edges_ms == list(EDGES_MS)
+    assert figures.lateness_counts == [2, 1, 0, 1, 0, 0, 0, 1]
+    assert figures.buffer_ms == 120.0
+
+
+def test_no_state_no_count():
+    assert sum(link_figures([], HEALTH, 0.0).lateness_counts) == 0
+
+
+def test_loss_is_of_the_window_and_survives_counters_that_begin_anew():
+    assert loss_pct((900, 10), HEALTH) == pytest.approx(100.0 * 10 / 110)
+    assert loss_pct((5000, 10), HEALTH) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("phase", "bits", "estop", "enable"),
+    [
+        (LinkPhase.ARMED, 0, "not pressed", "given"),
+        (LinkPhase.DISARMED, 0, "not pressed", "needed to arm"),
+        (LinkPhase.FAULT, 1, "PRESSED", "needed to arm"),
+        (LinkPhase.FAULT, 2, "not pressed", "LOST"),
+        (LinkPhase.OFFLINE, 0, "not told", "not told"),
+    ],
+)
+def test_what_the_plc_tells_of_the_hardware(phase, bits, estop, enable):
+    view = safety_view(replace(HEALTH, phase=phase), sample(0, 0, bits), [])
+    assert (view.estop, view.enable) == (estop, enable)
+
+
+def test_settings_carry_their_units():
+    rows = {row.name: row for row in setting_rows(ServerSettings().model_dump())}
+    assert rows["position.tolerance_mm"].unit == "mm"
+    assert rows["closed_loop.speed_max_mm_s"].unit == "mm/s"
+    assert rows["look.timeout_s"].unit == "s"
+    assert rows["plc.auth_key_file"].value == "not set"
+
+
+def test_a_cross_stands_where_the_pinhole_puts_it_and_nowhere_behind_the_camera():
+    camera = replace(read_machine("hiab033").camera, distortion=(0.0,) * 5)
+    cross = _cross(camera, pose(np.eye(3), np.array([0.1, 0.0, 1.0])))
+    assert cross.origin_px == [pytest.approx(camera.cx_px + 0.1 * camera.fx_px, abs=0.1), camera.cy_px]
+    assert cross.axes_px[0][0] - cross.origin_px[0] == pytest.approx(0.05 * camera.fx_px, abs=0.1)
+    assert _cross(camera, pose(np.eye(3), np.array([0.0, 0.0, -1.0]))) is None

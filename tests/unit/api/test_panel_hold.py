@@ -1,0 +1,215 @@
+"""Hold-to-run's shell with a stand-in socket and machine: who may press, what keeps it going, what ends it."""
+
+import asyncio
+import json
+
+import pytest
+from fastapi import WebSocketDisconnect
+from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecorder, StandInVision, looked, previewed
+
+from machine.chain import chain_of
+from server.access.lease import LeaseKind
+from server.api import hold as module
+from server.api.hold import hold_router
+from server.api.hold_rule import HoldRequiredError, require_hold
+from server.api.panel_memory import PanelMemory
+from server.api.views import ExecuteRequest, LookRequest, ParkRequest, PreviewRequest
+from server.cell import Cell
+from server.jobs.engine import JobEngine
+from server.jobs.hold import reply_to
+from server.jobs.requests import MachineReading
+from server.jobs.service import JobService
+from server.settings import RecordingSettings, ServerSettings
+
+CHAIN = chain_of(MACHINE)
+MIDDLE = 0.5 * (CHAIN.q_min + CHAIN.q_max)
+
+
+class Vision(StandInVision):
+    stream_text = ""
+    restarts = 0
+
+    def on_report(self, listener):
+        pass
+
+
+class Moving(StandInPerformer):
+    """Reads the machine, then moves for ever: until it is stopped."""
+
+    def __init__(self, link):
+        super().__init__(link)
+        self.moving = asyncio.Event()
+
+    async def perform(self, request):
+        if type(request).__name__ in ("ReadMachine", "Settle"):
+            return MachineReading(MIDDLE, MIDDLE, 0, 0)
+        self.may_be_moving = True
+        self.moving.set()
+        await asyncio.Event().wait()
+
+
+class Socket:
+    """The page's end: what it says goes in, what it hears comes out."""
+
+    client = None
+
+    class state:  # noqa: N801 # as starlette's
+        pass
+
+    def __init__(self):
+        self.headers = {"host": "here", "origin": "http://here"}
+        self._in, self.out, self.closed = asyncio.Queue(), asyncio.Queue(), asyncio.Event()
+
+    async def accept(self):
+        pass
+
+    async def close(self, code=1000, reason=""):
+        self.closed.set()
+
+    async def send_text(self, text):
+        self.out.put_nowait(json.loads(text))
+
+    async def receive_text(self):
+        said = await self._in.get()
+        if said is None:
+            raise WebSocketDisconnect(1006)
+        return said
+
+    def say(self, **message):
+        self._in.put_nowait(json.dumps(message))
+
+    def vanish(self):
+        self._in.put_nowait(None)
+
+    async def hear(self, key):
+        while key not in (told := await asyncio.wait_for(self.out.get(), 60.0)):
+            pass
+        return told
+
+
+class Clock:
+    """Five milliseconds pass with every look at it: a busy computer changes nothing."""
+
+    def __init__(self):
+        self.ns = 0
+
+    def monotonic_ns(self):
+        self.ns += 5_000_000
+        return self.ns
+
+    def time(self):
+        return self.ns * 1e-9
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    ticking = Clock()
+    monkeypatch.setattr(module, "time", ticking)
+    return ticking
+
+
+@pytest.fixture
+async def service(tmp_path, clock):
+    settings = ServerSettings(recording=RecordingSettings(folder=str(tmp_path)))
+    cell = Cell(settings, MACHINE, chain_of(MACHINE), "", StandInLink(), Vision(), StandInRecorder())
+    engine = JobEngine(Moving(cell.link))
+    yield JobService(cell, engine)
+    await engine.close()
+
+
+@pytest.fixture
+async def pressed(service):
+    """A socket that has pressed Park and is held, its memory and the task that serves it."""
+    socket, memory = Socket(), PanelMemory(service)
+    lease = service.engine.leases.acquire("anna", ttl_s=60.0)
+    (route,) = hold_router(service, memory).routes
+    serving = asyncio.create_task(route.endpoint(socket))
+    socket.say(press={"kind": "park"}, lease_id=lease.lease_id, fencing=lease.fencing)
+    yield socket, memory, serving
+    serving.cancel()
+
+
+async def test_answered_challenges_keep_it_going_and_the_release_stops_it(service, pressed):
+    socket, memory, serving = pressed
+    bond = (await socket.hear("held"))["bond"]
+    assert memory.held_by == "anna"
+    for _ in range(3):
+        asked = (await socket.hear("challenge"))["challenge"]
+        socket.say(seq=asked["seq"], reply=reply_to(asked["nonce"]), bond=bond)
+    socket.say(release="button up")
+    told = await socket.hear("ended")
+    assert told["ended"] == "stopped"
+    assert "button up" in told["reason"]
+    assert service.cell.link.stops
+    await serving
+    assert memory.held_by == ""
+
+
+async def test_a_socket_that_is_gone_is_a_button_let_go(service, pressed):
+    socket, _, serving = pressed
+    await socket.hear("held")
+    socket.vanish()
+    await serving
+    assert service.engine.current.state.value == "stopped"
+    assert "socket closed" in service.engine.current.reason
+
+
+async def test_a_socket_that_breaks_at_the_first_word_leaves_nothing_moving(service):
+    class Broken(Socket):
+        async def send_text(self, text):
+            raise RuntimeError("the socket is closed")
+
+    socket, memory = Broken(), PanelMemory(service)
+    lease = service.engine.leases.acquire("anna", ttl_s=60.0)
+    (route,) = hold_router(service, memory).routes
+    socket.say(press={"kind": "park"}, lease_id=lease.lease_id, fencing=lease.fencing)
+    await route.endpoint(socket)
+    assert service.engine.current.state.value == "stopped"
+
+
+async def test_nonsense_is_a_button_let_go(service, pressed):
+    socket, _, serving = pressed
+    await socket.hear("held")
+    socket.say(anything=1)
+    await serving
+    assert service.engine.current.state.value == "stopped"
+
+
+async def test_silence_stops_it_and_leaves_an_alarm(service, pressed, clock):
+    socket, memory, serving = pressed
+    await socket.hear("challenge")
+    clock.ns += 260_000_000
+    await serving
+    assert "silent" in service.engine.current.reason
+    assert [alarm.code for alarm in memory.book.alarms] == ["hold_lost"]
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"lease_id": "no-lease-of-anybody"}, "lease_lost"),
+        ({"fencing": 99}, "lease_lost"),
+        ({"press": {"kind": "execute", "plan_hash": "f" * 16}}, "plan_refused"),
+        ({"press": {"kind": "dance"}}, "invalid_request"),
+    ],
+)
+async def test_what_may_not_be_pressed_moves_nothing(service, change, code):
+    socket, memory = Socket(), PanelMemory(service)
+    service.cell.knowledge.last_look, service.cell.knowledge.previewed = looked(), previewed(60.0)
+    lease = service.engine.leases.acquire("anna", ttl_s=60.0)
+    (route,) = hold_router(service, memory).routes
+    press = {"press": {"kind": "park"}, "lease_id": lease.lease_id, "fencing": lease.fencing} | change
+    socket.say(**press)
+    await route.endpoint(socket)
+    assert (await socket.hear("refused"))["code"] == code
+    assert service.engine.current is None
+
+
+def test_on_a_real_machine_an_operators_click_moves_nothing(service):
+    operator = service.engine.leases.acquire("anna", LeaseKind.OPERATOR, 60.0)
+    for still in (LookRequest(kind="look"), PreviewRequest(kind="preview")):
+        require_hold("REAL", still, operator)
+    require_hold("SIM", ParkRequest(kind="park"), operator)
+    for moving in (ParkRequest(kind="park"), ExecuteRequest(kind="execute", plan_hash="0" * 16)):
+        with pytest.raises(HoldRequiredError):
+            require_hold("REAL", moving, operator)

@@ -1,0 +1,78 @@
+"""The tables of the blind benchmark, from made-up judged cases."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from longreach.bench_gap import figures
+from longreach.bench_gap.command import tell
+from longreach.bench_gap.runner import Campaign, scores
+
+
+def case(mix: str, factor: float | None = None, **changed: object) -> dict:
+    name = {"effect": {"name": "valve_lag", "joint": 1}, "limit": 0.01, "factor": factor, "stage": "actuator"}
+    count = {"none": 0, "single": 1, "double": 2}.get(mix, 1)
+    base = {
+        "number": 0, "seed": 1, "mix": mix, "noise": 0, "effects": [name] * count, "lacking": "",
+        "verdict": "effects", "why": "", "named": [["valve_lag", 1]], "refused": False, "exact": True,
+        "exact_named": True, "some": True, "false": [], "none": False, "probability": 0.95, "stage_right": True,
+        "credible": True, "credible_size": 1, "classes": [], "closed": {"closed_frac": 0.99}, "limits": [],
+        "values": [], "rivals": {}, "left_out": [],
+    }  # fmt: skip
+    return {**base, **changed}
+
+
+def shown(lines: list[figures.Line], claim: str) -> tuple[int, int]:
+    found = next(one.share for one in lines if one.claim == claim)
+    assert found is not None
+    return found.k, found.n
+
+
+def test_names_are_counted_from_twice_the_limit_on() -> None:
+    cases = [case("single", 3.0), case("single", 3.0, exact=False, exact_named=False), case("single", 1.0, exact=False)]
+    lines = figures.naming(cases)
+    assert shown(lines, "single exact") == (1, 2)
+    assert shown(lines, "0.5x to 2x: exact") == (0, 1)
+    assert shown(figures.by_factor(cases), "single exact, 1x to 2x") == (0, 1)
+
+
+def test_false_names_and_refusals() -> None:
+    cases = [
+        case("none", named=[], none=True, exact=False),
+        case("none", false=[["valve_lag", 1]]),
+        case("foreign", refused=True, exact=False),
+        case("lacking", 4.0, refused=False, false=[["valve_lag", 1]]),
+    ]
+    lines = figures.naming(cases)
+    assert shown(lines, "none called none") == (1, 2)
+    assert shown(lines, "false names") == (1, 2)
+    assert shown(lines, "foreign refused or undecided") == (1, 1)
+    assert shown(lines, "lacking refused or undecided") == (0, 1)
+    assert shown(lines, "false names, outside the catalogue") == (1, 2)
+    assert len(figures.failures(cases)) == 2
+
+
+def test_reliability_puts_a_whole_probability_into_the_last_bin() -> None:
+    cases = [case("single", 3.0, probability=1.0), case("single", 3.0, probability=0.5, exact_named=False)]
+    rows = {name: (count, right) for name, count, _, right in figures.reliability(cases)}
+    assert rows == {"0.4 to 0.6": (1, 0.0), "0.8 to 1.0": (1, 1.0)}
+
+
+def test_leave_out_needs_the_refusal_and_the_stage() -> None:
+    row = {"name": "valve_lag", "refused": True, "claimed": [], "stage_right": True}
+    cases = [case("single", 3.0, left_out=[row]), case("single", 3.0, left_out=[{**row, "stage_right": False}])]
+    assert shown(figures.left_out(cases), "refused or undecided, and the right stage") == (1, 2)
+    assert shown(figures.left_out(cases), "  valve_lag") == (1, 2)
+
+
+def test_what_is_on_file_is_told_with_its_count(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    asked = Campaign("own", 7, tmp_path)
+    folder = asked.place / "case00001"
+    folder.mkdir(parents=True)
+    (folder / "score.json").write_text(json.dumps(case("single", 3.0)), encoding="utf-8")
+    found = scores(asked, range(3))
+    tell(found, "made up")
+    assert "N reached 1" in capsys.readouterr().out
+    tell([], "nothing")
+    assert "N reached 0" in capsys.readouterr().out

@@ -1,0 +1,43 @@
+"""The machine file that a diagnosis writes: read back by the same parser, refused where nothing is settled."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from diagnosis.candidates import named
+from diagnosis.diagnose import Diagnosis
+from diagnosis.fit import Fit
+from longreach.machine_out import MachineOutError, machine_with_effects
+from machine.description import parse_machine_toml
+from server.settings import read_machine_text
+
+TEXT = read_machine_text("hiab033")
+
+
+def diagnosis(word: str) -> Diagnosis:
+    """As much of a diagnosis as a machine file is made of."""
+    candidates = named(("gravity_sag",), (2,)) + named(("hand_eye_rotation",), ())
+    fit = Fit(candidates, np.array([1.5e-6, 0.003, -0.004, 0.0]), np.zeros(0), np.zeros((0, 4)), 0.0, ())
+    found: Any = SimpleNamespace(
+        verdict=SimpleNamespace(word=word, why="for a test"),
+        cells=(SimpleNamespace(chosen=SimpleNamespace(fit=fit)),),
+        hypotheses=(SimpleNamespace(probability=0.9),),
+    )
+    return cast(Diagnosis, found)
+
+
+def test_the_effects_are_read_back():
+    text = machine_with_effects(TEXT, diagnosis("effects"))
+    sag, mount = parse_machine_toml(text).effects
+    assert (sag.name, sag.joint, sag.value("compliance_rad_nm")) == ("gravity_sag", 2, 1.5e-6)
+    assert mount.value("angle_rad") == pytest.approx(0.005)
+    assert mount.direction == pytest.approx((0.6, -0.8, 0.0))
+    assert "# longreach diagnose: verdict effects, probability 0.9" in text
+
+
+@pytest.mark.parametrize("word", ["undecided", "outside"])
+def test_nothing_is_written_of_an_unsettled_diagnosis(word):
+    with pytest.raises(MachineOutError, match=f"the diagnosis is '{word}'"):
+        machine_with_effects(TEXT, diagnosis(word))

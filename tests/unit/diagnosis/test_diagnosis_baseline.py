@@ -1,0 +1,134 @@
+"""Baselines: what a machine file carries, floors raised by a remainder, joined cells, a fit that finds its effects."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis_cases import MACHINE_TOML
+from test_diagnosis_search import made_up
+
+from diagnosis.baseline import entries_of, forward
+from diagnosis.candidates import named
+from diagnosis.cells_behind import joined, told_behind, without
+from diagnosis.fit import neutral_fit
+from diagnosis.floor import Floor, Whitener, with_remainder
+from diagnosis.nominal import nominal_of
+from diagnosis.search import search
+from longreach.fit_baseline import with_baseline
+from machine.description import parse_machine_toml
+from machine.effects.entries import entries_to_toml, make_entry, pack
+from machine.effects.registry import effect_named
+from machine.errors import MachineFileError
+from machine.remainder import Remainder, parse_remainders, remainders_to_toml
+
+REMAINDER = Remainder("actuator", 2, "", 1.5e-5, 4e-5, (0.7, -0.1), 1.8)
+
+
+def entry(name: str, joint: int | None, **parameters: object):
+    effect = effect_named(name)
+    assert effect is not None
+    return make_entry(effect, joint, parameters)
+
+
+def test_a_machine_file_carries_its_baseline() -> None:
+    lag = entry("valve_lag", 2, time_constant_s=0.03)
+    text = MACHINE_TOML + entries_to_toml([lag]) + remainders_to_toml([REMAINDER])
+    machine, nominal = parse_machine_toml(text), nominal_of(text)
+    assert machine.effects == nominal.baseline == (lag,)
+    assert machine.remainders == nominal.remainders == (REMAINDER,)
+    assert nominal.remainder("actuator", 2) == REMAINDER
+    assert nominal.remainder("actuator", 1) is None
+    assert parse_machine_toml(MACHINE_TOML).effects == ()
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"stage": "weather"}, "stage = 'weather'"),
+        ({"stage": "link", "sigma": -1.0}, "sigma = -1"),
+        ({"stage": "link", "spread": 0.5}, "below 1"),
+        ({"stage": "link", "joint": 0}, "joint = 0"),
+        ({"stage": "link", "colour": 1}, "unknown key 'colour'"),
+        ({"stage": "link", "ar": ["x"]}, "ar = 'x'"),
+    ],
+)
+def test_a_wrong_remainder_is_named(table: dict, words: str) -> None:
+    with pytest.raises(MachineFileError, match=words.replace("(", "\\(")):
+        parse_remainders([table])
+
+
+def test_a_new_baseline_takes_the_old_ones_place() -> None:
+    old = (
+        MACHINE_TOML + entries_to_toml([entry("valve_lag", 2, time_constant_s=0.03)]) + remainders_to_toml([REMAINDER])
+    )
+
+    class Found:
+        effects = (entry("backlash", 1, width_rad=0.001),)
+        remainders = ()
+
+    text = with_baseline(old, Found())  # pyright: ignore[reportArgumentType]
+    nominal = nominal_of(text)
+    assert [one.name for one in nominal.baseline] == ["backlash"]
+    assert nominal.remainders == ()
+    assert parse_machine_toml(text).joints == parse_machine_toml(MACHINE_TOML).joints
+
+
+def test_a_remainder_raises_the_floor_by_its_own_filter() -> None:
+    rng = np.random.default_rng(1)
+    noise = [rng.normal(0.0, 1.0, (4000, 2)) for _ in range(2)]
+    plain = Floor(np.ones(2), np.ones(2), Whitener(np.zeros((0, 2)), np.ones(2)), 2, 4000, True)
+    ar, sigma = np.array([[0.5, 0.0]]), np.array([2.0, 0.0])
+    raised = with_remainder(plain, noise, ar, sigma, np.array([3.0, 0.0]))
+    # white noise behind 1 - 0.5 B has a variance of 1.25
+    assert raised.whitener.sigma[0] == pytest.approx(np.sqrt(4.0 + 1.25), rel=0.03)
+    assert raised.whitener.sigma[1] == 1.0
+    np.testing.assert_allclose(raised.whitener.a, [[0.5, 0.0]])
+    assert raised.increment_rms[0] == pytest.approx(np.sqrt(10.0))
+
+
+def test_joined_cells_ask_for_an_effect_once() -> None:
+    truth = (0.15, 0.0, 0.0)
+    parts = [made_up(truth), made_up(truth)]
+    both = joined(parts)
+    assert both.rows.count == 2 * parts[0].rows.count
+    assert len(both.candidates) == len(parts[0].candidates)
+    assert len(np.unique(both.rows.block)) == 2 * len(np.unique(parts[0].rows.block))
+    np.testing.assert_array_equal(both.whitened(both.base)[0, : parts[0].rows.count], parts[0].whitened(both.base)[0])
+    one, two = search(parts[0]), search(both)
+    assert [c.key for c in two.chosen.fit.hypothesis] == [c.key for c in one.chosen.fit.hypothesis]
+    assert two.chosen.total - two.none.total > 1.5 * (one.chosen.total - one.none.total)
+
+
+def test_an_effect_can_be_taken_out_of_the_library() -> None:
+    cell = made_up((0.15, 0.0, 0.0))
+    gone = cell.candidates[0].name
+    (less,) = without([cell], (gone,))
+    assert gone not in {one.name for one in less.candidates}
+    assert len(less.candidates) < len(cell.candidates)
+
+
+def test_a_spread_divides_what_counts() -> None:
+    cell = made_up((0.15, 0.0, 0.0))
+    assert joined([cell, cell], 7.0).spread_least == 7.0
+    assert search(joined([cell, cell], 7.0)).spread == 7.0
+
+
+def test_forward_steps_find_what_was_put_in_and_nothing_where_nothing_is() -> None:
+    truth = (0.15, 0.0, 0.0)
+    cell = made_up(truth)
+    found = forward(cell)
+    assert found.fit.hypothesis == search(cell).chosen.fit.hypothesis
+    packed = pack(entries_of(found.fit), 1)
+    again = cell.whitened(packed)[0]
+    np.testing.assert_allclose(again, found.fit.residual, atol=1e-6)
+    quiet = made_up((0.0, 0.0, 0.0))
+    assert forward(quiet).fit.hypothesis == ()
+    assert neutral_fit(quiet).k == 0
+
+
+def test_encoders_are_left_to_what_was_measured_behind_them_if_it_sees_them() -> None:
+    cell = made_up((0.15, 0.0, 0.0))
+    assert told_behind([cell]) == ()
+    assert told_behind([]) == ()
+    seen = replace(cell, candidates=(*cell.candidates, *named(("encoder_scale",), (1,))))
+    assert told_behind([seen]) == ("encoder_scale",)

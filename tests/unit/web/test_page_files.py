@@ -1,0 +1,106 @@
+"""The page's files belong together: every text exists, nothing is inline, nothing comes from elsewhere."""
+
+import json
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from web import STATIC_FOLDER
+
+SCRIPTS = sorted(STATIC_FOLDER.glob("*.js"))
+PAGE = (STATIC_FOLDER / "index.html").read_text(encoding="utf-8")
+STYLE = (STATIC_FOLDER / "style.css").read_text(encoding="utf-8")
+TEXTS = (STATIC_FOLDER / "texts.js").read_text(encoding="utf-8")
+#: names of texts that are put together: t(`step_${kind}`) and the like
+MADE_UP = ("step_", "about_", "tour_", "priority_")
+
+
+class Tags(HTMLParser):
+    def __init__(self):
+        super().__init__()
+        self.found = []
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+
+
+@pytest.fixture(scope="module")
+def tags():
+    parser = Tags()
+    parser.feed(PAGE)
+    return parser.found
+
+
+def known_texts():
+    body = TEXTS[TEXTS.index("{") : TEXTS.index("};")]
+    return set(re.findall(r'(?:^|[\s,{])([a-z]\w*): "', body))
+
+
+def used_in_scripts():
+    return {(script.name, key) for script in SCRIPTS for key in re.findall(r'\bt\("(\w+)"', script.read_text("utf-8"))}
+
+
+def test_every_text_that_is_asked_for_exists(tags):
+    known = known_texts()
+    asked = used_in_scripts() | {
+        ("index.html", attributes[name])
+        for _, attributes in tags
+        for name in ("data-t", "data-label")
+        if name in attributes
+    }
+    assert len(asked) > 100
+    assert {one for one in asked if one[1] not in known} == set()
+
+
+def test_no_text_stands_unused(tags):
+    everything = PAGE + "".join(script.read_text("utf-8") for script in SCRIPTS if script.name != "texts.js")
+    unused = [key for key in known_texts() if not key.startswith(MADE_UP) and not re.search(rf'"{key}"', everything)]
+    assert unused == []
+
+
+def test_the_page_needs_no_inline_script_or_style(tags):
+    for tag, attributes in tags:
+        assert "style" not in attributes, tag
+        assert not any(name.startswith("on") for name in attributes), tag
+        assert tag != "style"
+        assert tag != "script" or attributes.get("src", "").startswith("/static/")
+
+
+def test_nothing_is_loaded_from_elsewhere():
+    for text in (PAGE, STYLE, *(script.read_text("utf-8") for script in SCRIPTS)):
+        assert re.findall(r"(?:https?:)?//[a-z0-9-]+\.[a-z]{2,}", text.replace("http://www.w3.org/2000/svg", "")) == []
+
+
+def test_every_element_that_scripts_name_is_there(tags):
+    ids = {attributes["id"] for _, attributes in tags if "id" in attributes}
+    named = {key for script in SCRIPTS for key in re.findall(r'byId\("([\w-]+)"\)', script.read_text("utf-8"))}
+    assert named - ids == set()
+    assert len(ids) == sum("id" in attributes for _, attributes in tags)
+
+
+def test_every_field_has_a_name(tags):
+    """A label around it, or a text of its own; checked once more by axe-core in the browser."""
+    fields = [attributes["id"] for tag, attributes in tags if tag == "input"]
+    bare = [name for name in fields if not re.search(rf'<label[^>]*>(?:(?!</label>).)*id="{name}"', PAGE)]
+    assert bare == []
+
+
+def test_the_stop_button_stands_in_the_bar_and_nothing_lies_above_the_bar():
+    bar = PAGE[PAGE.index("<header") : PAGE.index("</header>")]
+    assert 'id="stop"' in bar
+    layers = [int(value) for value in re.findall(r"z-index: (\d+)", STYLE)]
+    assert max(layers) == int(re.search(r"header \{[^}]*z-index: (\d+)", STYLE).group(1))
+    assert layers.count(max(layers)) == 1
+
+
+def test_the_foxglove_layout_names_channels_that_recordings_have():
+    layout = json.loads((STATIC_FOLDER / "foxglove-layout.json").read_text("utf-8"))
+    text = json.dumps(layout)
+    from recording.messages import CODECS
+    from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, LOG_TOPIC
+
+    topics = {*CODECS, IMAGE_TOPIC, CALIBRATION_TOPIC, LOG_TOPIC}
+    named = set(re.findall(r'"(/[a-z/_]+)', text))
+    assert named <= topics
+    assert len(named) >= 4

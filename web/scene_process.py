@@ -1,0 +1,102 @@
+"""The 3D scene in a process of its own: it may hang, crash or be killed, and takes nothing along."""
+
+import contextlib
+import logging
+import multiprocessing
+import os
+import signal
+import sys
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import cast
+
+from machine.description import Machine
+from web.scene_view import SceneView
+
+log = logging.getLogger(__name__)
+
+START_S = 60.0
+END_S = 2.0
+
+
+class SceneGoneError(Exception):
+    """The scene's process has ended."""
+
+
+class SceneProcess:
+    """Starts it, hands it views, ends it. `start` blocks until viser listens."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._process: BaseProcess | None = None
+        self._pipe: Connection | None = None
+        self.port = 0
+
+    @property
+    def process_id(self) -> int | None:
+        """Of the process, while it runs."""
+        return self._process.pid if self._process is not None and self._process.is_alive() else None
+
+    def start(self) -> None:
+        """Raises: SceneGoneError: it did not come up."""
+        context = multiprocessing.get_context("spawn")
+        ours, theirs = cast("tuple[Connection, Connection]", context.Pipe())
+        process = context.Process(target=run_scene, args=(theirs, self._machine), name="longreach-scene", daemon=True)
+        process.start()
+        theirs.close()
+        self._process, self._pipe = process, ours
+        try:
+            if not ours.poll(START_S):
+                raise EOFError
+            self.port = int(ours.recv())
+        except (EOFError, OSError) as error:
+            self.close()
+            raise SceneGoneError("the 3D view's process did not start") from error
+
+    def show(self, view: SceneView) -> None:
+        """Hand over the newest view, unless the last one has not been fetched yet: then this one is left out.
+
+        Raises: SceneGoneError: the process has ended.
+        """
+        pipe = self._pipe
+        if pipe is None or self.process_id is None:
+            raise SceneGoneError("the 3D view's process has ended")
+        try:
+            if pipe.poll():  # a token for each view it has drawn
+                pipe.recv()
+                pipe.send(view)
+        except (EOFError, OSError) as error:
+            raise SceneGoneError("the 3D view's process has ended") from error
+
+    def close(self) -> None:
+        """End it, by force if it does not listen."""
+        process, pipe = self._process, self._pipe
+        self._process = self._pipe = None
+        if pipe is not None:
+            pipe.close()
+        if process is not None:
+            process.join(END_S)
+            if process.is_alive():
+                process.kill()
+                process.join(1.0)
+
+
+def run_scene(pipe: Connection, machine: Machine) -> None:
+    """Entry point of the process: draws what comes, asks for the next, ends with the pipe."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends us in its own order
+    with contextlib.suppress(OSError):
+        os.nice(5)  # never before link and vision
+    with contextlib.redirect_stdout(sys.stderr):
+        from web.scene import Scene
+
+        scene = Scene(machine)
+    try:
+        pipe.send(scene.port)
+        pipe.send("next")
+        while True:
+            scene.show(pipe.recv())
+            pipe.send("next")
+    except (EOFError, OSError):
+        log.info("the server is gone; the 3D view ends")
+    finally:
+        scene.close()

@@ -1,0 +1,128 @@
+// The camera picture with what was found in that very picture. Only the newest frame is drawn.
+import { LIMITS_MS, ageText, serverSilent } from "./age.js";
+import { address } from "./connection.js";
+import { byId, setText } from "./dom.js";
+import { t } from "./texts.js";
+
+const AGAIN_MS = 1000;
+const FROZEN = /frozen|repeats/;
+const AXIS_COLORS = ["#ff6b6b", "#51d88a", "#5aa9ff"];
+const canvas = byId("picture");
+const context = canvas.getContext("2d", { willReadFrequently: true });
+let shown = null; // header of the frame on the screen
+let shownAt = -Infinity;
+let waiting = null;
+let drawn = 0;
+
+export function startCamera() {
+  const socket = new WebSocket(address("/v1/video"));
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = async (message) => {
+    const size = new DataView(message.data).getUint32(0, true);
+    const header = JSON.parse(new TextDecoder().decode(new Uint8Array(message.data, 4, size)));
+    const bitmap = await createImageBitmap(new Blob([new Uint8Array(message.data, 4 + size)], { type: "image/jpeg" }));
+    offer({ header, bitmap, at: performance.now() });
+    if (socket.readyState === WebSocket.OPEN) socket.send("next");
+  };
+  socket.onclose = () => setTimeout(startCamera, AGAIN_MS);
+}
+
+function offer(frame) {
+  const first = waiting === null;
+  waiting?.bitmap.close();
+  waiting = frame;
+  if (first) requestAnimationFrame(draw);
+}
+
+function draw() {
+  const { header, bitmap, at } = waiting;
+  waiting = null;
+  if (canvas.width !== bitmap.width) Object.assign(canvas, { width: bitmap.width, height: bitmap.height });
+  context.drawImage(bitmap, 0, 0);
+  bitmap.close();
+  const scale = canvas.width / header.width_px;
+  context.save();
+  for (const marker of header.markers) drawMarker(marker, scale);
+  if (header.goal) drawCross(header.goal, scale, t("legend_goal"), "#ffd84d", true);
+  if (header.tool) drawCross(header.tool, scale, t("legend_tool"), "#ff8ad8", false);
+  context.restore();
+  drawn += 1;
+  Object.assign(canvas.dataset, { number: header.number, drawn });
+  shown = header;
+  shownAt = at;
+}
+
+const place = (scale) => ([u, v]) => [(u + 0.5) * scale, (v + 0.5) * scale];
+
+function drawMarker(marker, scale) {
+  const points = marker.corners_px.map(place(scale));
+  const color = marker.used ? "#35e08a" : "#aab4b9";
+  context.setLineDash(marker.used ? [] : [6, 4]);
+  context.lineWidth = 2.5;
+  context.strokeStyle = color;
+  context.beginPath();
+  points.forEach(([u, v], i) => (i ? context.lineTo(u, v) : context.moveTo(u, v)));
+  context.closePath();
+  context.stroke();
+  context.setLineDash([]);
+  const text = marker.used ? `${marker.marker_id}  ${marker.residual_px.toFixed(2)} px` : `${marker.marker_id} ${marker.reason || "not used"}`;
+  const u = Math.min(...points.map((p) => p[0]));
+  const v = Math.min(...points.map((p) => p[1])) - 7;
+  label(text.slice(0, 60), u, v, marker.used ? "#d6ffe9" : "#dde3e6");
+}
+
+function drawCross({ origin_px, axes_px }, scale, text, color, ring) {
+  const [u, v] = place(scale)(origin_px);
+  axes_px.map(place(scale)).forEach(([x, y], i) => {
+    context.strokeStyle = AXIS_COLORS[i];
+    context.lineWidth = 3;
+    context.beginPath();
+    context.moveTo(u, v);
+    context.lineTo(x, y);
+    context.stroke();
+  });
+  context.strokeStyle = color;
+  context.lineWidth = 3;
+  context.beginPath();
+  if (ring) context.arc(u, v, 14, 0, 2 * Math.PI);
+  else context.rect(u - 9, v - 9, 18, 18);
+  context.stroke();
+  label(text, u + 18, v + (ring ? 26 : -14), color);
+}
+
+function label(text, u, v, color) {
+  context.font = `600 ${Math.max(13, canvas.width / 68)}px system-ui, "DejaVu Sans", sans-serif`;
+  context.lineWidth = 4;
+  context.strokeStyle = "#000d";
+  context.strokeText(text, u, Math.max(16, v));
+  context.fillStyle = color;
+  context.fillText(text, u, Math.max(16, v));
+}
+
+// Called several times a second, also when no frame comes: the veil and the age must not wait for one.
+export function showCameraAge(state) {
+  const age = shown ? shown.age_ms + (performance.now() - shownAt) : null;
+  const old = age === null || age > LIMITS_MS.camera || serverSilent();
+  const frozen = !old && shown.warnings.find((text) => FROZEN.test(text));
+  const alarm = state?.panel.alarms.find((one) => one.code === "camera_unfit" && one.ended_unix_s === null);
+  const veil = byId("veil");
+  veil.hidden = !(old || frozen);
+  if (old) setText(veil, age === null ? t("veil_none") : `${t("veil_old", { age: ageText(age) })}\n${state?.camera.warnings.at(-1) ?? ""}`);
+  else if (frozen) setText(veil, `${t("frozen", { age: ageText(alarm && state ? 1000 * (state.panel.unix_s - alarm.since_unix_s) : 0) })}\n${frozen}`);
+  const strip = byId("picture-warning");
+  const warning = !old && !frozen ? shown.warnings.at(-1) ?? "" : "";
+  strip.hidden = !warning;
+  setText(strip, warning);
+  const text = age === null ? t("veil_none") : t("frame_age", { fps: shown.fps.toFixed(0), age: ageText(age) });
+  setText(byId("camera-age"), text);
+  byId("camera-age").classList.toggle("old", old);
+}
+
+export function describePicture(state) {
+  if (!shown) return;
+  const used = shown.markers.filter((marker) => marker.used).length;
+  const error = state.live_error;
+  const text = error ? `${t("axis_norm")} ${error.distance_mm.toFixed(0)} mm` : t("not_seen");
+  const label = t("picture_label", { n: used, text });
+  if (canvas.getAttribute("aria-label") !== label) canvas.setAttribute("aria-label", label);
+}

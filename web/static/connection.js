@@ -1,0 +1,25 @@
+// The live socket: states in, wishes about the view out. It reconnects for ever.
+import { heardNow } from "./age.js";
+
+const AGAIN_MS = 1000;
+export const address = (path) => `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`;
+
+export class Live {
+  constructor(onState) {
+    this.onState = onState;
+    this.open();
+  }
+
+  open() {
+    this.socket = new WebSocket(address("/v1/live"));
+    this.socket.onmessage = (message) => {
+      heardNow();
+      this.onState(JSON.parse(message.data));
+    };
+    this.socket.onclose = () => setTimeout(() => this.open(), AGAIN_MS);
+  }
+
+  send(wish) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(wish));
+  }
+}

@@ -1,0 +1,80 @@
+// Hold-to-run: motion only while the button is down and this page answers every challenge.
+import { getLease, notice, stop } from "./commands.js";
+import { address } from "./connection.js";
+import { t } from "./texts.js";
+
+let held = null; // the one press that is on
+
+export const holding = () => held !== null;
+
+export function press(body) {
+  if (held || !getLease()) return;
+  const { lease_id, fencing } = getLease();
+  const socket = new WebSocket(address("/v1/hold"));
+  const mine = { socket, bond: "", open: false, up: "" };
+  held = mine;
+  document.body.classList.add("holding");
+  socket.onopen = () => {
+    if (mine.up) return socket.close(); // let go before it was open: nothing begins
+    mine.open = true;
+    socket.send(JSON.stringify({ press: body, lease_id, fencing }));
+  };
+  socket.onmessage = (message) => take(mine, JSON.parse(message.data));
+  socket.onclose = () => end(mine);
+}
+
+function take(mine, told) {
+  if (told.bond !== undefined) mine.bond = told.bond;
+  if (told.challenge && !mine.up) {
+    const { seq, nonce } = told.challenge;
+    mine.socket.send(JSON.stringify({ seq, reply: ~nonce >>> 0, bond: mine.bond }));
+  }
+  if (told.refused !== undefined) notice(t("refused", { why: told.refused }));
+  if (told.ended === "stopped" || told.ended === "failed") notice(t("hold_ended", { why: told.reason }));
+}
+
+function end(mine) {
+  if (held !== mine) return;
+  held = null;
+  document.body.classList.remove("holding");
+}
+
+// Every way of letting go. The socket tells the server at once; the plain stop goes out beside it.
+export function release(why) {
+  const mine = held;
+  if (!mine || mine.up) return;
+  mine.up = why;
+  if (mine.open) {
+    if (mine.socket.readyState === WebSocket.OPEN) mine.socket.send(JSON.stringify({ release: why }));
+    if (why !== "button up") stop();
+  }
+  setTimeout(() => mine.socket.close(), 1500);
+  document.body.classList.remove("holding");
+}
+
+export function watchHold() {
+  addEventListener("pointerup", () => release("button up"));
+  addEventListener("pointercancel", () => release("pointer cancelled"));
+  addEventListener("blur", () => release("window lost focus"));
+  addEventListener("pagehide", () => release("page left"));
+  addEventListener("visibilitychange", () => { if (document.hidden) release("tab hidden"); });
+  addEventListener("keyup", () => release("button up"));
+  addEventListener("contextmenu", (event) => { if (held) event.preventDefault(); });
+}
+
+// Make a button one that is held: pointer or Space/Enter down presses, letting go anywhere releases.
+export function holdButton(button, isHold, body) {
+  button.addEventListener("pointerdown", (event) => {
+    if (!isHold() || button.disabled || event.button !== 0) return;
+    event.preventDefault();
+    button.focus();
+    button.setPointerCapture(event.pointerId);
+    press(body());
+  });
+  button.addEventListener("lostpointercapture", () => release("button up"));
+  button.addEventListener("keydown", (event) => {
+    if (!isHold() || button.disabled || ![" ", "Enter"].includes(event.key)) return;
+    event.preventDefault();
+    if (!event.repeat) press(body());
+  });
+}

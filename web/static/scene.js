@@ -1,0 +1,35 @@
+// The 3D view in its frame: shown while it runs, loaded anew after it came back, never in the way of anything.
+import { serverSilent } from "./age.js";
+import { byId, setText } from "./dom.js";
+import { t } from "./texts.js";
+
+const OFF = "longreach-scene-off";
+let loaded = null; // process of the view that the frame shows
+
+export function startScene(live) {
+  byId("scrub").oninput = () => live.send({ scrub: Number(byId("scrub").value) / 100 });
+  byId("scene-switch").onclick = () => {
+    const off = localStorage.getItem(OFF) ? "" : "yes";
+    if (off) localStorage.setItem(OFF, off);
+    else localStorage.removeItem(OFF);
+  };
+}
+
+export function showScene(state) {
+  const { running, problem, process_id, scrub_frac } = state.panel.scene;
+  const off = Boolean(localStorage.getItem(OFF)) || new URLSearchParams(location.search).has("no3d");
+  setText(byId("scene-switch"), t(off ? "show_scene" : "hide_scene"));
+  const wanted = running && !off && !serverSilent() ? process_id : null;
+  if (wanted !== loaded) {
+    loaded = wanted;
+    const frame = byId("view");
+    frame.hidden = wanted === null;
+    if (wanted === null) frame.removeAttribute("src");
+    else frame.src = `/view/?hideViserLogo&hideSceneTree&run=${process_id}`;
+  }
+  byId("scene-off").hidden = wanted !== null;
+  setText(byId("scene-off"), off ? t("show_scene") : `${t("scene_off")} ${problem}`);
+  byId("scrub-field").hidden = !state.plan;
+  const slider = byId("scrub");
+  if (document.activeElement !== slider) slider.value = String(Math.round(100 * scrub_frac));
+}

@@ -1,0 +1,99 @@
+// Every English text of the page. {name} is filled in by t().
+export const TEXTS = {
+  sim: "SIM", real: "REAL",
+  sim_long: "simulated machine", real_long: "REAL MACHINE: steel moves",
+  stop: "Stop motion (software)", stop_hint: "or key Esc",
+  footer: "STOP here is software. The emergency stop is hardware, at the machine; this page can only show its state.",
+  server_silent: "The server does not answer (silent for {age}). Nothing on this page is current. The PLC stops the machine by itself when its link is silent.",
+  reconnecting: "Connecting to the server …",
+  // control
+  control_none: "Nobody has control", control_you: "You have control", control_other: "{owner} has control",
+  control_left: "{s} s left unless kept alive", control_stale: "stale: its holder is gone", control_kept: "kept alive by this page",
+  control_lost: "Control was lost: {why}",
+  take_control: "Take control", take_over: "Take over", ask: "Ask for control", release: "Release", hand_over: "Hand over to {owner}",
+  asked: "{owner} asks for control", asked_sent: "Asked. {owner} sees it.", offered: "Control is offered to you",
+  take_reason: "taken over at the panel", your_name: "Your name", name_hint: "shown to everybody who looks",
+  no_control: "take control first",
+  other_control: "{owner} has control",
+  // chips
+  plc: "PLC", camera: "Camera", safety: "E-stop", alarms: "Alarms", never: "never heard", 
+  plc_sub: "{age} · {loss} % lost", camera_text: "{fps} pairs/s", camera_sub: "{age} old",
+  estop_sub: "enable: {enable}", no_image: "no picture", dry_run: "DRY RUN: valves stay neutral",
+  alarm_none: "no alarm", alarm_count: "{n} to acknowledge", alarm_seen: "{n} acknowledged",
+  // camera
+  camera_title: "Camera, left eye", frame_age: "{fps} pairs/s · {age} old", veil_old: "old: {age}", veil_none: "no picture yet",
+  legend_tool: "tool", legend_goal: "goal", 
+  picture_label: "Camera picture. {n} markers seen. {text}", frozen: "FROZEN for {age}",
+  // scene
+  scene_title: "Machine", scene_sub: "solid: now · blue: plan · green: error left, × 10",
+  scrub: "along the path", scene_off: "The 3D view is not running. Everything else works.", scene_title_frame: "Machine in 3D",
+  hide_scene: "Hide 3D", show_scene: "Show 3D",
+  // errors
+  errors_title: "Tool against goal", goal_line: "goal: {z} mm in front of the target{shift}", goal_shift: ", shifted {x}, {y} mm",
+  before: "last look ± 2σ", now: "now", predicted: "after move", axis_x: "X", axis_y: "Y", axis_z: "Z, depth", axis_norm: "distance",
+  axis_rotation: "rotation", allowed: "allowed ± {mm} mm, {deg}°", not_seen: "not seen",
+  bar_label: "{axis}: now {now}, last look {before}, allowed ± {limit}, predicted ± {sigma} (2 sigma)",
+  verdict_none: "No look yet: press Look.", verdict_failed: "Look failed: {why}", verdict_old: "The last look is {age} old: look again.",
+  verdict_inside: "✓ Inside tolerance (two sigma to spare)", verdict_near: "Inside by its value, but not with two sigma to spare",
+  verdict_outside: "✗ Outside tolerance",
+  // steps
+  steps_title: "Steps", next: "Next: {what}", busy: "{kind} by {owner}: {text} ({s} s)", done: "On target and accepted.",
+  step_look: "Look", step_orient: "Orient", step_calibrate: "Calibrate", step_preview: "Preview", step_execute: "Execute",
+  step_look_again: "Look again", step_accept: "Accept",
+  step_retract: "Retract", step_return: "Return", step_park: "Park", step_position: "Automatic", step_reset: "Reset fault",
+  about_look: "measure the error", about_orient: "face the target: MOVES", about_calibrate: "short path: MOVES",
+  about_preview: "plan; nothing moves", about_execute: "drive this plan: MOVES", about_look_again: "measure anew",
+  about_accept: "note the result", about_retract: "{mm} mm back: MOVES", about_return: "to the start: MOVES", about_park: "fold: MOVES",
+  about_position: "all steps: MOVES", about_reset: "at the PLC; nothing moves", hold_prefix: "HOLD: ", hold_mode: "hold-to-run, as on the real machine",
+  hold_forced: "REAL: motion only while the button is held", holding: "Moving while held. Let go to stop.", hold_ended: "Stopped: {why}",
+  why_running: "running", busy_short: "{kind} is running", why_no_look: "look first", why_look_old: "look is old: look again", why_moved: "moved since the look: look again", why_look_again: "look again first", why_calibrated: "holds; again if you like", why_no_plan: "preview first",
+  why_expired: "preview has expired", why_not_inside: "not in tolerance", why_accepted: "accepted", why_server: "no answer from server",
+  why_first: "look first", why_calibrate_first: "calibrate first",
+  plan: "plan", plan_text: "{hash}, good for {s} s more", path: "path", path_text: "{mm} mm in {s} s, at most {v} mm/s",
+  clearance: "to the wall", clearance_text: "{mm} mm at the nearest", clearance_none: "wall not known", caution: "caution",
+  travel: "joint travel", travel_text: "{list}°", checks: "checks", checks_text: "joint limits, speed and wall: ok, by the planner",
+  more: "Goal and options", goal_edit: "Goal", stand_off: "in front, mm", offset_x: "shift X, mm", offset_y: "shift Y, mm", set_goal: "Set", retract_mm: "mm back",
+  // history
+  history: "History", alarms_tab: "Alarms", joints: "Joints", story: "Story", n: "#", time: "time", after: "after", inside: "inside",
+  accepted_by: "accepted by {who}", yes: "✓ yes", no: "✗ no", trend: "Distance to the goal over the looks, logarithmic; line: tolerance",
+  trend_label: "Trend of the distance over {n} looks, now {now} mm", no_history: "No look yet.", 
+  // alarms
+  no_alarms: "No alarm.", since: "since {time}", over: "over since {time}", still: "still so", cause: "Cause", remedy: "What to do", clears: "Who may clear it",
+  acknowledge: "Acknowledge", acknowledged: "acknowledged by {who}", help: "help", ack_note: "Acknowledging never starts a motion.",
+  priority_high: "HIGH", priority_medium: "MEDIUM", priority_low: "LOW",
+  // drawer
+  engineering: "Engineering", close: "Close", tab_link: "Link", tab_vision: "Vision", tab_calibration: "Calibration", tab_gap: "Gap",
+  tab_recordings: "Recordings", tab_settings: "Settings", version: "version",
+  lateness: "How late states come behind the earliest, last 10 s", buffer: "buffer in the PLC", buffer_min: "smallest while moving", loss: "lost, last 10 s",
+  send_late: "commands sent late, p50 / p99 / max", round_trip: "round trip", counts: "sent / received / rejected", rejects: "last rejects", none: "none",
+  sharpness: "sharpness", process: "work a pair", skipped: "pairs passed over", restarts: "restarts of vision", tool_seen: "tool", target_seen: "target", warnings: "warnings",
+  not_calibrated: "Not calibrated.", cal_known: "camera rotation known to (1 sigma)", cal_residual: "residual", cal_age: "age", cal_place: "from where it was made",
+  cal_valid: "holds here", cal_expired: "EXPIRED: {why}", cal_offset: "clock offset", cal_nominal: "off the nominal mount", cal_weakest: "least known about the axis (TCP)",
+  cal_ellipse: "One-sigma ellipses of the rotation, degrees", cal_pairs: "pairs used",
+  gap_missing: "Not available: this server has no diagnoses (/v1/diagnoses).", gap_run: "Diagnose", gap_report: "report", gap_intro: "Where the model and the machine differ, from one recording; runs beside, nothing moves.",
+  recordings_intro: "Each job is recorded as MCAP.", download: "download", replay: "replay", layout: "Foxglove layout", rerun: "Rerun opens a recording as it is: rerun run.mcap",
+  disk: "{gb} GB free", recording_on: "recording now", no_recordings: "No recording yet.", settings_intro: "Read-only. Change them in the settings file and start the server again.",
+  replay_title: "Replay of {name}", replay_empty: "Nothing opened.", replay_at: "{s} s of {end} s", replay_slider: "time in the run",
+  loading: "Reading …", unit: "unit", value: "value", setting: "setting",
+  // tour
+  tour_next: "Next", tour_end: "Got it", tour_again: "Tour",
+  tour_1: "1 of 5. Top: SIM or REAL, who has control, how fresh PLC and camera are. STOP is always there, for anybody, also by the key Esc.",
+  tour_2: "2 of 5. Press Take control. One person commands at a time; everybody may look, and everybody may stop.",
+  tour_3: "3 of 5. Steps: the coloured button is what comes next. A button that cannot be pressed says why.",
+  tour_4: "4 of 5. Tool against goal: a bar inside the green band is inside the tolerance. A value that is too old is crossed out.",
+  tour_5: "5 of 5. Execute drives exactly the plan that you previewed, once. On a real machine it moves only while you hold the button.",
+  // refusals
+  part_failed: "A part of this page ({name}) failed: {why}. Load the page anew; STOP works.",
+  refused: "Refused: {why}", stale_plan: "This page's plan is no longer the server's: look at the new preview.",
+};
+
+export function t(key, values = {}) {
+  const text = TEXTS[key];
+  if (text === undefined) throw new Error(`no text for ${key}`);
+  return text.replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
+}
+
+export function fillTexts(root) {
+  for (const element of root.querySelectorAll("[data-t]")) element.textContent = t(element.dataset.t);
+  for (const element of root.querySelectorAll("[data-label]")) element.setAttribute("aria-label", t(element.dataset.label));
+}
