@@ -21,8 +21,9 @@ $(VENV)/dev.stamp: pyproject.toml $(VENV)/run.stamp
 demo: $(VENV)/run.stamp  ## simulated machine, server and panel; prints the address
 	$(BIN)/longreach demo
 
-test: $(VENV)/dev.stamp  ## all tests but the slow ones
-	$(BIN)/python -m pytest -m "not slow"
+test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores, then those with real processes one by one
+	$(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile --ignore tests/loop --ignore tests/system
+	$(BIN)/python -m pytest -m "not slow" --durations 20 tests/loop tests/system
 
 test-slow: $(VENV)/dev.stamp  ## compose, long drills
 	$(BIN)/python -m pytest -m slow

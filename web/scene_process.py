@@ -15,7 +15,7 @@ from web.scene_view import SceneView
 
 log = logging.getLogger(__name__)
 
-START_S = 60.0
+START_S = 180.0  # on a busy small computer
 END_S = 2.0
 
 

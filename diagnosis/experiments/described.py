@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.experiments.library import LOOK_S, SAMPLE_S, Experiment, Motion, Postures
@@ -34,8 +35,8 @@ def described(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def _knots(rows: int) -> Array:
-    return np.arange(0, rows, KNOT_ROWS)
+def _knots(rows: int) -> NDArray[np.int64]:
+    return np.arange(0, rows, KNOT_ROWS, dtype=np.int64)
 
 
 def experiment_of(description: dict[str, Any]) -> Experiment:

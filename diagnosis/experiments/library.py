@@ -94,7 +94,7 @@ def _under_load(
     legs = []
     here = centre
     for posture in loaded:
-        there = _driven(nominal, posture, joints, _jogs, t)
+        there = _driven(nominal, _inward(nominal, posture, joints), joints, _jogs, t)
         legs += [_travel(nominal, here, there[0]), there]
         here = there[-1]
     legs.append(_travel(nominal, here, centre))
@@ -120,11 +120,27 @@ def _driven(nominal: Nominal, centre: Array, joints: tuple[int, ...], shape: Sha
     u = np.clip(np.minimum(t, t[-1] - t) / FADE_S, 0.0, 1.0)
     fade = 10 * u**3 - 15 * u**4 + 6 * u**5
     for j in joints:
-        span = high[j] - low[j] if np.isfinite(high[j] - low[j]) else 2.0
-        size = min(RANGE_SHARE * span, REACH_RAD)
-        course = _within(size * fade * shape(t, j), speed_limits(nominal)[j])
-        q[:, j] = np.clip(q[0, j] + course, low[j], high[j])
+        course = _within(_size(nominal, j) * fade * shape(t, j), speed_limits(nominal)[j])
+        up, down = high[j] - q[0, j], q[0, j] - low[j]
+        share = min(1.0, up / max(float(course.max()), 1e-9), down / max(float(-course.min()), 1e-9))
+        q[:, j] += share * course  # scaled, not clipped: a corner at the range's end is no motion for a machine
     return q
+
+
+def _size(nominal: Nominal, j: int) -> float:
+    """How far a joint (0-based) is moved to either side at most."""
+    span = float(nominal.q_max[j] - nominal.q_min[j])
+    return min(RANGE_SHARE * span, REACH_RAD) if np.isfinite(span) else REACH_RAD
+
+
+def _inward(nominal: Nominal, posture: Array, joints: tuple[int, ...]) -> Array:
+    """A posture (n,) moved in from the ends of the ranges, so that these joints have room to either side."""
+    low, high = _bounds(nominal)
+    out = np.clip(posture, low, high)
+    for j in joints:
+        size = _size(nominal, j)
+        out[j] = np.clip(out[j], low[j] + size, high[j] - size)
+    return out
 
 
 def _bounds(nominal: Nominal) -> tuple[Array, Array]:
@@ -159,7 +175,7 @@ def _smoothed(x: Array, half: int) -> Array:
     held = x.copy()
     held[: half + 1] = held[-half - 1 :] = 0.0
     window = np.hanning(2 * half + 1)
-    return np.convolve(np.pad(held, half), window / window.sum(), mode="valid")
+    return np.asarray(np.convolve(np.pad(held, half), window / window.sum(), mode="valid"), dtype=float)
 
 
 def _travel(nominal: Nominal, start: Array, end: Array) -> Array:

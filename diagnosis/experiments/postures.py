@@ -38,7 +38,7 @@ def visible(nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array)
         for px in (corners.left, corners.right)
     ]
     in_front = (Ts[:, 2, 3] > DEPTH_MIN_M) & (Ts[:, 2, 2] < -0.3)  # its printed side towards the camera
-    return (whole[0] | whole[1]).any(axis=1) & in_front
+    return np.logical_or(whole[0], whole[1]).any(axis=-1) & in_front
 
 
 def looks(nominal: Nominal, sets: ParameterSets, qs: Array, T_base_ooi: Array | None) -> tuple[Postures, ...]:

@@ -74,9 +74,9 @@ def _foretold(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterS
     """The log of a motion: the signals that the recording has, at its rate."""
     like = whole.stretches[0]
     plant = replayer.at_rate(like.dt_s)
-    t_sent = SAMPLE_S * np.arange(len(motion.q))
+    t_sent = np.asarray(SAMPLE_S * np.arange(len(motion.q)), dtype=float)
     rows = int(len(motion.q) * SAMPLE_S / plant.log_cycle_s)
-    t_log = plant.log_cycle_s * np.arange(rows)
+    t_log = np.asarray(plant.log_cycle_s * np.arange(rows), dtype=float)
     q_log = np.stack([np.interp(t_log, t_sent, column) for column in motion.q.T], axis=1)
     cycles = (rows - 1) * plant.decimate + 1
     drive = drive_by_sent(plant, t_sent, motion.q, 0.0, cycles, replayer.loads(q_log))
@@ -132,8 +132,8 @@ def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, 
 
 def _dwelling(q: Array, end_s: float) -> tuple[Array, Path]:
     """When each posture (k, n) is looked from (k,) [s], and the encoders' course: at rest around each look."""
-    start = end_s + LATER_S + LOOK_S * np.arange(len(q))
-    t_s = (start[:, None] + np.array([0.0, 0.5 * LOOK_S])).ravel()
+    start = np.asarray(end_s + LATER_S + LOOK_S * np.arange(len(q)), dtype=float)
+    t_s = np.asarray((start[:, None] + np.array([0.0, 0.5 * LOOK_S])).ravel(), dtype=float)
     return start + 0.25 * LOOK_S, Path(t_s, np.repeat(q, 2, axis=0), None)
 
 
@@ -146,7 +146,7 @@ def _still_poses(alone: CornerResidual, truth: ParameterSets, plain: ParameterSe
 def _in_picture(pixels: Array, width: int, height: int) -> Array:
     """Corners (m, eyes, markers, 4, 2); NaN for markers that are not whole in the picture."""
     inside = (pixels > EDGE_PX) & (pixels < np.array([width, height]) - EDGE_PX)
-    whole = (np.isfinite(pixels) & inside).all(axis=(3, 4))
+    whole = np.asarray(np.logical_and(np.isfinite(pixels), inside).all(axis=(3, 4)))
     return np.where(whole[..., None, None], pixels, np.nan)
 
 
@@ -167,7 +167,10 @@ def _more_points(measured: PointResidual, postures: Postures, truth: ParameterSe
     looked, course = _dwelling(postures.q, max((float(path.t_s[-1]) for path in measured.paths), default=0.0))
     when = np.repeat(looked, len(known))
     more = PointData(
-        *(np.concatenate(pair) for pair in ((data.q, q), (data.which, which), (data.xyz, xyz), (data.when, when)))
+        np.concatenate([data.q, q]),
+        np.concatenate([data.which, which]),
+        np.concatenate([data.xyz, xyz]),
+        np.concatenate([data.when, when]),
     )
     paths = (*measured.paths, course) if measured.paths else ()
     at = np.concatenate([measured.at, np.full(len(q), len(measured.paths), dtype=np.int64)])

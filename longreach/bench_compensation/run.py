@@ -1,13 +1,13 @@
 """One machine positioned with and without its diagnosed effects, by the rigid map and by the server's own learning."""
 
 import json
+from collections.abc import Generator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from longreach.bench_compensation.diagnosed import Found, effects_of
 from longreach.bench_compensation.tour import toured
 from longreach.bench_machines.machine_run import INSIDE_MM
-from longreach.bench_machines.watched import LookChange, Notes, watched
 from longreach.reproduce.fast_cell import context_of, fast_cell, run_plan
 from longreach.reproduce.fast_machine import QuasiStaticMachine
 from longreach.reproduce.noise_model import NoiseModel
@@ -17,6 +17,8 @@ from machine.effects.entries import EffectEntry
 from server.compensation.compensation import compensation_of
 from server.errors import ServerError
 from server.jobs.plans.positioning import position
+from server.jobs.records import MoveRecord, PositionResult
+from server.jobs.requests import Record, Request
 from server.settings import ServerSettings
 from sim_plc.draw_world import draw_world
 from sim_plc.presets import PresetError
@@ -89,16 +91,29 @@ def compare(machine: Machine, text: str, noise: NoiseModel, seed: int, preset: s
     return Compared(seed, found.verdict, found.closed_frac, found.why, found.usable, told, reached)
 
 
+def until_first_move(plan: Generator[Request, object, PositionResult]) -> Generator[Request, object, None]:
+    """The same plan, closed once its first move is on record: every variant keeps the moves it counts on."""
+    reply: object = None
+    while True:
+        try:
+            request = plan.send(reply)
+        except StopIteration:
+            return
+        reply = yield request
+        if isinstance(request, Record) and isinstance(request.item, MoveRecord) and request.item.kind == "move":
+            plan.close()
+            return
+
+
 def _run(world: World, noise: NoiseModel, variant: str, found: Found) -> Reached:
-    """One positioning of one move at most."""
-    settings = ServerSettings.model_validate({"position": {"local_map": VARIANTS[variant], "moves_max": 1}})
+    """One positioning job, up to where it stands after its first move (or where it ends without one)."""
+    settings = ServerSettings.model_validate({"position": {"local_map": VARIANTS[variant]}})
     cell, ctx = fast_cell(world, QuasiStaticMachine(world), noise), context_of(world, "ours", settings)
     if variant.endswith("compensation"):
         effects: tuple[EffectEntry, ...] = found.effects if found.usable else ()
         ctx = replace(ctx, compensation=compensation_of(world.nominal, effects) if effects else None)
     try:
-        plan = position(ctx, True, lambda: cell.clock_ns)
-        run_plan(watched(plan, cell, ctx, Notes(), LookChange()), cell)
+        run_plan(until_first_move(position(ctx, True, lambda: cell.clock_ns)), cell)
     except ServerError as error:
         return Reached(variant, None, str(error))
     return Reached(variant, true_errors(world, cell.machine.T_base_tcp(), ctx.T_ooi_goal).goal_mm)

@@ -105,7 +105,8 @@ def _looks(machine: QuasiStaticMachine, view: TrueView, noise: NoiseModel, rng: 
                 if exact is not None:
                     sd = float(np.hypot(own.look_px, own.frame_px / np.sqrt(PAIRS)))
                     pixels = biased(exact, own) + rng.normal(0.0, sd, (4, 2))
-                    rows.append(MarkerCorners(t_s, eye, marker.marker_id, *pixels.ravel().tolist()))
+                    (u0, v0), (u1, v1), (u2, v2), (u3, v3) = pixels.tolist()
+                    rows.append(MarkerCorners(t_s, eye, marker.marker_id, u0, v0, u1, v1, u2, v2, u3, v3))
         until = machine.t_s + LOOK_AGAIN_S
         while machine.t_s < until:
             machine.settle()

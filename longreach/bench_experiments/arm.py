@@ -6,7 +6,7 @@ import numpy as np
 
 from machine.rotations import Array
 
-CYCLE_S, LOG_S, DELAY_S = 0.002, 0.01, 0.004
+CYCLE_S, LOG_S, DELAY_S = 0.005, 0.005, 0.010
 GRAVITY = 9.81
 WIDTH, HEIGHT, FOCAL, BASELINE = 1280, 960, 800.0, 0.12
 SIDE_M = 0.3
@@ -36,7 +36,7 @@ TELESCOPE_ARM = (
     SLEW,
     Link("boom", 0.0, 0.0, 90.0, 90.0, -30.0, 60.0, 200.0, (0.0, 0.0, 1.2)),
     Link("telescope", 0.0, 2.0, -90.0, 0.0, 0.0, 80.0, 60.0, (0.0, 0.5, 0.0), True),
-    Link("pitch", 0.0, 0.0, 90.0, 0.0, -60.0, 60.0, 10.0, (0.0, 0.0, 0.0)),
+    Link("pitch", 0.06, 0.0, 90.0, 0.0, -60.0, 60.0, 10.0, (0.0, 0.0, 0.0)),
     Link("roll", 0.0, 0.3, 0.0, 0.0, -150.0, 150.0, 8.0, (0.0, 0.0, 0.0)),
 )
 BOOM_ARM = (SLEW, BOOM)

@@ -1,6 +1,7 @@
 """The bench's own joints: valves, dead bands and loads at 0.25 ms (explicit midpoint), disturbed by an AR(1) wind.
 
-Written from the definitions; nothing of the diagnosis' kernel, another step and another integrator.
+Written from the definitions; nothing of the diagnosis' kernel, another step and another integrator. Times of other
+files come in as arguments: a compiled cache sees changes of its own file only.
 """
 
 import numpy as np
@@ -30,17 +31,21 @@ def driven(sent: Array, sample_s: float, truth: Truth, noise: float, rng: np.ran
     late = DELAY_S + truth.of("transport_delay")
     per = round(sample_s / CYCLE_S)
     nominal = np.ascontiguousarray(ACTUATORS[: sent.shape[1]])
-    return _stepped(np.ascontiguousarray(sent), per, late, faults(truth, sent.shape[1]), nominal, shock)
+    every = round(LOG_S / CYCLE_S)
+    fault = faults(truth, sent.shape[1])
+    return _stepped(np.ascontiguousarray(sent), per, late, CYCLE_S, every, fault, nominal, shock)
 
 
 @njit(cache=True)
-def _stepped(sent: Array, per: int, late: float, fault: Array, nominal: Array, shock: Array) -> Array:
+def _stepped(
+    sent: Array, per: int, late: float, cycle_s: float, every: int, fault: Array, nominal: Array, shock: Array
+) -> Array:
     n = sent.shape[1]
-    every, steps, count = round(LOG_S / CYCLE_S), round(CYCLE_S / STEP_S), 2.0 * np.pi / COUNTS
+    steps, count = round(cycle_s / STEP_S), 2.0 * np.pi / COUNTS
     rows = np.zeros(((shock.shape[0] - 1) // every + 1, 3 * n))
     q, x, xd, slow, play, wind = sent[0].copy(), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     for k in range(shock.shape[0]):
-        at = int(np.floor((k * CYCLE_S - late) / (per * CYCLE_S) + 1e-9))
+        at = int(np.floor((k * cycle_s - late) / (per * cycle_s) + 1e-9))
         at = min(max(at, 0), sent.shape[0] - 1)
         for j in range(n):
             enc = np.round(q[j] / count) * count

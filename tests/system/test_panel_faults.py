@@ -82,7 +82,7 @@ def test_a_frozen_camera(anna, stack, tmp_path):
 
 
 def test_a_dead_3d_view(anna, tmp_path):
-    anna.page.wait_for_function("() => document.getElementById('view').src.includes('run=')", timeout=60_000)
+    anna.page.wait_for_function("() => document.getElementById('view').src.includes('run=')", timeout=240_000)
     process = anna.page.evaluate("() => new URL(document.getElementById('view').src).searchParams.get('run')")
     psutil.Process(int(process)).kill()
     after_one_second(anna, "viser-dead", tmp_path)

@@ -320,7 +320,10 @@ def test_parts_of_the_chain_are_enough() -> None:
     """Without sent references, without commands, without dynamics: what is left is judged, what is missing is named."""
     cases = {
         "no sent": (changed(MADE, Sent, lambda *_: None), ("controller", "actuator")),
-        "no u": (changed(MADE, PlcState, lambda _, row: replace(row, u_frac=())), ("link",)),
+        "no u": (
+            changed(MADE, PlcState, lambda _, row: replace(row, u_frac=())),
+            ("link", "actuator"),
+        ),  # the loop as one
         "no ref": (changed(MADE, PlcState, lambda _, row: replace(row, q_ref_rad=())), ("actuator",)),
     }
     for name, (made, stages) in cases.items():
