@@ -49,8 +49,8 @@ def _tried(drill: HoldDrill, way: str, number: int, seed: int) -> HoldCase:
     for attempt in range(RETRIES):
         try:
             case = drill.case(way, number, seed)
-        except (TimeoutError, RuntimeError) as error:
-            console.print(f"{way} {number}, attempt {attempt + 1}: {error}")
+        except Exception as error:  # playwright's errors are of a package that need not be installed
+            console.print(f"{way} {number}, attempt {attempt + 1}: {str(error).splitlines()[0]}")
             drill.forget_page()
             continue
         console.print(f"{way} {number}: {case.delay_ms:.1f} ms ({case.reason})", highlight=False)
