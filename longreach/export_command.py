@@ -43,7 +43,9 @@ def export_plc(
         _write(folder, written)
     except OSError as error:
         raise typer.BadParameter(f"{folder} cannot be written: {error.strerror}") from error
-    console.print(f"{len(written)} files in {folder}; begin with {folder / 'README.md'}", highlight=False, soft_wrap=True)
+    console.print(
+        f"{len(written)} files in {folder}; begin with {folder / 'README.md'}", highlight=False, soft_wrap=True
+    )
     left = _others(folder, written)
     if left:
         console.print(
