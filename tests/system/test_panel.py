@@ -171,9 +171,9 @@ def test_a_stale_tab_cannot_fire_a_plan_nor_can_a_replayed_request(anna, bert, s
     bert.step("preview")
     before = state(stack)
     assert before["plan"]["plan_hash"] != old_hash
+    mine = headers_of(sent[-1])
     status, told = anna.fetch("POST", "/v1/jobs", old_headers, {"kind": "execute", "plan_hash": old_hash})
     assert (status, told["code"]) == (409, "lease_lost")
-    mine = headers_of(sent[-1])
     status, told = bert.fetch("POST", "/v1/jobs", mine, {"kind": "execute", "plan_hash": old_hash})
     assert (status, told["code"]) == (409, "plan_refused")
     assert moved_deg(stack, before) < 1e-6

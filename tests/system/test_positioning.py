@@ -44,7 +44,7 @@ def test_without_plc_and_camera_it_says_so_and_nothing_starts(tmp_path):
         with httpx.Client(base_url=stack.url) as http:
             assert http.post("/v1/jobs", json={"kind": "position"}).json()["code"] == "no_lease"
             lease = http.post("/v1/lease", json={"owner": "test", "ttl_s": 60.0}).json()
-            http.headers |= {"Longreach-Lease": lease["lease_id"], "Longreach-Fencing": str(lease["fencing"])}
+            http.headers.update({"Longreach-Lease": lease["lease_id"], "Longreach-Fencing": str(lease["fencing"])})
             job = http.post("/v1/jobs", json={"kind": "position"}).json()
             ended = client_wait(http, job["job_id"])
             assert ended["state"] == "failed"
