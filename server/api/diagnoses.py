@@ -106,7 +106,13 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
 
 
 def _recording(folder: Path, body: RunDiagnosis | PathDiagnosis) -> Path | None:
-    return run_path(folder, body.run_id) if isinstance(body, RunDiagnosis) else inside(folder, body.path)
+    """What is to be diagnosed; None for whatever is no recording, such as the server's own database beside them."""
+    if isinstance(body, RunDiagnosis):
+        return run_path(folder, body.run_id)
+    found = inside(folder, body.path)
+    if found is None or not (found.suffix == ".mcap" or (found / "run.toml").is_file()):
+        return None
+    return found
 
 
 def _view(one: Diagnosis) -> DiagnosisView:

@@ -17,10 +17,12 @@ from typing import Annotated, Any
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from server.api.callers import caller_of, request_id_of
 from server.api.panel_memory import PanelMemory
 from server.api.panel_origin import same_origin
 from server.api.views import ExecuteRequest
 from server.errors import ServerError
+from server.jobs.commands import Command
 from server.jobs.engine import Job
 from server.jobs.hold import HoldToRun
 from server.jobs.service import JobBody, JobService
@@ -86,7 +88,7 @@ async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) ->
         text = await asyncio.wait_for(socket.receive_text(), PRESS_WAIT_S)
         press = Press.model_validate_json(text)
         lease = service.engine.leases.check(press.lease_id, press.fencing)
-        job = await service.start(press.press, lease)
+        job = await service.start(press.press, lease, Command(caller_of(socket), request_id_of(socket)))
     except (ServerError, LinkError) as error:
         return await _tell(socket, refused=str(error), code=getattr(error, "code", "link"))
     except (ValidationError, TimeoutError) as error:

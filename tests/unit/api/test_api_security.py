@@ -144,11 +144,22 @@ async def test_a_run_id_never_leaves_the_folder(keyed, tmp_path, run_id):
     (tmp_path / "keys.mcap").write_bytes(b"outside")
     (tmp_path / "runs" / ".hidden.mcap").write_bytes(b"hidden")
     (tmp_path / "runs" / "link.mcap").symlink_to(tmp_path / "keys.mcap")
+    (tmp_path / "runs" / "longreach.sqlite3").write_bytes(b"no recording")
+    (tmp_path / "runs" / "folder").mkdir()
     async with keyed.client("admin") as client:
         answer = await client.get(f"/v1/runs/{run_id}/mcap")
         assert answer.status_code in (404, 422)
         assert b"outside" not in answer.content
-        for path in (f"../{run_id}", "../keys.json", "/etc/passwd", "a/../../keys.json", ".", "a\x00b"):
+        for path in (
+            f"../{run_id}",
+            "../keys.json",
+            "/etc/passwd",
+            "a/../../keys.json",
+            ".",
+            "a\x00b",
+            "longreach.sqlite3",
+            "folder",
+        ):
             started = await client.post("/v1/diagnoses", json={"path": path})
             assert started.status_code == 404, path
 
