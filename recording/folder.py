@@ -148,6 +148,8 @@ def _value(kind: object, texts: list[str], where: str) -> object:
         return () if _all_missing(numbers) else tuple(numbers)
     if kind is int:
         missing = not numbers or math.isnan(numbers[0])
+        if not missing and math.isinf(numbers[0]):
+            raise RecordingError(f"{where}: {texts[0].strip()!r} is no count; give a whole number, or leave it empty")
         return MISSING_COUNT if missing else int(numbers[0])
     return numbers[0] if numbers else NAN
 

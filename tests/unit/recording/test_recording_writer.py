@@ -17,6 +17,7 @@ from recording.check import check_recording
 from recording.content import Attachment, column
 from recording.convert import convert
 from recording.errors import RecordingError
+from recording.folder import write_folder
 from recording.foxglove import FramePose
 from recording.messages import CODECS
 from recording.opening import read_run
@@ -225,6 +226,29 @@ def test_random_damage_gives_rows_or_recording_error(tmp_path: Path) -> None:
         except RecordingError:
             continue
         assert len(recording.rows) <= 662
+
+
+def test_a_chunk_of_an_impossible_size_is_damage(tmp_path: Path) -> None:
+    whole = bytearray(write(tmp_path / "whole.mcap", 300).read_bytes())
+    at, chunk_opcode = 8, 0x06
+    while whole[at] != chunk_opcode:
+        at += 9 + int.from_bytes(whole[at + 1 : at + 9], "little")
+    whole[at + 25 : at + 33] = (2**63 + 1).to_bytes(8, "little")  # behind opcode, length, first and last log time
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(whole)
+    assert not read_run(path).complete
+
+
+def test_an_infinite_count_in_a_folder_is_named(tmp_path: Path) -> None:
+    write_folder(read_run(write(tmp_path / "whole.mcap", 3)), tmp_path / "run")
+    path = tmp_path / "run" / "sent.csv"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    column = lines[0].split(",").index("seq")
+    cells = lines[1].split(",")
+    cells[column] = "inf"
+    path.write_text("\n".join([lines[0], ",".join(cells), *lines[2:]]), encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"sent\.csv.*'inf' is no count"):
+        read_run(tmp_path / "run")
 
 
 def test_a_killed_writer_leaves_a_readable_file(tmp_path: Path) -> None:
