@@ -21,8 +21,8 @@ from recording.rows import Row
 from recording.run import RunInfo, run_from_toml
 from recording.writer import IMAGE_TOPIC, LOG_TOPIC
 
-# What the MCAP reader raises on bytes that end or are damaged; its decompressors have errors of their own. The last two:
-# a damaged size of a chunk, which they believe.
+# What the MCAP reader raises on bytes that end or are damaged; its decompressors have errors of their own. Overflow and
+# memory: a damaged size of a chunk, which they believe.
 CUT_ERRORS = (McapError, EOFError, struct.error, zlib.error, ValueError, KeyError, OSError, OverflowError, MemoryError)
 
 LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
