@@ -57,6 +57,7 @@ class Nominal:
     baseline: tuple[EffectEntry, ...]
     absent: tuple[tuple[str, str], ...]
     remainders: tuple[Remainder, ...] = ()
+    serial: str = ""
 
     def remainder(self, stage: str, joint: int | None = None, on: str = "") -> Remainder | None:
         """What the baseline leaves of one stage; None where the file says nothing."""
@@ -124,6 +125,7 @@ class _Reader:
             baseline=parse_entries(self._tables.get("effect"), max(len(names), 1)),
             absent=tuple(self._absent),
             remainders=parse_remainders(self._tables.get("remainder")),
+            serial=str(machine.get("serial", "")),
         )
 
     def _lack(self, part: str, needed: tuple[str, ...]) -> bool:

@@ -51,9 +51,6 @@ def read(path: Path, machine_file: Path | None = None) -> Read:
         findings += _guarded(lambda: header_findings(path), path.name)
     try:
         recording = read_run(path)
-    except OverflowError as error:  # a count that is infinite
-        text = f"a count is no whole number: {error}"
-        return Read(path, None, None, (), (*findings, Finding("unreadable", "fatal", path.name, text)))
     except RecordingError as error:
         return Read(path, None, None, (), (*findings, _unreadable(path, error)))
     return examine(recording, path, machine_file, findings)

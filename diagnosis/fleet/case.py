@@ -4,7 +4,6 @@ The result is a plain dictionary that depends on the recording, the machine file
 """
 
 import hashlib
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,6 @@ from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
 from diagnosis.errors import DiagnosisError
 from diagnosis.reading import Read, read
-from recording.errors import RecordingError
-from recording.opening import read_run
 
 FORMAT = 1
 
@@ -23,9 +20,8 @@ def diagnosed(path: str, machine_file: str | None = None) -> dict[str, Any]:
 
     Returns: `status` "diagnosed", "unusable" (see `findings`) or "failed" (see `reason`); whose and when.
     """
-    file = None if machine_file is None else Path(machine_file)
-    whole = read(Path(path), file)
-    out: dict[str, Any] = {"format_version": FORMAT, "recording": Path(path).name, **_whose(Path(path), file, whole)}
+    whole = read(Path(path), None if machine_file is None else Path(machine_file))
+    out: dict[str, Any] = {"format_version": FORMAT, "recording": Path(path).name, **_whose(whole)}
     findings = [{"code": one.code, "severity": one.severity, "text": str(one)} for one in whole.findings]
     if not whole.usable:
         return {**out, "status": "unusable", "findings": findings}
@@ -46,19 +42,11 @@ def fingerprint(path: Path, machine_file: Path | None, version: str) -> str:
     return digest.hexdigest()
 
 
-def _whose(path: Path, machine_file: Path | None, whole: Read) -> dict[str, Any]:
+def _whose(whole: Read) -> dict[str, Any]:
     """Machine, serial number and time of a recording; empty texts where it does not say."""
-    out = {"machine": whole.nominal.name if whole.nominal is not None else "", "serial": "", "started_utc": ""}
-    try:
-        recording = read_run(path)
-    except (RecordingError, OverflowError):
-        return out
-    out["started_utc"] = recording.run.started_utc
-    text = machine_file.read_text(encoding="utf-8") if machine_file is not None else recording.machine_toml
-    try:
-        section = tomllib.loads(text or "").get("machine", {})
-    except tomllib.TOMLDecodeError:
-        return out
-    if isinstance(section, dict):
-        out["serial"] = str(section.get("serial", ""))
-    return out
+    nominal, tables = whole.nominal, whole.tables
+    return {
+        "machine": nominal.name if nominal is not None else "",
+        "serial": nominal.serial if nominal is not None else "",
+        "started_utc": tables.run.started_utc if tables is not None else "",
+    }

@@ -3,7 +3,7 @@
 from html import escape
 
 from diagnosis.fleet.summary import Drift, Fleet, Shared
-from diagnosis.report.style import STYLE
+from diagnosis.report.html import document, section, table
 
 WORDS = {"none": "✓ none", "effects": "! effects", "outside": "✗ outside", "undecided": "? undecided"}
 
@@ -20,8 +20,7 @@ def fleet_page(fleet: Fleet, name: str) -> str:
         _section("Every size found", [_found(fleet, k) for k in range(len(fleet.found))], FOUND),
         _section("Not usable", list(fleet.unusable), ("recording", "why")),
     ]
-    head = f'<meta charset="utf-8"><title>{escape(name)}</title><style>{STYLE}</style>'
-    return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(body)}</body></html>\n'
+    return document(name, "".join(body))
 
 
 SHARED = ("effect", "joint", "machines that have it", "looked for and not found on")
@@ -55,8 +54,4 @@ def _joint(joint: int | None) -> str:
 
 
 def _section(title: str, rows: list[tuple[str, ...]], columns: tuple[str, ...]) -> str:
-    if not rows:
-        return ""
-    head = "".join(f"<th>{escape(column)}</th>" for column in columns)
-    lines = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<h2>{escape(title)}</h2><table><tr>{head}</tr>{lines}</table>"
+    return section(title, table(columns, rows))

@@ -6,8 +6,8 @@ from typing import Any
 
 from diagnosis.report.chain import chain
 from diagnosis.report.curves import CellCurves
+from diagnosis.report.html import document, section, table
 from diagnosis.report.plots import plots
-from diagnosis.report.style import STYLE
 from diagnosis.report.svg import bar
 from diagnosis.report.text import effects_text, place_text
 from diagnosis.report.words import next_text, verdict_text, what_it_looks_like
@@ -20,23 +20,18 @@ def page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] = ()) -
     """The whole page. `result`: the answer's JSON; `curves`: what cannot be drawn from it."""
     body = [
         _head(result, name),
-        _section("Where the gap lies", chain(result)),
-        _section("Measured, nominal, nominal with the effects", plots(curves)),
-        _section("How likely", _hypotheses(result) + _classes(result)),
-        _section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
-        _section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
-        _section("What nothing explains", _table(result["unexplained"], UNEXPLAINED)),
-        _section("What the recording lacked", _table(result["missing"], (("signal", "signal"), ("costs", "costs")))),
-        _section("Findings about the recording", _table(result["findings"], FINDINGS)),
+        section("Where the gap lies", chain(result)),
+        section("Measured, nominal, nominal with the effects", plots(curves)),
+        section("How likely", _hypotheses(result) + _classes(result)),
+        section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
+        section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
+        section("What nothing explains", _table(result["unexplained"], UNEXPLAINED)),
+        section("What the recording lacked", _table(result["missing"], (("signal", "signal"), ("costs", "costs")))),
+        section("Findings about the recording", _table(result["findings"], FINDINGS)),
         _details("Every place: stage, joint, axis, regime", _table(_places(result), PLACES)),
         _details("Smallest effects this recording could have shown", _table(result["detection_limits"], LIMITS)),
     ]
-    title = escape(f"{name}: {result['verdict']}")
-    head = (
-        '<meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
-        f"<title>{title}</title><style>{STYLE}</style>"
-    )
-    return f'<!doctype html><html lang="en"><head>{head}</head><body>{"".join(body)}</body></html>\n'
+    return document(f"{name}: {result['verdict']}", "".join(body))
 
 
 UNEXPLAINED = (
@@ -80,10 +75,6 @@ def _head(result: dict[str, Any], name: str) -> str:
         f"<div><h1>{escape(words.headline)}</h1><ul>{facts}</ul></div></header>"
         f"{what_it_looks_like(result)}"
     )
-
-
-def _section(title: str, body: str) -> str:
-    return f"<section><h2>{escape(title)}</h2>{body}</section>" if body else ""
 
 
 def _details(title: str, body: str) -> str:
@@ -140,14 +131,4 @@ def _limits(one: dict[str, Any]) -> str:
 
 
 def _table(rows: list[dict[str, Any]], columns: tuple[tuple[str, str], ...]) -> str:
-    if not rows:
-        return ""
-    head = "".join(f"<th>{escape(title)}</th>" for _, title in columns)
-    lines = "".join("<tr>" + "".join(_cell(row.get(key)) for key, _ in columns) + "</tr>" for row in rows)
-    return f"<table><tr>{head}</tr>{lines}</table>"
-
-
-def _cell(value: Any) -> str:
-    if isinstance(value, float):
-        return f'<td class="n">{value:.4g}</td>'
-    return f"<td>{'' if value is None else escape(str(value))}</td>"
+    return table([title for _, title in columns], [[row.get(key) for key, _ in columns] for row in rows])

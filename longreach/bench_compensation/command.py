@@ -12,6 +12,7 @@ from rich.table import Table
 from longreach.bench_compensation.run import VARIANTS, Compared, compare
 from longreach.bench_machines.paired import paired_change
 from longreach.reproduce.noise_model import fitted_noise
+from longreach.reproduce.saved_lines import whole_lines
 from longreach.reproduce.summary import share
 from server.settings import read_machine, read_machine_text
 
@@ -30,7 +31,7 @@ def compensation(
     cv2.setNumThreads(1)
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "compared.jsonl"
-    found = {one.seed: one for one in read_compared(file)}
+    found = {one.seed: one for one in whole_lines(file, Compared.of_line)}
     noise, nominal, text = fitted_noise(), read_machine(machine), read_machine_text(machine)
     wanted = range(seed, seed + n)
     with file.open("a", encoding="utf-8") as out:
@@ -47,17 +48,6 @@ def compensation(
             out.flush()
             console.print(_line(one))
     tell([found[number] for number in wanted if number in found])
-
-
-def read_compared(file: Path) -> list[Compared]:
-    """Whole lines of a file; others are run again."""
-    out = []
-    for text in filter(None, file.read_text(encoding="utf-8").splitlines() if file.exists() else []):
-        try:
-            out.append(Compared.of_line(text))
-        except (ValueError, KeyError, TypeError):
-            continue
-    return out
 
 
 def _line(one: Compared) -> str:

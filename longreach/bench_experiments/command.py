@@ -10,6 +10,7 @@ from rich.table import Table
 
 from longreach.bench_experiments.cases import PAIRS
 from longreach.bench_experiments.run import Outcome, run_case
+from longreach.reproduce.saved_lines import whole_lines
 from longreach.reproduce.summary import share
 
 console = Console(width=150)
@@ -38,7 +39,7 @@ def experiments(
 
 def _run_pair(pair: str, n: int, seed: int, file: Path) -> list[Outcome]:
     """Cases of a pair until n are ambiguous, those on file read back."""
-    known = {one.seed: one for one in read_outcomes(file)}
+    known = {one.seed: one for one in whole_lines(file, lambda text: Outcome(**json.loads(text)))}
     out: list[Outcome] = []
     with file.open("a", encoding="utf-8") as lines:
         lines.write("\n")
@@ -52,17 +53,6 @@ def _run_pair(pair: str, n: int, seed: int, file: Path) -> list[Outcome]:
                 lines.flush()
                 console.print(f"{pair} {number}: {one.truth}, {one.what}: P {one.p_first:.3f} -> {one.p_both:.3f}")
             out.append(one)
-    return out
-
-
-def read_outcomes(file: Path) -> list[Outcome]:
-    """Whole lines of a file; others are run again."""
-    out = []
-    for text in filter(None, file.read_text(encoding="utf-8").splitlines() if file.exists() else []):
-        try:
-            out.append(Outcome(**json.loads(text)))
-        except (ValueError, TypeError):
-            continue
     return out
 
 

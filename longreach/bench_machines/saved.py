@@ -13,6 +13,7 @@ from longreach.bench_machines.variants import ABLATIONS, DEFAULT
 from longreach.reproduce.fast_machine import QuasiStaticMachine
 from longreach.reproduce.fine_machine import FineMachine
 from longreach.reproduce.noise_model import fitted_noise
+from longreach.reproduce.saved_lines import whole_lines
 from server.settings import read_machine
 
 VARIANTS = {one.name: one for one in (DEFAULT, *ABLATIONS)}
@@ -57,13 +58,7 @@ def run_machines(
 
 def read_runs(file: Path) -> list[MachineRun]:
     """Whole lines of a file; a line cut off by a stop, or of another version, is run again."""
-    runs = []
-    for text in filter(None, file.read_text(encoding="utf-8").splitlines() if file.exists() else []):
-        try:
-            runs.append(MachineRun.from_dict(json.loads(text)))
-        except (json.JSONDecodeError, KeyError, TypeError):
-            continue
-    return runs
+    return whole_lines(file, lambda text: MachineRun.from_dict(json.loads(text)))
 
 
 def _fresh(order: Order, seeds: Iterable[int], workers: int) -> Iterator[MachineRun]:

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 Key = TypeVar("Key", int, str)
+Item = TypeVar("Item")
 Line = dict[str, Any]
 
 
@@ -32,6 +33,17 @@ def read_lines(path: Path) -> dict[Any, Line]:
         except (json.JSONDecodeError, KeyError, TypeError) as error:
             if number < len(rows):
                 raise SavedLineError(f"{path}, line {number}: {error!r}; remove the line or the file") from error
+    return found
+
+
+def whole_lines(path: Path, item_of: Callable[[str], Item]) -> list[Item]:
+    """What every line of a file stands for; one cut off by a stop, or of another version, is passed over."""
+    found = []
+    for text in filter(None, path.read_text(encoding="utf-8").splitlines() if path.exists() else []):
+        try:
+            found.append(item_of(text))
+        except (ValueError, KeyError, TypeError):
+            continue
     return found
 
 
