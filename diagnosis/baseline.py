@@ -11,15 +11,17 @@ import numpy as np
 from diagnosis.candidates import Candidate, put
 from diagnosis.cells import Cell
 from diagnosis.cells_behind import behind_cells, joined, measurement_of, told_behind, without
+from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_dynamic import SKIPPED, STAGES, Replay, part_increments, stage_cells
+from diagnosis.corner_noise import PLAIN, groups_of, left_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
 from diagnosis.floor import deviations, fit_whitener
 from diagnosis.reading import Read
 from diagnosis.refusal import key_of, tests_of
 from diagnosis.replay import replayer_of
-from diagnosis.score import Score, better, score
-from diagnosis.search import Scan, scan, search
+from diagnosis.score import Score, better, numbers_of, score
+from diagnosis.search import Scan, foreseen, scan, search
 from diagnosis.stretches import repeat_groups
 from machine.effects.entries import EffectEntry, make_entry, pack
 from machine.effects.layout import ParameterSets
@@ -31,9 +33,11 @@ from machine.rotations import Array
 EFFECTS_MAX = 9  # in one cell
 TRIED = 3  # of the best scanned, fitted at each step
 ROUNDS = 5
+PASSES = 3  # at most, each by the floor that the one before it left
 FELT = 100.0  # change of the residual, squared floors
 FEW = 2
-CHANCE_NATS = 3.0  # that the best of some dozen wrong names gains by chance
+CHANCE_NATS = 4.5  # that the best of some dozen wrong names gains by chance: three quarters of the margin of a name
+CHANCE_MORE_NATS = 2.0  # for each further number that it may choose
 CHECKED_MIN = 2  # recordings that the baseline is judged on
 Progress = Callable[[str], None]
 
@@ -50,12 +54,12 @@ class CellBaseline:
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """Effects and remainders for the machine file. `best_wrong_nats`: by cell, what a wrong name gains at most."""
+    """Effects and remainders for the machine file. `best_wrong`: by cell, what a wrong name gains over chance."""
 
     effects: tuple[EffectEntry, ...]
     remainders: tuple[Remainder, ...]
     cells: tuple[CellBaseline, ...]
-    best_wrong_nats: tuple[tuple[str, float], ...]
+    best_wrong: tuple[tuple[str, float], ...]
 
 
 def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = lambda _text: None) -> Baseline:
@@ -67,14 +71,7 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
         raise DiagnosisError(
             f"{len(fitted)} recordings to fit and {len(checked)} to judge; give at least 1 and {CHECKED_MIN}"
         )
-    groups = _grouped([_bare(one) for one in fitted])
-    if not groups:
-        raise DiagnosisError("no stage of these recordings can be replayed; see what is missing by `recording check`")
-    effects: list[EffectEntry] = []
-    for label, cell in groups.items():
-        progress(f"fitting {label}")
-        effects += entries_of(forward(cell).fit)
-    entries = tuple(effects)
+    entries = _settled(fitted, progress)
     progress("what is left on the other recordings")
     remainders = _remainders([_with(one, entries, ()) for one in checked])
     gains, usual = _wrong_gains([_with(one, entries, remainders) for one in checked], progress)
@@ -82,14 +79,34 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     return Baseline(entries, finished, _judged(checked, entries), tuple(gains.items()))
 
 
+def _settled(fitted: list[Read], progress: Progress) -> tuple[EffectEntry, ...]:
+    """Effects by the floor that they leave themselves, fitted again until their names stay.
+
+    Why: the oil swings by several floors. Weighed by the noise alone, that swing decides what is worth fitting; by the
+    filter that whitens it, and by what each kind of measurement is left with, small effects beside it are seen.
+    """
+    entries: tuple[EffectEntry, ...] = ()
+    remainders: tuple[Remainder, ...] = ()
+    for number in range(1, PASSES + 1):
+        before = [(one.name, one.joint) for one in entries]
+        groups = _grouped([_with(one, (), remainders) for one in fitted])
+        if not groups:
+            raise DiagnosisError("no stage of these recordings can be replayed; see `longreach recording check`")
+        found: list[EffectEntry] = []
+        for label, cell in groups.items():
+            progress(f"fitting {label}, pass {number} of at most {PASSES}")
+            found += entries_of(forward(cell).fit)
+        entries = tuple(found)
+        if [(one.name, one.joint) for one in entries] == before:
+            break
+        remainders = _remainders([_with(one, entries, ()) for one in fitted])
+    return entries
+
+
 def _with(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:
     if whole.nominal is None:
         raise DiagnosisError(f"{whole.path.name}: there is no machine file")
     return replace(whole, nominal=replace(whole.nominal, baseline=effects, remainders=remainders))
-
-
-def _bare(whole: Read) -> Read:
-    return _with(whole, (), ())
 
 
 def cells_of(whole: Read) -> list[Cell]:
@@ -117,17 +134,18 @@ def _grouped(wholes: list[Read]) -> dict[str, Cell]:
 def forward(cell: Cell) -> Score:
     """Effects added one by one while they pass the margin, all refitted each time; then dropped where not needed.
 
-    The margin is counted in units of what the best model leaves (chi2/n): a plant's form is never met to the floor.
+    The margin is counted in units of what the best model leaves (chi2/n): a plant's form is never met to the floor. It
+    is no share of what is gained in all, as a diagnosis asks: what is small and steady belongs to the machine, too.
     """
     none = chosen = score(cell, neutral_fit(cell))
     scans = [scan(cell, one, none.fit) for one in cell.candidates]
     while len(chosen.fit.hypothesis) < EFFECTS_MAX:
         found = [_more(cell, chosen, one) for one in _promising(cell, chosen.fit, scans)]
         best = max(found, key=lambda one: one.total, default=None)
-        if best is None or not better(best, chosen, none, _left(best)):
+        if best is None or not better(best, chosen, chosen, _left(best)):
             break
         chosen = best
-    return _pruned(cell, chosen, none)
+    return _pruned(cell, chosen)
 
 
 def _left(one: Score) -> float:
@@ -142,7 +160,11 @@ def _promising(cell: Cell, found: Fit, scans: list[Scan]) -> list[tuple[Candidat
     for one in scans:
         if one.candidate.key in used:
             continue
-        tried = one.thetas if not found.hypothesis else _few(one)
+        tried = one.thetas
+        if found.hypothesis:
+            few = _few(one)
+            changes = evaluated(on_top, (one.candidate,), few) - found.residual
+            tried = np.concatenate([few, foreseen(one.candidate, few, changes, found.residual)])
         totals = costs(evaluated(on_top, (one.candidate,), tried)).sum(axis=1)
         ranked.append((float(totals.min()), one.candidate, tried[int(np.argmin(totals))]))
     ranked.sort(key=lambda row: row[0])
@@ -151,6 +173,8 @@ def _promising(cell: Cell, found: Fit, scans: list[Scan]) -> list[tuple[Candidat
 
 def _few(one: Scan) -> Array:
     """The scan's best size, and on each side of neutral the smallest that moves the residual clearly."""
+    if one.candidate.vector:
+        return one.thetas
     felt = np.nonzero(one.energy > FELT)[0]
     order = felt[np.argsort(one.energy[felt])][:FEW]
     return one.thetas[np.unique(np.append(order, one.best))]
@@ -162,13 +186,13 @@ def _more(cell: Cell, chosen: Score, added: tuple[Candidate, Array]) -> Score:
     return score(cell, fit(cell, (*chosen.fit.hypothesis, candidate), start, ROUNDS))
 
 
-def _pruned(cell: Cell, chosen: Score, none: Score) -> Score:
+def _pruned(cell: Cell, chosen: Score) -> Score:
     for out in chosen.fit.hypothesis[:-1]:
         rest = tuple(one for one in chosen.fit.hypothesis if one is not out)
         keep = np.concatenate([np.full(len(one.slots), one is not out) for one in chosen.fit.hypothesis])
         smaller = score(cell, fit(cell, rest, chosen.fit.theta[keep], ROUNDS))
-        if not better(chosen, smaller, none, _left(chosen)):
-            return _pruned(cell, smaller, none)
+        if not better(chosen, smaller, smaller, _left(chosen)):
+            return _pruned(cell, smaller)
     return chosen
 
 
@@ -210,15 +234,35 @@ def _remainders(checked: list[Read]) -> tuple[Remainder, ...]:
         if stage in STAGES:
             out += _dynamic(stage, cells)
         else:
-            out.append(Remainder(stage, joint, on, *_plain(cells)))
+            out.append(_plain(cells, Remainder(stage, joint, on, 0.0, 0.0)))
     return tuple(out)
 
 
-def _plain(cells: list[Cell]) -> tuple[float, float]:
-    """Remainder [m or px] of points or corners, twice: nothing is whitened there."""
-    squares = [float(np.mean((cell.whitened(cell.base)[0] * cell.scale) ** 2) - cell.scale[0] ** 2) for cell in cells]
-    left = float(np.sqrt(max(0.0, np.mean(squares))))
-    return left, left
+def _plain(cells: list[Cell], where: Remainder) -> Remainder:
+    """Remainder [m or px] of points or corners, in all and by axis: nothing is whitened there."""
+    if where.stage == "camera":
+        return _of_corners(cells, where)
+    squares = np.zeros(3)
+    for cell in cells:
+        excess = cell.scale**2 * (cell.whitened(cell.base)[0] ** 2 - 1.0) / len(cells)
+        squares += [float(np.mean(excess[cell.rows.channel == k])) for k in range(3)]
+    by_axis = np.sqrt(np.maximum(squares, 0.0))
+    left = float(np.sqrt(np.mean(by_axis**2)))
+    return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis))
+
+
+def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
+    """What is left of each corner, and what all corners of a frame share."""
+    found = []
+    for cell in cells:
+        seen = cell.whitened
+        if isinstance(seen, CornerResidual):
+            raw = replace(seen, noise=PLAIN)(cell.base)[0]
+            found.append(left_of(raw, groups_of(seen.frames.pixels), seen.noise))
+    own, shared = (np.sqrt(np.mean([getattr(one, part) ** 2 for one in found], axis=0)) for part in ("own", "shared"))
+    left = float(np.sqrt(np.mean(own**2)))
+    both = float(np.sqrt(np.mean(own**2 + shared**2)))
+    return replace(where, sigma=left, rms=both, by_axis=tuple(float(x) for x in shared))
 
 
 def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
@@ -266,12 +310,17 @@ def _noise(stage: str, cell: Cell, replay: Replay, column: int, order: int) -> l
     return deviations(np.stack([one[:rows] for one in steps])) if rows > order + 20 else []
 
 
+def _beyond_chance(one: Score, none: Score) -> float:
+    """What a name gains over what chance gives, which is more for a name with more numbers."""
+    return (one.total - none.total) / (CHANCE_NATS + CHANCE_MORE_NATS * max(0, numbers_of(one.fit) - 1))
+
+
 Usual = dict[tuple[str, int | None, str], dict[str, float]]
 
 
 def _wrong_gains(checked: list[Read], progress: Progress) -> tuple[dict[str, float], Usual]:
-    """On undisturbed recordings: by cell, the most that any wrong name gains [nats, not yet divided]; by part, the
-    tests that fire and their largest sizes.
+    """On undisturbed recordings: by cell, the most that a wrong name gains, over what chance gives; by part, the tests
+    that fire and their largest sizes.
     """
     out: dict[str, float] = {}
     usual: Usual = {}
@@ -279,8 +328,10 @@ def _wrong_gains(checked: list[Read], progress: Progress) -> tuple[dict[str, flo
         progress(f"what a wrong name would gain: recording {number} of {len(checked)}")
         for cell in cells_of(whole):
             found = search(cell)
-            best = max(one.total for one in found.scored) - found.none.total
-            out[cell.label] = max(out.get(cell.label, 0.0), best)
+            best = max(found.scored, key=lambda one: _beyond_chance(one, found.none))
+            names = " + ".join(f"{one.name} {one.joint or ''}".strip() for one in best.fit.hypothesis)
+            progress(f"  {cell.label}: {names or 'nothing'} gains {best.total - found.none.total:.3g} nats")
+            out[cell.label] = max(out.get(cell.label, 0.0), _beyond_chance(best, found.none))
             _note_tests(cell, found.none.held_out, usual)
     return out, usual
 
@@ -305,9 +356,9 @@ def _spread(remainders: tuple[Remainder, ...], gains: dict[str, float]) -> tuple
     out = []
     for one in remainders:
         label = one.stage if one.stage == "link" or one.joint is None else f"{one.stage} {one.joint}"
-        out.append(replace(one, spread=max(1.0, gains.get(label, 0.0) / CHANCE_NATS)))
+        out.append(replace(one, spread=max(1.0, gains.get(label, 0.0))))
     if "structure" in gains:
-        out.append(Remainder("structure", None, "", 0.0, 0.0, (), max(1.0, gains["structure"] / CHANCE_NATS)))
+        out.append(Remainder("structure", None, "", 0.0, 0.0, (), max(1.0, gains["structure"])))
     return tuple(out)
 
 

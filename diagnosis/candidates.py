@@ -13,10 +13,13 @@ from machine.rotations import Array
 SIZES = (0.004, 0.012, 0.035, 0.1, 0.25, 0.6)  # of the bound: where the scan looks, neutral 0
 LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral 1 or inf)
 PHASES = (-2.0, -0.4, 1.2, 2.7)
+FREQUENCIES_HZ = (1.2, 2.5, 5.0)  # a swing's cost has a valley for each
 #: Effects of the joint stage that the encoder shows against the valve command.
 SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
 #: Effects of the joint stage that points or markers behind the encoder show.
 SEEN_BEHIND_ENCODER = ("encoder_bias", "encoder_scale", "encoder_eccentricity", "backlash")
+#: Effects that need the encoders' course in time, and the actuators' cycle to follow it.
+SEEN_IN_MOTION = ("backlash", "link_flexibility")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,9 +38,14 @@ class Candidate:
         """Effect and joint, whatever the variant."""
         return self.name, self.joint
 
+    @property
+    def vector(self) -> bool:
+        """Whether its numbers are the components of a direction."""
+        return len(self.slots) > 1 and self.slots[0].parameter == self.slots[1].parameter
+
     def starts(self) -> Array:
         """Where the scan looks (m, slots)."""
-        if len(self.slots) > 1 and self.slots[0].parameter == self.slots[1].parameter:
+        if self.vector:
             return _around(self.slots)  # a direction's vector: along each axis, both signs
         grids = [_grid(slot) for slot in self.slots]
         if self.fixed:  # many variants of one effect, each as strong as it is large
@@ -81,6 +89,8 @@ def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]
 def _grid(slot: Slot) -> Array:
     if slot.parameter == "phase_rad":
         return np.array(PHASES)
+    if slot.parameter == "frequency_hz":
+        return np.array(FREQUENCIES_HZ)
     effect = effect_named(slot.effect)
     if effect is not None and effect.size.name != slot.parameter:
         return np.array([slot.start])

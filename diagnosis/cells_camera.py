@@ -6,9 +6,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import SEEN_BEHIND_ENCODER, candidates_of, named
+from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, candidates_of, named
 from diagnosis.cells import Cell, Rows
 from diagnosis.cells_points import rows_of, saturated_floor
+from diagnosis.corner_noise import PLAIN, CornerNoise, groups_of, noise_of_visits
 from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
@@ -27,6 +28,7 @@ MARGIN_S = 0.6  # a stretch's ends: the clock's offset may lie this far off
 SIGMA_MIN_PX = 0.03
 STILL_RAD = 3e-4
 VISITS_S = 3.0
+VISITED_MIN = 20  # corners seen again
 NUDGE = 1e-4
 FAR_PX = 1e3
 VIEWS_MIN = 4  # poses of the object to place it by
@@ -54,13 +56,13 @@ class CornerResidual:
     t_zero_s: float
     T_base_ooi: Array
     nuisance: Array
-    sigma: float
+    noise: CornerNoise
 
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
         plain = without_encoders(sets)
         rows = [self._one(sets, plain, k) for k in range(sets.sets)]
-        return np.asarray(np.array(rows) / self.sigma, dtype=float)
+        return self.noise.white(np.array(rows), groups_of(self.frames.pixels))
 
     def _one(self, sets: ParameterSets, plain: ParameterSets, k: int) -> Array:
         later = bool(sets.machine[k, READOUT])
@@ -68,9 +70,14 @@ class CornerResidual:
         residual = self.difference(plain, k, T, T_later, self.T_base_ooi)
         if self.on == "tool" or self.nuisance.shape[1] == 0:
             return residual
-        moved = self.T_base_ooi @ _small(-_solved(self.nuisance, residual))
+        moved = self.T_base_ooi @ _small(-self.place(residual))
         residual = self.difference(plain, k, T, T_later, moved)
-        return np.asarray(residual - self.nuisance @ _solved(self.nuisance, residual), dtype=float)
+        return np.asarray(residual - self.nuisance @ self.place(residual), dtype=float)
+
+    def place(self, residual: Array) -> Array:
+        """Change of the OOI's place (6,) that explains most of a residual (N,) [px]."""
+        both = self.noise.white(np.vstack([self.nuisance.T, residual]), groups_of(self.frames.pixels))
+        return _solved(both[:-1].T, both[-1])
 
     def poses(self, sets: ParameterSets, plain: ParameterSets, k: int, later_s: float) -> Array:
         """Ts_cam_base (m, 4, 4), or Ts_cam_tcp where the tool is looked at."""
@@ -160,25 +167,26 @@ def _cell(
 ) -> list[Cell]:
     at = inside(paths, frames.t_s) if on == "ooi" else np.zeros(len(frames.t_s), dtype=np.int64)
     t_zero = float(paths[0].t_s[0]) if paths else 0.0
-    rough = CornerResidual(nominal, frames, on, paths, at, t_zero, np.eye(4), np.zeros((0, 0)), 1.0)
+    rough = CornerResidual(nominal, frames, on, paths, at, t_zero, np.eye(4), np.zeros((0, 0)), PLAIN)
     placed = _placed(rough, nominal, table, base)
     if placed is None:
         return []
     joints = tuple(range(1, nominal.n + 1))
     candidates = candidates_of("camera", joints, True)
     if on == "ooi":
-        structure = candidates_of("structure", joints, True)
-        candidates = tuple(one for one in structure if one.name != "link_flexibility") + candidates
-        behind = tuple(name for name in SEEN_BEHIND_ENCODER if nominal.actuators is not None or name != "backlash")
-        candidates += named(behind, joints) + candidates_of("time", joints, True)
+        arm = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
+        moving = nominal.actuators is not None
+        candidates = tuple(one for one in arm if moving or one.name not in SEEN_IN_MOTION) + candidates
+        candidates += candidates_of("time", joints, True)
     else:
         candidates = tuple(one for one in candidates if one.name not in TIMED)
     candidates = tuple(one for one in candidates if one.name != "odometry_scale")
     known = _floor(placed, base)
-    sigma = max(known if known is not None else saturated_floor(placed, base, candidates), SIGMA_MIN_PX)
+    noise = known if known is not None else replace(PLAIN, own=np.full(2, saturated_floor(placed, base, candidates)))
+    noise = replace(noise, own=np.maximum(noise.own, SIGMA_MIN_PX))
     record = nominal.remainder("camera", on=on)
-    sigma = float(np.hypot(sigma, record.sigma)) if record is not None else sigma
     rows, t_s = _rows(frames)
+    noise = noise.with_remainder(record)
     return [
         Cell(
             stage="camera",
@@ -186,9 +194,9 @@ def _cell(
             unit="px",
             candidates=candidates,
             base=base,
-            whitened=replace(placed, sigma=sigma),
+            whitened=replace(placed, noise=noise),
             rows=rows,
-            scale=np.full(rows.count, sigma),
+            scale=np.hypot(noise.own, noise.shared)[rows.channel % 2],
             quiet=1.0,
             floor_known=known is not None,
             same_kind=False,
@@ -243,22 +251,19 @@ def _rows(frames: Frames) -> tuple[Rows, Array]:
     return cut, np.repeat(frames.t_s, seen.shape[1])[kept]
 
 
-def _floor(placed: CornerResidual, base: ParameterSets) -> float | None:
-    """RMS deviation where the same pose was looked at again, seconds apart; None where that never happened."""
+def _floor(placed: CornerResidual, base: ParameterSets) -> CornerNoise | None:
+    """Deviations where the same pose was looked at again, seconds apart; None where that never happened."""
+    pixels = placed.frames.pixels
+    flat = pixels.reshape(len(pixels), -1, 2)
     if placed.on == "tool":
-        spread = np.nanstd(placed.frames.pixels, axis=0, ddof=1)
-        return float(np.sqrt(np.nanmean(spread**2))) if np.isfinite(spread).any() else None
+        return noise_of_visits([flat], 1)
     q = link_angles(placed.paths, base, 0, placed.at, placed.frames.t_s)
-    flat = placed.frames.pixels.reshape(len(q), -1)
-    squares, dof = 0.0, 0
+    visits: list[Array] = []
     left = list(range(len(q)))
     while left:
         first = left.pop(0)
         same = [k for k in left if np.abs(q[k] - q[first]).max() < STILL_RAD]
         if any(placed.frames.t_s[k] - placed.frames.t_s[first] > VISITS_S for k in same):
-            group = flat[[first, *same]]
-            group = group[:, np.isfinite(group).all(axis=0)]
-            squares += float(((group - group.mean(axis=0)) ** 2).sum())
-            dof += group.shape[1] * len(same)
+            visits.append(flat[[first, *same]])
         left = [k for k in left if k not in set(same)]
-    return float(np.sqrt(squares / dof)) if dof >= 40 else None
+    return noise_of_visits(visits, VISITED_MIN)

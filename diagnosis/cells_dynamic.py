@@ -36,7 +36,7 @@ NO_NOISE = 0.2  # of the least sigma: below it repeats are equal but for roundin
 SIGMA_MIN = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # nothing smaller moves the tcp by 0.1 mm
 TIMING_S = 1.5e-3
 PASSES = 3
-STEP_SHARE = 0.2  # of an encoder's step: rounding that repeats do not show when they round alike
+STEP_SHARE = 0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
 
 
 @dataclass(frozen=True, slots=True)

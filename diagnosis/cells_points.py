@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import SEEN_BEHIND_ENCODER, Candidate, candidates_of, named, put
+from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, Candidate, candidates_of, named, put
 from diagnosis.cells import Cell, Rows
 from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
-from diagnosis.points import PointData, fit_points, static_data, tracked_data
+from diagnosis.points import PointData, PointFit, fit_points, static_data, tracked_data
 from diagnosis.reading import Read
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
+from machine.remainder import Remainder
 from machine.rotations import Array
 
 ROWS_MAX = 300
@@ -22,17 +23,22 @@ SIGMA_MIN_M = 2e-5
 SAME_POSE_RAD = 2e-3
 DIRECTION_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is no noise
 POINT_ROWS_MIN = 6
+FEW, ENOUGH = 3, 12  # repeated points for a floor at all, and for one of each axis
 
 
 @dataclass(frozen=True, slots=True)
 class PointResidual:
-    """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time."""
+    """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time.
+
+    Axes: radial, tangential and up about the base's upright, since a slewing arm swings across far more than it bends.
+    `sigma`: (3,) [m].
+    """
 
     nominal: Nominal
     data: PointData
     paths: tuple[Path, ...]
     at: NDArray[np.int64]
-    sigma: float
+    sigma: Array
 
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
@@ -40,13 +46,22 @@ class PointResidual:
         rows = []
         for k in range(sets.sets):
             data = replace(self.data, q=self._angles(sets, k))
-            rows.append(fit_points(self.nominal, plain, data, k).residual.ravel())
-        return np.array(rows) / self.sigma
+            rows.append(_about_upright(fit_points(self.nominal, plain, data, k), data.xyz).ravel())
+        return np.array(rows) / np.tile(self.sigma, len(self.data.xyz))
 
     def _angles(self, sets: ParameterSets, which: int) -> Array:
         if not self.paths:
             return true_angles(sets, self.data.q, which)
         return link_angles(self.paths, sets, which, self.at, self.data.when)
+
+
+def _about_upright(found: PointFit, xyz: Array) -> Array:
+    """The residual (m, 3) of points measured at xyz (m, 3) as radial, tangential, up."""
+    T, r = found.T_base_tracker, found.residual
+    p = xyz @ T[:3, :3].T + T[:3, 3]
+    azimuth = np.arctan2(p[:, 1], p[:, 0])
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    return np.stack([c * r[:, 0] + s * r[:, 1], c * r[:, 1] - s * r[:, 0], r[:, 2]], axis=1)
 
 
 def point_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None = None) -> list[Cell]:
@@ -79,11 +94,11 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
     joints = tuple(range(1, nominal.n + 1))
     moving = bool(paths) and all(path.plant is not None for path in paths)
     candidates = _candidates(joints, moving)
-    rough = PointResidual(nominal, data, paths, at, 1.0)
+    rough = PointResidual(nominal, data, paths, at, np.ones(3))
     known = _floor(rough, base)
-    sigma = max(known if known is not None else saturated_floor(rough, base, candidates), SIGMA_MIN_M)
+    sigma = np.maximum(known if known is not None else saturated_floor(rough, base, candidates), SIGMA_MIN_M)
     record = nominal.remainder("structure", on="tracker" if paths else "static")
-    sigma = float(np.hypot(sigma, record.sigma)) if record is not None else sigma
+    sigma = np.hypot(sigma * np.ones(3), axes_of(record, 3))
     m = len(data.xyz)
     rows = rows_of(m, 3)
     q = {f"joint {j}": np.repeat(data.q[:, j - 1], 3) for j in joints}
@@ -95,7 +110,7 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
         base=base,
         whitened=replace(rough, sigma=sigma),
         rows=rows,
-        scale=np.full(3 * m, sigma),
+        scale=np.tile(sigma, m),
         quiet=1.0,
         floor_known=known is not None,
         same_kind=False,
@@ -105,10 +120,16 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
     )
 
 
+def axes_of(record: Remainder | None, axes: int) -> Array:
+    """What the baseline leaves along each axis (axes,); nothing where the file says nothing."""
+    if record is None:
+        return np.zeros(axes)
+    return np.array(record.by_axis if len(record.by_axis) == axes else [record.sigma] * axes)
+
+
 def _candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
-    structure = tuple(one for one in candidates_of("structure", joints, True) if one.name != "link_flexibility")
-    behind = tuple(name for name in SEEN_BEHIND_ENCODER if moving or name != "backlash")
-    return structure + named(behind, joints)
+    found = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
+    return tuple(one for one in found if moving or one.name not in SEEN_IN_MOTION)
 
 
 def rows_of(m: int, channels: int) -> Rows:
@@ -120,11 +141,11 @@ def rows_of(m: int, channels: int) -> Rows:
     return Rows(fold, sample * blocks // max(m, 1), channel.copy(), channel)
 
 
-def _floor(rough: PointResidual, base: ParameterSets) -> float | None:
-    """RMS deviation of the residual where one point was measured again in the same pose; None if it never was."""
+def _floor(rough: PointResidual, base: ParameterSets) -> Array | None:
+    """RMS deviation (3,) of the residual where one point was measured again in the same pose; None if it never was."""
     residual = rough(base)[0].reshape(-1, 3)
     direction = _directions(rough)
-    squares, dof = 0.0, 0
+    squares, dof = np.zeros(3), 0
     left = set(range(len(residual)))
     while left:
         first = left.pop()
@@ -138,9 +159,11 @@ def _floor(rough: PointResidual, base: ParameterSets) -> float | None:
         ]
         left -= set(same)
         group = residual[[first, *same]]
-        squares += float(((group - group.mean(axis=0)) ** 2).sum())
-        dof += 3 * len(same)
-    return float(np.sqrt(squares / dof)) if dof >= 9 else None
+        squares += ((group - group.mean(axis=0)) ** 2).sum(axis=0)
+        dof += len(same)
+    if dof < FEW:
+        return None
+    return np.sqrt(squares / dof if dof >= ENOUGH else np.full(3, squares.mean() / dof))
 
 
 def _directions(rough: PointResidual) -> Array:

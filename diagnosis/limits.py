@@ -157,7 +157,7 @@ def detection_limit(one: Scan, spread: float) -> Limit:
     """By the change of the residual at the scanned sizes, between them on a straight line of the logarithms."""
     slot = one.candidate.slots[0]
     neutral_zero = slot.neutral == 0.0
-    sizes = np.abs(one.thetas).max(axis=1) if _vector(one) else np.abs(one.thetas[:, 0])
+    sizes = np.abs(one.thetas).max(axis=1) if one.candidate.vector else np.abs(one.thetas[:, 0])
     strength = np.sqrt(np.maximum(one.energy / spread, 1e-30))
     wanted = np.sqrt(SHOWN_ENERGY)
     levels = np.unique(sizes)[:: 1 if neutral_zero else -1]
@@ -173,8 +173,3 @@ def detection_limit(one: Scan, spread: float) -> Limit:
     x, y = np.log(levels[at - 1 : at + 1]), np.log(weakest[at - 1 : at + 1])
     share = (np.log(wanted) - y[0]) / (y[1] - y[0])
     return Limit(name, joint, parameter, float(np.exp(x[0] + share * (x[1] - x[0]))))
-
-
-def _vector(one: Scan) -> bool:
-    slots = one.candidate.slots
-    return len(slots) > 1 and slots[0].parameter == slots[1].parameter

@@ -30,7 +30,7 @@ class Path:
     t_s: Array
     enc: Array
     plant: Actuators | None
-    courses: dict[bytes, Array] = field(default_factory=dict, compare=False)  # behind the play, by its parameters
+    courses: dict[bytes, Array] = field(default_factory=dict, compare=False)  # behind play and swing
 
 
 def paths_of(stretches: tuple[Stretch, ...], plant: Actuators | None) -> tuple[Path, ...]:
@@ -61,7 +61,7 @@ def link_angles(paths: tuple[Path, ...], sets: ParameterSets, which: int, at: ND
     out = np.zeros((len(t_s), sets.joint.shape[1]))
     for k in np.unique(at):
         path, rows = paths[int(k)], at == k
-        course = _behind_play(path, sets, which)
+        course = _behind_joint(path, sets, which)
         out[rows] = np.stack(
             [np.interp(t_s[rows], path.t_s, column) for column in (path.enc if course is None else course).T], axis=1
         )
@@ -70,9 +70,9 @@ def link_angles(paths: tuple[Path, ...], sets: ParameterSets, which: int, at: ND
     return out
 
 
-def _behind_play(path: Path, sets: ParameterSets, which: int) -> Array | None:
-    """Link-side angles at the log's rows (m, n); None without backlash, where the encoders tell them."""
-    if path.plant is None or not np.any(sets.joint[which, :, kernel.BACKLASH]):
+def _behind_joint(path: Path, sets: ParameterSets, which: int) -> Array | None:
+    """Link-side angles at the log's rows (m, n); None without play and swing, where the encoders tell them."""
+    if path.plant is None or not np.any(sets.joint[which][:, [kernel.BACKLASH, kernel.FLEX_GAIN]]):
         return None
     key = sets.joint[which][:, COURSE_COLUMNS].tobytes()
     if key not in path.courses:

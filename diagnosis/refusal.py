@@ -1,6 +1,6 @@
 """Whether the chosen model leaves something behind: tests of its held-out residual, and the lead they give."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
@@ -19,13 +19,14 @@ EXCESS_MIN = 0.1  # of the noise's own energy: a pattern without more energy tha
 CORRELATION_MIN = 0.15
 PEAK_MIN = 0.06  # share of the variance in one period of time or position
 PERIODS = 200
+PATTERN_NATS = 9.0  # of what a pattern explains, after the spread: the margin of a name, and half more
 USUAL_TIMES = 1.5  # a test that fires on the undisturbed machine counts only beyond this share of its size there
 EVEN_STAGES = ("link", "controller", "actuator")  # evenly sampled in time; poses and corners are not
 
 
 @dataclass(frozen=True, slots=True)
 class Fired:
-    """One test that fired: which, how large, its p-value, and what the remainder goes with."""
+    """One test that fired: which, how large, its p-value, what the remainder goes with, its share of the energy."""
 
     test: str
     stage: str
@@ -33,6 +34,7 @@ class Fired:
     size: float
     p_value: float
     lead: str
+    share: float = 1.0
 
 
 def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
@@ -47,7 +49,7 @@ def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
     found = [
         one
         for part, own in zip(cell.parts, np.split(r, cuts), strict=True)
-        for one in tests_of(part, own, cells + len(cell.parts) - 1)
+        for one in tests_of(replace(part, spread_least=cell.spread_least), own, cells + len(cell.parts) - 1)
     ]
     return tuple(sorted(found, key=lambda one: (one.lead == "", -one.size)))
 
@@ -62,7 +64,14 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
     found = [*_energy(cell, r), *_autocorrelation(cell, r, quiet), *_peaks(cell, r, quiet)]
     found += _correlations(cell, r, quiet)
     usual = dict(cell.usual)
-    kept = [one for one in found if one.p_value < level and one.size > USUAL_TIMES * usual.get(key_of(one), 0.0)]
+    worth = 0.5 * float(r @ r) / cell.spread_least  # [nats] of the whole residual, by the ruler that names are held to
+    kept = [
+        one
+        for one in found
+        if one.p_value < level
+        and one.size > USUAL_TIMES * usual.get(key_of(one), 0.0)
+        and one.share * worth > PATTERN_NATS
+    ]
     return tuple(sorted(kept, key=lambda one: (one.lead == "", -one.size)))
 
 
@@ -76,7 +85,7 @@ def _energy(cell: Cell, r: Array) -> list[Fired]:
     ratio = float(r @ r) / n
     if ratio - 1.0 < ENERGY_MIN or not cell.floor_known:
         return []
-    return [Fired("energy", cell.stage, cell.joint, ratio, float(stats.chi2.sf(r @ r, n)), "")]
+    return [Fired("energy", cell.stage, cell.joint, ratio, float(stats.chi2.sf(r @ r, n)), "", 1.0 - 1.0 / ratio)]
 
 
 def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:
@@ -100,7 +109,9 @@ def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:
         return []
     lag = int(np.argmax(np.abs(rho))) + 1
     lead = f"goes on over {lag * 0.05:.2g} s"
-    return [Fired("autocorrelation", cell.stage, cell.joint, float(rho @ rho), float(stats.chi2.sf(q, LAGS)), lead)]
+    size = float(rho @ rho)
+    share = min(1.0, size)  # what its own past explains of it
+    return [Fired("autocorrelation", cell.stage, cell.joint, size, float(stats.chi2.sf(q, LAGS)), lead, share)]
 
 
 def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
@@ -114,7 +125,7 @@ def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
         rho = float(x @ y) / power
         p = float(2.0 * stats.norm.sf(abs(rho) * np.sqrt(len(x))))
         if abs(rho) * np.sqrt(quiet) > CORRELATION_MIN:
-            found.append(Fired("correlation", cell.stage, cell.joint, abs(rho), p, f"goes with {name}"))
+            found.append(Fired("correlation", cell.stage, cell.joint, abs(rho), p, f"goes with {name}", rho**2))
     return found
 
 
@@ -139,9 +150,8 @@ def _peaks(cell: Cell, r: Array, quiet: float) -> list[Fired]:
             continue
         p = min(1.0, PERIODS * float(np.exp(-0.5 * len(r) * share[best])))
         shown = f[best] if name == "time" else f[best] * 2.0 * np.pi
-        found.append(
-            Fired("peak", cell.stage, cell.joint, float(share[best]), p, f"periodic in {name}, {shown:.3g} {unit}")
-        )
+        lead, size = f"periodic in {name}, {shown:.3g} {unit}", float(share[best])
+        found.append(Fired("peak", cell.stage, cell.joint, size, p, lead, size))
     return found
 
 

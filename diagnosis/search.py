@@ -7,7 +7,7 @@ import numpy as np
 
 from diagnosis.candidates import Candidate
 from diagnosis.cells import Cell
-from diagnosis.fit import Fit, Hypothesis, costs, evaluated, fit, neutral_fit
+from diagnosis.fit import Fit, Hypothesis, costs, evaluated, fit, neutral_fit, weights
 from diagnosis.score import MARGIN_NATS, Score, better, score
 from machine.rotations import Array
 
@@ -15,6 +15,7 @@ SCAN_GAIN_NATS = 1.0  # a candidate whose best scanned size gains less is not fi
 SINGLES_MAX = 16  # fitted, the best of the scan
 PAIRS_REFINED = 5
 TRIPLES_REFINED = 2
+FORESEEN = 2  # sizes tried beyond the grid, where the grid's own changes point
 REFINED = 8  # sizes tried on either side of a scan's best
 ROUNDS_SINGLE = 8
 ROUNDS_PAIR = 6
@@ -104,11 +105,38 @@ def _searched(cell: Cell, none: Score, scans: list[Scan], known: dict[frozenset[
 
 
 def scan(cell: Cell, candidate: Candidate, none: Fit) -> Scan:
-    """One candidate over its range, in one kernel call."""
+    """One candidate over its range, in one kernel call; then where these sizes say that the best one lies.
+
+    Why the second step: the range's smallest size may be ten times what the data show, and then costs more than none.
+    """
     thetas = candidate.starts()
     residuals = evaluated(cell, (candidate,), thetas)
+    further = foreseen(candidate, thetas, residuals - none.residual, none.residual)
+    if len(further):
+        thetas = np.concatenate([thetas, further])
+        residuals = np.concatenate([residuals, evaluated(cell, (candidate,), further)])
     energy = ((residuals - none.residual) ** 2).sum(axis=1)
     return Scan(candidate, thetas, costs(residuals).sum(axis=1), energy)
+
+
+def foreseen(candidate: Candidate, thetas: Array, changes: Array, r0: Array) -> Array:
+    """Sizes (at most 2, slots) at which changes (m, N), taken as linear, leave the least of r0 (N,)."""
+    slots = candidate.slots
+    if slots[0].neutral != 0.0:
+        return np.zeros((0, len(slots)))
+    w = weights(r0)
+    if candidate.vector:
+        axes = thetas[: len(slots)].sum(axis=1)
+        D = changes[: len(slots)].T / axes
+        theta = -np.linalg.lstsq(D * np.sqrt(w)[:, None], r0 * np.sqrt(w), rcond=None)[0]
+        return np.clip(theta, [one.low for one in slots], [one.high for one in slots])[None]
+    power = np.maximum((changes**2 * w).sum(axis=1), 1e-30)
+    amounts = np.clip(-(changes * w) @ r0 / power, 0.0, 1.5)
+    gains = amounts * (-(changes * w) @ r0) - 0.5 * amounts**2 * power
+    best = [k for k in np.argsort(-gains)[:FORESEEN] if gains[k] > 0.0 and abs(amounts[k] - 1.0) > 0.1]
+    out = thetas[best].copy()
+    out[:, 0] *= amounts[best]
+    return np.asarray(out, dtype=float)
 
 
 def _variants_settled(scans: list[Scan]) -> list[Scan]:

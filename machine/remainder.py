@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from machine.effects.entries import EffectEntry
 
 STAGES = ("link", "controller", "actuator", "structure", "camera")
-KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual"}
+KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual", "by_axis"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,9 @@ class Remainder:
     `sigma`: innovation of the 20 Hz increments (link [rad], controller [1], actuator [rad]) or of points [m], corners
     [px], without the noise; `rms`: the same before whitening; `ar`: the increments' autoregression; `spread`: by how
     much scores are divided, since a remainder of form is no white noise. `on`: static, tracker, ooi or tool.
-    `usual`: tests of a residual that fire on the undisturbed machine, and how large they get there.
+    `by_axis`: of points, sigma radial, tangential, up about the base's upright; of corners, what u and v of all corners
+    of a frame share, beside each one's own `sigma`. `usual`: tests of a residual that fire on the undisturbed machine,
+    and how large they get there.
     """
 
     stage: str
@@ -33,6 +35,7 @@ class Remainder:
     ar: tuple[float, ...] = ()
     spread: float = 1.0
     usual: tuple[tuple[str, float], ...] = ()
+    by_axis: tuple[float, ...] = ()
 
 
 def parse_baseline(tables: object, n_joints: int) -> "tuple[EffectEntry, ...]":
@@ -65,22 +68,21 @@ def _one(table: object, where: str) -> Remainder:
     unknown = sorted(set(table) - KEYS)
     if unknown:
         raise MachineFileError(f"{where}: unknown key {unknown[0]!r}; it has {', '.join(sorted(KEYS))}")
-    stage, joint, on, ar = (table.get(key) for key in ("stage", "joint", "on", "ar"))
+    stage, joint, on, ar, by_axis = (table.get(key) for key in ("stage", "joint", "on", "ar", "by_axis"))
     if stage not in STAGES:
         raise MachineFileError(f"{where}: stage = {stage!r}; give one of {', '.join(STAGES)}")
     if joint is not None and (isinstance(joint, bool) or not isinstance(joint, int) or joint < 1):
         raise MachineFileError(f"{where}: joint = {joint!r}; give a whole number from 1, or leave it out")
-    if not isinstance(ar or [], list):
-        raise MachineFileError(f"{where}: ar = {ar!r} is not a list of numbers")
     return Remainder(
         stage,
         joint,
         str(on or ""),
         _number(table, "sigma", 0.0, where),
         _number(table, "rms", 0.0, where),
-        tuple(_finite(value, f"{where}: ar") for value in ar or []),
+        _numbers(ar, f"{where}: ar"),
         _number(table, "spread", 1.0, where),
         _usual(table.get("usual", {}), where),
+        _numbers(by_axis, f"{where}: by_axis"),
     )
 
 
@@ -88,6 +90,14 @@ def _usual(value: object, where: str) -> tuple[tuple[str, float], ...]:
     if not isinstance(value, dict):
         raise MachineFileError(f"{where}: usual = {value!r} is not a table of tests and sizes")
     return tuple((str(name), _finite(size, f"{where}: usual.{name}")) for name, size in value.items())
+
+
+def _numbers(value: object, subject: str) -> tuple[float, ...]:
+    if value is None:
+        return ()
+    if not isinstance(value, list):
+        raise MachineFileError(f"{subject} = {value!r} is not a list of numbers")
+    return tuple(_finite(one, subject) for one in value)
 
 
 def _number(table: dict[str, object], key: str, least: float, where: str) -> float:
@@ -113,5 +123,7 @@ def _toml(one: Remainder) -> str:
     on = f'on = "{one.on}"\n' if one.on else ""
     pairs = ", ".join(f"{json.dumps(name)} = {size!r}" for name, size in one.usual)
     usual = f"usual = {{ {pairs} }}\n" if pairs else ""
+    if one.by_axis:
+        usual += f"by_axis = [{', '.join(map(repr, one.by_axis))}]\n"
     numbers = f"sigma = {one.sigma!r}\nrms = {one.rms!r}\nspread = {one.spread!r}\n"
     return f'\n[[remainder]]\nstage = "{one.stage}"\n{joint}{on}{numbers}ar = [{", ".join(map(repr, one.ar))}]\n{usual}'

@@ -10,24 +10,35 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from longreach.bench_gap import figures
-from longreach.bench_gap.runner import GENERATORS, Campaign, CampaignError, run_campaign, scores
+from longreach.bench_gap.calibrate import calibrated, fit, restated
+from longreach.bench_gap.runner import PLANTS, ROOT, Campaign, CampaignError, run_campaign, scores
 from longreach.bench_machines.command import told
 
 console = Console(width=170)
+JUDGEMENT = 100  # seeds from here on judge
+CALIBRATION = ROOT / "diagnosis" / "calibration.json"
 
 
 def gap(
     n: Annotated[int, typer.Option(help="cases")] = 600,
     seed: Annotated[int, typer.Option(help="of the campaign; judgement seeds are 100 and above")] = 100,
-    plant: Annotated[str, typer.Option(help="own")] = "own",
+    plant: Annotated[str, typer.Option(help="own, or foreign (needs Exudyn)")] = "own",
     first: Annotated[int, typer.Option(help="number of the first case")] = 0,
     factor: Annotated[float | None, typer.Option(help="all sizes at this many detection limits")] = None,
+    workers: Annotated[int, typer.Option(help="cases at a time")] = 1,
+    calibrate: Annotated[
+        bool, typer.Option("--calibrate", help="fit the probabilities' numbers on what is on file (seeds below 100)")
+    ] = False,
     only_tell: Annotated[bool, typer.Option("--tell", help="run nothing, tell what is on file")] = False,
     folder: Annotated[Path, typer.Option(help="where every case is saved")] = Path("runs/bench-gap"),
 ) -> None:
     """Blind cases of the gap diagnosis: names, refusals, probabilities, limits and shrink against sealed truths."""
-    if plant not in GENERATORS:
-        raise typer.BadParameter(f"--plant {plant}; there are {', '.join(GENERATORS)}")
+    if plant not in PLANTS:
+        raise typer.BadParameter(f"--plant {plant}; there are {', '.join(PLANTS)}")
+    if calibrate and seed >= JUDGEMENT:
+        raise typer.BadParameter(
+            f"--calibrate with --seed {seed}: seeds of {JUDGEMENT} and above judge, and fit nothing"
+        )
     asked, numbers = Campaign(plant, seed, folder.resolve(), factor), range(first, first + n)
     if not only_tell:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -35,13 +46,28 @@ def gap(
             task = shown.add_task("baseline", total=n)
             try:
                 failed = run_campaign(
-                    asked, numbers, lambda text: shown.update(task, description=text, advance=text.startswith("case"))
+                    asked,
+                    numbers,
+                    lambda text: shown.update(task, description=text, advance=text.startswith("case")),
+                    workers,
                 )
             except CampaignError as error:
                 console.print(f"[bold red]longreach:[/] {escape(str(error))}")
                 raise typer.Exit(2) from error
         console.print(f"{failed} cases could not be judged: see their log.txt") if failed else None
-    tell(scores(asked, numbers), f"{plant}, seed {seed}")
+    cases = scores(asked, numbers)
+    tell(cases, f"{plant}, seed {seed}")
+    if calibrate and cases:
+        _calibrate(cases, f"{len(cases)} cases of plant {plant}, seed {seed}")
+
+
+def _calibrate(cases: figures.Cases, told_on: str) -> None:
+    found = fit(cases)
+    curve = figures.reliability(restated(cases, found))
+    CALIBRATION.write_text(calibrated(CALIBRATION.read_text(encoding="utf-8"), found, curve, told_on), encoding="utf-8")
+    console.print(f"sharper {found.sharper:.3g}, {found.per_effect:+.3g} nats an effect, outside {found.outside}")
+    for name, count, mean, right in curve:
+        console.print(f"  {name}: {count} cases, stated {mean:.2f}, right {right:.2f}")
 
 
 def tell(cases: figures.Cases, title: str) -> None:

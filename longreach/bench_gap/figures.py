@@ -27,13 +27,16 @@ def _line(claim: str, wanted: str, marks: list[bool]) -> Line:
 
 
 def large(cases: Cases) -> list[dict[str, Any]]:
-    """Cases without an effect, outside the catalogue, or with every effect at twice its limit or more."""
-    return [one for one in cases if all(e["factor"] is None or e["factor"] >= LARGE for e in one["effects"])]
+    """Cases without an effect, outside the catalogue, or with every effect at twice its limit or more.
+
+    The limit is the one of that very recording, not the table's that sizes were drawn with.
+    """
+    return [one for one in cases if all(size is None or size >= LARGE for size in one["strengths"])]
 
 
 def small(cases: Cases) -> list[dict[str, Any]]:
     """Cases of the catalogue with an effect below twice its limit."""
-    return [one for one in cases if any(e["factor"] is not None and e["factor"] < LARGE for e in one["effects"])]
+    return [one for one in cases if any(size is not None and size < LARGE for size in one["strengths"])]
 
 
 def of(cases: Cases, *mixes: str) -> list[dict[str, Any]]:
@@ -46,7 +49,7 @@ def naming(cases: Cases) -> list[Line]:
     big = large(cases)
     single, double = of(big, "single"), of(big, "double")
     inside = of(big, "none", "single", "double")
-    beyond, low = of(cases, "foreign", "lacking"), small(of(cases, "single", "double"))
+    beyond, low = of(big, "foreign", "lacking"), small(of(cases, "single", "double"))
     return [
         _line("none called none", ">= 98 %", [one["none"] for one in of(cases, "none")]),
         _line("single exact", ">= 95 %", [one["exact"] for one in single]),
@@ -54,8 +57,8 @@ def naming(cases: Cases) -> list[Line]:
         _line("double exact", ">= 85 %", [one["exact"] for one in double]),
         _line("double exact, names alone", "", [one["exact_named"] for one in double]),
         _line("double, at least one right", ">= 98 %", [one["some"] for one in double]),
-        _line("foreign refused or undecided", ">= 90 %", [one["refused"] for one in of(cases, "foreign")]),
-        _line("lacking refused or undecided", ">= 90 %", [one["refused"] for one in of(cases, "lacking")]),
+        _line("foreign refused or undecided", ">= 90 %", [one["refused"] for one in of(big, "foreign")]),
+        _line("lacking refused or undecided", ">= 90 %", [one["refused"] for one in of(big, "lacking")]),
         _line("false names", "<= 2 %", [bool(one["false"]) for one in inside]),
         _line("false names, outside the catalogue", "0", [bool(one["false"]) for one in beyond]),
         _line("right first stage", ">= 98 %", [bool(one["stage_right"]) for one in (*single, *double)]),
@@ -73,7 +76,7 @@ def by_factor(cases: Cases) -> list[Line]:
         _line(
             f"single exact, {low:g}x to {high:g}x",
             "",
-            [one["exact"] for one in single if low <= one["effects"][0]["factor"] < high],
+            [one["exact"] for one in single if low <= one["strengths"][0] < high],
         )
         for low, high in pairwise(edges)
     ]
@@ -172,7 +175,8 @@ def failures(cases: Cases) -> list[str]:
         )
         if not good:
             true = ", ".join(
-                f"{e['effect']['name']} {e['effect']['joint'] or ''} {e['factor'] or 0:.2g}x" for e in one["effects"]
+                f"{e['effect']['name']} {e['effect']['joint'] or ''} {size or 0:.2g}x"
+                for e, size in zip(one["effects"], one["strengths"], strict=True)
             )
             named = ", ".join(f"{name} {joint or ''}" for name, joint in one["named"])
             out.append(

@@ -6,12 +6,14 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-GENERATORS = {"own": "tests.gap_benchmark.generate"}
+PLANTS = ("own", "foreign")
+GENERATE = "tests.gap_benchmark.generate"
 UNDISTURBED = 5  # recordings for a baseline: two to fit, three to judge
 CASE_S = 3600.0  # a process that takes longer is stopped, and its case is run again next time
 BAD_INPUT = 2  # exit code of a recording that the tool will not judge: a refusal, not a crash
@@ -56,8 +58,10 @@ class Ended:
     text: str
 
 
-def run_campaign(asked: Campaign, numbers: range, advance: Callable[[str], None] = lambda _text: None) -> int:
-    """Run the cases that are not on file yet; how many could not be judged.
+def run_campaign(
+    asked: Campaign, numbers: range, advance: Callable[[str], None] = lambda _text: None, workers: int = 1
+) -> int:
+    """Run the cases that are not on file yet, `workers` at a time; how many could not be judged.
 
     Raises: CampaignError: no generator here, or no baseline or table of limits could be made.
     """
@@ -69,19 +73,24 @@ def run_campaign(asked: Campaign, numbers: range, advance: Callable[[str], None]
     if not asked.limits.is_file():
         advance("the scorer's detection limits")
         _limits(asked)
-    failed = 0
-    for number in numbers:
-        folder = asked.place / f"case{number:05d}"
-        if not (folder / "score.json").is_file():
-            failed += not _case(asked, number, folder)
-        advance(f"case {number}")
-    return failed
+    with ThreadPoolExecutor(workers) as pool:  # each waits for processes of its own
+        ended = [pool.submit(_case_once, asked, number) for number in numbers]
+        for number, one in zip(numbers, ended, strict=True):
+            one.result()
+            advance(f"case {number}")
+    return sum(not one.result() for one in ended)
+
+
+def _case_once(asked: Campaign, number: int) -> bool:
+    folder = asked.place / f"case{number:05d}"
+    return (folder / "score.json").is_file() or _case(asked, number, folder)
 
 
 def _fit(asked: Campaign) -> None:
     """The plant's baseline, from undisturbed recordings, by the command that a person would use."""
     folder = asked.folder / f"{asked.plant}-undisturbed"
-    _run(["-m", GENERATORS[asked.plant], "--undisturbed", str(UNDISTURBED), "--out", str(folder)], folder, None)
+    made = ["--undisturbed", str(UNDISTURBED), "--out", str(folder), "--plant", asked.plant]
+    _run(["-m", GENERATE, *made], folder, None)
     recordings = [str(folder / f"undisturbed{k}") for k in range(UNDISTURBED)]
     fitting = ["-m", "longreach.cli", "diagnose", *recordings, "--fit-baseline", "--out", str(asked.machine)]
     ended = _run(fitting, folder, None)
@@ -92,7 +101,7 @@ def _fit(asked: Campaign) -> None:
 
 def _limits(asked: Campaign) -> None:
     folder = asked.folder / f"{asked.plant}-undisturbed"
-    table = ["--machine", str(asked.machine), "--out", str(asked.limits)]
+    table = ["--machine", str(asked.machine), "--out", str(asked.limits), "--plant", asked.plant]
     _run(["-m", "tests.gap_benchmark.limits", *table], folder, None)
     if not asked.limits.is_file():
         raise CampaignError(f"no table of limits could be made; see {folder / 'log.txt'}")
@@ -101,10 +110,10 @@ def _limits(asked: Campaign) -> None:
 def _case(asked: Campaign, number: int, folder: Path) -> bool:
     """One case from its truth to its score; False where a process crashed or was stopped."""
     folder.mkdir(parents=True, exist_ok=True)
-    machine = ["--machine", str(asked.machine)]
+    machine = ["--machine", str(asked.machine), "--plant", asked.plant]
     case = ["--case", str(number), "--seed", str(asked.seed), "--out", str(folder), "--limits", str(asked.limits)]
     size = ["--factor", str(asked.factor)] if asked.factor is not None else []
-    if _run(["-m", GENERATORS[asked.plant], *case, *machine, *size], folder).code != 0:
+    if _run(["-m", GENERATE, *case, *machine, *size], folder).code != 0:
         return False
     lacking = (folder / "lacking.txt").read_text(encoding="utf-8").strip()  # no secret: the tool has to do without it
     how = ["--without", lacking] if lacking else ["--leave-named-out"]

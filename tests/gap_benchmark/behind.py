@@ -3,9 +3,11 @@
 Own forward kinematics on the plant's tree (springs included); effects as their definitions say. No diagnosis code.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import bilinear, lfilter
 
 from machine.description import StereoCamera
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
@@ -114,9 +116,27 @@ def points_at(structure: Structure, tree_q: Array) -> dict[str, Array]:
     }
 
 
+def swung(faults: Faults, tree_q: Array, motors: Sequence[int]) -> Array:
+    """Tree angles (m, k), a row a PLC cycle, with the links' added swing behind their joints.
+
+    Model: b'' + 2 zeta w b' + w^2 b = -gain q'', by the bilinear transform (the diagnosis steps it exactly, held).
+    """
+    out = tree_q
+    for one in faults.injected:
+        if one.name == "link_flexibility" and one.joint is not None:
+            w, zeta = 2.0 * np.pi * one.values["frequency_hz"], one.values["damping"]
+            numerator, denominator = bilinear(
+                [-one.size, 0.0, 0.0], [1.0, 2.0 * zeta * w, w * w], 1.0 / own.CYCLE_S
+            )  # fmt: skip
+            i = motors[one.joint - 1]
+            out = out.copy()
+            out[:, i] += lfilter(numerator, denominator, tree_q[:, i] - tree_q[0, i])
+    return out
+
+
 def at_times(t: Array, tree_q: Array, when: Array) -> Array:
     """Tree angles at other times, linear."""
-    return np.stack([np.interp(when, t, tree_q[:, i]) for i in range(N_JOINTS)], axis=1)
+    return np.stack([np.interp(when, t, tree_q[:, i]) for i in range(tree_q.shape[1])], axis=1)
 
 
 def rest_poses(faults: Faults, rng: np.random.Generator, count: int) -> tuple[Array, Array]:

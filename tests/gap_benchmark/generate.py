@@ -14,6 +14,7 @@ from tests.gap_benchmark import nominal_own as own
 from tests.gap_benchmark.cases import Case, draw, recording_seed
 from tests.gap_benchmark.faults import faults_of
 from tests.gap_benchmark.limits import Table
+from tests.gap_benchmark.plants import NAMES, OWN, Plant, plant_named
 from tests.gap_benchmark.recorded import NOISES, make, write
 
 UNDISTURBED_SEED = 900_000  # no case's seed
@@ -25,12 +26,14 @@ def sealed(case: Case) -> str:
     return json.dumps(asdict(case), indent=1)
 
 
-def write_case(number: int, seed: int, machine: str, limits: Table, out: Path, factor: float | None = None) -> Case:
+def write_case(
+    number: int, seed: int, machine: str, limits: Table, out: Path, factor: float | None = None, plant: Plant = OWN
+) -> Case:
     """Make and write one case; the truth goes into a folder of its own."""
     case = draw(number, seed, limits, factor)
     injected = tuple(one.effect for one in case.effects)
     own_seed = recording_seed(number, seed)
-    made = make(faults_of(injected, own.N), NOISES[case.noise], own_seed)
+    made = make(faults_of(injected, own.N), NOISES[case.noise], own_seed, plant)
     spoil = next((one.name for one in injected if one.name in IN_LOG), "")
     write(made, out / "recording", f"case {seed}-{number}", machine, spoil, own_seed)
     truth = sealed(case)
@@ -52,14 +55,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--factor", type=float, help="size over the detection limit, for all effects of the case")
     parser.add_argument("--undisturbed", type=int, default=0)
+    parser.add_argument("--plant", choices=NAMES, default="own")
     given = parser.parse_args()
+    plant = plant_named(given.plant)
     for k in range(given.undisturbed):
-        made = make(faults_of((), own.N), NOISES[0], UNDISTURBED_SEED + k)
-        write(made, given.out / f"undisturbed{k}", f"undisturbed {k}", own.toml())
+        made = make(faults_of((), own.N), NOISES[0], UNDISTURBED_SEED + k, plant)
+        write(made, given.out / f"undisturbed{k}", f"undisturbed {k}", plant.toml())
     if not given.undisturbed:
         text = given.machine.read_text(encoding="utf-8")
         limits = json.loads(given.limits.read_text(encoding="utf-8"))
-        write_case(given.case, given.seed, text, limits, given.out, given.factor)
+        write_case(given.case, given.seed, text, limits, given.out, given.factor, plant)
 
 
 if __name__ == "__main__":

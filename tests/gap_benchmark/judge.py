@@ -13,16 +13,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from machine.effects.registry import effect_named
 from machine.remainder import Remainder, parse_remainders
 from tests.gap_benchmark import nominal_own as own
 from tests.gap_benchmark.cases import recording_seed
 from tests.gap_benchmark.faults import Injected, faults_of
+from tests.gap_benchmark.plants import NAMES, OWN, Plant, plant_named
 from tests.gap_benchmark.recorded import NOISES, make
 from tests.gap_benchmark.scales import BY_NAME
-from tests.gap_benchmark.sensitivity import Scene, Signature, scene_of, separation, signature
+from tests.gap_benchmark.sensitivity import FOUND, Scene, Signature, scene_of, separation, signature, size2
 
 SEPARATED = 9.0
+IN_LOG = ("dropped_samples", "swapped_joints", "loose_marker")  # spoil what was written down, however strong
 SPLIT_SHARES = (0.7, 1.4)  # of the named size, besides itself: thresholds bend
 Key = tuple[str, int | None]
 SEEN_AS = {  # where a gap of a stage without rows of its own shows
@@ -64,8 +68,8 @@ def keys(effects: list[dict[str, Any]]) -> list[Key]:
 class Equal:
     """Whether two names are one on this recording, by the scorer's own sensitivity; the scene is made when needed."""
 
-    def __init__(self, truth: dict[str, Any], remainders: tuple[Remainder, ...]) -> None:
-        self._truth, self._remainders = truth, remainders
+    def __init__(self, truth: dict[str, Any], remainders: tuple[Remainder, ...], plant: Plant = OWN) -> None:
+        self._truth, self._remainders, self._plant = truth, remainders, plant
         self._scene: Scene | None = None
         self._known: dict[tuple[Key, Key], float] = {}
         self._signatures: dict[str, Signature] = {}
@@ -81,6 +85,10 @@ class Equal:
             self._known[key] = min(separation(a, self._signature(one)) for one in rivals)
         return self._known[key]
 
+    def strength(self, true: Injected) -> float:
+        """Size of a true effect over its detection limit on this very recording: |s| / |s| at the limit."""
+        return float(np.sqrt(size2(self._signature(true)) / FOUND))
+
     def _signature(self, one: Injected) -> Signature:
         if str(one) not in self._signatures:
             self._signatures[str(one)] = signature(self._made(), one)
@@ -90,7 +98,7 @@ class Equal:
         if self._scene is None:
             noise = NOISES[self._truth["noise"]]
             seed = recording_seed(self._truth["number"], self._truth["seed"])
-            made = make(faults_of((), own.N), noise, seed)
+            made = make(faults_of((), own.N), noise, seed, self._plant)
             self._scene = scene_of(made, noise, seed, self._remainders)
         return self._scene
 
@@ -113,13 +121,15 @@ def _injected(named: dict[str, Any], share: float) -> Injected:
     return replace(out, values={**out.values, size: share * out.size})
 
 
-def judged(truth: dict[str, Any], answer: dict[str, Any], remainders: tuple[Remainder, ...]) -> dict[str, Any]:
+def judged(
+    truth: dict[str, Any], answer: dict[str, Any], remainders: tuple[Remainder, ...], plant: Plant = OWN
+) -> dict[str, Any]:
     """Everything the tables count, of one case."""
     true = [Injected(**{**one["effect"], "direction": tuple(one["effect"]["direction"])}) for one in truth["effects"]]
     if "refused_to_read" in answer:
         answer = {**UNREAD, "why": answer["refused_to_read"]}
     catalogue = truth["mix"] in ("single", "double")
-    equal = Equal(truth, remainders)
+    equal = Equal(truth, remainders, plant)
     top = answer["hypotheses"][0]["effects"] if answer["hypotheses"] else []
     named = {(one["name"], one["joint"]): one for one in top}
     pairs = matched(true, list(named.values()), equal.separation) if catalogue else {}
@@ -140,12 +150,14 @@ def judged(truth: dict[str, Any], answer: dict[str, Any], remainders: tuple[Rema
         "none": not named and answer["verdict"] == "none",
         "probability": answer["hypotheses"][0]["probability"] if answer["hypotheses"] else 0.0,
         "outside_probability": answer["outside_probability"],
+        "ladder": _ladder(truth, answer, bool(len(pairs) == len(true) == len(named))),
         "first_stage": first_stage(answer),
         "stage_right": stage_right(truth, answer),
         "credible": _credible(true, answer, equal.separation, truth["mix"]),
         "credible_size": len(answer["credible_set_90"]),
         "classes": [len(one) for one in answer["indistinguishable"]],
         "closed": (answer["shrink"].get("overall") or {}),
+        "strengths": [equal.strength(one) if one.name not in IN_LOG else None for one in true],
         "limits": _limits(truth, answer),
         "values": _values(true, named),
         "left_out": _left_out(truth, answer),
@@ -156,6 +168,22 @@ def judged(truth: dict[str, Any], answer: dict[str, Any], remainders: tuple[Rema
     }
     kept = ("number", "seed", "mix", "noise", "effects", "lacking")
     return {**{name: truth[name] for name in kept}, **found}
+
+
+def _ladder(truth: dict[str, Any], answer: dict[str, Any], first_right: bool) -> list[list[Any]]:
+    """Each hypothesis: effects, probability among the catalogue's, whether it is the truth (the first one or its equal,
+    the others by name alone); what the probabilities are calibrated on.
+    """
+    if truth["mix"] not in ("none", "single", "double"):
+        first_right = False
+    wanted = {(one["effect"]["name"], one["effect"]["joint"]) for one in truth["effects"]}
+    inside = max(1.0 - answer["outside_probability"], 1e-9)
+    rows: list[list[Any]] = []
+    for k, one in enumerate(answer["hypotheses"]):
+        found = keys(one["effects"])
+        right = first_right if k == 0 else set(found) == wanted and truth["mix"] not in ("foreign", "lacking")
+        rows.append([len(found), one["probability"] / inside, bool(right)])
+    return rows
 
 
 def _left_out(truth: dict[str, Any], answer: dict[str, Any]) -> list[dict[str, Any]]:
@@ -265,11 +293,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--folder", type=Path, required=True)
     parser.add_argument("--machine", type=Path, required=True)
+    parser.add_argument("--plant", choices=NAMES, default="own")
     given = parser.parse_args()
     truth = opened(given.folder)
     answer = json.loads((given.folder / "answer.json").read_text(encoding="utf-8"))
     machine = tomllib.loads(given.machine.read_text(encoding="utf-8"))
-    score = judged(truth, answer, parse_remainders(machine.get("remainder")))
+    score = judged(truth, answer, parse_remainders(machine.get("remainder")), plant_named(given.plant))
     (given.folder / "score.json").write_text(json.dumps(score), encoding="utf-8")
 
 

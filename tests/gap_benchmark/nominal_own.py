@@ -1,5 +1,6 @@
 """The nominal machine of the own plant: slew, lift and tilt of the HIAB-like crane, its wrist clamped."""
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -22,6 +23,9 @@ OOI_AHEAD_M = 2.6  # of the camera at home
 SIDE_M = 0.30
 PLACES = ((1, -0.45, 0.30, 0.0), (2, 0.45, 0.28, -0.25), (3, 0.02, -0.35, -0.12))  # id, x, y, z on the object [m]
 TOOL_SIDE_M = 0.10
+
+Xyz = tuple[float, float, float]
+Bodies = Sequence[tuple[float, Array]]
 
 
 @cache
@@ -70,13 +74,24 @@ def toml() -> str:
     """machine.toml of the nominal three-joint machine."""
     machine = six_joints()
     T_link_tcp, mass, com = _clamped()
-    text = '[machine]\nname = "benchmark crane"\ngravity_base_m_s2 = [0.0, 0.0, -9.81]\n'
-    for k, joint in enumerate(machine.joints[:N]):
-        bodies = (mass, com) if k == N - 1 else (joint.mass_kg, np.array(joint.com_m))
-        text += _joint(joint, float(bodies[0]), bodies[1])
+    bodies = [(joint.mass_kg, np.array(joint.com_m)) for joint in machine.joints[: N - 1]] + [(mass, com)]
+    return text_of("benchmark crane", machine.joints[:N], bodies, T_link_tcp, POINTS)
+
+
+def text_of(
+    name: str, joints: Sequence[Joint], bodies: Bodies, T_flange_tcp: Array, points: dict[str, tuple[int, Xyz]]
+) -> str:
+    """machine.toml of a three-joint machine with this benchmark's camera, markers and PLC.
+
+    Args: bodies: mass [kg] and centre of mass (3,) in the link's frame, of each joint.
+    """
+    machine = six_joints()
+    text = f'[machine]\nname = "{name}"\ngravity_base_m_s2 = [0.0, 0.0, -9.81]\n'
+    for joint, (mass, com) in zip(joints, bodies, strict=True):
+        text += _joint(joint, float(mass), com)
     camera = machine.camera
     text += (
-        f"\n[tool]\nT_flange_tcp = {_row(T_link_tcp)}\nT_tcp_tool = {_row(machine.T_tcp_tool)}\n"
+        f"\n[tool]\nT_flange_tcp = {_row(T_flange_tcp)}\nT_tcp_tool = {_row(machine.T_tcp_tool)}\n"
         f"\n[camera]\nwidth_px = {camera.width_px}\nheight_px = {camera.height_px}\nfx_px = {camera.fx_px}\n"
         f"fy_px = {camera.fy_px}\ncx_px = {camera.cx_px}\ncy_px = {camera.cy_px}\n"
         f"distortion = {list(camera.distortion)}\nbaseline_m = {camera.baseline_m}\nrate_hz = 30.0\n"
@@ -87,8 +102,8 @@ def toml() -> str:
     for number, x, y, z in PLACES:
         text += _marker(number, SIDE_M, "ooi", x, y, z)
     text += "\n[points]\n"
-    for name, (joint, xyz) in POINTS.items():
-        text += f"{name} = {{ joint = {joint}, xyz_m = {list(xyz)} }}\n"
+    for point, (joint, xyz) in points.items():
+        text += f"{point} = {{ joint = {joint}, xyz_m = {list(xyz)} }}\n"
     text += f"\n[tracker]\nT_base_tracker = {_row(np.eye(4))}\n"
     return text + f"\n[plc]\ncycle_s = {CYCLE_S}\nlog_cycle_s = {CYCLE_S}\ntransport_delay_s = {DELAY_S}\n"
 

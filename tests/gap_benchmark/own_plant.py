@@ -76,6 +76,7 @@ def _run(
     loads: Array,
     grid: Array,
     enc_out: Array,
+    smooth_out: Array,
     u_out: Array,
     true_out: Array,
     pressure_out: Array,
@@ -92,6 +93,7 @@ def _run(
             e = encoder[j]
             reading = q * (1.0 + e[1]) + e[0] + e[2] * np.sin(e[3] * q + e[4])
             reading += joint[j, f.GEAR] * np.sin(joint[j, f.GEAR_ORDER] * q)
+            smooth_out[k, j] = reading
             reading = np.round(reading / resolution[j]) * resolution[j]
             tau = nominal[j, 1] * (1.0 + joint[j, f.KP_LAG])
             share = 1.0 - np.exp(-cycle / tau) if tau > 0.0 else 1.0
@@ -197,9 +199,13 @@ def _run(
 
 @dataclass(frozen=True)
 class Course:
-    """What happened, one row a PLC cycle: encoders, commands (m, 3), the tree's true angles (m, 11), pressures."""
+    """What happened, one row a PLC cycle: encoders, commands (m, 3), the tree's true angles (m, 11), pressures.
+
+    `smooth`: the encoders before they count: two runs differ there by what an effect does alone, not by single counts.
+    """
 
     enc: Array
+    smooth: Array
     u: Array
     tree_q: Array
     pressures: Array
@@ -244,7 +250,7 @@ def run(faults: f.Faults, ref: Array, shock: Array, u_given: Array | None = None
     loads, lifts, tilts = _loads()
     grid = np.array([lifts[0], lifts[1] - lifts[0], tilts[0], tilts[1] - tilts[0]])
     m = len(ref)
-    out = Course(np.zeros((m, n)), np.zeros((m, n)), np.zeros((m, N_JOINTS)), np.zeros((m, 2 * n + 1)))
+    out = Course(*(np.zeros((m, columns)) for columns in (n, n, n, N_JOINTS, 2 * n + 1)))
     given = np.zeros((0, n)) if u_given is None else np.ascontiguousarray(u_given)
     _run(
         plant.parameters,
@@ -260,6 +266,7 @@ def run(faults: f.Faults, ref: Array, shock: Array, u_given: Array | None = None
         loads,
         grid,
         out.enc,
+        out.smooth,
         out.u,
         out.tree_q,
         out.pressures,

@@ -1,8 +1,8 @@
-"""One recording of the own plant: every signal with its noise, written as the folder form says."""
+"""One recording of a plant: every signal with its noise, written as the folder form says."""
 
 import csv
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ from tests.gap_benchmark import behind, motion, own_plant
 from tests.gap_benchmark import nominal_own as own
 from tests.gap_benchmark.faults import Faults
 from tests.gap_benchmark.link import received
+from tests.gap_benchmark.plants import OWN, Arm, Plant
 
 TRACKER_S, CAMERA_S = 1.6, 1.6  # between two samples; a whole number of them from repeat to repeat
 STATIC = 24
@@ -45,6 +46,7 @@ class Made:
     tracker: list[tuple]
     static: list[tuple]
     markers: list[tuple]
+    plant: Plant = OWN
 
 
 def streams(seed: int) -> dict[str, np.random.Generator]:
@@ -53,51 +55,50 @@ def streams(seed: int) -> dict[str, np.random.Generator]:
     return {name: np.random.default_rng([seed, k]) for k, name in enumerate(names)}
 
 
-def make(faults: Faults, noise: Noise, seed: int) -> Made:
+def make(faults: Faults, noise: Noise, seed: int, plant: Plant = OWN) -> Made:
     """Simulate one recording."""
     rng = streams(seed)
-    sent, pieces = motion.programme(rng["motion"], own.HOME_RAD, own.SENT_S)
+    sent, pieces = motion.programme(rng["motion"], plant.home_rad, own.SENT_S)
     t_sent = own.SENT_S * np.arange(len(sent)) - own.SENT_EARLY_S
     t = own.CYCLE_S * np.arange(round(len(sent) * own.SENT_S / own.CYCLE_S))
     ref, number = received(faults, sent, t_sent, t, noise.jitter_s, rng["link"])
     shock = rng["plant"].normal(0.0, noise.speed, ref.shape)
-    course = own_plant.run(faults, ref, shock)
-    structure = behind.structure_of(faults)
-    tracker = _tracked(structure, t, course.tree_q, noise.tracker_m, rng["tracker"])
-    static = _static(faults, structure, noise.tracker_m, rng["static"])
-    markers = _seen(faults, structure, t, course.tree_q, noise.corner_px, rng["camera"])
-    return Made(t, ref, number, sent, t_sent, course, pieces, tracker, static, markers)
+    course = plant.run(faults, ref, shock)
+    course = replace(course, tree_q=behind.swung(faults, course.tree_q, plant.motors))
+    arm = plant.arm(faults)
+    tracker = _tracked(arm, t, course.tree_q, noise.tracker_m, rng["tracker"])
+    static = _static(plant, faults, noise.tracker_m, rng["static"])
+    markers = _seen(plant, faults, t, course.tree_q, noise.corner_px, rng["camera"])
+    return Made(t, ref, number, sent, t_sent, course, pieces, tracker, static, markers, plant)
 
 
-def _tracked(structure: behind.Structure, t: Array, tree_q: Array, sd: float, rng: np.random.Generator) -> list[tuple]:
+def _tracked(arm: Arm, t: Array, tree_q: Array, sd: float, rng: np.random.Generator) -> list[tuple]:
     when = np.arange(0.5, t[-1] - 0.5, TRACKER_S)
     out = []
     for at, q in zip(when, behind.at_times(t, tree_q, when), strict=True):
-        for name, xyz in behind.points_at(structure, q).items():
+        for name, xyz in arm.points(q).items():
             out.append((at, name, *(xyz + rng.normal(0.0, sd, 3))))
     return out
 
 
-def _static(faults: Faults, structure: behind.Structure, sd: float, rng: np.random.Generator) -> list[tuple]:
-    readings, trees = behind.rest_poses(faults, rng, STATIC)
-    out = []
+def _static(plant: Plant, faults: Faults, sd: float, rng: np.random.Generator) -> list[tuple]:
+    readings, trees = plant.rest_poses(faults, rng, STATIC)
+    arm, out = plant.arm(faults), []
     for k, (reading, q) in enumerate(zip(readings, trees, strict=True)):
-        for name, xyz in behind.points_at(structure, q).items():
+        for name, xyz in arm.points(q).items():
             out.append((k, *reading, name, *(xyz + rng.normal(0.0, sd, 3))))
     return out
 
 
-def _seen(
-    faults: Faults, structure: behind.Structure, t: Array, tree_q: Array, sd: float, rng: np.random.Generator
-) -> list[tuple]:
-    sight, T_ooi = behind.sight_of(faults), own.T_base_ooi()
+def _seen(plant: Plant, faults: Faults, t: Array, tree_q: Array, sd: float, rng: np.random.Generator) -> list[tuple]:
+    arm, sight, T_ooi = plant.arm(faults), behind.sight_of(faults), plant.T_base_ooi()
     loose = next((one for one in faults.injected if one.name == "loose_marker"), None)
     when = np.arange(0.6, t[-1] - 0.6, CAMERA_S)
     now, later = (behind.at_times(t, tree_q, when + dt) for dt in (0.0, 0.01))
     out = []
     for at, q, q_later in zip(when, now, later, strict=True):
         stamp = at + sight.late_s + sight.rate * at + OFFSET_S
-        T, T_later = (_camera(structure, sight, one) for one in (q, q_later))
+        T, T_later = (arm.tcp(one) @ sight.T_tcp_cam for one in (q, q_later))
         for number, x, y, z in own.PLACES:
             place = np.array([x, y, z])
             if loose is not None and number == 2 and at > 0.4 * t[-1]:
@@ -109,10 +110,6 @@ def _seen(
             rng,
         )  # fmt: skip
     return out
-
-
-def _camera(structure: behind.Structure, sight: behind.Sight, q: Array) -> Array:
-    return behind.link_frames(structure, *behind.bodies_at(structure, q))[0] @ sight.T_tcp_cam
 
 
 def _rows(

@@ -23,13 +23,14 @@ class Kind:
     largest: float
     limits: bool = False  # a limit: smaller is stronger
     signed: bool = False
+    least: float = 0.0  # below it nothing may happen at all
 
 
 KINDS = (
     Kind("clock_offset", "time", "offset_s", None, 0.01, 0.4, signed=True),
     Kind("clock_drift", "time", "rate_ppm", None, 100.0, 480.0, signed=True),
     Kind("transport_delay", "link", "delay_s", None, 0.005, 0.3),
-    Kind("packet_loss", "link", "loss_frac", None, 0.005, 0.4),
+    Kind("packet_loss", "link", "loss_frac", None, 0.005, 0.4, least=5e-4),
     Kind("reference_quantisation", "link", "step_rad", ALL, 1e-4, 0.008),
     Kind("reference_rate_limit", "link", "rate_rad_s", ALL, 0.12, 0.01, limits=True),
     Kind("controller_gain_error", "controller", "gain_frac", ALL, 0.01, 0.5, signed=True),
@@ -53,6 +54,7 @@ KINDS = (
     Kind("base_tilt", "structure", "tilt_rad", None, 2e-4, 0.08),
     Kind("base_compliance", "structure", "compliance_rad_nm", None, 2e-8, 5e-6),
     Kind("payload_error", "structure", "mass_kg", None, 10.0, 300.0),
+    Kind("link_flexibility", "structure", "gain", ALL, 0.05, 1.6),
     Kind("joint_axis_tilt", "structure", "tilt_rad", ALL, 4e-4, 0.08, signed=True),
     Kind("focal_length_error", "camera", "scale_frac", None, 1e-3, 0.08, signed=True),
     Kind("principal_point_error", "camera", "shift_px", None, 1.0, 50.0),
@@ -64,7 +66,7 @@ KINDS = (
     Kind("camera_latency", "camera", "latency_s", None, 0.01, 0.3, signed=True),
     Kind("rolling_shutter", "camera", "readout_s", None, 5e-3, 0.045, signed=True),
 )
-NOT_JUDGED = ("link_flexibility", "odometry_scale")  # the tool says so itself (docs/diagnosis.md)
+NOT_JUDGED = ("odometry_scale",)  # the tool says so itself (docs/diagnosis.md)
 BY_NAME = {kind.name: kind for kind in KINDS}
 OPTIONS = {"link_length_error": ("a", "d"), "joint_axis_tilt": ("x", "y")}
 DIRECTIONS = {
@@ -92,6 +94,8 @@ def placed(kind: Kind, joint: int | None, size: float, rng: np.random.Generator)
     values = {kind.parameter: size}
     if kind.name == "encoder_eccentricity":
         values |= {"order": float(rng.integers(1, 4)), "phase_rad": float(rng.uniform(-3.0, 3.0))}
+    if kind.name == "link_flexibility":
+        values |= {"frequency_hz": float(np.exp(rng.uniform(0.2, 1.6))), "damping": float(rng.uniform(0.02, 0.15))}
     option = ""
     if kind.name in OPTIONS:
         option = str(rng.choice(OPTIONS[kind.name]))

@@ -11,12 +11,12 @@ from scipy.signal import lfilter
 
 from machine.remainder import Remainder
 from machine.rotations import Array
-from sim_plc.plant.tree import MOTORS
 from tests.gap_benchmark import behind, own_plant
 from tests.gap_benchmark import faults as f
 from tests.gap_benchmark import nominal_own as own
 from tests.gap_benchmark.faults import Faults, Injected, faults_of
 from tests.gap_benchmark.link import received
+from tests.gap_benchmark.plants import Arm, Plant
 from tests.gap_benchmark.recorded import CAMERA_S, STATIC, TRACKER_S, Made, Noise, streams
 from tests.gap_benchmark.scales import BY_NAME, Kind
 
@@ -45,13 +45,18 @@ class Scene:
         found = [one for one in self.remainders if (one.stage, one.joint, one.on) == (stage, joint, on)]
         return found[0] if found else Remainder(stage, joint, on, 0.0, 0.0)
 
+    def by_axis(self, stage: str, on: str, axes: int) -> Array:
+        """What the baseline leaves of points or corners along each axis (axes,)."""
+        found = self.record(stage, None, on)
+        return np.array(found.by_axis if len(found.by_axis) == axes else [found.sigma] * axes)
+
 
 def scene_of(made: Made, noise: Noise, seed: int, remainders: tuple[Remainder, ...]) -> Scene:
     """A recording without faults, with its floor: the disturbance's part by a second run with other noise."""
     shock = streams(seed)["plant"].normal(0.0, noise.speed, made.ref.shape)
     scene = Scene(made, noise, seed, remainders, np.zeros(own.N), shock)
     other = np.random.default_rng([seed, 99]).normal(0.0, noise.speed, made.ref.shape)
-    again = own_plant.run(faults_of((), own.N), made.ref, other, made.course.u)
+    again = made.plant.run(faults_of((), own.N), made.ref, other, made.course.u)
     apart = (again.enc - made.course.enc) / np.sqrt(2.0)
     steps = np.diff(_means(apart), axis=0)
     scene.speed_noise = np.array(
@@ -122,7 +127,7 @@ def _link(scene: Scene, faults: Faults) -> Signature:
 def _controller(scene: Scene, faults: Faults) -> Signature:
     ref, enc = scene.made.ref, scene.made.course.enc
     out: Signature = {}
-    commands = [_commands(one, ref, enc) for one in (faults_of((), own.N), faults)]
+    commands = [_commands(scene.made.plant, one, ref, enc) for one in (faults_of((), own.N), faults)]
     steps = np.diff(_means(commands[1] - commands[0]), axis=0)
     for j in range(own.N):
         record = scene.record("controller", j + 1)
@@ -130,9 +135,9 @@ def _controller(scene: Scene, faults: Faults) -> Signature:
     return out
 
 
-def _commands(faults: Faults, ref: Array, enc: Array) -> Array:
+def _commands(plant: Plant, faults: Faults, ref: Array, enc: Array) -> Array:
     out = np.zeros_like(ref)
-    for j, joint in enumerate(own.six_joints().joints[: own.N]):
+    for j, joint in enumerate(plant.joints):
         wanted = joint.kp_frac_per_rad * (1.0 + faults.joint[j, f.KP_GAIN]) * (ref[:, j] - enc[:, j])
         tau = joint.pt1_tau_s * (1.0 + faults.joint[j, f.KP_LAG])
         share = 1.0 - np.exp(-own.CYCLE_S / tau) if tau > 0.0 else 1.0
@@ -143,8 +148,12 @@ def _commands(faults: Faults, ref: Array, enc: Array) -> Array:
 
 
 def _actuator(scene: Scene, faults: Faults) -> Signature:
-    moved = own_plant.run(faults, scene.made.ref, scene.shock, scene.made.course.u)
-    return encoder_signature(scene, moved.enc - scene.made.course.enc)
+    return encoder_signature(scene, driven(scene, faults).smooth - scene.made.course.smooth)
+
+
+def driven(scene: Scene, faults: Faults) -> own_plant.Course:
+    """The same commands and shocks through a plant with faults."""
+    return scene.made.plant.run(faults, scene.made.ref, scene.shock, scene.made.course.u)
 
 
 def encoder_signature(scene: Scene, change: Array) -> Signature:
@@ -159,8 +168,8 @@ def encoder_signature(scene: Scene, change: Array) -> Signature:
 
 
 def _moved(scene: Scene, faults: Faults) -> Array:
-    """True angles of the tree (m, 11) with the same encoder readings, through other encoders and wider play."""
-    q = scene.made.course.tree_q.copy()
+    """True angles of the tree (m, k) with the same encoder readings, through other encoders and wider play."""
+    q, plant = scene.made.course.tree_q.copy(), scene.made.plant
     encoder = own_plant.encoder_rows(faults, own.N)
     enc = scene.made.course.enc
     if encoder[:, :3].any():
@@ -168,13 +177,12 @@ def _moved(scene: Scene, faults: Faults) -> Array:
         for _ in range(20):
             wave = encoder[:, 2] * np.sin(encoder[:, 3] * true + encoder[:, 4])
             true = (enc - encoder[:, 0] - wave) / (1.0 + encoder[:, 1])
-        q[:, MOTORS[: own.N]] += true - enc
+        q[:, list(plant.motors)] += true - enc
     for one in faults.injected:
         if one.name == "backlash" and one.joint is not None:
-            i = MOTORS[one.joint - 1]
-            width = one.size + own_plant.truth().kinematics.backlash_rad[one.joint - 1]
+            i, width = plant.motors[one.joint - 1], one.size + plant.play_rad[one.joint - 1]
             q[:, i] = _play(enc[:, one.joint - 1], 0.5 * width)
-    return q
+    return behind.swung(faults, q, plant.motors)
 
 
 def _play(x: Array, half: float) -> Array:
@@ -197,22 +205,27 @@ def _plain(scene: Scene) -> dict[str, Array]:
 
 
 def _by_plant(scene: Scene, faults: Faults) -> Signature:
-    moved = own_plant.run(faults, scene.made.ref, scene.shock, scene.made.course.u)
-    second = _measured(scene, faults, moved.tree_q)
-    return {**_in_floors(scene, _plain(scene), second), **encoder_signature(scene, moved.enc - scene.made.course.enc)}
+    moved = driven(scene, faults)
+    bent = scene.made.course.tree_q.copy()  # the same encoder readings: where the joints went is theirs to tell
+    springs = list(scene.made.plant.springs)
+    bent[:, springs] = moved.tree_q[:, springs]
+    second = _measured(scene, faults, bent)
+    driven_too = encoder_signature(scene, moved.smooth - scene.made.course.smooth)
+    return {**_in_floors(scene, _plain(scene), second), **driven_too}
 
 
 def _measured(scene: Scene, faults: Faults, tree_q: Array) -> dict[str, Array]:
     """Noise-free tracker, poses at rest and corners."""
-    made, structure, sight = scene.made, behind.structure_of(faults), behind.sight_of(faults)
+    made, plant = scene.made, scene.made.plant
+    arm, sight = plant.arm(faults), behind.sight_of(faults)
     when = np.arange(0.5, made.t_s[-1] - 0.5, TRACKER_S)
-    tracker = [list(behind.points_at(structure, q).values()) for q in behind.at_times(made.t_s, tree_q, when)]
-    _, trees = behind.rest_poses(faults, streams(scene.seed)["static"], STATIC)
-    static = [list(behind.points_at(structure, q).values()) for q in trees]
+    tracker = [list(arm.points(q).values()) for q in behind.at_times(made.t_s, tree_q, when)]
+    _, trees = plant.rest_poses(faults, streams(scene.seed)["static"], STATIC)
+    static = [list(arm.points(q).values()) for q in trees]
     stamps = np.arange(0.6, made.t_s[-1] - 0.6, CAMERA_S)
     seen = (stamps - sight.late_s) / (1.0 + sight.rate)  # the same stamps show another moment
     ooi = [
-        _corners(structure, sight, q, later)
+        _corners(arm, plant.T_base_ooi(), sight, q, later)
         for q, later in zip(
             behind.at_times(made.t_s, tree_q, seen), behind.at_times(made.t_s, tree_q, seen + 0.01), strict=True
         )
@@ -222,11 +235,11 @@ def _measured(scene: Scene, faults: Faults, tree_q: Array) -> dict[str, Array]:
     return {"tracker": np.array(tracker), "static": np.array(static), "ooi": np.array(ooi), "tool": tool[None]}
 
 
-def _corners(structure: behind.Structure, sight: behind.Sight, q: Array, later: Array) -> Array:
+def _corners(arm: Arm, T_ooi: Array, sight: behind.Sight, q: Array, later: Array) -> Array:
     sides = []
     for one in (q, later) if sight.readout_s else (q,):
-        T = behind.link_frames(structure, *behind.bodies_at(structure, one))[0] @ sight.T_tcp_cam
-        places = [behind.corners(sight, T, own.T_base_ooi(), own.SIDE_M, np.array(xyz)) for _, *xyz in own.PLACES]
+        T = arm.tcp(one) @ sight.T_tcp_cam
+        places = [behind.corners(sight, T, T_ooi, own.SIDE_M, np.array(xyz)) for _, *xyz in own.PLACES]
         sides.append(np.array(places))
     if not sight.readout_s:
         return sides[0]
@@ -237,31 +250,50 @@ def _corners(structure: behind.Structure, sight: behind.Sight, q: Array, later: 
 def _in_floors(scene: Scene, first: dict[str, Array], second: dict[str, Array]) -> Signature:
     out: Signature = {}
     for on in ("tracker", "static"):
-        sigma = np.hypot(scene.noise.tracker_m, scene.record("structure", None, on).sigma)
-        out[on] = ((second[on] - first[on]) / sigma).ravel()
-    sigma = np.hypot(scene.noise.corner_px, scene.record("camera", None, "ooi").sigma)
-    out["ooi"] = _without_place(scene, first["ooi"], second["ooi"] - first["ooi"]) / sigma
+        sigma = np.hypot(scene.noise.tracker_m, scene.by_axis("structure", on, 3))
+        out[on] = (_about_upright(second[on] - first[on], first[on]) / sigma).ravel()
+    out["ooi"] = _without_place(scene, first["ooi"], second["ooi"] - first["ooi"])
     frames = len(first["ooi"])  # the tool is seen in each of them
-    sigma = np.hypot(scene.noise.corner_px, scene.record("camera", None, "tool").sigma)
-    out["tool"] = ((second["tool"] - first["tool"]) / sigma * np.sqrt(frames)).ravel()
+    out["tool"] = (_white(scene, "tool", second["tool"] - first["tool"]) * np.sqrt(frames)).ravel()
     return {name: np.nan_to_num(part) for name, part in out.items()}
 
 
+def _about_upright(change: Array, at: Array) -> Array:
+    """Changes (..., 3) of points `at` (..., 3) as radial, tangential, up: the remainder differs along them."""
+    r = np.hypot(at[..., 0], at[..., 1])
+    c, s = at[..., 0] / r, at[..., 1] / r
+    x, y, z = np.moveaxis(change, -1, 0)
+    return np.stack([c * x + s * y, c * y - s * x, z], axis=-1)
+
+
+def _white(scene: Scene, on: str, corners: Array) -> Array:
+    """Corners (frames, ..., 2) in floors: each has its own noise, and all of a frame share what the arm is off by."""
+    record = scene.record("camera", None, on)
+    own = np.hypot(scene.noise.corner_px, record.sigma)
+    shared = np.array(record.by_axis) if record.by_axis else np.zeros(2)
+    some = np.isfinite(corners)
+    axes = tuple(range(1, corners.ndim - 1))
+    count = some.sum(axis=axes, keepdims=True)
+    mean = np.nan_to_num(corners).sum(axis=axes, keepdims=True) / np.maximum(count, 1)
+    return np.nan_to_num((corners - (1.0 - own / np.sqrt(own**2 + count * shared**2)) * mean) / own)
+
+
 def _without_place(scene: Scene, corners: Array, change: Array) -> Array:
-    """A change of the corners less what another place of the object gives: nobody knows where it stands."""
+    """A change of the corners, in floors, less what another place of the object gives: nobody knows where it stands."""
     if not scene.place:
         scene.place = [_place_columns(scene, corners)]
-    A, b = scene.place[0], np.nan_to_num(change.ravel())
+    columns = [_white(scene, "ooi", column.reshape(change.shape)) for column in scene.place[0].T]
+    A, b = np.array([column.ravel() for column in columns]).T, _white(scene, "ooi", change).ravel()
     return b - A @ np.linalg.lstsq(A, b, rcond=None)[0]
 
 
 def _place_columns(scene: Scene, corners: Array) -> Array:
     """Change of the corners (N, 6) per m and rad of the object's place."""
-    sight, structure = behind.sight_of(faults_of((), own.N)), behind.structure_of(faults_of((), own.N))
-    T_ooi = own.T_base_ooi()
+    plant = scene.made.plant
+    sight, arm, T_ooi = behind.sight_of(faults_of((), own.N)), plant.arm(faults_of((), own.N)), plant.T_base_ooi()
     stamps = np.arange(0.6, scene.made.t_s[-1] - 0.6, CAMERA_S)
     trees = behind.at_times(scene.made.t_s, scene.made.course.tree_q, stamps)
-    cameras = [behind.link_frames(structure, *behind.bodies_at(structure, q))[0] @ sight.T_tcp_cam for q in trees]
+    cameras = [arm.tcp(q) @ sight.T_tcp_cam for q in trees]
     columns = []
     for k in range(6):
         step = np.zeros(6)
