@@ -26,7 +26,7 @@ FRAMES_MAX = 160
 TIME_TOLERANCE_S = 1e-6
 MARGIN_S = 0.6  # a stretch's ends: the clock's offset may lie this far off
 SIGMA_MIN_PX = 0.03
-STILL_RAD = 3e-4
+STILL_RAD = 3e-3
 VISITS_S = 3.0
 VISITED_MIN = 20  # corners seen again
 NUDGE = 1e-4
@@ -252,11 +252,16 @@ def _rows(frames: Frames) -> tuple[Rows, Array]:
 
 
 def _floor(placed: CornerResidual, base: ParameterSets) -> CornerNoise | None:
-    """Deviations where the same pose was looked at again, seconds apart; None where that never happened."""
+    """Deviations where the same pose was looked at again, seconds apart; None where that never happened.
+
+    Of residuals, not of corners: a pose that repeats to a millimetre only would look like noise of pixels.
+    """
     pixels = placed.frames.pixels
-    flat = pixels.reshape(len(pixels), -1, 2)
     if placed.on == "tool":
-        return noise_of_visits([flat], 1)
+        return noise_of_visits([pixels.reshape(len(pixels), -1, 2)], 1)
+    flat = pixels.copy()
+    flat[np.isfinite(flat)] = placed(base)[0]
+    flat = flat.reshape(len(pixels), -1, 2)
     q = link_angles(placed.paths, base, 0, placed.at, placed.frames.t_s)
     visits: list[Array] = []
     left = list(range(len(q)))

@@ -188,7 +188,7 @@ def saturated_floor(
     r0 = residual(base)[0]
     columns = []
     for one in candidates:
-        theta = np.zeros(len(one.slots))
+        theta = np.array([0.0 if slot.neutral == 0.0 else slot.start for slot in one.slots])
         for k, slot in enumerate(one.slots):
             theta[k] = 0.2 * slot.start if slot.neutral == 0.0 else slot.start
             change = residual(put(base, (one,), theta[None]))[0] - r0

@@ -7,6 +7,8 @@ from repeats, never from the residual of the model under test, which would hide 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
 
 from diagnosis.errors import DiagnosisError
 from machine.rotations import Array
@@ -14,6 +16,7 @@ from machine.rotations import Array
 BLOCK_S = 0.05
 ORDER_MAX = 6
 SIGMA_MIN = 1e-12
+RESPONSE = 1000  # increments, 50 s
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,25 +96,46 @@ def floor_of_repeats(repeats: Array, dt_s: float) -> Floor:
 def with_remainder(floor: Floor, steps: list[Array], ar: Array, sigma: Array, rms: Array) -> Floor:
     """A floor raised by what a baseline leaves of the model's form.
 
-    Model: the filter is the remainder's (its innovations are the larger part); sigma^2 = remainder's^2 + what the
-           noise comes to behind that filter.
+    Model: remainder and noise are independent, so that their autocovariances add; the filter is the autoregression of
+           the sum (Yule-Walker). Either one's own filter would leave the other coloured, and coloured residuals make
+           every test of them fire.
     Args:  steps: increments (m, n) of the repeats' deviations, none where nothing was repeated. ar: (p, n), zero in
            columns without autoregression. sigma, rms: (n,), 0 in columns without a remainder, which are left alone.
     """
-    order = max(floor.whitener.order, len(ar))
+    order = max(floor.whitener.order, ORDER_MAX)
     a = np.zeros((order, len(sigma)))
     a[: floor.whitener.order] = floor.whitener.a
     out = floor.whitener.sigma.copy()
     for j in np.nonzero(sigma > 0.0)[0]:
-        a[:, j] = 0.0
-        a[: len(ar), j] = ar[:, j]
-        one = Whitener(a[:, [j]], np.ones(1))
-        noise = [one.whiten(run[:, [j]]) for run in steps]
-        quiet = float(np.mean(np.concatenate(noise) ** 2)) if noise else float(out[j] ** 2)
-        out[j] = np.sqrt(sigma[j] ** 2 + quiet)
+        quiet = _covariance([run[:, j] for run in steps], order) if steps else _white(float(out[j]), order)
+        a[:, j], out[j] = _yule_walker(_process(ar[:, j], float(sigma[j]), order) + quiet)
     raised = np.sqrt(floor.increment_rms**2 + rms**2)
     share = np.where(sigma > 0.0, 1.0, floor.rms)
     return replace(floor, rms=share, increment_rms=raised, whitener=Whitener(a, out))
+
+
+def _process(ar: Array, sigma: float, order: int) -> Array:
+    """Autocovariance (order + 1,) of an autoregression, by its response to one innovation."""
+    response = lfilter([1.0], np.concatenate([[1.0], -ar]), np.eye(1, RESPONSE)[0])
+    if not np.isfinite(response).all() or abs(response[-1]) > 1e-3:  # on the edge of stability: as white
+        return _white(sigma, order)
+    return sigma**2 * np.array([float(response[: RESPONSE - k] @ response[k:]) for k in range(order + 1)])
+
+
+def _white(sigma: float, order: int) -> Array:
+    return np.concatenate([[sigma**2], np.zeros(order)])
+
+
+def _covariance(runs: list[Array], order: int) -> Array:
+    """Autocovariance (order + 1,) of runs without a mean; the biased one, which is always that of a process."""
+    rows = sum(len(run) for run in runs)
+    return np.array([sum(float(run[: len(run) - k] @ run[k:]) for run in runs) / rows for k in range(order + 1)])
+
+
+def _yule_walker(covariance: Array) -> tuple[Array, float]:
+    """Coefficients (order,) and innovation's sigma of the autoregression with an autocovariance (order + 1,)."""
+    a = solve_toeplitz(covariance[:-1] * np.concatenate([[1.0 + 1e-9], np.ones(len(covariance) - 2)]), covariance[1:])
+    return a, float(np.sqrt(max(covariance[0] - a @ covariance[1:], SIGMA_MIN**2)))
 
 
 def deviations(repeats: Array) -> list[Array]:

@@ -16,9 +16,10 @@ SINGLES_MAX = 16  # fitted, the best of the scan
 PAIRS_REFINED = 5
 TRIPLES_REFINED = 2
 FORESEEN = 2  # sizes tried beyond the grid, where the grid's own changes point
-REFINED = 8  # sizes tried on either side of a scan's best
+REFINED = 10  # sizes tried on either side of a scan's best
 ROUNDS_SINGLE = 8
 ROUNDS_PAIR = 6
+EVEN_STAGES = ("link", "controller", "actuator")  # driven in time: their effects have steps and narrow valleys
 Key = tuple[str, int | None]
 
 
@@ -159,16 +160,21 @@ def _singles(book: _Book, scans: list[Scan], none: Score) -> list[Score]:
 
 
 def _refined(cell: Cell, one: Scan) -> Array:
-    """A start between the scan's best size and its neighbours: a delay's cost has steps that no gradient sees."""
+    """A start between the scan's best size and its neighbours, twice: a delay's cost has steps that no gradient sees,
+    and stiction's valley is a tenth as wide as its way there.
+    """
     best = one.thetas[one.best]
-    if len(best) > 1:
+    if len(best) > 1 or cell.stage not in EVEN_STAGES:
         return best
-    sizes = np.unique(one.thetas[:, 0])
-    at = int(np.searchsorted(sizes, best[0]))
-    edges = [sizes[max(at - 1, 0)], best[0], sizes[min(at + 1, len(sizes) - 1)]]
-    trials = np.concatenate([np.linspace(a, b, REFINED) for a, b in pairwise(edges)])[:, None]
-    total = costs(evaluated(cell, (one.candidate,), trials)).sum(axis=1)
-    return trials[int(np.argmin(total))]
+    slot = one.candidate.slots[0]
+    sizes, found = np.unique(np.append(one.thetas[:, 0], slot.high)), float(best[0])
+    for _ in range(2):
+        at = int(np.searchsorted(sizes, found))
+        edges = [sizes[max(at - 1, 0)], found, sizes[min(at + 1, len(sizes) - 1)]]
+        sizes = np.unique(np.concatenate([np.linspace(a, b, REFINED) for a, b in pairwise(edges)]))
+        total = costs(evaluated(cell, (one.candidate,), sizes[:, None])).sum(axis=1)
+        found = float(sizes[int(np.argmin(total))])
+    return np.array([found])
 
 
 def _pairs(book: _Book, singles: list[Score], none: Score) -> list[Score]:
@@ -190,9 +196,22 @@ def _pairs(book: _Book, singles: list[Score], none: Score) -> list[Score]:
     for left, a, b, amounts in chosen:
         if 0.5 * (best_single - left) < -10.0 * MARGIN_NATS:
             continue
-        start = np.concatenate([_scaled(a.fit, amounts[0]), _scaled(b.fit, amounts[1])])
+        start = _best_start(book.cell, r0, (a, b), amounts)
         found.append(book.scored((*a.fit.hypothesis, *b.fit.hypothesis), start, ROUNDS_PAIR))
     return sorted(found, key=lambda one: -one.total)
+
+
+def _best_start(cell: Cell, r0: Array, singles: tuple[Score, Score], amounts: Array) -> Array:
+    """Where a pair's fit begins: both by the linear screen, both as alone, or one as alone and the other by the rest.
+
+    Why: a size in a narrow valley (stiction, a delay) must not be scaled out of it.
+    """
+    a, b = singles
+    columns = [one.fit.residual - r0 for one in singles]
+    rest = [_explained(mine[:, None], other.fit.residual)[0][0] for mine, other in zip(columns, (b, a), strict=True)]
+    shares = [(amounts[0], amounts[1]), (1.0, 1.0), (1.0, rest[1]), (rest[0], 1.0)]
+    starts = np.array([np.concatenate([_scaled(a.fit, x), _scaled(b.fit, y)]) for x, y in shares])
+    return starts[int(np.argmin(costs(evaluated(cell, (*a.fit.hypothesis, *b.fit.hypothesis), starts)).sum(axis=1)))]
 
 
 def _explained(columns: Array, r0: Array) -> tuple[Array, float]:

@@ -43,8 +43,8 @@ def scenes(remainders: tuple[Remainder, ...], plant: Plant = OWN) -> list[Scene]
     made = make(faults_of((), own.N), NOISES[0], SEED, plant)
     first = scene_of(made, NOISES[0], SEED, remainders)
     return [
-        replace(first, noise=noise, speed_noise=first.speed_noise * noise.speed / NOISES[0].speed, plain={}, place=[])
-        for noise in NOISES
+        replace(first, noise=n, speed_noise=first.speed_noise * (n.speed / NOISES[0].speed) ** 2, plain={}, place=[])
+        for n in NOISES
     ]
 
 

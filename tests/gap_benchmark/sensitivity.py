@@ -19,6 +19,7 @@ from tests.gap_benchmark.link import received
 from tests.gap_benchmark.plants import Arm, Plant
 from tests.gap_benchmark.recorded import CAMERA_S, STATIC, TRACKER_S, Made, Noise, streams
 from tests.gap_benchmark.scales import BY_NAME, Kind
+from tests.gap_benchmark.whitening import ORDER, covariance_of, filtered, process
 
 BLOCK = round(0.05 / own.CYCLE_S)
 LEAST = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # smaller moves the tip by less than 0.1 mm
@@ -35,7 +36,7 @@ class Scene:
     noise: Noise
     seed: int
     remainders: tuple[Remainder, ...]
-    speed_noise: Array  # (joints,) innovation of the increments behind the remainder's filter, by disturbance alone
+    speed_noise: Array  # (ORDER + 1, joints) autocovariance of the encoders' increments, by disturbance alone
     shock: Array  # the disturbance as it was drawn: the same commands and shocks give the same motion again
     plain: dict[str, Array] = field(default_factory=dict)  # what is measured behind the joints, noise-free
     place: list[Array] = field(default_factory=list)  # change of the corners with the object's place
@@ -54,14 +55,12 @@ class Scene:
 def scene_of(made: Made, noise: Noise, seed: int, remainders: tuple[Remainder, ...]) -> Scene:
     """A recording without faults, with its floor: the disturbance's part by a second run with other noise."""
     shock = streams(seed)["plant"].normal(0.0, noise.speed, made.ref.shape)
-    scene = Scene(made, noise, seed, remainders, np.zeros(own.N), shock)
+    scene = Scene(made, noise, seed, remainders, np.zeros((ORDER + 1, own.N)), shock)
     other = np.random.default_rng([seed, 99]).normal(0.0, noise.speed, made.ref.shape)
     again = made.plant.run(faults_of((), own.N), made.ref, other, made.course.u)
     apart = (again.enc - made.course.enc) / np.sqrt(2.0)
     steps = np.diff(_means(apart), axis=0)
-    scene.speed_noise = np.array(
-        [float(np.std(_filtered(steps[:, j], scene.record("actuator", j + 1).ar))) for j in range(own.N)]
-    )
+    scene.speed_noise = np.stack([covariance_of(column) for column in steps.T], axis=1)
     return scene
 
 
@@ -162,8 +161,8 @@ def encoder_signature(scene: Scene, change: Array) -> Signature:
     out: Signature = {}
     for j in range(own.N):
         record = scene.record("actuator", j + 1)
-        sigma = np.sqrt(LEAST["actuator"] ** 2 + record.sigma**2 + scene.speed_noise[j] ** 2)
-        out[f"actuator {j + 1}"] = _filtered(steps[:, j], record.ar) / sigma
+        both = process(record.ar, record.sigma) + scene.speed_noise[:, j]
+        out[f"actuator {j + 1}"] = filtered(steps[:, j], both, LEAST["actuator"])
     return out
 
 
