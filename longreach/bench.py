@@ -17,12 +17,16 @@ from longreach.bench_crashes import crashes
 from longreach.bench_experiments.command import experiments
 from longreach.bench_gap.command import gap
 from longreach.bench_hold.command import hold
+from longreach.bench_jobs_soak.command import jobs_soak
+from longreach.bench_load.command import load
 from longreach.bench_machines.command import ablation, machines
 from longreach.bench_markers.command import markers
 from longreach.bench_odometry.command import odometry
 from longreach.bench_rate.command import vision
 from longreach.bench_registration.command import registration
 from longreach.bench_registration.hand_eye_command import hand_eye
+from longreach.bench_rerun import rerun
+from longreach.bench_scale import scale
 from longreach.bench_servo import servo
 from longreach.bench_soak import vision_soak
 from longreach.bench_video.command import video
@@ -49,6 +53,10 @@ app.command("vision-soak")(vision_soak)
 app.command("servo")(servo)
 app.command("crashes")(crashes)
 app.command("hold")(hold)
+app.command("load")(load)
+app.command("rerun")(rerun)
+app.command("scale")(scale)
+app.command("jobs-soak")(jobs_soak)
 app.command("video")(video)
 app.command("gap")(gap)
 app.command("experiments")(experiments)

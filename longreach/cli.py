@@ -26,6 +26,7 @@ from longreach import (
     sim_command,
     target_command,
 )
+from longreach.reference.command import docs
 from machine.errors import MachineError
 from server.access.keys import first_key as make_first_key
 from server.access.roles import Role
@@ -43,6 +44,7 @@ app.command("demo")(demo.demo)
 app.command("diagnose")(diagnose_command.diagnose)
 app.command("diagnose-fleet")(diagnose_fleet_command.diagnose_fleet)
 app.command("reproduce")(reproduce_command.reproduce)
+app.command("docs")(docs)
 if sys.argv[1:2] not in (["serve"], ["sim"], ["demo"]):
     # These run beside a machine, and each of their child processes imports this file anew: the benches, which pull in
     # everything, took three quarters of their start.

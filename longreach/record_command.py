@@ -1,4 +1,4 @@
-"""`longreach recording ...`: check, convert, recover."""
+"""`longreach recording ...`: check, convert, recover, open in Rerun."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,12 +6,14 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from longreach.rerun_view import rerun
 from recording.check import check_recording
 from recording.convert import convert as convert_recording
 from recording.errors import RecordingError
 from recording.recover import recover as recover_recording
 
 app = typer.Typer(no_args_is_help=True)
+app.command("rerun")(rerun)
 console = Console()
 Source = Annotated[Path, typer.Argument(help="an MCAP file or a folder of CSV files")]
 Target = Annotated[Path, typer.Argument(help="where the result goes; the ending .mcap decides the form")]

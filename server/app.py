@@ -25,6 +25,7 @@ from server.jobs.engine import JobEngine
 from server.jobs.performer import Performer
 from server.jobs.service import JobService
 from server.link.client import LinkClient
+from server.opcua.face import check_opcua, opcua_face
 from server.recorder import Recorder
 from server.settings import HttpSettings, ServerSettings, read_machine_text
 from server.settings_source import machine_text_with, source_and_machine
@@ -74,6 +75,7 @@ def gatekeeper_of(http: HttpSettings) -> Gatekeeper:
 def build_app(settings: ServerSettings) -> FastAPI:
     """The ASGI application; link and vision processes live as long as it does."""
     gatekeeper = gatekeeper_of(settings.http)
+    check_opcua(settings.opcua)
     cell = build_cell(settings)
     folder = Path(settings.recording.folder)
     keeper = Keeper(Database(folder / DATABASE_NAME), result_data)
@@ -92,7 +94,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
         await asyncio.to_thread(warm_up, cell.machine, cell.chain)
         panel = await install_panel_tasks(app)
         try:
-            async with running.tasks():
+            async with running.tasks(), opcua_face(service, settings.opcua):
                 yield
         finally:
             await panel()
@@ -127,5 +129,6 @@ def serve(settings: ServerSettings) -> None:
         proxy_headers=settings.http.behind_proxy,
         server_header=False,
         timeout_graceful_shutdown=3,
+        ws_per_message_deflate=False,  # it took 4 ms a picture and viewer, in vain: JPEG does not get smaller
     )
     asyncio.run(uvicorn.Server(config).serve())

@@ -23,6 +23,7 @@ __all__ = [
     "HttpCameraSettings",
     "HttpSettings",
     "LookSettings",
+    "OpcUaSettings",
     "PlcSettings",
     "PositionSettings",
     "RecordingSettings",
@@ -136,6 +137,15 @@ class RecordingSettings(_Strict):
     images: bool = True
 
 
+class OpcUaSettings(_Strict):
+    """The read-only OPC UA face; it knows no keys, so that beyond this computer it must be wanted so."""
+
+    enabled: bool = False
+    host: str = "127.0.0.1"
+    port: Port = 4840
+    without_keys: bool = False  # whoever reaches the port may read joints, faults and the running job
+
+
 class ServerSettings(_Strict):
     """Everything the server needs to know before it starts."""
 
@@ -150,6 +160,7 @@ class ServerSettings(_Strict):
     closed_loop: ClosedLoopSettings = ClosedLoopSettings()
     compensation: CompensationSettings = CompensationSettings()
     recording: RecordingSettings = RecordingSettings()
+    opcua: OpcUaSettings = OpcUaSettings()
 
 
 def read_settings(path: Path | None) -> ServerSettings:

@@ -110,6 +110,8 @@ class Scene:
                 self._show_on_path(view.plan, view.scrub_frac)
             if before is None or not _alike(view.track_base_m, before.track_base_m):
                 self._show_track(view.track_base_m)
+            if before is None or not _alike(view.map_base_m, before.map_base_m):
+                self._show_map(view.map_base_m)
         self._shown = view
 
     def _show_plan(self, plan: PlanShown | None) -> None:
@@ -135,6 +137,13 @@ class Scene:
         segments = np.stack([track_base_m[:-1], track_base_m[1:]], axis=1)
         self._server.scene.add_line_segments("/odometry", points=segments, colors=TRACK_COLOR, thickness=0.008)
 
+    def _show_map(self, map_base_m: Array | None) -> None:
+        if map_base_m is None or len(map_base_m) == 0:
+            self._server.scene.remove_by_name("/odometry_map")
+            return
+        points = np.asarray(map_base_m, np.float32)
+        self._server.scene.add_point_cloud("/odometry_map", points=points, colors=TRACK_COLOR, point_size=0.008)
+
     def _show_picture(self, jpeg: bytes) -> None:
         """The newest picture, small, in the frustum."""
         image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_REDUCED_COLOR_8)
@@ -146,7 +155,8 @@ def _same(a: SceneView, b: SceneView) -> bool:
     """Whether nobody could see a difference: an encoder that flickers must not redraw every viewer's screen."""
     turned = max(abs(x - y) for x, y in zip(a.q_rad, b.q_rad, strict=True))
     moved = float(np.abs(a.T_base_cam - b.T_base_cam).max())
-    rest = _alike(a.T_base_ooi, b.T_base_ooi) and _alike(a.track_base_m, b.track_base_m)
+    way = _alike(a.track_base_m, b.track_base_m) and _alike(a.map_base_m, b.map_base_m)
+    rest = _alike(a.T_base_ooi, b.T_base_ooi) and way
     plan = _plan_name(a) == _plan_name(b) and a.scrub_frac == b.scrub_frac
     return turned < STILL_RAD and moved < STILL_RAD and rest and plan
 

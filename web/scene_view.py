@@ -24,7 +24,8 @@ class SceneView:
     """Joints [rad], the machine's tool and camera, the target if known, the previewed plan if any.
 
     `number_ooi` changes with the target's pose; `scrub_frac` 0..1 along the plan; `track_base_m` (k, 3): where odometry
-    saw the camera go; `picture_jpeg`: thumbnail for the frustum, None: as before.
+    saw the camera go; `map_base_m` (p, 3): the points that it went by; `picture_jpeg`: thumbnail for the frustum, None:
+    as before.
     """
 
     q_rad: tuple[float, ...]
@@ -34,4 +35,5 @@ class SceneView:
     plan: PlanShown | None
     scrub_frac: float
     track_base_m: Array | None
+    map_base_m: Array | None
     picture_jpeg: bytes | None

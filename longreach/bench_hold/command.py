@@ -10,7 +10,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.bench_hold.drill import FLAGS, LIMIT_MS, WAYS, HoldCase, HoldDrill
+from longreach.bench_hold.drill import LIMIT_MS, WAYS, HoldCase, HoldDrill
+from longreach.headless import headless
 
 console = Console(width=160)
 RETRIES = 3
@@ -25,22 +26,14 @@ def hold(
     chromium: Annotated[str, typer.Option(help="the browser")] = "/usr/bin/chromium",
 ) -> None:
     """Hold-to-run in a real browser: time from letting go to the ramp in the PLC's states."""
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError:
-        console.print("playwright is not installed: pip install 'longreach[test]'")
-        raise typer.Exit(2) from None
     folder.mkdir(parents=True, exist_ok=True)
     cases = saved(folder, seed)
     wanted = [(way, number) for number in range(n) for way in WAYS if (way, number) not in cases]
     if wanted:
-        with sync_playwright() as driver:
-            browser = driver.chromium.launch(executable_path=chromium, headless=True, args=list(FLAGS))
-            with HoldDrill(folder / "stack", browser) as drill:
-                for way, number in wanted:
-                    cases[way, number] = _tried(drill, way, number, seed)
-                    _save(folder, seed, cases[way, number])
-            browser.close()
+        with headless(chromium) as browser, HoldDrill(folder / "stack", browser) as drill:
+            for way, number in wanted:
+                cases[way, number] = _tried(drill, way, number, seed)
+                _save(folder, seed, cases[way, number])
     console.print(summary([case for case in cases.values() if case.number < n]))
 
 

@@ -17,7 +17,6 @@ from sim_plc.settings import SimSettings
 
 WAYS = ("release", "blur", "closed tab", "pulled network", "300 ms stall")
 LIMIT_MS = {"release": 100.0, "blur": 100.0, "closed tab": 100.0, "pulled network": 350.0, "300 ms stall": 350.0}
-FLAGS = ("--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-gpu")
 STALL_S = 0.3
 CLOCK_TRIES = 25
 WITNESS = """for (const name of ["pointerup", "blur"]) addEventListener(name, (event) => {

@@ -1,6 +1,8 @@
 """Viewers in a real browser on a live stack, and the time code read back from what the browser composed."""
 
 import base64
+import contextlib
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -9,10 +11,13 @@ from typing import Any
 import cv2
 import httpx
 import numpy as np
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
+from longreach.link_load.usage import cpu_s
+from longreach.processes import Stack
 from sim_plc.camera.time_code import read
 
-FLAGS = ("--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-gpu")
 ALONE = """() => { const style = new CSSStyleSheet();
   style.replaceSync('header, #notices, footer, .column:last-child, .scene, h2 { display: none !important } '
     + 'main { display: block !important; padding: 0 !important } '
@@ -23,11 +28,17 @@ DRAWN = "() => Number(document.getElementById('picture').dataset.drawn ?? 0)"
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """With so many viewers for so long: vision's rate, and what each viewer drew."""
+    """With so many viewers for so long: vision's rate, and what each viewer drew.
 
+    `where`: "here": browsers that draw on this computer too; "elsewhere": sockets that take every frame and draw none,
+    as viewers on other computers look to the server.
+    """
+
+    where: str
     viewers: int
     seconds: float
     vision_hz: float
+    server_cpu_pct: float  # of one core: the server's own process, without vision's
     viewer_hz: tuple[float, ...]
 
 
@@ -39,13 +50,50 @@ def opened(browser: Any, url: str) -> Any:
     return page
 
 
-def watch(url: str, pages: list[Any], seconds: float) -> Watched:
+def watch(stack: Stack, pages: list[Any], seconds: float) -> Watched:
     """Count for a while what each viewer draws."""
-    before, started = [page.evaluate(DRAWN) for page in pages], time.monotonic()
-    vision_hz = _pairs_seen(url, seconds)
-    drawn = [page.evaluate(DRAWN) - earlier for page, earlier in zip(pages, before, strict=True)]
+    return _watched("here", stack, [lambda page=page: int(page.evaluate(DRAWN)) for page in pages], seconds)
+
+
+def watch_elsewhere(stack: Stack, count: int, seconds: float) -> Watched:
+    """The same with viewers that only take the frames."""
+    with contextlib.ExitStack() as opened:
+        takers = [opened.enter_context(FrameTaker(stack.url)) for _ in range(count)]
+        return _watched("elsewhere", stack, [lambda taker=taker: taker.taken for taker in takers], seconds)
+
+
+def _watched(where: str, stack: Stack, counters: list[Callable[[], int]], seconds: float) -> Watched:
+    server = stack.processes["server"].pid
+    before, cpu_before_s, started = [count() for count in counters], cpu_s(server), time.monotonic()
+    vision_hz = _pairs_seen(stack.url, seconds)
+    drawn = [count() - earlier for count, earlier in zip(counters, before, strict=True)]
     took_s = time.monotonic() - started
-    return Watched(len(pages), round(took_s, 1), vision_hz, tuple(round(count / took_s, 2) for count in drawn))
+    cpu_pct = round(100.0 * (cpu_s(server) - cpu_before_s) / took_s, 1)
+    return Watched(where, len(drawn), round(took_s, 1), vision_hz, cpu_pct, tuple(round(n / took_s, 2) for n in drawn))
+
+
+class FrameTaker(threading.Thread):
+    """A viewer of the video channel that answers each frame at once. A context manager."""
+
+    def __init__(self, url: str) -> None:
+        super().__init__(name="frame-taker", daemon=True)
+        self._socket = connect(url.replace("http", "ws", 1) + "/v1/video", max_size=None, compression=None)
+        self.taken = 0
+
+    def __enter__(self) -> "FrameTaker":
+        self.start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._socket.close()
+        self.join(5.0)
+
+    def run(self) -> None:
+        """Until closed."""
+        with contextlib.suppress(ConnectionClosed):
+            for _ in self._socket:
+                self.taken += 1
+                self._socket.send("next")
 
 
 def _pairs_seen(url: str, seconds: float) -> float:

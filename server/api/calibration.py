@@ -1,10 +1,10 @@
 """The calibration over REST: shown, and exported as a file for other programs."""
 
 import time
-from typing import Literal
+from typing import Any, Literal
 
 from fastapi import APIRouter
-from fastapi.responses import JSONResponse, PlainTextResponse
+from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
 from server.api.calibration_view import calibration_view, validity_now
 from server.api.problems import problem
@@ -12,6 +12,17 @@ from server.api.views import CalibrationView, Problem
 from server.calibration.calibration_export import as_ros, as_yaml
 from server.calibration.calibration_file import SavedCalibration, calibration_text
 from server.jobs.service import JobService
+
+EXPORTED: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "the calibration",
+        "content": {
+            "application/yaml": {"schema": {"type": "string"}},
+            "application/json": {"schema": {"type": "object"}},
+        },
+    },
+    404: {"model": Problem},
+}
 
 
 def calibration_router(service: JobService) -> APIRouter:
@@ -24,7 +35,7 @@ def calibration_router(service: JobService) -> APIRouter:
         """The calibration of here and now; 404 with the reason while there is none."""
         return calibration_view(cell, service.context, time.monotonic_ns()) or _none(service)
 
-    @router.get("/export", response_model=None, responses={404: {"model": Problem}})
+    @router.get("/export", response_model=None, response_class=Response, responses=EXPORTED)
     async def export(format: Literal["yaml", "ros", "json"] = "yaml") -> PlainTextResponse | JSONResponse:
         """As YAML, as ROS's static transform, or as longreach's own file (JSON)."""
         life = cell.knowledge.life

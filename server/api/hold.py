@@ -77,7 +77,7 @@ def hold_router(service: JobService, memory: PanelMemory) -> APIRouter:
         await socket.accept()
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _serve(socket, service, memory)
-        with contextlib.suppress(RuntimeError):
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await socket.close()
 
     return router

@@ -1,9 +1,13 @@
 """Which commands must be held: on a real machine everything that an operator moves from the panel."""
 
+from typing import Literal
+
 from server.access.errors import AccessError
 from server.access.lease import Lease, LeaseKind
 from server.jobs.service import JobBody
+from server.link.contracts import PlcSample
 
+Mode = Literal["SIM", "REAL"]
 STILL = frozenset({"look", "preview"})
 
 
@@ -13,6 +17,14 @@ class HoldRequiredError(AccessError):
     code = "hold_required"
     status = 409
     hint = "send the job over the WebSocket /v1/hold and keep answering its challenges; a fleet's lease needs no hold"
+
+
+def mode_of(set_mode: Mode, latest: PlcSample | None) -> Mode:
+    """SIM only where the settings say so and the PLC does not deny it.
+
+    A click must never move steel by a line that was forgotten in a settings file.
+    """
+    return "REAL" if latest is not None and not latest.simulation else set_mode
 
 
 def require_hold(mode: str, body: JobBody, lease: Lease) -> None:

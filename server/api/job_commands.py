@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from server.access.errors import AccessError
 from server.access.lease import Lease, LeaseKind
-from server.api.hold_rule import require_hold
+from server.api.hold_rule import mode_of, require_hold
 from server.api.state_view import job_view
 from server.errors import ServerError
 from server.jobs.commands import Command
@@ -84,7 +84,8 @@ class JobCommands:
             raise ExpiredError(f"the command expired {time.time() - sent.expires_unix_s:.1f} s ago")
         lease = self._service.engine.leases.check(sent.lease_id, sent.fencing)
         _require_key(sent, lease)
-        require_hold(self._service.cell.settings.mode, body, lease)
+        cell = self._service.cell
+        require_hold(mode_of(cell.settings.mode, cell.link.latest), body, lease)
         kept: list[Answered] = []
 
         def answer(job: Job) -> Answered:

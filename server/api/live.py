@@ -5,7 +5,7 @@ import contextlib
 import json
 import logging
 
-from fastapi import APIRouter, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, WebSocket
 
 from server.api.panel_memory import PanelMemory
 from server.api.panel_origin import same_origin
@@ -13,6 +13,7 @@ from server.api.panel_origin import same_origin
 log = logging.getLogger(__name__)
 
 STATE_PERIOD_S = 0.1
+UNDER_WAY_MAX = 2
 
 
 class LiveFeed:
@@ -48,7 +49,10 @@ class LiveFeed:
 
 
 def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
-    """Route /v1/live: text frames hold LiveView JSON; the page may send {"scrub": 0..1}."""
+    """Route /v1/live: text frames hold LiveView JSON; the page says {"seen": true} for each; {"scrub": 0..1} is a wish.
+
+    Two states may be under way: a page that is slow misses some, and never shows what has waited in a queue for it.
+    """
     router = APIRouter()
 
     @router.websocket("/v1/live")
@@ -58,23 +62,31 @@ def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
             return
         await socket.accept()
         memory.viewers += 1
-        hearing = asyncio.create_task(_hear(socket, memory))
+        room = asyncio.Semaphore(UNDER_WAY_MAX)
+        tasks = [asyncio.create_task(_tell(socket, feed, room)), asyncio.create_task(_hear(socket, memory, room))]
         try:
-            with contextlib.suppress(WebSocketDisconnect, RuntimeError):
-                while not hearing.done():
-                    await socket.send_text(await feed.next())
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             memory.viewers -= 1
-            hearing.cancel()
-            await asyncio.gather(hearing, return_exceptions=True)
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
 
     return router
 
 
-async def _hear(socket: WebSocket, memory: PanelMemory) -> None:
-    """Wishes about the view only; what is not understood is passed over."""
+async def _tell(socket: WebSocket, feed: LiveFeed, room: asyncio.Semaphore) -> None:
+    while True:
+        await room.acquire()
+        await socket.send_text(await feed.next())
+
+
+async def _hear(socket: WebSocket, memory: PanelMemory, room: asyncio.Semaphore) -> None:
+    """What was seen, and wishes about the view only; what is not understood is passed over."""
     while True:
         with contextlib.suppress(ValueError, TypeError, AttributeError):
-            frac = json.loads(await socket.receive_text()).get("scrub")
-            if frac is not None:
+            said = json.loads(await socket.receive_text())
+            if said.get("seen"):
+                room.release()
+            if (frac := said.get("scrub")) is not None:
                 memory.scrub(float(frac))

@@ -1,5 +1,6 @@
 """/metrics in Prometheus' text format: read from the cell when scraped, nothing is counted twice."""
 
+import asyncio
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -33,6 +34,8 @@ def metrics_router(service: JobService, readers: Callable[[], int]) -> APIRouter
             ended.labels(job.kind, job.state.value).inc()
 
     service.engine.on_event(count)
+    pairs = Counter("longreach_camera_pairs", "stereo pairs worked through since the start", registry=registry)
+    service.cell.vision.on_report(lambda _: pairs.inc())
 
     @router.get("/metrics", response_model=None, response_class=Response, responses=TEXT)
     async def metrics() -> Response:
@@ -95,4 +98,13 @@ def _service(service: JobService) -> Figures:
         ("fencing", "the highest fencing number given", service.engine.leases.book.fencing),
         ("store_ok", "1 while the database can be written", float(keeper is not None and not keeper.problem)),
         ("faults", "faults now", len(fault_views(service))),
+        ("asyncio_tasks", "tasks of the event loop", len(asyncio.all_tasks())),
+        ("store_bytes", "size of the database with its log", _size(service)),
     ]
+
+
+def _size(service: JobService) -> float:
+    """Bytes of the database file and of its write-ahead log."""
+    path = service.keeper.database.path if service.keeper is not None else None
+    files = [] if path is None else [path, path.with_name(path.name + "-wal")]
+    return float(sum(file.stat().st_size for file in files if file.exists()))

@@ -6,6 +6,7 @@ from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
 from server.access.roles import ANYBODY, Role, needed
+from server.api.examples import with_examples
 
 PROBLEM = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
 BY_GUARD = {
@@ -47,7 +48,13 @@ _CONTROL = {
 _HELD = ("PUT /v1/lease/{lease_id}", "DELETE /v1/lease/{lease_id}", "POST /v1/lease/{lease_id}/grant")
 _JOB = ("GET /v1/jobs/{job_id}", "GET /v1/jobs/{job_id}/events", "POST /v1/jobs/{job_id}/cancel")
 _DIAGNOSIS = ("GET /v1/diagnoses/{diagnosis_id}", "DELETE /v1/diagnoses/{diagnosis_id}")
-_COMMANDS = ("POST /v1/jobs", "POST /v1/disarm", "POST /v1/reset")
+PANEL_FILES = {  # what the panel's own routes answer, beside the guard: media type, refusals
+    "/v1/panel/recordings/{name}/file": ("application/octet-stream", ("404",)),
+    "/v1/panel/recordings/{name}/replay": ("application/json", ("404", "409")),
+    "/v1/panel/recordings/{name}/pictures/{start}-{end}": ("image/jpeg", ("404",)),
+}
+_PANEL = ("PUT /v1/goal", "POST /v1/accept", "POST /v1/alarms/{code}/acknowledge")
+_COMMANDS = ("POST /v1/jobs", "POST /v1/disarm", "POST /v1/reset", *_PANEL)
 LINKS: dict[tuple[str, str], tuple[dict[str, str], tuple[str, ...]]] = {
     ("/v1/lease", "201"): (_CONTROL, (*_HELD, *_COMMANDS)),
     ("/v1/lease/take", "201"): (_CONTROL, (*_HELD, *_COMMANDS)),
@@ -63,11 +70,29 @@ def completed(document: dict[str, Any]) -> dict[str, Any]:
     }
     for name in ("HTTPValidationError", "ValidationError"):
         document["components"]["schemas"].pop(name, None)
+    _tell_files(document["paths"])
+    with_examples(document)
     _link(document["paths"])
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             _complete(operation, method.upper(), path)
     return document
+
+
+def _tell_files(paths: dict[str, Any]) -> None:
+    """Answers that are files or not a model of ours, and how they are refused; without a panel there are none."""
+    for path, (media_type, refusals) in PANEL_FILES.items():
+        if path in paths:
+            responses = paths[path]["get"]["responses"]
+            kind = {"type": "object"} if media_type == "application/json" else {"type": "string"}
+            responses["200"]["content"] = {media_type: {"schema": kind}}
+            for status in refusals:
+                responses.setdefault(status, {"description": "there is none, or it cannot be read"})
+            for parameter in paths[path]["get"].get("parameters", ()):
+                if parameter["schema"].get("type") == "integer":
+                    parameter["schema"]["minimum"] = (
+                        0  # a place in the run: a minus sign would be read as the one between
+                    )
 
 
 def _link(paths: dict[str, Any]) -> None:
@@ -76,6 +101,8 @@ def _link(paths: dict[str, Any]) -> None:
         links = {}
         for target in targets:
             method, _, to = target.partition(" ")
+            if to not in paths:  # an application without a panel
+                continue
             label = f"{method.lower()}{to.replace('/', '_').replace('{', '').replace('}', '')}"
             there = paths[to][method.lower()]
             taken = {one["name"].lower() for one in there.get("parameters", ())}

@@ -167,6 +167,14 @@ _KINDS = (
         OPERATOR,
     ),
     AlarmKind(
+        "mode_mismatch",
+        "medium",
+        "Settings and PLC disagree: SIM or REAL",
+        "The PLC tells with every state whether it drives a simulation; the settings' mode says otherwise.",
+        "Until they agree every motion must be held, as on a real machine. Set mode in the settings file.",
+        OPERATOR,
+    ),
+    AlarmKind(
         "scene_ended",
         "low",
         "The 3D view is not running",

@@ -42,12 +42,17 @@ class AlarmBook:
 
     @property
     def alarms(self) -> tuple[Alarm, ...]:
-        """Unacknowledged first, then by priority, the newest first."""
+        """Unacknowledged first, of them what is still so, then by priority, the newest first."""
         order = {"high": 0, "medium": 1, "low": 2}
         return tuple(
             sorted(
                 self._alarms.values(),
-                key=lambda one: (bool(one.acknowledged_by), order[CATALOGUE[one.code].level], -one.since_unix_s),
+                key=lambda one: (
+                    bool(one.acknowledged_by),
+                    one.ended_unix_s is not None,
+                    order[CATALOGUE[one.code].level],
+                    -one.since_unix_s,
+                ),
             )
         )
 
@@ -94,6 +99,7 @@ class Surroundings:
     loss_pct: float
     unfit_for_s: float
     up_s: float  # since the server started
+    set_mode: str = "SIM"  # as the settings have it
 
 
 def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
@@ -106,6 +112,7 @@ def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
         | _disk(around)
         | ({"scene_ended": around.scene_problem} if around.scene_problem else {})
         | _calibration(state)
+        | _mode(state, around)
     )
 
 
@@ -138,6 +145,13 @@ def _disk(around: Surroundings) -> dict[str, str]:
     if free is None or free >= DISK_LOW_BYTES:
         return {}
     return {"disk_low": f"{free / 1e6:.0f} MB left"}
+
+
+def _mode(state: StateView, around: Surroundings) -> dict[str, str]:
+    if state.link.age_ms is None or state.link.simulation == (around.set_mode == "SIM"):
+        return {}
+    plc = "a simulation" if state.link.simulation else "a real machine"
+    return {"mode_mismatch": f"the settings say {around.set_mode}, the PLC says that it drives {plc}"}
 
 
 def _calibration(state: StateView) -> dict[str, str]:

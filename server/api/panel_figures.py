@@ -52,12 +52,13 @@ def safety_view(health: LinkHealth, latest: PlcSample | None, faults: list[str])
     )
 
 
-def vision_figures(vision: VisionClient, viewers: int) -> VisionFigures:
-    """The newest pair's."""
+def vision_figures(vision: VisionClient, viewers: int, t_mono_ns: int) -> VisionFigures:
+    """The newest pair's, as of `t_mono_ns`."""
     report = vision.latest
     if report is None:
         return VisionFigures(
             sharpness=None,
+            exposure_age_ms=None,
             process_ms=0.0,
             skipped=0,
             restarts=vision.restarts,
@@ -68,6 +69,7 @@ def vision_figures(vision: VisionClient, viewers: int) -> VisionFigures:
     tool, ooi = report.observation.tool, report.observation.ooi
     return VisionFigures(
         sharpness=round(float(report.sharpness), 2),
+        exposure_age_ms=round((t_mono_ns - report.t_exposure_mapped_ns) * 1e-6, 1),
         process_ms=round(report.process_ms, 1),
         skipped=report.skipped,
         restarts=vision.restarts,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from server.api.hold_rule import mode_of
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.api.panel_alarms import Alarm, AlarmBook, Surroundings, active_alarms
 from server.api.panel_figures import calibration_figures, link_figures, loss_pct, safety_view, vision_figures
@@ -83,20 +84,26 @@ class PanelMemory:
         faults = [one.title for one in alarms if one.code.startswith("plc_") and one.ended_unix_s is None]
         return PanelView(
             unix_s=round(time.time(), 3),
+            mono_ms=round(time.monotonic_ns() * 1e-6, 1),
             alarms=alarms,
             goal=GoalView(stand_off_mm=goal.stand_off_mm, offset_x_mm=goal.offset_x_mm, offset_y_mm=goal.offset_y_mm),
             history=list(self.history)[-SHOWN:],
             safety=safety_view(cell.link.health, cell.link.latest, faults),
             link=self._figures or link_figures([], cell.link.health, 0.0),
-            vision=vision_figures(cell.vision, self.viewers),
+            vision=vision_figures(cell.vision, self.viewers, time.monotonic_ns()),
             calibration=calibration_figures(cell.knowledge.life),
             scene=self.scene,
-            hold=HoldState(required=cell.settings.mode == "REAL", held_by=self.held_by, limit_ms=SILENCE_NS * 1e-6),
+            hold=self._hold_state(),
             look_moved_deg=self._look_moved_deg(),
             recording=cell.recorder.recording,
             recorder_problem=cell.recorder.problem,
             disk_free_gb=None if self._disk_free is None else round(self._disk_free / 1e9, 2),
         )
+
+    def _hold_state(self) -> HoldState:
+        cell = self.service.cell
+        required = mode_of(cell.settings.mode, cell.link.latest) == "REAL"
+        return HoldState(required=required, held_by=self.held_by, limit_ms=SILENCE_NS * 1e-6)
 
     def _surroundings(self, state: StateView, now_s: float) -> Surroundings:
         if not state.camera.warnings:
@@ -110,6 +117,7 @@ class PanelMemory:
             loss_pct=self._loss_pct,
             unfit_for_s=now_s - self._fit_s,
             up_s=now_s - self._started_s,
+            set_mode=self.service.cell.settings.mode,
         )
 
     def _refresh(self, now_s: float) -> None:

@@ -5,6 +5,7 @@ import re
 import struct
 import sys
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 from fastapi import APIRouter
@@ -17,6 +18,7 @@ from server.jobs.service import JobService
 NAME = re.compile(r"^[0-9A-Za-z][0-9A-Za-z_.-]{0,120}\.mcap$")
 LISTED = 100
 READING_S = 60.0
+LAYOUT = files("recording") / "viewers" / "foxglove-layout.json"
 
 
 class RecordingView(View):
@@ -47,6 +49,12 @@ def recordings_router(service: JobService) -> APIRouter:
     async def recordings() -> list[RecordingView]:
         """The newest first."""
         return await asyncio.to_thread(_listed, folder)
+
+    @router.get("/viewers/foxglove-layout", include_in_schema=False)
+    async def layout() -> Response:
+        """The arrangement of panels for Foxglove that shows such a recording at once."""
+        name = {"Content-Disposition": "attachment; filename=longreach-foxglove-layout.json"}
+        return Response(LAYOUT.read_bytes(), media_type="application/json", headers=name)
 
     @router.get("/{name}/file", response_model=None)
     async def file(name: str) -> FileResponse | JSONResponse:

@@ -8,9 +8,9 @@ import time
 import httpx
 import numpy as np
 import websockets
-from fastapi import APIRouter, Request, Response, WebSocket
+from fastapi import APIRouter, Request, Response, WebSocket, WebSocketDisconnect
 
-from machine.poses import inverse_pose
+from machine.poses import inverse_pose, transform_points
 from machine.rotations import Array
 from server.api.panel_memory import PanelMemory
 from server.api.panel_origin import same_origin
@@ -31,6 +31,12 @@ VIEW_CSP = (
     "default-src 'self' blob: data:; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
     "style-src 'self' 'unsafe-inline'; frame-ancestors 'self'"
 )  # viser's own page is one file with its scripts inside; nothing of it may be loaded from elsewhere
+VIEW_HEADERS = {
+    "Content-Security-Policy": VIEW_CSP,
+    "Document-Isolation-Policy": "isolate-and-require-corp",  # a process of its own in the browser: without a graphics
+    # card the 3D view held up the page around it, with its STOP and its hold-to-run, for seconds
+}
+EMBEDDED_STYLE = b"<style>.mantine-Notifications-root, .mantine-Paper-root { display: none !important }</style>"
 
 
 class SceneFeed:
@@ -41,7 +47,8 @@ class SceneFeed:
         self._process: SceneProcess | None = None
         self._picture_s = 0.0
         self._plan: tuple[PreviewedPlan, PlanShown] | None = None
-        self._track: tuple[object, Array | None] = ((), None)
+        self._track: tuple[object, Array | None, Array | None] = ((), None, None)
+        self._map: tuple[object, Array | None] = (None, None)
 
     @property
     def port(self) -> int | None:
@@ -108,6 +115,7 @@ class SceneFeed:
             plan=self._plan_shown(cell.knowledge.previewed),
             scrub_frac=self._memory.scene.scrub_frac,
             track_base_m=self._track_shown(T_base_cam),
+            map_base_m=self._map_shown(),
             picture_jpeg=self._picture(),
         )
 
@@ -123,13 +131,23 @@ class SceneFeed:
         """The camera's own way in the last calibration run, laid so that its end is where the camera was then."""
         poses = self._service.cell.vision.last_odometry
         if poses is not self._track[0]:
-            track = None
+            track = T_base_vo = None
             if poses:
                 T_base_vo = T_base_cam @ inverse_pose(poses[-1].T_vo_cam)
                 picked = poses[:: max(1, len(poses) // PLAN_POINTS)]
                 track = np.array([(T_base_vo @ pose.T_vo_cam)[:3, 3] for pose in picked])
-            self._track = poses, track
+            self._track = poses, track, T_base_vo
         return self._track[1]
+
+    def _map_shown(self) -> Array | None:
+        """The points that it went by, where its own way is laid."""
+        found, T_base_vo = self._service.cell.vision.last_map, self._track[2]
+        if found is not self._map[0]:
+            points_base = None
+            if found is not None and T_base_vo is not None:
+                points_base = transform_points(T_base_vo, found.points_vo)
+            self._map = found, points_base
+        return self._map[1]
 
     def _picture(self) -> bytes | None:
         preview, now_s = self._service.cell.vision.latest_preview, time.monotonic()
@@ -185,7 +203,12 @@ async def _proxy_page(client: httpx.AsyncClient, port: int, path: str) -> Respon
     except httpx.TransportError:
         return Response("the 3D view does not answer; everything else works", status_code=503)
     kept = {name: value for name, value in answer.headers.items() if name.lower() in ("content-type", "etag")}
-    return Response(answer.content, answer.status_code, headers=kept | {"Content-Security-Policy": VIEW_CSP})
+    return Response(embedded(answer.content), answer.status_code, headers=kept | VIEW_HEADERS)
+
+
+def embedded(page: bytes) -> bytes:
+    """Viser's page as it is shown in ours: its notices and its own (empty) panel do not float over the scene."""
+    return page.replace(b"</head>", EMBEDDED_STYLE + b"</head>", 1)
 
 
 async def _proxy_socket(socket: WebSocket, port: int) -> None:
@@ -208,7 +231,7 @@ async def _proxy_socket(socket: WebSocket, port: int) -> None:
             await asyncio.gather(down, up, return_exceptions=True)
     except (OSError, websockets.WebSocketException) as error:
         log.info("3D view socket ended: %s", error)
-    with contextlib.suppress(RuntimeError):
+    with contextlib.suppress(WebSocketDisconnect, RuntimeError):  # the page has gone already
         await socket.close()
 
 

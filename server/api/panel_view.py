@@ -71,6 +71,7 @@ class VisionFigures(View):
     """How vision does."""
 
     sharpness: float | None
+    exposure_age_ms: float | None = Field(description="since the newest pair was exposed, as far as clocks tell")
     process_ms: float
     skipped: int
     restarts: int
@@ -107,6 +108,7 @@ class PanelView(View):
     """The page's own part of the live message."""
 
     unix_s: float
+    mono_ms: float = Field(description="the server's own clock when this was made: for ages that count the way, too")
     alarms: list[AlarmView]
     goal: GoalView
     history: list[HistoryView]

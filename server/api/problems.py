@@ -93,9 +93,13 @@ def install_problem_handlers(app: FastAPI) -> None:
 
 
 def _methods_of(app: FastAPI, path: str) -> set[str]:
-    """All methods of a path, as our document has them; starlette's own Allow names those of one route only."""
+    """All methods of a path, as our document has them; starlette's own Allow names those of one route only.
+
+    A path that is written out in the document is itself: /v1/lease/ask is no lease of the name `ask`.
+    """
     found: set[str] = set()
-    for template, operations in app.openapi().get("paths", {}).items():
+    paths = app.openapi().get("paths", {})
+    for template, operations in {path: paths[path]}.items() if path in paths else paths.items():
         if compile_path(template)[0].match(path):
             found |= {method.upper() for method in operations}
     return found

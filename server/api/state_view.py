@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from server.api.calibration_view import calibration_view
+from server.api.hold_rule import mode_of
 from server.api.lease_views import control_view
 from server.api.views import (
     CameraView,
@@ -43,7 +44,7 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext) -> StateView:
     knowledge, goal = cell.knowledge, ctx.settings.position
     return StateView(
         version=__version__,
-        mode=cell.settings.mode,
+        mode=mode_of(cell.settings.mode, latest),
         machine=cell.machine.name,
         joint_names=[joint.name for joint in joints],
         q_deg=degrees,
@@ -89,7 +90,7 @@ def steps(cell: Cell, engine: JobEngine) -> dict[str, str]:
         "execute": common or no_plan,
         "position": common,
         "retract": common,
-        "return": common or ("" if cell.knowledge.q_start is not None else "nothing has moved yet"),
+        "return": common or ("" if cell.knowledge.q_start is not None else "no run has begun yet"),
         "park": common,
         "stop": "",
     }

@@ -16,6 +16,7 @@ from server.calibration.contracts import CameraTrack
 from server.camera.contracts import (
     FrameReport,
     OdometryCommand,
+    OdometryMap,
     PoseSourceCommand,
     PoseSourceName,
     QuitCommand,
@@ -61,6 +62,7 @@ class VisionClient:
         self.stream_text = STARTING
         self.latest_preview: tuple[bytes, int] | None = None
         self.last_odometry: tuple[OdometryPose, ...] = ()
+        self.last_map: OdometryMap | None = None  # of last_odometry, a little later than it
         self.restarts = 0
 
     @property
@@ -167,7 +169,7 @@ class VisionClient:
             _log.warning("no pair after the end of the odometry run within %.1f s", FRESH_S)
         self._track = None
         self._send(OdometryCommand(on=False))
-        self.last_odometry = tuple(track.poses)
+        self.last_odometry, self.last_map = tuple(track.poses), None
         return track.track()
 
     async def _wait_for_process(self) -> None:
@@ -236,6 +238,8 @@ class VisionClient:
             self._lost(pipe)
         elif isinstance(message, FrameReport):
             self._take(message)
+        elif isinstance(message, OdometryMap):
+            self.last_map = message
         else:
             self.stream_text = message.text
             self._arrived.set()

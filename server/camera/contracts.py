@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from server.camera.sources.settings import SourceSettings
-from server.vision.contracts import Image, OdometryPose, PairObservation
+from server.vision.contracts import Array, Image, OdometryPose, PairObservation
 
 PoseSourceName = Literal["stereo", "mono"]
 
@@ -107,6 +107,13 @@ class StreamNotice:
 
 
 @dataclass(frozen=True, slots=True)
+class OdometryMap:
+    """Where the points lie that an odometry run was fitted to, thinned: (n, 3) in its own vo frame [m]."""
+
+    points_vo: Array
+
+
+@dataclass(frozen=True, slots=True)
 class OdometryCommand:
     """Switch odometry on (from a fresh start frame) or off."""
 
@@ -126,4 +133,4 @@ class QuitCommand:
 
 
 VisionCommand = OdometryCommand | PoseSourceCommand | QuitCommand
-VisionMessage = FrameReport | StreamNotice
+VisionMessage = FrameReport | StreamNotice | OdometryMap

@@ -10,11 +10,12 @@ import cv2
 
 from machine.description import StereoCamera
 from server.camera.clock import CameraClock
-from server.camera.contracts import FrameReport, PoseSourceName, StereoFrame, VisionSettings
+from server.camera.contracts import FrameReport, OdometryMap, PoseSourceName, StereoFrame, VisionSettings
 from server.camera.health import ImageHealth, sharpness
 from server.camera.masking import ToolMask
 from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 
+MAP_POINTS = 600  # told at the end of a run, for the 3D view
 RATE_FRAMES = 30  # the frame rate is averaged over this many pairs
 
 
@@ -30,6 +31,10 @@ class Odometry(Protocol):
         mask_polygons_right: Sequence[Array] = (),
     ) -> OdometryPose:
         """Pose of the left camera in the odometry's start frame."""
+        ...
+
+    def map_points(self, count_max: int) -> Array:
+        """At most so many points of its map (n, 3) in that frame [m]."""
         ...
 
 
@@ -65,10 +70,12 @@ class VisionPipeline:
         """Find marker poses in this way from the next pair on."""
         self._pose_source = name
 
-    def switch_odometry(self, on: bool) -> None:
-        """On: a new odometry with a start frame of its own; off: none."""
+    def switch_odometry(self, on: bool) -> OdometryMap | None:
+        """On: a new odometry with a start frame of its own; off: none. Returns the map of the one switched off."""
+        ended, started = self._odometry, self._odometry_started
         self._odometry = self._make_odometry() if on else None
         self._odometry_started = False
+        return OdometryMap(ended.map_points(MAP_POINTS)) if ended is not None and started and not on else None
 
     def close(self) -> None:
         """End the odometry's thread."""

@@ -132,7 +132,9 @@ class VisionLoop:
     def _obey(self, command: VisionCommand) -> bool:
         match command:
             case OdometryCommand(on=on):
-                self._pipeline.switch_odometry(on)
+                ended = self._pipeline.switch_odometry(on)
+                if ended is not None:
+                    self._pipe.send(ended)
             case PoseSourceCommand(name=name):
                 self._pipeline.use_pose_source(name)
             case QuitCommand():

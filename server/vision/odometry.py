@@ -98,6 +98,11 @@ class StereoOdometry:
         """The rolling shutter's readout as told or learned so far."""
         return self._readout
 
+    def map_points(self, count_max: int) -> Array:
+        """At most so many of the map's points (n, 3) in vo [m]: for looking at, not for measuring."""
+        points_vo = np.vstack([np.zeros((0, 3)), *(keyframe.points_vo for keyframe in self._keyframes)])
+        return points_vo[:: max(1, -(-len(points_vo) // count_max))]
+
     def reset(self) -> None:
         """Forget everything; the next pair starts a new `vo` frame."""
         self._keyframes: list[Keyframe] = []

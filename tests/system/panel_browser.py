@@ -80,9 +80,9 @@ FETCH = """async ([method, path, headers, body]) => {
 }"""
 
 
-def person(browser, url, size=(1280, 800), path="/"):
+def person(browser, url, size=(1280, 800), path="/", touch=False):
     """A new person who opens the panel."""
-    context = browser.new_context(viewport={"width": size[0], "height": size[1]})
+    context = browser.new_context(viewport={"width": size[0], "height": size[1]}, has_touch=touch)
     page = context.new_page()
     made = Person(page, url)
     page.on("pageerror", lambda error: made.faults.append(str(error)))

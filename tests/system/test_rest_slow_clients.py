@@ -2,6 +2,7 @@
 
 import socket
 import sys
+import time
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -46,3 +47,17 @@ def test_a_long_stream_is_not_taken_for_a_slow_client(tmp_path, monkeypatch):
                 if told.count("event: state") >= 3:  # three seconds
                     break
         assert told.count("event: state") >= 3
+
+
+def test_a_kept_alive_connection_that_asks_steadily_stays_open(tmp_path, monkeypatch):
+    monkeypatch.setattr(slow_clients, "HEADER_S", 0.4)
+    with served(tmp_path, keyed=False) as (url, _):
+        parts = urlsplit(url)
+        with socket.create_connection((parts.hostname, parts.port), timeout=10.0) as connection:
+            for _ in range(100):  # 2 s and five looks, nearly all of which find it waiting for a head
+                connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+                said = b""
+                while not said.endswith(b'{"status":"ok"}'):
+                    said += (more := connection.recv(65536))
+                    assert more, "closed between two requests"
+                time.sleep(0.02)

@@ -1,10 +1,24 @@
-// How old things are. The server tells ages; they go on growing here while nothing new comes.
+// How old things are. The server tells ages and its own clock; both clocks are matched here, so that what has waited in
+// a queue on its way is as old as it is, and ages go on growing while nothing new comes.
 import { setClass } from "./dom.js";
 
 export const LIMITS_MS = { server: 700, link: 250, camera: 700, look: 60000 };
+const STALE_PICTURE = /^(?!.*\(over;).*(frozen|repeats)/; // the camera's warnings that mean: what is seen is not now
+const CREEP_MS = 0.05; // a message, ten of them a second: lets two clocks drift apart by 500 ppm
 let heardAt = -Infinity;
+let ahead = Infinity; // this page's clock less the server's, by the fastest message; late by its way
 
-export const heardNow = () => { heardAt = performance.now(); };
+// A message that the server made at `serverMs` on its clock; without it, or before anything is known: made now.
+export function heard(serverMs) {
+  ahead = Math.min(ahead + CREEP_MS, performance.now() - serverMs);
+  heardAt = Math.max(heardAt, ahead + serverMs);
+}
+
+// On a new connection: it may be another life of the server, with another clock.
+export const forgetClock = () => { ahead = Infinity; };
+
+// When that was on this page's clock; `otherwise` before the clocks are matched.
+export const pageTime = (serverMs, otherwise) => (Number.isFinite(ahead) ? Math.min(ahead + serverMs, performance.now()) : otherwise);
 export const silence = () => performance.now() - heardAt;
 export const serverSilent = () => silence() > LIMITS_MS.server;
 
@@ -12,6 +26,12 @@ export const serverSilent = () => silence() > LIMITS_MS.server;
 export const grown = (toldMs) => (toldMs === null || toldMs === undefined ? null : toldMs + silence());
 
 export const isOld = (toldMs, limitMs) => toldMs === null || toldMs === undefined || grown(toldMs) > limitMs;
+
+// Whether what the camera tells is not of now: nothing came for too long, what comes was long on its way, or the same
+// picture comes again and again.
+export const pictureOld = ({ camera, panel }) =>
+  serverSilent() || isOld(camera.age_ms, LIMITS_MS.camera) || isOld(panel.vision.exposure_age_ms, LIMITS_MS.camera) || stalePicture(camera.warnings) !== "";
+export const stalePicture = (warnings) => warnings.find((text) => STALE_PICTURE.test(text)) ?? "";
 
 export function ageText(ms) {
   if (ms === null || !Number.isFinite(ms)) return "–";

@@ -1,5 +1,5 @@
 // The top bar: mode, link, camera, e-stop, alarms. Each chip: a mark by shape and colour, words, age.
-import { LIMITS_MS, ageText, crossOut, grown, isOld, serverSilent } from "./age.js";
+import { LIMITS_MS, ageText, crossOut, grown, isOld, pictureOld, serverSilent, stalePicture } from "./age.js";
 import { byId, setClass, setText } from "./dom.js";
 import { t } from "./texts.js";
 
@@ -11,7 +11,7 @@ export function showBar(state) {
   setClass(byId("mode-box"), "sim", !real);
   setText(byId("version"), `longreach ${state.version}`);
   showLink(state.link, state.panel.link);
-  showCamera(state.camera);
+  showCamera(state);
   showSafety(state.panel.safety, state.link);
   showAlarmChip(state.panel.alarms);
 }
@@ -22,34 +22,49 @@ function chip(id, level, text, sub, old) {
   if (!element.className.startsWith(wanted)) element.className = wanted;
   setText(element.querySelector("b"), text);
   setText(element.querySelector("small"), sub);
+  const title = `${text}. ${sub}`;
+  if (element.title !== title) element.title = title;
   crossOut(element, old);
 }
 
+// What is silent says so in the present tense, and when it was heard last; what it told then is gone.
 function showLink(link, figures) {
-  const old = isOld(link.age_ms, LIMITS_MS.link) || serverSilent();
-  const warn = link.dry_run || ["fault", "local"].includes(link.phase) || figures.loss_pct > 5;
+  const silent = isOld(link.age_ms, LIMITS_MS.link);
   const age = link.age_ms === null ? t("never") : ageText(grown(link.age_ms));
+  if (silent && !serverSilent()) return chip("link", "bad", t("plc_silent"), link.age_ms === null ? age : t("last_ago", { age }), false);
+  const warn = link.dry_run || ["fault", "local"].includes(link.phase) || figures.loss_pct > 5;
   const text = link.dry_run ? t("dry_run") : link.phase;
-  chip("link", old ? "bad" : warn ? "warn" : "good", text, t("plc_sub", { age, loss: figures.loss_pct.toFixed(1) }), old);
+  const loss = figures.loss_pct.toFixed(figures.loss_pct < 0.05 ? 0 : 1);
+  chip("link", serverSilent() ? "bad" : warn ? "warn" : "good", text, t("plc_sub", { age, loss }), serverSilent());
 }
 
-function showCamera(camera) {
-  const old = isOld(camera.age_ms, LIMITS_MS.camera) || serverSilent();
+function showCamera(state) {
+  const camera = state.camera;
+  const fps = camera.fps.toFixed(0);
   const age = camera.age_ms === null ? "–" : ageText(grown(camera.age_ms));
-  const text = camera.age_ms === null ? t("no_image") : t("camera_text", { fps: camera.fps.toFixed(0) });
-  const sub = camera.warnings.length && !old ? camera.warnings.at(-1).split(":")[0] : t("camera_sub", { age });
-  chip("camera", old ? "bad" : camera.warnings.length ? "warn" : "good", text, sub, old);
+  if (camera.age_ms === null) return chip("camera", "bad", t("no_image"), "", serverSilent());
+  if (serverSilent()) return chip("camera", "bad", t("camera_text", { fps }), t("camera_sub", { age }), true);
+  if (isOld(camera.age_ms, LIMITS_MS.camera)) return chip("camera", "bad", t("camera_silent"), t("last_ago", { age }), false);
+  if (stalePicture(camera.warnings)) return chip("camera", "bad", t("camera_frozen"), t("camera_unfit"), false);
+  if (pictureOld(state)) return chip("camera", "bad", t("camera_late"), t("camera_sub", { age: ageText(grown(state.panel.vision.exposure_age_ms)) }), false);
+  const unfit = camera.warnings.length > 0;
+  chip("camera", unfit ? "warn" : "good", t("camera_text", { fps }), unfit ? t("camera_unfit") : t("camera_sub", { age }), false);
 }
 
 function showSafety(safety, link) {
   const old = isOld(link.age_ms, LIMITS_MS.link) || serverSilent();
   const bad = safety.estop === "PRESSED" || safety.enable === "LOST";
-  chip("safety", bad ? "bad" : old ? "warn" : "good", safety.estop, t("estop_sub", { enable: safety.enable }), old);
+  const enable = safety.enable === "needed to arm" ? t("enable_needed") : safety.enable;
+  const told = safety.estop !== "not told";
+  chip("safety", bad ? "bad" : old ? "warn" : "good", safety.estop, t("estop_sub", { enable }), old && (told || serverSilent()));
 }
 
+// What is still so goes before what is over, whatever its priority.
 function showAlarmChip(alarms) {
   const open = alarms.filter((one) => !one.acknowledged_by);
-  const level = open.some((one) => one.level === "high") ? "bad" : open.length ? "warn" : "good";
-  const sub = open.length ? t("alarm_count", { n: open.length }) : alarms.length ? t("alarm_seen", { n: alarms.length }) : "";
-  chip("alarm-chip", level, open[0]?.title ?? t("alarm_none"), sub, serverSilent());
+  const first = open.find((one) => one.ended_unix_s === null) ?? open[0];
+  const level = open.some((one) => one.level === "high" && one.ended_unix_s === null) ? "bad" : open.length ? "warn" : "good";
+  const title = !first ? t("alarm_none") : first.ended_unix_s === null ? first.title : t("alarm_was", { title: first.title });
+  setText(byId("alarm-chip").querySelector("span"), open.length ? t("alarms_n", { n: open.length }) : t("alarms"));
+  chip("alarm-chip", level, title, !open.length && alarms.length ? t("alarm_seen", { n: alarms.length }) : "", serverSilent());
 }

@@ -1,16 +1,15 @@
 // The camera picture with what was found in that very picture. Only the newest frame is drawn.
-import { LIMITS_MS, ageText, serverSilent } from "./age.js";
+import { LIMITS_MS, ageText, isOld, pageTime, serverSilent, stalePicture } from "./age.js";
 import { address } from "./connection.js";
 import { byId, setText } from "./dom.js";
 import { t } from "./texts.js";
 
 const AGAIN_MS = 1000;
-const FROZEN = /frozen|repeats/;
 const AXIS_COLORS = ["#ff6b6b", "#51d88a", "#5aa9ff"];
 const canvas = byId("picture");
 const context = canvas.getContext("2d", { willReadFrequently: true });
 let shown = null; // header of the frame on the screen
-let shownAt = -Infinity;
+let shownAt = -Infinity; // when it was exposed, on this page's clock
 let waiting = null;
 let drawn = 0;
 
@@ -21,7 +20,7 @@ export function startCamera() {
     const size = new DataView(message.data).getUint32(0, true);
     const header = JSON.parse(new TextDecoder().decode(new Uint8Array(message.data, 4, size)));
     const bitmap = await createImageBitmap(new Blob([new Uint8Array(message.data, 4 + size)], { type: "image/jpeg" }));
-    offer({ header, bitmap, at: performance.now() });
+    offer({ header, bitmap, at: performance.now() - header.age_ms });
     if (socket.readyState === WebSocket.OPEN) socket.send("next");
   };
   socket.onclose = () => setTimeout(startCamera, AGAIN_MS);
@@ -49,7 +48,7 @@ function draw() {
   drawn += 1;
   Object.assign(canvas.dataset, { number: header.number, drawn });
   shown = header;
-  shownAt = at;
+  shownAt = pageTime(header.exposure_mono_ms, at);
 }
 
 const place = (scale) => ([u, v]) => [(u + 0.5) * scale, (v + 0.5) * scale];
@@ -101,13 +100,13 @@ function label(text, u, v, color) {
 
 // Called several times a second, also when no frame comes: the veil and the age must not wait for one.
 export function showCameraAge(state) {
-  const age = shown ? shown.age_ms + (performance.now() - shownAt) : null;
+  const age = shown ? performance.now() - shownAt : null;
   const old = age === null || age > LIMITS_MS.camera || serverSilent();
-  const frozen = !old && shown.warnings.find((text) => FROZEN.test(text));
+  const frozen = old ? "" : stalePicture(shown.warnings);
   const alarm = state?.panel.alarms.find((one) => one.code === "camera_unfit" && one.ended_unix_s === null);
   const veil = byId("veil");
   veil.hidden = !(old || frozen);
-  if (old) setText(veil, age === null ? t("veil_none") : `${t("veil_old", { age: ageText(age) })}\n${state?.camera.warnings.at(-1) ?? ""}`);
+  if (old) setText(veil, age === null ? t("veil_none") : `${t("veil_old", { age: ageText(age) })}\n${t(whyOld(state))}`);
   else if (frozen) setText(veil, `${t("frozen", { age: ageText(alarm && state ? 1000 * (state.panel.unix_s - alarm.since_unix_s) : 0) })}\n${frozen}`);
   const strip = byId("picture-warning");
   const warning = !old && !frozen ? shown.warnings.at(-1) ?? "" : "";
@@ -116,6 +115,11 @@ export function showCameraAge(state) {
   const text = age === null ? t("veil_none") : t("frame_age", { fps: shown.fps.toFixed(0), age: ageText(age) });
   setText(byId("camera-age"), text);
   byId("camera-age").classList.toggle("old", old);
+}
+
+function whyOld(state) {
+  if (serverSilent()) return "veil_server";
+  return state && !isOld(state.camera.age_ms, LIMITS_MS.camera) ? "veil_way" : "veil_camera";
 }
 
 export function describePicture(state) {

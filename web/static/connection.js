@@ -1,5 +1,5 @@
 // The live socket: states in, wishes about the view out. It reconnects for ever.
-import { heardNow } from "./age.js";
+import { forgetClock, heard } from "./age.js";
 
 const AGAIN_MS = 1000;
 export const address = (path) => `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`;
@@ -12,9 +12,12 @@ export class Live {
 
   open() {
     this.socket = new WebSocket(address("/v1/live"));
+    this.socket.onopen = forgetClock;
     this.socket.onmessage = (message) => {
-      heardNow();
-      this.onState(JSON.parse(message.data));
+      const state = JSON.parse(message.data);
+      heard(state.panel.mono_ms);
+      this.onState(state);
+      this.send({ seen: true }); // after it was shown: who is slow is sent less
     };
     this.socket.onclose = () => setTimeout(() => this.open(), AGAIN_MS);
   }

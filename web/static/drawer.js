@@ -2,6 +2,7 @@
 import { LIMITS_MS, ageText, crossOut, grown, isOld, serverSilent } from "./age.js";
 import { send } from "./commands.js";
 import { byId, make, setText, svg, whenChanged } from "./dom.js";
+import { closeGap, openGap } from "./gap.js";
 import { openReplay } from "./replay.js";
 import { t } from "./texts.js";
 
@@ -11,7 +12,7 @@ let open = "";
 export function startDrawer() {
   const drawer = byId("drawer");
   byId("open-drawer").onclick = () => { drawer.hidden = !drawer.hidden; if (!drawer.hidden) choose(open || "link"); };
-  byId("close-drawer").onclick = () => { drawer.hidden = true; byId("open-drawer").focus(); };
+  byId("close-drawer").onclick = () => { drawer.hidden = true; closeGap(); byId("open-drawer").focus(); };
   for (const button of drawer.querySelectorAll("[data-tab]")) button.onclick = () => choose(button.dataset.tab);
 }
 
@@ -21,7 +22,8 @@ function choose(name) {
   for (const panel of byId("drawer").querySelectorAll("[data-panel]")) panel.hidden = panel.dataset.panel !== name;
   if (name === "recordings") listRecordings();
   if (name === "settings") listSettings();
-  if (name === "gap") askForGap();
+  if (name === "gap") openGap();
+  else closeGap();
 }
 
 const rows = (pairs) => make("dl", {}, ...pairs.flatMap(([name, text]) => [make("dt", {}, name), make("dd", { class: "v" }, text)]));
@@ -151,25 +153,4 @@ async function listRecordings() {
 async function listSettings() {
   const { ok, data } = await send("GET", "/v1/settings", undefined, { quiet: true });
   if (ok) byId("settings-body").replaceChildren(...data.map((one) => make("tr", {}, make("th", { scope: "row" }, one.name), make("td", {}, one.value), make("td", {}, one.unit))));
-}
-
-async function askForGap() {
-  const { ok, data } = await send("GET", "/v1/diagnoses", undefined, { quiet: true });
-  byId("gap-missing").hidden = ok;
-  byId("gap").hidden = !ok;
-  if (!ok) return;
-  const recordings = await send("GET", "/v1/panel/recordings", undefined, { quiet: true });
-  byId("gap-run").replaceChildren(...(recordings.data ?? []).map((one) => make("option", { value: one.name }, one.name)));
-  byId("gap-start").onclick = async () => {
-    await send("POST", "/v1/diagnoses", { path: byId("gap-run").value });
-    askForGap();
-  };
-  byId("gap-list").replaceChildren(...data.map(diagnosisItem));
-  if (data.some((one) => one.state === "running")) setTimeout(() => open === "gap" && askForGap(), 2000);
-}
-
-function diagnosisItem(one) {
-  const told = `${one.recording}: ${one.state}, ${one.elapsed_s.toFixed(0)} s. ${one.reason || one.last_line}`;
-  const report = one.state === "done" ? make("a", { href: `/v1/diagnoses/${one.diagnosis_id}/report`, target: "_blank", rel: "noopener" }, t("gap_report")) : null;
-  return make("li", {}, told, " ", report);
 }

@@ -1,5 +1,5 @@
 // Errors in mm and degrees: before, now, predicted, each with its bar against the tolerance, and a verdict in words.
-import { LIMITS_MS, ageText, grown, isOld, serverSilent } from "./age.js";
+import { LIMITS_MS, ageText, grown, isOld, pictureOld, serverSilent } from "./age.js";
 import { byId, make, setText, svg, whenChanged } from "./dom.js";
 import { t } from "./texts.js";
 
@@ -29,7 +29,7 @@ export function showErrors(state) {
   setText(byId("allowed"), t("allowed", { mm: state.tolerance_mm, deg: state.tolerance_deg }));
   const look = state.look?.error ?? null;
   const lookOld = state.look ? isOld(1000 * state.look.age_s, LIMITS_MS.look) : false;
-  const liveOld = isOld(state.camera.age_ms, LIMITS_MS.camera) || serverSilent();
+  const liveOld = pictureOld(state);
   for (const row of ROWS) showRow(row, state, look, lookOld || serverSilent(), liveOld);
   showVerdict(state, look, lookOld);
 }

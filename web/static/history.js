@@ -10,7 +10,8 @@ export function showHistory(state) {
   const history = state.panel.history;
   whenChanged("history-body", history, (body) => body.replaceChildren(...history.slice().reverse().map(historyRow)));
   byId("no-history").hidden = history.length > 0;
-  byId("history-table").hidden = byId("trend").hidden = history.length === 0;
+  byId("history-table").hidden = history.length === 0;
+  byId("trend").hidden = history.every((one) => !one.error);
   whenChanged("trend", [history.map((one) => one.error?.distance_mm ?? null), state.tolerance_mm], (box) => box.replaceChildren(trend(history, state.tolerance_mm)));
 }
 
@@ -18,10 +19,12 @@ const clock = (unixS) => new Date(1000 * unixS).toLocaleTimeString("en-GB");
 
 function historyRow(one) {
   const error = one.error;
-  const number = (name, digits) => (error ? error[name].toFixed(digits) : "–");
-  const inside = !error ? one.reason || one.status : one.accepted_by ? t("accepted_by", { who: one.accepted_by }) : t(one.inside ? "yes" : "no");
-  const cells = [one.number, clock(one.unix_s), one.after, number("x_mm", 1), number("y_mm", 1), number("z_mm", 1), number("distance_mm", 1), number("rotation_deg", 2), inside];
-  return make("tr", { class: one.inside ? "in" : "" }, ...cells.map((text) => make("td", {}, String(text))));
+  const number = (name, digits) => error[name].toFixed(digits);
+  const first = [one.number, clock(one.unix_s), one.after].map((text) => make("td", {}, String(text)));
+  if (!error) return make("tr", {}, ...first, make("td", { class: "why", colspan: 6 }, one.reason || one.status));
+  const inside = one.accepted_by ? t("accepted_by", { who: one.accepted_by }) : t(one.inside ? "yes" : "no");
+  const cells = [number("x_mm", 1), number("y_mm", 1), number("z_mm", 1), number("distance_mm", 1), number("rotation_deg", 2), inside];
+  return make("tr", { class: one.inside ? "in" : "" }, ...first, ...cells.map((text) => make("td", {}, text)));
 }
 
 function trend(history, tolerance) {

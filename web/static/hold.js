@@ -6,12 +6,13 @@ import { t } from "./texts.js";
 let held = null; // the one press that is on
 
 export const holding = () => held !== null;
+export const heldKind = () => held?.kind ?? "";
 
 export function press(body) {
   if (held || !getLease()) return;
   const { lease_id, fencing } = getLease();
   const socket = new WebSocket(address("/v1/hold"));
-  const mine = { socket, bond: "", open: false, up: "" };
+  const mine = { socket, kind: body.kind, bond: "", open: false, up: "" };
   held = mine;
   document.body.classList.add("holding");
   socket.onopen = () => {
@@ -30,7 +31,8 @@ function take(mine, told) {
     mine.socket.send(JSON.stringify({ seq, reply: ~nonce >>> 0, bond: mine.bond }));
   }
   if (told.refused !== undefined) notice(t("refused", { why: told.refused }));
-  if (told.ended === "stopped" || told.ended === "failed") notice(t("hold_ended", { why: told.reason }));
+  // Letting go needs no words, and no line that moves the page under the finger.
+  if (told.ended === "failed" || (told.ended === "stopped" && mine.up !== "button up")) notice(t("hold_ended", { why: told.reason }));
 }
 
 function end(mine) {

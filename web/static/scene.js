@@ -27,8 +27,7 @@ export function showScene(state) {
     if (wanted === null) frame.removeAttribute("src");
     else frame.src = `/view/?hideViserLogo&hideSceneTree&run=${process_id}`;
   }
-  byId("scene-off").hidden = wanted !== null;
-  setText(byId("scene-off"), off ? t("show_scene") : `${t("scene_off")} ${problem}`);
+  setText(byId("scene-off"), off ? t("scene_hidden") : problem ? t("scene_off", { problem }) : t("scene_loading"));
   byId("scrub-field").hidden = !state.plan;
   const slider = byId("scrub");
   if (document.activeElement !== slider) slider.value = String(Math.round(100 * scrub_frac));

@@ -1,14 +1,16 @@
 // The steps: exactly one is primary, the others say why they are not possible now.
-import { LIMITS_MS, grown, isOld, serverSilent } from "./age.js";
+import { LIMITS_MS, grown, isOld, serverSilent, stalePicture } from "./age.js";
 import { notice, send } from "./commands.js";
 import { haveControl } from "./control.js";
 import { byId, make, setClass, setText, whenChanged } from "./dom.js";
-import { holdButton, holding } from "./hold.js";
+import { heldKind, holdButton, holding } from "./hold.js";
 import { t } from "./texts.js";
 
 const MAIN = ["look", "orient", "calibrate", "preview", "execute", "look_again", "accept"];
 const MINOR = ["retract", "return", "park", "position", "reset"];
 const MOVES = new Set(["orient", "calibrate", "execute", "retract", "return", "park", "position"]);
+const SEES = new Set(["look", "look_again", "orient", "calibrate", "position"]);
+const BLIND = new Set(["camera_silent", "vision_ended"]);
 const MOVED_DEG = 0.11; // as the server's own limit for a look that is acted upon
 const JOB_OF = { look_again: "look" };
 let state = null;
@@ -63,6 +65,7 @@ export function showSteps(now) {
   setText(byId("hint"), hint(next));
   byId("hold-switch").disabled = state.panel.hold.required;
   if (state.panel.hold.required) byId("hold-switch").checked = true;
+  setClass(document.body, "must-hold", mustHold()); // a finger that wanders a little while it holds is no scrolling
   setText(byId("hold-label"), t(state.panel.hold.required ? "hold_forced" : "hold_mode"));
   showPlan(state.plan);
   showGoal(state.panel.goal);
@@ -70,18 +73,18 @@ export function showSteps(now) {
 
 function showButton(kind, button, next) {
   const why = reason(kind);
-  const disabled = why !== "" && !holding();
+  const disabled = why !== "" && heldKind() !== kind; // a button that is disabled under the finger would lose it
   if (button.disabled !== disabled) button.disabled = disabled;
   setClass(button, "primary", kind === next && !why);
   setClass(button, "running", running() && jobKind() === (JOB_OF[kind] ?? kind) && kind !== "look_again");
-  const hold = MOVES.has(kind) && mustHold() ? t("hold_prefix") : "";
   const number = MAIN.includes(kind) ? `${MAIN.indexOf(kind) + 1} ` : "";
-  setText(button.querySelector("b"), number + hold + t(`step_${kind}`));
+  setText(button.querySelector("b"), number + t(`step_${kind}`));
   setText(button.querySelector("small"), why || about(kind));
   if (kind === "reset") button.hidden = state.link.phase !== "fault";
 }
 
 function about(kind) {
+  if (MOVES.has(kind) && mustHold()) return t(kind === "retract" ? "about_held_mm" : "about_held", { mm: byId("retract-mm").value });
   if (kind === "calibrate" && calibrated()) return t("why_calibrated");
   return t(`about_${kind}`, { mm: byId("retract-mm").value });
 }
@@ -102,6 +105,8 @@ const planFresh = () => Boolean(state.plan) && grown(0) < 1000 && state.plan.exp
 const lookFresh = () => Boolean(state.look?.error) && !isOld(1000 * state.look.age_s, LIMITS_MS.look) && !movedSince();
 // A calibration is driven: the look before it is no look of now, also where the machine came back.
 const movedSince = () => state.panel.look_moved_deg > MOVED_DEG || (state.calibration?.age_s ?? Infinity) < (state.look?.age_s ?? 0);
+// As the alarms have it: one bad pair between good ones must not make buttons flicker. Other faults the look itself tells.
+const blind = () => state.panel.alarms.some((one) => one.ended_unix_s === null && (BLIND.has(one.code) || (one.code === "camera_unfit" && stalePicture(state.camera.warnings))));
 const lastLook = () => state.panel.history.at(-1);
 const atGoal = () => lookFresh() && Boolean(lastLook()?.inside);
 const accepted = () => Boolean(lastLook()?.accepted_by);
@@ -113,6 +118,8 @@ function reason(kind) {
   if (kind === "accept") return accepted() ? t("why_accepted") : !lookFresh() ? t(state.look ? "why_look_again" : "why_no_look") : atGoal() ? "" : t("why_not_inside");
   if (kind === "reset") return "";
   if (kind === "look_again" && !state.panel.history.length) return t("why_first");
+  if (["offline", "fault", "local"].includes(state.link.phase)) return t(`why_plc_${state.link.phase}`);
+  if (SEES.has(kind) && blind()) return t("why_camera");
   const told = state.steps[JOB_OF[kind] ?? kind] ?? "";
   if (told) return told;
   if (["orient", "calibrate", "preview"].includes(kind) && !lookFresh()) return t(!state.look ? "why_no_look" : movedSince() ? "why_moved" : "why_look_old");
@@ -125,7 +132,7 @@ function reason(kind) {
 function nextStep() {
   if (serverSilent() || !haveControl(state) || running()) return "";
   if (state.link.phase === "fault") return "reset";
-  if (state.steps.look) return "";
+  if (state.steps.look || blind()) return "";
   if (accepted() && lookFresh()) return "retract";
   if (atGoal()) return "accept";
   if (planFresh()) return "execute";
@@ -142,7 +149,8 @@ function hint(next) {
     return t("busy", { kind, owner, text: events.findLast((event) => event.text)?.text ?? "", s: Math.round(elapsed_s) });
   }
   if (!haveControl(state)) return t("next", { what: t("take_control") });
-  if (state.steps.look) return state.steps.look;
+  if (["offline", "fault", "local"].includes(state.link.phase)) return t(`hint_${state.link.phase}`);
+  if (blind()) return t("hint_camera");
   if (next === "retract") return t("done");
   return next ? t("next", { what: t(`step_${next}`) }) : "";
 }

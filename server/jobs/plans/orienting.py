@@ -21,6 +21,8 @@ GOOD_ENOUGH_DEG = 0.6  # below this a step costs time and brings nothing: the la
 
 def orient(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, LookTaken]:
     """Orientation steps until good enough or out of steps. Returns the last look."""
+    if ctx.knowledge.q_start is None:  # orienting by itself begins a run, as a move does
+        ctx.knowledge.q_start = taken.reading.q_rad
     for step in range(1, ctx.settings.position.orientation_steps_max + 1):
         if taken.error is None or taken.error.rotation_deg < GOOD_ENOUGH_DEG:
             break

@@ -13,6 +13,7 @@ from server.access.gatekeeper import Gatekeeper
 from server.access.keys import KeyRing, new_key, with_key, write_keys
 from server.access.roles import Role
 from server.api.application import Running, Served, application
+from server.api.panel import install_panel
 from server.cell import Cell
 from server.errors import JobFailedError
 from server.jobs.engine import JobEngine
@@ -94,6 +95,7 @@ def bench(folder, keyed: bool = False) -> Bench:
     gatekeeper = Gatekeeper(KeyRing(file))
     app = FastAPI(openapi_url="/v1/openapi.json")
     running = application(app, Served(service, keeper, gatekeeper, secure_cookie=False))
+    install_panel(app, service)  # its routes are in the document too; its feeds are not started
     return Bench(app, running, service, keeper, performer, gatekeeper, keys)
 
 

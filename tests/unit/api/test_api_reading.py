@@ -36,7 +36,11 @@ async def test_every_error_is_a_problem_with_a_code_and_a_hint(open_bench, metho
 
 async def test_an_allow_header_names_every_method_of_the_path(open_bench):
     async with open_bench.client() as client:
-        for method, path, allowed in [("PATCH", "/v1/jobs", "GET, POST"), ("POST", "/v1/lease/abc", "DELETE, PUT")]:
+        for method, path, allowed in [
+            ("PATCH", "/v1/jobs", "GET, POST"),
+            ("POST", "/v1/lease/abc", "DELETE, PUT"),
+            ("PATCH", "/v1/lease/ask", "POST"),
+        ]:
             answer = await client.request(method, path)
             assert (answer.status_code, answer.headers["allow"]) == (405, allowed)
 

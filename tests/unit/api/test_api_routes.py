@@ -40,6 +40,9 @@ class StandInVision:
     latest = None
     latest_preview = None
 
+    def on_report(self, callback):
+        self.told = callback
+
 
 class StandInRecorder:
     def __getattr__(self, name):

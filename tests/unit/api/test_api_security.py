@@ -153,6 +153,8 @@ async def test_a_run_id_never_leaves_the_folder(keyed, tmp_path, run_id):
         for path in (
             f"../{run_id}",
             "../keys.json",
+            "../keys.mcap",
+            "link.mcap",
             "/etc/passwd",
             "a/../../keys.json",
             ".",

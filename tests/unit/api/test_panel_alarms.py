@@ -18,8 +18,8 @@ class Part:
         self.__dict__.update(values)
 
 
-def state(phase="armed", age_ms=5.0, bits=0, camera_age_ms=50.0, warnings=(), calibration=None):
-    link = Part(phase=phase, age_ms=age_ms, fault_bits=bits, warning="")
+def state(phase="armed", age_ms=5.0, bits=0, camera_age_ms=50.0, warnings=(), calibration=None, simulation=True):
+    link = Part(phase=phase, age_ms=age_ms, fault_bits=bits, warning="", simulation=simulation)
     return Part(link=link, camera=Part(age_ms=camera_age_ms, warnings=list(warnings)), calibration=calibration)
 
 
@@ -40,6 +40,7 @@ def test_every_code_that_can_be_raised_is_in_the_catalogue():
         *active_alarms(state(warnings=["frozen"]), replace(CALM, unfit_for_s=1.0)),
         *active_alarms(state(), replace(CALM, vision_problem="vision process ended", scene_problem="gone")),
         *active_alarms(state(), replace(CALM, disk_free_bytes=10**6, recorder_problem="full", loss_pct=7.0)),
+        *active_alarms(state(simulation=False), CALM),
         *active_alarms(state(calibration=Part(valid=False, expiry_reason="too old")), CALM),
         *(code for _, code in FAULT_CODES),
     }
@@ -93,6 +94,20 @@ def test_the_gravest_unacknowledged_one_comes_first():
     book.update({"scene_ended": "", "plc_silent": "", "camera_unfit": ""}, 1.0)
     book.acknowledge("plc_silent", "anna")
     assert [alarm.code for alarm in book.alarms] == ["camera_unfit", "scene_ended", "plc_silent"]
+
+
+def test_what_is_still_so_comes_before_what_is_over():
+    book = AlarmBook()
+    book.update({"plc_silent": ""}, 1.0)
+    book.update({"disk_low": ""}, 2.0)
+    assert [alarm.code for alarm in book.alarms] == ["disk_low", "plc_silent"]
+
+
+@pytest.mark.parametrize(("set_mode", "simulation", "told"), [("SIM", False, "a real"), ("REAL", True, "a sim")])
+def test_settings_and_plc_that_disagree_about_the_machine_are_an_alarm(set_mode, simulation, told):
+    found = active_alarms(state(simulation=simulation), replace(CALM, set_mode=set_mode))
+    assert told in found["mode_mismatch"]
+    assert active_alarms(state(simulation=not simulation), replace(CALM, set_mode=set_mode)) == {}
 
 
 def test_the_documents_are_those_of_the_catalogue():

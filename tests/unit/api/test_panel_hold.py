@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+from types import SimpleNamespace
 
 import pytest
 from fastapi import WebSocketDisconnect
@@ -11,7 +12,7 @@ from machine.chain import chain_of
 from server.access.lease import LeaseKind
 from server.api import hold as module
 from server.api.hold import hold_router
-from server.api.hold_rule import HoldRequiredError, require_hold
+from server.api.hold_rule import HoldRequiredError, mode_of, require_hold
 from server.api.panel_memory import PanelMemory
 from server.api.views import ExecuteRequest, LookRequest, ParkRequest, PreviewRequest
 from server.cell import Cell
@@ -213,3 +214,16 @@ def test_on_a_real_machine_an_operators_click_moves_nothing(service):
     for moving in (ParkRequest(kind="park"), ExecuteRequest(kind="execute", plan_hash="0" * 16)):
         with pytest.raises(HoldRequiredError):
             require_hold("REAL", moving, operator)
+
+
+def test_a_forgotten_line_in_the_settings_does_not_make_steel_move_by_a_click():
+    real, simulated = SimpleNamespace(simulation=False), SimpleNamespace(simulation=True)
+    assert mode_of("SIM", None) == mode_of("SIM", simulated) == "SIM"
+    assert {mode_of("SIM", real), mode_of("REAL", real), mode_of("REAL", simulated), mode_of("REAL", None)} == {"REAL"}
+
+
+async def test_the_page_is_told_to_hold_when_the_plc_drives_no_simulation(service):
+    memory = PanelMemory(service)
+    assert not memory._hold_state().required
+    service.cell.link.latest = SimpleNamespace(simulation=False)
+    assert memory._hold_state().required

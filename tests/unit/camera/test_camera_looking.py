@@ -175,6 +175,9 @@ class _Odometry:
         self.masks.append((len(mask_polygons_left), len(mask_polygons_right)))
         return odometry_pose(t_exposure_ns)
 
+    def map_points(self, count_max: int) -> Array:
+        return np.ones((min(count_max, 7), 3))
+
 
 def test_pipeline_reports_poses_odometry_preview_and_rate() -> None:
     corners = np.array([[1.0, 1.0], [5.0, 1.0], [5.0, 5.0], [1.0, 5.0]])
@@ -211,5 +214,8 @@ def test_pipeline_reports_poses_odometry_preview_and_rate() -> None:
     again = process(8)
     assert len(made) == 2  # a fresh start frame
     assert (again.pose_source, again.observation.views, again.skipped) == ("mono", (), 3)
-    pipeline.switch_odometry(False)
+    ended = pipeline.switch_odometry(False)
+    assert ended is not None
+    assert ended.points_vo.shape == (7, 3)  # for looking at
+    assert pipeline.switch_odometry(False) is None
     assert process(9).odometry is None

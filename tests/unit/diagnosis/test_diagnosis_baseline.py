@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML
+from scipy.signal import lfilter
 from test_diagnosis_search import made_up
 
 from diagnosis.baseline import entries_of, forward
@@ -73,17 +74,29 @@ def test_a_new_baseline_takes_the_old_ones_place() -> None:
     assert parse_machine_toml(text).joints == parse_machine_toml(MACHINE_TOML).joints
 
 
-def test_a_remainder_raises_the_floor_by_its_own_filter() -> None:
+@pytest.mark.parametrize("size", [0.3, 1.0, 5.0])
+def test_remainder_and_noise_come_out_white_together(size: float) -> None:
+    """Whichever is the larger: a swing (autoregressive) with coloured noise on top of it."""
     rng = np.random.default_rng(1)
-    noise = [rng.normal(0.0, 1.0, (4000, 2)) for _ in range(2)]
-    plain = Floor(np.ones(2), np.ones(2), Whitener(np.zeros((0, 2)), np.ones(2)), 2, 4000, True)
-    ar, sigma = np.array([[0.5, 0.0]]), np.array([2.0, 0.0])
-    raised = with_remainder(plain, noise, ar, sigma, np.array([3.0, 0.0]))
-    # white noise behind 1 - 0.5 B has a variance of 1.25
-    assert raised.whitener.sigma[0] == pytest.approx(np.sqrt(4.0 + 1.25), rel=0.03)
-    assert raised.whitener.sigma[1] == 1.0
-    np.testing.assert_allclose(raised.whitener.a, [[0.5, 0.0]])
+    noise = [lfilter([1.0], [1.0, 0.0, 0.6], rng.normal(0.0, size, (4000, 1)), axis=0) for _ in range(2)]
+    plain = Floor(np.ones(1), np.ones(1), Whitener(np.zeros((0, 1)), np.ones(1)), 2, 4000, True)
+    ar, sigma = np.array([[0.9], [-0.5]]), np.array([2.0])
+    raised = with_remainder(plain, noise, ar, sigma, np.array([3.0]))
+    swing = lfilter([1.0], [1.0, -0.9, 0.5], rng.normal(0.0, 2.0, (4000, 1)), axis=0)
+    other = lfilter([1.0], [1.0, 0.0, 0.6], rng.normal(0.0, size, (4000, 1)), axis=0)
+    white = raised.whitener.whiten(swing + other)[:, 0]
+    assert np.var(white) == pytest.approx(1.0, abs=0.08)
+    rho = [float(white[k:] @ white[:-k]) / float(white @ white) for k in range(1, 20)]
+    assert np.abs(rho).max() < 0.06
     assert raised.increment_rms[0] == pytest.approx(np.sqrt(10.0))
+
+
+def test_a_joint_without_a_remainder_keeps_its_floor() -> None:
+    plain = Floor(np.ones(2), np.ones(2), Whitener(np.full((1, 2), 0.3), np.ones(2)), 2, 4000, True)
+    noise = [np.random.default_rng(2).normal(0.0, 1.0, (4000, 2))]
+    raised = with_remainder(plain, noise, np.array([[0.5, 0.0]]), np.array([2.0, 0.0]), np.array([3.0, 0.0]))
+    assert raised.whitener.sigma[1] == 1.0
+    np.testing.assert_allclose(raised.whitener.a[:, 1], [0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
 
 
 def test_joined_cells_ask_for_an_effect_once() -> None:

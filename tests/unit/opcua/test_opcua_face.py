@@ -1,0 +1,184 @@
+"""The OPC UA face, read by asyncua's own client; and what it shows, without it."""
+
+import asyncio
+import importlib.util
+import math
+import socket
+import sys
+import time
+
+import numpy as np
+import pytest
+from served import bench
+
+from protocol.codes import FaultBit
+from server.errors import SettingsError
+from server.link.contracts import LinkHealth, LinkPhase, PlcSample
+from server.opcua import face as face_module
+from server.opcua.face import check_opcua, opcua_face
+from server.opcua.values import OperationalMode, Shown, shown
+from server.settings import OpcUaSettings
+
+needs_asyncua = pytest.mark.skipif(importlib.util.find_spec("asyncua") is None, reason="asyncua is not installed")
+Q = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
+PARAMETERS = ("MotionDeviceSystem", "MotionDevices", "MotionDevice_1")
+SAFETY = ("MotionDeviceSystem", "SafetyStates", "SafetyState_1", "ParameterSet")
+POSITION_2 = (*PARAMETERS, "Axes", "Axis_2", "ParameterSet", "ActualPosition")
+
+
+def sample(t_mono_ns, q=Q, plc_state="RUN", fault_bits=0):
+    zeros = (0.0,) * 6
+    pressures = (zeros, zeros, 2.1e7, 40.0)
+    return PlcSample(
+        1, t_mono_ns, 1, q, zeros, q, zeros, zeros, *pressures, plc_state, 0, 0, 0, 0, 0, fault_bits, 0, True
+    )
+
+
+@pytest.fixture
+def service(tmp_path):
+    made = bench(tmp_path)
+    made.service.cell.link.latest = sample(time.monotonic_ns())
+    yield made.service
+    made.keeper.database.close()
+
+
+def by_path(service) -> dict[tuple[str, ...], Shown]:
+    return {one.path: one for one in shown(service)}
+
+
+def test_axes_are_in_degrees_with_their_names(service):
+    found = by_path(service)
+    for number, (joint, q) in enumerate(zip(service.cell.machine.joints, Q, strict=True), start=1):
+        axis = (*PARAMETERS, "Axes", f"Axis_{number}")
+        assert found[(*axis, "AssetId")].value == joint.name
+        position = found[(*axis, "ParameterSet", "ActualPosition")]
+        assert position.value == pytest.approx(math.degrees(q), abs=1e-4)
+        assert (position.unit, position.fresh) == ("DD", True)
+
+
+def test_what_the_plc_has_not_told_lately_is_not_fresh(service):
+    now_ns = service.cell.link.latest.t_mono_ns
+    at = {age_s: {one.path: one.fresh for one in shown(service, now_ns + int(age_s * 1e9))} for age_s in (0.2, 0.3)}
+    assert at[0.2][POSITION_2] is True
+    assert at[0.3][POSITION_2] is False
+    assert at[0.3][(*PARAMETERS, "Model")] is True  # nothing of the PLC's
+    service.cell.link.latest = None
+    assert by_path(service)[POSITION_2].fresh is False
+
+
+def test_faults_are_told_as_the_companion_specification_names_them(service):
+    service.cell.link.latest = sample(time.monotonic_ns(), fault_bits=int(FaultBit.ESTOP))
+    found = by_path(service)
+    assert (found[(*SAFETY, "EmergencyStop")].value, found[(*SAFETY, "ProtectiveStop")].value) == (True, False)
+    service.cell.link.latest = sample(time.monotonic_ns(), fault_bits=int(FaultBit.LAG))
+    found = by_path(service)
+    assert (found[(*SAFETY, "EmergencyStop")].value, found[(*SAFETY, "ProtectiveStop")].value) == (False, True)
+    assert found[(*SAFETY, "OperationalMode")].value == OperationalMode.AUTOMATIC_EXTERNAL
+    service.cell.link.health = LinkHealth(LinkPhase.LOCAL, 1.0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, "", 0)
+    assert by_path(service)[(*SAFETY, "OperationalMode")].value == OperationalMode.OTHER
+
+
+def test_the_paths_never_change(service):
+    before = [one.path for one in shown(service)]
+    service.cell.link.latest = None
+    assert [one.path for one in shown(service)] == before
+    assert len(set(before)) == len(before)
+
+
+async def test_off_by_default_it_needs_nothing(service, monkeypatch):
+    monkeypatch.setitem(sys.modules, "asyncua", None)
+    check_opcua(OpcUaSettings())
+    async with opcua_face(service, OpcUaSettings()) as face:
+        assert face is None
+    with pytest.raises(SettingsError, match=r"longreach\[opcua\]"):
+        check_opcua(OpcUaSettings(enabled=True))
+
+
+def test_beyond_this_computer_it_must_be_wanted_without_keys(monkeypatch):
+    monkeypatch.setitem(sys.modules, "asyncua", object())
+    with pytest.raises(SettingsError, match="without_keys"):
+        check_opcua(OpcUaSettings(enabled=True, host="0.0.0.0"))
+    check_opcua(OpcUaSettings(enabled=True, host="0.0.0.0", without_keys=True))
+    check_opcua(OpcUaSettings(host="0.0.0.0"))
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+async def node(client, path):
+    index = await client.get_namespace_index(face_module.NAMESPACE)
+    return await client.nodes.objects.get_child([f"{index}:{name}" for name in path])
+
+
+async def until(check):
+    """For a moment: values are written behind our back."""
+    for _ in range(500):
+        if await check():
+            return
+        await asyncio.sleep(0.02)
+    pytest.fail("it did not come about within 10 s")
+
+
+@needs_asyncua
+@pytest.mark.slow  # the library loads its address space: two seconds, ten on a busy computer
+@pytest.mark.filterwarnings("ignore")  # of a library that is not ours
+async def test_a_client_reads_everything_and_changes_nothing(service, monkeypatch):
+    from asyncua import Client, ua
+
+    monkeypatch.setattr(face_module, "PERIOD_S", 0.02)
+    port = free_port()
+    async with (
+        opcua_face(service, OpcUaSettings(enabled=True, port=port)),
+        Client(f"opc.tcp://127.0.0.1:{port}/longreach/", timeout=30.0) as client,
+    ):
+        service.cell.link.latest = sample(time.monotonic_ns() + 10**12)  # fresh for the whole test
+        position = await node(client, POSITION_2)
+
+        async def good():
+            return (await position.read_data_value(raise_on_bad_status=False)).StatusCode.is_good()
+
+        await until(good)
+        for one in shown(service):
+            assert await (await node(client, one.path)).read_value() == one.value, one.path
+        assert (
+            await (await position.get_child([f"{position.nodeid.NamespaceIndex}:EngineeringUnits"])).read_value()
+            == "DD"
+        )
+
+        service.cell.link.latest = sample(time.monotonic_ns() + 10**12, q=tuple(np.array(Q) + 0.25))
+
+        async def followed():
+            return await position.read_value() == pytest.approx(math.degrees(Q[1] + 0.25), abs=1e-4)
+
+        await until(followed)
+
+        for one in shown(service):
+            variable = await node(client, one.path)
+            with pytest.raises(ua.UaStatusCodeError):
+                await variable.write_value(one.value)
+            assert await variable.get_methods() == []
+        system = await node(client, ("MotionDeviceSystem",))
+        with pytest.raises(ua.UaStatusCodeError):
+            await system.add_variable(2, "surprise", 1)
+
+        service.cell.link.latest = sample(time.monotonic_ns() - 10**9)  # the PLC has fallen silent
+
+        async def silent():
+            value = await position.read_data_value(raise_on_bad_status=False)
+            return value.StatusCode.value == ua.StatusCodes.BadNoCommunication
+
+        await until(silent)
+
+
+async def test_a_face_that_dies_is_told(service, caplog):
+    async def dies():
+        raise RuntimeError("gone")
+
+    task = asyncio.create_task(dies())
+    task.add_done_callback(face_module._tell)
+    await asyncio.wait({task})
+    await asyncio.sleep(0)
+    assert "no values any more" in caplog.text

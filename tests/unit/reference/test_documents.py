@@ -1,0 +1,79 @@
+"""What the pages tell to type exists: commands with their options, settings, files, links."""
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+import typer
+
+from longreach.cli import app
+from server.settings import ServerSettings
+
+DOCS = Path(__file__).parents[3] / "docs"
+PAGES = ("tutorial.md", "scale.md", "rest.md", "security.md", "docker.md")
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
+
+
+def said(page: str) -> list[str]:
+    """Every command line of a page that calls longreach: in blocks, indented, or as code in a sentence."""
+    text = (DOCS / page).read_text(encoding="utf-8")
+    lines = [line.strip() for _, block in BLOCK.findall(text) for line in block.splitlines()]
+    lines += [line.strip() for line in text.splitlines() if line.startswith("    ")]
+    lines += re.findall(r"`(longreach [^`]+)`", text)
+    found = (re.search(r"(?:^|\s|/)longreach\s+(?=[a-z])(.*)", line.split("  #")[0]) for line in lines)
+    return [match.group(1) for match in found if match and not line_of_python(match.string)]
+
+
+def line_of_python(line: str) -> bool:
+    return line.startswith(("import ", "from ", "#"))
+
+
+def unknown(line: str) -> str:
+    """What of a command line there is not; empty when all of it is."""
+    command = typer.main.get_command(app)
+    words = [word for word in shlex.split(line, comments=True) if word != "..."]
+    while words and (children := getattr(command, "commands", None)):
+        if words[0] not in children:
+            return f"no command {words[0]}"
+        command = children[words.pop(0)]
+    options = {name for one in command.params for name in (*one.opts, *one.secondary_opts)}
+    wrong = [word for word in words if word.startswith("--") and word.split("=")[0] not in options | {"--help"}]
+    return f"no option {wrong[0]}" if wrong else ""
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_exists(page):
+    lines = said(page)
+    assert lines
+    assert {line: told for line in lines if (told := unknown(line))} == {}
+
+
+def test_a_command_that_there_is_not_is_found():
+    assert unknown("serve --settings plant.toml") == ""
+    assert unknown("serve --settigns plant.toml") == "no option --settigns"
+    assert unknown("serf") == "no command serf"
+    assert unknown("target paint prints") == "no command paint"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_settings_are_taken(page):
+    for kind, block in BLOCK.findall((DOCS / page).read_text(encoding="utf-8")):
+        if kind == "toml":
+            ServerSettings.model_validate(tomllib.loads(block))
+
+
+@pytest.mark.parametrize("page", [*PAGES, "reference.md"])
+def test_links_lead_somewhere(page):
+    text = (DOCS / page).read_text(encoding="utf-8")
+    links = [target.split("#")[0] for target in re.findall(r"\]\(([^)]+)\)", text) if "://" not in target]
+    assert [target for target in links if target and not (DOCS / target).exists()] == []
+
+
+def test_the_tutorial_is_for_a_real_machine():
+    (block,) = [block for kind, block in BLOCK.findall((DOCS / "tutorial.md").read_text()) if kind == "toml"]
+    settings = ServerSettings.model_validate(tomllib.loads(block))
+    assert settings.mode == "REAL"
+    assert (settings.camera.kind, settings.http.keys_file) == ("device", "keys.json")
+    assert (DOCS.parent / "machine" / "machines" / "hiab033.toml").exists()

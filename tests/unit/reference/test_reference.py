@@ -1,0 +1,55 @@
+"""docs/reference.md is what the code is."""
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from longreach.cli import app
+from longreach.reference.command import reference
+from longreach.reference.fields import type_text
+from longreach.reference.markdown import table
+from longreach.reference.rest import document
+from protocol.codes import FaultBit, RejectCode
+from server.api.panel_alarm_catalogue import CATALOGUE
+from server.settings import ServerSettings
+
+PAGE = Path(__file__).parents[3] / "docs" / "reference.md"
+
+
+@pytest.fixture(scope="module")
+def text() -> str:
+    return reference()
+
+
+def test_the_page_is_current(text):
+    assert PAGE.read_text(encoding="utf-8") == text, "run `longreach docs`"
+
+
+def test_everything_is_in_it(text):
+    operations = [f"`{method.upper()} {path}`" for path, ops in document()["paths"].items() for method in ops]
+    assert len(operations) > 40
+    names = [*operations, *(f"`{one.name}`" for one in (*RejectCode, *FaultBit)), *(f"`{code}`" for code in CATALOGUE)]
+    names += [f"| `{name}` |" for name in ServerSettings().position.model_dump()]
+    names += ["### longreach serve", "### longreach bench load", "### longreach recording check", "### [http]"]
+    assert [name for name in names if name not in text] == []
+
+
+def test_a_page_that_is_out_of_date_is_found(text, tmp_path):
+    page = tmp_path / "reference.md"
+    page.write_text(text.replace("`busy`", "`bussy`"), encoding="utf-8")
+    assert CliRunner().invoke(app, ["docs", "--check", "--out", str(page)]).exit_code == 1
+    assert CliRunner().invoke(app, ["docs", "--out", str(page)]).exit_code == 0
+    assert CliRunner().invoke(app, ["docs", "--check", "--out", str(page)]).exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("annotation", "told"),
+    [(int, "whole number"), (str | None, "text"), (list[str], "list of text"), (float | str, "number or text")],
+)
+def test_types_are_told_in_words(annotation, told):
+    assert type_text(annotation) == told
+
+
+def test_a_cell_stays_one_cell():
+    assert table(("a", "b"), [("x | y", "two\nlines")]) == "| a | b |\n| --- | --- |\n| x \\| y | two lines |"

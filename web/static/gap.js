@@ -1,0 +1,104 @@
+// Gap diagnosis: choose a recording, follow the run beside, and what came out in words. It moves nothing.
+import { send } from "./commands.js";
+import { byId, make, setText, whenChanged } from "./dom.js";
+import { t } from "./texts.js";
+
+const AGAIN_MS = 1500;
+const SHOWN = 14; // effects
+const WORDS = new Set(["none", "effects", "outside", "undecided"]);
+const results = new Map(); // diagnosis id -> answer, once it is done
+let timer = 0;
+
+export function closeGap() {
+  clearTimeout(timer);
+}
+
+export async function openGap() {
+  const recordings = await send("GET", "/v1/panel/recordings", undefined, { quiet: true });
+  const names = (recordings.data ?? []).map((one) => ({ name: one.name, text: `${one.name} (${one.size_mb.toFixed(1)} MB)` }));
+  whenChanged("gap-run", names, (box) => box.replaceChildren(...names.map((one) => make("option", { value: one.name }, one.text))));
+  byId("gap-start").onclick = start;
+  await follow();
+}
+
+async function start() {
+  const { ok } = await send("POST", "/v1/diagnoses", { path: byId("gap-run").value });
+  if (ok) follow();
+}
+
+async function follow() {
+  clearTimeout(timer);
+  const { ok, data } = await send("GET", "/v1/diagnoses", undefined, { quiet: true });
+  byId("gap-missing").hidden = ok;
+  byId("gap").hidden = !ok;
+  if (!ok) return;
+  for (const one of data.filter((each) => each.state === "done" && !results.has(each.diagnosis_id))) await fetchResult(one);
+  const running = data.some((one) => one.state === "running");
+  byId("gap-start").disabled = running || !byId("gap-run").value;
+  setText(byId("gap-why"), running ? t("gap_one") : byId("gap-run").value ? "" : t("no_recordings"));
+  const key = data.map((one) => [one.diagnosis_id, one.state, one.last_line, Math.round(one.elapsed_s), results.has(one.diagnosis_id)]);
+  whenChanged("gap-list", key, (list) => list.replaceChildren(...data.map(card)));
+  if (running) timer = setTimeout(follow, AGAIN_MS);
+}
+
+async function fetchResult({ diagnosis_id }) {
+  const { ok, data } = await send("GET", `/v1/diagnoses/${diagnosis_id}/result`, undefined, { quiet: true });
+  if (ok) results.set(diagnosis_id, data);
+}
+
+function card(one) {
+  const running = one.state === "running";
+  const parts = [make("h3", {}, one.recording), make("p", {}, make("b", {}, t(`gap_state_${one.state}`)), ` ${t("gap_after", { s: one.elapsed_s.toFixed(0) })}`)];
+  if (running) parts.push(make("progress", { "aria-label": t("gap_state_running") }), make("p", { class: "soft" }, one.last_line), stopButton(one));
+  if (one.state === "failed") parts.push(make("p", { class: "bad" }, one.reason));
+  const result = results.get(one.diagnosis_id);
+  if (one.state === "done" && result) parts.push(...answer(result));
+  if (one.state === "done") parts.push(make("p", {}, make("a", { href: `/v1/diagnoses/${one.diagnosis_id}/report`, target: "_blank", rel: "noopener" }, t("gap_report"))));
+  return make("li", { class: "card" }, ...parts);
+}
+
+function stopButton({ diagnosis_id }) {
+  const stopIt = async () => {
+    await send("DELETE", `/v1/diagnoses/${diagnosis_id}`);
+    follow();
+  };
+  return make("button", { type: "button", onclick: stopIt }, t("gap_stop"));
+}
+
+// The verdict first; an answer that is no answer says so before any number.
+function answer({ verdict, why, hypotheses, outside_probability, shrink, next_experiment }) {
+  const word = WORDS.has(verdict) ? verdict : "undecided";
+  const parts = [make("p", { class: `verdict ${word === "effects" || word === "none" ? "good" : "bad"}` }, t(`gap_${word}`)), make("p", {}, why)];
+  if (hypotheses.length && word !== "none") parts.push(make("table", {}, heading(), make("tbody", {}, ...effectRows(hypotheses), likelihoodRow(t("gap_foreign"), outside_probability))));
+  const closed = shrink.overall?.closed_frac;
+  if (closed !== null && closed !== undefined) parts.push(make("p", {}, t("gap_shrink", { pct: (100 * closed).toFixed(0) })));
+  if (next_experiment?.what) parts.push(make("p", {}, t("gap_next", { what: next_experiment.what, minutes: next_experiment.minutes, why: next_experiment.why })));
+  return parts;
+}
+
+// Each effect with the probability of all hypotheses that hold it; its numbers are those of the most likely one.
+function effectRows(hypotheses) {
+  const rows = new Map();
+  for (const { effects, probability } of hypotheses) {
+    for (const { name, joint, parameters } of effects) {
+      const text = joint ? t("gap_joint", { name, joint }) : name;
+      const row = rows.get(text) ?? { text: `${text}: ${numbers(parameters)}`, probability: 0 };
+      row.probability += probability ?? 0;
+      rows.set(text, row);
+    }
+  }
+  const sorted = [...rows.values()].sort((a, b) => b.probability - a.probability);
+  return sorted.slice(0, SHOWN).map((row) => likelihoodRow(row.text, row.probability));
+}
+
+function numbers(parameters) {
+  const told = Object.entries(parameters).filter(([, one]) => typeof one.value === "number" && one.low !== null);
+  return told.map(([name, one]) => `${name} ${Number(one.value.toPrecision(3))} ${one.unit === "1" ? "" : one.unit}`.trim()).join(", ");
+}
+
+const heading = () => make("thead", {}, make("tr", {}, make("th", { scope: "col" }, t("gap_cause")), make("td"), make("th", { scope: "col" }, t("gap_likely"))));
+
+function likelihoodRow(text, probability) {
+  const pct = 100 * (probability ?? 0);
+  return make("tr", {}, make("td", {}, text), make("td", {}, make("meter", { min: 0, max: 100, value: pct, "aria-label": `${pct.toFixed(0)} %` })), make("td", {}, `${pct.toFixed(0)} %`));
+}
