@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, put
 from diagnosis.cells import Cell
 from diagnosis.cells_behind import behind_cells, energies, told_behind, without
@@ -14,7 +16,7 @@ from diagnosis.reading import Read
 from diagnosis.refusal import Fired, remainder
 from diagnosis.replay import replayer_of
 from diagnosis.score import MARGIN_SHARE, Score
-from diagnosis.search import Search, search
+from diagnosis.search import Search, search, searched_again
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack
@@ -22,6 +24,7 @@ from machine.effects.layout import ParameterSets
 
 Progress = Callable[[str, int, int], None]
 SINGLES_COUPLED = 2  # of each joint, besides what was chosen there, that are searched again beside supply_droop
+SHARED = 0.08  # of what a joint's actuator gains: the next joint's has to gain more to have a cause of its own
 CHOSEN_SHARE = 0.6  # of the two's probability, for a hypothesis that passed the margin against one that scored more
 
 
@@ -71,7 +74,21 @@ def concluded(whole: Read, searches: list[Search], progress: Progress = lambda _
     verdict = verdict_of(answers, hypotheses)
     progress("localising", 1, 1)
     energy = energies([(one.cell, one.none.fit.residual) for one in searches])
-    return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy))
+    return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, _evidence(answers)))
+
+
+def _evidence(answers: tuple[CellAnswer, ...]) -> dict[str, float]:
+    """By stage, what its named effects gain, and what tests that fired find left beyond the floor [nats]."""
+    out: dict[str, float] = {}
+    for one in answers:
+        cell, none, chosen = one.search.cell, one.search.none.held_out, one.chosen.held_out
+        parts = cell.parts or (cell,)
+        cuts = np.cumsum([part.rows.count for part in parts])[:-1]
+        for part, before, after in zip(parts, np.split(none, cuts), np.split(chosen, cuts), strict=True):
+            gained = 0.5 * float(before @ before - after @ after) if one.chosen.fit.hypothesis else 0.0
+            left = 0.5 * float(after @ after - len(after)) if one.fired else 0.0
+            out[part.stage] = out.get(part.stage, 0.0) + max(gained, 0.0) + max(left, 0.0)
+    return out
 
 
 def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tuple[str, ...]) -> list[Search]:
@@ -91,6 +108,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         cells = [replace(one, least_nats=_least(one, searches)) for one in cells]
         found = _searched(cells, progress)
         if stage == "actuator" and found:
+            found = _beside_each_other(found)
             progress("what couples the joints", 0, 1)
             coupled = coupled_cell(replayer, whole.stretches, base, course)
             found = _with_coupling(found, coupled if "supply_droop" not in lacking else None)
@@ -98,6 +116,16 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
         searches += found
     return searches + _searched(without(merged_cells(replayer, whole.stretches, base), unseen), progress)
+
+
+def _beside_each_other(found: list[Search]) -> list[Search]:
+    """Joints share oil and booms: what is found on one may show a little on another, and is no second cause there."""
+    gains = [one.chosen.total - one.none.total for one in found]
+    out = []
+    for k, one in enumerate(found):
+        least = SHARED * max((gain for other, gain in enumerate(gains) if other != k), default=0.0)
+        out.append(searched_again(one, least) if least > one.cell.least_nats and gains[k] > 0.0 else one)
+    return out
 
 
 def _least(cell: Cell, before: list[Search]) -> float:

@@ -55,10 +55,14 @@ class Localisation:
     floor_known: bool
 
 
-def localise(whole: Read, energy: Mapping[str, float] | None = None) -> Localisation:
+def localise(
+    whole: Read, energy: Mapping[str, float] | None = None, evidence: Mapping[str, float] | None = None
+) -> Localisation:
     """The gap of the nominal machine (with its baseline, if its file has one) on every stage that can be judged.
 
     Args: energy: mean squared residual in floors of static, tracker, ooi, tool; what of it is floor is no gap.
+          evidence: by stage, what was found to be wrong there [nats]; it divides the gap among the stages, since the
+          RMS of a stage swings by more than a small effect adds. None or empty: the stages' motions at the tcp do.
     """
     energy = {} if energy is None else energy
     nominal, tables = whole.nominal, whole.tables
@@ -73,7 +77,7 @@ def localise(whole: Read, energy: Mapping[str, float] | None = None) -> Localisa
         for stage in STAGE_UNITS:
             places += _dynamic(replayer, stage, prepared, groups, sets, lever)
     places += _structure(whole, nominal, sets, energy) + _camera(whole, nominal, sets, energy)
-    return Localisation(_shared(places), merged_stages(whole), bool(groups))
+    return Localisation(_shared(places, evidence or {}), merged_stages(whole), bool(groups))
 
 
 def _dynamic(
@@ -257,13 +261,25 @@ def _axes(stage: str, regime: str, error: Array, floor: Array) -> list[Place]:
     return places
 
 
-def _shared(places: list[Place]) -> tuple[Place, ...]:
+def _shared(places: list[Place], evidence: Mapping[str, float]) -> tuple[Place, ...]:
     """Shares of the sum over stages of their tcp motion (root sum of squares within a stage), largest first."""
     whole = [place for place in places if place.regime not in PARTS]
-    stages = dict.fromkeys(place.stage for place in whole)
-    total = sum(math.hypot(*(p.tcp_mm for p in whole if p.stage == stage)) for stage in stages)
-    shared = [replace(place, share_frac=place.tcp_mm / total if total > 0.0 else 0.0) for place in places]
+    moved = {p.stage: math.hypot(*(q.tcp_mm for q in whole if q.stage == p.stage)) for p in whole}
+    weight = {stage: evidence.get(stage, 0.0) for stage in moved} if any(map(evidence.get, moved)) else moved
+    total = sum(weight.values())
+    shared = [replace(place, share_frac=_part(place, whole, moved, weight, total)) for place in places]
     return tuple(sorted(shared, key=lambda place: (place.regime in PARTS, -place.share_frac)))
+
+
+def _part(
+    place: Place, whole: list[Place], moved: Mapping[str, float], weight: Mapping[str, float], total: float
+) -> float:
+    """A place's share: its stage's, by its part of the stage's motion; in equal parts where nothing stands out."""
+    if total <= 0.0 or place.stage not in moved:
+        return 0.0
+    if moved[place.stage] > 0.0:
+        return weight[place.stage] / total * place.tcp_mm / moved[place.stage]
+    return weight[place.stage] / total / sum(one.stage == place.stage for one in whole)
 
 
 def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:

@@ -75,6 +75,12 @@ def search(cell: Cell) -> Search:
     return _searched(cell, none, scans, {})
 
 
+def searched_again(found: Search, least_nats: float) -> Search:
+    """The same search by a higher margin: nothing is fitted twice."""
+    known = {frozenset(one.key for one in score.fit.hypothesis): score for score in found.scored}
+    return _searched(replace(found.cell, least_nats=least_nats), found.none, list(found.scans), known)
+
+
 def searched_without(found: Search, name: str) -> Search:
     """The same search with one effect taken out of the library: what was fitted without it is not fitted again."""
     cell = replace(found.cell, candidates=tuple(one for one in found.cell.candidates if one.name != name))
