@@ -18,7 +18,7 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
 from diagnosis.floor import deviations, fit_whitener
 from diagnosis.reading import Read
-from diagnosis.refusal import key_of, tests_of
+from diagnosis.refusal import key_of, pattern_nats, tests_of
 from diagnosis.replay import replayer_of
 from diagnosis.score import Score, better, numbers_of, score
 from diagnosis.search import Scan, foreseen, scan, search
@@ -27,7 +27,7 @@ from machine.effects.entries import EffectEntry, make_entry, pack
 from machine.effects.layout import ParameterSets
 from machine.effects.registry import effect_named
 from machine.errors import MachineFileError
-from machine.remainder import Remainder
+from machine.remainder import USUAL_NATS, Remainder
 from machine.rotations import Array
 
 EFFECTS_MAX = 9  # in one cell
@@ -343,6 +343,7 @@ def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
         sizes = usual.setdefault((part.stage, part.joint, measurement_of(part)), {})
         for fired in tests_of(part, own, 1):
             sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)
+        sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), pattern_nats(part, own))
 
 
 def _with_usual(one: Remainder, usual: Usual) -> Remainder:

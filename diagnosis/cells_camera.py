@@ -19,6 +19,7 @@ from diagnosis.views_one_eye import one_eye_views
 from machine.effects.layout import READOUT, ParameterSets
 from machine.effects.seen import camera_mount, seen_corners, true_times
 from machine.effects.structure import tcp_poses
+from machine.remainder import Remainder
 from machine.rotations import Array, rotation_from_rotvec
 from machine.targets import Marker
 
@@ -202,9 +203,15 @@ def _cell(
             same_kind=False,
             regressors=(("time", t_s),),
             t_s=t_s,
-            usual=record.usual if record is not None else (),
+            usual=record.usual_at(_share_left(record, noise)) if record is not None else (),
         )
     ]
+
+
+def _share_left(record: Remainder, noise: CornerNoise) -> float:
+    """Of the corners' floor, in squares: what the baseline leaves."""
+    left = record.sigma**2 + float(np.mean(np.square(record.by_axis or (0.0,))))
+    return min(1.0, left / float(np.mean(noise.own**2 + noise.shared**2)))
 
 
 def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: ParameterSets) -> CornerResidual | None:

@@ -276,14 +276,15 @@ def cell_of(
         t_s=t_s,
         coarse=any(part.plant.decimate > 1 for part in parts),
         spread_least=_spread_least(replayer, stage, joints),
-        usual=_usual(replayer, stage, joints),
+        usual=_usual(replayer, stage, joints, white.sigma),
     )
 
 
-def _usual(replayer: Replayer, stage: str, joints: tuple[int, ...]) -> tuple[tuple[str, float], ...]:
-    """Tests that fire on the undisturbed machine, the largest size of any joint."""
+def _usual(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array) -> tuple[tuple[str, float], ...]:
+    """Tests that fire on the undisturbed machine, the largest size of any joint. `sigma`: of the floor, by joint."""
     records = [replayer.nominal.remainder(stage, j + 1) for j in joints]
-    rows = [row for one in records if one is not None for row in one.usual]
+    known = [(one, min(1.0, (one.sigma / s) ** 2)) for one, s in zip(records, sigma, strict=True) if one is not None]
+    rows = [row for one, share in known for row in one.usual_at(share)]
     return tuple({name: max(size for n, size in rows if n == name) for name, _ in rows}.items())
 
 

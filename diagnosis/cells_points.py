@@ -116,7 +116,7 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
         same_kind=False,
         regressors=tuple(q.items()),
         t_s=np.repeat(data.when, 3),
-        usual=record.usual if record is not None else (),
+        usual=record.usual_at(float(np.mean(axes_of(record, 3) ** 2 / sigma**2))) if record is not None else (),
     )
 
 

@@ -24,7 +24,7 @@ from machine.effects.layout import ParameterSets
 
 Progress = Callable[[str, int, int], None]
 SINGLES_COUPLED = 2  # of each joint, besides what was chosen there, that are searched again beside supply_droop
-SHARED = 0.08  # of what a joint's actuator gains: the next joint's has to gain more to have a cause of its own
+SHARED = 0.15  # of what a joint's actuator gains: the next joint's has to gain more to have a cause of its own
 CHOSEN_SHARE = 0.6  # of the two's probability, for a hypothesis that passed the margin against one that scored more
 
 

@@ -7,6 +7,7 @@ from scipy import stats
 
 from diagnosis.cells import Cell
 from diagnosis.score import Score
+from machine.remainder import USUAL_NATS
 from machine.rotations import Array
 
 LEVEL = 1e-3  # of all tests of a recording together (Bonferroni)
@@ -58,21 +59,33 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
     """The tests of one residual (N,) that fire beyond what is usual on the undisturbed machine."""
     if 0.5 * (float(r @ r) - cell.quiet * len(r)) < cell.least_nats:
         return ()
-    quiet = min(1.0, float(np.mean(r**2)))  # below the floor a pattern is as small as the residual it is found in
     n_tests = cells * (4 + len(cell.regressors))
     level = LEVEL / max(n_tests, 1)
-    found = [*_energy(cell, r), *_autocorrelation(cell, r, quiet), *_peaks(cell, r, quiet)]
-    found += _correlations(cell, r, quiet)
+    found = [*_energy(cell, r), *_patterns(cell, r, 1.0)]
     usual = dict(cell.usual)
+    least_nats = PATTERN_NATS + USUAL_TIMES * usual.get(USUAL_NATS, 0.0) / cell.spread_least
     worth = 0.5 * float(r @ r) / cell.spread_least  # [nats] of the whole residual, by the ruler that names are held to
     kept = [
         one
         for one in found
         if one.p_value < level
         and one.size > USUAL_TIMES * usual.get(key_of(one), 0.0)
-        and one.share * worth > PATTERN_NATS
+        and one.share * worth > least_nats
     ]
     return tuple(sorted(kept, key=lambda one: (one.lead == "", -one.size)))
+
+
+def _patterns(cell: Cell, r: Array, least: float) -> list[Fired]:
+    """What goes on in time, with a period or with a signal. `least`: share of its least size that a pattern must have."""
+    quiet = min(1.0, float(np.mean(r**2)))  # below the floor a pattern is as small as the residual it is found in
+    if least > 0.0:
+        quiet /= least
+    return [*_autocorrelation(cell, r, quiet), *_peaks(cell, r, quiet), *_correlations(cell, r, quiet)]
+
+
+def pattern_nats(cell: Cell, r: Array) -> float:
+    """The most that any pattern explains of a residual (N,) [nats, not divided], however small."""
+    return max((one.share for one in _patterns(cell, r, 1e-6)), default=0.0) * 0.5 * float(r @ r)
 
 
 def key_of(one: Fired) -> str:

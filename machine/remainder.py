@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from machine.effects.entries import EffectEntry
 
 STAGES = ("link", "controller", "actuator", "structure", "camera")
+USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern explained, however small
 KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual", "by_axis"}
 
 
@@ -36,6 +37,12 @@ class Remainder:
     spread: float = 1.0
     usual: tuple[tuple[str, float], ...] = ()
     by_axis: tuple[float, ...] = ()
+
+    def usual_at(self, share: float) -> tuple[tuple[str, float], ...]:
+        """The usual tests where the remainder is this share (0 to 1) of a recording's floor, in squares: noise drowns
+        patterns, and what they explain [nats] with them.
+        """
+        return tuple((name, size * share if name == USUAL_NATS else size) for name, size in self.usual)
 
 
 def parse_baseline(tables: object, n_joints: int) -> "tuple[EffectEntry, ...]":

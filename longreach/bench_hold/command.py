@@ -43,7 +43,7 @@ def _tried(drill: HoldDrill, way: str, number: int, seed: int) -> HoldCase:
         try:
             case = drill.case(way, number, seed)
         except Exception as error:  # playwright's errors are of a package that need not be installed
-            console.print(f"{way} {number}, attempt {attempt + 1}: {str(error).splitlines()[0]}")
+            console.print(f"{way} {number}, attempt {attempt + 1}: {str(error).splitlines()[0]} {drill.told()}")
             drill.forget_page()
             continue
         console.print(f"{way} {number}: {case.delay_ms:.1f} ms ({case.reason})", highlight=False)

@@ -123,6 +123,13 @@ class HoldDrill:
             self._page.context.close()
             self._page = None
 
+    def told(self) -> str:
+        """What the page says of its buttons, on one line."""
+        if self._page is None or self._page.is_closed():
+            return ""
+        buttons = self._page.locator("button[data-kind]").all_inner_texts()
+        return " | ".join(text.replace("\n", ": ") for text in buttons)
+
     def _next_kind(self) -> str:
         """Away from the parked pose and back again: the machine stays where there is room."""
         self._parked = not self._parked
