@@ -116,7 +116,7 @@ def with_remainder(floor: Floor, steps: list[Array], ar: Array, sigma: Array, rm
 
 def _process(ar: Array, sigma: float, order: int) -> Array:
     """Autocovariance (order + 1,) of an autoregression, by its response to one innovation."""
-    response = lfilter([1.0], np.concatenate([[1.0], -ar]), np.eye(1, RESPONSE)[0])
+    response = np.asarray(lfilter([1.0], np.concatenate([[1.0], -ar]), np.eye(1, RESPONSE)[0]), dtype=float)
     if not np.isfinite(response).all() or abs(response[-1]) > 1e-3:  # on the edge of stability: as white
         return _white(sigma, order)
     return sigma**2 * np.array([float(response[: RESPONSE - k] @ response[k:]) for k in range(order + 1)])
@@ -134,7 +134,8 @@ def _covariance(runs: list[Array], order: int) -> Array:
 
 def _yule_walker(covariance: Array) -> tuple[Array, float]:
     """Coefficients (order,) and innovation's sigma of the autoregression with an autocovariance (order + 1,)."""
-    a = solve_toeplitz(covariance[:-1] * np.concatenate([[1.0 + 1e-9], np.ones(len(covariance) - 2)]), covariance[1:])
+    first = covariance[:-1] * np.concatenate([[1.0 + 1e-9], np.ones(len(covariance) - 2)])
+    a = np.asarray(solve_toeplitz(first, covariance[1:]), dtype=float)
     return a, float(np.sqrt(max(covariance[0] - a @ covariance[1:], SIGMA_MIN**2)))
 
 

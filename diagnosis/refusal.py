@@ -76,7 +76,7 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
 
 
 def _patterns(cell: Cell, r: Array, least: float) -> list[Fired]:
-    """What goes on in time, with a period or with a signal. `least`: share of its least size that a pattern must have."""
+    """What goes on in time, with a period or a signal. `least`: share of its least size that a pattern must have."""
     quiet = min(1.0, float(np.mean(r**2)))  # below the floor a pattern is as small as the residual it is found in
     if least > 0.0:
         quiet /= least

@@ -79,6 +79,10 @@ class TimedOdometry:
         with self.times.measured("odometry"):
             return self.odometry.process(left, right, t_exposure_ns, mask_polygons_left, mask_polygons_right)
 
+    def map_points(self, count_max: int) -> Array:
+        """As the odometry tells them."""
+        return self.odometry.map_points(count_max)
+
 
 def timed_sources(
     sources: Mapping[PoseSourceName, ObjectPoseSource], times: StageTimes
