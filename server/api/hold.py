@@ -107,8 +107,9 @@ async def _hold(
 ) -> None:
     """Until the job needs no hold any more or the button is up; then the stop comes first, words after it."""
     changed = asyncio.Event()
-    hearing = asyncio.create_task(_hear(socket, held, changed))
+    hearing = asyncio.create_task(_hear(socket, service, held, changed))
     try:
+        await service.engine.hold_until(held.dead_ns)
         await _tell(socket, held=job.job_id, bond=bond)
         await _ask_until_over(socket, job, held, changed)
     finally:  # whatever ended it, a socket that broke or the server's own end: nothing may go on moving
@@ -116,6 +117,7 @@ async def _hold(
         if _needed(job):
             await _stop(service, memory, held.ended or "the page is gone")
         await asyncio.gather(hearing, return_exceptions=True)
+        await service.engine.hold_until(None)
     await _tell(socket, ended=job.state.value, reason=job.reason)
 
 
@@ -135,13 +137,14 @@ async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed:
         changed.clear()
 
 
-async def _hear(socket: WebSocket, held: HoldToRun, changed: asyncio.Event) -> None:
+async def _hear(socket: WebSocket, service: JobService, held: HoldToRun, changed: asyncio.Event) -> None:
     """Answers and the release; anything else, and the socket's end, is a button let go."""
     try:
         while not held.ended:
             match FROM_PAGE.validate_json(await socket.receive_text()):
                 case Answer(seq=seq, reply=reply, bond=bond):
-                    held.answer(seq, reply, bond)
+                    if held.answer(seq, reply, bond):
+                        await service.engine.hold_until(held.dead_ns)
                 case Release(release=why):
                     held.release(f"button up ({why})")
     except (WebSocketDisconnect, RuntimeError):

@@ -167,6 +167,10 @@ class JobEngine:
                 await asyncio.wait({task}, timeout=STOP_BOUND_S)
         await self._performer.stop_motion(reason)
 
+    async def hold_until(self, t_mono_ns: int | None) -> None:
+        """Let motion go on until then only [monotonic ns], whatever this process does; None: it need not be held."""
+        await self._performer.hold_until(t_mono_ns)
+
     async def close(self) -> None:
         """End everything: the machine is left holding."""
         await self.stop("server is closing")

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 CHALLENGE_NS = 40_000_000  # 25 a second
 SILENCE_NS = 250_000_000  # the PLC's own watchdog is as long
+LATE_NS = 30_000_000  # the server's own stop comes first while the server is in time
 KEPT = 16  # challenges that may still be answered: 0.64 s of them, far more than may be late
 NONCE_MASK = 0xFFFF_FFFF
 
@@ -41,6 +42,11 @@ class HoldToRun:
     def ended(self) -> str:
         """Why the hold is over; empty while it is on. An ended hold never begins again."""
         return self._ended
+
+    @property
+    def dead_ns(self) -> int:
+        """When whoever drives the machine stops by itself: a little after this rule does, which knows better why."""
+        return self._alive_ns + SILENCE_NS + LATE_NS
 
     @property
     def next_ns(self) -> int:

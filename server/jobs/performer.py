@@ -79,6 +79,10 @@ class Performer:
         """Hand a finding to the recorder."""
         self._cell.recorder.record(request.item, request.text)
 
+    async def hold_until(self, t_mono_ns: int | None) -> None:
+        """Let motion go on until then only; None: it need not be held."""
+        await self._cell.link.hold_until(t_mono_ns)
+
     async def stop_motion(self, reason: str) -> None:
         """Ramp down and hold."""
         await self._cell.link.stop(reason)

@@ -1,6 +1,7 @@
 """The server's handle on the PLC link: arm, run a trajectory, stop, and the samples that come back."""
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +16,7 @@ from server.link.contracts import (
     CorrectRequest,
     DisarmRequest,
     HealthReport,
+    HoldRequest,
     LinkHealth,
     LinkPhase,
     LinkReport,
@@ -191,6 +193,11 @@ class LinkClient:
     async def go_silent(self, duration_s: float) -> None:
         """Send nothing for a while, as if this PC were gone: the PLC has to stop by itself. For commissioning."""
         await self._request(SilenceRequest(duration_s))
+
+    async def hold_until(self, t_mono_ns: int | None) -> None:
+        """Let motion go on until then only [monotonic ns]; None: it need not be held any more."""
+        with contextlib.suppress(LinkSilentError):  # no process, no motion
+            await self._request(HoldRequest(t_mono_ns))
 
     async def quick_stop(self, reason: str) -> None:
         """Every joint to rest as fast as it may; like `stop` otherwise."""

@@ -120,6 +120,16 @@ class SilenceRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class HoldRequest:
+    """Motion is allowed until then only [monotonic ns, one clock for all processes]; None: it need not be held.
+
+    Why here and not in the server alone: a server that is busy for half a second must not be what ends the motion.
+    """
+
+    until_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
 class ResetRequest:
     """Clear a latched fault; never restarts motion."""
 
@@ -162,5 +172,7 @@ class TailReport:
     text: str
 
 
-LinkRequest = ArmRequest | RunRequest | CorrectRequest | StopRequest | SilenceRequest | ResetRequest | DisarmRequest
+LinkRequest = (
+    ArmRequest | RunRequest | CorrectRequest | StopRequest | SilenceRequest | HoldRequest | ResetRequest | DisarmRequest
+)
 LinkReport = SamplesReport | HealthReport | MotionEnded | RunRefused | TailReport

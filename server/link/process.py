@@ -35,6 +35,7 @@ from server.link.contracts import (
     CorrectRequest,
     DisarmRequest,
     HealthReport,
+    HoldRequest,
     LinkHealth,
     LinkPhase,
     LinkRequest,
@@ -58,6 +59,7 @@ from server.link.udp_end import Address, UdpEnd
 _HEALTH_NS = 100_000_000
 _RESOLVE_NS = 1_000_000_000
 _REJECTS_KEPT = 10
+_HOLD_LOST = "hold-to-run: no proof that the button is held reached the link in time; press it again"
 _AGE_SHOWN_NS = 3_600_000_000_000  # "never" is shown as an hour
 
 
@@ -79,6 +81,8 @@ class LinkProcess:
         self._rejects: deque[str] = deque(maxlen=_REJECTS_KEPT)
         self._silent_until_ns = 0
         self._arm_until_ns: int | None = None
+        self._held_until_ns: int | None = None
+        self._hold_lost = False
         self._next_health_ns = self._next_resolve_ns = 0
         self._leaving: str | None = None
 
@@ -130,6 +134,7 @@ class LinkProcess:
         if self._arm_until_ns is not None and now_ns > self._arm_until_ns:
             self._arm_until_ns = None
             self._link.cancel_wish()
+        self._watch_hold(now_ns)
         self._handle(self._link.poll(now_ns), now_ns)
         self._find_plc(now_ns)
         silent = now_ns < self._silent_until_ns
@@ -144,6 +149,12 @@ class LinkProcess:
     def _watch_parent(self) -> None:
         if os.getppid() != self._parent_pid or self._outbox.broken:
             self.leave("the server is gone")
+
+    def _watch_hold(self, now_ns: int) -> None:
+        """The button's proofs come through the server; when they stop coming for any reason, motion stops, too."""
+        if self._held_until_ns is not None and now_ns > self._held_until_ns:
+            self._held_until_ns, self._hold_lost = None, True
+            self._link.request_stop(_HOLD_LOST)
 
     def _find_plc(self, now_ns: int) -> None:
         """The address may change only while no session is open."""
@@ -181,6 +192,8 @@ class LinkProcess:
                 self._link.request_stop(reason, quick)
             case CorrectRequest():
                 self._correct(request)
+            case HoldRequest(until_ns=until_ns):
+                self._held_until_ns, self._hold_lost = until_ns, False
             case SilenceRequest(duration_s=duration_s):
                 self._silent_until_ns = time.monotonic_ns() + round(duration_s * 1e9)
             case ResetRequest():
@@ -191,6 +204,9 @@ class LinkProcess:
                 self._link.request_disarm()
 
     def _start(self, request: RunRequest) -> None:
+        if self._hold_lost:
+            self._outbox.report(RunRefused(request.traj_id, _HOLD_LOST))
+            return
         try:
             knots = knots_from(request.knots)
             refusals = self._link.request_run(request.traj_id, knots, time.monotonic_ns(), judged=True)

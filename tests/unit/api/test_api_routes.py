@@ -35,6 +35,9 @@ class StandInLink:
     async def stop(self, reason):
         self.stops.append(reason)
 
+    async def hold_until(self, t_mono_ns):
+        self.held_until = [*getattr(self, "held_until", []), t_mono_ns]
+
 
 class StandInVision:
     latest = None
@@ -60,6 +63,9 @@ class StandInPerformer:
 
     async def stop_motion(self, reason):
         await self._link.stop(reason)
+
+    async def hold_until(self, t_mono_ns):
+        await self._link.hold_until(t_mono_ns)
 
 
 def control(service):

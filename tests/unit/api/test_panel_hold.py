@@ -144,6 +144,10 @@ async def test_answered_challenges_keep_it_going_and_the_release_stops_it(servic
     assert service.cell.link.stops
     await serving
     assert memory.held_by == ""
+    *proofs, freed = service.cell.link.held_until  # what the link process would have stopped by, and then nothing
+    assert freed is None
+    assert len(proofs) >= 3
+    assert proofs == sorted(proofs)
 
 
 async def test_a_socket_that_is_gone_is_a_button_let_go(service, pressed):
