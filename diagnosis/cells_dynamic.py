@@ -13,6 +13,7 @@ from diagnosis.floor import (
     Floor,
     Whitener,
     deviations,
+    encoder_step,
     floor_of_repeats,
     floor_without_repeats,
     increments,
@@ -207,24 +208,10 @@ def _smallest(stage: str, prepared: list[Prepared]) -> Array:
     least = np.full(n, SIGMA_MIN[stage])
     if stage == "actuator":
         steps = [
-            _encoder_step(one.stretch.enc[:, j])
-            for one in prepared[:1]
-            if one.stretch.enc is not None
-            for j in range(n)
+            encoder_step(one.stretch.enc[:, j]) for one in prepared[:1] if one.stretch.enc is not None for j in range(n)
         ]
         least = np.maximum(least, STEP_SHARE * np.array(steps))
     return least
-
-
-def _encoder_step(column: Array) -> float:
-    """The encoder's resolution [rad]: the step that most changes are multiples of; 0 where it shows none."""
-    changes = np.abs(np.diff(column[np.isfinite(column)]))
-    changes = changes[changes > 1e-9]
-    if len(changes) < 50:
-        return 0.0
-    step = float(np.quantile(changes, 0.02))
-    away = np.abs(changes / step - np.round(changes / step))
-    return step if float(np.median(away)) < 0.02 else 0.0
 
 
 def _not_below(floor: Floor, least: Array) -> Floor:
@@ -290,8 +277,8 @@ def _usual(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array
 
 def _spread_least(replayer: Replayer, stage: str, joints: tuple[int, ...]) -> float:
     """By how much a cell's scores are divided at least: the most that its joints' remainders ask for."""
-    records = [replayer.nominal.remainder(stage, j + 1) for j in joints]
-    return max(1.0, *(one.spread for one in records if one is not None), 1.0)
+    records = (replayer.nominal.remainder(stage, j + 1) for j in joints)
+    return max((one.spread for one in records if one is not None), default=1.0)
 
 
 def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]], bool]:

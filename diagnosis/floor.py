@@ -139,6 +139,17 @@ def _yule_walker(covariance: Array) -> tuple[Array, float]:
     return a, float(np.sqrt(max(covariance[0] - a @ covariance[1:], SIGMA_MIN**2)))
 
 
+def encoder_step(column: Array) -> float:
+    """The encoder's resolution [rad]: the step that most changes are multiples of; 0 where it shows none."""
+    changes = np.abs(np.diff(column[np.isfinite(column)]))
+    changes = changes[changes > 1e-9]
+    if len(changes) < 50:
+        return 0.0
+    step = float(np.quantile(changes, 0.02))
+    away = np.abs(changes / step - np.round(changes / step))
+    return step if float(np.median(away)) < 0.02 else 0.0
+
+
 def deviations(repeats: Array) -> list[Array]:
     """Each repeat less their mean, at the noise's own size, of repeats (R, m, n)."""
     scale = np.sqrt(len(repeats) / (len(repeats) - 1.0))

@@ -1,0 +1,120 @@
+"""What a baseline leaves of the model's form on recordings that it was not fitted to, cell by cell."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from diagnosis.cells import Cell
+from diagnosis.cells_behind import behind_cells, measurement_of, told_behind, without
+from diagnosis.cells_camera import CornerResidual
+from diagnosis.cells_dynamic import SKIPPED, STAGES, Replay, part_increments, stage_cells
+from diagnosis.corner_noise import PLAIN, groups_of, left_of
+from diagnosis.floor import deviations, fit_whitener
+from diagnosis.reading import Read
+from diagnosis.replay import replayer_of
+from diagnosis.stretches import repeat_groups
+from machine.effects.entries import pack
+from machine.effects.layout import ParameterSets
+from machine.remainder import Remainder
+from machine.rotations import Array
+
+
+def cells_of(whole: Read) -> list[Cell]:
+    """Every cell of a recording, with its machine's baseline, link first."""
+    nominal = whole.nominal
+    if nominal is None:
+        return []
+    base, cells = pack(nominal.baseline, nominal.n), []
+    replayer, behind = replayer_of(nominal), behind_cells(whole, base)
+    if replayer is not None and whole.stretches:
+        for stage in STAGES:
+            cells += stage_cells(stage, replayer, whole.stretches, base, base)
+    return without(cells, told_behind(behind)) + behind
+
+
+def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:
+    """What the baseline leaves on these recordings, without the noise, cell by cell."""
+    found: dict[tuple[str, int | None, str], list[Cell]] = {}
+    for whole in checked:
+        for cell in cells_of(whole):
+            for part in cell.parts or (cell,):
+                found.setdefault((part.stage, part.joint, measurement_of(part)), []).append(part)
+    out: list[Remainder] = []
+    for (stage, joint, on), cells in found.items():
+        if stage in STAGES:
+            out += _dynamic(stage, cells)
+        else:
+            out.append(_plain(cells, Remainder(stage, joint, on, 0.0, 0.0)))
+    return tuple(out)
+
+
+def _plain(cells: list[Cell], where: Remainder) -> Remainder:
+    """Remainder [m or px] of points or corners, in all and by axis: nothing is whitened there."""
+    if where.stage == "camera":
+        return _of_corners(cells, where)
+    squares = np.zeros(3)
+    for cell in cells:
+        excess = cell.scale**2 * (cell.whitened(cell.base)[0] ** 2 - 1.0) / len(cells)
+        squares += [float(np.mean(excess[cell.rows.channel == k])) for k in range(3)]
+    by_axis = np.sqrt(np.maximum(squares, 0.0))
+    left = float(np.sqrt(np.mean(by_axis**2)))
+    return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis))
+
+
+def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
+    """What is left of each corner, and what all corners of a frame share."""
+    found = []
+    for cell in cells:
+        seen = cell.whitened
+        if isinstance(seen, CornerResidual):
+            raw = replace(seen, noise=PLAIN)(cell.base)[0]
+            found.append(left_of(raw, groups_of(seen.frames.pixels), seen.noise))
+    own, shared = (np.sqrt(np.mean([getattr(one, part) ** 2 for one in found], axis=0)) for part in ("own", "shared"))
+    left = float(np.sqrt(np.mean(own**2)))
+    both = float(np.sqrt(np.mean(own**2 + shared**2)))
+    return replace(where, sigma=left, rms=both, by_axis=tuple(float(x) for x in shared))
+
+
+def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
+    """Remainders of one stage, joint by joint: AR over all recordings' increments, less what repeats show as noise."""
+    replays = [cell.whitened for cell in cells if isinstance(cell.whitened, Replay)]
+    out = []
+    for column, joint in enumerate(replays[0].joints if replays else ()):
+        runs = [
+            part_increments(stage, part, _own_joints(cell, replay))[0][0][SKIPPED:, [column]]
+            for cell, replay in zip(cells, replays, strict=True)
+            for part in replay.parts
+        ]
+        whitener = fit_whitener(runs)
+        noise = [
+            one
+            for cell, replay in zip(cells, replays, strict=True)
+            for one in _noise(stage, cell, replay, column, whitener.order)
+        ]
+        white = [whitener.whiten(one) for one in noise if len(one) > whitener.order]
+        quiet = float(np.mean(np.concatenate(white) ** 2)) * float(whitener.sigma[0] ** 2) if white else 0.0
+        sigma = float(np.sqrt(max(0.0, whitener.sigma[0] ** 2 - quiet)))
+        total = float(np.mean(np.concatenate(runs) ** 2))
+        own = float(np.mean(np.concatenate(noise) ** 2)) if noise else 0.0
+        rms = float(np.sqrt(max(0.0, total - own)))
+        out.append(Remainder(stage, joint + 1, "", sigma, rms, tuple(float(a) for a in whitener.a[:, 0])))
+    return out
+
+
+def _own_joints(cell: Cell, replay: Replay) -> ParameterSets:
+    """The baseline's parameters of the joints that a replay holds."""
+    joints = list(replay.joints)
+    return replace(cell.base, joint=np.ascontiguousarray(cell.base.joint[:, joints]))
+
+
+def _noise(stage: str, cell: Cell, replay: Replay, column: int, order: int) -> list[Array]:
+    """Increments (m, 1) of the repeats' deviations from their mean."""
+    by_name = {part.stretch.name: part for part in replay.parts}
+    groups = repeat_groups(tuple(part.stretch for part in replay.parts))
+    members = max(groups.values(), key=len, default=())
+    if len(members) < 2:
+        return []
+    sets = _own_joints(cell, replay)
+    steps = [part_increments(stage, by_name[one.name], sets)[0][0][SKIPPED:, [column]] for one in members]
+    rows = min(len(one) for one in steps)
+    return deviations(np.stack([one[:rows] for one in steps])) if rows > order + 20 else []
