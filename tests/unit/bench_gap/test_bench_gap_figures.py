@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from longreach.bench_gap import figures
+from longreach.bench_gap import calibrate, figures
 from longreach.bench_gap.command import tell
 from longreach.bench_gap.runner import Campaign, scores
 
@@ -18,7 +18,7 @@ def case(mix: str, factor: float | None = None, **changed: object) -> dict:
         "verdict": "effects", "why": "", "named": [["valve_lag", 1]], "refused": False, "exact": True,
         "exact_named": True, "some": True, "false": [], "none": False, "probability": 0.95, "stage_right": True,
         "credible": True, "credible_size": 1, "classes": [], "closed": {"closed_frac": 0.99}, "limits": [],
-        "values": [], "rivals": {}, "left_out": [],
+        "values": [], "rivals": {}, "left_out": [], "strengths": [factor] * count, "ladder": [],
     }  # fmt: skip
     return {**base, **changed}
 
@@ -51,6 +51,34 @@ def test_false_names_and_refusals() -> None:
     assert shown(lines, "lacking refused or undecided") == (0, 1)
     assert shown(lines, "false names, outside the catalogue") == (1, 2)
     assert len(figures.failures(cases)) == 2
+
+
+def test_a_case_counts_by_its_strength_on_the_recording_not_by_the_tables_limit() -> None:
+    cases = [
+        case("single", 3.0, strengths=[1.2]),
+        case("single", 1.5, strengths=[2.1]),
+        case("foreign", strengths=[0.7]),
+    ]
+    assert figures.large(cases) == [cases[1]]
+    assert figures.small(cases) == [cases[0], cases[2]]
+
+
+def test_probabilities_are_fitted_to_what_turned_out_right() -> None:
+    """Told 70 % each time and right 19 times in 20: sharper; half the refusals were of causes outside."""
+    sure = case("single", 3.0, ladder=[[1, 0.7, True], [2, 0.3, False]], probability=0.7)
+    wrong = case("single", 3.0, ladder=[[1, 0.7, False], [2, 0.3, True]], probability=0.7, exact_named=False)
+    refused = [case(mix, verdict="outside", refused=True, ladder=[]) for mix in ("none", "foreign")]
+    cases = [*[sure] * 57, *[wrong] * 3, *refused]
+    found = calibrate.fit(cases)
+    assert found.outside["outside"] == pytest.approx(0.5)
+    assert found.outside["effects"] < 0.01
+    again = calibrate.restated(cases, found)
+    assert again[0]["probability"] == pytest.approx(0.95, abs=0.03)
+    text = json.dumps({"temperature": 1.0, "temperature_without_floor": 3.0, "penalty_nats_per_effect": 8.0})
+    data = json.loads(calibrate.calibrated(text, found, figures.reliability(again), "62 made-up cases"))
+    assert data["temperature"] <= 1.0
+    assert data["penalty_nats_per_effect"] > 8.0
+    assert data["fitted_on"] == "62 made-up cases"
 
 
 def test_reliability_puts_a_whole_probability_into_the_last_bin() -> None:
