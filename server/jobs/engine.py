@@ -1,6 +1,7 @@
 """The one engine that runs plans: it acts, remembers that it moved the machine, and stops it on every ending."""
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections import deque
@@ -160,10 +161,13 @@ class JobEngine:
         if only is not None and (job is not only or only.ended):
             return
         if job is not None and not job.ended:
-            job.state, job.reason = JobState.STOPPING, reason
-            self._tell(job, "stopping", 0.0, 1.0, "", reason)
+            first = job.state is not JobState.STOPPING  # a closed tab stops by its socket, its lease and its last word
+            if first:
+                job.state, job.reason = JobState.STOPPING, reason
+                self._tell(job, "stopping", 0.0, 1.0, "", reason)
             if task is not None:
-                task.cancel()
+                if first:
+                    task.cancel()
                 await asyncio.wait({task}, timeout=STOP_BOUND_S)
         await self._performer.stop_motion(reason)
 
@@ -194,6 +198,8 @@ class JobEngine:
             job.code = "internal"
             self._end(job, JobState.FAILED, f"internal error: {error!r}; see the server's log")
         finally:
+            if not job.ended:
+                self._end(job, JobState.STOPPED, job.reason or "cancelled")
             plan.close()
 
     async def _drive(self, job: Job, plan: Plan) -> object:
@@ -214,13 +220,16 @@ class JobEngine:
                 reply = await self._performer.perform(request)
 
     async def _stop_safely(self, reason: str) -> None:
-        """Ask for the ramp even while being cancelled: shielded, and bounded in time."""
+        """Ask for the ramp even while being cancelled, once or again: waited for, and bounded in time."""
         if not self._performer.may_be_moving:
             return
         stop = asyncio.ensure_future(self._performer.stop_motion(reason))
-        try:
-            await asyncio.wait_for(asyncio.shield(stop), STOP_BOUND_S)
-        except (TimeoutError, LinkError) as error:
+        until_s = time.monotonic() + STOP_BOUND_S
+        while not stop.done() and (left_s := until_s - time.monotonic()) > 0.0:
+            with contextlib.suppress(asyncio.CancelledError):  # told to stop again: that is what is being done
+                await asyncio.wait({stop}, timeout=left_s)
+        error = stop.exception() if stop.done() and not stop.cancelled() else TimeoutError("no answer in time")
+        if error is not None:
             log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
 
     def _end(self, job: Job, state: JobState, reason: str) -> None:

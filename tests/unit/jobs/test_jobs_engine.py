@@ -159,3 +159,31 @@ async def test_planning_does_not_hold_up_the_event_loop():
     release.set()
     await finish(engine)
     assert job.state is JobState.DONE
+
+
+@pytest.mark.parametrize("again", [1, 3])
+async def test_a_job_that_is_stopped_again_while_it_ramps_still_ends(again):
+    """A closed tab stops thrice: its socket, its lease, its last word. A job without an end blocks the machine."""
+    ramping, at_rest = asyncio.Event(), asyncio.Event()
+
+    class Ramping(StandIn):
+        async def stop_motion(self, reason):
+            self.stops.append(reason)
+            ramping.set()
+            await at_rest.wait()
+            self.may_be_moving = False
+
+    engine = JobEngine(Ramping({Move: "forever"}))
+    job = engine.submit("park", plan(Arm(), MOVE), "me")
+    await asyncio.sleep(0.05)
+    stops = [asyncio.create_task(engine.stop("button up"))]
+    await ramping.wait()
+    stops += [asyncio.create_task(engine.stop(f"again {number}")) for number in range(again)]
+    await asyncio.sleep(0.05)
+    engine._task.cancel()  # and once more from outside
+    await asyncio.sleep(0.05)
+    at_rest.set()
+    await asyncio.gather(*stops, return_exceptions=True)
+    assert (job.state, job.reason) == (JobState.STOPPED, "button up")
+    engine.submit("look", plan(), "me")  # the next one may begin
+    await finish(engine)
