@@ -84,6 +84,7 @@ class JobEngine:
         self._performer = performer
         self.leases = leases or LeaseDesk()
         self._task: asyncio.Task[None] | None = None
+        self._told_to_stop: Job | None = None
         self._listeners: list[Callable[[Job, JobEvent], None]] = []
         self.current: Job | None = None
         self.jobs: deque[Job] = deque(earlier, maxlen=200)
@@ -161,7 +162,8 @@ class JobEngine:
         if only is not None and (job is not only or only.ended):
             return
         if job is not None and not job.ended:
-            first = job.state is not JobState.STOPPING  # a closed tab stops by its socket, its lease and its last word
+            first = self._told_to_stop is not job  # a closed tab stops by its socket, its lease and its last word
+            self._told_to_stop = job
             if first:
                 job.state, job.reason = JobState.STOPPING, reason
                 self._tell(job, "stopping", 0.0, 1.0, "", reason)
