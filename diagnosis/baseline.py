@@ -13,7 +13,7 @@ from diagnosis.cells import Cell
 from diagnosis.cells_behind import joined, measurement_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
-from diagnosis.left_over import cells_of, remainders_of
+from diagnosis.left_over import cells_of, remainders_of, with_baseline
 from diagnosis.reading import Read
 from diagnosis.refusal import key_of, pattern_nats, tests_of
 from diagnosis.score import Score, better, numbers_of, score
@@ -67,8 +67,8 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
         )
     entries = _settled(fitted, progress)
     progress("what is left on the other recordings")
-    remainders = remainders_of([_with(one, entries, ()) for one in checked])
-    gains, usual = _wrong_gains([_with(one, entries, remainders) for one in checked], progress)
+    remainders = remainders_of([with_baseline(one, entries, ()) for one in checked])
+    gains, usual = _wrong_gains([with_baseline(one, entries, remainders) for one in checked], progress)
     finished = _spread(tuple(_with_usual(one, usual) for one in remainders), gains)
     return Baseline(entries, finished, _judged(checked, entries), tuple(gains.items()))
 
@@ -83,7 +83,7 @@ def _settled(fitted: list[Read], progress: Progress) -> tuple[EffectEntry, ...]:
     remainders: tuple[Remainder, ...] = ()
     for number in range(1, PASSES + 1):
         before = [(one.name, one.joint) for one in entries]
-        groups = _grouped([_with(one, (), remainders) for one in fitted])
+        groups = _grouped([with_baseline(one, (), remainders) for one in fitted])
         if not groups:
             raise DiagnosisError("no stage of these recordings can be replayed; see `longreach recording check`")
         found: list[EffectEntry] = []
@@ -93,14 +93,8 @@ def _settled(fitted: list[Read], progress: Progress) -> tuple[EffectEntry, ...]:
         entries = tuple(found)
         if [(one.name, one.joint) for one in entries] == before:
             break
-        remainders = remainders_of([_with(one, entries, ()) for one in fitted])
+        remainders = remainders_of([with_baseline(one, entries, ()) for one in fitted])
     return entries
-
-
-def _with(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:
-    if whole.nominal is None:
-        raise DiagnosisError(f"{whole.path.name}: there is no machine file")
-    return replace(whole, nominal=replace(whole.nominal, baseline=effects, remainders=remainders))
 
 
 def _grouped(wholes: list[Read]) -> dict[str, Cell]:
@@ -258,7 +252,7 @@ def _spread(remainders: tuple[Remainder, ...], gains: dict[str, float]) -> tuple
 
 def _judged(checked: list[Read], effects: tuple[EffectEntry, ...]) -> tuple[CellBaseline, ...]:
     """RMS in units of the noise floor, before and with the effects, on recordings not used for the fit."""
-    before, after = (_grouped([_with(one, entries, ()) for one in checked]) for entries in ((), effects))
+    before, after = (_grouped([with_baseline(one, entries, ()) for one in checked]) for entries in ((), effects))
     return tuple(
         CellBaseline(label, effects, _rms(before[label]), _rms(after[label])) for label in before if label in after
     )

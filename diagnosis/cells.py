@@ -16,6 +16,7 @@ from machine.rotations import Array
 
 BLOCKS_MIN = 12
 BLOCK_ROWS_MAX = 100  # 5 s at 20 Hz
+DRIVEN_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly in time; poses and corners are not
 
 
 @dataclass(frozen=True, slots=True)

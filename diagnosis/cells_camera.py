@@ -1,7 +1,7 @@
 """The cell of marker corners [px]: arm, mount, lens, markers and the camera's clock against the encoders."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +38,20 @@ TIMED = ("clock_offset", "clock_drift", "camera_latency", "rolling_shutter")
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Corners by frame: t_s (m,) on the PLC's clock as best known, pixels (m, 2 eyes, markers, 4, 2), NaN unseen."""
+    """Corners by frame: t_s (m,) on the PLC's clock as best known, pixels (m, 2 eyes, markers, 4, 2), NaN unseen.
+
+    `groups` (N,): frame and axis of each number that was seen, by `groups_of`.
+    """
 
     t_s: Array
     pixels: Array
     markers: tuple[Marker, ...]
+    groups: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, t_s: Array, pixels: Array, markers: tuple[Marker, ...]) -> Self:
+        """With its groups."""
+        return cls(t_s, pixels, markers, groups_of(pixels))
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,23 +71,24 @@ class CornerResidual:
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
         plain = without_encoders(sets)
-        rows = [self._one(sets, plain, k) for k in range(sets.sets)]
-        return self.noise.white(np.array(rows), groups_of(self.frames.pixels))
+        white = self.noise.white(self.nuisance.T, self.frames.groups).T
+        rows = [self._one(sets, plain, k, white) for k in range(sets.sets)]
+        return self.noise.white(np.array(rows), self.frames.groups)
 
-    def _one(self, sets: ParameterSets, plain: ParameterSets, k: int) -> Array:
+    def _one(self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array) -> Array:
+        """Not yet whitened (N,); `white`: the whitened nuisance (N, 6), which the parameters do not change."""
         later = bool(sets.machine[k, READOUT])
         T, T_later = self.poses(sets, plain, k, 0.0), self.poses(sets, plain, k, 0.01) if later else None
         residual = self.difference(plain, k, T, T_later, self.T_base_ooi)
         if self.on == "tool" or self.nuisance.shape[1] == 0:
             return residual
-        moved = self.T_base_ooi @ _small(-self.place(residual))
+        moved = self.T_base_ooi @ _small(-self._place(white, residual))
         residual = self.difference(plain, k, T, T_later, moved)
-        return np.asarray(residual - self.nuisance @ self.place(residual), dtype=float)
+        return np.asarray(residual - self.nuisance @ self._place(white, residual), dtype=float)
 
-    def place(self, residual: Array) -> Array:
+    def _place(self, white: Array, residual: Array) -> Array:
         """Change of the OOI's place (6,) that explains most of a residual (N,) [px]."""
-        both = self.noise.white(np.vstack([self.nuisance.T, residual]), groups_of(self.frames.pixels))
-        return _solved(both[:-1].T, both[-1])
+        return _solved(white, self.noise.white(residual[None], self.frames.groups)[0])
 
     def poses(self, sets: ParameterSets, plain: ParameterSets, k: int, later_s: float) -> Array:
         """Ts_cam_base (m, 4, 4), or Ts_cam_tcp where the tool is looked at."""
@@ -154,7 +164,7 @@ def frames_of(
     for k, group in enumerate(chosen):
         for row in groups[group]:
             pixels[k, table.eye[row], number[int(table.ids[row])]] = table.corners[row]
-    return Frames(np.array([table.t_s[groups[k][0]] for k in chosen]), pixels, markers)
+    return Frames.of(np.array([table.t_s[groups[k][0]] for k in chosen]), pixels, markers)
 
 
 def _cell(

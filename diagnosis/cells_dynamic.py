@@ -28,7 +28,6 @@ from machine.effects.dynamics import Actuators, Drive, DynamicStage, at_cycles, 
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.rotations import Array
 
-STAGES = ("link", "controller", "actuator")
 LAST = {"link": DynamicStage.LINK, "controller": DynamicStage.CONTROLLER, "actuator": DynamicStage.ACTUATOR}
 OUTPUT = {"link": "ref", "controller": "u", "actuator": "enc"}
 UNIT = {"link": "rad", "controller": "1", "actuator": "rad/s"}

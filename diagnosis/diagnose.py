@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, put
-from diagnosis.cells import Cell
+from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import behind_cells, energies, told_behind, without
-from diagnosis.cells_dynamic import STAGES, coupled_cell, stage_cells
+from diagnosis.cells_dynamic import coupled_cell, stage_cells
 from diagnosis.cells_merged import merged_cells
 from diagnosis.limits import Interval, Limit, Shrink, detection_limit, intervals, shrink, shrinks
 from diagnosis.localise import Localisation, localise
@@ -103,7 +103,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     base = _with_encoders(pack(nominal.baseline, nominal.n), behind)
     course, searches = base, []
     unseen = (*lacking, *told_behind([one.cell for one in behind]))
-    for stage in STAGES:
+    for stage in DRIVEN_STAGES:
         cells = without(stage_cells(stage, replayer, whole.stretches, base, course), unseen)
         cells = [replace(one, least_nats=_least(one, searches)) for one in cells]
         found = _searched(cells, progress)

@@ -4,16 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.cells import Cell
+from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import behind_cells, measurement_of, told_behind, without
 from diagnosis.cells_camera import CornerResidual
-from diagnosis.cells_dynamic import SKIPPED, STAGES, Replay, part_increments, stage_cells
-from diagnosis.corner_noise import PLAIN, groups_of, left_of
+from diagnosis.cells_dynamic import SKIPPED, Replay, part_increments, stage_cells
+from diagnosis.corner_noise import PLAIN, left_of
+from diagnosis.errors import DiagnosisError
 from diagnosis.floor import deviations, fit_whitener
 from diagnosis.reading import Read
 from diagnosis.replay import replayer_of
 from diagnosis.stretches import repeat_groups
-from machine.effects.entries import pack
+from machine.effects.entries import EffectEntry, pack
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
@@ -27,9 +28,19 @@ def cells_of(whole: Read) -> list[Cell]:
     base, cells = pack(nominal.baseline, nominal.n), []
     replayer, behind = replayer_of(nominal), behind_cells(whole, base)
     if replayer is not None and whole.stretches:
-        for stage in STAGES:
+        for stage in DRIVEN_STAGES:
             cells += stage_cells(stage, replayer, whole.stretches, base, base)
     return without(cells, told_behind(behind)) + behind
+
+
+def with_baseline(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:
+    """A recording read with another baseline than its machine file's.
+
+    Raises: DiagnosisError: there is no machine file.
+    """
+    if whole.nominal is None:
+        raise DiagnosisError(f"{whole.path.name}: there is no machine file")
+    return replace(whole, nominal=replace(whole.nominal, baseline=effects, remainders=remainders))
 
 
 def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:
@@ -41,7 +52,7 @@ def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:
                 found.setdefault((part.stage, part.joint, measurement_of(part)), []).append(part)
     out: list[Remainder] = []
     for (stage, joint, on), cells in found.items():
-        if stage in STAGES:
+        if stage in DRIVEN_STAGES:
             out += _dynamic(stage, cells)
         else:
             out.append(_plain(cells, Remainder(stage, joint, on, 0.0, 0.0)))
@@ -68,7 +79,7 @@ def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
         seen = cell.whitened
         if isinstance(seen, CornerResidual):
             raw = replace(seen, noise=PLAIN)(cell.base)[0]
-            found.append(left_of(raw, groups_of(seen.frames.pixels), seen.noise))
+            found.append(left_of(raw, seen.frames.groups, seen.noise))
     own, shared = (np.sqrt(np.mean([getattr(one, part) ** 2 for one in found], axis=0)) for part in ("own", "shared"))
     left = float(np.sqrt(np.mean(own**2)))
     both = float(np.sqrt(np.mean(own**2 + shared**2)))

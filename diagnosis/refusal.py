@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from diagnosis.cells import Cell
+from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.score import Score
 from machine.remainder import USUAL_NATS
 from machine.rotations import Array
@@ -22,7 +22,6 @@ PEAK_MIN = 0.06  # share of the variance in one period of time or position
 PERIODS = 200
 PATTERN_NATS = 9.0  # of what a pattern explains, after the spread: the margin of a name, and half more
 USUAL_TIMES = 1.5  # a test that fires on the undisturbed machine counts only beyond this share of its size there
-EVEN_STAGES = ("link", "controller", "actuator")  # evenly sampled in time; poses and corners are not
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +76,8 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
 
 def _patterns(cell: Cell, r: Array, least: float) -> list[Fired]:
     """What goes on in time, with a period or a signal. `least`: share of its least size that a pattern must have."""
-    quiet = min(1.0, float(np.mean(r**2)))  # below the floor a pattern is as small as the residual it is found in
-    if least > 0.0:
-        quiet /= least
+    # Below the floor a pattern is as small as the residual it is found in.
+    quiet = min(1.0, float(np.mean(r**2))) / least
     return [*_autocorrelation(cell, r, quiet), *_peaks(cell, r, quiet), *_correlations(cell, r, quiet)]
 
 
@@ -103,7 +101,7 @@ def _energy(cell: Cell, r: Array) -> list[Fired]:
 
 def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:
     """Ljung-Box over 20 lags, each series on its own, pooled."""
-    if cell.stage not in EVEN_STAGES or float(np.mean(r**2)) < (1.0 + EXCESS_MIN) * cell.quiet:
+    if cell.stage not in DRIVEN_STAGES or float(np.mean(r**2)) < (1.0 + EXCESS_MIN) * cell.quiet:
         return []
     total, count = np.zeros(LAGS), 0
     for number in np.unique(cell.rows.series):
@@ -145,7 +143,7 @@ def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
 def _peaks(cell: Cell, r: Array, quiet: float) -> list[Fired]:
     """Lomb's periodogram of the residual over time, and over position (eccentric gears, resonances)."""
     found = []
-    axes = [("time", cell.t_s, "Hz")] if cell.stage in EVEN_STAGES else []
+    axes = [("time", cell.t_s, "Hz")] if cell.stage in DRIVEN_STAGES else []
     axes += [(name, x, "per turn") for name, x in cell.regressors if name == "position" or name.startswith("joint ")]
     for name, values, unit in axes:
         span = float(np.ptp(values))

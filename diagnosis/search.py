@@ -1,12 +1,13 @@
 """Which effects one cell's residual asks for: all singles, all pairs by screening, triples by forward steps."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 
 import numpy as np
 
 from diagnosis.candidates import Candidate
-from diagnosis.cells import Cell
+from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.fit import Fit, Hypothesis, costs, evaluated, fit, neutral_fit, weights
 from diagnosis.score import MARGIN_NATS, Score, better, score
 from machine.rotations import Array
@@ -19,7 +20,6 @@ FORESEEN = 2  # sizes tried beyond the grid, where the grid's own changes point
 REFINED = 10  # sizes tried on either side of a scan's best
 ROUNDS_SINGLE = 8
 ROUNDS_PAIR = 6
-EVEN_STAGES = ("link", "controller", "actuator")  # driven in time: their effects have steps and narrow valleys
 Key = tuple[str, int | None]
 
 
@@ -77,20 +77,19 @@ def search(cell: Cell) -> Search:
 
 def searched_again(found: Search, least_nats: float) -> Search:
     """The same search by a higher margin: nothing is fitted twice."""
-    known = {frozenset(one.key for one in score.fit.hypothesis): score for score in found.scored}
-    return _searched(replace(found.cell, least_nats=least_nats), found.none, list(found.scans), known)
+    return _searched(replace(found.cell, least_nats=least_nats), found.none, list(found.scans), _by_keys(found.scored))
 
 
 def searched_without(found: Search, name: str) -> Search:
     """The same search with one effect taken out of the library: what was fitted without it is not fitted again."""
     cell = replace(found.cell, candidates=tuple(one for one in found.cell.candidates if one.name != name))
     scans = [one for one in found.scans if one.candidate.name != name]
-    kept = {
-        frozenset(one.key for one in score.fit.hypothesis): score
-        for score in found.scored
-        if all(one.name != name for one in score.fit.hypothesis)
-    }
-    return _searched(cell, found.none, scans, kept)
+    kept = [score for score in found.scored if all(one.name != name for one in score.fit.hypothesis)]
+    return _searched(cell, found.none, scans, _by_keys(kept))
+
+
+def _by_keys(scored: Iterable[Score]) -> dict[frozenset[Key], Score]:
+    return {frozenset(one.key for one in score.fit.hypothesis): score for score in scored}
 
 
 def _searched(cell: Cell, none: Score, scans: list[Scan], known: dict[frozenset[Key], Score]) -> Search:
@@ -170,7 +169,7 @@ def _refined(cell: Cell, one: Scan) -> Array:
     and stiction's valley is a tenth as wide as its way there.
     """
     best = one.thetas[one.best]
-    if len(best) > 1 or cell.stage not in EVEN_STAGES:
+    if len(best) > 1 or cell.stage not in DRIVEN_STAGES:
         return best
     slot = one.candidate.slots[0]
     sizes, found = np.unique(np.append(one.thetas[:, 0], slot.high)), float(best[0])

@@ -115,7 +115,7 @@ def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, 
     t_s, course = _dwelling(q, max((float(path.t_s[-1]) for path in seen.paths), default=0.0))
     at = np.full(len(q), len(seen.paths), dtype=np.int64)
     blank = np.full((len(q), *seen.frames.pixels.shape[1:]), np.nan)
-    alone = replace(seen, frames=Frames(t_s, blank, seen.frames.markers), paths=(*seen.paths, course), at=at)
+    alone = replace(seen, frames=Frames.of(t_s, blank, seen.frames.markers), paths=(*seen.paths, course), at=at)
     plain = without_encoders(truth)
     Ts = _still_poses(alone, truth, plain)
     corners = seen_corners(plain, camera, seen.frames.markers, Ts @ seen.T_base_ooi)
@@ -123,7 +123,7 @@ def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, 
     pixels[:, ~np.isfinite(seen.frames.pixels).any(axis=(0, 2, 3, 4))] = np.nan  # an eye that never saw anything
     if not np.isfinite(pixels).any():
         return None
-    frames = Frames(
+    frames = Frames.of(
         np.concatenate([seen.frames.t_s, t_s]), np.concatenate([seen.frames.pixels, pixels]), seen.frames.markers
     )
     more = replace(alone, frames=frames, at=np.concatenate([seen.at, at]))

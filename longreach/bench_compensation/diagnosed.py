@@ -7,10 +7,9 @@ import numpy as np
 
 from diagnosis.baseline import entries_of, forward
 from diagnosis.diagnose import diagnose
-from diagnosis.left_over import cells_of, remainders_of
+from diagnosis.left_over import cells_of, remainders_of, with_baseline
 from diagnosis.reading import Read, examine
 from machine.effects.entries import EffectEntry
-from machine.remainder import Remainder
 from recording.content import Recording
 
 SPREAD = 2.0  # scores are divided by it: what the search for wrong names, left out here, gives on the blind benchmark
@@ -43,10 +42,10 @@ def effects_of(fitted: Recording, left: Recording, judged: Recording) -> Found:
     for cell in cells_of(first):
         entries += entries_of(forward(cell).fit)
     effects = tuple(entries)
-    remainder = tuple(replace(one, spread=SPREAD) for one in remainders_of([_with(_read(left), effects, ())]))
+    remainder = tuple(replace(one, spread=SPREAD) for one in remainders_of([with_baseline(_read(left), effects, ())]))
     last = _read(judged)
-    before, after = (_energy(_with(last, some, ())) for some in ((), effects))
-    found = diagnose(_with(last, effects, remainder))
+    before, after = (_energy(with_baseline(last, some, ())) for some in ((), effects))
+    found = diagnose(with_baseline(last, effects, remainder))
     more = [effect for one in found.cells for effect in entries_of(one.chosen.fit)]
     closed = 1.0 - (after - 1.0) / max(before - 1.0, 1e-9)
     both = (*effects, *more) if found.verdict.word == "effects" else effects
@@ -58,12 +57,6 @@ def _read(recording: Recording) -> Read:
     if not whole.usable:
         raise RuntimeError("; ".join(str(one) for one in whole.findings))
     return whole
-
-
-def _with(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:
-    if whole.nominal is None:
-        raise RuntimeError("a tour without a machine file")
-    return replace(whole, nominal=replace(whole.nominal, baseline=effects, remainders=remainders))
 
 
 def _energy(whole: Read) -> float:

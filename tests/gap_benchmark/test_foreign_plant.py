@@ -14,6 +14,7 @@ from tests.gap_benchmark import foreign_geometry as g
 from tests.gap_benchmark import foreign_machine as m
 from tests.gap_benchmark import foreign_numbers as k
 from tests.gap_benchmark import nominal_own as own
+from tests.gap_benchmark.arm_effects import ARM_EFFECTS
 from tests.gap_benchmark.faults import Injected, faults_of
 from tests.gap_benchmark.foreign_arm import arm_of
 from tests.gap_benchmark.own_plant import Course
@@ -46,18 +47,7 @@ def moving() -> Course:
     return driven((0.2, 0.25, -0.2), 1.2)
 
 
-@pytest.mark.parametrize(
-    ("one", "parameters"),
-    [
-        (None, {}),
-        (Injected("link_length_error", 2, {"error_m": 0.01}, "a"), {"error_m": 0.01, "of": "a"}),
-        (Injected("link_length_error", 3, {"error_m": 0.01}, "d"), {"error_m": 0.01, "of": "d"}),
-        (Injected("joint_axis_tilt", 2, {"tilt_rad": 0.01}, "y"), {"tilt_rad": 0.01, "about": "y"}),
-        (Injected("gravity_sag", 3, {"compliance_rad_nm": 1e-6}), {"compliance_rad_nm": 1e-6}),
-        (Injected("base_tilt", None, {"tilt_rad": 0.1}, "", (0.6, 0.8, 0.0)), {"tilt_rad": 0.1, "axis": [0.6, 0.8, 0]}),
-        (Injected("base_compliance", None, {"compliance_rad_nm": 1e-6}), {"compliance_rad_nm": 1e-6}),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("one", "parameters"), [(None, {}), *ARM_EFFECTS])
 def test_the_arm_is_the_files_and_bends_as_the_catalogue_defines(one: Injected | None, parameters: dict) -> None:
     arm, entries = arm_of(faults_of((one,) if one else (), 3)), []
     if one:

@@ -14,6 +14,7 @@ from machine.effects.registry import NAMES, effect_named
 from machine.effects.structure import link_poses, tcp_poses
 from tests.gap_benchmark import behind, link, motion, recorded
 from tests.gap_benchmark import nominal_own as own
+from tests.gap_benchmark.arm_effects import ARM_EFFECTS
 from tests.gap_benchmark.cases import BLOCK, draw, mix_of
 from tests.gap_benchmark.faults import FOREIGN, Injected, faults_of
 from tests.gap_benchmark.judge import Equal, SealError, judged, opened
@@ -48,17 +49,7 @@ def test_a_case_is_the_same_again_and_has_sizes_about_the_limit() -> None:
     assert set(fixed) == {1.0}
 
 
-@pytest.mark.parametrize(
-    ("one", "parameters"),
-    [
-        (Injected("link_length_error", 2, {"error_m": 0.01}, "a"), {"error_m": 0.01, "of": "a"}),
-        (Injected("link_length_error", 3, {"error_m": 0.01}, "d"), {"error_m": 0.01, "of": "d"}),
-        (Injected("joint_axis_tilt", 2, {"tilt_rad": 0.01}, "y"), {"tilt_rad": 0.01, "about": "y"}),
-        (Injected("gravity_sag", 3, {"compliance_rad_nm": 1e-6}), {"compliance_rad_nm": 1e-6}),
-        (Injected("base_tilt", None, {"tilt_rad": 0.1}, "", (0.6, 0.8, 0.0)), {"tilt_rad": 0.1, "axis": [0.6, 0.8, 0]}),
-        (Injected("base_compliance", None, {"compliance_rad_nm": 1e-6}), {"compliance_rad_nm": 1e-6}),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("one", "parameters"), ARM_EFFECTS)
 def test_the_generators_arm_bends_as_the_catalogue_defines(one: Injected, parameters: dict) -> None:
     q = np.array([0.3, 0.6, -1.5])
     tree_q = np.zeros(11)

@@ -63,6 +63,18 @@ class Person:
                 return
         raise AssertionError(f"{kind} has not ended within {timeout_s} s: {self.page.inner_text('#hint')}")
 
+    def led_to(self, kind, steps_max=8):
+        """Do what the page proposes next until it proposes this step, and click it: a look too old, a calibration from
+        too far away, are the operator's business too."""
+        for _ in range(steps_max):
+            button = self.page.locator("#main-steps button.primary")
+            button.wait_for(timeout=60_000)
+            proposed = button.get_attribute("data-kind")
+            self.step(proposed)
+            if proposed == kind:
+                return
+        raise AssertionError(f"{steps_max} steps did not lead to {kind}: {self.page.inner_text('#hint')}")
+
     def text(self, selector):
         """What stands there."""
         return self.page.locator(selector).first.inner_text()

@@ -165,7 +165,7 @@ def test_a_stale_tab_cannot_fire_a_plan_nor_can_a_replayed_request(anna, bert, s
         who.page.on("request", lambda one: sent.append(one) if one.url.endswith("/v1/jobs") else None)
     anna.take_control()
     anna.step("look")
-    anna.step("preview")
+    anna.led_to("preview")
     old_hash = state(stack)["plan"]["plan_hash"]
     old_headers = headers_of(sent[-1])
     bert.page.get_by_role("button", name="Take over", exact=True).click()
