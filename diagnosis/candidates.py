@@ -1,6 +1,6 @@
 """The effects that a stage's residual can name: what a fit moves for each, and where it looks first."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -13,7 +13,7 @@ from machine.rotations import Array
 SIZES = (0.004, 0.012, 0.035, 0.1, 0.25, 0.6)  # of the bound: where the scan looks, neutral 0
 LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral 1 or inf)
 PHASES = (-2.0, -0.4, 1.2, 2.7)
-FREQUENCIES_HZ = (1.2, 2.5, 5.0)  # a swing's cost has a valley for each
+FREQUENCIES_HZ = (1.2, 1.8, 2.5, 3.5, 5.0)  # a swing's cost has a valley for each
 #: Effects of the joint stage that the encoder shows against the valve command.
 SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
 #: Effects of the joint stage that points or markers behind the encoder show.
@@ -86,13 +86,32 @@ def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]
     ]
 
 
+def beside(base: ParameterSets, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
+    """Candidates that also look where the baseline has the same effect: its swing, its wave's phase, are no other ones.
+
+    Why: a shape replaces the baseline's, and a scan with every other frequency would first have to undo what is known.
+    """
+    return tuple(_beside(base, one) for one in candidates)
+
+
+def _beside(base: ParameterSets, one: Candidate) -> Candidate:
+    size, *shape = one.slots
+    if one.vector or not shape or base.get(size) == size.neutral:
+        return one
+    return replace(one, slots=(size, *(replace(slot, start=base.get(slot)) for slot in shape)))
+
+
 def _grid(slot: Slot) -> Array:
-    if slot.parameter == "phase_rad":
-        return np.array(PHASES)
-    if slot.parameter == "frequency_hz":
-        return np.array(FREQUENCIES_HZ)
     effect = effect_named(slot.effect)
+    usual = effect.parameter(slot.parameter) if effect is not None else None
+    known = [slot.start] if usual is not None and slot.start != usual.start else []
+    if slot.parameter == "phase_rad":
+        return np.array([*PHASES, *known])
+    if slot.parameter == "frequency_hz":
+        return np.array([*FREQUENCIES_HZ, *known])
     if effect is not None and effect.size.name != slot.parameter:
+        return np.array([slot.start])
+    if slot.low > 0.0 and slot.neutral == 0.0:  # read off the data
         return np.array([slot.start])
     if slot.neutral != 0.0:
         return np.geomspace(max(slot.low, 1e-6), slot.high, LIMITS)

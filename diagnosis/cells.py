@@ -15,6 +15,7 @@ from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 BLOCKS_MIN = 12
+FORM_SHARE = 0.002
 BLOCK_ROWS_MAX = 100  # 5 s at 20 Hz
 DRIVEN_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly in time; poses and corners are not
 
@@ -41,8 +42,10 @@ class Cell:
     `scale`: (N,) what one whitened unit is in `unit`; `base`: the baseline's parameters; `floor_known`: from repeats.
     `quiet`: the noise's own energy in whitened units, below 1 where the floor was raised to what is believed.
     `coarse`: its input between logged rows is a guess; `least_nats`: what that guess may be wrong by, at least.
+    `form_share`: of all that is gained, what a further effect has to gain: no model is right to better than this.
     `spread_least`: scores are divided by it at least (a baseline's remainder is no white noise).
-    `usual`: tests that fire on the undisturbed machine, and their sizes there.
+    `usual`: tests that fire on the undisturbed machine, and their sizes there; `left_share`: of the floor, in squares,
+    what the machine file's baseline leaves of the model's form.
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
@@ -63,7 +66,9 @@ class Cell:
     coarse: bool = False
     least_nats: float = 0.0
     spread_least: float = 1.0
+    form_share: float = FORM_SHARE
     usual: tuple[tuple[str, float], ...] = ()
+    left_share: float = 0.0
     parts: tuple["Cell", ...] = ()
 
     @property

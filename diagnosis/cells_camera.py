@@ -198,6 +198,7 @@ def _cell(
     record = nominal.remainder("camera", on=on)
     rows, t_s = _rows(frames)
     noise = noise.with_remainder(record)
+    left = _share_left(record, noise) if record is not None else 0.0
     return [
         Cell(
             stage="camera",
@@ -213,7 +214,8 @@ def _cell(
             same_kind=False,
             regressors=(("time", t_s),),
             t_s=t_s,
-            usual=record.usual_at(_share_left(record, noise)) if record is not None else (),
+            usual=record.usual_at(left) if record is not None else (),
+            left_share=left,
         )
     ]
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, candidates_of, named
-from diagnosis.cells import Cell, Rows, blocks_of, folds_of
+from diagnosis.cells import FORM_SHARE, Cell, Rows, blocks_of, folds_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.floor import (
     BLOCK_S,
@@ -19,6 +19,7 @@ from diagnosis.floor import (
     increments,
     with_remainder,
 )
+from diagnosis.read_off import read_off
 from diagnosis.regressors import regressors_of
 from diagnosis.repeats import overlaid
 from diagnosis.replay import Prepared, Replayer, measured_output
@@ -34,6 +35,7 @@ UNIT = {"link": "rad", "controller": "1", "actuator": "rad/s"}
 SKIPPED = 10  # increments at a stretch's start: the valve's state is not known there
 NO_NOISE = 0.2  # of the least sigma: below it repeats are equal but for rounding, and their filter means nothing
 SIGMA_MIN = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # nothing smaller moves the tcp by 0.1 mm
+FORM_SHARE_OIL = 0.03  # friction and dead bands of real valves are no single number
 TIMING_S = 1.5e-3
 PASSES = 3
 STEP_SHARE = 0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
@@ -250,7 +252,7 @@ def cell_of(
         stage=stage,
         joint=None if whole else one_based[0],
         unit=UNIT[stage],
-        candidates=_candidates(stage, one_based, whole, replayer),
+        candidates=_candidates(stage, one_based, prepared, replayer),
         base=base,
         whitened=replay,
         rows=rows,
@@ -262,6 +264,7 @@ def cell_of(
         t_s=t_s,
         coarse=any(part.plant.decimate > 1 for part in parts),
         spread_least=_spread_least(replayer, stage, joints),
+        form_share=FORM_SHARE_OIL if stage == "actuator" else FORM_SHARE,
         usual=_usual(replayer, stage, joints, white.sigma),
     )
 
@@ -288,9 +291,13 @@ def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int
     return np.split(blocks, cuts), np.split(folds, cuts), same
 
 
-def _candidates(stage: str, joints: tuple[int, ...], whole: bool, replayer: Replayer) -> tuple[Candidate, ...]:
+def _candidates(
+    stage: str, joints: tuple[int, ...], prepared: list[Prepared], replayer: Replayer
+) -> tuple[Candidate, ...]:
     machine = stage == "link"
     found = candidates_of(stage, joints, machine)  # pyright: ignore[reportArgumentType]
+    if stage == "link":
+        found = read_off(found, tuple(one.stretch for one in prepared))
     if stage == "actuator":
         found = tuple(one for one in found if one.name != "supply_droop") + named(SEEN_BY_ENCODER, joints)
     loaded = replayer.torque_reference

@@ -99,6 +99,7 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
     sigma = np.maximum(known if known is not None else saturated_floor(rough, base, candidates), SIGMA_MIN_M)
     record = nominal.remainder("structure", on="tracker" if paths else "static")
     sigma = np.hypot(sigma * np.ones(3), axes_of(record, 3))
+    left = float(np.mean(axes_of(record, 3) ** 2 / sigma**2))
     m = len(data.xyz)
     rows = rows_of(m, 3)
     q = {f"joint {j}": np.repeat(data.q[:, j - 1], 3) for j in joints}
@@ -116,7 +117,8 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
         same_kind=False,
         regressors=tuple(q.items()),
         t_s=np.repeat(data.when, 3),
-        usual=record.usual_at(float(np.mean(axes_of(record, 3) ** 2 / sigma**2))) if record is not None else (),
+        usual=record.usual_at(left) if record is not None else (),
+        left_share=left,
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, put
-from diagnosis.cells import DRIVEN_STAGES, Cell
+from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
 from diagnosis.cells_merged import merged_cells
@@ -15,7 +15,7 @@ from diagnosis.localise import Localisation, localise
 from diagnosis.reading import Read
 from diagnosis.refusal import Fired, remainder
 from diagnosis.replay import replayer_of
-from diagnosis.score import MARGIN_SHARE, Score
+from diagnosis.score import Score
 from diagnosis.search import Search, search, searched_again
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
@@ -133,7 +133,7 @@ def _least(cell: Cell, before: list[Search]) -> float:
     if not cell.coarse:
         return 0.0
     feeding = [one for one in before if one.cell.joint in (None, cell.joint)]
-    return MARGIN_SHARE * sum(one.chosen.total - one.none.total for one in feeding)
+    return FORM_SHARE * sum(one.chosen.total - one.none.total for one in feeding)
 
 
 def _with_encoders(base: ParameterSets, behind: list[Search]) -> ParameterSets:

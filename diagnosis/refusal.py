@@ -12,6 +12,7 @@ from machine.rotations import Array
 
 LEVEL = 1e-3  # of all tests of a recording together (Bonferroni)
 LAGS = 20
+REMAINDER_VARIES = 1.0  # a swing's energy may be twice as large in one motion as it is on the average
 # A test counts only if what it finds is also large: with thousands of rows everything is significant.
 ENERGY_MIN = 0.5  # chi2/n beyond 1: a gap of 0.7 floors; a few repeats know the floor to a quarter
 AUTOCORRELATION_MIN = 0.08  # sum of squares over 20 lags, besides what chance and a filter from few repeats give
@@ -94,7 +95,7 @@ def key_of(one: Fired) -> str:
 def _energy(cell: Cell, r: Array) -> list[Fired]:
     n = len(r)
     ratio = float(r @ r) / n
-    if ratio - 1.0 < ENERGY_MIN or not cell.floor_known:
+    if ratio - 1.0 < ENERGY_MIN + REMAINDER_VARIES * cell.left_share or not cell.floor_known:
         return []
     return [Fired("energy", cell.stage, cell.joint, ratio, float(stats.chi2.sf(r @ r, n)), "", 1.0 - 1.0 / ratio)]
 

@@ -52,7 +52,8 @@ class Replayer:
         between: Array | None = None
         if stretch.sent is not None and ref is not None:
             cycles = (stretch.rows - 1) * plant.decimate + 1
-            drives["link"] = drive_by_sent(plant, stretch.sent.t_s, stretch.sent.q, float(stretch.t_s[0]), cycles)
+            sent = stretch.sent
+            drives["link"] = drive_by_sent(plant, sent.t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
             between = self._fine("link", plant, drives["link"], known)
         ref_fine = None if ref is None else _through(plant, ref, between)
         between = None

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.cells import Cell
+from diagnosis.cells import FORM_SHARE, Cell
 from diagnosis.fit import Fit, bounds, costs, evaluated, weights
 from machine.effects.registry import effect_named
 from machine.rotations import Array
@@ -13,7 +13,6 @@ from machine.rotations import Array
 MARGIN_NATS = 6.0  # 3 gave false names among dozens of candidates in a dozen cells
 MARGIN_MORE_NATS = 2.0  # for each further number that a model has
 MARGIN_SE = 1.5
-MARGIN_SHARE = 0.002  # of all that a hypothesis gains: no model is right to better than this
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,16 +63,19 @@ def fold_thetas(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array]:
     return folds, np.array(thetas).reshape(len(folds), found.k)
 
 
-def better(one: Score, other: Score, none: Score, spread: float = 1.0, least_nats: float = 0.0) -> bool:
-    """Whether `one` beats `other` by the margin: 6 nats, 0.2 % of its gain, and 1.5 standard errors over blocks.
+def better(
+    one: Score, other: Score, none: Score, spread: float = 1.0, least_nats: float = 0.0, form_share: float = FORM_SHARE
+) -> bool:
+    """Whether `one` beats `other` by the margin: 6 nats, a share of its gain, and 1.5 standard errors over blocks.
 
     `spread`: by how much scores are to be divided first (chi2/n of the best model, where the floor is too low);
-    `least_nats`: a higher margin, where the cell's input is not known well enough for 6 nats.
+    `least_nats`: a higher margin, where the cell's input is not known well enough for 6 nats;
+    `form_share`: the cell's.
     """
     gains = (one.by_block - other.by_block) / spread
     more = max(0, numbers_of(one.fit) - numbers_of(other.fit) - 1)
     least = MARGIN_NATS + MARGIN_MORE_NATS * more
-    if float(gains.sum()) <= max(least, least_nats, MARGIN_SHARE * (one.total - none.total) / spread):
+    if float(gains.sum()) <= max(least, least_nats, form_share * (one.total - none.total) / spread):
         return False
     return float(gains.mean()) > MARGIN_SE * float(gains.std(ddof=1)) / np.sqrt(len(gains))
 

@@ -6,9 +6,10 @@ from itertools import combinations, pairwise
 
 import numpy as np
 
-from diagnosis.candidates import Candidate
+from diagnosis.candidates import Candidate, beside
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.fit import Fit, Hypothesis, costs, evaluated, fit, neutral_fit, weights
+from diagnosis.rare import with_the_event_cut
 from diagnosis.score import MARGIN_NATS, Score, better, score
 from machine.rotations import Array
 
@@ -70,7 +71,10 @@ def search(cell: Cell) -> Search:
     Model: every candidate is scanned over its range; those that gain are fitted; all pairs of fitted singles are
            screened by their finite columns, the best refined; triples go on from the best pair; then one backward pass.
     """
-    none = score(cell, neutral_fit(cell))
+    cell = replace(cell, candidates=beside(cell.base, cell.candidates))
+    nothing = neutral_fit(cell)
+    cell = with_the_event_cut(cell, nothing.residual)
+    none = score(cell, nothing)
     scans = _variants_settled([scan(cell, one, none.fit) for one in cell.candidates])
     return _searched(cell, none, scans, {})
 
@@ -102,10 +106,12 @@ def _searched(cell: Cell, none: Score, scans: list[Scan], known: dict[frozenset[
     chosen = none
     for level in levels:
         best = max(level, key=lambda one: one.total)
-        if better(best, chosen, none, spread, cell.least_nats):
+        if better(best, chosen, none, spread, cell.least_nats, cell.form_share):
             chosen = best
     chosen = _backward(book, chosen, spread)
-    if not better(chosen, none, none, spread, cell.least_nats):  # what is left of a pair has to stand on its own
+    if not better(
+        chosen, none, none, spread, cell.least_nats, cell.form_share
+    ):  # what is left of a pair has to stand on its own
         chosen = none
     return Search(cell, tuple(scans), none, tuple(book.known.values()), chosen, spread)
 
@@ -268,7 +274,7 @@ def _backward(book: _Book, chosen: Score, spread: float) -> Score:
         rest = tuple(one for one in hypothesis if one is not out)
         keep = np.concatenate([np.full(len(one.slots), one is not out) for one in hypothesis])
         smaller = book.scored(rest, chosen.fit.theta[keep], ROUNDS_PAIR)
-        if not better(chosen, smaller, book.known[frozenset()], spread, book.cell.least_nats):
+        if not better(chosen, smaller, book.known[frozenset()], spread, book.cell.least_nats, book.cell.form_share):
             return _backward(book, smaller, spread)
     return chosen
 

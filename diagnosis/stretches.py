@@ -13,6 +13,7 @@ from machine.rotations import Array
 from recording.run import Segment
 
 MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
+LOGGED_OFTEN = 0.7  # of a sending period: a log row that comes later may have skipped a datagram
 JITTER_MAX = 1e-3  # of a step: stamps closer to the even grid than this are taken as they are
 
 
@@ -51,10 +52,14 @@ class Stretch:
 
 @dataclass(frozen=True, slots=True)
 class Sent:
-    """The reference as sent, on the PLC's clock: t_s (k,), q (k, n); begins before the stretch does."""
+    """The reference as sent, on the PLC's clock: t_s (k,), q (k, n); begins before the stretch does.
+
+    `lost` (k,): datagrams that never arrived; None where the log cannot tell.
+    """
 
     t_s: Array
     q: Array
+    lost: NDArray[np.bool_] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +215,26 @@ def _sent(tables: Tables, clock: SentClock | None, start_s: float, end_s: float)
     if int(good.sum()) < ROWS_MIN:
         return None
     order = np.argsort(t[good], kind="stable")
-    return Sent(t[good][order], np.ascontiguousarray(tables.sent.q[good][order]))
+    lost = never_received(tables)
+    return Sent(
+        t[good][order],
+        np.ascontiguousarray(tables.sent.q[good][order]),
+        None if lost is None else lost[good][order],
+    )
+
+
+def never_received(tables: Tables) -> NDArray[np.bool_] | None:
+    """Datagrams (k,) whose number the PLC never logged, between the first and the last that it did.
+
+    None where a log row comes less often than a datagram, or numbers are missing: then a gap in them tells nothing.
+    """
+    sent, plc = tables.sent, tables.plc
+    if sent is None or plc is None or len(sent.seq) < 2 or (plc.seq < 0).any() or (np.diff(sent.seq) <= 0).any():
+        return None
+    if float(np.median(np.diff(plc.t_s))) > LOGGED_OFTEN * float(np.median(np.diff(sent.t_s))):
+        return None
+    within = (sent.seq > plc.seq.min()) & (sent.seq < plc.seq.max())
+    return within & ~np.isin(sent.seq, plc.seq)
 
 
 def repeat_groups(stretches: tuple[Stretch, ...]) -> dict[str, tuple[Stretch, ...]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from diagnosis.cells import Cell
 from diagnosis.fit import evaluated
-from diagnosis.score import MARGIN_MORE_NATS, MARGIN_NATS, MARGIN_SHARE, Score, numbers_of
+from diagnosis.score import MARGIN_MORE_NATS, MARGIN_NATS, Score, numbers_of
 from diagnosis.search import Search
 from machine.rotations import Array
 
@@ -61,12 +61,12 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     """The cell's hypotheses, best first.
 
     Model: p ~ exp((held-out score - penalty of each effect) / (T spread)); T larger where the floor is not known. An
-           effect also pays 0.2 % of all that is gained: no model is right to better than this.
+           effect also pays a share of all that is gained: no model is right to better than this.
     """
     numbers = calibration()
     T = numbers.temperature if found.cell.floor_known else numbers.temperature_without_floor
     gained = max(one.total for one in found.scored) - found.none.total
-    share = max(MARGIN_SHARE * gained / found.spread, found.cell.least_nats)
+    share = max(found.cell.form_share * gained / found.spread, found.cell.least_nats)
     logs = np.array(
         [one.total / found.spread - prior_cost(found.cell, one) - share * _count(one) for one in found.scored]
     )

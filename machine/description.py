@@ -90,6 +90,7 @@ class Machine:
     boards: tuple[Board, ...] = ()
     effects: "tuple[EffectEntry, ...]" = ()  # the baseline: of this machine undisturbed
     remainders: tuple[Remainder, ...] = ()
+    serial: str = ""  # tells machines of one name apart in a fleet; no number is read from it
 
     def markers_on(self, on: Literal["tool", "ooi"]) -> tuple[Marker, ...]:
         """The markers that sit on one object."""
@@ -113,6 +114,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]  # joints name 
 
 class _MachineSection(Strict):
     name: Annotated[str, Field(min_length=1, max_length=80)]
+    serial: Annotated[str, Field(max_length=80, pattern=r"^[^\x00-\x1f\x7f]*$")] = ""
     gravity_base_m_s2: Vector3 = Field(default_factory=lambda: [0.0, 0.0, -9.81])
     tcp_speed_max_m_s: Annotated[float, Field(gt=0.0, le=2.0)] = 0.15
 
@@ -326,6 +328,7 @@ def parse_machine_toml(text: str) -> Machine:
     boards = tuple(_board(section) for section in sections.markers.board)
     return Machine(
         name=sections.machine.name,
+        serial=sections.machine.serial,
         gravity_base_m_s2=_frozen(sections.machine.gravity_base_m_s2, (3,)),
         tcp_speed_max_m_s=sections.machine.tcp_speed_max_m_s,
         joints=tuple(_joint(section) for section in sections.joint),

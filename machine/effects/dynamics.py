@@ -1,6 +1,6 @@
 """Many parameter sets through the dynamic stages at once: from the sent reference, or from each stage's own input."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 import numpy as np
@@ -79,6 +79,7 @@ class Drive:
     """What a run is driven by. Rows of `ref`, `enc`, `u`, `latest` are PLC cycles; loads are per logged row.
 
     `load`: gravity torque over the joint's reference torque, along the motion; `load_kg`: its change per kg at the tcp.
+    `kept`: for each reference the last one that is known to have arrived; empty where losses are not known one by one.
     """
 
     first: DynamicStage
@@ -92,6 +93,7 @@ class Drive:
     load_kg: Array
     enc_start: Array
     u_start: Array
+    kept: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,11 +113,13 @@ def drive_by_sent(
     t_start_s: float,
     cycles: int,
     loads: tuple[Array, Array] | None = None,
+    lost: NDArray[np.bool_] | None = None,
 ) -> Drive:
     """From the reference as sent.
 
     Args:    t_sent_s: (m,) [s], rising, on the PLC's clock. sent: (m, n) [rad]. t_start_s: of the first PLC cycle.
-             loads: (load, load_kg), each (rows, n); zero without.
+             loads: (load, load_kg), each (rows, n); zero without. lost: (m,), those that any packet_loss takes away;
+             without it they are drawn.
     Model:   the PLC holds the last reference that arrived, latest[k] = last i with t_sent[i] <= t_k; the transport
              delay shifts by PLC cycles, a part of a cycle by interpolation between two neighbours.
     """
@@ -128,9 +132,14 @@ def drive_by_sent(
     none = np.zeros((0, plant.n))
     start = values[latest[0]].copy()
     zero = np.zeros(plant.n)
-    return Drive(
-        DynamicStage.LINK, cycles, values, latest, none, none, none, *_loads(plant, cycles, loads), start, zero
-    )
+    kept = np.zeros(0, np.int64) if lost is None else _last_there(~lost)
+    both = _loads(plant, cycles, loads)
+    return Drive(DynamicStage.LINK, cycles, values, latest, none, none, none, *both, start, zero, kept)
+
+
+def _last_there(there: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """For each row the last one at or before it that is there; the first where there is none."""
+    return np.maximum.accumulate(np.where(there, np.arange(len(there)), 0)).astype(np.int64)
 
 
 def drive_controller(plant: Actuators, ref: Array, enc: Array, u_start: Array, fine: bool = False) -> Drive:
@@ -198,6 +207,7 @@ def simulate(plant: Actuators, sets: ParameterSets, drive: Drive, last: DynamicS
         plant.transport_delay_s,
         drive.sent,
         drive.latest,
+        drive.kept,
         drive.ref,
         drive.enc,
         drive.u,

@@ -112,6 +112,7 @@ def run(
     delay_s: float,
     sent: Array,
     latest: NDArray[np.int64],
+    kept_in: NDArray[np.int64],
     ref_in: Array,
     enc_in: Array,
     u_in: Array,
@@ -139,7 +140,8 @@ def run(
         whole, part = 0, 0.0
         kept = np.zeros(0, np.int64)
         if first == LINK:
-            kept = _kept(sent.shape[0], G[LOSS], LOSS_STREAM)
+            known = G[LOSS] > 0.0 and kept_in.shape[0] > 0
+            kept = kept_in if known else _kept(sent.shape[0], G[LOSS], LOSS_STREAM)
             delay = (delay_s + G[DELAY]) / cycle_s
             whole = int(np.floor(delay + 1e-9))
             part = delay - whole if delay - whole > 1e-9 else 0.0

@@ -59,7 +59,8 @@ def main() -> None:
     given = parser.parse_args()
     plant = plant_named(given.plant)
     for k in range(given.undisturbed):
-        made = make(faults_of((), own.N), NOISES[0], UNDISTURBED_SEED + k, plant)
+        noise = NOISES[k % len(NOISES)]  # the machine as it is met, on quiet days and on others
+        made = make(faults_of((), own.N), noise, UNDISTURBED_SEED + k, plant)
         write(made, given.out / f"undisturbed{k}", f"undisturbed {k}", plant.toml())
     if not given.undisturbed:
         text = given.machine.read_text(encoding="utf-8")

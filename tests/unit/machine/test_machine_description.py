@@ -43,6 +43,8 @@ WRONG = [
     ("cycle_s = 0.001", "cycle_s = 0.0", "plc.cycle_s = 0.0: Input should be greater than 0"),
     ("[plc]", "[plcs]", "plc: Field required"),
     ('name = "hiab033"', "name = ", "machine file is not TOML"),
+    ('name = "hiab033"', 'name = "a"\nserial = 7', "machine.serial = 7: Input should be a valid string"),
+    ('name = "hiab033"', 'name = "a"\nserial = "a\\u0007"', "machine.serial = 'a\\x07': String should match pattern"),
 ]
 
 
@@ -72,6 +74,12 @@ def test_every_number_of_a_file_is_needed_or_has_a_default():
             faults.append(str(error))
     assert len(faults) > 100
     assert max(len(fault) for fault in faults) < 500
+
+
+def test_machines_of_one_name_are_told_apart_by_their_serial_number():
+    assert MACHINE.serial == ""
+    numbered = parse_machine_toml(TEXT.replace('name = "hiab033"', 'name = "hiab033"\nserial = "HC-0042 b"', 1))
+    assert (numbered.name, numbered.serial) == (MACHINE.name, "HC-0042 b")
 
 
 def test_nominal_machine_in_si():

@@ -1,0 +1,80 @@
+"""The step of a rounded reference, read off its values; lost datagrams, read off their numbers."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from diagnosis_cases import PLANT
+
+from diagnosis.candidates import candidates_of
+from diagnosis.read_off import comb_of, read_off
+from diagnosis.stretches import Sent, Stretch, never_received
+from machine.effects.dynamics import drive_by_sent, simulate
+from machine.effects.entries import make_entry, pack
+from machine.effects.registry import effect_named
+
+WALK = np.cumsum(np.random.default_rng(1).normal(0.0, 1e-3, 5000))
+
+
+@pytest.mark.parametrize("step", [7e-6, 3.3e-5, 1e-3, 4e-3])
+def test_a_comb_is_found_through_the_logs_own_rounding(step: float) -> None:
+    rounded = np.round(np.round(WALK / step) * step, 9)
+    assert comb_of(rounded) == pytest.approx(step, rel=1e-6)
+
+
+def test_no_comb_is_seen_where_there_is_none() -> None:
+    assert comb_of(WALK) is None
+    assert comb_of(np.round(WALK / 1e-3) * 1e-3 + 4e-4) is None  # even, but no whole multiples
+    assert comb_of(np.array([0.0, 0.5, 0.5, np.nan])) is None
+
+
+def stretch(ref: np.ndarray, lost: np.ndarray | None = None) -> Stretch:
+    t_s = 0.005 * np.arange(len(ref))
+    sent = Sent(t_s, ref, lost)
+    return Stretch("a", "steps", "", 0.0, 0.005, t_s, ref, None, None, None, None, None, sent)
+
+
+def sizes(ref: np.ndarray, lost: np.ndarray | None, name: str) -> dict[int | None, list[float]]:
+    found = read_off(candidates_of("link", (1, 2), True), (stretch(ref, lost),))
+    return {one.joint: one.starts().ravel().tolist() for one in found if one.name == name}
+
+
+def test_only_the_rounded_joints_candidate_is_narrowed() -> None:
+    found = sizes(np.stack([WALK, np.round(WALK / 1e-3) * 1e-3], axis=1), None, "reference_quantisation")
+    assert len(found[1]) > 1
+    assert found[2] == pytest.approx([1e-3])
+
+
+def test_a_loss_is_counted_where_numbers_tell_it() -> None:
+    ref, lost = np.stack([WALK, WALK], axis=1), np.zeros(len(WALK), dtype=bool)
+    assert len(sizes(ref, None, "packet_loss")[None]) > 1  # the log cannot tell: any share may be
+    assert sizes(ref, lost, "packet_loss") == {}
+    lost[100:150] = True
+    assert sizes(ref, lost, "packet_loss")[None] == pytest.approx([0.01])
+
+
+def test_known_losses_are_replayed_one_by_one() -> None:
+    rng = np.random.default_rng(3)
+    t_s, q = 0.004 * np.arange(500), rng.normal(size=(500, 6))
+    lost = rng.uniform(size=500) < 0.1
+    lost[0] = False
+    effect = effect_named("packet_loss")
+    assert effect is not None
+    lossy = pack([make_entry(effect, None, {"loss_frac": 0.01})], 6)
+    replayed = simulate(PLANT, lossy, drive_by_sent(PLANT, t_s, q, 0.0, 1500, lost=lost)).ref
+    arrived = simulate(PLANT, pack((), 6), drive_by_sent(PLANT, t_s[~lost], q[~lost], 0.0, 1500)).ref
+    np.testing.assert_array_equal(replayed, arrived)
+
+
+@pytest.mark.parametrize(("logged_s", "told"), [(0.005, True), (0.02, False)])
+def test_a_gap_in_the_numbers_tells_only_where_every_datagram_would_be_logged(logged_s: float, told: bool) -> None:
+    sent = SimpleNamespace(t_s=0.01 * np.arange(100), seq=np.arange(100))
+    t_plc = np.arange(0.0, 0.9, logged_s)
+    seq = np.round(t_plc / 0.01 - 0.25).astype(np.int64)
+    seq[seq == 40] = 39
+    lost = never_received(SimpleNamespace(sent=sent, plc=SimpleNamespace(t_s=t_plc, seq=seq)))
+    if told:
+        assert lost is not None
+        assert np.nonzero(lost)[0].tolist() == [40]
+    else:
+        assert lost is None
