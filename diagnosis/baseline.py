@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.candidates import Candidate, put
-from diagnosis.cells import Cell
+from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import joined, measurement_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
@@ -17,11 +17,11 @@ from diagnosis.left_over import cells_of, remainders_of, with_baseline
 from diagnosis.reading import Read
 from diagnosis.refusal import key_of, pattern_nats, tests_of
 from diagnosis.score import Score, better, numbers_of, score
-from diagnosis.search import Scan, foreseen, scan, search
+from diagnosis.search import Scan, Search, foreseen, scan, search
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
 from machine.errors import MachineFileError
-from machine.remainder import USUAL_NATS, Remainder
+from machine.remainder import USUAL_NAME, USUAL_NATS, Remainder, usual_name
 from machine.rotations import Array
 
 EFFECTS_MAX = 9  # in one cell
@@ -48,12 +48,15 @@ class CellBaseline:
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """Effects and remainders for the machine file. `best_wrong`: by cell, what a wrong name gains over chance."""
+    """Effects and remainders for the machine file. `best_wrong`: by cell, what the best wrong name usually gains, over
+    chance; `usual_names`: those that gain more than that, and what [nats].
+    """
 
     effects: tuple[EffectEntry, ...]
     remainders: tuple[Remainder, ...]
     cells: tuple[CellBaseline, ...]
     best_wrong: tuple[tuple[str, float], ...]
+    usual_names: tuple[tuple[str, float], ...] = ()
 
 
 def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = lambda _text: None) -> Baseline:
@@ -68,9 +71,13 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     entries = _settled(fitted, progress)
     progress("what is left on the other recordings")
     remainders = remainders_of([with_baseline(one, entries, ()) for one in checked])
-    gains, usual = _wrong_gains([with_baseline(one, entries, remainders) for one in checked], progress)
-    finished = _spread(tuple(_with_usual(one, usual) for one in remainders), gains)
-    return Baseline(entries, finished, _judged(checked, entries), tuple(gains.items()))
+    spreads, usual, names = _wrong_gains([with_baseline(one, entries, remainders) for one in checked], progress)
+    finished = _spread(tuple(_with_usual(one, usual) for one in remainders), spreads, names)
+    return Baseline(entries, finished, _judged(checked, entries), tuple(spreads.items()), _told(names))
+
+
+def _told(names: dict[str, dict[str, float]]) -> tuple[tuple[str, float], ...]:
+    return tuple((name.removeprefix(USUAL_NAME), nats) for found in names.values() for name, nats in found.items())
 
 
 def _settled(fitted: list[Read], progress: Progress) -> tuple[EffectEntry, ...]:
@@ -202,25 +209,48 @@ def _beyond_chance(one: Score, none: Score) -> float:
     return (one.total - none.total) / (CHANCE_NATS + CHANCE_MORE_NATS * max(0, numbers_of(one.fit) - 1))
 
 
+Names = dict[str, dict[str, tuple[float, float]]]
 Usual = dict[tuple[str, int | None, str], dict[str, float]]
 
 
-def _wrong_gains(checked: list[Read], progress: Progress) -> tuple[dict[str, float], Usual]:
-    """On undisturbed recordings: by cell, the most that a wrong name gains, over what chance gives; by part, the tests
-    that fire and their largest sizes.
+def _wrong_gains(
+    checked: list[Read], progress: Progress
+) -> tuple[dict[str, float], Usual, dict[str, dict[str, float]]]:
+    """On undisturbed recordings, by cell: what the best wrong name usually gains, over what chance gives; by part, the
+    tests that fire and their largest sizes; by cell, names that gain more than that, and what [nats].
+
+    Why both: a swing that changes from one motion to the next gains ten times what other names do, and a ruler made
+    for it would hide all of them.
     """
-    out: dict[str, float] = {}
+    best_of: dict[str, list[float]] = {}
+    names: Names = {}
     usual: Usual = {}
     for number, whole in enumerate(checked, start=1):
         progress(f"what a wrong name would gain: recording {number} of {len(checked)}")
         for cell in cells_of(whole):
             found = search(cell)
             best = max(found.scored, key=lambda one: _beyond_chance(one, found.none))
-            names = " + ".join(f"{one.name} {one.joint or ''}".strip() for one in best.fit.hypothesis)
-            progress(f"  {cell.label}: {names or 'nothing'} gains {best.total - found.none.total:.3g} nats")
-            out[cell.label] = max(out.get(cell.label, 0.0), _beyond_chance(best, found.none))
+            told = " + ".join(f"{one.name} {one.joint or ''}".strip() for one in best.fit.hypothesis)
+            progress(f"  {cell.label}: {told or 'nothing'} gains {best.total - found.none.total:.3g} nats")
+            best_of.setdefault(cell.label, []).append(_beyond_chance(best, found.none))
+            _note_names(found, names.setdefault(cell.label, {}))
             _note_tests(cell, found.none.held_out, usual)
-    return out, usual
+    spreads = {label: max(1.0, float(np.median(gains))) for label, gains in best_of.items()}
+    return spreads, usual, {label: _beyond(found, spreads[label]) for label, found in names.items()}
+
+
+def _note_names(found: Search, gains: dict[str, tuple[float, float]]) -> None:
+    """By name what it gained at most as the only one, and over what chance gives [nats, and as a share]."""
+    for one in found.scored:
+        if len(one.fit.hypothesis) == 1:
+            effect = one.fit.hypothesis[0]
+            key, gain = usual_name(effect.name, effect.joint), one.total - found.none.total
+            gains[key] = max(gains.get(key, (0.0, 0.0)), (gain, _beyond_chance(one, found.none)))
+
+
+def _beyond(gains: dict[str, tuple[float, float]], spread: float) -> dict[str, float]:
+    """Names that gain more than chance gives, divided as every other one."""
+    return {name: gain for name, (gain, share) in gains.items() if share > spread}
 
 
 def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
@@ -239,14 +269,18 @@ def _with_usual(one: Remainder, usual: Usual) -> Remainder:
     return replace(one, usual=tuple(usual.get((one.stage, joint, one.on), {}).items()))
 
 
-def _spread(remainders: tuple[Remainder, ...], gains: dict[str, float]) -> tuple[Remainder, ...]:
-    """Remainders with the spread that brings every wrong name's gain down to what chance gives."""
+def _spread(
+    remainders: tuple[Remainder, ...], spreads: dict[str, float], names: dict[str, dict[str, float]]
+) -> tuple[Remainder, ...]:
+    """Remainders with the spread that brings a usual wrong name's gain down to what chance gives, and unusual names."""
     out = []
     for one in remainders:
         label = one.stage if one.stage == "link" or one.joint is None else f"{one.stage} {one.joint}"
-        out.append(replace(one, spread=max(1.0, gains.get(label, 0.0))))
-    if "structure" in gains:
-        out.append(Remainder("structure", None, "", 0.0, 0.0, (), max(1.0, gains["structure"])))
+        usual = (*one.usual, *names.get(label, {}).items()) if one.stage in DRIVEN_STAGES else one.usual
+        out.append(replace(one, spread=spreads.get(label, 1.0), usual=usual))
+    if "structure" in spreads:
+        known = tuple(names["structure"].items())
+        out.append(Remainder("structure", None, "", 0.0, 0.0, (), spreads["structure"], known))
     return tuple(out)
 
 

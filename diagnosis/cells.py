@@ -4,7 +4,7 @@ Every stage is replayed with its own measured input. What one stage, and but for
 its residual is then independent of all others, and a hypothesis' score is the sum of its cells' scores.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import Candidate
 from machine.effects.layout import ParameterSets
+from machine.remainder import usual_name
 from machine.rotations import Array
 
 BLOCKS_MIN = 12
@@ -45,7 +46,7 @@ class Cell:
     `form_share`: of all that is gained, what a further effect has to gain: no model is right to better than this.
     `spread_least`: scores are divided by it at least (a baseline's remainder is no white noise).
     `usual`: tests that fire on the undisturbed machine, and their sizes there; `left_share`: of the floor, in squares,
-    what the machine file's baseline leaves of the model's form.
+    what the machine file's baseline leaves of the model's form. `usual_names`: among them what names gain there [nats].
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
@@ -69,7 +70,13 @@ class Cell:
     form_share: float = FORM_SHARE
     usual: tuple[tuple[str, float], ...] = ()
     left_share: float = 0.0
+    usual_names: tuple[tuple[str, float], ...] = ()
     parts: tuple["Cell", ...] = ()
+
+    def usual_nats(self, effects: Iterable[Candidate]) -> float:
+        """What these names gain on the undisturbed machine [nats, not divided]."""
+        known = dict(self.usual_names)
+        return sum(known.get(usual_name(one.name, one.joint), 0.0) for one in effects)
 
     @property
     def label(self) -> str:

@@ -33,7 +33,9 @@ def behind_cells(whole: Read, base: ParameterSets) -> list[Cell]:
     if len(parts) < 2:
         return parts
     known = nominal.remainder("structure") if nominal is not None else None
-    return [joined(parts, known.spread if known is not None else 1.0)]
+    if known is None:
+        return [joined(parts)]
+    return [replace(joined(parts, known.spread), usual_names=known.usual_names)]
 
 
 def joined(parts: list[Cell], spread: float = 1.0) -> Cell:

@@ -266,6 +266,7 @@ def cell_of(
         spread_least=_spread_least(replayer, stage, joints),
         form_share=FORM_SHARE_OIL if stage == "actuator" else FORM_SHARE,
         usual=_usual(replayer, stage, joints, white.sigma),
+        usual_names=_usual_names(replayer, stage, joints),
     )
 
 
@@ -275,6 +276,11 @@ def _usual(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array
     known = [(one, min(1.0, (one.sigma / s) ** 2)) for one, s in zip(records, sigma, strict=True) if one is not None]
     rows = [row for one, share in known for row in one.usual_at(share)]
     return tuple({name: max(size for n, size in rows if n == name) for name, _ in rows}.items())
+
+
+def _usual_names(replayer: Replayer, stage: str, joints: tuple[int, ...]) -> tuple[tuple[str, float], ...]:
+    records = (replayer.nominal.remainder(stage, j + 1) for j in joints)
+    return tuple({name: nats for one in records if one is not None for name, nats in one.usual_names}.items())
 
 
 def _spread_least(replayer: Replayer, stage: str, joints: tuple[int, ...]) -> float:

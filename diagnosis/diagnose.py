@@ -196,7 +196,9 @@ def _answer(found: Search, cells: int) -> CellAnswer:
         fired=remainder(found.cell, chosen, cells),
         shrink=shrink(found, chosen),
         shrinks=shrinks(found, chosen),
-        limits=tuple(detection_limit(one, found.spread) for one in found.scans),
+        limits=tuple(
+            detection_limit(one, found.spread, found.cell.usual_nats((one.candidate,))) for one in found.scans
+        ),
         same=same_here(found, chosen),
     )
 

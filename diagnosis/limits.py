@@ -153,13 +153,13 @@ class Limit:
     size: float | None
 
 
-def detection_limit(one: Scan, spread: float) -> Limit:
+def detection_limit(one: Scan, spread: float, usual_nats: float = 0.0) -> Limit:
     """By the change of the residual at the scanned sizes, between them on a straight line of the logarithms."""
     slot = one.candidate.slots[0]
     neutral_zero = slot.neutral == 0.0
     sizes = np.abs(one.thetas).max(axis=1) if one.candidate.vector else np.abs(one.thetas[:, 0])
     strength = np.sqrt(np.maximum(one.energy / spread, 1e-30))
-    wanted = np.sqrt(SHOWN_ENERGY)
+    wanted = np.sqrt(SHOWN_ENERGY + 2.0 * usual_nats / spread)
     levels = np.unique(sizes)[:: 1 if neutral_zero else -1]
     weakest = np.array([strength[sizes == level].min() for level in levels])
     above = np.nonzero(weakest >= wanted)[0]

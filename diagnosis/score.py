@@ -63,19 +63,21 @@ def fold_thetas(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array]:
     return folds, np.array(thetas).reshape(len(folds), found.k)
 
 
-def better(
-    one: Score, other: Score, none: Score, spread: float = 1.0, least_nats: float = 0.0, form_share: float = FORM_SHARE
-) -> bool:
+def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cell | None = None) -> bool:
     """Whether `one` beats `other` by the margin: 6 nats, a share of its gain, and 1.5 standard errors over blocks.
 
+    On top of the 6 nats comes what its further names gain on the undisturbed machine.
+
     `spread`: by how much scores are to be divided first (chi2/n of the best model, where the floor is too low);
-    `least_nats`: a higher margin, where the cell's input is not known well enough for 6 nats;
-    `form_share`: the cell's.
+    `cell`: where its input is not known well enough for 6 nats, or its model's form, it asks for more.
     """
     gains = (one.by_block - other.by_block) / spread
     more = max(0, numbers_of(one.fit) - numbers_of(other.fit) - 1)
-    least = MARGIN_NATS + MARGIN_MORE_NATS * more
-    if float(gains.sum()) <= max(least, least_nats, form_share * (one.total - none.total) / spread):
+    least, form_share = MARGIN_NATS + MARGIN_MORE_NATS * more, FORM_SHARE
+    if cell is not None:
+        usual = cell.usual_nats(one.fit.hypothesis) - cell.usual_nats(other.fit.hypothesis)
+        least, form_share = max(least + max(usual, 0.0) / spread, cell.least_nats), cell.form_share
+    if float(gains.sum()) <= max(least, form_share * (one.total - none.total) / spread):
         return False
     return float(gains.mean()) > MARGIN_SE * float(gains.std(ddof=1)) / np.sqrt(len(gains))
 

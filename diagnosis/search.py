@@ -106,12 +106,10 @@ def _searched(cell: Cell, none: Score, scans: list[Scan], known: dict[frozenset[
     chosen = none
     for level in levels:
         best = max(level, key=lambda one: one.total)
-        if better(best, chosen, none, spread, cell.least_nats, cell.form_share):
+        if better(best, chosen, none, spread, cell):
             chosen = best
     chosen = _backward(book, chosen, spread)
-    if not better(
-        chosen, none, none, spread, cell.least_nats, cell.form_share
-    ):  # what is left of a pair has to stand on its own
+    if not better(chosen, none, none, spread, cell):  # what is left of a pair has to stand on its own
         chosen = none
     return Search(cell, tuple(scans), none, tuple(book.known.values()), chosen, spread)
 
@@ -274,7 +272,7 @@ def _backward(book: _Book, chosen: Score, spread: float) -> Score:
         rest = tuple(one for one in hypothesis if one is not out)
         keep = np.concatenate([np.full(len(one.slots), one is not out) for one in hypothesis])
         smaller = book.scored(rest, chosen.fit.theta[keep], ROUNDS_PAIR)
-        if not better(chosen, smaller, book.known[frozenset()], spread, book.cell.least_nats, book.cell.form_share):
+        if not better(chosen, smaller, book.known[frozenset()], spread, book.cell):
             return _backward(book, smaller, spread)
     return chosen
 

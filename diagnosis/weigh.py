@@ -68,7 +68,10 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     gained = max(one.total for one in found.scored) - found.none.total
     share = max(found.cell.form_share * gained / found.spread, found.cell.least_nats)
     logs = np.array(
-        [one.total / found.spread - prior_cost(found.cell, one) - share * _count(one) for one in found.scored]
+        [
+            one.total / found.spread - prior_cost(found.cell, one, found.spread) - share * _count(one)
+            for one in found.scored
+        ]
     )
     logs /= T
     p = np.exp(logs - logs.max())
@@ -81,12 +84,13 @@ def _count(one: Score) -> int:
     return len(one.fit.hypothesis)
 
 
-def prior_cost(cell: Cell, one: Score) -> float:
-    """Nats that a hypothesis pays for its effects."""
+def prior_cost(cell: Cell, one: Score, spread: float = 1.0) -> float:
+    """Nats that a hypothesis pays for its effects: each one's price, and what it gains on the undisturbed machine."""
     numbers = calibration()
     foreign = sum(_foreign(cell, effect.stage) for effect in one.fit.hypothesis)
     effects = len(one.fit.hypothesis)
     more = MARGIN_MORE_NATS * (numbers_of(one.fit) - effects)
+    more += cell.usual_nats(one.fit.hypothesis) / spread
     return numbers.penalty_nats_per_effect * effects + more + numbers.foreign_stage_penalty_nats * foreign
 
 
@@ -109,7 +113,7 @@ def settled(found: Search) -> Score:
         one
         for one in found.scored
         if len(one.fit.hypothesis) == len(chosen.fit.hypothesis)
-        and prior_cost(cell, one) < prior_cost(cell, chosen)
+        and prior_cost(cell, one, found.spread) < prior_cost(cell, chosen, found.spread)
         and chosen.total - one.total < allowed
         and _cosine(one.fit.residual - found.none.fit.residual, chosen.fit.residual - found.none.fit.residual)
         > SAME_DIRECTION

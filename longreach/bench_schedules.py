@@ -1,17 +1,18 @@
 """`longreach bench schedules`: seeded fault schedules in virtual time, with invariants watched in every cycle."""
 
-import json
 import multiprocessing
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
+
+from longreach.saved_lines import add_line, open_to_add, whole_lines
 
 FILE = "schedules.jsonl"
 _SHARES = ("|qd_ref| / qd_max", "|qdd_ref| / qdd_max", "change of qd_ref / (qdd_max dt)", "step / (qdd_max dt^2)")
@@ -45,38 +46,19 @@ def bench(n: int, seed: int, folder: Path, console: Console, workers: int = 1) -
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / FILE
     wanted = range(seed, seed + n)
-    cases = {case["seed"]: case for case in read_cases(path) if case["seed"] in wanted}
+    cases = {case["seed"]: case for case in whole_lines(path) if case["seed"] in wanted}
     missing = [number for number in wanted if number not in cases]
     started = time.monotonic()
     try:
-        with path.open("a", encoding="utf-8") as file, console.status("") as status:
-            _begin_a_line(path, file)
+        with open_to_add(path) as file, console.status("") as status:
             for case in _run_all(missing, workers):
-                file.write(json.dumps(case) + "\n")
-                file.flush()
+                add_line(file, case)
                 cases[case["seed"]] = case
                 status.update(f"{len(cases)} of {n}, {sum(bool(c['breaches']) for c in cases.values())} with a breach")
     except KeyboardInterrupt:
         console.print("ended early; the next run goes on from here")
     console.print(f"{len(missing)} schedules run in {time.monotonic() - started:.0f} s on {workers} processes")
     return [cases[number] for number in sorted(cases)]
-
-
-def read_cases(path: Path) -> Iterator[Case]:
-    """The cases saved so far; a last line that a crash has cut is passed over."""
-    if not path.is_file():
-        return
-    for line in path.read_text(encoding="utf-8").splitlines():
-        try:
-            yield json.loads(line)
-        except json.JSONDecodeError:
-            continue
-
-
-def _begin_a_line(path: Path, file: TextIO) -> None:
-    """A crash may have cut the last line short."""
-    if path.stat().st_size and not path.read_bytes().endswith(b"\n"):
-        file.write("\n")
 
 
 def _run_all(seeds: list[int], workers: int) -> Iterable[Case]:

@@ -24,6 +24,7 @@ from scipy.stats import theilslopes
 
 from longreach.link_load.rendered_pairs import render_pairs
 from longreach.link_load.replay_camera import to_and_fro
+from longreach.saved_lines import every_line
 from machine.description import Machine
 from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.pipeline import VisionPipeline
@@ -182,9 +183,7 @@ def save_samples(path: Path, samples: Sequence[Sample]) -> None:
 
 def read_samples(path: Path) -> list[Sample]:
     """The samples saved so far."""
-    if not path.is_file():
-        return []
-    return [Sample(**json.loads(line)) for line in path.read_text(encoding="utf-8").splitlines()]
+    return every_line(path, lambda text: Sample(**json.loads(text)))
 
 
 def slopes_of(samples: Sequence[Sample]) -> list[Slope]:

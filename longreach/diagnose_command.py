@@ -46,6 +46,9 @@ def diagnose(
     machine_out: Annotated[
         Path | None, typer.Option("--machine-out", help="write the machine file with the diagnosed effects added")
     ] = None,
+    simulate: Annotated[
+        bool, typer.Option("--simulate", help="also run the simulator's plant by the recording, before and after")
+    ] = False,
     out: Annotated[Path | None, typer.Option("--out", help="where --fit-baseline writes the machine file")] = None,
 ) -> None:
     """Diagnose the gap between a recording and its nominal machine."""
@@ -63,8 +66,11 @@ def diagnose(
     if not whole.usable:
         raise typer.Exit(BAD_INPUT)
     found, result, curves = _with_progress(whole, screen, tuple(lacking or ()), leaving)
+    result["recordings"] = [path.name for path in recordings]
     for text in lines(result):
         typer.echo(text)
+    if simulate:
+        _simulate(_machine_text(recording, machine_file), found, result, screen)
     _write(json_file, json.dumps(result, indent=1, allow_nan=False) + "\n", screen)
     _write(html_file, page(result, recording.name, curves), screen)
     if machine_out is not None:
@@ -83,12 +89,36 @@ def _read(recordings: list[Path], machine_file: Path | None, screen: Console) ->
 def _machine_out(recording: Path, machine_file: Path | None, found: Diagnosis, out: Path, screen: Console) -> None:
     """The machine file with the diagnosed effects added."""
     try:
-        given = machine_file is not None
-        text = machine_file.read_text(encoding="utf-8") if given else read_run(recording).machine_toml
-        typer.echo(write_machine(text, found, out))
+        typer.echo(write_machine(_machine_text(recording, machine_file), found, out))
     except MachineOutError as error:
         screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
         raise typer.Exit(BAD_INPUT) from error
+
+
+def _machine_text(recording: Path, machine_file: Path | None) -> str:
+    return read_run(recording).machine_toml if machine_file is None else machine_file.read_text(encoding="utf-8")
+
+
+def _simulate(text: str, found: Diagnosis, result: dict[str, Any], screen: Console) -> None:
+    """The shrink in the simulator's own run, into the answer; what it cannot simulate is said, and nothing fails."""
+    from longreach.simulated_shrink import told
+    from longreach.simulated_shrink.run import SimulatedShrinkError, simulated_runs
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    try:
+        with Progress(*columns, console=screen, transient=True) as shown:
+            task = shown.add_task("simulating", total=None)
+            runs = simulated_runs(
+                found, text, lambda words, at, of: shown.update(task, description=words, completed=at, total=of)
+            )
+    except SimulatedShrinkError as error:
+        screen.print(f"[yellow]not simulated:[/] {escape(str(error))}", soft_wrap=True)
+        result["simulated_shrink"] = None
+        result["not_simulated"] = str(error)
+        return
+    result["simulated_shrink"] = told.told(runs, result["shrink"].get("overall", {}).get("closed_frac"))
+    for line in told.lines(result["simulated_shrink"]):
+        typer.echo(line)
 
 
 def _fit_baseline(recordings: list[Path], machine_file: Path | None, out: Path | None, screen: Console) -> None:

@@ -66,5 +66,9 @@ def told(found: Baseline, fitted: int, count: int) -> str:
     rows = [f"fitted on {fitted} recordings, judged on {count - fitted}; RMS in noise floors before and after:"]
     rows += [f"  {one.label}: {one.before:.3g} -> {one.after:.3g}" for one in found.cells]
     rows += [f"  {one.name} {one.joint or ''} {dict(one.values)}" for one in found.effects]
-    rows += [f"  {label}: a wrong name gains up to {times:.3g} times chance" for label, times in found.best_wrong]
+    rows += [f"  {label}: a wrong name usually gains {times:.3g} times chance" for label, times in found.best_wrong]
+    rows += [
+        f"  {name}: gains up to {nats:.3g} nats there, and has to gain that much more"
+        for name, nats in found.usual_names
+    ]
     return "\n".join(rows)

@@ -10,6 +10,7 @@ from uuid import uuid4
 
 import httpx
 
+from longreach.fleet_connection import SteadyClient
 from longreach.lease_holder import ControlRefusedError, LeaseHolder
 
 RETRIES = 3
@@ -48,7 +49,7 @@ class JobClient:
         key: str = "",
     ) -> None:
         headers = {"Authorization": f"Bearer {key}"} if key else {}
-        self._http = httpx.Client(base_url=url, timeout=timeout_s, headers=headers)
+        self._http = SteadyClient(url, timeout_s, headers)
         self._owner, self._kind = owner, kind
 
     def __enter__(self) -> Self:
@@ -83,8 +84,12 @@ class JobClient:
         return self._http.get("/v1/state").raise_for_status().json()
 
     def stop(self) -> None:
-        """Stop motion (software)."""
-        self._http.post("/v1/stop").raise_for_status()
+        """Stop motion (software); asked for again when the connection broke, for two stops are one."""
+        try:
+            answer = self._http.post("/v1/stop")
+        except httpx.TransportError:
+            answer = self._http.post("/v1/stop")
+        answer.raise_for_status()
 
     def run(self, body: dict[str, Any], on_event: Callable[[dict[str, Any]], None] | None = None) -> Finished:
         """Acquire control, start a job, follow it to its end, release.

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 STAGES = ("link", "controller", "actuator", "structure", "camera")
 USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern explained, however small
+USUAL_NAME = "name "  # before effect and joint, among the usual tests: what that name gains there [nats]
 KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual", "by_axis"}
 
 
@@ -25,7 +26,7 @@ class Remainder:
     much scores are divided, since a remainder of form is no white noise. `on`: static, tracker, ooi or tool.
     `by_axis`: of points, sigma radial, tangential, up about the base's upright; of corners, what u and v of all corners
     of a frame share, beside each one's own `sigma`. `usual`: tests of a residual that fire on the undisturbed machine,
-    and how large they get there.
+    and how large they get there; names that gain more there than others do, and what.
     """
 
     stage: str
@@ -38,11 +39,21 @@ class Remainder:
     usual: tuple[tuple[str, float], ...] = ()
     by_axis: tuple[float, ...] = ()
 
+    @property
+    def usual_names(self) -> tuple[tuple[str, float], ...]:
+        """Those of the usual ones that are names."""
+        return tuple((name, nats) for name, nats in self.usual if name.startswith(USUAL_NAME))
+
     def usual_at(self, share: float) -> tuple[tuple[str, float], ...]:
         """The usual tests where the remainder is this share (0 to 1) of a recording's floor, in squares: noise drowns
         patterns, and what they explain [nats] with them.
         """
         return tuple((name, size * share if name == USUAL_NATS else size) for name, size in self.usual)
+
+
+def usual_name(name: str, joint: int | None) -> str:
+    """Key of an effect's name among the usual ones."""
+    return f"{USUAL_NAME}{name}" if joint is None else f"{USUAL_NAME}{name} {joint}"
 
 
 def parse_baseline(tables: object, n_joints: int) -> "tuple[EffectEntry, ...]":

@@ -36,6 +36,9 @@ from server.version import __version__
 from server.warm_up import warm_up
 
 DATABASE_NAME = "longreach.sqlite3"
+# Control is kept alive every 5 s (a third of its time to live), and 5 s are also uvicorn's default: a renewal could
+# meet a connection just closing. PatientH11Protocol ends an idle one after 10 to 20 s; this is the outer bound.
+KEEP_ALIVE_S = 20
 
 
 def build_cell(settings: ServerSettings) -> Cell:
@@ -87,6 +90,12 @@ def build_app(settings: ServerSettings) -> FastAPI:
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
+        # OPC UA first: its address space is seconds of work, done before any sample waits for this loop.
+        async with opcua_face(service, settings.opcua), machine_side():
+            yield
+
+    @asynccontextmanager
+    async def machine_side() -> AsyncIterator[None]:
         cell.link.on_sample(cell.recorder.sample)
         cell.vision.on_report(cell.recorder.report)
         await cell.link.start()
@@ -94,7 +103,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
         await asyncio.to_thread(warm_up, cell.machine, cell.chain)
         panel = await install_panel_tasks(app)
         try:
-            async with running.tasks(), opcua_face(service, settings.opcua):
+            async with running.tasks():
                 yield
         finally:
             await panel()
@@ -119,16 +128,21 @@ def build_app(settings: ServerSettings) -> FastAPI:
 
 def serve(settings: ServerSettings) -> None:
     """Run until SIGINT or SIGTERM; a running job is stopped with a ramp first."""
-    config = uvicorn.Config(
-        build_app(settings),
-        host=settings.http.host,
-        port=settings.http.port,
+    asyncio.run(uvicorn.Server(config_of(build_app(settings), settings.http)).serve())
+
+
+def config_of(app: FastAPI, http: HttpSettings) -> uvicorn.Config:
+    """How it is served."""
+    return uvicorn.Config(
+        app,
+        host=http.host,
+        port=http.port,
         log_level="warning",
         access_log=False,  # its lines would hold lease ids
         http=PatientH11Protocol,
-        proxy_headers=settings.http.behind_proxy,
+        proxy_headers=http.behind_proxy,
         server_header=False,
+        timeout_keep_alive=KEEP_ALIVE_S,
         timeout_graceful_shutdown=3,
         ws_per_message_deflate=False,  # it took 4 ms a picture and viewer, in vain: JPEG does not get smaller
     )
-    asyncio.run(uvicorn.Server(config).serve())

@@ -8,6 +8,7 @@ from diagnosis.report.chain import chain
 from diagnosis.report.curves import CellCurves
 from diagnosis.report.html import document, section, table
 from diagnosis.report.plots import plots
+from diagnosis.report.simulated import simulated_section
 from diagnosis.report.svg import bar
 from diagnosis.report.text import effects_text, place_text
 from diagnosis.report.words import next_text, verdict_text, what_it_looks_like
@@ -25,6 +26,7 @@ def page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] = ()) -
         section("How likely", _hypotheses(result) + _classes(result)),
         section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
         section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
+        section("The same, run by the simulator", simulated_section(result)),
         section("What nothing explains", _table(result["unexplained"], UNEXPLAINED)),
         section("What the recording lacked", _table(result["missing"], (("signal", "signal"), ("costs", "costs")))),
         section("Findings about the recording", _table(result["findings"], FINDINGS)),

@@ -16,6 +16,7 @@ from rich.table import Table
 from longreach.bench_camera_faults.case import AT_REST_ONLY, IN_MOTION_ONLY, FaultCase, run_case
 from longreach.bench_camera_faults.good import GOOD_KINDS, GoodCase, run_good
 from longreach.bench_camera_faults.pictures import render_pictures
+from longreach.saved_lines import add_line, open_to_add, whole_lines
 from machine.description import Machine
 from server.settings import read_machine
 from sim_plc.camera.faults import FaultKind
@@ -73,18 +74,17 @@ def bench(
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / FAULTS_FILE
     wanted = wanted_cases(kinds, seeds)
-    cases = {(case.kind, case.seed, case.moving): case for case in (FaultCase(**one) for one in _read(path))}
+    cases = {(case.kind, case.seed, case.moving): case for case in (FaultCase(**one) for one in whole_lines(path))}
     missing = [key for key in wanted if key not in cases]
     try:
-        with Progress(console=console) as progress, path.open("a", encoding="utf-8") as file:
+        with Progress(console=console) as progress, open_to_add(path) as file:
             task = progress.add_task("faults", total=len(wanted), completed=len(wanted) - len(missing))
             for seed in sorted({key[1] for key in missing}):
                 pictures = render_pictures(machine, seed)
                 for kind, _, moving in [key for key in missing if key[1] == seed]:
                     case = run_case(machine, pictures, FaultKind(kind), seed, moving)
                     cases[kind, seed, moving] = case
-                    file.write(json.dumps(asdict(case)) + "\n")
-                    file.flush()
+                    add_line(file, asdict(case))
                     progress.advance(task)
     except KeyboardInterrupt:
         console.print("ended early; the next run goes on from here")
@@ -95,31 +95,19 @@ def bench_good(machine: Machine, seeds: Sequence[int], pairs: int, folder: Path,
     """Good pairs of every kind of scene, shared out over the seeds."""
     path = folder / GOOD_FILE
     each = max(1, pairs // (len(GOOD_KINDS) * len(seeds)))
-    cases = {(case.kind, case.seed, case.pairs): case for case in (GoodCase(**one) for one in _read(path))}
+    cases = {(case.kind, case.seed, case.pairs): case for case in (GoodCase(**one) for one in whole_lines(path))}
     wanted = [(kind, seed, each) for seed in seeds for kind in GOOD_KINDS]
     try:
-        with Progress(console=console) as progress, path.open("a", encoding="utf-8") as file:
+        with Progress(console=console) as progress, open_to_add(path) as file:
             task = progress.add_task("good pairs", total=len(wanted))
             for key in wanted:
                 if key not in cases:
                     cases[key] = run_good(machine, *key)
-                    file.write(json.dumps(asdict(cases[key])) + "\n")
-                    file.flush()
+                    add_line(file, asdict(cases[key]))
                 progress.advance(task)
     except KeyboardInterrupt:
         console.print("ended early; the next run goes on from here")
     return [cases[key] for key in wanted if key in cases]
-
-
-def _read(path: Path) -> Iterable[dict]:
-    """The cases saved so far; a last line that a crash has cut is passed over."""
-    if not path.is_file():
-        return
-    for line in path.read_text(encoding="utf-8").splitlines():
-        try:
-            yield json.loads(line)
-        except json.JSONDecodeError:
-            continue
 
 
 def table_of(cases: Sequence[FaultCase]) -> Table:

@@ -12,8 +12,8 @@ from rich.table import Table
 from longreach.bench_compensation.run import VARIANTS, Compared, compare
 from longreach.bench_machines.paired import paired_change
 from longreach.reproduce.noise_model import fitted_noise
-from longreach.reproduce.saved_lines import whole_lines
 from longreach.reproduce.summary import share
+from longreach.saved_lines import open_to_add, whole_lines
 from server.settings import read_machine, read_machine_text
 
 console = Console(width=150)
@@ -34,8 +34,7 @@ def compensation(
     found = {one.seed: one for one in whole_lines(file, Compared.of_line)}
     noise, nominal, text = fitted_noise(), read_machine(machine), read_machine_text(machine)
     wanted = range(seed, seed + n)
-    with file.open("a", encoding="utf-8") as out:
-        out.write("\n")  # a line cut off by a stop must not swallow the next
+    with open_to_add(file) as out:
         for number in wanted:
             if number in found:
                 continue

@@ -10,8 +10,8 @@ from rich.table import Table
 
 from longreach.bench_experiments.cases import PAIRS
 from longreach.bench_experiments.run import Outcome, run_case
-from longreach.reproduce.saved_lines import whole_lines
 from longreach.reproduce.summary import share
+from longreach.saved_lines import open_to_add, whole_lines
 
 console = Console(width=150)
 DRAWS_MAX = 3  # draws per wanted case: some first recordings are not ambiguous, and count apart
@@ -41,8 +41,7 @@ def _run_pair(pair: str, n: int, seed: int, file: Path) -> list[Outcome]:
     """Cases of a pair until n are ambiguous, those on file read back."""
     known = {one.seed: one for one in whole_lines(file, lambda text: Outcome(**json.loads(text)))}
     out: list[Outcome] = []
-    with file.open("a", encoding="utf-8") as lines:
-        lines.write("\n")
+    with open_to_add(file) as lines:
         for number in range(seed, seed + DRAWS_MAX * n):
             if sum(one.ambiguous for one in out) == n:
                 break

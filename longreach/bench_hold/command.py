@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -12,6 +12,7 @@ from rich.table import Table
 
 from longreach.bench_hold.drill import LIMIT_MS, WAYS, HoldCase, HoldDrill
 from longreach.headless import headless
+from longreach.saved_lines import add_line, open_to_add, whole_lines
 
 console = Console(width=160)
 RETRIES = 3
@@ -53,15 +54,13 @@ def _tried(drill: HoldDrill, way: str, number: int, seed: int) -> HoldCase:
 
 def saved(folder: Path, seed: int) -> dict[tuple[str, int], HoldCase]:
     """The cases of earlier runs with this seed."""
-    path = folder / f"cases-{seed}.jsonl"
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    found: list[dict[str, Any]] = [json.loads(line) for line in lines]
-    return {(one["way"], one["number"]): HoldCase(**one) for one in found}
+    found = whole_lines(folder / f"cases-{seed}.jsonl", lambda text: HoldCase(**json.loads(text)))
+    return {(one.way, one.number): one for one in found}
 
 
 def _save(folder: Path, seed: int, case: HoldCase) -> None:
-    with (folder / f"cases-{seed}.jsonl").open("a", encoding="utf-8") as file:
-        file.write(json.dumps(asdict(case)) + "\n")
+    with open_to_add(folder / f"cases-{seed}.jsonl") as file:
+        add_line(file, asdict(case))
 
 
 def summary(cases: list[HoldCase]) -> Table:

@@ -16,6 +16,7 @@ from longreach.bench_jobs_soak.figures import figures_of, line, summary
 from longreach.bench_jobs_soak.stand import OWNER, Stand
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.kill_drill.drill import fast_machine
+from longreach.saved_lines import add_line, every_line, open_to_add
 
 FOLDER = Path("runs/bench-jobs-soak")
 START_S = 240.0  # the first start on a machine compiles
@@ -48,19 +49,18 @@ def bench(n: int, seed: int, quick: bool, preset: str, folder: Path, console: Co
     """Run or resume until n cases are there; Ctrl-C or a server that is lost ends it early."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{seed}-cases.jsonl"
-    cases = _read(path)
+    cases = every_line(path, lambda text: SoakCase(**json.loads(text)))
     if len(cases) >= n:
         return cases[:n]
     try:
         machine_file = fast_machine(folder)[0] if quick else None  # quick: TCP at 0.15 m/s
-        with Stand(preset, seed, folder, machine_file) as stand, path.open("a", encoding="utf-8") as file:
+        with Stand(preset, seed, folder, machine_file) as stand, open_to_add(path) as file:
             _begin(stand, quick)
             segment, t0_s = (cases[-1].segment + 1 if cases else 1), time.monotonic()
             for number in range(len(cases) + 1, n + 1):
                 fault = planned(seed, number, SPAN_QUICK_S if quick else SPAN_FULL_S)
                 case = run_case(number, segment, stand, fault, quick, t0_s)
-                file.write(json.dumps(asdict(case)) + "\n")
-                file.flush()
+                add_line(file, asdict(case))
                 cases.append(case)
                 console.print(line(case), highlight=False)
                 _thin_out(folder / "runs")
@@ -92,17 +92,3 @@ def _thin_out(runs: Path) -> None:
     """Delete all recordings but the last: with pictures, one of a positioning job has 90 MB."""
     for old in sorted(runs.glob("*.mcap"))[:-RUNS_KEPT]:
         old.unlink()
-
-
-def _read(path: Path) -> list[SoakCase]:
-    """The cases saved so far; a last line that was cut is passed over, so that it runs again."""
-    if not path.is_file():
-        return []
-    kept = []
-    for text in path.read_text(encoding="utf-8").splitlines():
-        try:
-            kept.append(SoakCase(**json.loads(text)))
-        except json.JSONDecodeError:
-            break
-    path.write_text("".join(json.dumps(asdict(case)) + "\n" for case in kept), encoding="utf-8")
-    return kept

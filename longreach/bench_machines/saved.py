@@ -13,7 +13,7 @@ from longreach.bench_machines.variants import ABLATIONS, DEFAULT
 from longreach.reproduce.fast_machine import QuasiStaticMachine
 from longreach.reproduce.fine_machine import FineMachine
 from longreach.reproduce.noise_model import fitted_noise
-from longreach.reproduce.saved_lines import whole_lines
+from longreach.saved_lines import add_line, open_to_add, whole_lines
 from server.settings import read_machine
 
 VARIANTS = {one.name: one for one in (DEFAULT, *ABLATIONS)}
@@ -46,11 +46,9 @@ def run_machines(
     found = {one.seed: one for one in read_runs(file) if one.seed in set(seeds)}
     advance(len(found))
     missing = [seed for seed in seeds if seed not in found]
-    with file.open("a", encoding="utf-8") as out:
-        out.write("\n")  # a line cut off by a stop must not swallow the next
+    with open_to_add(file) as out:
         for run in _fresh(order, missing, workers):
-            out.write(json.dumps(run.to_dict()) + "\n")
-            out.flush()
+            add_line(out, run.to_dict())
             found[run.seed] = run
             advance(1)
     return [found[seed] for seed in seeds]

@@ -1,6 +1,5 @@
 """Runs the registration trials: every case saved as one line, a second run resumes where the first stopped."""
 
-import json
 import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from longreach.bench_registration.cases import KINDS, PATHS, draw_case
 from longreach.bench_registration.methods import Trial, available_methods, try_method
+from longreach.saved_lines import add_line, open_to_add, whole_lines
 
 CHUNK = 25
 
@@ -37,11 +37,10 @@ def run_trials(
     with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
         for (cell, _, _), trials in zip(jobs, pool.map(_chunk, jobs), strict=True):
             found[cell] |= trials
-            with _file(folder, cell).open("a", encoding="utf-8") as out:
-                out.write("\n")  # a line cut off by a stop must not swallow the next
+            with open_to_add(_file(folder, cell)) as out:
                 for one, by_method in trials.items():
-                    line = {"seed": one, "methods": {name: asdict(trial) for name, trial in by_method.items()}}
-                    out.write(json.dumps(line) + "\n")
+                    methods_of = {name: asdict(trial) for name, trial in by_method.items()}
+                    add_line(out, {"seed": one, "methods": methods_of})
             advance(len(trials))
     return found
 
@@ -58,11 +57,7 @@ def _file(folder: Path, cell: Cell) -> Path:
 def _on_file(file: Path, methods: list[str], seeds: range) -> Trials:
     """Whole lines that hold every method asked for; a line cut off by a stop is run again."""
     found: Trials = {}
-    for text in filter(None, file.read_text(encoding="utf-8").splitlines() if file.exists() else []):
-        try:
-            line = json.loads(text)
-        except json.JSONDecodeError:
-            continue
+    for line in whole_lines(file):
         if line["seed"] in seeds and all(name in line["methods"] for name in methods):
             found[line["seed"]] = {name: Trial(**line["methods"][name]) for name in methods}
     return found

@@ -5,6 +5,7 @@ from typing import Any
 
 import typer
 
+from longreach.lazy_commands import loaded
 from longreach.reference.markdown import code, table
 
 
@@ -16,6 +17,7 @@ def commands() -> str:
 
 
 def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
+    command = loaded(command)
     children = getattr(command, "commands", None)  # typer's groups need not be click's own
     if children is None:
         yield path, command

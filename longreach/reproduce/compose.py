@@ -30,7 +30,7 @@ from longreach.reproduce.report_tables import (
     table_4_view,
 )
 from longreach.reproduce.report_words import LEAD, MISMATCH, NOISE_WORDS, SET_UP, figure_title
-from longreach.reproduce.saved_lines import Line, read_lines
+from longreach.saved_lines import Line, read_lines
 from machine.description import Machine
 
 EXAMPLES_TRIED = 20  # seeds, until one runs through

@@ -12,7 +12,7 @@ from longreach.reproduce.noise_gather import FRAMES, SEED_FIRST, STANDPOINTS, ga
 from longreach.reproduce.noise_model import NoiseModel, fitted_noise
 from longreach.reproduce.rendered_looks import JPEG_QUALITY
 from longreach.reproduce.rendered_paths import one_thread
-from longreach.reproduce.saved_lines import Line
+from longreach.saved_lines import Line
 from server.settings import read_machine
 
 AGREEMENT_FILE = "agreement.json"

@@ -11,7 +11,7 @@ from longreach.reproduce.noise_model import NoiseModel
 from longreach.reproduce.odometry_fit import OdometryRunPair
 from longreach.reproduce.rendered_looks import RenderedLook, rendered_looks, standpoints
 from longreach.reproduce.rendered_paths import NoPathError, RenderedPath, rendered_path
-from longreach.reproduce.saved_lines import Line, run_saved
+from longreach.saved_lines import Line, run_saved
 from machine.description import Machine
 from machine.rotations import Array
 from server.jobs.context import Method

@@ -73,7 +73,7 @@ def application(app: FastAPI, served: Served) -> Running:
     """Add everything; what it returns runs in the application's lifespan."""
     service = served.service
     folder = Path(service.cell.settings.recording.folder)
-    log, cache, diagnoses = EventLog(uuid4().hex[:8]), StateCache(service), Diagnoses(folder)
+    log, cache, diagnoses = EventLog(uuid4().hex[:8]), StateCache(service), service.diagnoses
     app.add_middleware(Guard, gatekeeper=served.gatekeeper)
     install_problem_handlers(app)
     for router in (

@@ -15,6 +15,7 @@ from server.api.views import Problem, Strict, View
 from server.jobs.diagnosing import Diagnoses, Diagnosis
 
 REPORT_CSP = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sandbox"  # a document, not a page of ours
+RUNS_MAX = 10
 Id = Annotated[str, InPath(pattern=r"^[0-9a-f]{12}$")]
 UNKNOWN: dict[int | str, dict[str, Any]] = {404: {"model": Problem}}
 UNFINISHED = UNKNOWN | {409: {"model": Problem, "description": "it has no answer (yet)"}}
@@ -32,12 +33,20 @@ class PathDiagnosis(Strict):
     path: Annotated[str, Field(min_length=1, max_length=255)]
 
 
+class RunsDiagnosis(Strict):
+    """Of several recorded runs of one machine together: the later ones were made to tell what the first could not."""
+
+    run_ids: Annotated[list[Annotated[str, Field(pattern=RUN_ID)]], Field(min_length=2, max_length=RUNS_MAX)]
+
+
 class DiagnosisView(View):
     """One diagnosis."""
 
     diagnosis_id: str
     recording: str
-    state: Literal["running", "done", "failed", "stopped"]
+    recordings: list[str] = Field(description="all that are diagnosed together, the first one included")
+    job_id: str = Field(description="of the experiment that the last recording is of; empty without one")
+    state: Literal["waiting", "running", "done", "failed", "stopped"]
     reason: str
     last_line: str
     elapsed_s: float
@@ -49,14 +58,14 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     refused: dict[int | str, dict[str, Any]] = {404: {"model": Problem}, 409: {"model": Problem}}
 
     @router.post("", status_code=202, response_model=DiagnosisView, responses=refused)
-    async def start(body: RunDiagnosis | PathDiagnosis) -> JSONResponse:
+    async def start(body: RunDiagnosis | PathDiagnosis | RunsDiagnosis) -> JSONResponse:
         """Start `longreach diagnose` in a process of its own at low priority; 409 while another one runs."""
-        found = await asyncio.to_thread(_recording, folder, body)
-        if found is None:
+        found = await asyncio.to_thread(_recordings, folder, body)
+        if not found:
             return problem(
                 404, "Unknown recording", "no such recording in the folder", "unknown_run", "see GET /v1/runs"
             )
-        one = diagnoses.start(found)
+        one = diagnoses.start(*found)
         headers = {"Location": f"/v1/diagnoses/{one.diagnosis_id}"}
         return JSONResponse(_view(one).model_dump(), status_code=202, headers=headers)
 
@@ -105,14 +114,15 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     return router
 
 
-def _recording(folder: Path, body: RunDiagnosis | PathDiagnosis) -> Path | None:
-    """What is to be diagnosed; None for whatever is no recording, such as the server's own database beside them."""
-    if isinstance(body, RunDiagnosis):
-        return run_path(folder, body.run_id)
-    found = inside(folder, body.path)
-    if found is None or not (found.suffix == ".mcap" or (found / "run.toml").is_file()):
-        return None
-    return found
+def _recordings(folder: Path, body: RunDiagnosis | PathDiagnosis | RunsDiagnosis) -> tuple[Path, ...]:
+    """What is to be diagnosed; nothing for whatever is no recording, such as the server's own database beside them."""
+    if isinstance(body, PathDiagnosis):
+        found = inside(folder, body.path)
+        usable = found is not None and (found.suffix == ".mcap" or (found / "run.toml").is_file())
+        return (found,) if found is not None and usable else ()
+    wanted = [body.run_id] if isinstance(body, RunDiagnosis) else body.run_ids
+    paths = [path for run_id in wanted if (path := run_path(folder, run_id)) is not None]
+    return tuple(paths) if len(paths) == len(wanted) else ()
 
 
 def _view(one: Diagnosis) -> DiagnosisView:
@@ -120,6 +130,8 @@ def _view(one: Diagnosis) -> DiagnosisView:
         {
             "diagnosis_id": one.diagnosis_id,
             "recording": one.recording,
+            "recordings": [path.name for path in one.recordings],
+            "job_id": one.job_id,
             "state": one.state,
             "reason": one.reason,
             "last_line": one.last_line,

@@ -195,7 +195,12 @@ EXAMPLES: dict[str, Example] = {
     "ControlView": _CONTROL,
     "DiagnosisView": {
         "diagnosis_id": "0a1b2c3d4e5f",
-        "recording": "20261121T052553-position-6c4a5f3859a3",
+        "recording": "20261121T052553-position-6c4a5f3859a3.mcap",
+        "recordings": [
+            "20261121T052553-position-6c4a5f3859a3.mcap",
+            "20261121T054107-experiment-c56f0b3a41d7.mcap",
+        ],
+        "job_id": JOB_ID,
         "state": "running",
         "reason": "",
         "last_line": "joint 2: 4 of 11 effects tried",
@@ -203,6 +208,7 @@ EXAMPLES: dict[str, Example] = {
     },
     "ErrorView": _ERROR,
     "ExecuteRequest": {"kind": "execute", "plan_hash": PLAN_HASH},
+    "ExperimentRequest": {"kind": "experiment", "diagnosis_id": "0a1b2c3d4e5f", "plan_hash": PLAN_HASH},
     "FaultView": {
         "fault_id": "camera_silent",
         "level": "URGENT",
@@ -243,6 +249,12 @@ EXAMPLES: dict[str, Example] = {
         "expired": False,
         "view": {"plan_hash": PLAN_HASH, "length_mm": 204.2},
     },
+    "PlanExperimentRequest": {
+        "kind": "plan_experiment",
+        "diagnosis_id": "0a1b2c3d4e5f",
+        "wall_free": False,
+        "keep": "tempo",
+    },
     "PlanView": _PLAN,
     "PositionRequest": {"kind": "position", "method": "ours", "recalibrate": True},
     "PreviewRequest": {"kind": "preview"},
@@ -263,6 +275,7 @@ EXAMPLES: dict[str, Example] = {
     },
     "RetractRequest": {"kind": "retract", "distance_mm": 300.0},
     "ReturnRequest": {"kind": "return"},
+    "RunsDiagnosis": {"run_ids": ["20261121T052553-position-6c4a5f3859a3", "20261121T054107-experiment-c56f0b3a41d7"]},
     "RunDiagnosis": {"run_id": "20261121T052553-position-6c4a5f3859a3"},
     "RunView": {
         "run_id": "20261121T052553-position-6c4a5f3859a3",

@@ -8,7 +8,7 @@ from server.jobs.service import JobBody
 from server.link.contracts import PlcSample
 
 Mode = Literal["SIM", "REAL"]
-STILL = frozenset({"look", "preview"})
+STILL = frozenset({"look", "preview", "plan_experiment"})
 
 
 class HoldRequiredError(AccessError):

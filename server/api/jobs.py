@@ -14,38 +14,11 @@ from server.api.job_commands import JobCommands, Sent
 from server.api.lease import FencingHeader, LeaseHeader, leased
 from server.api.problems import problem
 from server.api.state_view import job_view
-from server.api.views import (
-    CalibrateRequest,
-    ExecuteRequest,
-    JobView,
-    LineRequest,
-    LookRequest,
-    OrientRequest,
-    ParkRequest,
-    PositionRequest,
-    PreviewRequest,
-    Problem,
-    RetractRequest,
-    ReturnRequest,
-    ServoRequest,
-)
+from server.api.views import JobView, Problem
 from server.jobs.engine import Job
-from server.jobs.service import JobService
+from server.jobs.service import JobBody, JobService
 
-AnyJobRequest = Annotated[
-    LookRequest
-    | OrientRequest
-    | CalibrateRequest
-    | PreviewRequest
-    | ExecuteRequest
-    | PositionRequest
-    | LineRequest
-    | ServoRequest
-    | RetractRequest
-    | ReturnRequest
-    | ParkRequest,
-    Body(discriminator="kind"),
-]
+AnyJobRequest = Annotated[JobBody, Body(discriminator="kind")]
 KeyHeader = Annotated[
     str,
     Header(

@@ -19,19 +19,30 @@ NICE = "10"
 TIMEOUT_S = 3600.0
 KEPT = 50
 COMMAND = (sys.executable, "-m", "longreach.cli", "diagnose")
+UNDER_WAY = ("waiting", "running")
 
 
 @dataclass(slots=True)
 class Diagnosis:
-    """One run of `longreach diagnose`; its state is running, done, failed or stopped."""
+    """One run of `longreach diagnose`; its state is waiting, running, done, failed or stopped.
+
+    `recordings`: several are diagnosed together, as one of the same machine; `job_id`: whose recording is the last one.
+    """
 
     diagnosis_id: str
-    recording: str
+    recordings: tuple[Path, ...]
+    job_id: str = ""
     state: str = "running"
     reason: str = ""
     last_line: str = ""
     started_s: float = field(default_factory=time.monotonic)
     ended_s: float | None = None
+    task: asyncio.Task[None] | None = None
+
+    @property
+    def recording(self) -> str:
+        """The first one's name."""
+        return self.recordings[0].name
 
     @property
     def elapsed_s(self) -> float:
@@ -44,35 +55,39 @@ class Diagnoses:
 
     def __init__(self, folder: Path, command: tuple[str, ...] = COMMAND) -> None:
         self._folder, self._command = folder / "diagnoses", command
-        self._task: asyncio.Task[None] | None = None
+        self._turn = asyncio.Lock()
         self.all: deque[Diagnosis] = deque(maxlen=KEPT)
 
     def find(self, diagnosis_id: str) -> Diagnosis | None:
         """The one of that id."""
         return next((one for one in self.all if one.diagnosis_id == diagnosis_id), None)
 
-    def start(self, recording: Path) -> Diagnosis:
-        """Begin. Raises: BusyError naming the one that runs."""
-        running = next((one for one in self.all if one.state == "running"), None)
+    def start(self, *recordings: Path) -> Diagnosis:
+        """Begin. Raises: BusyError naming the one that runs, or waits to."""
+        running = next((one for one in self.all if one.state in UNDER_WAY), None)
         if running is not None:
             raise BusyError(
                 f"diagnosis {running.diagnosis_id} of {running.recording} runs since {running.elapsed_s:.0f} s",
                 {"diagnosis_id": running.diagnosis_id},
             )
-        one = Diagnosis(uuid4().hex[:12], recording.name)
-        self.all.append(one)
-        self._task = asyncio.create_task(self._run(one, recording), name=f"diagnosis-{one.diagnosis_id}")
-        return one
+        return self._begun(Diagnosis(uuid4().hex[:12], recordings))
+
+    def queue(self, recordings: tuple[Path, ...], job_id: str) -> Diagnosis:
+        """Begin as soon as no other one runs: what an experiment's job asks for."""
+        busy = any(one.state in UNDER_WAY for one in self.all)
+        return self._begun(Diagnosis(uuid4().hex[:12], recordings, job_id, "waiting" if busy else "running"))
 
     async def stop(self, one: Diagnosis) -> None:
-        """End it, if it runs."""
-        if one.state == "running" and self._task is not None:
-            self._task.cancel()
-            await asyncio.wait({self._task})
+        """End it, if it runs or waits."""
+        if one.state in UNDER_WAY and one.task is not None:
+            one.task.cancel()
+            await asyncio.wait({one.task})
+            if one.state in UNDER_WAY:  # before its first step
+                one.state, one.reason, one.ended_s = "stopped", "stopped", time.monotonic()
 
     async def close(self) -> None:
-        """End what runs."""
-        for one in self.all:
+        """End what runs, those that wait first."""
+        for one in reversed(self.all):
             await self.stop(one)
 
     def result(self, one: Diagnosis) -> dict[str, Any]:
@@ -86,27 +101,38 @@ class Diagnoses:
         """The report for people."""
         return self._file(one, "html")
 
+    def _begun(self, one: Diagnosis) -> Diagnosis:
+        self.all.append(one)
+        one.task = asyncio.create_task(self._in_turn(one), name=f"diagnosis-{one.diagnosis_id}")
+        return one
+
     def _file(self, one: Diagnosis, ending: str) -> Path:
         return self._folder / f"{one.diagnosis_id}.{ending}"
 
-    async def _run(self, one: Diagnosis, recording: Path) -> None:
+    async def _in_turn(self, one: Diagnosis) -> None:
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            async with asyncio.timeout(TIMEOUT_S):
-                code = await self._process(one, recording)
-            one.state, one.reason = ("done", "") if code == 0 else ("failed", one.last_line or f"exit code {code}")
+            async with self._turn:
+                one.state, one.started_s = "running", time.monotonic()
+                await self._run(one)
         except asyncio.CancelledError:
             one.state, one.reason = "stopped", "stopped"
             raise
-        except (OSError, TimeoutError) as error:
-            one.state, one.reason = "failed", str(error) or f"not done within {TIMEOUT_S:.0f} s"
         finally:
             one.ended_s = time.monotonic()
 
-    async def _process(self, one: Diagnosis, recording: Path) -> int:
+    async def _run(self, one: Diagnosis) -> None:
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            async with asyncio.timeout(TIMEOUT_S):
+                code = await self._process(one)
+            one.state, one.reason = ("done", "") if code == 0 else ("failed", one.last_line or f"exit code {code}")
+        except (OSError, TimeoutError) as error:
+            one.state, one.reason = "failed", str(error) or f"not done within {TIMEOUT_S:.0f} s"
+
+    async def _process(self, one: Diagnosis) -> int:
         outputs = ("--json", str(self._file(one, "json")), "--html", str(self._file(one, "html")))
         process = await asyncio.create_subprocess_exec(
-            *("nice", "-n", NICE, *self._command, str(recording), *outputs),
+            *("nice", "-n", NICE, *self._command, *(str(path) for path in one.recordings), *outputs),
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.PIPE,

@@ -13,6 +13,8 @@ from server.cell import Cell
 from server.errors import JobFailedError
 from server.jobs.requests import (
     Arm,
+    BeginSegment,
+    EndSegment,
     MachineReading,
     Move,
     ReadMachine,
@@ -73,6 +75,10 @@ class Performer:
                 return self._stop_watching()
             case StartMove() | NextPair() | Correct() | EndMove() | StopMove():
                 return await self._steer(request)
+            case BeginSegment():
+                return self._cell.recorder.begin_segment(request.name, request.kind)
+            case EndSegment():
+                return self._cell.recorder.end_segment()
         raise TypeError(f"no way to perform {type(request).__name__}")
 
     def record(self, request: Record) -> None:
@@ -124,7 +130,8 @@ class Performer:
     async def _move(self, request: Move) -> None:
         self.may_be_moving = True
         trajectory = self._from_reference(request.trajectory)
-        self._record_sent(trajectory)
+        if request.timed:
+            self._record_sent(trajectory)
         ended = await self._cell.link.run(trajectory)
         self.may_be_moving = False
         if not ended.reached:

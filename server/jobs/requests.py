@@ -7,6 +7,7 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
+from recording.run import SegmentKind
 from server.calibration.contracts import Array, CameraRotationEstimate
 from server.jobs.records import MoveRecord
 from server.jobs.steer_requests import Steer
@@ -37,10 +38,15 @@ class Arm:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Play a trajectory of the reference to its end. Reply: None; a stop or refusal fails the job."""
+    """Play a trajectory of the reference to its end. Reply: None; a stop or refusal fails the job.
+
+    `timed`: its knots go into the recording with the times at which this PC began to hand it over. The PLC plays it by
+    its own clock, some time later: to whoever compares the two, that looks like a late link.
+    """
 
     trajectory: JointTrajectory
     purpose: str
+    timed: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +91,19 @@ class Record:
     text: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class BeginSegment:
+    """What happens from here on is a segment of the recording, of that kind. Reply: None."""
+
+    name: str
+    kind: SegmentKind
+
+
+@dataclass(frozen=True, slots=True)
+class EndSegment:
+    """Close the open segment, if any. Reply: None."""
+
+
 Request = (
     ReadMachine
     | Arm
@@ -98,6 +117,8 @@ Request = (
     | Steer
     | Progress
     | Record
+    | BeginSegment
+    | EndSegment
 )
 
 #: A plan yields requests, is sent their replies, and returns its result.

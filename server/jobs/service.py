@@ -2,15 +2,18 @@
 
 import time
 from collections.abc import Generator
+from pathlib import Path
 
 from server.access.lease import Lease
 from server.api.views import (
     CalibrateRequest,
     ExecuteRequest,
+    ExperimentRequest,
     LineRequest,
     LookRequest,
     OrientRequest,
     ParkRequest,
+    PlanExperimentRequest,
     PositionRequest,
     PreviewRequest,
     RetractRequest,
@@ -23,10 +26,13 @@ from server.errors import JobFailedError
 from server.jobs.calibration_store import CalibrationStore, machine_id_of
 from server.jobs.commands import INSIDE_COMMAND, Command, began
 from server.jobs.context import PlanContext
+from server.jobs.diagnosing import Diagnoses
 from server.jobs.engine import Job, JobEngine, JobEvent
+from server.jobs.experiments import Experiments
 from server.jobs.finding_log import FindingLog
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.experimenting import drive_experiment, plan_experiment
 from server.jobs.plans.line import line_run
 from server.jobs.plans.looking import take_look
 from server.jobs.plans.moving import check_executable, execute, preview
@@ -46,6 +52,8 @@ JobBody = (
     | PositionRequest
     | LineRequest
     | ServoRequest
+    | PlanExperimentRequest
+    | ExperimentRequest
     | RetractRequest
     | ReturnRequest
     | ParkRequest
@@ -67,6 +75,8 @@ class JobService:
         self.context = PlanContext(
             cell.machine, cell.chain, cell.settings, cell.knowledge, machine_id=machine_id, compensation=known
         )
+        self.diagnoses = Diagnoses(Path(cell.settings.recording.folder))
+        self._experiments = Experiments(self.diagnoses)
         cell.knowledge.unix_minus_mono_s = time.time() - time.monotonic()
         self._store.restore(cell.knowledge, machine_id, cell.chain.n, time.time())
         engine.on_event(self._record)
@@ -81,7 +91,7 @@ class JobService:
         """
         plan = self._plan(body)
         owner = body.owner or (lease.owner if lease else "server")
-        plan_hash = body.plan_hash if isinstance(body, ExecuteRequest) else ""
+        plan_hash = body.plan_hash if isinstance(body, ExecuteRequest | ExperimentRequest) else ""
 
         async def keep(job: Job) -> None:
             if self.keeper is not None:
@@ -109,6 +119,11 @@ class JobService:
                 return line_run(ctx.with_method("paper"), body.variant)
             case ServoRequest():
                 return servo(ctx)
+            case PlanExperimentRequest():
+                asked = self._experiments.asked(body, self.cell)
+                return plan_experiment(ctx, asked, self._experiments.keep)
+            case ExperimentRequest():
+                return drive_experiment(ctx, self._experiments.executable(body, time.monotonic_ns()))
             case RetractRequest():
                 return retract(ctx, body.distance_mm)
             case ReturnRequest():
@@ -136,7 +151,7 @@ class JobService:
         if event.name == "ended":
             self._store.keep(self.cell.knowledge)
             recorder.result(job.result if job.result is not None else job.reason)
-            recorder.stop()
+            self._experiments.follow(job, recorder.stop())
 
 
 def _previewing(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, PreviewedPlan]:

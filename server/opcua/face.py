@@ -4,7 +4,7 @@ import asyncio
 import importlib
 import logging
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from datetime import UTC, datetime
 from typing import Any
 
@@ -18,6 +18,7 @@ log = logging.getLogger(__name__)
 NAMESPACE = "urn:longreach:robotics"  # the names are those of http://opcfoundation.org/UA/Robotics/, the nodes our own
 PERIOD_S = 0.2
 STOP_S = 3.0
+SPACE = "asyncua.server.standard_address_space.standard_address_space"  # 9 MB of source, seconds to import
 
 
 class OpcUaFace:
@@ -25,7 +26,7 @@ class OpcUaFace:
 
     def __init__(self, service: JobService, host: str, port: int) -> None:
         self._service, self._endpoint = service, f"opc.tcp://{host}:{port}/longreach/"
-        self._library = _library("asyncua")
+        self._library = load_library()
         self._ua = self._library.ua
         self._server: Any = None
         self._nodes: dict[tuple[str, ...], Any] = {}
@@ -87,7 +88,7 @@ class OpcUaFace:
 
 
 def check_opcua(settings: OpcUaSettings) -> None:
-    """Whether it can be as the settings want it.
+    """Whether it can be as the settings want it; loads the library if so, before any event loop has to wait for it.
 
     Raises: SettingsError: no library, or reachable from other computers without leave.
     """
@@ -97,16 +98,23 @@ def check_opcua(settings: OpcUaSettings) -> None:
             "listen on 127.0.0.1, or set [opcua] without_keys = true"
         )
     if settings.enabled:
-        _library("asyncua")
+        load_library()
 
 
-def _library(name: str) -> Any:
+def load_library() -> Any:
+    """asyncua, with the address space that it would else import in the event loop at its start.
+
+    Raises: SettingsError: it is not installed.
+    """
     try:
-        return importlib.import_module(name)
+        library = importlib.import_module("asyncua")
     except ImportError as error:
         raise SettingsError(
             "[opcua] enabled = true, and asyncua is not installed: pip install 'longreach[opcua]'"
         ) from error
+    with suppress(ImportError):  # a version that keeps it elsewhere is only slower to start
+        importlib.import_module(SPACE)
+    return library
 
 
 @asynccontextmanager
@@ -118,6 +126,7 @@ async def opcua_face(service: JobService, settings: OpcUaSettings) -> AsyncItera
     if not settings.enabled:
         yield None
         return
+    await asyncio.to_thread(load_library)  # already there when the settings were checked
     face = OpcUaFace(service, settings.host, settings.port)
     await face.start()
     running = asyncio.create_task(face.run(), name="opcua")

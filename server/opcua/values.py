@@ -55,6 +55,7 @@ def _identity(cell: Cell) -> list[Shown]:
     return [
         Shown((*device, "Manufacturer"), "longreach"),
         Shown((*device, "Model"), cell.machine.name),
+        Shown((*device, "SerialNumber"), cell.machine.serial),
         Shown((*controller, "Software", "SoftwareRevision"), __version__),
     ]
 

@@ -12,6 +12,7 @@ from link_virtual import MACHINE, MS, Q_START, TABLE, VirtualLink
 from rich.console import Console
 
 from longreach import bench_schedules
+from longreach.saved_lines import whole_lines
 from protocol.client_link import ClientLink
 from protocol.client_run import Run
 from protocol.codes import PlcState
@@ -309,7 +310,7 @@ def test_the_bench_saves_every_case_and_resumes(tmp_path: Path, monkeypatch):
     assert second[:2] == [json.loads(json.dumps(case)) for case in first]
     assert [case["seed"] for case in second] == [31, 32, 33]
     assert len(bench_schedules.tables_of(second)) == 4
-    assert [case["seed"] for case in bench_schedules.read_cases(path)] == [31, 32, 33]
+    assert [case["seed"] for case in whole_lines(path)] == [31, 32, 33]
 
 
 def test_an_exception_in_a_drill_is_a_breach(monkeypatch):

@@ -164,7 +164,7 @@ async def test_a_diagnosis_runs_beside_and_leaves_its_answer(tmp_path):
     )
     diagnoses = Diagnoses(tmp_path, command(code))
     one = diagnoses.start(tmp_path / "a.mcap")
-    await diagnoses._task
+    await one.task
     assert (one.state, one.last_line) == ("done", "half way")
     assert diagnoses.result(one) == {"verdict": "none", "nice": min(19, os.nice(0) + 10)}
     assert diagnoses.page(one).read_text() == "<p>"
@@ -173,7 +173,7 @@ async def test_a_diagnosis_runs_beside_and_leaves_its_answer(tmp_path):
 async def test_a_diagnosis_that_fails_says_why_and_one_that_is_stopped_leaves_no_process(tmp_path):
     failing = Diagnoses(tmp_path, command("import sys; sys.exit('no such channel')"))
     one = failing.start(tmp_path / "a.mcap")
-    await failing._task
+    await one.task
     assert (one.state, one.reason) == ("failed", "no such channel")
     hanging = Diagnoses(tmp_path, command("import time; time.sleep(60)"))
     two = hanging.start(tmp_path / "a.mcap")

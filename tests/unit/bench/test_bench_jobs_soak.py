@@ -8,11 +8,12 @@ from dataclasses import asdict
 import pytest
 
 from longreach.bench_jobs_soak.case import SoakCase, _judged
-from longreach.bench_jobs_soak.command import _read, _thin_out
+from longreach.bench_jobs_soak.command import _thin_out
 from longreach.bench_jobs_soak.faults import SHARES, Planned, planned
 from longreach.bench_jobs_soak.figures import figures_of, line, summary
 from longreach.bench_jobs_soak.sample import MIB, growth_of, samples_of
 from longreach.fleet_client import Finished
+from longreach.saved_lines import add_line, every_line, open_to_add
 from sim_plc.camera.faults import FaultKind
 
 WELL = Finished("done", "", {"reached": True}, 1.0)
@@ -89,11 +90,11 @@ def test_too_few_samples_give_no_verdict():
 def test_saved_lines_survive_and_a_cut_one_runs_again(tmp_path):
     path = tmp_path / "1-cases.jsonl"
     cases = hours(0.0, n=3)
-    path.write_text(
-        "".join(json.dumps(asdict(case)) + "\n" for case in cases) + '{"number": 4, "segm', encoding="utf-8"
-    )
-    assert _read(path) == cases
-    assert path.read_text(encoding="utf-8").count("\n") == 3
+    with open_to_add(path) as file:
+        for case in cases:
+            add_line(file, asdict(case))
+        file.write('{"number": 4, "segm')
+    assert every_line(path, lambda text: SoakCase(**json.loads(text))) == cases
 
 
 def test_only_the_last_recordings_are_kept(tmp_path):

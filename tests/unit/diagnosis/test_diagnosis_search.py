@@ -15,6 +15,7 @@ from diagnosis.score import better, covariance, log_evidence, score
 from diagnosis.search import scan, search
 from diagnosis.weigh import calibration, combined, same_here, weighed
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
+from machine.remainder import usual_name
 
 GAIN, ASYMMETRY, LAG = (slots_of(name, 1)[0] for name in ("flow_gain_error", "valve_asymmetry", "valve_lag"))
 N = 600
@@ -195,3 +196,14 @@ def test_the_frozen_numbers_are_read() -> None:
     numbers = calibration()
     assert numbers.temperature_without_floor > numbers.temperature > 0.0
     assert dict(numbers.outside_probability)["outside"] > 0.5
+
+
+def test_a_name_that_gains_on_the_undisturbed_machine_has_to_gain_that_much_more() -> None:
+    cell = made_up((0.02, 0.0, 0.0))
+    found = search(cell)
+    assert [one.name for one in found.chosen.fit.hypothesis] == ["flow_gain_error"]
+    gain = found.chosen.total - found.none.total
+    held = search(replace(cell, usual_names=((usual_name("flow_gain_error", 1), gain),)))
+    assert "flow_gain_error" not in [one.name for one in held.chosen.fit.hypothesis]
+    elsewhere = search(replace(cell, usual_names=((usual_name("flow_gain_error", 2), gain),)))
+    assert [one.name for one in elsewhere.chosen.fit.hypothesis] == ["flow_gain_error"]

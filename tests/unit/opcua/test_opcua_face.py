@@ -6,6 +6,7 @@ import math
 import socket
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,6 +67,12 @@ def test_what_the_plc_has_not_told_lately_is_not_fresh(service):
     assert by_path(service)[POSITION_2].fresh is False
 
 
+def test_the_machine_tells_its_serial_number(service):
+    assert by_path(service)[(*PARAMETERS, "SerialNumber")].value == ""
+    service.cell.machine = replace(service.cell.machine, serial="HC-0042")
+    assert by_path(service)[(*PARAMETERS, "SerialNumber")].value == "HC-0042"
+
+
 def test_faults_are_told_as_the_companion_specification_names_them(service):
     service.cell.link.latest = sample(time.monotonic_ns(), fault_bits=int(FaultBit.ESTOP))
     found = by_path(service)
@@ -100,6 +107,48 @@ def test_beyond_this_computer_it_must_be_wanted_without_keys(monkeypatch):
         check_opcua(OpcUaSettings(enabled=True, host="0.0.0.0"))
     check_opcua(OpcUaSettings(enabled=True, host="0.0.0.0", without_keys=True))
     check_opcua(OpcUaSettings(host="0.0.0.0"))
+
+
+WHERE = """import asyncio, threading
+try:
+    asyncio.get_running_loop()
+    looped = True
+except RuntimeError:
+    looped = False
+"""
+
+
+@pytest.fixture
+def stand_in(tmp_path, monkeypatch):
+    """A library that notes whether an event loop was running where it was imported; there is no server in it."""
+    for name in [name for name in sys.modules if name.split(".")[0] == "asyncua"]:
+        monkeypatch.delitem(sys.modules, name)
+    deepest = tmp_path.joinpath(*face_module.SPACE.split(".")[:-1])
+    deepest.mkdir(parents=True)
+    for folder in (deepest, *deepest.parents[:3]):
+        if folder != tmp_path:
+            (folder / "__init__.py").write_text(WHERE)
+    (deepest / "standard_address_space.py").write_text(WHERE)
+    monkeypatch.syspath_prepend(tmp_path)
+    yield lambda: {name: sys.modules[name].looped for name in sys.modules if name.startswith("asyncua")}
+    for name in [name for name in sys.modules if name.split(".")[0] == "asyncua"]:
+        del sys.modules[name]  # monkeypatch puts the real ones back
+
+
+async def test_the_library_is_never_imported_by_the_loop(service, stand_in):
+    assert stand_in() == {}
+    with pytest.raises(AttributeError):  # it has no `ua`: what comes behind the import is another test's
+        async with opcua_face(service, OpcUaSettings(enabled=True)):
+            pass
+    assert set(stand_in()) == {face_module.SPACE.rsplit(".", depth)[0] for depth in range(4)}
+    assert set(stand_in().values()) == {False}
+
+
+def test_checking_the_settings_loads_it_when_it_is_wanted_only(stand_in):
+    check_opcua(OpcUaSettings())
+    assert stand_in() == {}
+    check_opcua(OpcUaSettings(enabled=True))
+    assert face_module.SPACE in stand_in()
 
 
 def free_port() -> int:

@@ -13,7 +13,7 @@ from longreach.reproduce.placed_sim import placed
 from longreach.reproduce.rendered_cases import TRUTH, _step, looks_of, read_truth
 from longreach.reproduce.rendered_paths import TraceHistory, tool_masks
 from longreach.reproduce.rendered_tables import FILE, saved_rendered
-from longreach.reproduce.saved_lines import run_saved
+from longreach.saved_lines import run_saved
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
 from sim_plc.plant.plant import Plant

@@ -15,8 +15,8 @@ from longreach.reproduce.error_series import error_series, look_times_s
 from longreach.reproduce.fast_tables import TABLE_4_FILE, case_line, case_of, table_2_file
 from longreach.reproduce.report import Check, page, table_html
 from longreach.reproduce.report_tables import TableView, checks, refusals_view, table_2_view, table_4_view
-from longreach.reproduce.saved_lines import SavedLineError, read_lines, run_saved
 from longreach.reproduce.true_error import StepErrors
+from longreach.saved_lines import SavedLineError, read_lines, run_saved
 
 QUIET = Console(quiet=True)
 

@@ -1,0 +1,59 @@
+"""Subcommands that are imported when they are called: the list of them needs none, and a process only its own."""
+
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any, ClassVar
+
+import typer
+import typer.main
+from typer.core import TyperCommand, TyperGroup
+
+
+@dataclass(frozen=True, slots=True)
+class Lazy:
+    """One subcommand. `where` is `module:attribute` of a function or of a `Typer`; `about` is what the list says."""
+
+    name: str
+    where: str
+    about: str
+
+    def load(self) -> Any:
+        """The command itself, as typer makes it."""
+        module, _, attribute = self.where.partition(":")
+        found, app = getattr(import_module(module), attribute), typer.Typer()
+        if isinstance(found, typer.Typer):
+            app.add_typer(found, name=self.name, help=self.about)
+        else:
+            app.command(self.name)(found)
+        return typer.main.get_group(app).commands[self.name]
+
+
+class LazyCommand(TyperCommand):
+    """Stands for a subcommand in the list, and becomes it when its arguments are to be read."""
+
+    def __init__(self, lazy: Lazy) -> None:
+        super().__init__(lazy.name, help=lazy.about)
+        self._lazy = lazy
+
+    def load(self) -> Any:
+        """The command that this one stands for."""
+        return self._lazy.load()
+
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        """That of the command itself, so that all that follows is its own."""
+        return self.load().make_context(info_name, args, parent=parent, **extra)
+
+
+def loaded(command: Any) -> Any:
+    """A command with its parameters or commands: itself, or what it stands for."""
+    return command.load() if isinstance(command, LazyCommand) else command
+
+
+class LazyGroup(TyperGroup):
+    """A group that has the commands of its table, beside those it is given."""
+
+    table: ClassVar[tuple[Lazy, ...]] = ()
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = {**{one.name: LazyCommand(one) for one in self.table}, **self.commands}

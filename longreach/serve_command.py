@@ -1,0 +1,57 @@
+"""`longreach serve`: the server, from a settings file and what the command line puts over it."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from server.settings import ServerSettings
+
+SettingsFile = Annotated[Path | None, typer.Option("--settings", help="TOML settings file; defaults when absent")]
+
+
+def serve(
+    settings_file: SettingsFile = None,
+    host: Annotated[str | None, typer.Option(help="address to listen on")] = None,
+    port: Annotated[int | None, typer.Option(help="port to listen on")] = None,
+    plc_host: Annotated[str | None, typer.Option(help="the PLC's address")] = None,
+    plc_port: Annotated[int | None, typer.Option(help="the PLC's UDP port")] = None,
+    plc_local_port: Annotated[int | None, typer.Option(help="our UDP port")] = None,
+    camera_url: Annotated[str | None, typer.Option(help="multipart stream of side-by-side JPEG")] = None,
+    runs: Annotated[str | None, typer.Option(help="folder for recordings")] = None,
+    keys: Annotated[str | None, typer.Option(help="key file; required to listen beyond this computer")] = None,
+    allow_host: Annotated[list[str] | None, typer.Option(help="a name it is reached by, beside addresses")] = None,
+    first_key: Annotated[Path | None, typer.Option(help="make an operator's key here if there is none")] = None,
+) -> None:
+    """Start the server: panel, REST, link and vision processes."""
+    from rich.console import Console  # all of this here: --help needs none of it, and it takes seconds
+
+    from server.access.keys import first_key as make_first_key
+    from server.access.roles import Role
+    from server.app import serve as run_server
+    from server.settings import read_settings
+    from server.version import __version__
+
+    settings = _with_options(
+        read_settings(settings_file),
+        {
+            "http": {"host": host, "port": port, "keys_file": keys, "allowed_hosts": allow_host or None},
+            "plc": {"host": plc_host, "port": plc_port, "local_port": plc_local_port},
+            "camera": {"kind": "http", "url": camera_url} if camera_url else {},
+            "recording": {"folder": runs},
+        },
+    )
+    keys_file, screen = settings.http.keys_file, Console(stderr=True)
+    if first_key and keys_file and make_first_key(Path(keys_file), Role.OPERATOR, first_key):
+        screen.print(f"a first key was made: it is in {first_key}")
+    screen.print(f"longreach {__version__}: panel at http://{settings.http.host}:{settings.http.port}/")
+    run_server(settings)
+
+
+def _with_options(settings: "ServerSettings", options: dict[str, dict[str, object]]) -> "ServerSettings":
+    data = settings.model_dump()
+    for section, values in options.items():
+        given = {name: value for name, value in values.items() if value is not None}
+        data[section] = given if "kind" in given else {**data[section], **given}
+    return type(settings).model_validate(data)

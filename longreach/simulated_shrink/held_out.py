@@ -1,0 +1,53 @@
+"""A diagnosis' effects as a stretch of its recording was foretold: fitted without that stretch's kind of trajectory."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.baseline import entries_of
+from diagnosis.cells_dynamic import Replay
+from diagnosis.diagnose import CellAnswer, Diagnosis
+from diagnosis.score import fold_thetas
+from diagnosis.stretches import Stretch
+from machine.effects.entries import EffectEntry
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Effects for one stretch. `told`: each of their numbers was fitted without this stretch."""
+
+    entries: tuple[EffectEntry, ...]
+    told: bool
+
+
+def effects_without(found: Diagnosis, stretch: Stretch) -> HeldOut:
+    """The chosen effects of every cell, those of driven cells refitted without the stretch's fold.
+
+    Raises: DiagnosisError: a fitted number that is outside its effect's bounds.
+    """
+    entries: list[EffectEntry] = []
+    told = True
+    for one in found.cells:
+        if not one.chosen.fit.hypothesis:
+            continue
+        fold = _fold_of(one, stretch)
+        fit = one.chosen.fit
+        if fold is None:
+            told = told and not isinstance(one.search.cell.whitened, Replay)
+        else:
+            folds, thetas = fold_thetas(one.search.cell, fit)
+            fit = replace(fit, theta=thetas[int(np.searchsorted(folds, fold))])
+        entries += entries_of(fit)
+    return HeldOut(tuple(entries), told)
+
+
+def _fold_of(one: CellAnswer, stretch: Stretch) -> int | None:
+    """The fold that all of a stretch belongs to in a driven cell; None where the cell does not see it, or cuts it."""
+    replay, rows = one.search.cell.whitened, one.search.cell.rows
+    if not isinstance(replay, Replay):
+        return None
+    at = next((k for k, part in enumerate(replay.parts) if part.stretch.name == stretch.name), None)
+    if at is None:
+        return None
+    mine = np.unique(rows.fold[rows.series // len(replay.joints) == at])
+    return int(mine[0]) if len(mine) == 1 else None

@@ -1,0 +1,68 @@
+"""What a machine file's effects change between the reference and the valve: for a plant that has no oil of its own.
+
+Written anew, not taken from the kernel that the diagnosis fits with: another order of steps, 1 ms against its own.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine.description import Machine
+from machine.effects.entries import EffectEntry
+from machine.rotations import Array
+from sim_plc.plc.settings import PlcSettings, plc_settings
+
+VALVE = ("valve_deadband", "valve_hysteresis", "valve_lag", "valve_asymmetry")
+CONTROLLER = ("controller_gain_error", "controller_lag_error", "controller_saturation")
+LINK = ("transport_delay",)
+NAMES = (*VALVE, *CONTROLLER, *LINK)
+
+
+@dataclass(frozen=True, slots=True)
+class SideNumbers:
+    """Numbers of n joints (n,): half widths and limits in fractions of full command; `delay_s` of the reference."""
+
+    dead: Array
+    hysteresis: Array
+    lag_share: Array  # of the way that a first-order lag goes in a cycle; 1: no lag
+    forward_gain: Array
+    limit: Array
+    delay_s: float
+
+
+def side_numbers(entries: tuple[EffectEntry, ...], n: int, cycle_s: float) -> SideNumbers:
+    """The numbers of those effects that belong here; the others are passed over."""
+    dead, hysteresis, lag = np.zeros(n), np.zeros(n), np.zeros(n)
+    gain, limit, delay = np.ones(n), np.ones(n), 0.0
+    for one in entries:
+        j = (one.joint or 1) - 1
+        match one.name:
+            case "valve_deadband":
+                dead[j] += one.value("half_width_frac")
+            case "valve_hysteresis":
+                hysteresis[j] += one.value("half_width_frac")
+            case "valve_lag":
+                lag[j] += one.value("time_constant_s")
+            case "valve_asymmetry":
+                gain[j] *= 1.0 + one.value("gain_frac")
+            case "controller_saturation":
+                limit[j] = min(limit[j], one.value("limit_frac"))
+            case "transport_delay":
+                delay += one.value("delay_s")
+            case _:
+                pass
+    share = np.where(lag > 0.0, 1.0 - np.exp(-cycle_s / np.maximum(lag, 1e-9)), 1.0)
+    return SideNumbers(dead, hysteresis, share, gain, limit, delay)
+
+
+def controller_settings(machine: Machine, entries: tuple[EffectEntry, ...]) -> PlcSettings:
+    """The PLC's gains with the controller's effects: kp (1 + g), tau (1 + x)."""
+    plain = plc_settings(machine)
+    kp, tau = np.array(plain.kp), np.array([joint.pt1_tau_s for joint in machine.joints])
+    for one in entries:
+        if one.name == "controller_gain_error":
+            kp[(one.joint or 1) - 1] *= 1.0 + one.value("gain_frac")
+        elif one.name == "controller_lag_error":
+            tau[(one.joint or 1) - 1] *= 1.0 + one.value("lag_frac")
+    share = np.where(tau > 0.0, 1.0 - np.exp(-plain.cycle_s / np.maximum(tau, 1e-9)), 1.0)
+    return replace(plain, kp=kp, pt1_share=share)

@@ -1,0 +1,156 @@
+"""The plant driven by what a recording holds, without a clock: its references by the PLC's controller, or its commands.
+
+Nothing of the presets' realism is in it, only the effects of the machine file.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine.description import Machine
+from machine.effects.entries import EffectEntry
+from machine.rotations import Array
+from sim_plc.command_side import NAMES as SIDE_NAMES
+from sim_plc.command_side import controller_settings, side_numbers
+from sim_plc.diagnosed import CHANGES, with_effects
+from sim_plc.draw_world import draw_world
+from sim_plc.plant.plant import Plant
+from sim_plc.plant.statics import frames
+from sim_plc.plant.tree import N_JOINTS, Tree
+from sim_plc.presets import PresetError
+from sim_plc.recorded_loop import Side, run_cycles
+from sim_plc.world import World
+
+PRESET, SEED = "ideal", 1  # the nominal model, nothing drawn
+WITH_SPRINGS = ("gravity_sag",)
+STEP_S = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Offline:
+    """A machine file as the simulator runs it here. `side`: effects that act before the spool."""
+
+    world: World
+    side: tuple[EffectEntry, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What the plant did at the asked times (m,): encoders, valve commands (m, n), true angles of its tree's joints."""
+
+    q_encoder: Array
+    u: Array
+    angles: Array
+    tree: Tree
+
+    def at(self, t_s: Array, wanted_s: Array) -> "Course":
+        """The same at other times (k,) [s], linear between those of its rows t_s (m,)."""
+        q, u, angles = (
+            np.stack([np.interp(wanted_s, t_s, column) for column in rows.T], axis=1)
+            for rows in (self.q_encoder, self.u, self.angles)
+        )
+        return Course(q, u, angles, self.tree)
+
+    def tcp_poses(self) -> Array:
+        """True Ts_base_tcp (m, 4, 4)."""
+        Ts = np.tile(np.eye(4), (len(self.angles), 1, 1))
+        for T, angles in zip(Ts, self.angles, strict=True):
+            R, p = frames(self.tree, angles)
+            T[:3, :3], T[:3, 3] = R[-1], p[-1]
+        return Ts @ self.tree.T_last_tcp
+
+
+def needs_springs(entries: tuple[EffectEntry, ...]) -> bool:
+    """Whether an effect bends something: then the plant with oil and springs has to run."""
+    return any(one.name in WITH_SPRINGS for one in entries)
+
+
+def plain_world(machine: Machine, springs: bool) -> World:
+    """The simulator's own machine without any realism: rigid and without oil, or with both but nothing else.
+
+    Raises: PresetError: not the six-joint crane that the plant is made of.
+    """
+    if len(machine.joints) != 6:
+        raise PresetError(f"the simulator's plant is a crane with 6 joints; the machine file has {len(machine.joints)}")
+    world = draw_world(replace(machine, effects=()), PRESET, SEED)
+    return replace(world, plant=replace(world.plant, rigid=False)) if springs else world
+
+
+def offline(plain: World, entries: tuple[EffectEntry, ...]) -> Offline:
+    """A plain machine with these effects.
+
+    Raises: PresetError: one that neither the plant nor what is before it can have.
+    """
+    side = tuple(one for one in entries if one.name in SIDE_NAMES)
+    rest = tuple(one for one in entries if one.name not in SIDE_NAMES)
+    unknown = sorted({one.name for one in rest} - set(CHANGES))
+    if unknown:
+        raise PresetError(f"effect {unknown[0]} cannot be simulated by the plant")
+    return Offline(with_effects(replace(plain, nominal=replace(plain.nominal, effects=rest))), side)
+
+
+def follow_reference(one: Offline, t_s: Array, q_ref: Array, q_start: Array) -> Course:
+    """The loop closed by the PLC's controller: received references (m, n) [rad] at t_s (m,) [s], linear in between."""
+    return _run(one, t_s, _between(t_s, q_ref), q_start, closed=True)
+
+
+def follow_sent(one: Offline, t_s: Array, sent_s: Array, sent: Array, q_start: Array) -> Course:
+    """The same from the references as sent (k, n) at sent_s (k,) [s]: held, and late by the link's delay."""
+    delay_s = one.world.nominal.transport_delay_s + side_numbers(one.side, 6, STEP_S).delay_s
+    cycles = t_s[0] + STEP_S * np.arange(_count(t_s)) - delay_s
+    latest = np.maximum(np.searchsorted(sent_s, cycles + 1e-9, side="right") - 1, 0)
+    return _run(one, t_s, sent[latest], q_start, closed=True)
+
+
+def follow_commands(one: Offline, t_s: Array, u: Array, q_start: Array) -> Course:
+    """The plant alone: valve commands (m, n) at t_s (m,), linear in between."""
+    return _run(one, t_s, _between(t_s, u), q_start, closed=False)
+
+
+def at_rest(one: Offline, q: Array) -> Array:
+    """True T_base_tcp (4, 4) with the encoders at rest at q (n,)."""
+    return Plant(one.world.plant, q).T_base_tcp()
+
+
+def _run(one: Offline, t_s: Array, given: Array, q_start: Array, closed: bool) -> Course:
+    """Cycle by cycle as the PLC does it: encoders, command, then the plant moves on by 1 ms."""
+    plant = Plant(one.world.plant, q_start)
+    rows = np.rint((t_s - t_s[0]) / STEP_S).astype(np.int64)
+    q, u, angles = np.zeros((len(t_s), 6)), np.zeros((len(t_s), 6)), np.zeros((len(t_s), N_JOINTS))
+    run_cycles(
+        plant.parameters,
+        plant.state,
+        _side(one),
+        one.world.plant.rigid,
+        closed,
+        np.ascontiguousarray(given, dtype=float),
+        rows,
+        q,
+        u,
+        angles,
+    )
+    return Course(q, u, angles, plant.tree)
+
+
+def _side(one: Offline) -> Side:
+    settings, numbers = controller_settings(one.world.nominal, one.side), side_numbers(one.side, 6, STEP_S)
+    return Side(
+        kp=np.array(settings.kp),
+        pt1_share=np.array(settings.pt1_share),
+        limit=numbers.limit,
+        hysteresis=numbers.hysteresis,
+        lag_share=numbers.lag_share,
+        dead=numbers.dead,
+        forward_gain=numbers.forward_gain,
+        resolution=2.0 * np.pi / one.world.plant.kinematics.encoder_counts_rev,
+    )
+
+
+def _count(t_s: Array) -> int:
+    return round((t_s[-1] - t_s[0]) / STEP_S) + 1
+
+
+def _between(t_s: Array, values: Array) -> Array:
+    """Logged rows at every cycle of 1 ms."""
+    t = t_s[0] + STEP_S * np.arange(_count(t_s))
+    return np.stack([np.interp(t, t_s, column) for column in values.T], axis=1)
