@@ -12,7 +12,7 @@ from machine.description import Machine
 from machine.urdf import urdf_text
 from recording.content import Attachment
 from recording.errors import RecordingError
-from recording.rows import NAN, Floats, Row, Sent
+from recording.rows import NAN, Floats, Row
 from recording.run import RunInfo, Segment, SegmentKind
 from recording.writer import RunWriter, WriterReport
 from server.calibration.contracts import CameraRotationEstimate
@@ -124,10 +124,6 @@ class Recorder:
         if report.t_receive_mono_ns - self._camera_ns >= CAMERA_PERIOD_NS:
             self._camera_ns = report.t_receive_mono_ns
             writer.camera(self._machine.camera, report.preview_width_px, report.t_receive_mono_ns)
-
-    def sent(self, seq: int, q_sent_rad: Floats, t_mono_ns: int) -> None:
-        """The reference as it was sent."""
-        self._row(Sent(t_mono_ns * 1e-9, seq, q_sent_rad), t_mono_ns)
 
     def event(self, level: str, text: str) -> None:
         """One line of the log; level is debug, info, warning or error."""

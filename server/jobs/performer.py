@@ -130,8 +130,6 @@ class Performer:
     async def _move(self, request: Move) -> None:
         self.may_be_moving = True
         trajectory = self._from_reference(request.trajectory)
-        if request.timed:
-            self._record_sent(trajectory)
         ended = await self._cell.link.run(trajectory)
         self.may_be_moving = False
         if not ended.reached:
@@ -142,7 +140,6 @@ class Performer:
             case StartMove():
                 self.may_be_moving = True
                 trajectory = self._from_reference(request.trajectory)
-                self._record_sent(trajectory)
                 await self._steering.start(trajectory)
             case NextPair():
                 return await self._steering.next_pair(request)
@@ -165,12 +162,6 @@ class Performer:
             return trajectory
         away = np.array(latest.q_ref_rad) - trajectory.q[0]
         return replace(trajectory, q=trajectory.q + away) if np.abs(away).max() <= ARMING_RAD else trajectory
-
-    def _record_sent(self, trajectory: JointTrajectory) -> None:
-        """The knots as handed to the link, at the times they are meant for."""
-        start_ns = time.monotonic_ns()
-        for number, (t_s, q) in enumerate(zip(trajectory.t_s, trajectory.q, strict=True)):
-            self._cell.recorder.sent(number, tuple(q.tolist()), start_ns + int(t_s * 1e9))
 
     async def _settle(self) -> MachineReading:
         timeout_s = self._cell.settings.position.settle_timeout_s

@@ -38,15 +38,10 @@ class Arm:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Play a trajectory of the reference to its end. Reply: None; a stop or refusal fails the job.
-
-    `timed`: its knots go into the recording with the times at which this PC began to hand it over. The PLC plays it by
-    its own clock, some time later: to whoever compares the two, that looks like a late link.
-    """
+    """Play a trajectory of the reference to its end. Reply: None; a stop or refusal fails the job."""
 
     trajectory: JointTrajectory
     purpose: str
-    timed: bool = True
 
 
 @dataclass(frozen=True, slots=True)

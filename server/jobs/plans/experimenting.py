@@ -135,7 +135,7 @@ def _driven(ctx: PlanContext, planned: PlannedExperiment, step: Step) -> Generat
     """One step, at rest after it; 1 if it ended in a good look."""
     if step.then == "segment":
         yield BeginSegment(planned.what, planned.segment)
-    yield Move(step.trajectory, step.purpose, timed=False)
+    yield Move(step.trajectory, step.purpose)
     remember_motion(ctx, step.trajectory)
     if step.then == "segment":
         yield EndSegment()
