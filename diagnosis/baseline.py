@@ -210,14 +210,14 @@ def _beyond_chance(one: Score, none: Score) -> float:
 
 
 Names = dict[str, dict[str, tuple[float, float]]]
-Usual = dict[tuple[str, int | None, str], dict[str, float]]
+Usual = dict[tuple[str, str], dict[str, float]]
 
 
 def _wrong_gains(
     checked: list[Read], progress: Progress
 ) -> tuple[dict[str, float], Usual, dict[str, dict[str, float]]]:
     """On undisturbed recordings, by cell: what the best wrong name usually gains, over what chance gives; by part, the
-    tests that fire and their largest sizes; by cell, names that gain more than that, and what [nats].
+    tests that fire and their largest sizes; by stage, names that gain more than that, and what [nats].
 
     Why both: a swing that changes from one motion to the next gains ten times what other names do, and a ruler made
     for it would hide all of them.
@@ -233,10 +233,11 @@ def _wrong_gains(
             told = " + ".join(f"{one.name} {one.joint or ''}".strip() for one in best.fit.hypothesis)
             progress(f"  {cell.label}: {told or 'nothing'} gains {best.total - found.none.total:.3g} nats")
             best_of.setdefault(cell.label, []).append(_beyond_chance(best, found.none))
-            _note_names(found, names.setdefault(cell.label, {}))
+            _note_names(found, names.setdefault(cell.stage, {}))
             _note_tests(cell, found.none.held_out, usual)
     spreads = {label: max(1.0, float(np.median(gains))) for label, gains in best_of.items()}
-    return spreads, usual, {label: _beyond(found, spreads[label]) for label, found in names.items()}
+    largest = {stage: max(s for label, s in spreads.items() if label.split()[0] == stage) for stage in names}
+    return spreads, usual, {stage: _beyond(found, largest[stage]) for stage, found in names.items()}
 
 
 def _note_names(found: Search, gains: dict[str, tuple[float, float]]) -> None:
@@ -244,7 +245,7 @@ def _note_names(found: Search, gains: dict[str, tuple[float, float]]) -> None:
     for one in found.scored:
         if len(one.fit.hypothesis) == 1:
             effect = one.fit.hypothesis[0]
-            key, gain = usual_name(effect.name, effect.joint), one.total - found.none.total
+            key, gain = usual_name(effect.name), one.total - found.none.total
             gains[key] = max(gains.get(key, (0.0, 0.0)), (gain, _beyond_chance(one, found.none)))
 
 
@@ -257,16 +258,15 @@ def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
     parts = cell.parts or (cell,)
     cuts = np.cumsum([part.rows.count for part in parts])[:-1]
     for part, own in zip(parts, np.split(np.clip(residual, -30.0, 30.0), cuts), strict=True):
-        sizes = usual.setdefault((part.stage, part.joint, measurement_of(part)), {})
+        sizes = usual.setdefault((part.stage, measurement_of(part)), {})
         for fired in tests_of(part, own, 1):
             sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)
         sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), pattern_nats(part, own))
 
 
 def _with_usual(one: Remainder, usual: Usual) -> Remainder:
-    """The link is tested with all joints at once; each of its remainders keeps the whole."""
-    joint = None if one.stage == "link" else one.joint
-    return replace(one, usual=tuple(usual.get((one.stage, joint, one.on), {}).items()))
+    """All joints of a stage keep the same: few recordings are to speak for many."""
+    return replace(one, usual=tuple(usual.get((one.stage, one.on), {}).items()))
 
 
 def _spread(
@@ -276,7 +276,7 @@ def _spread(
     out = []
     for one in remainders:
         label = one.stage if one.stage == "link" or one.joint is None else f"{one.stage} {one.joint}"
-        usual = (*one.usual, *names.get(label, {}).items()) if one.stage in DRIVEN_STAGES else one.usual
+        usual = (*one.usual, *names.get(one.stage, {}).items()) if one.stage in DRIVEN_STAGES else one.usual
         out.append(replace(one, spread=spreads.get(label, 1.0), usual=usual))
     if "structure" in spreads:
         known = tuple(names["structure"].items())

@@ -13,6 +13,7 @@ from machine.rotations import Array
 SIZES = (0.004, 0.012, 0.035, 0.1, 0.25, 0.6)  # of the bound: where the scan looks, neutral 0
 LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral 1 or inf)
 PHASES = (-2.0, -0.4, 1.2, 2.7)
+SWINGS = ("link_flexibility",)  # effects with a frequency of their own
 FREQUENCIES_HZ = (1.2, 1.8, 2.5, 3.5, 5.0)  # a swing's cost has a valley for each
 #: Effects of the joint stage that the encoder shows against the valve command.
 SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
@@ -87,9 +88,10 @@ def _variants(effect: Effect, joint: int | None, option: str) -> list[Candidate]
 
 
 def beside(base: ParameterSets, candidates: tuple[Candidate, ...]) -> tuple[Candidate, ...]:
-    """Candidates that also look where the baseline has the same effect: its swing, its wave's phase, are no other ones.
+    """Candidates that stay with what the baseline has of the same effect: its swing's frequency, its wave's phase.
 
-    Why: a shape replaces the baseline's, and a scan with every other frequency would first have to undo what is known.
+    Why: a shape replaces the baseline's, and a scan with every other one would first have to undo what is known. A
+    swing keeps its frequency: a boom's goes with its reach, and a baseline tuned to another motion is no new swing.
     """
     return tuple(_beside(base, one) for one in candidates)
 
@@ -98,6 +100,8 @@ def _beside(base: ParameterSets, one: Candidate) -> Candidate:
     size, *shape = one.slots
     if one.vector or not shape or base.get(size) == size.neutral:
         return one
+    if one.name in SWINGS:
+        return replace(one, slots=(size,), fixed=tuple((slot, base.get(slot)) for slot in shape))
     return replace(one, slots=(size, *(replace(slot, start=base.get(slot)) for slot in shape)))
 
 

@@ -76,7 +76,7 @@ class Cell:
     def usual_nats(self, effects: Iterable[Candidate]) -> float:
         """What these names gain on the undisturbed machine [nats, not divided]."""
         known = dict(self.usual_names)
-        return sum(known.get(usual_name(one.name, one.joint), 0.0) for one in effects)
+        return sum(known.get(usual_name(one.name), 0.0) for one in effects)
 
     @property
     def label(self) -> str:

@@ -1,5 +1,6 @@
 """Whether the chosen model leaves something behind: tests of its held-out residual, and the lead they give."""
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,8 +89,8 @@ def pattern_nats(cell: Cell, r: Array) -> float:
 
 
 def key_of(one: Fired) -> str:
-    """A test's name with what it goes with, without numbers."""
-    return f"{one.test} {one.lead.split(',')[0].split(' over ')[0]}".strip()
+    """A test's name with what it goes with, without numbers: what happens on one joint may happen on another."""
+    return re.sub(r" \d+$", "", f"{one.test} {one.lead.split(',')[0].split(' over ')[0]}".strip())
 
 
 def _energy(cell: Cell, r: Array) -> list[Fired]:

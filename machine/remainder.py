@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 STAGES = ("link", "controller", "actuator", "structure", "camera")
 USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern explained, however small
-USUAL_NAME = "name "  # before effect and joint, among the usual tests: what that name gains there [nats]
+USUAL_NAME = "name "  # before an effect, among the usual tests: what that name gains there [nats]
 KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual", "by_axis"}
 
 
@@ -51,9 +51,9 @@ class Remainder:
         return tuple((name, size * share if name == USUAL_NATS else size) for name, size in self.usual)
 
 
-def usual_name(name: str, joint: int | None) -> str:
-    """Key of an effect's name among the usual ones."""
-    return f"{USUAL_NAME}{name}" if joint is None else f"{USUAL_NAME}{name} {joint}"
+def usual_name(name: str) -> str:
+    """Key of an effect's name among the usual ones, on whatever joint."""
+    return f"{USUAL_NAME}{name}"
 
 
 def parse_baseline(tables: object, n_joints: int) -> "tuple[EffectEntry, ...]":

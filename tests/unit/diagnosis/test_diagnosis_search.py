@@ -203,7 +203,7 @@ def test_a_name_that_gains_on_the_undisturbed_machine_has_to_gain_that_much_more
     found = search(cell)
     assert [one.name for one in found.chosen.fit.hypothesis] == ["flow_gain_error"]
     gain = found.chosen.total - found.none.total
-    held = search(replace(cell, usual_names=((usual_name("flow_gain_error", 1), gain),)))
+    held = search(replace(cell, usual_names=((usual_name("flow_gain_error"), gain),)))
     assert "flow_gain_error" not in [one.name for one in held.chosen.fit.hypothesis]
-    elsewhere = search(replace(cell, usual_names=((usual_name("flow_gain_error", 2), gain),)))
+    elsewhere = search(replace(cell, usual_names=((usual_name("valve_lag"), gain),)))
     assert [one.name for one in elsewhere.chosen.fit.hypothesis] == ["flow_gain_error"]
