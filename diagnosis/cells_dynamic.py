@@ -266,6 +266,7 @@ def cell_of(
         spread_least=_spread_least(replayer, stage, joints),
         form_share=FORM_SHARE_OIL if stage == "actuator" else FORM_SHARE,
         usual=_usual(replayer, stage, joints, white.sigma),
+        left_share=_left_share(replayer, stage, joints, white.sigma),
         usual_names=_usual_names(replayer, stage, joints),
     )
 
@@ -276,6 +277,13 @@ def _usual(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array
     known = [(one, min(1.0, (one.sigma / s) ** 2)) for one, s in zip(records, sigma, strict=True) if one is not None]
     rows = [row for one, share in known for row in one.usual_at(share)]
     return tuple({name: max(size for n, size in rows if n == name) for name, _ in rows}.items())
+
+
+def _left_share(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array) -> float:
+    """Of the floors `sigma` (joints,), in squares: what the baseline leaves, on the average over the joints."""
+    records = [replayer.nominal.remainder(stage, j + 1) for j in joints]
+    shares = [0.0 if one is None else min(1.0, (one.sigma / s) ** 2) for one, s in zip(records, sigma, strict=True)]
+    return float(np.mean(shares))
 
 
 def _usual_names(replayer: Replayer, stage: str, joints: tuple[int, ...]) -> tuple[tuple[str, float], ...]:

@@ -15,15 +15,15 @@ LEVEL = 1e-3  # of all tests of a recording together (Bonferroni)
 LAGS = 20
 REMAINDER_VARIES = 1.0  # a swing's energy may be twice as large in one motion as it is on the average
 # A test counts only if what it finds is also large: with thousands of rows everything is significant.
-ENERGY_MIN = 0.5  # chi2/n beyond 1: a gap of 0.7 floors; a few repeats know the floor to a quarter
+ENERGY_MIN = 0.7  # chi2/n beyond 1: a gap of 0.84 floors; a few repeats know the floor to a quarter
 AUTOCORRELATION_MIN = 0.08  # sum of squares over 20 lags, besides what chance and a filter from few repeats give
 AUTOCORRELATION_CHANCE = 60.0  # over the number of rows
 EXCESS_MIN = 0.1  # of the noise's own energy: a pattern without more energy than the noise is the filter's error
 CORRELATION_MIN = 0.15
 PEAK_MIN = 0.06  # share of the variance in one period of time or position
 PERIODS = 200
-PATTERN_NATS = 9.0  # of what a pattern explains, after the spread: the margin of a name, and half more
-USUAL_TIMES = 1.5  # a test that fires on the undisturbed machine counts only beyond this share of its size there
+PATTERN_NATS = 12.0  # of what a pattern explains, after the spread: twice the margin of a name
+USUAL_TIMES = 2.0  # a test that fires on the undisturbed machine counts only beyond this share of its size there
 
 
 @dataclass(frozen=True, slots=True)
