@@ -146,7 +146,7 @@ class HoldDrill:
                 return int(page.evaluate("() => window.letGoAt") * 1e6) + offset_ns
             case "closed tab":
                 t_ns = time.monotonic_ns()
-                page.close()
+                page.close(run_before_unload=True)  # as by a hand: without it the page is told much later
                 return t_ns
             case "pulled network":
                 return self._network.pull()

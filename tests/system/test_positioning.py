@@ -32,7 +32,7 @@ def test_position_ends_inside_tolerance_truly_and_leaves_a_recording(tmp_path):
     assert run.complete
     assert 'name = "hiab033"' in run.machine_toml
     assert len(run.of(PlcState)) > 1000  # 100 Hz over the whole run
-    assert len(run.of(Sent)) > 100
+    assert run.of(Sent) == ()  # when a played trajectory was handed over says nothing of the link
 
 
 def test_without_plc_and_camera_it_says_so_and_nothing_starts(tmp_path):

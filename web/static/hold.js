@@ -58,6 +58,7 @@ export function watchHold() {
   addEventListener("pointerup", () => release("button up"));
   addEventListener("pointercancel", () => release("pointer cancelled"));
   addEventListener("blur", () => release("window lost focus"));
+  addEventListener("beforeunload", () => release("page left")); // the first word of a tab that is being closed
   addEventListener("pagehide", () => release("page left"));
   addEventListener("visibilitychange", () => { if (document.hidden) release("tab hidden"); });
   addEventListener("keyup", () => release("button up"));
