@@ -27,6 +27,7 @@ from diagnosis.stretches import Stretch, repeat_groups
 from diagnosis.tables import filled
 from machine.effects.dynamics import Actuators, Drive, DynamicStage, at_cycles, simulate
 from machine.effects.layout import ParameterSets, neutral_sets
+from machine.remainder import Remainder
 from machine.rotations import Array
 
 LAST = {"link": DynamicStage.LINK, "controller": DynamicStage.CONTROLLER, "actuator": DynamicStage.ACTUATOR}
@@ -248,6 +249,7 @@ def cell_of(
     regressors, t_s = regressors_of(parts, chosen, white.order, SKIPPED, per_channel)
     one_based = tuple(j + 1 for j in joints)
     whole = stage == "link" or len(joints) > 1
+    left = _records(replayer, stage, joints, white.sigma)
     return Cell(
         stage=stage,
         joint=None if whole else one_based[0],
@@ -263,38 +265,45 @@ def cell_of(
         regressors=regressors,
         t_s=t_s,
         coarse=any(part.plant.decimate > 1 for part in parts),
-        spread_least=_spread_least(replayer, stage, joints),
+        spread_least=left.spread,
         form_share=FORM_SHARE_OIL if stage == "actuator" else FORM_SHARE,
-        usual=_usual(replayer, stage, joints, white.sigma),
-        left_share=_left_share(replayer, stage, joints, white.sigma),
-        usual_names=_usual_names(replayer, stage, joints),
+        usual=left.usual,
+        left_share=float(np.mean(left.shares)),
+        usual_names=left.usual_names,
     )
 
 
-def _usual(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array) -> tuple[tuple[str, float], ...]:
-    """Tests that fire on the undisturbed machine, the largest size of any joint. `sigma`: of the floor, by joint."""
-    records = [replayer.nominal.remainder(stage, j + 1) for j in joints]
-    known = [(one, min(1.0, (one.sigma / s) ** 2)) for one, s in zip(records, sigma, strict=True) if one is not None]
-    rows = [row for one, share in known for row in one.usual_at(share)]
-    return tuple({name: max(size for n, size in rows if n == name) for name, _ in rows}.items())
+@dataclass(frozen=True, slots=True)
+class _Records:
+    """What the machine file's baseline leaves of a cell's joints: a record each (None: nothing known), and its share of
+    that joint's floor, in squares."""
+
+    known: tuple[Remainder | None, ...]
+    shares: tuple[float, ...]
+
+    @property
+    def usual(self) -> tuple[tuple[str, float], ...]:
+        """Tests that fire on the undisturbed machine, the largest size of any joint."""
+        pairs = zip(self.known, self.shares, strict=True)
+        rows = [row for one, share in pairs if one is not None for row in one.usual_at(share)]
+        return tuple({name: max(size for n, size in rows if n == name) for name, _ in rows}.items())
+
+    @property
+    def usual_names(self) -> tuple[tuple[str, float], ...]:
+        """Names that gain much there, and what [nats]."""
+        return tuple({name: nats for one in self.known if one is not None for name, nats in one.usual_names}.items())
+
+    @property
+    def spread(self) -> float:
+        """By how much scores are divided at least: the most that a joint asks for."""
+        return max((one.spread for one in self.known if one is not None), default=1.0)
 
 
-def _left_share(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array) -> float:
-    """Of the floors `sigma` (joints,), in squares: what the baseline leaves, on the average over the joints."""
-    records = [replayer.nominal.remainder(stage, j + 1) for j in joints]
-    shares = [0.0 if one is None else min(1.0, (one.sigma / s) ** 2) for one, s in zip(records, sigma, strict=True)]
-    return float(np.mean(shares))
-
-
-def _usual_names(replayer: Replayer, stage: str, joints: tuple[int, ...]) -> tuple[tuple[str, float], ...]:
-    records = (replayer.nominal.remainder(stage, j + 1) for j in joints)
-    return tuple({name: nats for one in records if one is not None for name, nats in one.usual_names}.items())
-
-
-def _spread_least(replayer: Replayer, stage: str, joints: tuple[int, ...]) -> float:
-    """By how much a cell's scores are divided at least: the most that its joints' remainders ask for."""
-    records = (replayer.nominal.remainder(stage, j + 1) for j in joints)
-    return max((one.spread for one in records if one is not None), default=1.0)
+def _records(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array) -> _Records:
+    """Of joints (0-based) with floors `sigma` (joints,)."""
+    known = tuple(replayer.nominal.remainder(stage, j + 1) for j in joints)
+    shares = (0.0 if one is None else min(1.0, (one.sigma / s) ** 2) for one, s in zip(known, sigma, strict=True))
+    return _Records(known, tuple(shares))
 
 
 def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]], bool]:

@@ -215,7 +215,7 @@ def _camera(whole: Read, nominal: Nominal, sets: ParameterSets, energy: Mapping[
     if tool is not None:
         places += _axes("camera", "tool marker", tool, _floor_share(tool, energy.get("tool"), _scatter(tool)))
     views = views_of(nominal, tables.markers, "ooi")
-    shift_s = (tables.run.camera_to_pc_offset_s or 0.0) - (tables.run.plc_to_pc_offset_s or 0.0)
+    shift_s = tables.run.camera_to_plc_offset_s
     q, inside = _encoders_at(whole.stretches, views.t_s + shift_s, nominal.n)
     if inside.sum() > 1:
         seen = replace(views, t_s=views.t_s[inside], Ts_cam_object=views.Ts_cam_object[inside])

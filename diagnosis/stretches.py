@@ -77,7 +77,7 @@ def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
         return (), []
     findings: list[Finding] = []
     segments = tables.run.segments or _whole(plc, findings)
-    clock = sent_clock(tables, findings)
+    clock, lost = sent_clock(tables, findings), never_received(tables)
     found: list[Stretch] = []
     for number, segment in enumerate(segments, start=1):
         pieces = list(_pieces(plc, segment))
@@ -87,7 +87,7 @@ def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
         for part, rows in enumerate(pieces, start=1):
             label = segment.name or f"{segment.kind}{number}"
             name = f"{label}/{part}" if len(pieces) > 1 else label
-            found.append(_stretch(tables, plc, segment, name, rows, clock))
+            found.append(_stretch(plc, segment, name, rows, _sent(tables, clock, lost, plc.t_s[rows])))
     findings += _mended(plc)
     return tuple(found), findings
 
@@ -173,9 +173,7 @@ def _mended(plc: PlcTable) -> list[Finding]:
     return [Finding("not_a_number", "note", "plc.csv", text, count)]
 
 
-def _stretch(
-    tables: Tables, plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64], clock: SentClock | None
-) -> Stretch:
+def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64], sent: Sent | None) -> Stretch:
     t = plc.t_s[rows]
     dt = float((t[-1] - t[0]) / (len(t) - 1))
     grid = t[0] + dt * np.arange(len(t))
@@ -185,7 +183,6 @@ def _stretch(
         for field in fields(PlcTable)
         if field.name in ("ref", "enc", "u", "p_a", "p_b", "p_supply")
     }
-    sent = _sent(tables, clock, t[0], t[-1])
     repeat = segment.repeat_of
     return Stretch(name, segment.kind, repeat, segment.t_start_plc_s, dt, grid, **signals, sent=sent)
 
@@ -206,16 +203,15 @@ def _line(column: Array, t: Array, grid: Array) -> Array:
     return np.interp(grid, t[good], column[good]) if good.any() else np.full(len(grid), np.nan)
 
 
-def _sent(tables: Tables, clock: SentClock | None, start_s: float, end_s: float) -> Sent | None:
-    """References from the last one before the stretch (or 2 s before it) to its end."""
+def _sent(tables: Tables, clock: SentClock | None, lost: NDArray[np.bool_] | None, t_plc_s: Array) -> Sent | None:
+    """References from the last one before the stretch with log rows at t_plc_s (or 2 s before it) to its end."""
     if clock is None or tables.sent is None:
         return None
     t = tables.sent.t_s - clock.offset_s
-    good = np.isfinite(t) & np.isfinite(tables.sent.q).all(axis=1) & (t >= start_s - 2.0) & (t <= end_s)
+    good = np.isfinite(t) & np.isfinite(tables.sent.q).all(axis=1) & (t >= t_plc_s[0] - 2.0) & (t <= t_plc_s[-1])
     if int(good.sum()) < ROWS_MIN:
         return None
     order = np.argsort(t[good], kind="stable")
-    lost = never_received(tables)
     return Sent(
         t[good][order],
         np.ascontiguousarray(tables.sent.q[good][order]),
@@ -229,7 +225,9 @@ def never_received(tables: Tables) -> NDArray[np.bool_] | None:
     None where a log row comes less often than a datagram, or numbers are missing: then a gap in them tells nothing.
     """
     sent, plc = tables.sent, tables.plc
-    if sent is None or plc is None or len(sent.seq) < 2 or (plc.seq < 0).any() or (np.diff(sent.seq) <= 0).any():
+    if sent is None or plc is None or len(sent.seq) < 2 or len(plc.seq) < 2:
+        return None
+    if (plc.seq < 0).any() or (np.diff(sent.seq) <= 0).any():
         return None
     if float(np.median(np.diff(plc.t_s))) > LOGGED_OFTEN * float(np.median(np.diff(sent.t_s))):
         return None

@@ -84,7 +84,7 @@ def _count(one: Score) -> int:
     return len(one.fit.hypothesis)
 
 
-def prior_cost(cell: Cell, one: Score, spread: float = 1.0) -> float:
+def prior_cost(cell: Cell, one: Score, spread: float) -> float:
     """Nats that a hypothesis pays for its effects: each one's price, and what it gains on the undisturbed machine."""
     numbers = calibration()
     foreign = sum(_foreign(cell, effect.stage) for effect in one.fit.hypothesis)

@@ -10,7 +10,7 @@ from machine.rotations import Array
 from sim_plc.plant.backlash import play
 from sim_plc.plant.hydraulics import opening
 from sim_plc.plant.kernel import OUTPUT, Parameters, State, advance, advance_rigid
-from sim_plc.plc.joint_control import _valves
+from sim_plc.plc.joint_control import valve_commands
 
 
 class Side(NamedTuple):
@@ -54,7 +54,7 @@ def run_cycles(
         for j in range(n):
             q[j] = np.round(state.q[par.motors[j]] / side.resolution[j]) * side.resolution[j]
         if closed:
-            _valves(given[k], q, side.kp, side.pt1_share, 1.0, lagged, u)
+            valve_commands(given[k], q, side.kp, side.pt1_share, 1.0, lagged, u)
         else:
             u[:] = given[k]
         while at < rows.shape[0] and rows[at] == k:

@@ -41,10 +41,10 @@ def object_places(tables: Tables, eyes: Eyes, course: Course, stretch: Stretch) 
 
     Model: T_base_ooi = T_base_tcp(t) T_tcp_cam T_cam_ooi, with the simulator's T_base_tcp at the exposure.
     """
-    table, run = tables.markers, tables.run
+    table = tables.markers
     if table is None:
         return np.zeros((0, 3))
-    to_plc_s = (run.camera_to_pc_offset_s or 0.0) - (run.plc_to_pc_offset_s or 0.0)
+    to_plc_s = tables.run.camera_to_plc_offset_s
     # one window for both cameras, so that before and after see the same frames
     start, end = stretch.t_s[0] + SKIPPED_S, stretch.t_s[-1] - 0.5 * SKIPPED_S
     inside = (table.t_s + to_plc_s >= start) & (table.t_s + to_plc_s <= end)

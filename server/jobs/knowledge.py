@@ -1,6 +1,7 @@
 """What the server has learnt since it started: last look, local calibration, previewed plan, start of the run."""
 
 import hashlib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,7 +12,7 @@ from server.calibration.joint_estimate import JointEstimate
 from server.calibration.joint_observations import LookAt, OdometryRun
 from server.jobs.records import CalibrationRecord, ErrorMm, LookRecord, MoveRecord
 from server.jobs.requests import MachineReading
-from server.motion.contracts import PathPlan
+from server.motion.contracts import JointTrajectory, PathPlan
 from server.vision.contracts import Look
 
 
@@ -74,8 +75,14 @@ class Knowledge:
 
 def plan_hash(plan: PathPlan) -> str:
     """Short fingerprint of what would be sent: an Execute that names another plan fires nothing."""
+    return fingerprint(() if plan.trajectory is None else (("", plan.trajectory),))
+
+
+def fingerprint(motions: Iterable[tuple[str, JointTrajectory]]) -> str:
+    """Of motions in their order, each with a word for what it is."""
     digest = hashlib.sha256()
-    if plan.trajectory is not None:
-        for part in (plan.trajectory.t_s, plan.trajectory.q, plan.trajectory.qd, plan.trajectory.qdd):
+    for word, one in motions:
+        digest.update(word.encode())
+        for part in (one.t_s, one.q, one.qd, one.qdd):
             digest.update(np.ascontiguousarray(part, dtype=np.float64).tobytes())
     return digest.hexdigest()[:16]

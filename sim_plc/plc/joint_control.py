@@ -8,7 +8,8 @@ from sim_plc.plc.settings import PlcSettings
 
 
 @njit(cache=True)
-def _valves(q_ref: Array, q: Array, kp: Array, pt1_share: Array, fade: float, lagged: Array, out: Array) -> None:
+def valve_commands(q_ref: Array, q: Array, kp: Array, pt1_share: Array, fade: float, lagged: Array, out: Array) -> None:
+    """One cycle of all joints into `out` (n,); `lagged` (n,) is kept from cycle to cycle."""
     for j in range(q.shape[0]):
         u = kp[j] * (q_ref[j] - q[j])  # eq. 6
         lagged[j] += pt1_share[j] * (u - lagged[j])  # eq. 25 over one cycle; a share of 1 is plain P
@@ -37,5 +38,5 @@ class JointControl:
     def control(self, q_ref: Array, q: Array, fade: float) -> Array:
         """Valve commands of this cycle, times fade; a view that the next cycle changes."""
         settings = self._settings
-        _valves(q_ref, q, settings.kp, settings.pt1_share, fade, self._lagged, self.valves)
+        valve_commands(q_ref, q, settings.kp, settings.pt1_share, fade, self._lagged, self.valves)
         return self.valves

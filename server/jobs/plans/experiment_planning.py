@@ -1,6 +1,5 @@
 """The next experiment, planned whole: every motion of it checked before anything moves, and known by its hash."""
 
-import hashlib
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Literal
@@ -16,6 +15,7 @@ from server.calibration.contracts import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.experiment_records import ExperimentPlan
+from server.jobs.knowledge import fingerprint
 from server.jobs.plans.planning import LIMIT_SHARE, plan_settings
 from server.jobs.proposals import LooksProposal, MotionProposal
 from server.jobs.requests import MachineReading
@@ -170,12 +170,7 @@ def _refused(refusal: Refusal) -> JobFailedError:
 
 def steps_hash(steps: tuple[Step, ...]) -> str:
     """Short fingerprint of everything that would be sent, in its order."""
-    digest = hashlib.sha256()
-    for step in steps:
-        digest.update(step.then.encode())
-        for part in (step.trajectory.t_s, step.trajectory.q, step.trajectory.qd, step.trajectory.qdd):
-            digest.update(np.ascontiguousarray(part, dtype=np.float64).tobytes())
-    return digest.hexdigest()[:16]
+    return fingerprint((step.then, step.trajectory) for step in steps)
 
 
 def told_plan(

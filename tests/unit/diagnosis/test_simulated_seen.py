@@ -16,6 +16,7 @@ from machine.effects.entries import EffectEntry
 from machine.effects.layout import neutral_sets
 from machine.effects.seen import seen_corners
 from machine.kinematics import tcp_pose
+from recording.run import RunInfo
 from sim_plc.recorded_drive import follow_reference, offline, plain_world
 
 NOMINAL = nominal_of(MACHINE_TOML)
@@ -52,7 +53,7 @@ def tables(course, late_s):
     ]
     stamps, eyes, ids, corners = zip(*rows, strict=True)
     table = MarkerTable(np.array(stamps), np.array(eyes), np.array(ids), np.array(corners))
-    run = SimpleNamespace(camera_to_pc_offset_s=0.0, plc_to_pc_offset_s=0.0)
+    run = RunInfo("made", plc_to_pc_offset_s=0.0, camera_to_pc_offset_s=0.0)
     made: Any = SimpleNamespace(markers=table, run=run)
     return cast(Tables, made), T_base_ooi[:3, 3]
 
