@@ -32,6 +32,7 @@ FELT = 100.0  # change of the residual, squared floors
 FEW = 2
 CHANCE_NATS = 4.5  # that the best of some dozen wrong names gains by chance: three quarters of the margin of a name
 CHANCE_MORE_NATS = 2.0  # for each further number that it may choose
+SHARE_MIN = 0.5  # a smaller share of the floor tells nothing of what a pattern would explain without noise
 CHECKED_MIN = 2  # recordings that the baseline is judged on
 Progress = Callable[[str], None]
 
@@ -261,7 +262,8 @@ def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
         sizes = usual.setdefault((part.stage, measurement_of(part)), {})
         for fired in tests_of(part, own, 1):
             sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)
-        sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), pattern_nats(part, own))
+        alone = pattern_nats(part, own) / max(part.left_share, SHARE_MIN)  # as `usual_at` reads it
+        sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), alone)
 
 
 def _with_usual(one: Remainder, usual: Usual) -> Remainder:

@@ -76,8 +76,10 @@ def noise_of_visits(visits: list[Array], least: int) -> CornerNoise | None:
     return CornerNoise(np.sqrt(own / corners), np.sqrt(np.maximum(shared / visited, 0.0)))
 
 
-def left_of(raw: Array, groups: NDArray[np.int64], noise: CornerNoise) -> CornerNoise:
-    """What residuals (N,) [px] hold beyond the noise: of each corner, and shared."""
+def variances_of(raw: Array, groups: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Variances [px^2] of residuals (N,) [px] in groups (N,) by `groups_of`, of u and v: of each corner (2,), and what
+    the corners of a frame share (2,), which chance can bring below 0.
+    """
     count = np.maximum(np.bincount(groups), 1)
     mean = np.bincount(groups, weights=raw) / count
     within = np.bincount(groups, weights=(raw - mean[groups]) ** 2)
@@ -87,6 +89,4 @@ def left_of(raw: Array, groups: NDArray[np.int64], noise: CornerNoise) -> Corner
         some = (axis == a) & (count > 1)
         own[a] = within[some].sum() / max(float((count[some] - 1).sum()), 1.0)
         shared[a] = np.mean(mean[some] ** 2 - own[a] / count[some]) if some.any() else 0.0
-    return CornerNoise(
-        np.sqrt(np.maximum(own - noise.own**2, 0.0)), np.sqrt(np.maximum(shared - noise.shared**2, 0.0))
-    )  # fmt: skip
+    return own, shared

@@ -8,7 +8,7 @@ from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import behind_cells, measurement_of, told_behind, without
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_dynamic import SKIPPED, Replay, part_increments, stage_cells
-from diagnosis.corner_noise import PLAIN, left_of
+from diagnosis.corner_noise import PLAIN, variances_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.floor import deviations, fit_whitener
 from diagnosis.reading import Read
@@ -18,6 +18,9 @@ from machine.effects.entries import EffectEntry, pack
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
+
+ROUNDS = 20
+TINY = 1e-30
 
 
 def cells_of(whole: Read) -> list[Cell]:
@@ -63,27 +66,46 @@ def _plain(cells: list[Cell], where: Remainder) -> Remainder:
     """Remainder [m or px] of points or corners, in all and by axis: nothing is whitened there."""
     if where.stage == "camera":
         return _of_corners(cells, where)
-    squares = np.zeros(3)
-    for cell in cells:
-        excess = cell.scale**2 * (cell.whitened(cell.base)[0] ** 2 - 1.0) / len(cells)
-        squares += [float(np.mean(excess[cell.rows.channel == k])) for k in range(3)]
-    by_axis = np.sqrt(np.maximum(squares, 0.0))
+    squares = [cell.whitened(cell.base)[0] ** 2 for cell in cells]
+    found = [
+        np.array([np.mean(r2[cell.rows.channel == k]) for k in range(3)])
+        for cell, r2 in zip(cells, squares, strict=True)
+    ]
+    noise = np.array([cell.scale[:3] ** 2 for cell in cells])
+    by_axis = np.sqrt(common_excess(noise * np.array(found), noise))
     left = float(np.sqrt(np.mean(by_axis**2)))
     return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis))
 
 
 def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
     """What is left of each corner, and what all corners of a frame share."""
-    found = []
+    found, noise = [], []
     for cell in cells:
         seen = cell.whitened
         if isinstance(seen, CornerResidual):
             raw = replace(seen, noise=PLAIN)(cell.base)[0]
-            found.append(left_of(raw, seen.frames.groups, seen.noise))
-    own, shared = (np.sqrt(np.mean([getattr(one, part) ** 2 for one in found], axis=0)) for part in ("own", "shared"))
-    left = float(np.sqrt(np.mean(own**2)))
-    both = float(np.sqrt(np.mean(own**2 + shared**2)))
-    return replace(where, sigma=left, rms=both, by_axis=tuple(float(x) for x in shared))
+            found.append(np.concatenate(variances_of(raw, seen.frames.groups)))
+            noise.append(np.concatenate([seen.noise.own**2, seen.noise.shared**2]))
+    own, shared = np.split(common_excess(np.array(found), np.array(noise)), 2)
+    left = float(np.sqrt(np.mean(own)))
+    both = float(np.sqrt(np.mean(own + shared)))
+    return replace(where, sigma=left, rms=both, by_axis=tuple(float(x) for x in np.sqrt(shared)))
+
+
+def common_excess(totals: Array, noises: Array) -> Array:
+    """Variance (n,) beyond the noise that recordings have in common.
+
+    Model: a mean square scatters by a share of itself, so that the most likely common excess L of
+           total_k ~ noise_k + L weighs each recording by 1 / (noise_k + L)^2. An even mean would let noisy recordings,
+           whose noise alone is less well known than L is large, drown what the quiet ones show.
+    Args:  totals, noises: (recordings, n), mean squares in all and of noise alone.
+    """
+    excess = np.maximum((totals - noises).mean(axis=0), 0.0)
+    least = 1e-3 * np.abs(totals).mean(axis=0) + TINY
+    for _ in range(ROUNDS):
+        weights = (noises + np.maximum(excess, least)) ** -2
+        excess = np.maximum((weights * (totals - noises)).sum(axis=0) / weights.sum(axis=0), 0.0)
+    return excess
 
 
 def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:

@@ -13,6 +13,7 @@ from machine.effects.entries import entries_to_toml
 from machine.remainder import remainders_to_toml
 
 FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
+FITTED_MOST = 3  # more hardly move what is fitted, and what a rare motion leaves is seen by those that judge
 
 
 class BaselineError(Exception):
@@ -25,7 +26,7 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
     Raises: BaselineError: an unusable recording, too few of them, or a file that cannot be written.
     """
     wholes = [_usable(path, machine_file) for path in recordings]
-    count = max(1, round(len(wholes) * FITTED_SHARE))
+    count = min(FITTED_MOST, max(1, round(len(wholes) * FITTED_SHARE)))
     try:
         found = fit_baseline(wholes[:count], wholes[count:], lambda text: screen.print(f"[dim]{escape(text)}[/]"))
     except DiagnosisError as error:

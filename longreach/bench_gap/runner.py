@@ -14,7 +14,7 @@ from typing import Any
 ROOT = Path(__file__).parents[2]
 PLANTS = ("own", "foreign")
 GENERATE = "tests.gap_benchmark.generate"
-UNDISTURBED = 9  # recordings for a baseline: three to fit, six to judge
+UNDISTURBED = 18  # recordings for a baseline: three to fit, fifteen to judge, all noise levels
 CASE_S = 3600.0  # a process that takes longer is stopped, and its case is run again next time
 BAD_INPUT = 2  # exit code of a recording that the tool will not judge: a refusal, not a crash
 ONE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")

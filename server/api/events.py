@@ -23,7 +23,7 @@ READERS_MAX = 200
 WATCH_S = 0.2
 STATE_EVERY = 5  # of WATCH_S: a state a second
 SSE: dict[int | str, dict[str, Any]] = {
-    200: {"description": "server-sent events", "content": {"text/event-stream": {"schema": {"type": "string"}}}},
+    200: {"description": "server-sent events; data is JSON", "content": {"text/event-stream": {}}},
     503: {"model": Problem, "description": "too many readers"},
 }
 

@@ -20,9 +20,9 @@ from server.jobs.service import JobBody, JobService
 
 AnyJobRequest = Annotated[JobBody, Body(discriminator="kind")]
 KeyHeader = Annotated[
-    str,
+    str | None,
     Header(
-        max_length=128, pattern=r"^[\x21-\x7e]*$", description="fresh per command, the same on a retry; fleets must"
+        max_length=128, pattern=r"^[\x21-\x7e]+$", description="fresh per command, the same on a retry; fleets must"
     ),
 ]
 ExpiresHeader = Annotated[
@@ -30,7 +30,7 @@ ExpiresHeader = Annotated[
     Header(ge=0, le=1e11, description="unix seconds of this server (GET /v1/time) after which not to start; 0: never"),
 ]
 STORY: dict[int | str, dict[str, Any]] = {
-    200: {"description": "server-sent events", "content": {"text/event-stream": {"schema": {"type": "string"}}}},
+    200: {"description": "server-sent events; data is JSON", "content": {"text/event-stream": {}}},
     404: {"model": Problem},
 }
 EVENT_POLL_S = 0.1
@@ -49,14 +49,14 @@ def jobs_router(service: JobService) -> APIRouter:
         request: Request,
         longreach_lease: LeaseHeader = "",
         longreach_fencing: FencingHeader = 0,
-        idempotency_key: KeyHeader = "",
+        idempotency_key: KeyHeader = None,
         longreach_expires: ExpiresHeader = 0.0,
     ) -> Response:
         """Start a job; 202 with its Location, 409 when another one runs or a plan is refused."""
         sent = Sent(
             caller=caller_of(request),
             request_id=request_id_of(request),
-            key=idempotency_key,
+            key=idempotency_key or "",
             lease_id=longreach_lease,
             fencing=longreach_fencing,
             expires_unix_s=longreach_expires,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.corner_noise import PLAIN, CornerNoise, groups_of, left_of, noise_of_visits
+from diagnosis.corner_noise import PLAIN, CornerNoise, groups_of, noise_of_visits, variances_of
 from machine.remainder import Remainder
 
 FRAMES, CORNERS = 400, 12
@@ -50,13 +50,11 @@ def test_visits_tell_both_kinds() -> None:
     assert noise_of_visits([view[:1] for view in visits], 20) is None  # nothing was seen again
 
 
-def test_what_is_left_beyond_the_noise() -> None:
+def test_each_corners_variance_and_the_shared_one() -> None:
     pixels = made((0.5, 0.1), (0.5, 0.3))
-    left = left_of(
-        pixels[np.isfinite(pixels)], groups_of(pixels), CornerNoise(np.array([0.3, 0.1]), np.array([0.3, 0.0]))
-    )
-    np.testing.assert_allclose(left.own, [0.4, 0.0], atol=0.03)
-    np.testing.assert_allclose(left.shared, [0.4, 0.3], atol=0.04)
+    own, shared = variances_of(pixels[np.isfinite(pixels)], groups_of(pixels))
+    np.testing.assert_allclose(np.sqrt(own), [0.5, 0.1], rtol=0.03)
+    np.testing.assert_allclose(np.sqrt(shared), [0.5, 0.3], rtol=0.1)
 
 
 def test_a_machine_files_remainder_raises_both() -> None:
