@@ -16,6 +16,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from longreach.saved_file import save_whole
 from server.settings import read_machine
 from sim_plc.fuzz.counts import FuzzCounts, counts_from_json
 from sim_plc.fuzz.engine import ENDS, End, fuzz_chunk
@@ -50,9 +51,7 @@ class Lane:
         """Save a chunk whole or not at all."""
         file = self.chunk_file(chunk)
         data = {"counts": counts.as_json(), "found": [payload.hex() for payload in found]}
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps(data), encoding="utf-8")
-        part.replace(file)
+        save_whole(file, json.dumps(data))
 
 
 def run_lane(lane: Lane, n: int, machine_name: str) -> Lane:

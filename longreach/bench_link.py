@@ -23,6 +23,7 @@ from longreach.link_load.rendered_pairs import render_pairs
 from longreach.link_load.replay_camera import ReplayCamera
 from longreach.link_load.session import Session, vision_alone
 from longreach.link_load.tap import Tap
+from longreach.saved_file import save_whole
 from machine.description import Machine, parse_machine_toml
 from server.camera.client import VisionClient
 from server.camera.contracts import VisionSettings
@@ -112,7 +113,7 @@ def _alone(plan: Plan, folder: Path, machine: Machine, files: list[Path]) -> Vis
         vision = VisionClient(VisionSettings(source=HttpSource(camera.url)), machine)
         pairs_per_s, process_ms = asyncio.run(vision_alone(vision, plan.alone_s))
     alone = VisionAlone(pairs_per_s, process_ms, max(RATE_MIN_HZ, round(pairs_per_s, 1)))
-    saved.write_text(json.dumps(asdict(alone), indent=1), encoding="utf-8")
+    save_whole(saved, json.dumps(asdict(alone), indent=1))
     return alone
 
 

@@ -16,6 +16,7 @@ from rich.table import Table
 from longreach.bench_position import READY_S, StepErrors, ends_inside, join_truth, read_truth
 from longreach.fleet_client import Finished, JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
+from longreach.saved_file import save_whole
 
 SETTINGS = "[position]\nclosed_loop = true\n[closed_loop]\nsilence_max_ms = {silence_max_ms}\n"
 TRUTH_FLUSH_S = 1.0  # the truth log is flushed twice a second
@@ -67,7 +68,7 @@ def _resumed(path: Path, preset: str, seed: int, settings: Path, retract_mm: flo
         steps = [StepErrors(**step) for step in data.pop("steps")]
         return ServoCase(**data, steps=steps)
     case = run_case(preset, seed, path.with_suffix(""), settings, retract_mm, rate_hz)
-    path.write_text(json.dumps(asdict(case), indent=1), encoding="utf-8")
+    save_whole(path, json.dumps(asdict(case), indent=1))
     return case
 
 

@@ -24,6 +24,7 @@ from scipy.stats import theilslopes
 
 from longreach.link_load.rendered_pairs import render_pairs
 from longreach.link_load.replay_camera import to_and_fro
+from longreach.saved_file import save_whole
 from longreach.saved_lines import every_line
 from machine.description import Machine
 from server.camera.contracts import StereoFrame, VisionSettings
@@ -176,9 +177,7 @@ def count_objects() -> int:
 
 def save_samples(path: Path, samples: Sequence[Sample]) -> None:
     """All samples, in one step: a cut leaves the file of before."""
-    scratch = path.with_suffix(".new")
-    scratch.write_text("".join(json.dumps(asdict(sample)) + "\n" for sample in samples), encoding="utf-8")
-    scratch.replace(path)
+    save_whole(path, "".join(json.dumps(asdict(sample)) + "\n" for sample in samples))
 
 
 def read_samples(path: Path) -> list[Sample]:

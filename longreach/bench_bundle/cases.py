@@ -8,6 +8,7 @@ import numpy as np
 
 from longreach.bench_bundle.solvers import Solved, solve_gtsam, solve_ours, solve_scipy
 from longreach.bench_bundle.stereo_data import StereoData, cost_of, squares_px
+from longreach.saved_file import save_whole
 from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
 
 HUBER_PX = 2.0
@@ -92,5 +93,5 @@ def load_or_run(
         return [Judged(**one) for one in json.loads(file.read_text(encoding="utf-8"))]
     judged = run_case(data, name, loss, start, with_scipy)
     folder.mkdir(parents=True, exist_ok=True)
-    file.write_text(json.dumps([asdict(one) for one in judged], indent=1), encoding="utf-8")
+    save_whole(file, json.dumps([asdict(one) for one in judged], indent=1))
     return judged

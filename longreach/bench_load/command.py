@@ -17,6 +17,7 @@ from longreach.link_load.lateness import percentiles
 from longreach.link_load.rendered_pairs import render_pairs
 from longreach.link_load.replay_camera import ReplayCamera
 from longreach.link_load.session import vision_alone
+from longreach.saved_file import save_whole
 from machine.description import Machine, parse_machine_toml
 from server.camera.client import VisionClient
 from server.camera.contracts import VisionSettings
@@ -104,7 +105,7 @@ def _replay_hz(plan: Plan, folder: Path, machine: Machine, files: list[Path], co
             vision = VisionClient(VisionSettings(source=HttpSource(camera.url)), machine)
             pairs_per_s, process_ms = asyncio.run(vision_alone(vision, plan.alone_s))
         told = {"pairs_per_s": pairs_per_s, "process_ms": process_ms}
-        saved.write_text(json.dumps(told, indent=1), encoding="utf-8")
+        save_whole(saved, json.dumps(told, indent=1))
     alone = json.loads(saved.read_text(encoding="utf-8"))
     replay_hz = max(RATE_MIN_HZ, round(alone["pairs_per_s"], 1))
     text = f"vision alone: {alone['pairs_per_s']:.1f} pairs/s, {alone['process_ms']:.0f} ms a pair"

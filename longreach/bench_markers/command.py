@@ -18,6 +18,7 @@ from longreach.bench_markers.images import SensorSettings, Studio
 from longreach.bench_markers.judged import CellResult
 from longreach.bench_markers.rendered import RenderedCell, run_rendered_cell, settings_name
 from longreach.bench_markers.tables import exact_lines, exact_table, rendered_lines, rendered_table
+from longreach.saved_file import save_whole
 from server.settings import read_machine
 
 console = Console(width=200)
@@ -88,7 +89,5 @@ def _rendered(machine_name: str, n: int, seed: int, folder: Path, settings: Sens
 def _saved(file: Path, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """A cell's result from its file, or worked out and saved whole."""
     if not file.is_file():
-        part = file.with_suffix(".part")
-        part.write_text(json.dumps(work()), encoding="utf-8")
-        part.replace(file)
+        save_whole(file, json.dumps(work()))
     return json.loads(file.read_text(encoding="utf-8"))

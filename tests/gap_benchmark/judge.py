@@ -299,7 +299,9 @@ def main() -> None:
     answer = json.loads((given.folder / "answer.json").read_text(encoding="utf-8"))
     machine = tomllib.loads(given.machine.read_text(encoding="utf-8"))
     score = judged(truth, answer, parse_remainders(machine.get("remainder")), plant_named(given.plant))
-    (given.folder / "score.json").write_text(json.dumps(score), encoding="utf-8")
+    part = given.folder / "score.part"
+    part.write_text(json.dumps(score), encoding="utf-8")
+    part.replace(given.folder / "score.json")  # whole or not at all: its presence says that the case is done
 
 
 if __name__ == "__main__":
