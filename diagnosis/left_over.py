@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import behind_cells, measurement_of, told_behind, without
@@ -10,7 +11,7 @@ from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_dynamic import SKIPPED, Replay, part_increments, stage_cells
 from diagnosis.corner_noise import PLAIN, variances_of
 from diagnosis.errors import DiagnosisError
-from diagnosis.floor import deviations, fit_whitener
+from diagnosis.floor import ORDER_MAX, deviations
 from diagnosis.reading import Read
 from diagnosis.replay import replayer_of
 from diagnosis.stretches import repeat_groups
@@ -21,6 +22,8 @@ from machine.rotations import Array
 
 ROUNDS = 20
 TINY = 1e-30
+NOTHING = 1e-6  # share of the mean square
+WHITE = 1e-3  # of the variance: the least eigenvalue of the moments
 
 
 def cells_of(whole: Read) -> list[Cell]:
@@ -109,29 +112,45 @@ def common_excess(totals: Array, noises: Array) -> Array:
 
 
 def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
-    """Remainders of one stage, joint by joint: AR over all recordings' increments, less what repeats show as noise."""
+    """Remainders of one stage, joint by joint: the autoregression of what all recordings have beyond their noise."""
     replays = [cell.whitened for cell in cells if isinstance(cell.whitened, Replay)]
     out = []
     for column, joint in enumerate(replays[0].joints if replays else ()):
-        runs = [
-            part_increments(stage, part, _own_joints(cell, replay))[0][0][SKIPPED:, [column]]
-            for cell, replay in zip(cells, replays, strict=True)
-            for part in replay.parts
-        ]
-        whitener = fit_whitener(runs)
-        noise = [
-            one
-            for cell, replay in zip(cells, replays, strict=True)
-            for one in _noise(stage, cell, replay, column, whitener.order)
-        ]
-        white = [whitener.whiten(one) for one in noise if len(one) > whitener.order]
-        quiet = float(np.mean(np.concatenate(white) ** 2)) * float(whitener.sigma[0] ** 2) if white else 0.0
-        sigma = float(np.sqrt(max(0.0, whitener.sigma[0] ** 2 - quiet)))
-        total = float(np.mean(np.concatenate(runs) ** 2))
-        own = float(np.mean(np.concatenate(noise) ** 2)) if noise else 0.0
-        rms = float(np.sqrt(max(0.0, total - own)))
-        out.append(Remainder(stage, joint + 1, "", sigma, rms, tuple(float(a) for a in whitener.a[:, 0])))
+        totals, noises = [], []
+        for cell, replay in zip(cells, replays, strict=True):
+            sets = _own_joints(cell, replay)
+            runs = [part_increments(stage, part, sets)[0][0][SKIPPED:, column] for part in replay.parts]
+            noise = [one[:, 0] for one in _noise(stage, cell, replay, column)]
+            totals.append(moments(runs))
+            noises.append(moments(noise) if noise else np.zeros_like(totals[-1]))
+        ar, sigma, rms = common_process(np.array(totals), np.array(noises))
+        out.append(Remainder(stage, joint + 1, "", sigma, rms, tuple(float(a) for a in ar)))
     return out
+
+
+def moments(runs: list[Array]) -> Array:
+    """Mean products (p + 1, p + 1) of a sample and the p before it, over runs (m,) without a mean."""
+    rows = np.concatenate([sliding_window_view(run, ORDER_MAX + 1) for run in runs if len(run) > ORDER_MAX])[:, ::-1]
+    return rows.T @ rows / len(rows)
+
+
+def common_process(totals: Array, noises: Array) -> tuple[Array, float, float]:
+    """Autoregression (p,), its innovation's sigma, and RMS of what recordings have in common beyond their noise.
+
+    Model: remainder and noise are independent, so that their moments add; recordings weigh as in `common_excess`. What
+           chance leaves that no process has is made one by a little white noise. Least squares, not the
+           autocovariances: stretches are short, and a slow swing would come out as damped by their ends.
+    Args:  totals, noises: (recordings, p + 1, p + 1), moments in all and of noise alone.
+    """
+    order = totals.shape[1] - 1
+    excess = float(common_excess(totals[:, :1, 0], noises[:, :1, 0])[0])
+    if excess <= NOTHING * float(totals[:, 0, 0].mean()):
+        return np.zeros(order), 0.0, 0.0
+    weights = (noises[:, 0, 0] + excess) ** -2
+    left = np.einsum("k,kij->ij", weights / weights.sum(), totals - noises)
+    left += max(0.0, WHITE * left[0, 0] - float(np.linalg.eigvalsh(left)[0])) * np.eye(order + 1)
+    ar = np.linalg.solve(left[1:, 1:], left[1:, 0])
+    return ar, float(np.sqrt(left[0, 0] - ar @ left[1:, 0])), float(np.sqrt(left[0, 0]))
 
 
 def _own_joints(cell: Cell, replay: Replay) -> ParameterSets:
@@ -140,7 +159,7 @@ def _own_joints(cell: Cell, replay: Replay) -> ParameterSets:
     return replace(cell.base, joint=np.ascontiguousarray(cell.base.joint[:, joints]))
 
 
-def _noise(stage: str, cell: Cell, replay: Replay, column: int, order: int) -> list[Array]:
+def _noise(stage: str, cell: Cell, replay: Replay, column: int) -> list[Array]:
     """Increments (m, 1) of the repeats' deviations from their mean."""
     by_name = {part.stretch.name: part for part in replay.parts}
     groups = repeat_groups(tuple(part.stretch for part in replay.parts))
@@ -150,4 +169,4 @@ def _noise(stage: str, cell: Cell, replay: Replay, column: int, order: int) -> l
     sets = _own_joints(cell, replay)
     steps = [part_increments(stage, by_name[one.name], sets)[0][0][SKIPPED:, [column]] for one in members]
     rows = min(len(one) for one in steps)
-    return deviations(np.stack([one[:rows] for one in steps])) if rows > order + 20 else []
+    return deviations(np.stack([one[:rows] for one in steps])) if rows > ORDER_MAX + 20 else []

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import toeplitz
+from scipy.signal import lfilter
 
-from diagnosis.left_over import common_excess
+from diagnosis.left_over import common_excess, common_process, moments
 
 DOF = 60
 
@@ -38,3 +40,44 @@ def test_no_noise_at_all_is_no_division_by_zero() -> None:
 def test_what_chance_brought_below_nothing_is_nothing() -> None:
     assert common_excess(np.array([[-1e-3], [-2e-3]]), np.zeros((2, 1))) == pytest.approx([0.0])
     assert common_excess(np.zeros((2, 1)), np.zeros((2, 1))) == pytest.approx([0.0])
+
+
+SWING = np.array([1.7, -0.85])  # a slow swing, as the oil's
+
+
+def made_moments(noise_sigmas: list[float], seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Of a swing with white noise of several sizes upon it, and of each noise alone, measured apart."""
+    rng = np.random.default_rng(seed)
+    totals, noises = [], []
+    for sigma in noise_sigmas:
+        swing = lfilter([1.0], np.concatenate([[1.0], -SWING]), rng.normal(size=3000))
+        totals.append(moments([swing + sigma * rng.normal(size=3000)]))
+        noises.append(moments([sigma * rng.normal(size=1500)]))
+    return np.array(totals), np.array(noises)
+
+
+def test_a_swing_is_found_below_noise_of_many_sizes() -> None:
+    ar, sigma, rms = common_process(*made_moments([0.3, 0.3, 3.0, 30.0], 6))
+    roots = np.roots(np.concatenate([[1.0], -ar]))
+    slow = roots[np.argmax(np.abs(roots))]
+    true = np.roots(np.concatenate([[1.0], -SWING]))[0]
+    assert abs(slow) == pytest.approx(abs(true), abs=0.05)
+    assert abs(np.angle(slow)) == pytest.approx(abs(np.angle(true)), abs=0.05)
+    assert sigma < 2.0
+    assert rms == pytest.approx(
+        lfilter([1.0], np.concatenate([[1.0], -SWING]), np.eye(1, 500)[0]).std() * 500**0.5, rel=0.3
+    )
+
+
+def test_noise_alone_leaves_no_process() -> None:
+    totals, _ = made_moments([0.3], 7)
+    ar, sigma, rms = common_process(totals, totals * 1.01)
+    assert (ar == 0.0).all()
+    assert sigma == rms == 0.0
+
+
+def test_moments_that_no_process_has_are_made_those_of_one() -> None:
+    ar, sigma, _ = common_process(toeplitz([1.0, 0.99, -0.9, 0.3])[None], np.zeros((1, 4, 4)))
+    assert np.isfinite(ar).all()
+    assert sigma > 0.0
+    assert max(abs(np.roots(np.concatenate([[1.0], -ar])))) < 1.0
