@@ -36,7 +36,7 @@ def calibration_router(service: JobService) -> APIRouter:
         return calibration_view(cell, service.context, time.monotonic_ns()) or _none(service)
 
     @router.get("/export", response_model=None, response_class=Response, responses=EXPORTED)
-    async def export(format: Literal["yaml", "ros", "json"] = "yaml") -> PlainTextResponse | JSONResponse:
+    async def export_calibration(format: Literal["yaml", "ros", "json"] = "yaml") -> PlainTextResponse | JSONResponse:
         """As YAML, as ROS's static transform, or as longreach's own file (JSON)."""
         life = cell.knowledge.life
         if life is None:

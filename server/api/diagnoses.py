@@ -58,7 +58,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     refused: dict[int | str, dict[str, Any]] = {404: {"model": Problem}, 409: {"model": Problem}}
 
     @router.post("", status_code=202, response_model=DiagnosisView, responses=refused)
-    async def start(body: RunDiagnosis | PathDiagnosis | RunsDiagnosis) -> JSONResponse:
+    async def start_diagnosis(body: RunDiagnosis | PathDiagnosis | RunsDiagnosis) -> JSONResponse:
         """Start `longreach diagnose` in a process of its own at low priority; 409 while another one runs."""
         found = await asyncio.to_thread(_recordings, folder, body)
         if not found:
@@ -70,18 +70,18 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         return JSONResponse(_view(one).model_dump(), status_code=202, headers=headers)
 
     @router.get("", response_model=list[DiagnosisView])
-    async def list_all() -> list[DiagnosisView]:
+    async def list_diagnoses() -> list[DiagnosisView]:
         """The last ones of this life, newest first."""
         return [_view(one) for one in reversed(diagnoses.all)]
 
     @router.get("/{diagnosis_id}", response_model=DiagnosisView, responses=UNKNOWN)
-    async def read(diagnosis_id: Id) -> DiagnosisView | JSONResponse:
+    async def read_diagnosis(diagnosis_id: Id) -> DiagnosisView | JSONResponse:
         """How far it is."""
         one = diagnoses.find(diagnosis_id)
         return _view(one) if one else _unknown(diagnosis_id)
 
     @router.delete("/{diagnosis_id}", status_code=204, response_class=Response, responses=UNKNOWN)
-    async def stop(diagnosis_id: Id) -> Response:
+    async def stop_diagnosis(diagnosis_id: Id) -> Response:
         """End it."""
         one = diagnoses.find(diagnosis_id)
         if one is None:
@@ -90,7 +90,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         return Response(status_code=204)
 
     @router.get("/{diagnosis_id}/result", response_model=None, responses=UNFINISHED)
-    async def result(diagnosis_id: Id) -> JSONResponse:
+    async def diagnosis_result(diagnosis_id: Id) -> JSONResponse:
         """The whole answer as JSON; its form is described in docs/diagnosis.md."""
         one = diagnoses.find(diagnosis_id)
         if one is None or one.state != "done":
@@ -103,7 +103,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         response_class=FileResponse,
         responses=UNFINISHED | {200: {"description": "a page", "content": {"text/html": {}}}},
     )
-    async def report(diagnosis_id: Id) -> FileResponse | JSONResponse:
+    async def diagnosis_report(diagnosis_id: Id) -> FileResponse | JSONResponse:
         """The report as a page of its own."""
         one = diagnoses.find(diagnosis_id)
         if one is None or one.state != "done":

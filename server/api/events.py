@@ -33,7 +33,7 @@ def events_router(log: EventLog) -> APIRouter:
     router = APIRouter(prefix="/v1/events", tags=["events"])
 
     @router.get("", response_model=None, response_class=StreamingResponse, responses=SSE)
-    async def follow(
+    async def follow_events(
         last_event_id: Annotated[str, Header(max_length=64)] = "",
         state: Annotated[bool, Query(description="also the state, once a second")] = True,
     ) -> StreamingResponse | JSONResponse:

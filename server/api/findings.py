@@ -103,7 +103,7 @@ def findings_router(service: JobService, looks: LookLog) -> APIRouter:
     found: dict[int | str, dict[str, Any]] = {404: {"model": Problem}, 503: {"model": Problem}}
 
     @router.get("/plans/{plan_hash}", response_model=PlanEntry, responses=found)
-    async def plan(plan_hash: PlanHash) -> PlanEntry | JSONResponse:
+    async def show_plan(plan_hash: PlanHash) -> PlanEntry | JSONResponse:
         """A plan by its hash, expired or not."""
         row = None
         if service.keeper is not None:

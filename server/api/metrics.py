@@ -38,7 +38,7 @@ def metrics_router(service: JobService, readers: Callable[[], int]) -> APIRouter
     service.cell.vision.on_report(lambda _: pairs.inc())
 
     @router.get("/metrics", response_model=None, response_class=Response, responses=TEXT)
-    async def metrics() -> Response:
+    async def read_metrics() -> Response:
         """For a scraper; with keys, it sends one of a viewer."""
         return Response(generate_latest(registry), headers={"Content-Type": CONTENT_TYPE_LATEST})
 

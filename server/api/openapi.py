@@ -1,5 +1,6 @@
 """The OpenAPI document: what every operation may answer because of the guard, problems with their media type, keys."""
 
+import re
 from typing import Any
 
 from fastapi import FastAPI
@@ -71,12 +72,21 @@ def completed(document: dict[str, Any]) -> dict[str, Any]:
     for name in ("HTTPValidationError", "ValidationError"):
         document["components"]["schemas"].pop(name, None)
     _tell_files(document["paths"])
+    _name(document["paths"])
     with_examples(document)
     _link(document["paths"])
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             _complete(operation, method.upper(), path)
     return document
+
+
+def _name(paths: dict[str, Any]) -> None:
+    """Operations by their short names, which generated clients make their functions of: a test holds them apart."""
+    for path, operations in paths.items():
+        for method, operation in operations.items():
+            made_longer = re.sub(r"\W", "_", path) + f"_{method}"  # as FastAPI does
+            operation["operationId"] = operation["operationId"].removesuffix(made_longer)
 
 
 def _tell_files(paths: dict[str, Any]) -> None:

@@ -44,12 +44,12 @@ def oversight_router(service: JobService, life: str) -> APIRouter:
     router = APIRouter(prefix="/v1", tags=["oversight"])
 
     @router.get("/faults", response_model=list[FaultView])
-    async def faults() -> list[FaultView]:
+    async def list_faults() -> list[FaultView]:
         """What is wrong with the machine now, the gravest first."""
         return fault_views(service)
 
     @router.get("/audit", response_model=list[AuditView], responses={503: {"model": Problem}})
-    async def audit(limit: Annotated[int, Query(ge=1, le=1000)] = 100, before: Before = 2**62) -> list[AuditView]:
+    async def list_audit(limit: Annotated[int, Query(ge=1, le=1000)] = 100, before: Before = 2**62) -> list[AuditView]:
         """Who commanded what and what came of it, newest first. For operators, engineers and admins."""
         if service.keeper is None:
             return []
@@ -57,7 +57,7 @@ def oversight_router(service: JobService, life: str) -> APIRouter:
         return [AuditView(**row) for row in rows]
 
     @router.get("/time", response_model=TimeView)
-    async def now() -> TimeView:
+    async def read_time() -> TimeView:
         """For the expiry of commands (Longreach-Expires), in this server's time."""
         return TimeView(t_unix_ns=time.time_ns(), t_mono_ns=time.monotonic_ns(), life=life)
 

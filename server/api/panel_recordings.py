@@ -46,7 +46,7 @@ def recordings_router(service: JobService) -> APIRouter:
     reading = asyncio.Lock()
 
     @router.get("", response_model=list[RecordingView])
-    async def recordings() -> list[RecordingView]:
+    async def list_panel_recordings() -> list[RecordingView]:
         """The newest first."""
         return await asyncio.to_thread(_listed, folder)
 
@@ -57,13 +57,13 @@ def recordings_router(service: JobService) -> APIRouter:
         return Response(LAYOUT.read_bytes(), media_type="application/json", headers=name)
 
     @router.get("/{name}/file", response_model=None)
-    async def file(name: str) -> FileResponse | JSONResponse:
+    async def recording_file(name: str) -> FileResponse | JSONResponse:
         """The MCAP file: opens in Foxglove and Rerun."""
         path = _path(folder, name)
         return FileResponse(path, media_type="application/octet-stream", filename=name) if path else _unknown(name)
 
     @router.get("/{name}/replay", response_model=None)
-    async def replay(name: str) -> Response:
+    async def recording_replay(name: str) -> Response:
         """What happened, second by second; read in a process of its own."""
         path = _path(folder, name)
         if path is None:
@@ -78,7 +78,7 @@ def recordings_router(service: JobService) -> APIRouter:
         return Response(opened.told, media_type="application/json")
 
     @router.get("/{name}/pictures/{start}-{end}", response_model=None)
-    async def picture(name: str, start: int, end: int) -> Response:
+    async def recording_picture(name: str, start: int, end: int) -> Response:
         """A picture of the run that was opened last."""
         if opened.name != name or not 0 <= start < end <= len(opened.pictures):
             return problem(404, "Not opened", "open the run's replay first", "not_opened")

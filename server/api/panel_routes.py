@@ -50,7 +50,7 @@ def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
         return GoalView(stand_off_mm=goal.stand_off_mm, offset_x_mm=goal.offset_x_mm, offset_y_mm=goal.offset_y_mm)
 
     @router.post("/v1/accept", status_code=204, response_model=None, responses=refused)
-    async def accept(lease: Annotated[Lease, Depends(control)]) -> JSONResponse | None:
+    async def accept_tool(lease: Annotated[Lease, Depends(control)]) -> JSONResponse | None:
         """Note that the last look is accepted as the result."""
         reason = memory.accept(lease.owner)
         return problem(409, "Not accepted", reason, "not_acceptable") if reason else None
@@ -62,7 +62,7 @@ def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
         return None if found else problem(404, "No such alarm", f"no alarm {code[:40]!r} is on", "no_such_alarm")
 
     @router.get("/v1/settings", response_model=list[SettingRow])
-    async def settings() -> list[SettingRow]:
+    async def list_settings() -> list[SettingRow]:
         """The resolved settings, with units; secrets are files and are named only."""
         return setting_rows(service.context.settings.model_dump())
 

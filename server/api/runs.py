@@ -34,12 +34,12 @@ def runs_router(folder: FilePath) -> APIRouter:
     router = APIRouter(prefix="/v1/runs", tags=["runs"])
 
     @router.get("", response_model=list[RunView])
-    async def runs(limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[RunView]:
+    async def list_runs(limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[RunView]:
         """The newest first."""
         return await asyncio.to_thread(_views, folder, limit)
 
     @router.get("/{run_id}/mcap", response_model=None, response_class=FileResponse, responses=FILE)
-    async def mcap(run_id: RunId) -> FileResponse | JSONResponse:
+    async def run_mcap(run_id: RunId) -> FileResponse | JSONResponse:
         """The file; `Range: bytes=...` takes a part of it, so that a download can go on after a break."""
         path = await asyncio.to_thread(run_path, folder, run_id)
         if path is None:

@@ -43,7 +43,7 @@ def session_router(gatekeeper: Gatekeeper, *, secure: bool) -> APIRouter:
         return HTMLResponse(LOGIN_PAGE, headers={"Content-Security-Policy": LOGIN_CSP, "Cache-Control": "no-store"})
 
     @router.get("/v1/session", response_model=WhoView)
-    async def who(request: Request) -> WhoView:
+    async def read_who(request: Request) -> WhoView:
         """Name and role of the caller."""
         caller = caller_of(request)
         return WhoView(name=caller.name, role=caller.role)

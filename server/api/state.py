@@ -41,7 +41,7 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
         return Response(states.text(), media_type="application/json", headers={"Cache-Control": "no-store"})
 
     @router.get("/v1/camera.jpg", response_model=None, response_class=Response, responses=PICTURE)
-    async def picture() -> Response:
+    async def camera_picture() -> Response:
         """The newest camera picture, left eye."""
         preview = service.cell.vision.latest_preview
         if preview is None:

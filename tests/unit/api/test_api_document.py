@@ -1,6 +1,7 @@
 """The OpenAPI document as programs read it: an example of every model, and that each is what it says."""
 
 import json
+import re
 
 import jsonschema
 import pytest
@@ -86,3 +87,12 @@ async def test_examples_of_requests_are_taken_by_the_server_itself(open_bench):
                 await open_bench.settled()
                 refused += [(name, answer.text)] if answer.status_code in (400, 422) else []
     assert refused == []
+
+
+def test_every_operation_has_a_short_name_of_its_own(document):
+    names = [one["operationId"] for operations in document["paths"].values() for one in operations.values()]
+    assert len(set(names)) == len(names)
+    assert all(re.fullmatch(r"[a-z]+(_[a-z]+)*", name) for name in names)
+    linked = re.findall(r"'operationId': '(\w+)', 'parameters'", str(document))
+    assert linked
+    assert set(linked) <= set(names)
