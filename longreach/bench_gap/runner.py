@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from longreach.bench_gap.code_mark import code_mark
+
 ROOT = Path(__file__).parents[2]
 PLANTS = ("own", "foreign")
 GENERATE = "tests.gap_benchmark.generate"
@@ -63,10 +65,11 @@ def run_campaign(
 ) -> int:
     """Run the cases that are not on file yet, `workers` at a time; how many could not be judged.
 
-    Raises: CampaignError: no generator here, or no baseline or table of limits could be made.
+    Raises: CampaignError: no generator here, cases made by other code, or no baseline or table of limits could be made.
     """
     if not (ROOT / "tests" / "gap_benchmark").is_dir():
         raise CampaignError("the generator lies in tests/ of the source tree; run this from a checkout")
+    _mark(asked)
     if not asked.machine.is_file():
         advance("fitting the baseline")
         _fit(asked)
@@ -79,6 +82,18 @@ def run_campaign(
             one.result()
             advance(f"case {number}")
     return sum(not one.result() for one in ended)
+
+
+def _mark(asked: Campaign) -> None:
+    """Write down which code makes these cases, or refuse to mix them with other ones."""
+    file, mark = asked.place / "code.txt", code_mark(ROOT)
+    if file.is_file() and file.read_text(encoding="utf-8").strip() != mark:
+        raise CampaignError(
+            f"{asked.place}: its cases were made by other code than this; rates of two versions mean nothing together. "
+            "Delete the folder, or give another --folder; --tell shows what is there"
+        )
+    asked.place.mkdir(parents=True, exist_ok=True)
+    file.write_text(mark + "\n", encoding="utf-8")
 
 
 def _case_once(asked: Campaign, number: int) -> bool:
