@@ -20,6 +20,7 @@ from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
 
+AXES = 3
 ROUNDS = 20
 TINY = 1e-30
 NOTHING = 1e-6  # share of the mean square
@@ -69,15 +70,17 @@ def _plain(cells: list[Cell], where: Remainder) -> Remainder:
     """Remainder [m or px] of points or corners, in all and by axis: nothing is whitened there."""
     if where.stage == "camera":
         return _of_corners(cells, where)
-    squares = [cell.whitened(cell.base)[0] ** 2 for cell in cells]
-    found = [
-        np.array([np.mean(r2[cell.rows.channel == k]) for k in range(3)])
-        for cell, r2 in zip(cells, squares, strict=True)
-    ]
-    noise = np.array([cell.scale[:3] ** 2 for cell in cells])
-    by_axis = np.sqrt(common_excess(noise * np.array(found), noise))
+    noise = np.array([cell.scale[:AXES] ** 2 for cell in cells])
+    found = np.array([_mean_squares(cell) for cell in cells])
+    by_axis = np.sqrt(common_excess(noise * found, noise))
     left = float(np.sqrt(np.mean(by_axis**2)))
     return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis))
+
+
+def _mean_squares(cell: Cell) -> Array:
+    """Of a cell's whitened residual, by axis (3,)."""
+    squares = cell.whitened(cell.base)[0] ** 2
+    return np.array([np.mean(squares[cell.rows.channel == k]) for k in range(AXES)])
 
 
 def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
@@ -89,6 +92,8 @@ def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
             raw = replace(seen, noise=PLAIN)(cell.base)[0]
             found.append(np.concatenate(variances_of(raw, seen.frames.groups)))
             noise.append(np.concatenate([seen.noise.own**2, seen.noise.shared**2]))
+    if not found:
+        return where
     own, shared = np.split(common_excess(np.array(found), np.array(noise)), 2)
     left = float(np.sqrt(np.mean(own)))
     both = float(np.sqrt(np.mean(own + shared)))
@@ -130,7 +135,10 @@ def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
 
 def moments(runs: list[Array]) -> Array:
     """Mean products (p + 1, p + 1) of a sample and the p before it, over runs (m,) without a mean."""
-    rows = np.concatenate([sliding_window_view(run, ORDER_MAX + 1) for run in runs if len(run) > ORDER_MAX])[:, ::-1]
+    long = [sliding_window_view(run, ORDER_MAX + 1) for run in runs if len(run) > ORDER_MAX]
+    if not long:
+        return np.zeros((ORDER_MAX + 1, ORDER_MAX + 1))
+    rows = np.concatenate(long)[:, ::-1]
     return rows.T @ rows / len(rows)
 
 

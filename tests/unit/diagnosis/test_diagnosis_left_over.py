@@ -81,3 +81,9 @@ def test_moments_that_no_process_has_are_made_those_of_one() -> None:
     assert np.isfinite(ar).all()
     assert sigma > 0.0
     assert max(abs(np.roots(np.concatenate([[1.0], -ar])))) < 1.0
+
+
+def test_runs_too_short_for_the_filter_leave_nothing() -> None:
+    totals = moments([np.ones(3)])
+    assert (totals == 0.0).all()
+    assert common_process(totals[None], totals[None])[1] == 0.0
