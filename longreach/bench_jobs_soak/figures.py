@@ -10,6 +10,7 @@ from longreach.bench_jobs_soak.sample import MIB, Growth, growth_of
 
 SLOPE_MAX_MIB_H = 2.0
 WARM_UP_S = 400.0  # three minutes of PLC samples and 600 pairs with their previews are kept: until those are full
+WARM_UP_CASES = 70  # the last 200 jobs are kept with their stories, about three a case: until those are full, too
 WARM_UP_FRAC_MAX = 0.4  # of a short run
 
 
@@ -42,7 +43,8 @@ def figures_of(cases: Sequence[SoakCase]) -> Figures:
     longest = max(lengths, key=lambda segment: lengths[segment])
     segment = [case for case in cases if case.segment == longest]
     warm_s = min(WARM_UP_S, WARM_UP_FRAC_MAX * segment[-1].t_s)
-    kept = [case for case in segment if case.t_s >= warm_s]
+    warm = int(min(WARM_UP_CASES, WARM_UP_FRAC_MAX * len(segment)))
+    kept = [case for case in segment[warm:] if case.t_s >= warm_s]
     t_s = [case.t_s for case in kept]
     per_case = (kept[-1].store_bytes - kept[0].store_bytes) / (len(kept) - 1) if len(kept) > 1 else 0.0
     return Figures(

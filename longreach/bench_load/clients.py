@@ -42,6 +42,7 @@ class Seen:
     event_bytes: int = 0
     readers_at_end: int = 0
     reader_events_min: int = 0
+    cpu_s: float = 0.0  # of this process: what clients elsewhere would not take from the machine that is measured
 
 
 async def demand(asked: Demand) -> Seen:
@@ -114,11 +115,13 @@ async def _ask(asked: Demand, seen: Seen, free: "asyncio.Queue[Connection | None
 
 def _run(pipe: Pipe, asked: Demand) -> None:
     """Entry point of the process."""
-    pipe.send(asyncio.run(demand(asked)))
+    seen = asyncio.run(demand(asked))
+    seen.cpu_s = time.process_time()
+    pipe.send(seen)
 
 
-def in_own_process(asked: Demand, meanwhile: Callable[[], None], started: Callable[[int], None]) -> Seen:
-    """The same from a process of its own. `started` is told its pid, `meanwhile` is called about twice a second.
+def in_own_process(asked: Demand, meanwhile: Callable[[], None]) -> Seen:
+    """The same from a process of its own; `meanwhile` is called about twice a second.
 
     Raises: EOFError: the process ended without a word.
     """
@@ -127,7 +130,6 @@ def in_own_process(asked: Demand, meanwhile: Callable[[], None], started: Callab
     process = context.Process(target=_run, args=(theirs, asked), name="load-clients", daemon=True)
     process.start()
     theirs.close()
-    started(process.pid or 0)
     try:
         while not ours.poll(0.5):
             meanwhile()

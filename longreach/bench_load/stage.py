@@ -78,9 +78,10 @@ class Stage:
         self.watch.look()
         self.mover.taken()
         before, pairs, started_s = self._cpu(), self.watch.pairs(), time.monotonic()
-        seen = in_own_process(wanted, self.watch.look, self._note_clients)
+        seen = in_own_process(wanted, self.watch.look)
         took_s, pairs = time.monotonic() - started_s, self.watch.pairs() - pairs
         cpu = {name: round((spent - before.get(name, 0.0)) / took_s, 3) for name, spent in self._cpu().items()}
+        cpu["clients"] = round(seen.cpu_s / took_s, 3)
         return self._told(number, clients, took_s, pairs, cpu, seen)
 
     def _told(
@@ -106,9 +107,6 @@ class Stage:
             readers_at_end=seen.readers_at_end,
             reader_events_min=seen.reader_events_min,
         )
-
-    def _note_clients(self, pid: int) -> None:
-        self.pids["clients"] = pid
 
     def _cpu(self) -> dict[str, float]:
         return {name: cpu_s(pid) for name, pid in self.pids.items()}
