@@ -20,9 +20,9 @@ from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
 
-AXES = 3
-ROUNDS = 20
-TINY = 1e-30
+AXES = 3  # radial, tangential, up
+ROUNDS = 20  # of weighing anew; it settles within a few
+TINY = 1e-30  # keeps weights finite where nothing is measured
 NOTHING = 1e-6  # share of the mean square
 WHITE = 1e-3  # of the variance: the least eigenvalue of the moments
 

@@ -15,7 +15,7 @@ from server.api.fault_list import fault_views
 from server.api.lease_views import control_view
 from server.api.problems import problem
 from server.api.state_cache import StateCache
-from server.api.views import Problem
+from server.api.views import EVENT_STREAM, Problem
 from server.jobs.engine import Job, JobEvent
 from server.jobs.service import JobService
 
@@ -23,7 +23,7 @@ READERS_MAX = 200
 WATCH_S = 0.2
 STATE_EVERY = 5  # of WATCH_S: a state a second
 SSE: dict[int | str, dict[str, Any]] = {
-    200: {"description": "server-sent events; data is JSON", "content": {"text/event-stream": {}}},
+    200: EVENT_STREAM,
     503: {"model": Problem, "description": "too many readers"},
 }
 

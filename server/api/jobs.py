@@ -14,7 +14,7 @@ from server.api.job_commands import JobCommands, Sent
 from server.api.lease import FencingHeader, LeaseHeader, leased
 from server.api.problems import problem
 from server.api.state_view import job_view
-from server.api.views import JobView, Problem
+from server.api.views import EVENT_STREAM, JobView, Problem
 from server.jobs.engine import Job
 from server.jobs.service import JobBody, JobService
 
@@ -30,7 +30,7 @@ ExpiresHeader = Annotated[
     Header(ge=0, le=1e11, description="unix seconds of this server (GET /v1/time) after which not to start; 0: never"),
 ]
 STORY: dict[int | str, dict[str, Any]] = {
-    200: {"description": "server-sent events; data is JSON", "content": {"text/event-stream": {}}},
+    200: EVENT_STREAM,
     404: {"model": Problem},
 }
 EVENT_POLL_S = 0.1

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from longreach.saved_file import save_whole
 from machine.effects.registry import effect_named
 from machine.remainder import Remainder, parse_remainders
 from tests.gap_benchmark import nominal_own as own
@@ -299,9 +300,7 @@ def main() -> None:
     answer = json.loads((given.folder / "answer.json").read_text(encoding="utf-8"))
     machine = tomllib.loads(given.machine.read_text(encoding="utf-8"))
     score = judged(truth, answer, parse_remainders(machine.get("remainder")), plant_named(given.plant))
-    part = given.folder / "score.part"
-    part.write_text(json.dumps(score), encoding="utf-8")
-    part.replace(given.folder / "score.json")  # whole or not at all: its presence says that the case is done
+    save_whole(given.folder / "score.json", json.dumps(score))  # its presence says that the case is done
 
 
 if __name__ == "__main__":

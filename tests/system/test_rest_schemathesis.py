@@ -85,11 +85,8 @@ def test_whatever_the_holder_of_control_sends_is_answered_as_documented(tmp_path
     kind = "fleet" if role == "fleet" else "operator"
     with served(tmp_path) as (url, made), keyed(url, made.keys[role]) as http, LeaseHolder(http, role, kind) as holder:
         proofs = [part for name, value in holder.headers.items() for part in ("-H", f"{name}: {value}")]
-        left_out = ["--exclude-path", "/v1/lease/take"]  # it would end this control
-        left_out += [
-            "--exclude-checks",
-            "negative_data_rejection",
-        ]  # our proofs stand in place of the wrong ones it makes
+        # /take would end this control; and our proofs stand in place of the wrong ones that it makes
+        left_out = ("--exclude-path", "/v1/lease/take", "--exclude-checks", "negative_data_rejection")
         cases, _ = run(url, made.keys[role], *proofs, *left_out, "--phases", "coverage,fuzzing")
         begun = jobs_of(made)
         print(f"{role} in control: {cases} cases, {len(begun)} jobs begun, {outcomes_of(made)}")
@@ -108,6 +105,6 @@ def test_whatever_a_role_sends_is_answered_as_documented_and_moves_nothing_witho
         )
         begun = jobs_of(made)
         print(f"{role}: {cases} cases, {len(begun)} jobs begun, {outcomes_of(made)}")
-        assert cases >= 2000 or int(examples) < 40, "five roles together: 10,000 cases"
+        assert cases >= 2000 or int(examples) < 30, "five roles together: 10,000 cases"
         assert all(fencing > 0 for fencing, _ in begun)
         assert role != "viewer" or (not begun and not made.performer.performed)

@@ -10,6 +10,7 @@ from pathlib import Path
 import httpx
 import numpy as np
 import pytest
+from drill_pc import received
 from kill_drill import figures_table, kill_drill, machine_text, simulator
 
 from machine.description import parse_machine_toml
@@ -50,7 +51,7 @@ def test_it_arms_over_eap_and_ends_cleanly_on_sigterm():
         deadline = time.monotonic() + READY_S
         while not (link.linked and link.state.plc_state is PlcState.HOLD):
             assert time.monotonic() < deadline, link.last_reject
-            drain(udp, link)
+            received(udp, link)
             datagram = link.send(time.monotonic_ns())
             if datagram:
                 udp.sendto(datagram, ("127.0.0.1", port))
@@ -62,14 +63,6 @@ def test_it_arms_over_eap_and_ends_cleanly_on_sigterm():
         process.join(10.0)
         assert process.exitcode == 0
     assert not any(memory.exists() for memory in mapped)
-
-
-def drain(udp, link):
-    while True:
-        try:
-            link.receive(udp.recv(4096), time.monotonic_ns())
-        except OSError:
-            return
 
 
 def test_two_simulators_cannot_share_a_port():
