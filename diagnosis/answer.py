@@ -25,6 +25,11 @@ METRICS = {
 
 def answer(found: Diagnosis) -> dict[str, Any]:
     """Everything the contract asks for."""
+    return {**judgement(found), "next_experiment": next_experiment(found)}
+
+
+def judgement(found: Diagnosis) -> dict[str, Any]:
+    """What the recording says, without what to do next."""
     hypotheses = [_hypothesis(found, number) for number in range(min(len(found.hypotheses), HYPOTHESES_MAX))]
     return {
         "format_version": FORMAT,
@@ -39,7 +44,6 @@ def answer(found: Diagnosis) -> dict[str, Any]:
         "shrink": _shrink(found),
         "unexplained": _unexplained(found.cells),
         "detection_limits": _limits(found.cells),
-        "next_experiment": next_experiment(found),
         "missing": _missing(found),
         "findings": [{"code": f.code, "severity": f.severity, "text": str(f)} for f in found.whole.findings],
         "searched": [_searched(one) for one in found.cells],

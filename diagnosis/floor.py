@@ -7,8 +7,8 @@ from repeats, never from the residual of the model under test, which would hide 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 
 from diagnosis.errors import DiagnosisError
 from machine.rotations import Array
@@ -116,10 +116,21 @@ def with_remainder(floor: Floor, steps: list[Array], ar: Array, sigma: Array, rm
 
 def _process(ar: Array, sigma: float, order: int) -> Array:
     """Autocovariance (order + 1,) of an autoregression, by its response to one innovation."""
-    response = np.asarray(lfilter([1.0], np.concatenate([[1.0], -ar]), np.eye(1, RESPONSE)[0]), dtype=float)
+    response = _response(np.asarray(ar, dtype=float), RESPONSE)
     if not np.isfinite(response).all() or abs(response[-1]) > 1e-3:  # on the edge of stability: as white
         return _white(sigma, order)
     return sigma**2 * np.array([float(response[: RESPONSE - k] @ response[k:]) for k in range(order + 1)])
+
+
+@njit(cache=True)
+def _response(ar: Array, count: int) -> Array:
+    """What follows one innovation of an autoregression (count,); scipy.signal takes two seconds to import."""
+    out = np.zeros(count)
+    for i in range(count):
+        out[i] = 1.0 if i == 0 else 0.0
+        for k in range(min(i, len(ar))):
+            out[i] += ar[k] * out[i - 1 - k]
+    return out
 
 
 def _white(sigma: float, order: int) -> Array:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from diagnosis.answer import answer
+from diagnosis.answer import judgement
 from diagnosis.diagnose import Diagnosis, concluded
 from diagnosis.search import searched_without
 
@@ -27,7 +27,7 @@ def _holds(candidates: tuple[Any, ...], name: str) -> bool:
 
 
 def _told(name: str, left: Diagnosis) -> dict[str, Any]:
-    result = answer(left)
+    result = judgement(left)
     best = result["hypotheses"][0]["effects"] if result["hypotheses"] else []
     return {
         "without": name,

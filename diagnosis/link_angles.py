@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from diagnosis.stretches import Stretch
@@ -30,7 +31,7 @@ class Path:
     t_s: Array
     enc: Array
     plant: Actuators | None
-    courses: dict[bytes, Array] = field(default_factory=dict, compare=False)  # behind play and swing
+    courses: dict[tuple[int, bytes], Array] = field(default_factory=dict, compare=False)  # behind play and swing
 
 
 def paths_of(stretches: tuple[Stretch, ...], plant: Actuators | None) -> tuple[Path, ...]:
@@ -58,29 +59,50 @@ def inside(paths: tuple[Path, ...], t_s: Array, margin_s: float = 0.0) -> NDArra
 
 def link_angles(paths: tuple[Path, ...], sets: ParameterSets, which: int, at: NDArray[np.int64], t_s: Array) -> Array:
     """Link-side angles (m, n) of one set at times (m,) that lie in paths `at` (m,)."""
-    out = np.zeros((len(t_s), sets.joint.shape[1]))
+    n = sets.joint.shape[1]
+    out, times = np.zeros((len(t_s), n)), np.ascontiguousarray(t_s, dtype=float)
+    encoders = np.ones((len(paths), n), dtype=bool)
+    loose = np.any(sets.joint[which][:, [kernel.BACKLASH, kernel.FLEX_GAIN]], axis=1)
+    keys = [sets.joint[which, j, COURSE_COLUMNS].tobytes() if loose[j] else b"" for j in range(n)]
     for k in np.unique(at):
-        path, rows = paths[int(k)], at == k
-        course = _behind_joint(path, sets, which)
-        out[rows] = np.stack(
-            [np.interp(t_s[rows], path.t_s, column) for column in (path.enc if course is None else course).T], axis=1
-        )
-        if course is None:  # the encoders' map is smooth: after the interpolation it costs a tenth
-            out[rows] = true_angles(sets, out[rows], which)
-    return out
+        path = paths[k]
+        for j in range(n):
+            encoders[k, j] = path.plant is None or not loose[j]
+            values = path.enc[:, j] if encoders[k, j] else _behind_joint(path, sets, which, j, keys[j])
+            _interpolate(path.t_s, values, at, k, times, out[:, j])
+    rows = encoders[at]
+    # the encoders' map is smooth: after the interpolation it costs a tenth
+    return np.where(rows, true_angles(sets, out, which), out) if rows.any() else out
 
 
-def _behind_joint(path: Path, sets: ParameterSets, which: int) -> Array | None:
-    """Link-side angles at the log's rows (m, n); None without play and swing, where the encoders tell them."""
-    if path.plant is None or not np.any(sets.joint[which][:, [kernel.BACKLASH, kernel.FLEX_GAIN]]):
-        return None
-    key = sets.joint[which][:, COURSE_COLUMNS].tobytes()
-    if key not in path.courses:
-        one = ParameterSets(sets.joint[which : which + 1].copy(), sets.machine[which : which + 1].copy())
-        if len(path.courses) >= REMEMBERED:
+@njit(cache=True)
+def _interpolate(at_s: Array, values: Array, path_of: NDArray[np.int64], path: int, times_s: Array, out: Array) -> None:
+    """Those of `out` (m,) that lie in `path`: values (k,) at at_s (k,), straight between, held beyond the ends."""
+    last = len(at_s) - 1
+    for i in range(len(times_s)):
+        if path_of[i] != path:
+            continue
+        right = np.searchsorted(at_s, times_s[i], side="right")
+        if right == 0 or right > last:
+            out[i] = values[0 if right == 0 else last]
+            continue
+        share = (times_s[i] - at_s[right - 1]) / (at_s[right] - at_s[right - 1])
+        out[i] = values[right - 1] + share * (values[right] - values[right - 1])
+
+
+def _behind_joint(path: Path, sets: ParameterSets, which: int, j: int, key: bytes) -> Array:
+    """Link-side angles of joint j (0-based), which has play or swing, at the path's rows (m,); joint by joint, since
+    most sets differ in one.
+    """
+    if path.plant is None:
+        return path.enc[:, j]
+    if (j, key) not in path.courses:
+        alone = replace(path.plant, joints=path.plant.joints[j : j + 1])
+        one = ParameterSets(sets.joint[which : which + 1, j : j + 1].copy(), sets.machine[which : which + 1].copy())
+        if len(path.courses) >= REMEMBERED * sets.joint.shape[1]:
             path.courses.pop(next(iter(path.courses)))
-        path.courses[key] = simulate(path.plant, one, drive_joint(path.plant, path.enc)).link[0]
-    return path.courses[key]
+        path.courses[j, key] = simulate(alone, one, drive_joint(alone, path.enc[:, j : j + 1])).link[0, :, 0]
+    return path.courses[j, key]
 
 
 def without_encoders(sets: ParameterSets) -> ParameterSets:

@@ -91,6 +91,8 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
         if nominal.T_base_tracker is None:
             T = rigid_fit(data.xyz, modelled)
         residual = data.xyz @ T[:3, :3].T + T[:3, 3] - modelled
+        if nominal.T_base_tracker is not None:
+            break  # nothing depends on the frame: places are settled, too
         error = float(np.sqrt(np.mean(residual**2)))
         if abs(before - error) < SETTLED_M:
             break

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import chdtrc, erfc  # scipy.stats takes a second to import
 
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.score import Score
@@ -98,7 +98,7 @@ def _energy(cell: Cell, r: Array) -> list[Fired]:
     ratio = float(r @ r) / n
     if ratio - 1.0 < ENERGY_MIN + REMAINDER_VARIES * cell.left_share or not cell.floor_known:
         return []
-    return [Fired("energy", cell.stage, cell.joint, ratio, float(stats.chi2.sf(r @ r, n)), "", 1.0 - 1.0 / ratio)]
+    return [Fired("energy", cell.stage, cell.joint, ratio, float(chdtrc(n, r @ r)), "", 1.0 - 1.0 / ratio)]
 
 
 def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:
@@ -124,7 +124,7 @@ def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:
     lead = f"goes on over {lag * 0.05:.2g} s"
     size = float(rho @ rho)
     share = min(1.0, size)  # what its own past explains of it
-    return [Fired("autocorrelation", cell.stage, cell.joint, size, float(stats.chi2.sf(q, LAGS)), lead, share)]
+    return [Fired("autocorrelation", cell.stage, cell.joint, size, float(chdtrc(LAGS, q)), lead, share)]
 
 
 def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
@@ -136,7 +136,7 @@ def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
         if power == 0.0:
             continue
         rho = float(x @ y) / power
-        p = float(2.0 * stats.norm.sf(abs(rho) * np.sqrt(len(x))))
+        p = float(erfc(abs(rho) * np.sqrt(0.5 * len(x))))  # two-sided
         if abs(rho) * np.sqrt(quiet) > CORRELATION_MIN:
             found.append(Fired("correlation", cell.stage, cell.joint, abs(rho), p, f"goes with {name}", rho**2))
     return found

@@ -4,6 +4,7 @@ import csv as csv_format
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -118,15 +119,44 @@ def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[
     first = next(iter(places))
     if not places[first]:
         raise RecordingError(f"{path}: column '{csv_fields(row_type)[0][1]}' is missing; the file cannot be placed")
+    quick = {name: _quick(hints[name], at) for name, at in places.items()}
 
     def take(number: int, cells: list[str]) -> Row:
         values: dict[str, Any] = {}
-        for name, columns in places.items():
-            texts = [cells[place] if place < len(cells) else "" for place in columns]
-            values[name] = _value(hints[name], texts, f"{path}, line {number}, {name}")
+        for name, converted in quick.items():
+            try:
+                values[name] = converted(cells)
+            except (ValueError, IndexError):  # missing, wrong or short: a closer look
+                texts = [cells[place] if place < len(cells) else "" for place in places[name]]
+                values[name] = _value(hints[name], texts, f"{path}, line {number}, {name}")
         return row_type(**values)
 
     return take
+
+
+def _quick(kind: object, columns: list[int]) -> Callable[[list[str]], object]:
+    """A field of a row in which all is there, as in nearly every row. Raises: ValueError, IndexError: it is not."""
+    if kind is str or not columns:
+        return _not_quick
+    column = columns[0]
+    if kind is int:
+        return lambda cells: int(cells[column])
+    if kind != Floats:
+        return lambda cells: float(cells[column])
+    if len(columns) == 1:
+        return lambda cells: _there((float(cells[column]),))
+    chosen = itemgetter(*columns)
+    return lambda cells: _there(tuple(map(float, chosen(cells))))
+
+
+def _not_quick(_cells: list[str]) -> object:
+    raise ValueError
+
+
+def _there(numbers: Floats) -> Floats:
+    if math.isnan(sum(numbers)):
+        raise ValueError
+    return numbers
 
 
 def _places(pattern: str, header: list[str]) -> list[int]:

@@ -15,7 +15,7 @@ from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
 from server.api.application import Served, application
 from server.api.panel import install_panel
-from server.api.slow_clients import PatientH11Protocol
+from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.cell import Cell
@@ -37,7 +37,7 @@ from server.warm_up import warm_up
 
 DATABASE_NAME = "longreach.sqlite3"
 # Control is kept alive every 5 s (a third of its time to live), and 5 s are also uvicorn's default: a renewal could
-# meet a connection just closing. PatientH11Protocol ends an idle one after 10 to 20 s; this is the outer bound.
+# meet a connection just closing. PatientProtocol ends an idle one after 10 to 20 s; this is the outer bound.
 KEEP_ALIVE_S = 20
 
 
@@ -139,7 +139,7 @@ def config_of(app: FastAPI, http: HttpSettings) -> uvicorn.Config:
         port=http.port,
         log_level="warning",
         access_log=False,  # its lines would hold lease ids
-        http=PatientH11Protocol,
+        http=PatientProtocol,
         proxy_headers=http.behind_proxy,
         server_header=False,
         timeout_keep_alive=KEEP_ALIVE_S,

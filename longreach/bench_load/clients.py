@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection as Pipe
-from typing import cast
+from typing import Self, cast
 
 from longreach.bench_load.http_client import AnswerError, Connection
 
@@ -115,27 +115,38 @@ async def _ask(asked: Demand, seen: Seen, free: "asyncio.Queue[Connection | None
 
 def _run(pipe: Pipe, asked: Demand) -> None:
     """Entry point of the process."""
-    seen = asyncio.run(demand(asked))
-    seen.cpu_s = time.process_time()
+    pipe.send("ready")
+    pipe.recv()
+    before_s, seen = time.process_time(), asyncio.run(demand(asked))
+    seen.cpu_s = time.process_time() - before_s
     pipe.send(seen)
 
 
-def in_own_process(asked: Demand, meanwhile: Callable[[], None]) -> Seen:
-    """The same from a process of its own; `meanwhile` is called about twice a second.
+class ClientProcess:
+    """The same in a process of its own, which has begun and imported everything before anything is measured."""
 
-    Raises: EOFError: the process ended without a word.
-    """
-    context = multiprocessing.get_context("spawn")
-    ours, theirs = cast("tuple[Pipe, Pipe]", context.Pipe(duplex=False))
-    process = context.Process(target=_run, args=(theirs, asked), name="load-clients", daemon=True)
-    process.start()
-    theirs.close()
-    try:
-        while not ours.poll(0.5):
+    def __init__(self, asked: Demand) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = cast("tuple[Pipe, Pipe]", context.Pipe())
+        self._process = context.Process(target=_run, args=(theirs, asked), name="load-clients", daemon=True)
+        self._process.start()
+        theirs.close()
+
+    def __enter__(self) -> Self:
+        """Wait until it is ready. Raises: EOFError: the process ended without a word."""
+        self._pipe.recv()
+        return self
+
+    def __exit__(self, *_exc: object) -> None:
+        """End it."""
+        self._process.join(5.0)
+        if self._process.is_alive():
+            self._process.kill()
+        self._pipe.close()
+
+    def demand(self, meanwhile: Callable[[], None]) -> Seen:
+        """Do it; `meanwhile` is called about twice a second. Raises: EOFError: the process ended without a word."""
+        self._pipe.send("go")
+        while not self._pipe.poll(0.5):
             meanwhile()
-        return cast("Seen", ours.recv())
-    finally:
-        process.join(5.0)
-        if process.is_alive():
-            process.kill()
-        ours.close()
+        return cast("Seen", self._pipe.recv())

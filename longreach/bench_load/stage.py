@@ -10,7 +10,7 @@ from pathlib import Path
 import httpx
 
 from longreach.bench_load.block import Block
-from longreach.bench_load.clients import Demand, Seen, in_own_process
+from longreach.bench_load.clients import ClientProcess, Demand, Seen
 from longreach.bench_load.mover import Mover
 from longreach.fleet_client import JobClient
 from longreach.kill_drill.plc_process import PlcProcess
@@ -74,12 +74,13 @@ class Stage:
     def block(self, number: int, asked: Demand, clients: bool) -> Block:
         """Measure for that long."""
         wanted = asked if clients else Demand(asked.port, 0, 0.0, asked.seconds)
-        self.watch.reset()
-        self.watch.look()
-        self.mover.taken()
-        before, pairs, started_s = self._cpu(), self.watch.pairs(), time.monotonic()
-        seen = in_own_process(wanted, self.watch.look)
-        took_s, pairs = time.monotonic() - started_s, self.watch.pairs() - pairs
+        with ClientProcess(wanted) as clients_process:
+            self.watch.reset()
+            self.watch.look()
+            self.mover.taken()
+            before, pairs, started_s = self._cpu(), self.watch.pairs(), time.monotonic()
+            seen = clients_process.demand(self.watch.look)
+            took_s, pairs = time.monotonic() - started_s, self.watch.pairs() - pairs
         cpu = {name: round((spent - before.get(name, 0.0)) / took_s, 3) for name, spent in self._cpu().items()}
         cpu["clients"] = round(seen.cpu_s / took_s, 3)
         return self._told(number, clients, took_s, pairs, cpu, seen)

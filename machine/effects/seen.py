@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
-from machine.camera import distort_rays
 from machine.description import StereoCamera
 from machine.effects.layout import (
     CLOCK_OFFSET,
@@ -127,19 +127,49 @@ def _sheared(pixels: Array, later: Array, height_px: int, readout_over_dt: float
 
 
 def _both_eyes(sets: ParameterSets, lens: StereoCamera, poses: Array, points: Array, which: int) -> tuple[Array, Array]:
-    at_left = np.einsum("mij,kcj->mkci", poses[:, :3, :3], points) + poses[:, None, None, :3, 3]
-    at_right = at_left - np.array([lens.baseline_m, 0.0, 0.0])
     turn = sets.machine[which, STEREO]
-    if np.any(turn):
-        at_right = at_right @ rotation_from_rotvec(turn)  # R_left_right: p_right = R^T p
-    return _pixels(lens, at_left), _pixels(lens, at_right)
+    R_left_right = rotation_from_rotvec(turn) if np.any(turn) else np.eye(3)  # p_right = R^T p
+    numbers = np.array([lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px, *lens.distortion])
+    shape = (len(poses), *points.shape[:2], 2)
+    left, right = np.empty(shape), np.empty(shape)
+    _project(np.ascontiguousarray(poses), points, lens.baseline_m, R_left_right, numbers, left, right)
+    return left, right
 
 
-def _pixels(lens: StereoCamera, points: Array) -> Array:
-    depth = np.where(points[..., 2:] > DEPTH_MIN_M, points[..., 2:], np.nan)
-    rays = (points[..., :2] / depth).reshape(-1, 2)
-    focal, centre = np.array([lens.fx_px, lens.fy_px]), np.array([lens.cx_px, lens.cy_px])
-    return (distort_rays(lens, rays) * focal + centre).reshape(*points.shape[:-1], 2)
+@njit(cache=True)
+def _project(
+    poses: Array, points: Array, baseline_m: float, R_left_right: Array, lens: Array, left: Array, right: Array
+) -> None:
+    """`project_stereo` of points (k, c, 3) under poses (m, 4, 4), the right eye turned, in one pass."""
+    at, turned = np.zeros(3), np.zeros(3)
+    for i in range(poses.shape[0]):
+        for k in range(points.shape[0]):
+            for c in range(points.shape[1]):
+                for row in range(3):
+                    at[row] = poses[i, row, 3]
+                    for column in range(3):
+                        at[row] += poses[i, row, column] * points[k, c, column]
+                _pixel(at, lens, left[i, k, c])
+                at[0] -= baseline_m
+                for row in range(3):
+                    turned[row] = 0.0
+                    for column in range(3):
+                        turned[row] += R_left_right[column, row] * at[column]
+                _pixel(turned, lens, right[i, k, c])
+
+
+@njit(cache=True)
+def _pixel(at: Array, lens: Array, out: Array) -> None:
+    """`machine.camera.project` of one point (3,); lens: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+    if at[2] <= DEPTH_MIN_M:
+        out[0] = out[1] = np.nan
+        return
+    x, y = at[0] / at[2], at[1] / at[2]
+    k1, k2, p1, p2, k3 = lens[4], lens[5], lens[6], lens[7], lens[8]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    out[0] = (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) * lens[0] + lens[2]
+    out[1] = (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) * lens[1] + lens[3]
 
 
 def seen_odometry(sets: ParameterSets, Ts_base_cam: Array, which: int = 0) -> Array:

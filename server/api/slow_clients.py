@@ -1,15 +1,15 @@
-"""Connections that open and then say nothing, or half a request for ever, are closed (slow clients hold no socket)."""
+"""Connections that open and then say nothing, or a head without end, are closed (slow clients hold no socket)."""
 
 import asyncio
 
-import h11
-from uvicorn.protocols.http.h11_impl import H11Protocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 HEADER_S = 10.0  # a request's head is one packet; uvicorn itself closes idle connections after their first answer
+HEAD_MAX = 64 * 1024  # the parser itself keeps whatever comes
 
 
-class PatientH11Protocol(H11Protocol):
-    """uvicorn's h11 protocol that looks every HEADER_S whether one request's head has been awaited all that time.
+class PatientProtocol(HttpToolsProtocol):
+    """uvicorn's protocol that looks every HEADER_S whether one request's head has been awaited all that time.
 
     A kept-alive connection that asks steadily awaits a head at nearly every look, but each time another one.
     """
@@ -17,6 +17,7 @@ class PatientH11Protocol(H11Protocol):
     _watch: asyncio.TimerHandle | None = None
     _awaited: int | None = None  # number of the request whose head was awaited at the last look
     _answered = 0
+    _head_bytes = 0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to look."""
@@ -26,22 +27,47 @@ class PatientH11Protocol(H11Protocol):
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop looking."""
-        if self._watch is not None:
-            self._watch.cancel()
+        self._look_no_more()
         super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Read on, unless a head has become too long."""
+        self._head_bytes += len(data)
+        super().data_received(data)
+        if self._head_bytes > HEAD_MAX and self._awaits_head and not self.transport.is_closing():
+            self.send_400_response(f"The head is longer than {HEAD_MAX} bytes.")
+
+    def on_headers_complete(self) -> None:
+        """A head has come whole."""
+        super().on_headers_complete()
+        self._head_bytes = 0
 
     def on_response_complete(self) -> None:
         """Count: the next head is another one."""
         self._answered += 1
+        self._head_bytes = 0
         super().on_response_complete()
+
+    def handle_websocket_upgrade(self) -> None:
+        """From here on the connection is the WebSocket's, which has its own pings."""
+        self._look_no_more()
+        super().handle_websocket_upgrade()
+
+    @property
+    def _awaits_head(self) -> bool:
+        return self.cycle is None or self.cycle.response_complete
 
     def _look_later(self) -> None:
         self._watch = self.loop.call_later(HEADER_S, self._look)
 
+    def _look_no_more(self) -> None:
+        if self._watch is not None:
+            self._watch.cancel()
+
     def _look(self) -> None:
         if self.transport.is_closing():
             return
-        awaited = self._answered if self.conn.their_state is h11.IDLE else None
+        awaited = self._answered if self._awaits_head else None
         if awaited is not None and awaited == self._awaited:
             self.transport.close()
             return

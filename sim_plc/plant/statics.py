@@ -17,15 +17,13 @@ def frames(tree: Tree, q: Array) -> tuple[Array, Array]:
 def gravity_torques(tree: Tree, gravity: Array, q: Array) -> Array:
     """Torque of the weights about every joint axis, shape (11,) [N m]; at rest motors must give its negative.
 
-    Model:   t_i = z_i . sum_k>=i (c_k - p_i) x m_k g.
+    Model:   t_i = z_i . sum_k>=i (c_k - p_i) x m_k g = z_i . (sum_k>=i m_k c_k - p_i sum_k>=i m_k) x g.
     """
     R, p = frames(tree, q)
     coms = p + np.einsum("nij,nj->ni", R, tree.com)
-    weights = tree.mass[:, None] * gravity
-    torques = np.zeros(N_JOINTS)
-    for i in range(N_JOINTS):
-        torques[i] = R[i, :, 2] @ np.cross(coms[i:] - p[i], weights[i:]).sum(axis=0)
-    return torques
+    outboard = np.cumsum(tree.mass[::-1])[::-1]
+    moments = np.cumsum((tree.mass[:, None] * coms)[::-1], axis=0)[::-1] - outboard[:, None] * p
+    return np.einsum("ni,ni->n", R[:, :, 2], moments @ skew(gravity))
 
 
 def sagged(tree: Tree, gravity: Array, q_motor: Array, stiffness: Array) -> Array:
@@ -33,7 +31,11 @@ def sagged(tree: Tree, gravity: Array, q_motor: Array, stiffness: Array) -> Arra
     q = np.zeros(N_JOINTS)
     q[MOTORS] = q_motor
     for _ in range(30):
-        q[FLEXES] = gravity_torques(tree, gravity, q)[FLEXES] / stiffness
+        bent = gravity_torques(tree, gravity, q)[FLEXES] / stiffness
+        settled = np.array_equal(bent, q[FLEXES])
+        q[FLEXES] = bent
+        if settled:
+            break
     return q
 
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import bilinear, lfilter
 
 from machine.description import StereoCamera
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
@@ -16,6 +15,7 @@ from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree, build_tree
 from sim_plc.plant.truth import KinematicTruth, PlantTruth
 from tests.gap_benchmark import nominal_own as own
 from tests.gap_benchmark.faults import Faults
+from tests.gap_benchmark.filters import filtered_by
 from tests.gap_benchmark.own_plant import encoder_rows, true_at, truth
 
 TILTED_STEP = (0, 1, 4)  # the tree's step that ends at slew, lift, tilt
@@ -124,13 +124,15 @@ def swung(faults: Faults, tree_q: Array, motors: Sequence[int]) -> Array:
     out = tree_q
     for one in faults.injected:
         if one.name == "link_flexibility" and one.joint is not None:
+            from scipy.signal import bilinear  # it takes two seconds to import
+
             w, zeta = 2.0 * np.pi * one.values["frequency_hz"], one.values["damping"]
             numerator, denominator = bilinear(
                 [-one.size, 0.0, 0.0], [1.0, 2.0 * zeta * w, w * w], 1.0 / own.CYCLE_S
             )  # fmt: skip
             i = motors[one.joint - 1]
             out = out.copy()
-            out[:, i] += lfilter(numerator, denominator, tree_q[:, i] - tree_q[0, i])
+            out[:, i] += filtered_by(numerator, denominator, tree_q[:, i] - tree_q[0, i])
     return out
 
 

@@ -29,6 +29,7 @@ from tests.gap_benchmark.sensitivity import (
     signature,
     size2,
     sized,
+    speed_noise_of,
 )
 
 SEED = 4242  # of the recording that the table is made on
@@ -43,7 +44,9 @@ def scenes(remainders: tuple[Remainder, ...], plant: Plant = OWN) -> list[Scene]
     made = make(faults_of((), own.N), NOISES[0], SEED, plant)
     first = scene_of(made, NOISES[0], SEED, remainders)
     return [
-        replace(first, noise=n, speed_noise=first.speed_noise * (n.speed / NOISES[0].speed) ** 2, plain={}, place=[])
+        replace(
+            first, noise=n, speed_noise=speed_noise_of(first) * (n.speed / NOISES[0].speed) ** 2, plain={}, place=[]
+        )
         for n in NOISES
     ]
 

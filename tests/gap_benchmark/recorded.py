@@ -168,12 +168,8 @@ def write(made: Made, folder: Path, name: str, machine: str, foreign: str = "", 
 
 
 def _plc_rows(made: Made) -> list[tuple]:
-    return [
-        (t, int(k), *ref, *enc, *u, *p)
-        for t, k, ref, enc, u, p in zip(
-            made.t_s, made.number, made.ref, made.course.enc, made.course.u, made.course.pressures, strict=True
-        )
-    ]
+    numbers = np.concatenate([made.ref, made.course.enc, made.course.u, made.course.pressures], axis=1).tolist()
+    return [(t, int(k), *row) for t, k, row in zip(made.t_s.tolist(), made.number, numbers, strict=True)]
 
 
 def _run_toml(pieces: tuple[motion.Piece, ...], name: str) -> str:

@@ -7,7 +7,6 @@ that the generator draws, and what the machine file's baseline says it leaves ([
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from machine.remainder import Remainder
 from machine.rotations import Array
@@ -15,11 +14,12 @@ from tests.gap_benchmark import behind, own_plant
 from tests.gap_benchmark import faults as f
 from tests.gap_benchmark import nominal_own as own
 from tests.gap_benchmark.faults import Faults, Injected, faults_of
+from tests.gap_benchmark.filters import filtered_by, whitened_by
 from tests.gap_benchmark.link import received
 from tests.gap_benchmark.plants import Arm, Plant
 from tests.gap_benchmark.recorded import CAMERA_S, STATIC, TRACKER_S, Made, Noise, streams
 from tests.gap_benchmark.scales import BY_NAME, Kind
-from tests.gap_benchmark.whitening import ORDER, covariance_of, filtered, process
+from tests.gap_benchmark.whitening import covariance_of, filtered, process
 
 BLOCK = round(0.05 / own.CYCLE_S)
 LEAST = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # smaller moves the tip by less than 0.1 mm
@@ -36,8 +36,8 @@ class Scene:
     noise: Noise
     seed: int
     remainders: tuple[Remainder, ...]
-    speed_noise: Array  # (ORDER + 1, joints) autocovariance of the encoders' increments, by disturbance alone
     shock: Array  # the disturbance as it was drawn: the same commands and shocks give the same motion again
+    speed_noise: Array | None = None  # `speed_noise_of` once it was asked for
     plain: dict[str, Array] = field(default_factory=dict)  # what is measured behind the joints, noise-free
     place: list[Array] = field(default_factory=list)  # change of the corners with the object's place
 
@@ -53,24 +53,26 @@ class Scene:
 
 
 def scene_of(made: Made, noise: Noise, seed: int, remainders: tuple[Remainder, ...]) -> Scene:
-    """A recording without faults, with its floor: the disturbance's part by a second run with other noise."""
+    """A recording without faults, with its floor."""
     shock = streams(seed)["plant"].normal(0.0, noise.speed, made.ref.shape)
-    scene = Scene(made, noise, seed, remainders, np.zeros((ORDER + 1, own.N)), shock)
-    other = np.random.default_rng([seed, 99]).normal(0.0, noise.speed, made.ref.shape)
-    again = made.plant.run(faults_of((), own.N), made.ref, other, made.course.u)
-    apart = (again.enc - made.course.enc) / np.sqrt(2.0)
-    steps = np.diff(_means(apart), axis=0)
-    scene.speed_noise = np.stack([covariance_of(column) for column in steps.T], axis=1)
-    return scene
+    return Scene(made, noise, seed, remainders, shock)
+
+
+def speed_noise_of(scene: Scene) -> Array:
+    """Autocovariance (ORDER + 1, joints) of the encoders' increments by disturbance: a second run with another."""
+    if scene.speed_noise is None:
+        made = scene.made
+        other = np.random.default_rng([scene.seed, 99]).normal(0.0, scene.noise.speed, made.ref.shape)
+        again = made.plant.run(faults_of((), own.N), made.ref, other, made.course.u)
+        apart = (again.enc - made.course.enc) / np.sqrt(2.0)
+        steps = np.diff(_means(apart), axis=0)
+        scene.speed_noise = np.stack([covariance_of(column) for column in steps.T], axis=1)
+    return scene.speed_noise
 
 
 def _means(values: Array) -> Array:
     rows = len(values) // BLOCK * BLOCK
     return values[:rows].reshape(-1, BLOCK, values.shape[1]).mean(axis=1)
-
-
-def _filtered(x: Array, ar: tuple[float, ...]) -> Array:
-    return np.asarray(lfilter(np.concatenate([[1.0], -np.array(ar)]), [1.0], x))
 
 
 def signature(scene: Scene, one: Injected) -> Signature:
@@ -130,7 +132,9 @@ def _controller(scene: Scene, faults: Faults) -> Signature:
     steps = np.diff(_means(commands[1] - commands[0]), axis=0)
     for j in range(own.N):
         record = scene.record("controller", j + 1)
-        out[f"controller {j + 1}"] = _filtered(steps[:, j], record.ar) / np.hypot(LEAST["controller"], record.sigma)
+        out[f"controller {j + 1}"] = whitened_by(np.array(record.ar), steps[:, j]) / np.hypot(
+            LEAST["controller"], record.sigma
+        )
     return out
 
 
@@ -140,7 +144,7 @@ def _commands(plant: Plant, faults: Faults, ref: Array, enc: Array) -> Array:
         wanted = joint.kp_frac_per_rad * (1.0 + faults.joint[j, f.KP_GAIN]) * (ref[:, j] - enc[:, j])
         tau = joint.pt1_tau_s * (1.0 + faults.joint[j, f.KP_LAG])
         share = 1.0 - np.exp(-own.CYCLE_S / tau) if tau > 0.0 else 1.0
-        lagged = lfilter([share], [1.0, share - 1.0], wanted)
+        lagged = filtered_by(np.array([share]), np.array([1.0, share - 1.0]), wanted)
         most = faults.joint[j, f.U_LIMIT]
         out[:, j] = np.clip(lagged, -most, most)
     return out
@@ -161,7 +165,7 @@ def encoder_signature(scene: Scene, change: Array) -> Signature:
     out: Signature = {}
     for j in range(own.N):
         record = scene.record("actuator", j + 1)
-        both = process(record.ar, record.sigma) + scene.speed_noise[:, j]
+        both = process(record.ar, record.sigma) + speed_noise_of(scene)[:, j]
         out[f"actuator {j + 1}"] = filtered(steps[:, j], both, LEAST["actuator"])
     return out
 

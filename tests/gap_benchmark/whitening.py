@@ -2,9 +2,9 @@
 
 import numpy as np
 from scipy.linalg import solve_toeplitz
-from scipy.signal import lfilter
 
 from machine.rotations import Array
+from tests.gap_benchmark.filters import response_of, whitened_by
 
 ORDER = 6
 RESPONSE = 1000
@@ -17,7 +17,7 @@ def covariance_of(steps: Array) -> Array:
 
 def process(ar: tuple[float, ...], sigma: float) -> Array:
     """Autocovariance (ORDER + 1,) of an autoregression."""
-    response = lfilter([1.0], np.concatenate([[1.0], -np.array(ar)]), np.eye(1, RESPONSE)[0])
+    response = response_of(np.array(ar), RESPONSE)
     return sigma**2 * np.array([float(response[: RESPONSE - k] @ response[k:]) for k in range(ORDER + 1)])
 
 
@@ -25,4 +25,4 @@ def filtered(steps: Array, covariance: Array, least: float) -> Array:
     """Increments (m,) in floors behind the filter that whitens a covariance; `least`: sigma is never below it."""
     a = solve_toeplitz(covariance[:-1] * np.concatenate([[1.0 + 1e-9], np.ones(ORDER - 1)]), covariance[1:])
     sigma = np.hypot(least, np.sqrt(max(float(covariance[0] - a @ covariance[1:]), 0.0)))
-    return np.asarray(lfilter(np.concatenate([[1.0], -a]), [1.0], steps)) / sigma
+    return whitened_by(a, steps) / sigma

@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "unit" / "api"))
 from served import Bench, bench
 
 from longreach.processes import free_port
-from server.api.slow_clients import PatientH11Protocol
+from server.api.slow_clients import PatientProtocol
 
 
 @contextlib.contextmanager
@@ -27,7 +27,7 @@ def served(folder: Path, keyed: bool = True) -> Iterator[tuple[str, Bench]]:
             yield
 
     made.app.router.lifespan_context = lifespan
-    config = uvicorn.Config(made.app, port=port, log_level="warning", access_log=False, http=PatientH11Protocol)
+    config = uvicorn.Config(made.app, port=port, log_level="warning", access_log=False, http=PatientProtocol)
     config.timeout_graceful_shutdown = 1
     server = uvicorn.Server(config)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve()), daemon=True)

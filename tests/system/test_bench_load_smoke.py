@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from rest_stand import served
 
 from longreach.bench_load.block import Block, block_from, verdict_of
-from longreach.bench_load.clients import Demand, demand, in_own_process
+from longreach.bench_load.clients import ClientProcess, Demand, demand
 from longreach.bench_load.command import line, summary
 from longreach.bench_load.http_client import Connection
 
@@ -27,7 +27,8 @@ def port(tmp_path_factory) -> int:
 def test_every_question_is_counted_and_every_reader_hears_something(port):
     looks = []
     asked = Demand(port, readers=5, rate_hz=40.0, seconds=1.5)
-    seen = in_own_process(asked, lambda: looks.append(1))
+    with ClientProcess(asked) as clients:
+        seen = clients.demand(lambda: looks.append(1))
     assert len(seen.latencies_us) == 60
     assert seen.statuses == {200: 60}
     assert all(us > 0 for us in seen.latencies_us)

@@ -8,6 +8,8 @@ from urllib.parse import urlsplit
 
 import httpx
 import pytest
+from fastapi import WebSocket
+from websockets.sync.client import connect
 
 sys.path.insert(0, str(Path(__file__).parent))
 from rest_stand import served
@@ -61,3 +63,32 @@ def test_a_kept_alive_connection_that_asks_steadily_stays_open(tmp_path, monkeyp
                     said += (more := connection.recv(65536))
                     assert more, "closed between two requests"
                 time.sleep(0.02)
+
+
+def test_a_head_without_end_is_refused_before_it_fills_the_memory(tmp_path):
+    with served(tmp_path, keyed=False) as (url, _):
+        at = urlsplit(url).hostname, urlsplit(url).port
+        with socket.create_connection(at, timeout=10.0) as connection, pytest.raises(ConnectionError):
+            connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX-Long: " + b"a" * 64_000_000)
+
+
+def test_the_largest_body_is_no_long_head(tmp_path, monkeypatch):
+    monkeypatch.setattr(slow_clients, "HEAD_MAX", 1000)
+    with served(tmp_path, keyed=False) as (url, _), httpx.Client(timeout=10.0) as client:
+        for _ in range(5):
+            assert client.post(f"{url}/v1/jobs", content=b"x" * 5000).status_code == 422
+
+
+def test_a_websocket_that_says_nothing_stays_open(tmp_path, monkeypatch):
+    monkeypatch.setattr(slow_clients, "HEADER_S", 0.1)
+    with served(tmp_path, keyed=False) as (url, made):
+
+        @made.app.websocket("/v1/echo")
+        async def echo(socket: WebSocket) -> None:
+            await socket.accept()
+            await socket.send_text(await socket.receive_text())
+
+        with connect(url.replace("http", "ws") + "/v1/echo") as opened:
+            time.sleep(0.6)
+            opened.send("still there")
+            assert opened.recv(timeout=10.0) == "still there"

@@ -1,0 +1,75 @@
+"""Link-side angles between logged rows: as numpy interpolates, joint by joint as all joints at once."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis_cases import MACHINE_TOML
+
+from diagnosis.link_angles import Path, link_angles
+from machine.description import parse_machine_toml
+from machine.effects import kernel
+from machine.effects.dynamics import actuators_of, drive_joint, simulate
+from machine.effects.encoders import true_angles
+from machine.effects.layout import ParameterSets, neutral_sets
+
+PLANT = replace(actuators_of(parse_machine_toml(MACHINE_TOML)), cycle_s=0.01, log_cycle_s=0.01)
+N = PLANT.n
+
+
+def path(start_s: float, plant=PLANT) -> Path:
+    t = start_s + 0.01 * np.arange(400)
+    phases = np.arange(N)
+    return Path(t, np.ascontiguousarray(0.3 * np.sin(2.0 * t[:, None] + phases)), plant)
+
+
+PATHS = (path(0.0), path(10.0))
+TIMES = np.array([0.0, 0.0031, 1.2, 3.99, 10.0, 12.34567, 13.98, 20.0])
+AT = np.array([0, 0, 0, 0, 1, 1, 1, 1])
+
+
+def loose(joints: tuple[int, ...]) -> ParameterSets:
+    sets = neutral_sets(N)
+    sets.joint[0, :, kernel.BIAS], sets.joint[0, :, kernel.SCALE] = 1e-3, 1e-3
+    for j in joints:
+        sets.joint[0, j, kernel.BACKLASH] = 2e-3
+    return sets
+
+
+def test_without_play_the_encoders_tell() -> None:
+    found = link_angles(PATHS, loose(()), 0, AT, TIMES)
+    for k, one in enumerate(PATHS):
+        rows = k == AT
+        between = np.stack([np.interp(TIMES[rows], one.t_s, column) for column in one.enc.T], axis=1)
+        assert found[rows] == pytest.approx(true_angles(loose(()), between), abs=1e-15)
+
+
+def test_joint_by_joint_is_all_joints_at_once() -> None:
+    sets = loose((0, 2))
+    found = link_angles(PATHS, sets, 0, AT, TIMES)
+    for k, one in enumerate(PATHS):
+        rows = k == AT
+        whole = simulate(PLANT, sets, drive_joint(PLANT, one.enc)).link[0]
+        between = np.stack([np.interp(TIMES[rows], one.t_s, column) for column in whole.T], axis=1)
+        assert found[rows] == pytest.approx(between, abs=2e-8)  # rigid joints: the map is not quite straight
+
+
+def test_a_course_is_simulated_once_and_only_for_the_joint_that_changed(monkeypatch: pytest.MonkeyPatch) -> None:
+    runs: list[int] = []
+    monkeypatch.setattr("diagnosis.link_angles.simulate", lambda *a: (runs.append(1), simulate(*a))[1])
+    fresh = (path(0.0),)
+    before = link_angles(fresh, loose((0, 2)), 0, AT[:4], TIMES[:4])
+    assert len(runs) == 2
+    assert np.array_equal(link_angles(fresh, loose((0, 2)), 0, AT[:4], TIMES[:4]), before)
+    changed = loose((0, 2))
+    changed.joint[0, 2, kernel.BACKLASH] = 4e-3
+    assert not np.array_equal(link_angles(fresh, changed, 0, AT[:4], TIMES[:4]), before)
+    assert len(runs) == 3
+
+
+def test_a_path_without_actuators_lies_beside_one_with() -> None:
+    mixed = (path(0.0), path(10.0, None))
+    found = link_angles(mixed, loose((1,)), 0, AT, TIMES)
+    plain = link_angles(PATHS, loose(()), 0, AT, TIMES)
+    assert found[4:] == pytest.approx(plain[4:], abs=1e-15)
+    assert found[:4, 1] != pytest.approx(plain[:4, 1], abs=1e-5)
