@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
 from machine.effects import kernel
-from machine.effects.dynamics import Actuators, drive_joint, simulate
+from machine.effects.dynamics import Actuators
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
@@ -97,11 +97,10 @@ def _behind_joint(path: Path, sets: ParameterSets, which: int, j: int, key: byte
     if path.plant is None:
         return path.enc[:, j]
     if (j, key) not in path.courses:
-        alone = replace(path.plant, joints=path.plant.joints[j : j + 1])
-        one = ParameterSets(sets.joint[which : which + 1, j : j + 1].copy(), sets.machine[which : which + 1].copy())
         if len(path.courses) >= REMEMBERED * sets.joint.shape[1]:
             path.courses.pop(next(iter(path.courses)))
-        path.courses[j, key] = simulate(alone, one, drive_joint(alone, path.enc[:, j : j + 1])).link[0, :, 0]
+        readings = np.ascontiguousarray(path.enc[:, j])
+        path.courses[j, key] = kernel.course(sets.joint[which, j], readings, path.plant.log_cycle_s)
     return path.courses[j, key]
 
 

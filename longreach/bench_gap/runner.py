@@ -2,24 +2,31 @@
 
 import json
 import os
+import queue
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from longreach.bench_gap.code_mark import code_mark
+from longreach.bench_gap.warm import ONE_THREAD, Warm
 
 ROOT = Path(__file__).parents[2]
 PLANTS = ("own", "foreign")
 GENERATE = "tests.gap_benchmark.generate"
+STAGES = {  # module -> what it imports beforehand
+    GENERATE: GENERATE,
+    "longreach.cli": "longreach.diagnose_command",
+    "tests.gap_benchmark.judge": "tests.gap_benchmark.judge",
+}
 UNDISTURBED = 18  # recordings for a baseline: three to fit, fifteen to judge, all noise levels
 CASE_S = 3600.0  # a process that takes longer is stopped, and its case is run again next time
 BAD_INPUT = 2  # exit code of a recording that the tool will not judge: a refusal, not a crash
-ONE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 class CampaignError(Exception):
@@ -76,8 +83,11 @@ def run_campaign(
     if not asked.limits.is_file():
         advance("the scorer's detection limits")
         _limits(asked)
-    with ThreadPoolExecutor(workers) as pool:  # each waits for processes of its own
-        ended = [pool.submit(_case_once, asked, number) for number in numbers]
+    with ExitStack() as stack, ThreadPoolExecutor(workers) as pool:  # each waits for processes of its own
+        free: queue.SimpleQueue[Hands] = queue.SimpleQueue()
+        for _ in range(min(workers, len(numbers))):
+            free.put({name: stack.enter_context(Warm(name, first, ROOT)) for name, first in STAGES.items()})
+        ended = [pool.submit(_case_once, asked, number, free) for number in numbers]
         for number, one in zip(numbers, ended, strict=True):
             one.result()
             advance(f"case {number}")
@@ -96,19 +106,28 @@ def _mark(asked: Campaign) -> None:
     file.write_text(mark + "\n", encoding="utf-8")
 
 
-def _case_once(asked: Campaign, number: int) -> bool:
+Hands = dict[str, Warm]  # a process for each stage of a case
+
+
+def _case_once(asked: Campaign, number: int, free: "queue.SimpleQueue[Hands]") -> bool:
     folder = asked.place / f"case{number:05d}"
-    return (folder / "score.json").is_file() or _case(asked, number, folder)
+    if (folder / "score.json").is_file():
+        return True
+    hands = free.get()
+    try:
+        return _case(asked, number, folder, hands)
+    finally:
+        free.put(hands)
 
 
 def _fit(asked: Campaign) -> None:
     """The plant's baseline, from undisturbed recordings, by the command that a person would use."""
     folder = asked.folder / f"{asked.plant}-undisturbed"
     made = ["--undisturbed", str(UNDISTURBED), "--out", str(folder), "--plant", asked.plant]
-    _run(["-m", GENERATE, *made], folder, None)
+    _run(["-m", GENERATE, *made], folder)
     recordings = [str(folder / f"undisturbed{k}") for k in range(UNDISTURBED)]
     fitting = ["-m", "longreach.cli", "diagnose", *recordings, "--fit-baseline", "--out", str(asked.machine)]
-    ended = _run(fitting, folder, None)
+    ended = _run(fitting, folder)
     if not asked.machine.is_file():
         raise CampaignError(f"no baseline could be made; see {folder / 'log.txt'}")
     (folder / "baseline.txt").write_text(ended.text, encoding="utf-8")
@@ -117,48 +136,55 @@ def _fit(asked: Campaign) -> None:
 def _limits(asked: Campaign) -> None:
     folder = asked.folder / f"{asked.plant}-undisturbed"
     table = ["--machine", str(asked.machine), "--out", str(asked.limits), "--plant", asked.plant]
-    _run(["-m", "tests.gap_benchmark.limits", *table], folder, None)
+    _run(["-m", "tests.gap_benchmark.limits", *table], folder)
     if not asked.limits.is_file():
         raise CampaignError(f"no table of limits could be made; see {folder / 'log.txt'}")
 
 
-def _case(asked: Campaign, number: int, folder: Path) -> bool:
+def _case(asked: Campaign, number: int, folder: Path, hands: Hands) -> bool:
     """One case from its truth to its score; False where a process crashed or was stopped."""
     folder.mkdir(parents=True, exist_ok=True)
     machine = ["--machine", str(asked.machine), "--plant", asked.plant]
     case = ["--case", str(number), "--seed", str(asked.seed), "--out", str(folder), "--limits", str(asked.limits)]
     size = ["--factor", str(asked.factor)] if asked.factor is not None else []
-    if _run(["-m", GENERATE, *case, *machine, *size], folder).code != 0:
+    if _stage(hands, GENERATE, [*case, *machine, *size], folder).code != 0:
         return False
     lacking = (folder / "lacking.txt").read_text(encoding="utf-8").strip()  # no secret: the tool has to do without it
     how = ["--without", lacking] if lacking else ["--leave-named-out"]
     answer = folder / "answer.json"
-    told = _run(
-        ["-m", "longreach.cli", "diagnose", str(folder / "recording"), "--json", str(answer), *how], folder
+    told = _stage(
+        hands, "longreach.cli", ["diagnose", str(folder / "recording"), "--json", str(answer), *how], folder
     )  # fmt: skip
     if told.code == BAD_INPUT:
         answer.write_text(json.dumps({"refused_to_read": told.text[-2000:]}), encoding="utf-8")
     elif told.code != 0:
         return False
-    judged = _run(["-m", "tests.gap_benchmark.judge", "--folder", str(folder), *machine], folder)
+    judged = _stage(hands, "tests.gap_benchmark.judge", ["--folder", str(folder), *machine], folder)
     if judged.code == 0:
         for file in (folder / "recording").glob("*.csv"):
             file.unlink()  # the generator makes it again from its numbers
     return judged.code == 0
 
 
-def _run(arguments: list[str], folder: Path, longest_s: float | None = CASE_S) -> Ended:
-    """A process of its own, politely; its words also go to the folder's log."""
+def _stage(hands: Hands, module: str, arguments: list[str], folder: Path) -> Ended:
+    """One stage of a case in a process of its own; its words also go to the case's log."""
+    words, log = folder / "words.txt", folder / "log.txt"
+    words.unlink(missing_ok=True)
+    code = hands[module].run(arguments, words, CASE_S)
+    text = words.read_text(encoding="utf-8", errors="replace") if words.is_file() else ""
+    words.unlink(missing_ok=True)
+    with log.open("a", encoding="utf-8") as file:
+        file.write(f"$ -m {module} {' '.join(arguments)}\n{text}\nexit {code}\n")
+    return Ended(code, text)
+
+
+def _run(arguments: list[str], folder: Path) -> Ended:
+    """A process of its own, politely, however long it takes; its words also go to the folder's log."""
     folder.mkdir(parents=True, exist_ok=True)
     environment = {**os.environ, **dict.fromkeys(ONE_THREAD, "1")}
     command = [*(["nice", "-n", "19"] if shutil.which("nice") else []), sys.executable, *arguments]
-    try:
-        done = subprocess.run(
-            command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=longest_s, check=False
-        )
-        ended = Ended(done.returncode, done.stdout + done.stderr)
-    except subprocess.TimeoutExpired:
-        ended = Ended(None, f"stopped after {longest_s:g} s")
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    ended = Ended(done.returncode, done.stdout + done.stderr)
     with (folder / "log.txt").open("a", encoding="utf-8") as log:
         log.write(f"$ {' '.join(arguments)}\n{ended.text}\nexit {ended.code}\n")
     return ended

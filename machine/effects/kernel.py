@@ -23,6 +23,8 @@ DELAY, LOSS, FLOW_LIMIT, PAYLOAD = 0, 1, 2, 3
 KV, WN, ZETA, KP, TAU = 0, 1, 2, 3, 4
 # Stages that a run begins and ends with.
 LINK, CONTROLLER, ACTUATOR, JOINT = 0, 1, 2, 3
+# A link behind its joint: where its side of the play is [rad], its speed, the swing [rad] and its speed.
+SIDE, SIDE_D, BEND, BEND_D = 0, 1, 2, 3
 
 RESTICK_SHARE = 0.2  # of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
 LOSS_STREAM = 0x7061636B65745F6C  # "packet_l": the stream of packet_loss
@@ -99,6 +101,31 @@ def _flow(x: float, inverse_span: float, gain_up: float, gain_down: float, p: Ar
     return opening * inverse_span * gain_up * droop if x > 0.0 else -opening * inverse_span * gain_down * droop
 
 
+@njit(cache=True, inline="always")
+def _follow(behind: Array, q: float, p: Array, swing: Array, cycle_s: float) -> None:
+    """One PLC cycle of a link behind its joint: play, then the swing that the link's side is kicked into."""
+    before, before_d = behind[SIDE], behind[SIDE_D]
+    behind[SIDE] = _play(q, before, 0.5 * p[BACKLASH])
+    behind[SIDE_D] = (behind[SIDE] - before) / cycle_s
+    kicked = behind[BEND_D] - p[FLEX_GAIN] * (behind[SIDE_D] - before_d)
+    behind[BEND_D] = swing[2] * behind[BEND] + swing[3] * kicked
+    behind[BEND] = swing[0] * behind[BEND] + swing[1] * kicked
+
+
+@njit(cache=True, nogil=True)
+def course(p: Array, enc: Array, cycle_s: float) -> Array:
+    """Link-side angles (m,) of one joint with parameters p (JOINT_COLUMNS,) behind its encoder's readings (m,), a row a
+    cycle: what `run` does in its last stage, for one joint and set.
+    """
+    swing, behind, out = np.zeros(4), np.zeros(4), np.zeros(len(enc))
+    _swing(2.0 * np.pi * p[FLEX_HZ], p[FLEX_DAMPING], cycle_s, swing)
+    behind[SIDE] = _true_angle(enc[0], p)
+    for k in range(len(enc)):
+        _follow(behind, _true_angle(enc[k], p), p, swing, cycle_s)
+        out[k] = behind[SIDE] + behind[BEND]
+    return out
+
+
 @njit(cache=True, nogil=True)
 def run(
     first: int,
@@ -132,7 +159,7 @@ def run(
     ref, lagged, u = np.zeros(n), np.zeros(n), np.zeros(n)
     play, slow, spool, spool_d, speed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     moving, q, enc = np.zeros(n), np.zeros(n), np.zeros(n)
-    side, side_d, bend, bend_d = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    behind = np.zeros((n, 4))
     pt1, slow_share, span = np.zeros(n), np.zeros(n), np.zeros(n)
     up, down, swing = np.zeros(n), np.zeros(n), np.zeros((n, 4))
     for s in range(sets):
@@ -157,8 +184,9 @@ def run(
             enc[j] = enc_start[j]
             q[j] = _true_angle(enc_start[j], P[j])
             lagged[j] = u[j] = play[j] = slow[j] = spool[j] = u_start[j]
-            spool_d[j] = moving[j] = side_d[j] = bend[j] = bend_d[j] = 0.0
-            side[j] = q[j]
+            spool_d[j] = moving[j] = 0.0
+            behind[j] = 0.0
+            behind[j, SIDE] = q[j]
         for k in range(cycles):
             row = k // decimate
             logged = row * decimate == k
@@ -195,18 +223,13 @@ def run(
                 for j in range(n):
                     if first == JOINT:
                         q[j] = _true_angle(enc_in[k, j], P[j])
-                    before, before_d = side[j], side_d[j]
-                    side[j] = _play(q[j], before, 0.5 * P[j, BACKLASH])
-                    side_d[j] = (side[j] - before) / cycle_s
-                    kicked = bend_d[j] - P[j, FLEX_GAIN] * (side_d[j] - before_d)
-                    bend_d[j] = swing[j, 2] * bend[j] + swing[j, 3] * kicked
-                    bend[j] = swing[j, 0] * bend[j] + swing[j, 1] * kicked
+                    _follow(behind[j], q[j], P[j], swing[j], cycle_s)
             if logged:
                 for j in range(n):
                     ref_out[s, row, j] = ref[j]
                     u_out[s, row, j] = u[j]
                     enc_out[s, row, j] = enc[j]
-                    link_out[s, row, j] = side[j] + bend[j]
+                    link_out[s, row, j] = behind[j, SIDE] + behind[j, BEND]
             if first <= ACTUATOR and last >= ACTUATOR:
                 for _ in range(substeps):
                     total = 0.0
