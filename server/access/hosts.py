@@ -1,9 +1,11 @@
 """Host and Origin: what a browser was told to reach, and which page told it. Pure."""
 
 import ipaddress
+from functools import lru_cache
 from urllib.parse import urlsplit
 
 
+@lru_cache(64)  # every request asks, nearly all of them for one name
 def host_allowed(host: str, extra: tuple[str, ...] = ()) -> bool:
     """Whether a Host header names this server: an IP address, localhost, or a name that the settings allow.
 

@@ -26,7 +26,7 @@ from server.api.problems import install_problem_handlers
 from server.api.runs import runs_router
 from server.api.session import session_router
 from server.api.state import state_router
-from server.api.state_cache import StateCache
+from server.api.state_cache import StateCache, straight_route
 from server.jobs.diagnosing import Diagnoses
 from server.jobs.lease_guard import guard_lease
 from server.jobs.service import JobService
@@ -90,5 +90,6 @@ def application(app: FastAPI, served: Served) -> Running:
         metrics_router(service, lambda: log.readers),
     ):
         app.include_router(router)
+    app.router.routes.insert(0, straight_route(cache))
     install_openapi(app)
     return Running(served, EventFeed(service, log, cache), diagnoses)

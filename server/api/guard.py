@@ -52,15 +52,17 @@ class Guard:
         """One connection."""
         if scope["type"] not in ("http", "websocket"):
             return await self._app(scope, receive, send)
-        request_id = _request_id(Headers(scope=scope))
+        headers = Headers(scope=scope)
+        request_id = _request_id(headers)
         try:
             scope.setdefault("state", {})["caller"] = self._gatekeeper.admit(credentials_of(scope), time.monotonic())
             scope["state"]["request_id"] = request_id
             if scope["type"] == "websocket":
                 return await self._app(scope, receive, send)
-            _check_length(Headers(scope=scope))
-            body = await _arrived(receive)
-            await self._app(scope, body.receive, _with_headers(send, request_id))
+            _check_length(headers)
+            if "content-length" in headers or "transfer-encoding" in headers:  # without either no body can come
+                receive = (await _arrived(receive)).receive
+            await self._app(scope, receive, _with_headers(send, request_id))
         except AccessError as error:
             await _refuse(error, scope, receive, send, request_id)
 

@@ -38,7 +38,7 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
     @router.get("/v1/state", response_model=StateView)
     async def read_state() -> Response:
         """Everything one screen needs, at one instant at most 50 ms ago."""
-        return Response(states.text(), media_type="application/json", headers={"Cache-Control": "no-store"})
+        return states.answer()
 
     @router.get("/v1/camera.jpg", response_model=None, response_class=Response, responses=PICTURE)
     async def camera_picture() -> Response:
