@@ -10,6 +10,7 @@ from diagnosis.fit import Fit
 from diagnosis.limits import Interval, closed_share
 from diagnosis.rivals import rivals
 from diagnosis.score import Score
+from diagnosis.shapes.found import left_shapes
 from diagnosis.weigh import calibration
 from machine.effects.registry import effect_named
 
@@ -25,7 +26,7 @@ METRICS = {
 
 def answer(found: Diagnosis) -> dict[str, Any]:
     """Everything the contract asks for."""
-    return {**judgement(found), "next_experiment": next_experiment(found)}
+    return {**judgement(found), "shapes": _shapes(found.cells), "next_experiment": next_experiment(found)}
 
 
 def judgement(found: Diagnosis) -> dict[str, Any]:
@@ -196,6 +197,21 @@ def _unexplained(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
         }
         for one in cells
         for fired in one.fired
+    ]
+
+
+def _shapes(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
+    """What the chosen names leave is a function of; less what the undisturbed machine shows, where a baseline says."""
+    return [
+        {
+            "stage": shape.stage,
+            "joint": shape.joint,
+            "measurement": shape.measurement,
+            "goes_with": shape.goes_with,
+            "nats": _round(shape.nats),
+        }
+        for one in cells
+        for shape in left_shapes(one.search.cell, one.chosen.held_out, one.chosen.total - one.search.none.total)
     ]
 
 

@@ -18,10 +18,11 @@ from diagnosis.reading import Read
 from diagnosis.refusal import key_of, pattern_nats, tests_of
 from diagnosis.score import Score, better, numbers_of, score
 from diagnosis.search import Scan, Search, foreseen, scan, search
+from diagnosis.shapes.found import shapes_of
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
 from machine.errors import MachineFileError
-from machine.remainder import USUAL_NAME, USUAL_NATS, Remainder, usual_name
+from machine.remainder import SHARE_MIN, USUAL_NAME, USUAL_NATS, Remainder, usual_name, usual_shape
 from machine.rotations import Array
 
 EFFECTS_MAX = 9  # in one cell
@@ -32,7 +33,6 @@ FELT = 100.0  # change of the residual, squared floors
 FEW = 2
 CHANCE_NATS = 4.5  # that the best of some dozen wrong names gains by chance: three quarters of the margin of a name
 CHANCE_MORE_NATS = 2.0  # for each further number that it may choose
-SHARE_MIN = 0.5  # a smaller share of the floor tells nothing of what a pattern would explain without noise
 CHECKED_MIN = 2  # recordings that the baseline is judged on
 Progress = Callable[[str], None]
 
@@ -262,8 +262,11 @@ def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
         sizes = usual.setdefault((part.stage, measurement_of(part)), {})
         for fired in tests_of(part, own, 1):
             sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)
-        alone = pattern_nats(part, own) / max(part.left_share, SHARE_MIN)  # as `usual_at` reads it
-        sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), alone)
+        drowned = max(part.left_share, SHARE_MIN)  # as `usual_at` reads it
+        sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), pattern_nats(part, own) / drowned)
+        for one in shapes_of(part, own, 0.0):
+            key = usual_shape(one.goes_with)
+            sizes[key] = max(sizes.get(key, 0.0), one.nats / drowned)
 
 
 def _with_usual(one: Remainder, usual: Usual) -> Remainder:

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 STAGES = ("link", "controller", "actuator", "structure", "camera")
 USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern explained, however small
 USUAL_NAME = "name "  # before an effect, among the usual tests: what that name gains there [nats]
+USUAL_SHAPE = "shape "  # before what a remainder may go with, among the usual tests: what it foretells there [nats]
+SHARE_MIN = 0.5  # of the floor: a smaller share tells little of what would be foretold without noise
 KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual", "by_axis"}
 
 
@@ -48,12 +50,23 @@ class Remainder:
         """The usual tests where the remainder is this share (0 to 1) of a recording's floor, in squares: noise drowns
         patterns, and what they explain [nats] with them.
         """
-        return tuple((name, size * share if name == USUAL_NATS else size) for name, size in self.usual)
+        return tuple((name, size * _drowned(name, share)) for name, size in self.usual)
+
+
+def _drowned(name: str, share: float) -> float:
+    if name.startswith(USUAL_SHAPE):
+        return max(share, SHARE_MIN)
+    return share if name == USUAL_NATS else 1.0
 
 
 def usual_name(name: str) -> str:
     """Key of an effect's name among the usual ones, on whatever joint."""
     return f"{USUAL_NAME}{name}"
+
+
+def usual_shape(goes_with: str) -> str:
+    """Key of what a remainder may go with among the usual ones."""
+    return f"{USUAL_SHAPE}{goes_with}"
 
 
 def parse_baseline(tables: object, n_joints: int) -> "tuple[EffectEntry, ...]":

@@ -28,12 +28,31 @@ def page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] = ()) -
         section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
         section("The same, run by the simulator", simulated_section(result)),
         section("What nothing explains", _table(result["unexplained"], UNEXPLAINED)),
+        section("What the remainder goes with", _shapes(result)),
         section("What the recording lacked", _table(result["missing"], (("signal", "signal"), ("costs", "costs")))),
         section("Findings about the recording", _table(result["findings"], FINDINGS)),
         _details("Every place: stage, joint, axis, regime", _table(_places(result), PLACES)),
         _details("Smallest effects this recording could have shown", _table(result["detection_limits"], LIMITS)),
     ]
     return document(f"{name}: {result['verdict']}", "".join(body))
+
+
+SHAPES = (
+    ("stage", "stage"),
+    ("joint", "joint"),
+    ("measurement", "seen by"),
+    ("goes_with", "goes with"),
+    ("nats", "nats foretold"),
+)
+
+
+def _shapes(result: dict[str, Any]) -> str:
+    """Leads, no verdict: what an unknown function of would foretell what the names leave."""
+    found = result.get("shapes", [])
+    if not found:
+        return "<p>nothing that was tried</p>"
+    why = "Functions of these foretell what the names above leave, where they were not fitted: where to look next."
+    return f"<p>{why}</p>" + _table(found, SHAPES)
 
 
 UNEXPLAINED = (

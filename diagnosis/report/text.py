@@ -2,6 +2,7 @@
 
 from typing import Any
 
+SHAPES_MAX = 6
 NAMES_MAX = 5
 
 
@@ -17,6 +18,9 @@ def lines(result: dict[str, Any]) -> list[str]:
         out.append(f"gap closed on held-out trajectories: {100 * closed:.3g} %")
     for one in result["unexplained"][:NAMES_MAX]:
         out.append(f"unexplained: {one['stage']} {one['joint'] or ''} {one['test']} {one['size']:.3g} {one['lead']}")
+    shapes = [f"{one['stage']} {one['joint'] or one['measurement']}: {one['goes_with']}" for one in result["shapes"]]
+    if shapes:
+        out.append(f"the remainder goes with: {', '.join(shapes[:SHAPES_MAX])}")
     following = result["next_experiment"]
     if following["what"]:
         out.append(f"next experiment: {following['what']}, {following['minutes']:g} min: {following['why']}")

@@ -1,0 +1,116 @@
+"""Families of functions for measured points and marker corners: of posture, motion, time, place in the image."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.cells_camera import CornerResidual
+from diagnosis.cells_points import PointResidual
+from diagnosis.link_angles import Path
+from machine.rotations import Array
+
+STILL_RAD_S = 2e-3
+SMOOTH_ROWS = 11
+ORDERS = 4  # of waves over an angle, a turn
+MINUTE_S = 60.0
+
+
+def point_columns(measured: PointResidual) -> dict[str, Array]:
+    """(3 m, k) by what they are functions of; each of radial, tangential and up has its own numbers."""
+    data = measured.data
+    out = {
+        "posture": _each(_powers(data.q), 3),
+        "waves over the angles": _each(_waves(data.q), 3),
+        "which point": _each(np.eye(int(data.which.max()) + 1)[data.which], 3),
+    }
+    if measured.paths:
+        v, a = _motion(measured.paths, measured.at, data.when)
+        out["motion"] = _each(np.concatenate([v, _side(v)], axis=1), 3)
+        out["acceleration"] = _each(a, 3)
+        out["time"] = _each(_time(data.when), 3)
+    return out
+
+
+def corner_columns(seen: CornerResidual) -> dict[str, Array]:
+    """(N, k) by what they are functions of, as white as the residual; u and v have their own numbers."""
+    pixels, camera = seen.frames.pixels, seen.nominal.camera
+    if camera is None:
+        return {}
+    there = np.isfinite(pixels)
+    frame, eye, marker, _, axis = np.nonzero(there)
+    centre, scale = np.array([camera.cx_px, camera.cy_px]), camera.fx_px
+    rays = np.repeat(((pixels - centre) / scale)[..., None, :], 2, axis=-2)[there]  # both coordinates at each one
+    x, y = rays.T
+    r2 = x * x + y * y
+    smooth = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, x * r2, y * r2], axis=1)
+    of_axis, of_marker = np.eye(2)[axis], np.eye(pixels.shape[2])[marker]
+    own = _times(of_marker, of_axis)
+    out = {
+        "place in the image": _times(smooth, np.eye(4)[2 * eye + axis]),
+        "which marker": own,
+        "time": _times(_time(seen.frames.t_s)[frame], own),
+    }
+    if seen.on == "ooi":
+        q = np.stack([_at(seen.paths, seen.at, seen.frames.t_s, k) for k in range(seen.paths[0].enc.shape[1])], axis=1)
+        v, _ = _motion(seen.paths, seen.at, seen.frames.t_s)
+        later = v * _time(seen.frames.t_s)[:, :1]
+        out["posture"] = _times(_powers(q)[frame], of_axis)
+        out["motion"] = _times(np.concatenate([v, _side(v), later], axis=1)[frame], of_axis)
+        out["motion by row"] = _times(v[frame], of_axis * y[:, None])
+    return {name: seen.noise.white(columns.T, seen.frames.groups).T for name, columns in out.items()}
+
+
+def _powers(q: Array) -> Array:
+    """1, q, and products of two (m, 1 + n + n (n + 1) / 2), about the middle."""
+    n = q.shape[1]
+    scaled = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9)
+    pairs = [scaled[:, i] * scaled[:, k] for i in range(n) for k in range(i, n)]
+    return np.stack([np.ones(len(q)), *scaled.T, *pairs], axis=1)
+
+
+def _waves(q: Array) -> Array:
+    """Sines and cosines of the first multiples of each angle (m, 2 n ORDERS)."""
+    turned = (q[:, :, None] * np.arange(1, ORDERS + 1)).reshape(len(q), -1)
+    return np.concatenate([np.sin(turned), np.cos(turned)], axis=1)
+
+
+def _time(t_s: Array) -> Array:
+    t = (t_s - t_s.min()) / MINUTE_S
+    return np.stack([t, t * t], axis=1)
+
+
+def _side(v: Array) -> Array:
+    """Which way each joint moves."""
+    return np.sign(np.where(np.abs(v) > STILL_RAD_S, v, 0.0))
+
+
+def _each(columns: Array, axes: int) -> Array:
+    """(m, k) -> (m axes, k axes)."""
+    return np.asarray(np.kron(columns, np.eye(axes)), dtype=float)
+
+
+def _times(a: Array, b: Array) -> Array:
+    """All products of columns (m, i) and (m, k): (m, i k)."""
+    return (a[:, :, None] * b[:, None, :]).reshape(len(a), -1)
+
+
+def _at(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array, joint: int) -> Array:
+    out = np.zeros(len(t_s))
+    for k in np.unique(at):
+        rows = at == k
+        out[rows] = np.interp(t_s[rows], paths[k].t_s, paths[k].enc[:, joint])
+    return out
+
+
+def _motion(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array) -> tuple[Array, Array]:
+    """Encoders' speeds and accelerations (m, n) each at times (m,) in paths `at` (m,)."""
+    n = paths[0].enc.shape[1]
+    v, a = np.zeros((len(t_s), n)), np.zeros((len(t_s), n))
+    window = np.ones(SMOOTH_ROWS) / SMOOTH_ROWS
+    for k in np.unique(at):
+        rows, path = at == k, paths[k]
+        for j in range(n):
+            smooth = np.convolve(path.enc[:, j], window, mode="same") if len(path.t_s) > SMOOTH_ROWS else path.enc[:, j]
+            speed = np.gradient(smooth, path.t_s)
+            v[rows, j] = np.interp(t_s[rows], path.t_s, speed)
+            a[rows, j] = np.interp(t_s[rows], path.t_s, np.gradient(speed, path.t_s))
+    return v, a

@@ -1,0 +1,155 @@
+"""Families of functions for link, controller and actuator: of what drives them and of their own modelled course.
+
+Never of what was measured at their end: that holds the very noise which the residual is made of.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.cells import Cell
+from diagnosis.cells_dynamic import LAST, OUTPUT, SKIPPED, Part, Replay, whiten_sets
+from diagnosis.floor import Whitener, increments
+from diagnosis.tables import filled
+from machine.effects.dynamics import simulate
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+KNOTS = 8
+ORDERS = 24  # of a wave over the angle, a turn
+SLOW_ORDERS = 4
+SMOOTH_S = 0.045
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Signals of one joint through a stretch, a row a log row (m,), and the time between two rows [s].
+
+    `q`: the stage's own modelled output; `drive`: what it answers to; `load`: gravity's part; `others`: (m, k) the
+    commands of the other joints; `t_s`: from the stretch's start.
+    """
+
+    dt_s: float
+    t_s: Array
+    q: Array
+    drive: Array
+    load: Array
+    others: Array
+
+    def rate(self, x: Array) -> Array:
+        """d/dt of a signal."""
+        return np.asarray(np.gradient(x, self.dt_s))
+
+    def whole(self, x: Array) -> Array:
+        """The integral over time of signals (m, k)."""
+        return np.asarray(np.cumsum(x, axis=0) * self.dt_s)
+
+    def smooth(self, x: Array) -> Array:
+        """The mean over 45 ms."""
+        n = max(1, round(SMOOTH_S / self.dt_s))
+        return np.convolve(x, np.ones(n) / n, mode="same")
+
+
+def driven_columns(cell: Cell) -> dict[str, Array]:
+    """Families by what they are functions of: (N, k), white as the cell's residual. Empty for other cells."""
+    replay = cell.whitened
+    if not isinstance(replay, Replay):
+        return {}
+    family = {"link": _link, "controller": _controller, "actuator": _actuator}[cell.stage]
+    out: dict[str, list[Array]] = {}
+    for channel in range(len(replay.joints)):
+        courses = [_course(cell, replay, part, channel) for part in replay.parts]
+        knots = [_knots([getattr(one, name) for one in courses]) for name in ("drive", "q")]
+        per_part = [family(one, *knots) for one in courses]
+        for name in per_part[0]:
+            columns = [
+                _white(replay.whitener, channel, one.dt_s, f[name]) for one, f in zip(courses, per_part, strict=True)
+            ]
+            out.setdefault(name, []).append(np.concatenate(columns))
+    lengths = np.bincount(cell.rows.series, minlength=len(replay.parts) * len(replay.joints))
+    return {name: _placed(blocks, lengths, len(replay.parts)) for name, blocks in out.items()}
+
+
+def _placed(blocks: list[Array], lengths: NDArray[np.int64], parts: int) -> Array:
+    """Columns of each channel (its stretches end to end) at its rows, which lie stretch by stretch: each its own."""
+    channels, edges = len(blocks), np.cumsum([0, *(block.shape[1] for block in blocks)])
+    out = np.zeros((int(lengths.sum()), int(edges[-1])))
+    starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    for channel, block in enumerate(blocks):
+        own = lengths[channel::channels]
+        cuts = np.split(block, np.cumsum(own)[:-1])
+        for part in range(parts):
+            first = int(starts[part * channels + channel])
+            out[first : first + int(own[part]), edges[channel] : edges[channel + 1]] = cuts[part]
+    return out
+
+
+def _course(cell: Cell, replay: Replay, part: Part, channel: int) -> Course:
+    stretch, j = part.stretch, replay.joints[channel]
+    chosen = ParameterSets(np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]), cell.base.machine)
+    modelled = getattr(simulate(part.plant, chosen, part.drive, LAST[cell.stage]), OUTPUT[cell.stage])[0, :, channel]
+    m = len(modelled)
+    u = filled(stretch.u)[:m] if stretch.u is not None else np.zeros((m, j + 1))
+    drive = u[:, j]
+    if cell.stage == "controller" and stretch.ref is not None and stretch.enc is not None:
+        drive = (filled(stretch.ref) - filled(stretch.enc))[:m, j]
+    if cell.stage == "link":
+        drive = np.gradient(modelled, stretch.dt_s)
+    load = part.drive.load[:m, channel] if len(part.drive.load) >= m else np.zeros(m)
+    return Course(stretch.dt_s, stretch.t_s[:m] - stretch.t_s[0], modelled, drive, load, np.delete(u, j, axis=1))
+
+
+def _white(whitener: Whitener, channel: int, dt_s: float, signals: Array) -> Array:
+    """Increments of signals (m, k), through the filter that the residual went through."""
+    k = signals.shape[1]
+    same = Whitener(np.repeat(whitener.a[:, [channel]], k, axis=1), np.repeat(whitener.sigma[[channel]], k))
+    return whiten_sets(same, increments(signals, dt_s)[None])[0, SKIPPED:]
+
+
+def _knots(signals: list[Array]) -> Array:
+    return np.unique(np.quantile(np.concatenate(signals), np.linspace(0.0, 1.0, KNOTS)))
+
+
+def _hats(x: Array, knots: Array) -> Array:
+    """Straight pieces between knots: any continuous function of x (m, knots)."""
+    return np.stack([np.interp(x, knots, row) for row in np.eye(len(knots))], axis=1)
+
+
+def _actuator(c: Course, knots: Array, _: Array) -> dict[str, Array]:
+    v, du, size = c.smooth(c.rate(c.q)), c.rate(c.smooth(c.drive)), np.abs(c.drive)
+    busy = np.abs(c.others).sum(axis=1)
+    orders = np.arange(1, ORDERS + 1)
+    waves = np.concatenate([np.sin(np.outer(c.q, orders)), np.cos(np.outer(c.q, orders))], axis=1)
+    slow = waves[:, np.tile(orders, 2) <= SLOW_ORDERS]
+    turned = np.stack([np.sign(du), np.sign(du) * size], axis=1)
+    return {
+        "the valve command": c.whole(_hats(c.drive, knots)),
+        "the change of the command": np.concatenate(
+            [np.stack([c.drive, size, v, c.rate(v)], axis=1), c.whole(turned)], axis=1
+        ),
+        "the load": c.whole(np.stack([c.load, v * c.load, np.abs(v) * c.load, c.load**2], axis=1)),
+        "the angle": np.concatenate([c.whole(v[:, None] * np.stack([c.q, c.q**2], axis=1)), slow], axis=1),
+        "waves over the angle": waves,
+        "time": c.whole(np.stack([np.ones_like(v), c.t_s, v * c.t_s, np.abs(v) * c.t_s], axis=1)),
+        "other joints": np.concatenate([c.whole(np.stack([v * busy, np.sign(v) * busy], axis=1)), c.others], axis=1),
+    }
+
+
+def _controller(c: Course, knots: Array, own_knots: Array) -> dict[str, Array]:
+    de, du = c.rate(c.drive), c.rate(c.q)
+    return {
+        "its error": _hats(c.drive, knots),
+        "the valve command": _hats(c.q, own_knots),
+        "change": np.stack([c.drive, de, du, c.rate(du), np.abs(c.q)], axis=1),
+        "time": np.stack([c.drive * c.t_s, c.q * c.t_s], axis=1),
+    }
+
+
+def _link(c: Course, knots: Array, _: Array) -> dict[str, Array]:
+    dv = c.rate(c.drive)
+    return {
+        "speed": _hats(c.drive, knots),
+        "change": np.stack([c.drive, dv, c.rate(dv), np.abs(c.drive)], axis=1),
+        "time": np.stack([c.drive * c.t_s], axis=1),
+    }

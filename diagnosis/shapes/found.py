@@ -1,0 +1,91 @@
+"""The shapes of what a chosen model leaves, and how many nats each one foretells."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.cells import USUAL_TIMES, Cell
+from diagnosis.cells_behind import measurement_of
+from diagnosis.cells_camera import CornerResidual
+from diagnosis.cells_points import PointResidual
+from diagnosis.fit import costs
+from diagnosis.shapes.behind import corner_columns, point_columns
+from diagnosis.shapes.driven import driven_columns
+from diagnosis.shapes.gain import held_out_nats
+from machine.remainder import USUAL_SHAPE, usual_shape
+from machine.rotations import Array
+
+LEAST_NATS = 12.0  # twice the margin of a name
+ODD_SHARE = 0.02
+FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
+ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What a remainder is a function of, and the nats that it foretells where it was not fitted.
+
+    `measurement`: static, tracker, ooi or tool for what was measured behind the encoders; else empty.
+    """
+
+    stage: str
+    joint: int | None
+    measurement: str
+    goes_with: str
+    nats: float
+
+
+def shapes_of(cell: Cell, residual: Array, least_nats: float = LEAST_NATS) -> tuple[Shape, ...]:
+    """Every shape of at least so many nats in a residual (N,), the largest first."""
+    parts = cell.parts or (cell,)
+    cuts = np.cumsum([part.rows.count for part in parts])[:-1]
+    found = [one for part, own in zip(parts, np.split(residual, cuts), strict=True) for one in _of_part(part, own)]
+    return tuple(sorted((one for one in found if one.nats >= least_nats), key=lambda one: -one.nats))
+
+
+def left_shapes(cell: Cell, residual: Array, gained_nats: float) -> tuple[Shape, ...]:
+    """The shapes of what a chosen model leaves (N,), the largest first; where a baseline says what the undisturbed
+    machine shows, only beyond that, and beyond what the form of the names that gained so much may be wrong by.
+    """
+    usual = {_place(part): dict(part.usual) for part in cell.parts or (cell,)}
+    form = FORM_TIMES * cell.form_share * gained_nats
+    return tuple(one for one in shapes_of(cell, residual) if one.nats > _allowed(one, usual[_at(one)], form))
+
+
+def _allowed(shape: Shape, usual: dict[str, float], form_nats: float) -> float:
+    if not any(name.startswith(USUAL_SHAPE) for name in usual):
+        return LEAST_NATS
+    return LEAST_NATS + USUAL_TIMES * usual.get(usual_shape(shape.goes_with), 0.0) + form_nats
+
+
+Place = tuple[str, int | None, str]
+
+
+def _place(part: Cell) -> Place:
+    return part.stage, part.joint, measurement_of(part)
+
+
+def _at(shape: Shape) -> Place:
+    return shape.stage, shape.joint, shape.measurement
+
+
+def _of_part(part: Cell, residual: Array) -> list[Shape]:
+    nats = {name: held_out_nats(B, residual, part.rows) for name, B in _columns(part).items()}
+    nats |= {"single moments": _odd_nats(residual)}
+    return [Shape(*_place(part), name, one) for name, one in nats.items()]
+
+
+def _columns(part: Cell) -> dict[str, Array]:
+    if isinstance(part.whitened, PointResidual):
+        return point_columns(part.whitened)
+    if isinstance(part.whitened, CornerResidual):
+        return corner_columns(part.whitened)
+    return driven_columns(part)
+
+
+def _odd_nats(residual: Array) -> float:
+    """Cost of the few residuals that noise hardly ever gives: what is rare has no course that others foretell. 0 where
+    many are odd: that is no matter of moments.
+    """
+    odd = np.abs(residual) > ODD
+    return float(costs(residual[odd]).sum()) if np.mean(odd) <= ODD_SHARE else 0.0

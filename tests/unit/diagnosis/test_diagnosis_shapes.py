@@ -1,0 +1,119 @@
+"""A gap has a shape before it has a name: functions of the signals that foretell what they were not fitted to."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis_cases import folder, recording
+from foreign_plant import Fault, write
+
+from diagnosis.cells import Cell, Rows, blocks_of, folds_of
+from diagnosis.cells_points import PointResidual
+from diagnosis.fit import neutral_fit
+from diagnosis.left_over import cells_of
+from diagnosis.reading import read
+from diagnosis.shapes.behind import point_columns
+from diagnosis.shapes.driven import driven_columns
+from diagnosis.shapes.found import LEAST_NATS, left_shapes, shapes_of
+from diagnosis.shapes.gain import held_out_nats
+from machine.effects.entries import make_entry
+from machine.effects.registry import effect_named
+from machine.remainder import usual_shape
+
+N = 1200
+
+
+def rows(count: int = N) -> Rows:
+    block, _ = blocks_of([count // 3] * 3)
+    fold, _ = folds_of(["steps", "workcycle", "multisine"], [count // 3] * 3, block)
+    zero = np.zeros(count, np.int64)
+    return Rows(fold, block, zero, zero)
+
+
+def test_noise_foretells_nothing_and_a_small_course_is_found() -> None:
+    rng = np.random.default_rng(2)
+    columns = np.stack([np.sin(0.01 * k * np.arange(N)) for k in range(1, 21)], axis=1)
+    quiet = [held_out_nats(columns, rng.normal(size=N), rows()) for _ in range(50)]
+    assert max(quiet) < LEAST_NATS
+    course = columns[:, 4] * np.sqrt(100.0 / (columns[:, 4] @ columns[:, 4]))  # |s|^2 = 100: 50 nats at most
+    found = [held_out_nats(columns, rng.normal(size=N) + course, rows()) for _ in range(20)]
+    assert min(found) > LEAST_NATS
+    assert max(found) < 80.0
+
+
+def test_columns_that_are_zero_or_missing_foretell_nothing() -> None:
+    r = np.random.default_rng(3).normal(size=N)
+    assert held_out_nats(np.zeros((N, 4)), r, rows()) == 0.0
+    assert held_out_nats(np.zeros((N, 0)), r, rows()) == 0.0
+
+
+def cell_with(tmp_path: Path, label: str, **effect: float) -> tuple[Cell, np.ndarray]:
+    known = effect_named("valve_deadband")
+    assert known is not None
+    entries = (make_entry(known, 2, effect),) if effect else ()
+    whole = read(folder(tmp_path, recording(("repeat", "repeat", "repeat", "steps", "workcycle"), entries)))
+    cell = next(one for one in cells_of(whole) if one.label == label)
+    return cell, neutral_fit(cell).residual
+
+
+def test_a_dead_band_goes_with_the_valve_command_whatever_it_is_called(tmp_path: Path) -> None:
+    cell, residual = cell_with(tmp_path, "actuator 2", half_width_frac=0.01)
+    found = shapes_of(cell, residual)
+    assert found[0].nats > 100.0
+    assert "the valve command" in [one.goes_with for one in found]
+    assert all(one.stage == "actuator" and one.joint == 2 and not one.measurement for one in found)
+    assert found == tuple(sorted(found, key=lambda one: -one.nats))
+
+
+def test_columns_are_as_many_and_as_white_as_the_residual(tmp_path: Path) -> None:
+    cell, residual = cell_with(tmp_path, "link")
+    for name, columns in driven_columns(cell).items():
+        assert columns.shape[0] == len(residual), name
+        for channel in range(6):  # each joint has columns of its own, at its own rows
+            own = np.any(columns[cell.rows.channel == channel] != 0.0, axis=0)
+            others = np.any(columns[cell.rows.channel != channel] != 0.0, axis=0)
+            assert not (own & others).any(), name
+
+
+def test_without_a_fault_there_is_no_shape(tmp_path: Path) -> None:
+    whole = read(folder(tmp_path, recording(("repeat", "repeat", "repeat", "steps", "workcycle"))))
+    for cell in cells_of(whole):
+        assert shapes_of(cell, neutral_fit(cell).residual) == (), cell.label
+
+
+def test_points_have_functions_of_posture_and_motion(tmp_path: Path) -> None:
+    whole = read(write(tmp_path / "run", Fault(), 3, static=40, seconds=10.0))
+    by_stage = {one.label: one for one in cells_of(whole)}
+    parts = by_stage["structure"].parts or (by_stage["structure"],)
+    for part in parts:
+        if not isinstance(part.whitened, PointResidual):
+            continue
+        columns = point_columns(part.whitened)
+        assert {"posture", "waves over the angles", "which point"} <= set(columns)
+        bent = 4.0 * columns["posture"][:, 3] + np.random.default_rng(5).normal(size=part.rows.count)
+        found = shapes_of(part, bent)
+        assert found[0].goes_with in ("posture", "waves over the angles")
+
+
+def test_only_what_the_undisturbed_machine_does_not_show_is_told(tmp_path: Path) -> None:
+    cell, residual = cell_with(tmp_path, "actuator 2", half_width_frac=0.01)
+    told = {one.goes_with: one.nats for one in left_shapes(cell, residual, 0.0)}
+    nats = told["the valve command"]
+    assert nats > 100.0  # no baseline: everything is told
+    usual = [(usual_shape(name), found) for name, found in told.items() if name != "the valve command"]
+    known = replace(cell, usual=(*usual, (usual_shape("the valve command"), 0.1 * nats)))
+    assert [one.goes_with for one in left_shapes(known, residual, 0.0)] == ["the valve command"]
+    swinging = replace(cell, usual=(*usual, (usual_shape("the valve command"), nats)))
+    assert left_shapes(swinging, residual, 0.0) == ()
+    assert left_shapes(known, residual, 20.0 * nats) == ()  # 9 % of a large effect's form
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_single_moments_are_found_without_a_course(tmp_path: Path, count: int) -> None:
+    cell, residual = cell_with(tmp_path, "link")
+    spoiled = residual.copy()
+    spoiled[100 : 100 + 400 * count : 400] += 9.0
+    found = [one for one in shapes_of(cell, spoiled) if one.goes_with == "single moments"]
+    assert found
+    assert found[0].nats == pytest.approx(20.0 * count, rel=0.4)
