@@ -47,7 +47,7 @@ class Course:
 
     def smooth(self, x: Array) -> Array:
         """The mean over 45 ms."""
-        n = max(1, round(SMOOTH_S / self.dt_s))
+        n = min(max(1, round(SMOOTH_S / self.dt_s)), len(x))
         return np.convolve(x, np.ones(n) / n, mode="same")
 
 

@@ -20,7 +20,7 @@ def held_out_nats(columns: Array, r: Array, rows: Rows) -> float:
     """
     size = np.sqrt(np.mean(columns**2, axis=0))
     B = columns[:, size > 0.0] / size[size > 0.0]
-    if B.shape[1] == 0:
+    if B.shape[1] == 0 or rows.block.max(initial=0) == 0:  # one block has no others to be foretold from
         return 0.0
     w, folds = weights(r), np.unique(rows.fold)
     own = [_normal(B, r, w, rows.fold == fold) for fold in folds]
