@@ -18,7 +18,7 @@ from machine.rotations import Array
 BLOCKS_MIN = 12
 FORM_SHARE = 0.002
 BLOCK_ROWS_MAX = 100  # 5 s at 20 Hz
-USUAL_TIMES = 1.5  # the most that some recordings showed is exceeded by one more in every dozen
+EXCEEDED_TIMES = 1.5  # the most that some recordings showed is exceeded by one more in every dozen
 DRIVEN_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly in time; poses and corners are not
 
 
@@ -77,7 +77,7 @@ class Cell:
     def usual_nats(self, effects: Iterable[Candidate]) -> float:
         """What these names may gain on the undisturbed machine [nats, not divided]."""
         known = dict(self.usual_names)
-        return USUAL_TIMES * sum(known.get(usual_name(one.name), 0.0) for one in effects)
+        return EXCEEDED_TIMES * sum(known.get(usual_name(one.name), 0.0) for one in effects)
 
     @property
     def label(self) -> str:

@@ -126,8 +126,8 @@ def _process(ar: Array, sigma: float, order: int) -> Array:
 def _response(ar: Array, count: int) -> Array:
     """What follows one innovation of an autoregression (count,); scipy.signal takes two seconds to import."""
     out = np.zeros(count)
-    for i in range(count):
-        out[i] = 1.0 if i == 0 else 0.0
+    out[0] = 1.0
+    for i in range(1, count):
         for k in range(min(i, len(ar))):
             out[i] += ar[k] * out[i - 1 - k]
     return out

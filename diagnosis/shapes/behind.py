@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_points import PointResidual
-from diagnosis.link_angles import Path
+from diagnosis.link_angles import Path, link_angles
+from machine.effects.layout import neutral_sets
 from machine.rotations import Array
 
 STILL_RAD_S = 2e-3
@@ -50,7 +51,7 @@ def corner_columns(seen: CornerResidual) -> dict[str, Array]:
         "time": _times(_time(seen.frames.t_s)[frame], own),
     }
     if seen.on == "ooi":
-        q = np.stack([_at(seen.paths, seen.at, seen.frames.t_s, k) for k in range(seen.paths[0].enc.shape[1])], axis=1)
+        q = link_angles(seen.paths, neutral_sets(seen.nominal.n), 0, seen.at, seen.frames.t_s)
         v, _ = _motion(seen.paths, seen.at, seen.frames.t_s)
         later = v * _time(seen.frames.t_s)[:, :1]
         out["posture"] = _times(_powers(q)[frame], of_axis)
@@ -91,14 +92,6 @@ def _each(columns: Array, axes: int) -> Array:
 def _times(a: Array, b: Array) -> Array:
     """All products of columns (m, i) and (m, k): (m, i k)."""
     return (a[:, :, None] * b[:, None, :]).reshape(len(a), -1)
-
-
-def _at(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array, joint: int) -> Array:
-    out = np.zeros(len(t_s))
-    for k in np.unique(at):
-        rows = at == k
-        out[rows] = np.interp(t_s[rows], paths[k].t_s, paths[k].enc[:, joint])
-    return out
 
 
 def _motion(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array) -> tuple[Array, Array]:

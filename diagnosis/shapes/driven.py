@@ -58,8 +58,9 @@ def driven_columns(cell: Cell) -> dict[str, Array]:
         return {}
     family = {"link": _link, "controller": _controller, "actuator": _actuator}[cell.stage]
     out: dict[str, list[Array]] = {}
+    modelled = [_modelled(cell, replay, part) for part in replay.parts]
     for channel in range(len(replay.joints)):
-        courses = [_course(cell, replay, part, channel) for part in replay.parts]
+        courses = [_course(cell, replay, *one, channel) for one in zip(replay.parts, modelled, strict=True)]
         knots = [_knots([getattr(one, name) for one in courses]) for name in ("drive", "q")]
         per_part = [family(one, *knots) for one in courses]
         for name in per_part[0]:
@@ -85,10 +86,14 @@ def _placed(blocks: list[Array], lengths: NDArray[np.int64], parts: int) -> Arra
     return out
 
 
-def _course(cell: Cell, replay: Replay, part: Part, channel: int) -> Course:
-    stretch, j = part.stretch, replay.joints[channel]
+def _modelled(cell: Cell, replay: Replay, part: Part) -> Array:
+    """The stage's own output through a stretch (m, joints)."""
     chosen = ParameterSets(np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]), cell.base.machine)
-    modelled = getattr(simulate(part.plant, chosen, part.drive, LAST[cell.stage]), OUTPUT[cell.stage])[0, :, channel]
+    return np.asarray(getattr(simulate(part.plant, chosen, part.drive, LAST[cell.stage]), OUTPUT[cell.stage])[0])
+
+
+def _course(cell: Cell, replay: Replay, part: Part, outputs: Array, channel: int) -> Course:
+    stretch, j, modelled = part.stretch, replay.joints[channel], outputs[:, channel]
     m = len(modelled)
     u = filled(stretch.u)[:m] if stretch.u is not None else np.zeros((m, j + 1))
     drive = u[:, j]

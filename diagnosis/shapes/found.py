@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.cells import USUAL_TIMES, Cell
+from diagnosis.cells import EXCEEDED_TIMES, Cell
 from diagnosis.cells_behind import measurement_of
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_points import PointResidual
@@ -55,7 +55,7 @@ def left_shapes(cell: Cell, residual: Array, gained_nats: float) -> tuple[Shape,
 def _allowed(shape: Shape, usual: dict[str, float], form_nats: float) -> float:
     if not any(name.startswith(USUAL_SHAPE) for name in usual):
         return LEAST_NATS
-    return LEAST_NATS + USUAL_TIMES * usual.get(usual_shape(shape.goes_with), 0.0) + form_nats
+    return LEAST_NATS + EXCEEDED_TIMES * usual.get(usual_shape(shape.goes_with), 0.0) + form_nats
 
 
 Place = tuple[str, int | None, str]
