@@ -63,13 +63,17 @@ class Person:
                 return
         raise AssertionError(f"{kind} has not ended within {timeout_s} s: {self.page.inner_text('#hint')}")
 
+    def proposed(self):
+        """The step the page proposes next."""
+        button = self.page.locator("#main-steps button.primary")
+        button.wait_for(timeout=60_000)
+        return button.get_attribute("data-kind")
+
     def led_to(self, kind, steps_max=8):
         """Do what the page proposes next until it proposes this step, and click it: a look too old, a calibration from
         too far away, are the operator's business too."""
         for _ in range(steps_max):
-            button = self.page.locator("#main-steps button.primary")
-            button.wait_for(timeout=60_000)
-            proposed = button.get_attribute("data-kind")
+            proposed = self.proposed()
             self.step(proposed)
             if proposed == kind:
                 return
