@@ -10,7 +10,6 @@ from diagnosis.fit import Fit
 from diagnosis.limits import Interval, closed_share
 from diagnosis.rivals import rivals
 from diagnosis.score import Score
-from diagnosis.shapes.found import left_shapes
 from diagnosis.weigh import calibration
 from machine.effects.registry import effect_named
 
@@ -211,7 +210,7 @@ def _shapes(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
             "nats": _round(shape.nats),
         }
         for one in cells
-        for shape in left_shapes(one.search.cell, one.chosen.held_out, one.chosen.total - one.search.none.total)
+        for shape in one.shapes
     ]
 
 

@@ -17,6 +17,7 @@ from diagnosis.refusal import Fired, remainder
 from diagnosis.replay import replayer_of
 from diagnosis.score import Score
 from diagnosis.search import Search, search, searched_again
+from diagnosis.shapes.found import Shape, left_shapes, refusing
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack
@@ -32,7 +33,7 @@ CHOSEN_SHARE = 0.6  # of the two's probability, for a hypothesis that passed the
 class CellAnswer:
     """One cell's answer. `fired`: tests of the remainder; `same`: effects this recording cannot tell apart.
 
-    `shrinks`: by part of a joined cell.
+    `shrinks`: by part of a joined cell; `shapes`: what the remainder goes with.
     """
 
     search: Search
@@ -43,6 +44,7 @@ class CellAnswer:
     shrinks: tuple[Shrink, ...]
     limits: tuple[Limit, ...]
     same: tuple[tuple[Key, ...], ...]
+    shapes: tuple[Shape, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,10 +67,16 @@ def diagnose(
     return concluded(whole, _dynamic(whole, progress, behind, lacking) + behind, progress)
 
 
-def concluded(whole: Read, searches: list[Search], progress: Progress = lambda _text, _done, _total: None) -> Diagnosis:
-    """The answer from the cells' searches."""
+def concluded(
+    whole: Read,
+    searches: list[Search],
+    progress: Progress = lambda _text, _done, _total: None,
+    known: tuple[CellAnswer, ...] = (),
+) -> Diagnosis:
+    """The answer from the cells' searches. `known`: answers of as many searches, reused where a search is the same."""
     progress("weighing", 0, 1)
-    answers = tuple(_answer(one, len(searches)) for one in searches)
+    by_search = {id(one.search): one for one in known}
+    answers = tuple(by_search.get(id(one)) or _answer(one, len(searches)) for one in searches)
     hypotheses = _hypotheses(answers)
     numbers = _numbers(answers, hypotheses)
     verdict = verdict_of(answers, hypotheses)
@@ -189,28 +197,35 @@ def _likely(found: Search) -> list[Candidate]:
 
 def _answer(found: Search, cells: int) -> CellAnswer:
     chosen = settled(found)
+    gained = chosen.total - found.none.total
+    shapes = left_shapes(found.cell, chosen.held_out, gained)
     return CellAnswer(
         search=found,
         chosen=chosen,
         weighed=_first(weighed(found), chosen),
-        fired=remainder(found.cell, chosen, cells),
+        fired=(*remainder(found.cell, chosen, cells), *refusing(found.cell, shapes, gained)),
         shrink=shrink(found, chosen),
         shrinks=shrinks(found, chosen),
         limits=tuple(
             detection_limit(one, found.spread, found.cell.usual_nats((one.candidate,))) for one in found.scans
         ),
         same=same_here(found, chosen),
+        shapes=shapes,
     )
 
 
 def _first(all_of: tuple[Weighed, ...], chosen: Score) -> tuple[Weighed, ...]:
-    """The chosen hypothesis first: what passed the margin goes before what merely scored a little more."""
+    """The chosen hypothesis first: what passed the margin goes before what merely scored a little more.
+
+    Where both have as many names, no margin stands between them: as likely as each other is what the two are then.
+    """
     own = next(one for one in all_of if one.score is chosen)
     top = all_of[0]
     if own is top:
         return all_of
+    share = 0.5 if len(top.score.fit.hypothesis) == len(chosen.fit.hypothesis) else CHOSEN_SHARE
     both = own.probability + top.probability
-    moved = (Weighed(chosen, CHOSEN_SHARE * both), Weighed(top.score, (1.0 - CHOSEN_SHARE) * both))
+    moved = (Weighed(chosen, share * both), Weighed(top.score, (1.0 - share) * both))
     return (*moved, *(one for one in all_of if one is not own and one is not top))
 
 

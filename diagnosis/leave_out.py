@@ -19,7 +19,7 @@ def without_effect(found: Diagnosis, name: str) -> Diagnosis:
         searched_without(one.search, name) if _holds(one.search.cell.candidates, name) else one.search
         for one in found.cells
     ]
-    return concluded(found.whole, searches)
+    return concluded(found.whole, searches, known=found.cells)
 
 
 def _holds(candidates: tuple[Any, ...], name: str) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from diagnosis.score import Score
+from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.weigh import Whole
 
 if TYPE_CHECKING:
@@ -52,11 +53,12 @@ def verdict_of(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -
 
 
 def _left(one: CellAnswer) -> float:
-    """Share of the gap that is left; all of it where nothing was named."""
+    """Share of the gap that is left, or of all its nats that a shape foretells; all of it where nothing was named."""
     if not one.chosen.fit.hypothesis:
         return 1.0
     closed = one.shrink.closed_frac
-    return 1.0 if closed is None else 1.0 - closed
+    shaped = max((fired.share for fired in one.fired if fired.test == SHAPE), default=0.0)
+    return 1.0 if closed is None else max(1.0 - closed, shaped)
 
 
 def _lead(one: CellAnswer) -> str:

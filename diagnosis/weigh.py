@@ -61,15 +61,21 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     """The cell's hypotheses, best first.
 
     Model: p ~ exp((held-out score - penalty of each effect) / (T spread)); T larger where the floor is not known. An
-           effect also pays a share of all that is gained: no model is right to better than this.
+           effect also pays a share of all that is gained: no model is right to better than this. As many names as were
+           chosen pay no more than those for what they gain on the undisturbed machine: that told whether anything is
+           there, and says nothing of which of them it is.
     """
     numbers = calibration()
     T = numbers.temperature if found.cell.floor_known else numbers.temperature_without_floor
     gained = max(one.total for one in found.scored) - found.none.total
     share = max(found.cell.form_share * gained / found.spread, found.cell.least_nats)
+    paid = _usual_nats(found, found.chosen)
     logs = np.array(
         [
-            one.total / found.spread - prior_cost(found.cell, one, found.spread) - share * _count(one)
+            one.total / found.spread
+            - _price(found.cell, one)
+            - (min(paid, _usual_nats(found, one)) if _count(one) == _count(found.chosen) else _usual_nats(found, one))
+            - share * _count(one)
             for one in found.scored
         ]
     )
@@ -84,13 +90,16 @@ def _count(one: Score) -> int:
     return len(one.fit.hypothesis)
 
 
-def prior_cost(cell: Cell, one: Score, spread: float) -> float:
-    """Nats that a hypothesis pays for its effects: each one's price, and what it gains on the undisturbed machine."""
+def _usual_nats(found: Search, one: Score) -> float:
+    return found.cell.usual_nats(one.fit.hypothesis) / found.spread
+
+
+def _price(cell: Cell, one: Score) -> float:
+    """Nats that a hypothesis pays for its effects and their numbers."""
     numbers = calibration()
     foreign = sum(_foreign(cell, effect.stage) for effect in one.fit.hypothesis)
     effects = len(one.fit.hypothesis)
     more = MARGIN_MORE_NATS * (numbers_of(one.fit) - effects)
-    more += cell.usual_nats(one.fit.hypothesis) / spread
     return numbers.penalty_nats_per_effect * effects + more + numbers.foreign_stage_penalty_nats * foreign
 
 
@@ -113,7 +122,7 @@ def settled(found: Search) -> Score:
         one
         for one in found.scored
         if len(one.fit.hypothesis) == len(chosen.fit.hypothesis)
-        and prior_cost(cell, one, found.spread) < prior_cost(cell, chosen, found.spread)
+        and _price(cell, one) + _usual_nats(found, one) < _price(cell, chosen) + _usual_nats(found, chosen)
         and chosen.total - one.total < allowed
         and _cosine(one.fit.residual - found.none.fit.residual, chosen.fit.residual - found.none.fit.residual)
         > SAME_DIRECTION

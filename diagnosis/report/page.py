@@ -47,7 +47,7 @@ SHAPES = (
 
 
 def _shapes(result: dict[str, Any]) -> str:
-    """Leads, no verdict: what an unknown function of would foretell what the names leave."""
+    """What an unknown function of would foretell what the names leave."""
     found = result.get("shapes", [])
     if not found:
         return "<p>nothing that was tried</p>"

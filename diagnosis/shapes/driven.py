@@ -6,6 +6,7 @@ Never of what was measured at their end: that holds the very noise which the res
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from diagnosis.cells import Cell
@@ -20,6 +21,7 @@ KNOTS = 8
 ORDERS = 24  # of a wave over the angle, a turn
 SLOW_ORDERS = 4
 SMOOTH_S = 0.045
+LEAKS_S = (0.05, 0.3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +47,22 @@ class Course:
         """The integral over time of signals (m, k)."""
         return np.asarray(np.cumsum(x, axis=0) * self.dt_s)
 
+    def leaking(self, x: Array, tau_s: float) -> Array:
+        """Signals (m, k) integrated, with what was gathered leaking away: what has to be caught up with afterwards."""
+        return np.asarray(_gathered(self.dt_s * x, np.exp(-self.dt_s / tau_s)))
+
     def smooth(self, x: Array) -> Array:
         """The mean over 45 ms."""
         n = min(max(1, round(SMOOTH_S / self.dt_s)), len(x))
         return np.convolve(x, np.ones(n) / n, mode="same")
+
+
+@njit(cache=True)
+def _gathered(x: Array, kept: float) -> Array:
+    out = x.copy()
+    for i in range(1, len(x)):
+        out[i] += kept * out[i - 1]
+    return out
 
 
 def driven_columns(cell: Cell) -> dict[str, Array]:
@@ -116,6 +130,11 @@ def _knots(signals: list[Array]) -> Array:
     return np.unique(np.quantile(np.concatenate(signals), np.linspace(0.0, 1.0, KNOTS)))
 
 
+def _with_ends(knots: Array) -> Array:
+    """Knots at even distances, too: what happens at the largest sizes only lies between the last two quantiles."""
+    return np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], 2 * KNOTS)]))
+
+
 def _hats(x: Array, knots: Array) -> Array:
     """Straight pieces between knots: any continuous function of x (m, knots)."""
     return np.stack([np.interp(x, knots, row) for row in np.eye(len(knots))], axis=1)
@@ -152,9 +171,9 @@ def _controller(c: Course, knots: Array, own_knots: Array) -> dict[str, Array]:
 
 
 def _link(c: Course, knots: Array, _: Array) -> dict[str, Array]:
-    dv = c.rate(c.drive)
+    dv, speeds = c.rate(c.drive), _hats(c.drive, _with_ends(knots))
     return {
-        "speed": _hats(c.drive, knots),
+        "speed": np.concatenate([speeds, *(c.leaking(speeds, tau_s) for tau_s in LEAKS_S)], axis=1),
         "change": np.stack([c.drive, dv, c.rate(dv), np.abs(c.drive)], axis=1),
         "time": np.stack([c.drive * c.t_s], axis=1),
     }

@@ -1,5 +1,6 @@
 """The shapes of what a chosen model leaves, and how many nats each one foretells."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from diagnosis.cells_behind import measurement_of
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_points import PointResidual
 from diagnosis.fit import costs
+from diagnosis.refusal import Fired
 from diagnosis.shapes.behind import corner_columns, point_columns
 from diagnosis.shapes.driven import driven_columns
 from diagnosis.shapes.gain import held_out_nats
@@ -16,9 +18,13 @@ from machine.remainder import USUAL_SHAPE, usual_shape
 from machine.rotations import Array
 
 LEAST_NATS = 12.0  # twice the margin of a name
+REFUSED_NATS = 16.0  # none of 60 recordings of the undisturbed plant were refused by it; 12 refused two
 ODD_SHARE = 0.02
 FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
+TEST = "shape"
+SINGLE_MOMENTS = "single moments"
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
+Place = tuple[str, int | None, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,18 +53,50 @@ def left_shapes(cell: Cell, residual: Array, gained_nats: float) -> tuple[Shape,
     """The shapes of what a chosen model leaves (N,), the largest first; where a baseline says what the undisturbed
     machine shows, only beyond that, and beyond what the form of the names that gained so much may be wrong by.
     """
-    usual = {_place(part): dict(part.usual) for part in cell.parts or (cell,)}
     form = FORM_TIMES * cell.form_share * gained_nats
+    usual = _usual(cell)
     return tuple(one for one in shapes_of(cell, residual) if one.nats > _allowed(one, usual[_at(one)], form))
 
 
+def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[Fired, ...]:
+    """Shapes of a chosen model's remainder that speak against it: beyond the largest one of its place undisturbed.
+
+    Why: a swing that went with the acceleration fifteen times goes with the posture or with time on the sixteenth day.
+         Without a baseline nothing is refused: the form of a model that never met its machine would speak against
+         every name.
+    """
+    usual = _usual(cell)
+    form = FORM_TIMES * cell.form_share * gained_nats
+    out = []
+    for one in left:
+        known = usual[_at(one)]
+        if _known(known) and one.nats > REFUSED_NATS + EXCEEDED_TIMES * _largest(known, one.goes_with) + form:
+            share = one.nats / (one.nats + max(gained_nats, 0.0))
+            lead = f"goes with {one.goes_with}"
+            out.append(Fired(TEST, one.stage, one.joint, one.nats, math.exp(-one.nats), lead, share))
+    return tuple(out)
+
+
+def _largest(usual: dict[str, float], goes_with: str) -> float:
+    """Its own usual size, or any course's that is larger there: single moments are none."""
+    courses = [
+        nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != usual_shape(SINGLE_MOMENTS)
+    ]
+    return max([usual.get(usual_shape(goes_with), 0.0), *courses])
+
+
+def _usual(cell: Cell) -> dict[Place, dict[str, float]]:
+    return {_place(part): dict(part.usual) for part in cell.parts or (cell,)}
+
+
+def _known(usual: dict[str, float]) -> bool:
+    return any(name.startswith(USUAL_SHAPE) for name in usual)
+
+
 def _allowed(shape: Shape, usual: dict[str, float], form_nats: float) -> float:
-    if not any(name.startswith(USUAL_SHAPE) for name in usual):
+    if not _known(usual):
         return LEAST_NATS
     return LEAST_NATS + EXCEEDED_TIMES * usual.get(usual_shape(shape.goes_with), 0.0) + form_nats
-
-
-Place = tuple[str, int | None, str]
 
 
 def _place(part: Cell) -> Place:
@@ -71,7 +109,7 @@ def _at(shape: Shape) -> Place:
 
 def _of_part(part: Cell, residual: Array) -> list[Shape]:
     nats = {name: held_out_nats(B, residual, part.rows) for name, B in _columns(part).items()}
-    nats |= {"single moments": _odd_nats(residual)}
+    nats |= {SINGLE_MOMENTS: _odd_nats(residual)}
     return [Shape(*_place(part), name, one) for name, one in nats.items()]
 
 

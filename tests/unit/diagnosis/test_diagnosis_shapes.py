@@ -15,7 +15,7 @@ from diagnosis.left_over import cells_of
 from diagnosis.reading import read
 from diagnosis.shapes.behind import point_columns
 from diagnosis.shapes.driven import driven_columns
-from diagnosis.shapes.found import LEAST_NATS, left_shapes, shapes_of
+from diagnosis.shapes.found import LEAST_NATS, REFUSED_NATS, left_shapes, refusing, shapes_of
 from diagnosis.shapes.gain import held_out_nats
 from machine.effects.entries import make_entry
 from machine.effects.registry import effect_named
@@ -117,3 +117,19 @@ def test_single_moments_are_found_without_a_course(tmp_path: Path, count: int) -
     found = [one for one in shapes_of(cell, spoiled) if one.goes_with == "single moments"]
     assert found
     assert found[0].nats == pytest.approx(20.0 * count, rel=0.4)
+
+
+def test_a_shape_speaks_against_a_model_only_beside_a_baseline_that_knows_the_usual_ones(tmp_path: Path) -> None:
+    cell, residual = cell_with(tmp_path, "actuator 2", half_width_frac=0.01)
+    left = left_shapes(cell, residual, 0.0)
+    assert refusing(cell, left, 0.0) == ()
+    known = replace(cell, usual=((usual_shape("the load"), 0.0), (usual_shape("single moments"), 1e4)))
+    left = tuple(one for one in left if one.goes_with != "single moments" and one.nats > REFUSED_NATS)
+    fired = refusing(known, left, 0.0)
+    assert [one.size for one in fired] == [one.nats for one in left]
+    assert {(one.test, one.stage, one.joint, one.share) for one in fired} == {("shape", "actuator", 2, 1.0)}
+    assert fired[0].lead == f"goes with {left[0].goes_with}"
+    named = refusing(known, left, 3.0 * left[0].nats)  # names that gained three times as much: a quarter is left
+    assert named[0].share == pytest.approx(0.25)
+    swinging = replace(cell, usual=((usual_shape("time"), left[0].nats),))  # as large, though it went with another
+    assert refusing(swinging, left, 0.0) == ()
