@@ -10,7 +10,8 @@ from diagnosis.fit import Fit
 from diagnosis.limits import Interval, closed_share
 from diagnosis.rivals import rivals
 from diagnosis.score import Score
-from diagnosis.weigh import calibration
+from diagnosis.unseen import one_more, unseen_share
+from diagnosis.weigh import Key, Whole, calibration
 from machine.effects.registry import effect_named
 
 FORMAT = 1
@@ -37,6 +38,7 @@ def judgement(found: Diagnosis) -> dict[str, Any]:
         "why": found.verdict.why,
         "hypotheses": hypotheses,
         "outside_probability": _outside(found),
+        "unseen_probability": _round((1.0 - _outside(found)) * unseen_share(found.verdict.word)),
         "indistinguishable": _classes(found.cells),
         "credible_set_90": _credible(found),
         "localisation": _localisation(found),
@@ -57,10 +59,15 @@ def _outside(found: Diagnosis) -> float:
     return float(by_word[found.verdict.word])
 
 
+def _inside(found: Diagnosis) -> float:
+    """Probability that the names printed are all that is at work."""
+    return (1.0 - _outside(found)) * (1.0 - unseen_share(found.verdict.word))
+
+
 def _hypothesis(found: Diagnosis, number: int) -> dict[str, Any]:
     whole = found.hypotheses[number]
     effects = [effect for score in whole.scores for effect in _effects(score, found.numbers.get(id(score), ()))]
-    return {"effects": effects, "probability": _round(whole.probability * (1.0 - _outside(found)))}
+    return {"effects": effects, "probability": _round(whole.probability * _inside(found))}
 
 
 def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]]:
@@ -110,17 +117,29 @@ def _classes(cells: tuple[CellAnswer, ...]) -> list[list[dict[str, Any]]]:
 
 
 def _credible(found: Diagnosis) -> list[dict[str, Any]]:
-    """The fewest hypotheses that hold 90 % of what the catalogue can explain."""
+    """The fewest hypotheses that hold 90 % of what the catalogue can explain: those weighed, and the first one with one
+    more name that is too small to be seen.
+    """
+    unseen = unseen_share(found.verdict.word)
+    first = _keys(found.hypotheses[0]) if found.hypotheses else ()
+    weighed = [(_keys(whole), (1.0 - unseen) * whole.probability) for whole in found.hypotheses]
+    further = [((*first, key), unseen * part) for key, part in one_more(found.cells, frozenset(first))]
+    masses: dict[frozenset[Key], float] = {}
+    for keys, part in (*weighed, *(further if unseen > 0.0 else ())):
+        masses[frozenset(keys)] = masses.get(frozenset(keys), 0.0) + part
+    rows = sorted(masses.items(), key=lambda row: -row[1])
     out, mass = [], 0.0
-    for whole in found.hypotheses:
-        keys = [one.key for score in whole.scores for one in score.fit.hypothesis]
-        named = [{"name": name, "joint": joint} for name, joint in keys]
-        probability = whole.probability * (1.0 - _outside(found))
-        out.append({"effects": named, "probability": _round(probability)})
-        mass += whole.probability
+    for keys, probability in rows:
+        named = [{"name": name, "joint": joint} for name, joint in sorted(keys, key=str)]
+        out.append({"effects": named, "probability": _round(probability * (1.0 - _outside(found)))})
+        mass += probability
         if mass >= MASS_90:
             break
     return out
+
+
+def _keys(whole: Whole) -> tuple[Key, ...]:
+    return tuple(one.key for score in whole.scores for one in score.fit.hypothesis)
 
 
 def _localisation(found: Diagnosis) -> list[dict[str, Any]]:

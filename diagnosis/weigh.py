@@ -19,26 +19,31 @@ SAME_DIRECTION = 0.95
 SEPARATED_NATS = 9.0  # T below it: the data cannot tell two effects apart
 SHARE_MIN = 1e-3
 COMBINATIONS_MAX = 40
+BY_VERDICT = ("outside_probability", "unseen_probability")
 Key = tuple[str, int | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Frozen numbers that turn scores into probabilities. `outside_probability`: of a foreign cause, by verdict."""
+    """Frozen numbers that turn scores into probabilities. By verdict: `outside_probability` of a foreign cause,
+    `unseen_probability` (if it is none) of a further effect that is too small to be seen.
+    """
 
     temperature: float
     temperature_without_floor: float
     penalty_nats_per_effect: float
     foreign_stage_penalty_nats: float
     outside_probability: tuple[tuple[str, float], ...]
+    unseen_probability: tuple[tuple[str, float], ...]
 
 
 @cache
 def calibration() -> Calibration:
     """As the package carries them."""
     data = json.loads(files("diagnosis").joinpath("calibration.json").read_text(encoding="utf-8"))
-    plain = {name: float(data[name]) for name in Calibration.__dataclass_fields__ if name != "outside_probability"}
-    return Calibration(**plain, outside_probability=tuple(data["outside_probability"].items()))
+    plain = {name: float(data[name]) for name in Calibration.__dataclass_fields__ if name not in BY_VERDICT}
+    outside, unseen = (tuple(data[name].items()) for name in BY_VERDICT)
+    return Calibration(**plain, outside_probability=outside, unseen_probability=unseen)
 
 
 @dataclass(frozen=True, slots=True)

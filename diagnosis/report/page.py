@@ -109,6 +109,7 @@ def _hypotheses(result: dict[str, Any]) -> str:
         (one["probability"], effects_text(one["effects"]), _key(one["effects"]) in credible)
         for one in result["hypotheses"][:HYPOTHESES_MAX]
     ]
+    rows.append((result["unseen_probability"], "one more effect, below its detection limit here", False))
     rows.append((result["outside_probability"], "a cause outside the catalogue", False))
     lines = "".join(
         f'<tr><td class="n">{100 * probability:.1f} %</td><td>{bar(probability, "bar" if inside else "bar faint")}</td>'

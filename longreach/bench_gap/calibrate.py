@@ -13,6 +13,7 @@ from machine.rotations import Array
 Cases = Sequence[dict[str, Any]]
 Ladder = list[tuple[int, float, bool]]  # effects, probability among the catalogue's, whether it is the truth
 WORDS = ("none", "effects", "undecided", "outside")
+INSIDE = ("none", "single", "double")  # kinds of cases that the catalogue explains
 MISSING = 1e-3  # of the truth where none of the hypotheses that were printed is it
 FADE = 0.02  # prior on the two numbers: few cases must not sharpen anything
 
@@ -24,6 +25,7 @@ class Fitted:
     sharper: float
     per_effect: float
     outside: dict[str, float]
+    unseen: dict[str, float]
     cases: int
 
 
@@ -31,16 +33,18 @@ def fit(cases: Cases) -> Fitted:
     """Maximum likelihood of the truths.
 
     Model: p' ~ (p e^(-d k))^s over a case's hypotheses, k effects each; s and d over cases of the catalogue;
-           P(outside | verdict) by counting, one case of each kind added.
+           P(outside | verdict), and of the others P(truth not among the hypotheses | verdict), by counting, half a
+           case of each kind added.
     """
-    inside = [_ladder(one) for one in cases if one["mix"] in ("none", "single", "double") and one["ladder"]]
+    inside = [_ladder(one) for one in cases if one["mix"] in INSIDE and one["ladder"]]
 
     def cost(x: Array) -> float:
         total = sum(-np.log(max(_right(ladder, np.exp(x[0]), x[1]), MISSING)) for ladder in inside)
         return float(total / max(len(inside), 1) + FADE * (x[0] ** 2 + 0.1 * x[1] ** 2))
 
     found = minimize(cost, np.zeros(2), method="Nelder-Mead").x if inside else np.zeros(2)
-    return Fitted(float(np.exp(found[0])), float(found[1]), {word: _outside(cases, word) for word in WORDS}, len(cases))
+    outside, unseen = ({word: share(cases, word) for word in WORDS} for share in (_outside, _unseen))
+    return Fitted(float(np.exp(found[0])), float(found[1]), outside, unseen, len(cases))
 
 
 def _ladder(one: dict[str, Any]) -> Ladder:
@@ -57,14 +61,20 @@ def _outside(cases: Cases, word: str) -> float:
     return round((sum(said) + 0.5) / (len(said) + 1.0), 4)
 
 
+def _unseen(cases: Cases, word: str) -> float:
+    said = [one for one in cases if one["verdict"] == word and one["mix"] in INSIDE and one["ladder"]]
+    missing = [not any(right for _, _, right in one["ladder"]) for one in said]
+    return round((sum(missing) + 0.5) / (len(said) + 1.0), 4)
+
+
 def restated(cases: Cases, found: Fitted) -> list[dict[str, Any]]:
     """The cases with the probability that the first hypothesis would have been given."""
     out = []
     for one in cases:
-        ladder = _ladder(one)
+        ladder, word = _ladder(one), one["verdict"]
         weights = [max(p, 1e-12) ** found.sharper * np.exp(-found.sharper * found.per_effect * k) for k, p, _ in ladder]
         share = float(weights[0] / np.sum(weights)) if ladder else 0.0
-        out.append({**one, "probability": share * (1.0 - found.outside[one["verdict"]])})
+        out.append({**one, "probability": share * (1.0 - found.outside[word]) * (1.0 - found.unseen[word])})
     return out
 
 
@@ -75,7 +85,7 @@ def calibrated(text: str, found: Fitted, reliability: list[tuple[str, int, float
     data["temperature"] = round(T / found.sharper, 4)
     data["temperature_without_floor"] = round(max(data["temperature_without_floor"], 3.0 * data["temperature"]), 4)
     data["penalty_nats_per_effect"] = round(data["penalty_nats_per_effect"] + T * found.per_effect, 4)
-    data["outside_probability"] = found.outside
+    data["outside_probability"], data["unseen_probability"] = found.outside, found.unseen
     data["fitted_on"] = told
     data["note"] = "frozen numbers of the probabilities, by `longreach bench gap --calibrate`"
     data["reliability"] = [

@@ -297,6 +297,7 @@ FREE_FORM: dict[str, Example] = {
         "why": "one effect closes 91 % of the gap at joint 2",
         "hypotheses": [{"effects": [{"effect": "backlash", "joint": 2}], "probability": 0.84}],
         "outside_probability": 0.05,
+        "unseen_probability": 0.08,
         "missing": [],
     },
 }

@@ -40,6 +40,7 @@ UNREAD: dict[str, Any] = {  # the tool would not diagnose the recording at all
     "verdict": "undecided",
     "hypotheses": [],
     "outside_probability": 1.0,
+    "unseen_probability": 0.0,
     "indistinguishable": [],
     "credible_set_90": [],
     "localisation": [],
@@ -178,7 +179,7 @@ def _ladder(truth: dict[str, Any], answer: dict[str, Any], first_right: bool) ->
     if truth["mix"] not in ("none", "single", "double"):
         first_right = False
     wanted = {(one["effect"]["name"], one["effect"]["joint"]) for one in truth["effects"]}
-    inside = max(1.0 - answer["outside_probability"], 1e-9)
+    inside = max(1.0 - answer["outside_probability"] - answer["unseen_probability"], 1e-9)
     rows: list[list[Any]] = []
     for k, one in enumerate(answer["hypotheses"]):
         found = keys(one["effects"])

@@ -127,6 +127,7 @@ def answered(verdict: str, *names: tuple[str, int | None]) -> dict:
         "why": "",
         "hypotheses": [{"effects": effects, "probability": 0.9}],
         "outside_probability": 0.02,
+        "unseen_probability": 0.0,
         "credible_set_90": [{"effects": effects, "probability": 0.9}],
         "indistinguishable": [],
         "localisation": [],

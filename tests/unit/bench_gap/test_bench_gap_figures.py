@@ -81,6 +81,16 @@ def test_probabilities_are_fitted_to_what_turned_out_right() -> None:
     assert data["fitted_on"] == "62 made-up cases"
 
 
+def test_a_truth_that_no_hypothesis_was_is_counted_as_unseen_by_verdict() -> None:
+    seen = case("none", verdict="none", ladder=[[0, 0.9, True]], named=[])
+    small = case("single", 0.6, verdict="none", ladder=[[0, 0.9, False]], exact_named=False)
+    found = calibrate.fit([seen, seen, small])
+    assert found.unseen["none"] == pytest.approx(1.5 / 4.0)
+    assert calibrate.restated([seen], found)[0]["probability"] < 1.0 - found.unseen["none"]
+    text = json.dumps({"temperature": 1.0, "temperature_without_floor": 3.0, "penalty_nats_per_effect": 8.0})
+    assert json.loads(calibrate.calibrated(text, found, [], ""))["unseen_probability"] == found.unseen
+
+
 def test_reliability_puts_a_whole_probability_into_the_last_bin() -> None:
     cases = [case("single", 3.0, probability=1.0), case("single", 3.0, probability=0.5, exact_named=False)]
     rows = {name: (count, right) for name, count, _, right in figures.reliability(cases)}

@@ -23,6 +23,7 @@ KEYS = {
     "hypotheses",
     "indistinguishable",
     "credible_set_90",
+    "unseen_probability",
     "localisation",
     "merged_stages",
     "shrink",
