@@ -11,7 +11,7 @@ from diagnosis.score import Score, covariance
 from diagnosis.search import Scan, Search
 from machine.rotations import Array
 
-SHOWN_ENERGY = 24.7  # |s|^2 with s^2/2 - 1.28 s = 6 nats: found with 90 %; 6 nats by chance is below 2 %
+SHOWN_ENERGY = 43.0  # |s|^2 with s/2 - 1.28 = 2 standard errors over blocks (score.py): found with 90 %
 CHANCE_90 = 1.35  # nats below the best: 90 % limits of one number
 FLAT_NATS = 1e-3
 WIDEST = 0.1  # of the range: how far from the fit limits are looked for

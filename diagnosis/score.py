@@ -13,6 +13,8 @@ from machine.rotations import Array
 MARGIN_NATS = 6.0  # 3 gave false names among dozens of candidates in a dozen cells
 MARGIN_MORE_NATS = 2.0  # for each further number that a model has
 MARGIN_SE = 1.5
+MARGIN_SE_SMALL = 2.0  # below CLEAR_NATS: a swing of one motion gains as much as a small effect, but not everywhere
+CLEAR_NATS = 30.0  # a command limited in a few blocks gains more than that in each
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +66,8 @@ def fold_thetas(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array]:
 
 
 def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cell | None = None) -> bool:
-    """Whether `one` beats `other` by the margin: 6 nats, a share of its gain, and 1.5 standard errors over blocks.
+    """Whether `one` beats `other` by the margin: 6 nats, a share of its gain, and 2 standard errors over blocks (1.5
+    from 30 nats on).
 
     On top of the 6 nats comes what its further names gain on the undisturbed machine.
 
@@ -79,7 +82,8 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
         least, form_share = max(least + max(usual, 0.0) / spread, cell.least_nats), cell.form_share
     if float(gains.sum()) <= max(least, form_share * (one.total - none.total) / spread):
         return False
-    return float(gains.mean()) > MARGIN_SE * float(gains.std(ddof=1)) / np.sqrt(len(gains))
+    least_se = MARGIN_SE if float(gains.sum()) >= CLEAR_NATS else MARGIN_SE_SMALL
+    return float(gains.mean()) > least_se * float(gains.std(ddof=1)) / np.sqrt(len(gains))
 
 
 def numbers_of(found: Fit) -> int:

@@ -21,6 +21,7 @@ LEAST_NATS = 12.0  # twice the margin of a name
 REFUSED_NATS = 16.0  # none of 60 recordings of the undisturbed plant were refused by it; 12 refused two
 ODD_SHARE = 0.02
 FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
+RARE_NATS, RARE_TIMES = 60.0, 3.0  # the same for single moments: the sixteenth day's largest one is far larger
 TEST = "shape"
 SINGLE_MOMENTS = "single moments"
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
@@ -70,19 +71,21 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
     out = []
     for one in left:
         known = usual[_at(one)]
-        if _known(known) and one.nats > REFUSED_NATS + EXCEEDED_TIMES * _largest(known, one.goes_with) + form:
+        if _known(known) and one.nats > _refused_from(known, one.goes_with) + form:
             share = one.nats / (one.nats + max(gained_nats, 0.0))
             lead = f"goes with {one.goes_with}"
             out.append(Fired(TEST, one.stage, one.joint, one.nats, math.exp(-one.nats), lead, share))
     return tuple(out)
 
 
-def _largest(usual: dict[str, float], goes_with: str) -> float:
-    """Its own usual size, or any course's that is larger there: single moments are none."""
-    courses = [
-        nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != usual_shape(SINGLE_MOMENTS)
-    ]
-    return max([usual.get(usual_shape(goes_with), 0.0), *courses])
+def _refused_from(usual: dict[str, float], goes_with: str) -> float:
+    """Its own usual size, or any course's that is larger there; single moments are no course, and rarer."""
+    moments = usual_shape(SINGLE_MOMENTS)
+    courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != moments]
+    most = max([usual.get(usual_shape(goes_with), 0.0), *courses])
+    if goes_with == SINGLE_MOMENTS:
+        return RARE_NATS + RARE_TIMES * most
+    return REFUSED_NATS + EXCEEDED_TIMES * most
 
 
 def _usual(cell: Cell) -> dict[Place, dict[str, float]]:
