@@ -28,7 +28,7 @@ JOINED_UNIT = "floors"
 def behind_cells(whole: Read, base: ParameterSets) -> list[Cell]:
     """What was measured behind the encoders: one cell, or none."""
     nominal = whole.nominal
-    paths = paths_of(whole.stretches, nominal.actuators if nominal is not None else None)
+    paths = paths_of(whole.stretches, nominal is not None and nominal.actuators is not None)
     parts = point_cells(whole, base, paths) + camera_cells(whole, base, paths)
     if len(parts) < 2:
         return parts

@@ -134,7 +134,7 @@ def camera_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | Non
         return []
     if nominal.camera is None or nominal.T_tcp_cam_left is None:
         return []
-    paths = paths_of(whole.stretches, nominal.actuators) if paths is None else paths
+    paths = paths_of(whole.stretches, nominal.actuators is not None) if paths is None else paths
     to_plc_s = tables.run.camera_to_plc_offset_s
     table = replace(tables.markers, t_s=tables.markers.t_s + to_plc_s)
     cells = []

@@ -75,7 +75,7 @@ def point_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None
         cells.append(_cell(nominal, _thinned(static), (), base))
     tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
     if tracked is not None and len(tracked.xyz) >= POINT_ROWS_MIN:
-        courses = paths_of(whole.stretches, nominal.actuators) if paths is None else paths
+        courses = paths_of(whole.stretches, nominal.actuators is not None) if paths is None else paths
         cells.append(_cell(nominal, _thinned(tracked), courses, base))
     return cells
 
@@ -92,7 +92,7 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
         data = PointData(data.q[kept], data.which[kept], data.xyz[kept], data.when[kept])
         at = at[kept]
     joints = tuple(range(1, nominal.n + 1))
-    moving = bool(paths) and all(path.plant is not None for path in paths)
+    moving = bool(paths) and all(path.step_s is not None for path in paths)
     candidates = _candidates(joints, moving)
     rough = PointResidual(nominal, data, paths, at, np.ones(3))
     known = _floor(rough, base)

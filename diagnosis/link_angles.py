@@ -1,6 +1,6 @@
 """Link-side angles at the times of measurements behind the encoders, for many parameter sets."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
 from machine.effects import kernel
-from machine.effects.dynamics import Actuators
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
@@ -26,26 +25,25 @@ ENCODER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """The encoders' course through one stretch: t_s (m,), enc (m, n); the plant at its rate, None without actuators."""
+    """The encoders' course through one stretch: t_s (m,), enc (m, n). `step_s`: between its rows, for play and swing;
+    None where no actuators are known: neither is modelled then.
+    """
 
     t_s: Array
     enc: Array
-    plant: Actuators | None
+    step_s: float | None
     courses: dict[tuple[int, bytes], Array] = field(default_factory=dict, compare=False)  # behind play and swing
 
 
-def paths_of(stretches: tuple[Stretch, ...], plant: Actuators | None) -> tuple[Path, ...]:
+def paths_of(stretches: tuple[Stretch, ...], has_actuators: bool) -> tuple[Path, ...]:
     """The course of every stretch that has encoders throughout."""
     out = []
     for one in stretches:
         if one.enc is None or not np.isfinite(one.enc).any(axis=0).all():
             continue
         skip = max(1, int(COURSE_S / one.dt_s + 1e-9))
-        at_rate = None
-        if plant is not None:
-            step = one.dt_s * skip
-            at_rate = replace(plant, cycle_s=step, log_cycle_s=step)
-        out.append(Path(one.t_s[::skip], np.ascontiguousarray(filled(one.enc)[::skip]), at_rate))
+        step_s = one.dt_s * skip if has_actuators else None
+        out.append(Path(one.t_s[::skip], np.ascontiguousarray(filled(one.enc)[::skip]), step_s))
     return tuple(out)
 
 
@@ -67,8 +65,10 @@ def link_angles(paths: tuple[Path, ...], sets: ParameterSets, which: int, at: ND
     for k in np.unique(at):
         path = paths[k]
         for j in range(n):
-            encoders[k, j] = path.plant is None or not loose[j]
-            values = path.enc[:, j] if encoders[k, j] else _behind_joint(path, sets, which, j, keys[j])
+            encoders[k, j] = path.step_s is None or not loose[j]
+            values = path.enc[:, j]
+            if path.step_s is not None and loose[j]:
+                values = _behind_joint(path, path.step_s, sets.joint[which, j], j, keys[j])
             _interpolate(path.t_s, values, at, k, times, out[:, j])
     rows = encoders[at]
     # the encoders' map is smooth: after the interpolation it costs a tenth
@@ -90,17 +90,14 @@ def _interpolate(at_s: Array, values: Array, path_of: NDArray[np.int64], path: i
         out[i] = values[right - 1] + share * (values[right] - values[right - 1])
 
 
-def _behind_joint(path: Path, sets: ParameterSets, which: int, j: int, key: bytes) -> Array:
+def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes) -> Array:
     """Link-side angles of joint j (0-based), which has play or swing, at the path's rows (m,); joint by joint, since
     most sets differ in one.
     """
-    if path.plant is None:
-        return path.enc[:, j]
     if (j, key) not in path.courses:
-        if len(path.courses) >= REMEMBERED * sets.joint.shape[1]:
+        if len(path.courses) >= REMEMBERED * path.enc.shape[1]:
             path.courses.pop(next(iter(path.courses)))
-        readings = np.ascontiguousarray(path.enc[:, j])
-        path.courses[j, key] = kernel.course(sets.joint[which, j], readings, path.plant.log_cycle_s)
+        path.courses[j, key] = kernel.course(effects, np.ascontiguousarray(path.enc[:, j]), step_s)
     return path.courses[j, key]
 
 

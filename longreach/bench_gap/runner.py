@@ -168,14 +168,12 @@ def _case(asked: Campaign, number: int, folder: Path, hands: Hands) -> bool:
 
 def _stage(hands: Hands, module: str, arguments: list[str], folder: Path) -> Ended:
     """One stage of a case in a process of its own; its words also go to the case's log."""
-    words, log = folder / "words.txt", folder / "log.txt"
+    words = folder / "words.txt"
     words.unlink(missing_ok=True)
     code = hands[module].run(arguments, words, CASE_S)
     text = words.read_text(encoding="utf-8", errors="replace") if words.is_file() else ""
     words.unlink(missing_ok=True)
-    with log.open("a", encoding="utf-8") as file:
-        file.write(f"$ -m {module} {' '.join(arguments)}\n{text}\nexit {code}\n")
-    return Ended(code, text)
+    return _logged(folder, ["-m", module, *arguments], Ended(code, text))
 
 
 def _run(arguments: list[str], folder: Path) -> Ended:
@@ -184,7 +182,10 @@ def _run(arguments: list[str], folder: Path) -> Ended:
     environment = {**os.environ, **dict.fromkeys(ONE_THREAD, "1")}
     command = [*(["nice", "-n", "19"] if shutil.which("nice") else []), sys.executable, *arguments]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-    ended = Ended(done.returncode, done.stdout + done.stderr)
+    return _logged(folder, arguments, Ended(done.returncode, done.stdout + done.stderr))
+
+
+def _logged(folder: Path, arguments: list[str], ended: Ended) -> Ended:
     with (folder / "log.txt").open("a", encoding="utf-8") as log:
         log.write(f"$ {' '.join(arguments)}\n{ended.text}\nexit {ended.code}\n")
     return ended

@@ -17,10 +17,10 @@ PLANT = replace(actuators_of(parse_machine_toml(MACHINE_TOML)), cycle_s=0.01, lo
 N = PLANT.n
 
 
-def path(start_s: float, plant=PLANT) -> Path:
+def path(start_s: float, step_s: float | None = PLANT.cycle_s) -> Path:
     t = start_s + 0.01 * np.arange(400)
     phases = np.arange(N)
-    return Path(t, np.ascontiguousarray(0.3 * np.sin(2.0 * t[:, None] + phases)), plant)
+    return Path(t, np.ascontiguousarray(0.3 * np.sin(2.0 * t[:, None] + phases)), step_s)
 
 
 PATHS = (path(0.0), path(10.0))
