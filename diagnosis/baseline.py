@@ -69,7 +69,7 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
         raise DiagnosisError(
             f"{len(fitted)} recordings to fit and {len(checked)} to judge; give at least 1 and {CHECKED_MIN}"
         )
-    entries = _settled(fitted, progress)
+    entries = _sized([*fitted, *checked], _settled(fitted, progress), progress)
     progress("what is left on the other recordings")
     remainders = remainders_of([with_baseline(one, entries, ()) for one in checked])
     spreads, usual, names = _wrong_gains([with_baseline(one, entries, remainders) for one in checked], progress)
@@ -81,28 +81,44 @@ def _told(names: dict[str, dict[str, float]]) -> tuple[tuple[str, float], ...]:
     return tuple((name.removeprefix(USUAL_NAME), nats) for found in names.values() for name, nats in found.items())
 
 
-def _settled(fitted: list[Read], progress: Progress) -> tuple[EffectEntry, ...]:
-    """Effects by the floor that they leave themselves, fitted again until their names stay.
+def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
+    """Effects of each cell by the floor that they leave themselves, fitted again until their names stay.
 
     Why: the oil swings by several floors. Weighed by the noise alone, that swing decides what is worth fitting; by the
     filter that whitens it, and by what each kind of measurement is left with, small effects beside it are seen.
     """
     entries: tuple[EffectEntry, ...] = ()
     remainders: tuple[Remainder, ...] = ()
+    found: dict[str, Fit] = {}
     for number in range(1, PASSES + 1):
         before = [(one.name, one.joint) for one in entries]
         groups = _grouped([with_baseline(one, (), remainders) for one in fitted])
         if not groups:
             raise DiagnosisError("no stage of these recordings can be replayed; see `longreach recording check`")
-        found: list[EffectEntry] = []
         for label, cell in groups.items():
             progress(f"fitting {label}, pass {number} of at most {PASSES}")
-            found += entries_of(forward(cell).fit)
-        entries = tuple(found)
+            found[label] = forward(cell).fit
+        entries = tuple(entry for one in found.values() for entry in entries_of(one))
         if [(one.name, one.joint) for one in entries] == before:
             break
         remainders = remainders_of([with_baseline(one, entries, ()) for one in fitted])
-    return entries
+    return found
+
+
+def _sized(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tuple[EffectEntry, ...]:
+    """The sizes of the effects that were found, by cell, fitted again on all recordings.
+
+    Why on those, too, that judge: three recordings know a flow gain to half a percent, and every later one would show
+    the rest as a name. Two dozen numbers gain a nat each by it; it is the names that have to stand the test.
+    """
+    first = tuple(entry for one in fits.values() for entry in entries_of(one))
+    remainders = remainders_of([with_baseline(one, first, ()) for one in wholes])
+    found: list[EffectEntry] = []
+    for label, cell in _grouped([with_baseline(one, (), remainders) for one in wholes]).items():
+        if label in fits and fits[label].hypothesis:
+            progress(f"sizes of {label} on {len(wholes)} recordings")
+            found += entries_of(fit(cell, fits[label].hypothesis, fits[label].theta, ROUNDS))
+    return tuple(found)
 
 
 def _grouped(wholes: list[Read]) -> dict[str, Cell]:

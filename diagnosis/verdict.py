@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 Word = Literal["none", "effects", "outside", "undecided"]
 LEFT_SMALL = 0.02  # share of the gap: a remainder below it does not take back a name
 LEFT_LARGE = 0.5  # share of the gap: a remainder above it says that no name fits
+HOLES_MANY = 10  # a cable pulled once is no fault of the log; samples that go missing all the time are
 SURE = 0.5  # probability of the best hypothesis with its equivalents
 
 
@@ -26,8 +27,8 @@ class Verdict:
     why: str
 
 
-def verdict_of(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -> Verdict:
-    """The verdict over all cells.
+def verdict_of(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...], holes: int = 0) -> Verdict:
+    """The verdict over all cells. `holes`: places where the log lacks rows.
 
     Model: a remainder that tests find takes back a name: a wrong effect can close most of a foreign gap. It is
            "outside" where it is most of the gap, or nothing was named; else "undecided", unless below 2 % of the gap.
@@ -44,6 +45,9 @@ def verdict_of(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -
         one = partly[0]
         text = f"{one.search.cell.label}: the best names leave {100 * _left(one):.3g} % of the gap{_lead(one)}"
         return Verdict("undecided", text)
+    if not named and holes >= HOLES_MANY:
+        text = f"nothing above the noise floor in what was logged, but rows are missing in {holes} places"
+        return Verdict("undecided", f"{text}: look at the logger first")
     if not named:
         return Verdict("none", "nothing above the noise floor")
     sure = _probability_with_equivalents(answers, hypotheses)

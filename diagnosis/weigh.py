@@ -68,7 +68,8 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     Model: p ~ exp((held-out score - penalty of each effect) / (T spread)); T larger where the floor is not known. An
            effect also pays a share of all that is gained: no model is right to better than this. As many names as were
            chosen pay no more than those for what they gain on the undisturbed machine: that told whether anything is
-           there, and says nothing of which of them it is.
+           there, and says nothing of which of them it is. What scored more than was chosen and failed the margin counts
+           by the margin at most: a gain in one motion only is luck.
     """
     numbers = calibration()
     T = numbers.temperature if found.cell.floor_known else numbers.temperature_without_floor
@@ -77,7 +78,7 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     paid = _usual_nats(found, found.chosen)
     logs = np.array(
         [
-            one.total / found.spread
+            min(one.total, found.chosen.total + MARGIN_NATS * found.spread) / found.spread
             - _price(found.cell, one)
             - (min(paid, _usual_nats(found, one)) if _count(one) == _count(found.chosen) else _usual_nats(found, one))
             - share * _count(one)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.cells import EXCEEDED_TIMES, Cell
+from diagnosis.cells import DRIVEN_STAGES, EXCEEDED_TIMES, Cell
 from diagnosis.cells_behind import measurement_of
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_points import PointResidual
@@ -21,7 +21,8 @@ LEAST_NATS = 12.0  # twice the margin of a name
 REFUSED_NATS = 16.0  # none of 60 recordings of the undisturbed plant were refused by it; 12 refused two
 ODD_SHARE = 0.02
 FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
-RARE_NATS, RARE_TIMES = 60.0, 3.0  # the same for single moments: the sixteenth day's largest one is far larger
+RARE_NATS = 60.0  # the same for single moments
+RARE_TIMES = 3.0  # of what a few points, or moments, show undisturbed: the sixteenth day's largest one is far larger
 TEST = "shape"
 SINGLE_MOMENTS = "single moments"
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
@@ -71,21 +72,21 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
     out = []
     for one in left:
         known = usual[_at(one)]
-        if _known(known) and one.nats > _refused_from(known, one.goes_with) + form:
+        if _known(known) and one.nats > _refused_from(known, one) + form:
             share = one.nats / (one.nats + max(gained_nats, 0.0))
             lead = f"goes with {one.goes_with}"
             out.append(Fired(TEST, one.stage, one.joint, one.nats, math.exp(-one.nats), lead, share))
     return tuple(out)
 
 
-def _refused_from(usual: dict[str, float], goes_with: str) -> float:
+def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     """Its own usual size, or any course's that is larger there; single moments are no course, and rarer."""
     moments = usual_shape(SINGLE_MOMENTS)
     courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != moments]
-    most = max([usual.get(usual_shape(goes_with), 0.0), *courses])
-    if goes_with == SINGLE_MOMENTS:
+    most = max([usual.get(usual_shape(shape.goes_with), 0.0), *courses])
+    if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most
-    return REFUSED_NATS + EXCEEDED_TIMES * most
+    return REFUSED_NATS + (EXCEEDED_TIMES if shape.stage in DRIVEN_STAGES else RARE_TIMES) * most
 
 
 def _usual(cell: Cell) -> dict[Place, dict[str, float]]:

@@ -66,10 +66,11 @@ function stopButton({ diagnosis_id }) {
 }
 
 // The verdict first; an answer that is no answer says so before any number.
-function answer({ verdict, why, hypotheses, outside_probability, shrink, next_experiment }) {
+function answer({ verdict, why, hypotheses, outside_probability, unseen_probability, shrink, next_experiment }) {
   const word = WORDS.has(verdict) ? verdict : "undecided";
   const parts = [make("p", { class: `verdict ${word === "effects" || word === "none" ? "good" : "bad"}` }, t(`gap_${word}`)), make("p", {}, why)];
-  if (hypotheses.length && word !== "none") parts.push(make("table", {}, heading(), make("tbody", {}, ...effectRows(hypotheses), likelihoodRow(t("gap_foreign"), outside_probability))));
+  const others = [likelihoodRow(t("gap_unseen"), unseen_probability), likelihoodRow(t("gap_foreign"), outside_probability)];
+  if (hypotheses.length && word !== "none") parts.push(make("table", {}, heading(), make("tbody", {}, ...effectRows(hypotheses), ...others)));
   const closed = shrink.overall?.closed_frac;
   if (closed !== null && closed !== undefined) parts.push(make("p", {}, t("gap_shrink", { pct: (100 * closed).toFixed(0) })));
   if (next_experiment?.what) parts.push(make("p", {}, t("gap_next", { what: next_experiment.what, minutes: next_experiment.minutes, why: next_experiment.why })));

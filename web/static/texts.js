@@ -78,7 +78,7 @@ export const TEXTS = {
   gap_none: "NO GAP: the machine does what the model says, within what the recording can show", gap_effects: "EXPLAINED: these effects make the gap",
   gap_outside: "OUTSIDE: a gap is there that nothing in the catalogue explains; do not act on the names below",
   gap_undecided: "UNDECIDED: the recording does not tell the candidates apart; do not act on the names below",
-  gap_foreign: "something outside the catalogue", gap_shrink: "The most likely ones together take {pct} % of the gap away, on data they were not fitted to.",
+  gap_foreign: "something outside the catalogue", gap_unseen: "one more, too small to be seen here", gap_shrink: "The most likely ones together take {pct} % of the gap away, on data they were not fitted to.",
   gap_next: "Record next: {what} ({minutes} min), because {why}.", gap_intro: "Where the model and the machine differ, from one recording; runs beside, nothing moves.",
   recordings_intro: "Each job is recorded as MCAP; Foxglove opens it as it is:", download: "download", replay: "replay", layout: "Foxglove layout", rerun: "For Rerun, with a blueprint:",
   disk: "{gb} GB free", recording_on: "recording now", no_recordings: "No recording yet.", settings_intro: "Read-only. Change them in the settings file and start the server again.",
