@@ -64,7 +64,8 @@ def with_baseline(text: str, found: Baseline) -> str:
 
 def told(found: Baseline, fitted: int, count: int) -> str:
     """What was fitted and what is left, one line a cell."""
-    rows = [f"fitted on {fitted} recordings, judged on {count - fitted}; RMS in noise floors before and after:"]
+    counts = f"names from {fitted} recordings, sizes from {count}, judged on {count - fitted}"
+    rows = [f"{counts}; RMS in noise floors before and after:"]
     rows += [f"  {one.label}: {one.before:.3g} -> {one.after:.3g}" for one in found.cells]
     rows += [f"  {one.name} {one.joint or ''} {dict(one.values)}" for one in found.effects]
     rows += [f"  {label}: a wrong name usually gains {times:.3g} times chance" for label, times in found.best_wrong]
