@@ -6,6 +6,7 @@ its residual is then independent of all others, and a hypothesis' score is the s
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ BLOCKS_MIN = 12
 FORM_SHARE = 0.002
 BLOCK_ROWS_MAX = 100  # 5 s at 20 Hz
 EXCEEDED_TIMES = 1.5  # the most that some recordings showed is exceeded by one more in every dozen
+COMMON_MIN = 3
 DRIVEN_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly in time; poses and corners are not
 
 
@@ -75,9 +77,14 @@ class Cell:
     parts: tuple["Cell", ...] = ()
 
     def usual_nats(self, effects: Iterable[Candidate]) -> float:
-        """What these names may gain on the undisturbed machine [nats, not divided]."""
+        """What these names may gain on the undisturbed machine [nats, not divided].
+
+        Where several names are known to gain more than chance there, any other one may gain as much as the middle one
+        of them on the next day.
+        """
         known = dict(self.usual_names)
-        return EXCEEDED_TIMES * sum(known.get(usual_name(one.name), 0.0) for one in effects)
+        common = median(known.values()) if len(known) >= COMMON_MIN else 0.0
+        return EXCEEDED_TIMES * sum(max(known.get(usual_name(one.name), 0.0), common) for one in effects)
 
     @property
     def label(self) -> str:

@@ -21,6 +21,7 @@ LEAST_NATS = 12.0  # twice the margin of a name
 REFUSED_NATS = 16.0  # none of 60 recordings of the undisturbed plant were refused by it; 12 refused two
 ODD_SHARE = 0.02
 FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
+REFUSED_BEHIND_NATS = 40.0  # the same for points and corners: few, and a boom that swings at another moment moves them
 RARE_NATS = 60.0  # the same for single moments
 RARE_TIMES = 3.0  # of what a few points, or moments, show undisturbed: the sixteenth day's largest one is far larger
 TEST = "shape"
@@ -86,7 +87,9 @@ def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     most = max([usual.get(usual_shape(shape.goes_with), 0.0), *courses])
     if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most
-    return REFUSED_NATS + (EXCEEDED_TIMES if shape.stage in DRIVEN_STAGES else RARE_TIMES) * most
+    if shape.stage not in DRIVEN_STAGES:
+        return REFUSED_BEHIND_NATS + RARE_TIMES * most
+    return REFUSED_NATS + EXCEEDED_TIMES * most
 
 
 def _usual(cell: Cell) -> dict[Place, dict[str, float]]:

@@ -207,3 +207,6 @@ def test_a_name_that_gains_on_the_undisturbed_machine_has_to_gain_that_much_more
     assert "flow_gain_error" not in [one.name for one in held.chosen.fit.hypothesis]
     elsewhere = search(replace(cell, usual_names=((usual_name("valve_lag"), gain),)))
     assert [one.name for one in elsewhere.chosen.fit.hypothesis] == ["flow_gain_error"]
+    several = tuple((usual_name(name), gain) for name in ("valve_lag", "valve_deadband", "stiction"))
+    anywhere = search(replace(cell, usual_names=several))  # three that do: a fourth may
+    assert "flow_gain_error" not in [one.name for one in anywhere.chosen.fit.hypothesis]
