@@ -123,9 +123,10 @@ def _credible(found: Diagnosis) -> list[dict[str, Any]]:
     unseen = unseen_share(found.verdict.word)
     first = _keys(found.hypotheses[0]) if found.hypotheses else ()
     weighed = [(_keys(whole), (1.0 - unseen) * whole.probability) for whole in found.hypotheses]
-    further = [((*first, key), unseen * part) for key, part in one_more(found.cells, frozenset(first))]
+    others = one_more(found.cells, frozenset(first)) if unseen > 0.0 else ()
+    further = [((*first, key), unseen * part) for key, part in others]
     masses: dict[frozenset[Key], float] = {}
-    for keys, part in (*weighed, *(further if unseen > 0.0 else ())):
+    for keys, part in (*weighed, *further):
         masses[frozenset(keys)] = masses.get(frozenset(keys), 0.0) + part
     rows = sorted(masses.items(), key=lambda row: -row[1])
     out, mass = [], 0.0

@@ -75,12 +75,11 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     T = numbers.temperature if found.cell.floor_known else numbers.temperature_without_floor
     gained = max(one.total for one in found.scored) - found.none.total
     share = max(found.cell.form_share * gained / found.spread, found.cell.least_nats)
-    paid = _usual_nats(found, found.chosen)
     logs = np.array(
         [
             min(one.total, found.chosen.total + MARGIN_NATS * found.spread) / found.spread
             - _price(found.cell, one)
-            - (min(paid, _usual_nats(found, one)) if _count(one) == _count(found.chosen) else _usual_nats(found, one))
+            - _paid(found, one)
             - share * _count(one)
             for one in found.scored
         ]
@@ -98,6 +97,12 @@ def _count(one: Score) -> int:
 
 def _usual_nats(found: Search, one: Score) -> float:
     return found.cell.usual_nats(one.fit.hypothesis) / found.spread
+
+
+def _paid(found: Search, one: Score) -> float:
+    """What a hypothesis pays for its names' usual gains; as many names as were chosen pay no more than those."""
+    usual = _usual_nats(found, one)
+    return min(usual, _usual_nats(found, found.chosen)) if _count(one) == _count(found.chosen) else usual
 
 
 def _price(cell: Cell, one: Score) -> float:

@@ -18,14 +18,14 @@ from machine.remainder import USUAL_SHAPE, usual_shape
 from machine.rotations import Array
 
 LEAST_NATS = 12.0  # twice the margin of a name
-REFUSED_NATS = 16.0  # none of 60 recordings of the undisturbed plant were refused by it; 12 refused two
-ODD_SHARE = 0.02
-FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
+REFUSED_NATS = 16.0  # none of 60 recordings of the undisturbed plant were refused by it; 12 refused one
 REFUSED_BEHIND_NATS = 40.0  # the same for points and corners: few, and a boom that swings at another moment moves them
 RARE_NATS = 60.0  # the same for single moments
 RARE_TIMES = 3.0  # of what a few points, or moments, show undisturbed: the sixteenth day's largest one is far larger
+FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
 TEST = "shape"
 SINGLE_MOMENTS = "single moments"
+ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
 Place = tuple[str, int | None, str]
 

@@ -31,6 +31,9 @@ def test_without_a_count_only_what_was_weighed_is_in_the_set(found, monkeypatch:
     assert result["verdict"] == "none"
     assert result["unseen_probability"] == 0.0
     assert result["credible_set_90"][0]["effects"] == []
+    weighed = [sorted((e["name"], e["joint"]) for e in one["effects"]) for one in result["hypotheses"]]
+    for row in result["credible_set_90"]:
+        assert sorted((e["name"], e["joint"]) for e in row["effects"]) in weighed
 
 
 def test_all_probabilities_sum_to_one_and_the_set_holds_ninety_percent(found, monkeypatch: pytest.MonkeyPatch) -> None:
