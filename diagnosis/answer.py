@@ -7,9 +7,10 @@ import numpy as np
 from diagnosis.diagnose import CellAnswer, Diagnosis
 from diagnosis.experiments.choice import next_experiment
 from diagnosis.fit import Fit
-from diagnosis.limits import Interval, closed_share
+from diagnosis.limits import Interval
 from diagnosis.rivals import rivals
 from diagnosis.score import Score
+from diagnosis.shrink import closing, together
 from diagnosis.unseen import one_more, unseen_share
 from diagnosis.weigh import Key, Whole, calibration
 from machine.effects.registry import effect_named
@@ -171,6 +172,7 @@ def _shrink(found: Diagnosis) -> dict[str, Any]:
                 "before": _round(s.before),
                 "after": _round(s.after),
                 "floor": _round(s.floor),
+                "floor_by": s.floor_by,
                 "closed_frac": _round(s.closed_frac),
                 "low": _round(s.low),
                 "high": _round(s.high),
@@ -180,24 +182,20 @@ def _shrink(found: Diagnosis) -> dict[str, Any]:
 
 
 def _overall(cells: tuple[CellAnswer, ...]) -> dict[str, Any]:
-    """All cells together, each in units of its own floor."""
-    before, after, count = ([], [], [])
-    for one in cells:
-        block = one.search.cell.rows.block
-        before.append(np.bincount(block, weights=one.search.none.held_out**2))
-        after.append(np.bincount(block, weights=one.chosen.held_out**2))
-        count.append(one.search.cell.quiet * np.bincount(block))
+    """The cells where something was found, all of them where nothing was, each in units of its own floor."""
     if not cells:
         return {}
-    b, a, c = (np.concatenate(one) for one in (before, after, count))
-    rows = sum(one.search.cell.rows.count for one in cells)
-    closed, low, high = closed_share(b, a, c, rows, 0)
+    found = [one for one in cells if one.fired or one.chosen.fit.hypothesis] or cells
+    before, after, floor, (closed, low, high), floor_by = closing(
+        together(part for one in found for part in one.squares)
+    )
     return {
-        "metric": "RMS of held-out residuals",
+        "metric": "RMS of held-out residuals where a gap was found",
         "unit": "noise floors",
-        "before": _round(float(np.sqrt(b.sum() / rows))),
-        "after": _round(float(np.sqrt(a.sum() / rows))),
-        "floor": _round(float(np.sqrt(c.sum() / rows))),
+        "before": _round(before),
+        "after": _round(after),
+        "floor": _round(floor),
+        "floor_by": floor_by,
         "closed_frac": _round(closed),
         "low": _round(low),
         "high": _round(high),

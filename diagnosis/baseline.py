@@ -13,11 +13,11 @@ from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import joined, measurement_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
-from diagnosis.left_over import cells_of, remainders_of, with_baseline
+from diagnosis.left_over import cells_of, forms_of, remainders_of, with_baseline
 from diagnosis.reading import Read
 from diagnosis.refusal import key_of, pattern_nats, tests_of
 from diagnosis.score import Score, better, numbers_of, score
-from diagnosis.search import Scan, Search, foreseen, scan, search
+from diagnosis.search import FELT, Scan, Search, foreseen, scan, search
 from diagnosis.shapes.found import shapes_of
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
@@ -29,11 +29,11 @@ EFFECTS_MAX = 9  # in one cell
 TRIED = 3  # of the best scanned, fitted at each step
 ROUNDS = 5
 PASSES = 3  # at most, each by the floor that the one before it left
-FELT = 100.0  # change of the residual, squared floors
 FEW = 2
 CHANCE_NATS = 4.5  # that the best of some dozen wrong names gains by chance: three quarters of the margin of a name
 CHANCE_MORE_NATS = 2.0  # for each further number that it may choose
 CHECKED_MIN = 2  # recordings that the baseline is judged on
+DAYS_OWN = 10  # from so many on, each joint has its own usual tests
 Progress = Callable[[str], None]
 
 
@@ -70,11 +70,24 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
             f"{len(fitted)} recordings to fit and {len(checked)} to judge; give at least 1 and {CHECKED_MIN}"
         )
     entries = _sized([*fitted, *checked], _settled(fitted, progress), progress)
+    progress("what the model is wrong by on all recordings alike")
+    forms = _forms([*fitted, *checked], entries)
     progress("what is left on the other recordings")
-    remainders = remainders_of([with_baseline(one, entries, ()) for one in checked])
+    remainders = _with_forms(remainders_of([with_baseline(one, entries, forms) for one in checked]), forms)
     spreads, usual, names = _wrong_gains([with_baseline(one, entries, remainders) for one in checked], progress)
-    finished = _spread(tuple(_with_usual(one, usual) for one in remainders), spreads, names)
-    return Baseline(entries, finished, _judged(checked, entries), tuple(spreads.items()), _told(names))
+    finished = _spread(tuple(_with_usual(one, usual, len(checked)) for one in remainders), spreads, names)
+    return Baseline(entries, finished, _judged(checked, entries, forms), tuple(spreads.items()), _told(names))
+
+
+def _forms(wholes: list[Read], entries: tuple[EffectEntry, ...]) -> tuple[Remainder, ...]:
+    """What the effects leave of all recordings alike, each weighed by what it is left with."""
+    left = remainders_of([with_baseline(one, entries, ()) for one in wholes])
+    return forms_of([with_baseline(one, entries, left) for one in wholes])
+
+
+def _with_forms(remainders: tuple[Remainder, ...], forms: tuple[Remainder, ...]) -> tuple[Remainder, ...]:
+    known = {(one.stage, one.joint, one.on): one.form for one in forms}
+    return tuple(replace(one, form=known.get((one.stage, one.joint, one.on), ())) for one in remainders)
 
 
 def _told(names: dict[str, dict[str, float]]) -> tuple[tuple[str, float], ...]:
@@ -227,7 +240,7 @@ def _beyond_chance(one: Score, none: Score) -> float:
 
 
 Names = dict[str, dict[str, tuple[float, float]]]
-Usual = dict[tuple[str, str], dict[str, float]]
+Usual = dict[tuple[str, int | None, str], dict[str, float]]
 
 
 def _wrong_gains(
@@ -275,7 +288,7 @@ def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
     parts = cell.parts or (cell,)
     cuts = np.cumsum([part.rows.count for part in parts])[:-1]
     for part, own in zip(parts, np.split(np.clip(residual, -30.0, 30.0), cuts), strict=True):
-        sizes = usual.setdefault((part.stage, measurement_of(part)), {})
+        sizes = usual.setdefault((part.stage, part.joint, measurement_of(part)), {})
         for fired in tests_of(part, own, 1):
             sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)
         drowned = max(part.left_share, SHARE_MIN)  # as `usual_at` reads it
@@ -285,9 +298,15 @@ def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
             sizes[key] = max(sizes.get(key, 0.0), one.nats / drowned)
 
 
-def _with_usual(one: Remainder, usual: Usual) -> Remainder:
-    """All joints of a stage keep the same: few recordings are to speak for many."""
-    return replace(one, usual=tuple(usual.get((one.stage, one.on), {}).items()))
+def _with_usual(one: Remainder, usual: Usual, days: int) -> Remainder:
+    """A joint keeps its own where enough recordings tell; all joints of a stage the same where few speak for many."""
+    alike = [
+        sizes
+        for (stage, joint, on), sizes in usual.items()
+        if (stage, on) == (one.stage, one.on) and (joint in (None, one.joint) or days < DAYS_OWN)
+    ]
+    names = dict.fromkeys(name for sizes in alike for name in sizes)
+    return replace(one, usual=tuple((name, max(sizes.get(name, 0.0) for sizes in alike)) for name in names))
 
 
 def _spread(
@@ -305,9 +324,12 @@ def _spread(
     return tuple(out)
 
 
-def _judged(checked: list[Read], effects: tuple[EffectEntry, ...]) -> tuple[CellBaseline, ...]:
-    """RMS in units of the noise floor, before and with the effects, on recordings not used for the fit."""
-    before, after = (_grouped([with_baseline(one, entries, ()) for one in checked]) for entries in ((), effects))
+def _judged(
+    checked: list[Read], effects: tuple[EffectEntry, ...], forms: tuple[Remainder, ...]
+) -> tuple[CellBaseline, ...]:
+    """RMS in units of the noise floor, before and with the baseline, on recordings whose names were not fitted."""
+    sides = (((), ()), (effects, forms))
+    before, after = (_grouped([with_baseline(one, *side) for one in checked]) for side in sides)
     return tuple(
         CellBaseline(label, effects, _rms(before[label]), _rms(after[label])) for label in before if label in after
     )

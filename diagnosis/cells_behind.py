@@ -13,6 +13,7 @@ from diagnosis.candidates import SEEN_BY_ENCODER, Candidate
 from diagnosis.cells import Cell, Rows
 from diagnosis.cells_camera import CornerResidual, camera_cells
 from diagnosis.cells_points import PointResidual, point_cells
+from diagnosis.form import with_form
 from diagnosis.link_angles import paths_of
 from diagnosis.reading import Read
 from machine.effects.kernel import PAYLOAD
@@ -29,7 +30,8 @@ def behind_cells(whole: Read, base: ParameterSets) -> list[Cell]:
     """What was measured behind the encoders: one cell, or none."""
     nominal = whole.nominal
     paths = paths_of(whole.stretches, nominal is not None and nominal.actuators is not None)
-    parts = point_cells(whole, base, paths) + camera_cells(whole, base, paths)
+    points = point_cells(whole, base, paths)
+    parts = (with_form(points, nominal) if nominal is not None else points) + camera_cells(whole, base, paths)
     if len(parts) < 2:
         return parts
     known = nominal.remainder("structure") if nominal is not None else None

@@ -31,7 +31,7 @@ class PointResidual:
     """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time.
 
     Axes: radial, tangential and up about the base's upright, since a slewing arm swings across far more than it bends.
-    `sigma`: (3,) [m].
+    `sigma`: (3,) [m]. `known`: (3 m,) [m], what the machine's model is known to be wrong by.
     """
 
     nominal: Nominal
@@ -39,6 +39,7 @@ class PointResidual:
     paths: tuple[Path, ...]
     at: NDArray[np.int64]
     sigma: Array
+    known: Array | None = None
 
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
@@ -47,7 +48,8 @@ class PointResidual:
         for k in range(sets.sets):
             data = replace(self.data, q=self._angles(sets, k))
             rows.append(_about_upright(fit_points(self.nominal, plain, data, k), data.xyz).ravel())
-        return np.array(rows) / np.tile(self.sigma, len(self.data.xyz))
+        known = 0.0 if self.known is None else self.known
+        return (np.array(rows) - known) / np.tile(self.sigma, len(self.data.xyz))
 
     def _angles(self, sets: ParameterSets, which: int) -> Array:
         if not self.paths:

@@ -10,14 +10,17 @@ from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
 from diagnosis.cells_merged import merged_cells
-from diagnosis.limits import Interval, Limit, Shrink, detection_limit, intervals, shrink, shrinks
+from diagnosis.form import with_form
+from diagnosis.limits import Interval, Limit, detection_limit, intervals
 from diagnosis.localise import Localisation, localise
 from diagnosis.reading import Read
 from diagnosis.refusal import Fired, remainder
 from diagnosis.replay import replayer_of
 from diagnosis.score import Score
 from diagnosis.search import Search, search, searched_again
+from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape, left_shapes, refusing
+from diagnosis.shrink import Shrink, Squares, shrink, shrinks, squares
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack
@@ -33,13 +36,14 @@ CHOSEN_SHARE = 0.6  # of the two's probability, for a hypothesis that passed the
 class CellAnswer:
     """One cell's answer. `fired`: tests of the remainder; `same`: effects this recording cannot tell apart.
 
-    `shrinks`: by part of a joined cell; `shapes`: what the remainder goes with.
+    `squares`, `shrinks`: by part of a joined cell; `shapes`: what the remainder goes with.
     """
 
     search: Search
     chosen: Score
     weighed: tuple[Weighed, ...]
     fired: tuple[Fired, ...]
+    squares: tuple[Squares, ...]
     shrink: Shrink
     shrinks: tuple[Shrink, ...]
     limits: tuple[Limit, ...]
@@ -87,16 +91,26 @@ def concluded(
 
 
 def _evidence(answers: tuple[CellAnswer, ...]) -> dict[str, float]:
-    """By stage, what its named effects gain, and what tests that fired find left beyond the floor [nats]."""
+    """By stage, what its named effects gain, and what tests that fired find left there [nats].
+
+    A shape says how much it foretells: that may be little beside all that a stage's rows differ from their floor by.
+    """
     out: dict[str, float] = {}
     for one in answers:
         cell, none, chosen = one.search.cell, one.search.none.held_out, one.chosen.held_out
         parts = cell.parts or (cell,)
         cuts = np.cumsum([part.rows.count for part in parts])[:-1]
+        told = {fired.stage for fired in one.fired if fired.test != SHAPE}
         for part, before, after in zip(parts, np.split(none, cuts), np.split(chosen, cuts), strict=True):
             gained = 0.5 * float(before @ before - after @ after) if one.chosen.fit.hypothesis else 0.0
-            left = 0.5 * float(after @ after - len(after)) if one.fired else 0.0
+            left = 0.5 * float(after @ after - len(after)) if part.stage in told else 0.0
             out[part.stage] = out.get(part.stage, 0.0) + max(gained, 0.0) + max(left, 0.0)
+        shaped: dict[str, float] = {}
+        for fired in one.fired:
+            if fired.test == SHAPE:
+                shaped[fired.stage] = max(shaped.get(fired.stage, 0.0), fired.size)
+        for stage, nats in shaped.items():
+            out[stage] = out.get(stage, 0.0) + nats
     return out
 
 
@@ -113,13 +127,15 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     course, searches = base, []
     unseen = (*lacking, *told_behind([one.cell for one in behind]))
     for stage in DRIVEN_STAGES:
-        cells = without(stage_cells(stage, replayer, whole.stretches, base, course), unseen)
+        cells = with_form(stage_cells(stage, replayer, whole.stretches, base, course), nominal)
+        cells = without(cells, unseen)
         cells = [replace(one, least_nats=_least(one, searches)) for one in cells]
         found = _searched(cells, progress)
         if stage == "actuator" and found:
             found = _beside_each_other(found)
             progress("what couples the joints", 0, 1)
             coupled = coupled_cell(replayer, whole.stretches, base, course)
+            coupled = with_form([coupled], nominal)[0] if coupled is not None else None
             found = _with_coupling(found, coupled if "supply_droop" not in lacking else None)
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
@@ -200,13 +216,15 @@ def _answer(found: Search, cells: int) -> CellAnswer:
     chosen = settled(found)
     gained = chosen.total - found.none.total
     shapes = left_shapes(found.cell, chosen.held_out, gained)
+    sums = squares(found, chosen)
     return CellAnswer(
         search=found,
         chosen=chosen,
         weighed=_first(weighed(found), chosen),
         fired=(*remainder(found.cell, chosen, cells), *refusing(found.cell, shapes, gained)),
-        shrink=shrink(found, chosen),
-        shrinks=shrinks(found, chosen),
+        squares=sums,
+        shrink=shrink(found, sums),
+        shrinks=shrinks(found, sums),
         limits=tuple(
             detection_limit(one, found.spread, found.cell.usual_nats((one.candidate,))) for one in found.scans
         ),

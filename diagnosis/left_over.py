@@ -12,6 +12,7 @@ from diagnosis.cells_dynamic import SKIPPED, Replay, part_increments, stage_cell
 from diagnosis.corner_noise import PLAIN, variances_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.floor import ORDER_MAX, deviations
+from diagnosis.form import form_of, with_form
 from diagnosis.reading import Read
 from diagnosis.replay import replayer_of
 from diagnosis.stretches import repeat_groups
@@ -36,7 +37,7 @@ def cells_of(whole: Read) -> list[Cell]:
     replayer, behind = replayer_of(nominal), behind_cells(whole, base)
     if replayer is not None and whole.stretches:
         for stage in DRIVEN_STAGES:
-            cells += stage_cells(stage, replayer, whole.stretches, base, base)
+            cells += with_form(stage_cells(stage, replayer, whole.stretches, base, base), nominal)
     return without(cells, told_behind(behind)) + behind
 
 
@@ -50,20 +51,34 @@ def with_baseline(whole: Read, effects: tuple[EffectEntry, ...], remainders: tup
     return replace(whole, nominal=replace(whole.nominal, baseline=effects, remainders=remainders))
 
 
+def forms_of(wholes: list[Read]) -> tuple[Remainder, ...]:
+    """What the model is wrong by on all these recordings alike, as remainders that say nothing else."""
+    places = _by_place(wholes)
+    return tuple(
+        Remainder(stage, joint, on, 0.0, 0.0, form=form)
+        for (stage, joint, on), cells in places.items()
+        if (form := form_of(cells))
+    )
+
+
 def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:
     """What the baseline leaves on these recordings, without the noise, cell by cell."""
-    found: dict[tuple[str, int | None, str], list[Cell]] = {}
-    for whole in checked:
-        for cell in cells_of(whole):
-            for part in cell.parts or (cell,):
-                found.setdefault((part.stage, part.joint, measurement_of(part)), []).append(part)
     out: list[Remainder] = []
-    for (stage, joint, on), cells in found.items():
+    for (stage, joint, on), cells in _by_place(checked).items():
         if stage in DRIVEN_STAGES:
             out += _dynamic(stage, cells)
         else:
             out.append(_plain(cells, Remainder(stage, joint, on, 0.0, 0.0)))
     return tuple(out)
+
+
+def _by_place(wholes: list[Read]) -> dict[tuple[str, int | None, str], list[Cell]]:
+    found: dict[tuple[str, int | None, str], list[Cell]] = {}
+    for whole in wholes:
+        for cell in cells_of(whole):
+            for part in cell.parts or (cell,):
+                found.setdefault((part.stage, part.joint, measurement_of(part)), []).append(part)
+    return found
 
 
 def _plain(cells: list[Cell], where: Remainder) -> Remainder:

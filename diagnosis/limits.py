@@ -1,4 +1,4 @@
-"""How sure a fitted number is, how far the gap shrinks, and how small an effect this recording could have shown."""
+"""How sure a fitted number is, and how small an effect this recording could have shown."""
 
 from dataclasses import dataclass
 
@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from diagnosis.cells import Cell
 from diagnosis.fit import Fit, bounds, costs, evaluated
-from diagnosis.score import Score, covariance
-from diagnosis.search import Scan, Search
+from diagnosis.score import covariance
+from diagnosis.search import Scan
 from machine.rotations import Array
 
 SHOWN_ENERGY = 43.0  # |s|^2 with s/2 - 1.28 = 2 standard errors over blocks (score.py): found with 90 %
@@ -16,8 +16,6 @@ CHANCE_90 = 1.35  # nats below the best: 90 % limits of one number
 FLAT_NATS = 1e-3
 WIDEST = 0.1  # of the range: how far from the fit limits are looked for
 OFFSETS = np.concatenate([-np.geomspace(30.0, 0.3, 8), np.geomspace(0.3, 30.0, 8)])  # in standard deviations
-DRAWS = 400
-FLOOR_SHARE = 0.1  # of the floor: how well repeats know it
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,70 +75,6 @@ def _crossing(tried: Array, rise: Array, edge: int, side: int) -> float:
     span = rise[following] - rise[edge]
     share = (CHANCE_90 - rise[edge]) / span if span > 0.0 else 1.0
     return float(tried[edge] + np.clip(share, 0.0, 1.0) * (tried[following] - tried[edge]))
-
-
-@dataclass(frozen=True, slots=True)
-class Shrink:
-    """The gap on held-out trajectories: RMS before, after, floor in `unit`; share closed with 90 % limits."""
-
-    stage: str
-    joint: int | None
-    unit: str
-    before: float
-    after: float
-    floor: float
-    closed_frac: float | None
-    low: float | None
-    high: float | None
-
-
-def shrink(found: Search, chosen: Score, seed: int = 0) -> Shrink:
-    """How far the chosen effects close one cell's gap; limits by resampling blocks."""
-    return _shrunk(found.cell, found.none.held_out, chosen.held_out, seed)
-
-
-def _shrunk(cell: Cell, residual_before: Array, residual_after: Array, seed: int) -> Shrink:
-    block, scale = cell.rows.block, cell.scale
-    before, after = (_sums(block, one**2) for one in (residual_before, residual_after))
-    count = np.asarray(cell.quiet * np.bincount(block), dtype=float)
-    unit_scale = float(np.sqrt(np.mean(scale**2)))
-    gap, left = (unit_scale * float(np.sqrt(one.sum() / cell.rows.count)) for one in (before, after))
-    closed, low, high = closed_share(before, after, count, cell.rows.count, seed)
-    return Shrink(
-        cell.stage, cell.joint, cell.unit, gap, left, unit_scale * float(np.sqrt(cell.quiet)), closed, low, high
-    )
-
-
-def shrinks(found: Search, chosen: Score, seed: int = 0) -> tuple[Shrink, ...]:
-    """The same for each part of a joined cell, in its own unit; a plain cell is its own only part."""
-    cell = found.cell
-    if not cell.parts:
-        return (shrink(found, chosen, seed),)
-    cuts = np.cumsum([part.rows.count for part in cell.parts])[:-1]
-    before, after = (np.split(one.held_out, cuts) for one in (found.none, chosen))
-    return tuple(_shrunk(part, b, a, seed) for part, b, a in zip(cell.parts, before, after, strict=True))
-
-
-def closed_share(
-    before: Array, after: Array, count: Array, rows: int, seed: int
-) -> tuple[float | None, float | None, float | None]:
-    """1 - (after - floor) / (before - floor) of squared sums by block, never clipped; None without a gap before.
-
-    Args: count: the floor's own sums by block. rows: residuals in all blocks.
-    """
-    excess = float(before.sum() - count.sum())
-    if excess <= 2.0 * np.sqrt(2.0 * count.sum()) + FLOOR_SHARE * rows:
-        return None, None, None
-    closed = 1.0 - float(after.sum() - count.sum()) / excess
-    draws = np.random.default_rng(seed).integers(0, len(before), (DRAWS, len(before)))
-    b, a, c = before[draws].sum(axis=1), after[draws].sum(axis=1), count[draws].sum(axis=1)
-    good = b - c > 0.0
-    shares = 1.0 - (a[good] - c[good]) / (b[good] - c[good])
-    return closed, float(np.quantile(shares, 0.05)), float(np.quantile(shares, 0.95))
-
-
-def _sums(block: NDArray[np.int64], values: Array) -> Array:
-    return np.asarray(np.bincount(block, weights=values), dtype=float)
 
 
 @dataclass(frozen=True, slots=True)

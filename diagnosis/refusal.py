@@ -23,6 +23,8 @@ CORRELATION_MIN = 0.15
 PEAK_MIN = 0.06  # share of the variance in one period of time or position
 PERIODS = 200
 PATTERN_NATS = 12.0  # of what a pattern explains, after the spread: twice the margin of a name
+BEHIND_NATS = 40.0  # the same for points and corners beside a baseline: few, and what a boom does to one it does to all
+BEHIND_TIMES = 3.0
 USUAL_TIMES = 2.0  # a test that fires on the undisturbed machine counts only beyond this share of its size there
 
 
@@ -64,7 +66,10 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
     level = LEVEL / max(n_tests, 1)
     found = [*_energy(cell, r), *_patterns(cell, r, 1.0)]
     usual = dict(cell.usual)
-    least_nats = PATTERN_NATS + USUAL_TIMES * usual.get(USUAL_NATS, 0.0) / cell.spread_least
+    least, times = (PATTERN_NATS, USUAL_TIMES)
+    if usual and cell.stage not in DRIVEN_STAGES:
+        least, times = BEHIND_NATS, BEHIND_TIMES
+    least_nats = least + times * usual.get(USUAL_NATS, 0.0) / cell.spread_least
     worth = 0.5 * float(r @ r) / cell.spread_least  # [nats] of the whole residual, by the ruler that names are held to
     kept = [
         one

@@ -18,6 +18,7 @@ SINGLES_MAX = 16  # fitted, the best of the scan
 PAIRS_REFINED = 5
 TRIPLES_REFINED = 2
 FORESEEN = 2  # sizes tried beyond the grid, where the grid's own changes point
+FELT = 100.0  # change of the residual, squared floors
 REFINED = 10  # sizes tried on either side of a scan's best
 ROUNDS_SINGLE = 8
 ROUNDS_PAIR = 6
@@ -26,12 +27,16 @@ Key = tuple[str, int | None]
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """A candidate at several sizes: where (m, k), its cost at each (m,), and |change of the residual|^2 (m,)."""
+    """A candidate at several sizes: where (m, k), its cost at each (m,), and |change of the residual|^2 (m,).
+
+    `column`: the change (N,) at the smallest size that is felt, whatever the residual; None where none is.
+    """
 
     candidate: Candidate
     thetas: Array
     costs: Array
     energy: Array
+    column: Array | None
 
     @property
     def best(self) -> int:
@@ -126,7 +131,9 @@ def scan(cell: Cell, candidate: Candidate, none: Fit) -> Scan:
         thetas = np.concatenate([thetas, further])
         residuals = np.concatenate([residuals, evaluated(cell, (candidate,), further)])
     energy = ((residuals - none.residual) ** 2).sum(axis=1)
-    return Scan(candidate, thetas, costs(residuals).sum(axis=1), energy)
+    felt = np.nonzero(energy > FELT)[0]
+    column = residuals[felt[np.argmin(energy[felt])]] - none.residual if len(felt) else None
+    return Scan(candidate, thetas, costs(residuals).sum(axis=1), energy, column)
 
 
 def foreseen(candidate: Candidate, thetas: Array, changes: Array, r0: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from diagnosis.refusal import Fired
 from diagnosis.score import Score
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.weigh import Whole
@@ -40,10 +41,10 @@ def verdict_of(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...], h
     named = [effect for one in answers for effect in one.chosen.fit.hypothesis]
     if outside:
         one = outside[0]
-        return Verdict("outside", f"{one.search.cell.label}: a gap that nothing in the catalogue explains{_lead(one)}")
+        return Verdict("outside", f"{_where(one)}: a gap that nothing in the catalogue explains{_lead(one)}")
     if partly:
         one = partly[0]
-        text = f"{one.search.cell.label}: the best names leave {100 * _left(one):.3g} % of the gap{_lead(one)}"
+        text = f"{_where(one)}: the best names leave {100 * _left(one):.3g} % of the gap{_lead(one)}"
         return Verdict("undecided", text)
     if not named and holes >= HOLES_MANY:
         text = f"nothing above the noise floor in what was logged, but rows are missing in {holes} places"
@@ -60,14 +61,25 @@ def _left(one: CellAnswer) -> float:
     """Share of the gap that is left, or of all its nats that a shape foretells; all of it where nothing was named."""
     if not one.chosen.fit.hypothesis:
         return 1.0
-    closed = one.shrink.closed_frac
+    closed = one.shrink.closed_frac if one.shrink.floor_by == "noise" else None  # the catalogue knows of no other gap
     shaped = max((fired.share for fired in one.fired if fired.test == SHAPE), default=0.0)
     return 1.0 if closed is None else max(1.0 - closed, shaped)
 
 
+def _where(one: CellAnswer) -> str:
+    """Stage and joint of what fired: a joined cell holds more than one stage."""
+    first = _leading(one)
+    return first.stage if first.joint is None else f"{first.stage} {first.joint}"
+
+
 def _lead(one: CellAnswer) -> str:
-    leads = [fired.lead for fired in one.fired if fired.lead]
-    return f"; the remainder {leads[0]}" if leads else ""
+    first = _leading(one)
+    return f"; the remainder {first.lead}" if first.lead else ""
+
+
+def _leading(one: CellAnswer) -> Fired:
+    """The first test that says what the remainder goes with, else the first of all."""
+    return next((fired for fired in one.fired if fired.lead), one.fired[0])
 
 
 def _probability_with_equivalents(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -> float:

@@ -16,7 +16,8 @@ USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern 
 USUAL_NAME = "name "  # before an effect, among the usual tests: what that name gains there [nats]
 USUAL_SHAPE = "shape "  # before what a remainder may go with, among the usual tests: what it foretells there [nats]
 SHARE_MIN = 0.5  # of the floor: a smaller share tells little of what would be foretold without noise
-KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual", "by_axis"}
+KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual", "by_axis", "form"}
+Form = tuple[tuple[str, tuple[float, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +29,8 @@ class Remainder:
     much scores are divided, since a remainder of form is no white noise. `on`: static, tracker, ooi or tool.
     `by_axis`: of points, sigma radial, tangential, up about the base's upright; of corners, what u and v of all corners
     of a frame share, beside each one's own `sigma`. `usual`: tests of a residual that fire on the undisturbed machine,
-    and how large they get there; names that gain more there than others do, and what.
+    and how large they get there; names that gain more there than others do, and what. `form`: what the model itself is
+    wrong by there, as a function of what drives it (actuator [rad], points [m]): families and the numbers of each.
     """
 
     stage: str
@@ -40,6 +42,7 @@ class Remainder:
     spread: float = 1.0
     usual: tuple[tuple[str, float], ...] = ()
     by_axis: tuple[float, ...] = ()
+    form: Form = ()
 
     @property
     def usual_names(self) -> tuple[tuple[str, float], ...]:
@@ -114,7 +117,14 @@ def _one(table: object, where: str) -> Remainder:
         _number(table, "spread", 1.0, where),
         _usual(table.get("usual", {}), where),
         _numbers(by_axis, f"{where}: by_axis"),
+        _form(table.get("form", {}), where),
     )
+
+
+def _form(value: object, where: str) -> Form:
+    if not isinstance(value, dict):
+        raise MachineFileError(f"{where}: form = {value!r} is not a table of families and their numbers")
+    return tuple((str(name), _numbers(row, f"{where}: form.{name}")) for name, row in value.items())
 
 
 def _usual(value: object, where: str) -> tuple[tuple[str, float], ...]:
@@ -156,5 +166,8 @@ def _toml(one: Remainder) -> str:
     usual = f"usual = {{ {pairs} }}\n" if pairs else ""
     if one.by_axis:
         usual += f"by_axis = [{', '.join(map(repr, one.by_axis))}]\n"
+    if one.form:
+        families = ", ".join(f"{json.dumps(name)} = [{', '.join(map(repr, row))}]" for name, row in one.form)
+        usual += f"form = {{ {families} }}\n"
     numbers = f"sigma = {one.sigma!r}\nrms = {one.rms!r}\nspread = {one.spread!r}\n"
     return f'\n[[remainder]]\nstage = "{one.stage}"\n{joint}{on}{numbers}ar = [{", ".join(map(repr, one.ar))}]\n{usual}'

@@ -24,11 +24,16 @@ def point_columns(measured: PointResidual) -> dict[str, Array]:
         "which point": _each(np.eye(int(data.which.max()) + 1)[data.which], 3),
     }
     if measured.paths:
-        v, a = _motion(measured.paths, measured.at, data.when)
+        v, _ = _motion(measured.paths, measured.at, data.when)
         out["motion"] = _each(np.concatenate([v, _side(v)], axis=1), 3)
-        out["acceleration"] = _each(a, 3)
+        out["acceleration"] = acceleration_columns(measured)
         out["time"] = _each(_time(data.when), 3)
     return out
+
+
+def acceleration_columns(measured: PointResidual) -> Array:
+    """(3 m, 3 n) of tracked points: what each of radial, tangential and up does with each joint's acceleration."""
+    return _each(_motion(measured.paths, measured.at, measured.data.when)[1], 3)
 
 
 def corner_columns(seen: CornerResidual) -> dict[str, Array]:

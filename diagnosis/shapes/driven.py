@@ -70,20 +70,28 @@ def driven_columns(cell: Cell) -> dict[str, Array]:
     replay = cell.whitened
     if not isinstance(replay, Replay):
         return {}
-    family = {"link": _link, "controller": _controller, "actuator": _actuator}[cell.stage]
     out: dict[str, list[Array]] = {}
-    modelled = [_modelled(cell, replay, part) for part in replay.parts]
     for channel in range(len(replay.joints)):
-        courses = [_course(cell, replay, *one, channel) for one in zip(replay.parts, modelled, strict=True)]
-        knots = [_knots([getattr(one, name) for one in courses]) for name in ("drive", "q")]
-        per_part = [family(one, *knots) for one in courses]
+        per_part = families_of(cell, replay, channel)
         for name in per_part[0]:
             columns = [
-                _white(replay.whitener, channel, one.dt_s, f[name]) for one, f in zip(courses, per_part, strict=True)
+                white_columns(replay.whitener, channel, part.stretch.dt_s, f[name])
+                for part, f in zip(replay.parts, per_part, strict=True)
             ]
             out.setdefault(name, []).append(np.concatenate(columns))
     lengths = np.bincount(cell.rows.series, minlength=len(replay.parts) * len(replay.joints))
     return {name: _placed(blocks, lengths, len(replay.parts)) for name, blocks in out.items()}
+
+
+def families_of(cell: Cell, replay: Replay, channel: int, knots: Array | None = None) -> list[dict[str, Array]]:
+    """Of one joint of a replay, for each stretch: families of signals (m, k) in the unit of the stage's output.
+
+    Args: knots: of what drives it; where it lies most of the time if None.
+    """
+    family = {"link": _link, "controller": _controller, "actuator": _actuator}[cell.stage]
+    courses = [_course(cell, replay, part, _modelled(cell, replay, part), channel) for part in replay.parts]
+    own = [_knots([getattr(one, name) for one in courses]) for name in ("drive", "q")]
+    return [family(one, own[0] if knots is None else knots, own[1]) for one in courses]
 
 
 def _placed(blocks: list[Array], lengths: NDArray[np.int64], parts: int) -> Array:
@@ -119,7 +127,7 @@ def _course(cell: Cell, replay: Replay, part: Part, outputs: Array, channel: int
     return Course(stretch.dt_s, stretch.t_s[:m] - stretch.t_s[0], modelled, drive, load, np.delete(u, j, axis=1))
 
 
-def _white(whitener: Whitener, channel: int, dt_s: float, signals: Array) -> Array:
+def white_columns(whitener: Whitener, channel: int, dt_s: float, signals: Array) -> Array:
     """Increments of signals (m, k), through the filter that the residual went through."""
     k = signals.shape[1]
     same = Whitener(np.repeat(whitener.a[:, [channel]], k, axis=1), np.repeat(whitener.sigma[[channel]], k))

@@ -10,7 +10,7 @@ from diagnosis.cells_behind import measurement_of
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_points import PointResidual
 from diagnosis.fit import costs
-from diagnosis.refusal import Fired
+from diagnosis.refusal import BEHIND_NATS, BEHIND_TIMES, Fired
 from diagnosis.shapes.behind import corner_columns, point_columns
 from diagnosis.shapes.driven import driven_columns
 from diagnosis.shapes.gain import held_out_nats
@@ -19,9 +19,8 @@ from machine.rotations import Array
 
 LEAST_NATS = 12.0  # twice the margin of a name
 REFUSED_NATS = 16.0  # none of 60 recordings of the undisturbed plant were refused by it; 12 refused one
-REFUSED_BEHIND_NATS = 40.0  # the same for points and corners: few, and a boom that swings at another moment moves them
 RARE_NATS = 60.0  # the same for single moments
-RARE_TIMES = 3.0  # of what a few points, or moments, show undisturbed: the sixteenth day's largest one is far larger
+RARE_TIMES = 3.0  # of what moments show undisturbed: the sixteenth day's largest one is far larger
 FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
 TEST = "shape"
 SINGLE_MOMENTS = "single moments"
@@ -88,7 +87,7 @@ def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most
     if shape.stage not in DRIVEN_STAGES:
-        return REFUSED_BEHIND_NATS + RARE_TIMES * most
+        return BEHIND_NATS + BEHIND_TIMES * most
     return REFUSED_NATS + EXCEEDED_TIMES * most
 
 

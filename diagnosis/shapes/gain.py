@@ -12,28 +12,34 @@ MARGIN_SE = 1.5
 
 
 def held_out_nats(columns: Array, r: Array, rows: Rows) -> float:
-    """Gain [nats] on the folds that a linear model of the columns was not fitted to; 0 where it foretells nothing.
+    """Gain [nats] on the folds that a linear model of the columns was not fitted to; 0 where it foretells nothing."""
+    left = r - foretold(columns, r, rows)
+    return float((costs(r) - costs(left)).sum())
 
-    Model: min sum w (r - B x)^2 + ridge |x|^2 without each fold in turn, columns of one size; the best ridge of four;
-           gain = sum rho(r) - rho(r - B x), at least 1.5 standard errors over blocks.
-    Args:  columns: (N, k), white as the residual r (N,) is.
+
+def foretold(columns: Array, r: Array, rows: Rows, ridges: tuple[float, ...] = RIDGES) -> Array:
+    """What a linear model of the columns says of each fold (N,) when fitted to the others; zeros where it says nothing.
+
+    Model: min sum w (r - B x)^2 + ridge |x|^2 without each fold in turn, columns of one size; the best ridge by its
+           gain, sum rho(r) - rho(r - B x), that is at least 1.5 standard errors over blocks.
+    Args:  columns: (N, k), white as the residual r (N,) is. ridges: a large one foretells more, and less than is there.
     """
-    size = np.sqrt(np.mean(columns**2, axis=0))
+    size, best = np.sqrt(np.mean(columns**2, axis=0)), np.zeros(len(r))
     B = columns[:, size > 0.0] / size[size > 0.0]
     if B.shape[1] == 0 or rows.block.max(initial=0) == 0:  # one block has no others to be foretold from
-        return 0.0
+        return best
     w, folds = weights(r), np.unique(rows.fold)
     own = [_normal(B, r, w, rows.fold == fold) for fold in folds]
     H, g = np.sum([part[0] for part in own], axis=0), np.sum([part[1] for part in own], axis=0)
-    best = 0.0
-    for ridge in RIDGES:
-        left = r.copy()
+    most = 0.0
+    for ridge in ridges:
+        said = np.zeros(len(r))
         for fold, (H_own, g_own) in zip(folds, own, strict=True):
             x = np.linalg.solve(H - H_own + ridge * np.eye(B.shape[1]), g - g_own)
-            left[rows.fold == fold] -= B[rows.fold == fold] @ x
-        gains = np.bincount(rows.block, weights=costs(r) - costs(left))
-        if gains.mean() > MARGIN_SE * gains.std(ddof=1) / np.sqrt(len(gains)):
-            best = max(best, float(gains.sum()))
+            said[rows.fold == fold] = B[rows.fold == fold] @ x
+        gains = np.bincount(rows.block, weights=costs(r) - costs(r - said))
+        if gains.mean() > MARGIN_SE * gains.std(ddof=1) / np.sqrt(len(gains)) and gains.sum() > most:
+            best, most = said, float(gains.sum())
     return best
 
 

@@ -97,7 +97,7 @@ def tell(cases: figures.Cases, title: str) -> None:
         console.print(f"tool's limit over the scorer's: median {middle:.2f}, 90 % below {high:.2f}, N = {len(ratios)}")
     closed, count = figures.shrinks(cases)
     console.print(f"median closed_frac of exact answers: {'-' if closed is None else f'{closed:.3f}'} (N = {count})")
-    console.print(_table("parameters", [figures.inside_limits(cases)]))
+    console.print(_table("limits", [figures.closed_limits(cases), figures.inside_limits(cases)]))
     for line in figures.failures(cases):
         console.print(f"  {escape(line)}")
 

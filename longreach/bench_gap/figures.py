@@ -147,6 +147,17 @@ def shrinks(cases: Cases) -> tuple[float | None, int]:
     return (median(known) if known else None), len(known)
 
 
+def closed_limits(cases: Cases) -> Line:
+    """Whether the 90 % limits of closed_frac hold what the named effects really close, of exact answers."""
+    told = [(one["closed"], one.get("closed_true")) for one in cases if one["exact"]]
+    inside = [
+        closed["low"] <= true <= closed["high"]
+        for closed, true in told
+        if true is not None and closed.get("low") is not None
+    ]
+    return _line("90 % limits of closed_frac hold it", "84 to 96 %", inside)
+
+
 def inside_limits(cases: Cases) -> Line:
     """Whether the 90 % limits of rightly named effects hold the true size."""
     return _line("90 % limits hold the size", "84 to 96 %", [row["inside"] for one in cases for row in one["values"]])

@@ -91,6 +91,11 @@ class Equal:
         """Size of a true effect over its detection limit on this very recording: |s| / |s| at the limit."""
         return float(np.sqrt(size2(self._signature(true)) / FOUND))
 
+    def closed(self, true: list[Injected], named: list[dict[str, Any]]) -> float:
+        """The share of the true effects' whitened gap that the named ones, at their fitted sizes, really close."""
+        a, b = (_summed([self._signature(one) for one in side]) for side in (true, [_injected(n, 1.0) for n in named]))
+        return 1.0 - size2(_summed([a, {name: -part for name, part in b.items()}])) / size2(a)
+
     def _signature(self, one: Injected) -> Signature:
         if str(one) not in self._signatures:
             self._signatures[str(one)] = signature(self._made(), one)
@@ -103,6 +108,14 @@ class Equal:
             made = make(faults_of((), own.N), noise, seed, self._plant)
             self._scene = scene_of(made, noise, seed, self._remainders)
         return self._scene
+
+
+def _summed(parts: list[Signature]) -> Signature:
+    out: Signature = {}
+    for one in parts:
+        for name, part in one.items():
+            out[name] = out[name] + part if name in out else part
+    return out
 
 
 def _injected(named: dict[str, Any], share: float) -> Injected:
@@ -138,27 +151,29 @@ def judged(
     refused = answer["verdict"] in ("outside", "undecided")
     claimed = list(named) if answer["verdict"] == "effects" else []
     false = [key for key in claimed if key not in pairs.values()]
+    exact_named = len(pairs) == len(true) == len(named)
     found = {
         "verdict": answer["verdict"],
         "why": answer["why"],
         "named": [list(key) for key in named],
         "true": [[one.name, one.joint] for one in true],
         "refused": refused,
-        "exact": answer["verdict"] == "effects" and len(pairs) == len(true) == len(named),
-        "exact_named": len(pairs) == len(true) == len(named),
+        "exact": answer["verdict"] == "effects" and exact_named,
+        "exact_named": exact_named,
         "some": bool(pairs),
         "false": [list(key) for key in false],
         "false_named": [list(key) for key in named if key not in pairs.values()],
         "none": not named and answer["verdict"] == "none",
         "probability": answer["hypotheses"][0]["probability"] if answer["hypotheses"] else 0.0,
         "outside_probability": answer["outside_probability"],
-        "ladder": _ladder(truth, answer, bool(len(pairs) == len(true) == len(named))),
+        "ladder": _ladder(truth, answer, exact_named),
         "first_stage": first_stage(answer),
         "stage_right": stage_right(truth, answer),
         "credible": _credible(true, answer, equal.separation, truth["mix"]),
         "credible_size": len(answer["credible_set_90"]),
         "classes": [len(one) for one in answer["indistinguishable"]],
         "closed": (answer["shrink"].get("overall") or {}),
+        "closed_true": equal.closed(true, list(named.values())) if exact_named and pairs else None,
         "strengths": [equal.strength(one) if one.name not in IN_LOG else None for one in true],
         "limits": _limits(truth, answer),
         "values": _values(true, named),

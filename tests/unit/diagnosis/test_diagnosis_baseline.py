@@ -1,5 +1,6 @@
 """Baselines: what a machine file carries, floors raised by a remainder, joined cells, a fit that finds its effects."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -51,10 +52,12 @@ def test_a_machine_file_carries_its_baseline() -> None:
         ({"stage": "link", "joint": 0}, "joint = 0"),
         ({"stage": "link", "colour": 1}, "unknown key 'colour'"),
         ({"stage": "link", "ar": ["x"]}, "ar = 'x'"),
+        ({"stage": "link", "form": [1.0]}, "form = [1.0] is not a table"),
+        ({"stage": "link", "form": {"speed": ["x"]}}, "form.speed = 'x'"),
     ],
 )
 def test_a_wrong_remainder_is_named(table: dict, words: str) -> None:
-    with pytest.raises(MachineFileError, match=words.replace("(", "\\(")):
+    with pytest.raises(MachineFileError, match=re.escape(words)):
         parse_remainders([table])
 
 

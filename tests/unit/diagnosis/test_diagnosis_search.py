@@ -9,10 +9,11 @@ from diagnosis.candidates import candidates_of, named, put
 from diagnosis.cells import Cell, Rows, blocks_of, folds_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import evaluated, fit, jacobian, neutral_fit
-from diagnosis.limits import closed_share, detection_limit, intervals
+from diagnosis.limits import detection_limit, intervals
 from diagnosis.refusal import remainder
 from diagnosis.score import better, covariance, log_evidence, score
 from diagnosis.search import scan, search
+from diagnosis.shrink import closed_share, shrink, squares
 from diagnosis.weigh import calibration, combined, same_here, weighed
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.remainder import usual_name
@@ -150,6 +151,22 @@ def test_closed_share_is_never_clipped_and_none_without_a_gap() -> None:
     assert closed_share(count, 0.9 * count, count, 1000, 0) == (None, None, None)
     whole = closed_share(9.0 * count, count, count, 1000, 0)
     assert whole == pytest.approx((1.0, 1.0, 1.0))
+
+
+def test_a_gap_below_what_noise_is_known_by_is_held_against_what_the_catalogue_foretells() -> None:
+    found = search(made_up((0.014, 0.0, 0.0)))  # |s|^2 = 94 beside 600 rows of noise
+    assert [one.name for one in found.chosen.fit.hypothesis] == ["flow_gain_error"]
+    whole = shrink(found, squares(found, found.chosen))
+    assert whole.floor_by == "catalogue"
+    assert whole.closed_frac == pytest.approx(1.0, abs=0.2)
+    assert whole.low < 1.0 < whole.high
+    change = found.chosen.held_out - found.none.held_out
+    half = replace(found.chosen, held_out=found.none.held_out + 0.5 * change)
+    part = shrink(found, squares(found, half))
+    assert part.closed_frac == pytest.approx(0.75, abs=0.2)
+    assert part.closed_frac < whole.closed_frac
+    nothing = search(made_up((0.0, 0.0, 0.0)))
+    assert shrink(nothing, squares(nothing, nothing.none)).closed_frac is None
 
 
 def test_blocks_and_folds() -> None:

@@ -1,0 +1,165 @@
+"""What an undisturbed machine's model is wrong by, as a function of what drives it: the baseline's nameless part.
+
+A velocity actuator stands for oil, friction and bending booms. What that leaves is mostly the same every day: fitted on
+some recordings, a few functions of the command, its change, the angle and the other joints' commands foretell nine
+tenths of what they explain of another one. Taken as known, it hides no fault and looks like none. It is fixed by the
+undisturbed recordings: a diagnosis fits nothing of it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.cells import Cell
+from diagnosis.cells_dynamic import Replay
+from diagnosis.cells_points import PointResidual
+from diagnosis.errors import DiagnosisError
+from diagnosis.fit import costs, neutral_fit, weights
+from diagnosis.nominal import Nominal
+from diagnosis.shapes.behind import acceleration_columns
+from diagnosis.shapes.driven import families_of, white_columns
+from machine.remainder import Form
+from machine.rotations import Array
+
+DRIVEN = ("the valve command", "the change of the command", "the angle", "other joints")
+TRACKED = "acceleration"
+KNOTS = np.array([-1.0, -0.5, -0.25, -0.12, -0.06, -0.03, 0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0])  # of full command
+RIDGES = (100.0, 1e3, 1e4)  # rows' worth of prior on each number
+NEARLY = 0.85  # of the best gain
+LEAST_NATS = 12.0  # over all recordings: twice the margin of a name
+TOGETHER_MIN = 3  # recordings: one of two would be foretold by a single one
+
+
+def with_form(cells: list[Cell], nominal: Nominal) -> list[Cell]:
+    """Cells less what their machine's model is known to be wrong by; as they are where the machine file says nothing.
+
+    Raises: DiagnosisError: the machine file's numbers belong to an arm with other joints.
+    """
+    return [_less(cell, nominal) for cell in cells]
+
+
+def _less(cell: Cell, nominal: Nominal) -> Cell:
+    seen = cell.whitened
+    if isinstance(seen, PointResidual) and seen.paths:
+        form = _form_of(nominal, cell.stage, None, "tracker")
+        if form:
+            known = _fitting({TRACKED: acceleration_columns(seen)}, form, "structure")
+            return replace(cell, whitened=replace(seen, known=known))
+    if isinstance(seen, Replay) and cell.stage == "actuator":
+        return replace(cell, whitened=_course_taken_off(cell, seen, nominal))
+    return cell
+
+
+def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
+    measured = [part.measured.copy() for part in replay.parts]
+    for channel, joint in enumerate(replay.joints):
+        form = _form_of(nominal, cell.stage, joint + 1, "")
+        if form:
+            for own, families in zip(measured, families_of(cell, replay, channel, KNOTS), strict=True):
+                known = _fitting(families, form, f"{cell.stage} {joint + 1}")
+                own[: len(known), channel] -= known
+    parts = tuple(replace(part, measured=own) for part, own in zip(replay.parts, measured, strict=True))
+    return replace(replay, parts=parts)
+
+
+def _form_of(nominal: Nominal, stage: str, joint: int | None, on: str) -> Form:
+    record = nominal.remainder(stage, joint, on)
+    return () if record is None else record.form
+
+
+def _fitting(families: dict[str, Array], form: Form, where: str) -> Array:
+    """What the families come to (m,)."""
+    total = np.zeros(len(next(iter(families.values()))))
+    for name, numbers in form:
+        columns = families.get(name)
+        if columns is None or columns.shape[1] != len(numbers):
+            wanted = "no such family here" if columns is None else f"{columns.shape[1]} wanted"
+            raise DiagnosisError(
+                f"machine file, [[remainder]] of {where}: form.{name} has {len(numbers)} numbers, {wanted}; "
+                "fit the baseline again (`longreach diagnose --fit-baseline`)"
+            )
+        total += columns @ np.array(numbers)
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class _Pile:
+    """Recordings' columns of one size (N, k), residuals (N,) and normal equations; `family` (k,): which each is of."""
+
+    rows: tuple[tuple[Array, Array], ...]
+    normal: tuple[tuple[Array, Array], ...]
+    family: NDArray[np.int64]
+
+    def only(self, families: tuple[int, ...]) -> "_Pile":
+        """The same with these families alone."""
+        kept = np.isin(self.family, families)
+        normal = tuple((H[np.ix_(kept, kept)], g[kept]) for H, g in self.normal)
+        return _Pile(tuple((B[:, kept], r) for B, r in self.rows), normal, self.family[kept])
+
+    def solved(self, ridge: float, without: int | None = None) -> Array:
+        """The numbers (k,) of all recordings but one."""
+        used = [one for k, one in enumerate(self.normal) if k != without]
+        H, g = np.sum([one[0] for one in used], axis=0), np.sum([one[1] for one in used], axis=0)
+        return np.asarray(np.linalg.solve(H + ridge * np.eye(len(g)), g))
+
+    def gain(self, ridge: float) -> float:
+        """What each recording is foretold by the others, over all [nats]."""
+        if len(self.family) == 0:
+            return 0.0
+        return sum(float((costs(r) - costs(r - B @ self.solved(ridge, k))).sum()) for k, (B, r) in enumerate(self.rows))
+
+
+def form_of(cells: list[Cell]) -> Form:
+    """The form that the same cell of several undisturbed recordings has in common; empty where none is foretold.
+
+    Model: min sum w (r - B x)^2 + ridge |x|^2 over all recordings, columns of one size. Families that add little to
+           what the others foretell of a recording are dropped, and of the ridges the largest is taken that foretells
+           nearly as much: what data do not ask for would be wrong at angles where they never were.
+    """
+    pairs = [(columns, neutral_fit(cell).residual) for cell in cells if (columns := _white(cell))]
+    if len(pairs) < TOGETHER_MIN:
+        return ()
+    names = list(pairs[0][0])
+    pile, size = _piled(pairs, names)
+    kept, best = tuple(range(len(names))), pile.gain(RIDGES[0])
+    while len(kept) > 1:
+        fewer = [tuple(k for k in kept if k != out) for out in kept]
+        gain, rest = max((pile.only(one).gain(RIDGES[0]), one) for one in fewer)
+        if gain < NEARLY * best:
+            break
+        kept = rest
+    chosen = pile.only(kept)
+    gains = {ridge: chosen.gain(ridge) for ridge in RIDGES}
+    if max(gains.values()) <= LEAST_NATS:
+        return ()
+    ridge = max(ridge for ridge, gain in gains.items() if gain >= NEARLY * max(gains.values()))
+    x = chosen.solved(ridge) / size[np.isin(pile.family, kept)]
+    return tuple((names[k], tuple(map(float, x[chosen.family == k]))) for k in kept)
+
+
+def _piled(pairs: list[tuple[dict[str, Array], Array]], names: list[str]) -> tuple[_Pile, Array]:
+    """All recordings on one pile, and what each column (k,) was divided by; inf where one never moves."""
+    family = np.repeat(np.arange(len(names)), [pairs[0][0][name].shape[1] for name in names])
+    stacked = [(np.concatenate([columns[name] for name in names], axis=1), r) for columns, r in pairs]
+    power = np.mean([np.mean(B**2, axis=0) for B, _ in stacked], axis=0)
+    size = np.sqrt(np.where(power > 0.0, power, np.inf))
+    rows = tuple((B / size, r) for B, r in stacked)
+    normal = tuple(((B.T * weights(r)) @ B, (B.T * weights(r)) @ r) for B, r in rows)
+    return _Pile(rows, normal, family), size
+
+
+def _white(cell: Cell) -> dict[str, Array]:
+    """Families (N, k) of a cell of one joint, or of tracked points, as white as its residual."""
+    seen = cell.whitened
+    if isinstance(seen, PointResidual) and seen.paths:
+        return {TRACKED: acceleration_columns(seen) / np.tile(seen.sigma, len(seen.data.xyz))[:, None]}
+    if not isinstance(seen, Replay) or cell.stage != "actuator":
+        return {}
+    per_part = families_of(cell, seen, 0, KNOTS)
+    pieces = zip(seen.parts, per_part, strict=True)
+    white = [
+        {name: white_columns(seen.whitener, 0, part.stretch.dt_s, families[name]) for name in DRIVEN}
+        for part, families in pieces
+    ]
+    return {name: np.concatenate([one[name] for one in white]) for name in DRIVEN}

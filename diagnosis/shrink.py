@@ -1,0 +1,162 @@
+"""How far the chosen effects close the gap on held-out trajectories.
+
+The floor is the noise where the gap stands out from it. A gap of ten times its detection limit may still be a hundredth
+of all squares, and no noise is known that well; then the floor is what no effect of the catalogue foretells of one kind
+of trajectory after the others: that needs no knowledge of the noise.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.cells import Cell
+from diagnosis.score import Score
+from diagnosis.search import Search
+from diagnosis.shapes.gain import foretold
+from machine.rotations import Array
+
+DRAWS = 400
+FLOOR_SHARE = 0.1  # of the floor: how well repeats know it
+RIDGES = (0.1, 1.0, 10.0)  # rows' worth of prior: a larger one would make the gap smaller than it is
+Floor = Literal["noise", "catalogue"]
+Closed = tuple[float | None, float | None, float | None]
+UNKNOWN: Closed = (None, None, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Shrink:
+    """The gap on held-out trajectories: RMS before, after, floor in `unit`; share closed with 90 % limits. `floor_by`:
+    the noise, or what no effect of the catalogue foretells.
+    """
+
+    stage: str
+    joint: int | None
+    unit: str
+    before: float
+    after: float
+    floor: float
+    closed_frac: float | None
+    low: float | None
+    high: float | None
+    floor_by: Floor
+
+
+@dataclass(frozen=True, slots=True)
+class Squares:
+    """Whitened squares by block (blocks,): before, after, the noise's, what the catalogue foretells of them; `rows`."""
+
+    before: Array
+    after: Array
+    noise: Array
+    foretold: Array
+    rows: int
+
+
+def squares(found: Search, chosen: Score) -> tuple[Squares, ...]:
+    """Of each part of a cell; a plain cell is its own only part."""
+    cell, r = found.cell, found.none.held_out
+    parts = cell.parts or (cell,)
+    cuts = np.cumsum([part.rows.count for part in parts])[:-1]
+    explained = r * _catalogue(found, chosen) if chosen.fit.hypothesis else np.zeros(len(r))
+    each = (np.split(one, cuts) for one in (r, chosen.held_out, explained))
+    return tuple(_of_part(part, *rows) for part, *rows in zip(parts, *each, strict=True))
+
+
+def _of_part(part: Cell, r: Array, left: Array, explained: Array) -> Squares:
+    block = part.rows.block
+    noise = np.asarray(part.quiet * np.bincount(block), dtype=float)
+    return Squares(_sums(block, r**2), _sums(block, left**2), noise, _sums(block, explained), part.rows.count)
+
+
+def _catalogue(found: Search, chosen: Score) -> Array:
+    """What all effects of the catalogue together say of the residual before, each fold after the others (N,).
+
+    The chosen names count as they were fitted without the fold; all others by their change at one scanned size.
+    """
+    r = found.none.held_out
+    columns = [one.column for one in found.scans if one.column is not None]
+    return foretold(np.stack([r - chosen.held_out, *columns], axis=1), r, found.cell.rows, RIDGES)
+
+
+def shrink(found: Search, parts: tuple[Squares, ...]) -> Shrink:
+    """How far the chosen effects close one cell's gap; limits by resampling blocks."""
+    return _shrunk(found.cell, together(parts))
+
+
+def shrinks(found: Search, parts: tuple[Squares, ...]) -> tuple[Shrink, ...]:
+    """The same for each part of a joined cell, in its own unit."""
+    cell = found.cell
+    return tuple(_shrunk(part, one) for part, one in zip(cell.parts or (cell,), parts, strict=True))
+
+
+def together(parts: Iterable[Squares]) -> Squares:
+    """Parts, or cells, as one."""
+    all_of = tuple(parts)
+    names = ("before", "after", "noise", "foretold")
+    joined = [np.concatenate([getattr(one, name) for one in all_of]) for name in names]
+    return Squares(*joined, rows=sum(one.rows for one in all_of))
+
+
+def _shrunk(cell: Cell, sums: Squares) -> Shrink:
+    unit_scale = float(np.sqrt(np.mean(cell.scale**2)))
+    before, after, floor, closed, floor_by = closing(sums)
+    return Shrink(
+        cell.stage,
+        cell.joint,
+        cell.unit,
+        unit_scale * before,
+        unit_scale * after,
+        unit_scale * floor,
+        *closed,
+        floor_by,
+    )
+
+
+def closing(sums: Squares, seed: int = 0) -> tuple[float, float, float, Closed, Floor]:
+    """RMS before, after and of the floor [floors]; share closed with its limits; which floor that is."""
+    by: Floor = "noise"
+    floor, closed = sums.noise, closed_share(sums.before, sums.after, sums.noise, sums.rows, seed)
+    if closed == UNKNOWN:
+        beside = sums.before - sums.foretold
+        told = _foretold_share(sums, beside, seed)
+        if told != UNKNOWN:
+            by, floor, closed = "catalogue", beside, told
+    before, after, level = (float(np.sqrt(max(0.0, one.sum()) / sums.rows)) for one in (sums.before, sums.after, floor))
+    return before, after, level, closed, by
+
+
+def closed_share(before: Array, after: Array, count: Array, rows: int, seed: int) -> Closed:
+    """1 - (after - floor) / (before - floor) of squared sums by block, never clipped; None without a gap before.
+
+    Args: count: the floor's own sums by block. rows: residuals in all blocks.
+    """
+    excess = float(before.sum() - count.sum())
+    if excess <= 2.0 * np.sqrt(2.0 * count.sum()) + FLOOR_SHARE * rows:
+        return UNKNOWN
+    return _share(before, after, count, seed)
+
+
+def _foretold_share(sums: Squares, floor: Array, seed: int) -> Closed:
+    """The same above what the catalogue does not foretell; None where that it foretells any is within the chance of 2
+    standard errors over blocks.
+    """
+    gap = sums.foretold
+    if gap.sum() <= 2.0 * np.sqrt(len(gap)) * gap.std(ddof=min(1, len(gap) - 1)):
+        return UNKNOWN
+    return _share(sums.before, sums.after, floor, seed)
+
+
+def _share(before: Array, after: Array, floor: Array, seed: int) -> Closed:
+    closed = 1.0 - float(after.sum() - floor.sum()) / float(before.sum() - floor.sum())
+    draws = np.random.default_rng(seed).integers(0, len(before), (DRAWS, len(before)))
+    b, a, c = before[draws].sum(axis=1), after[draws].sum(axis=1), floor[draws].sum(axis=1)
+    good = b - c > 0.0
+    shares = 1.0 - (a[good] - c[good]) / (b[good] - c[good])
+    return closed, float(np.quantile(shares, 0.05)), float(np.quantile(shares, 0.95))
+
+
+def _sums(block: NDArray[np.int64], values: Array) -> Array:
+    return np.asarray(np.bincount(block, weights=values), dtype=float)

@@ -1,0 +1,84 @@
+"""What a model is wrong by on every undisturbed day is taken as known: fitted on some recordings, true of the next."""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis_cases import folder, recording
+
+from diagnosis.cells import Cell
+from diagnosis.errors import DiagnosisError
+from diagnosis.fit import neutral_fit
+from diagnosis.form import form_of, with_form
+from diagnosis.left_over import cells_of, forms_of, with_baseline
+from diagnosis.reading import Read, read
+from machine.effects.entries import EffectEntry, make_entry
+from machine.effects.registry import effect_named
+from machine.remainder import Remainder, parse_remainders, remainders_to_toml
+
+KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
+
+
+def day(tmp_path: Path, seed: int, *effects: EffectEntry) -> Read:
+    made = recording(KINDS, effects, seed)
+    place = tmp_path / str(seed)
+    place.mkdir()
+    return read(folder(place, made))
+
+
+def entry(name: str, joint: int, **sizes: float) -> EffectEntry:
+    effect = effect_named(name)
+    assert effect is not None
+    return make_entry(effect, joint, sizes)
+
+
+def actuator(whole: Read, joint: int) -> Cell:
+    return next(one for one in cells_of(whole) if one.label == f"actuator {joint}")
+
+
+def energy(cell: Cell) -> float:
+    return float(np.mean(neutral_fit(cell).residual ** 2))
+
+
+def test_what_is_wrong_every_day_is_foretold_on_the_next_and_hides_no_fault(tmp_path: Path) -> None:
+    own = entry("valve_asymmetry", 2, gain_frac=0.005)  # what the model is wrong by, and nobody has named
+    days = [day(tmp_path, seed, own) for seed in (1, 2, 3)]
+    forms = forms_of(days)
+    assert [one.joint for one in forms] == [2]
+    next_day = day(tmp_path, 4, own)
+    plain, known = actuator(next_day, 2), actuator(with_baseline(next_day, (), forms), 2)
+    assert energy(plain) > 10.0
+    assert energy(known) < 1.2
+    broken = day(tmp_path, 5, own, entry("valve_deadband", 2, half_width_frac=0.01))
+    assert energy(actuator(with_baseline(broken, (), forms), 2)) > 1000.0
+
+
+def test_noise_has_no_form_and_two_recordings_tell_none(tmp_path: Path) -> None:
+    days = [day(tmp_path, seed) for seed in (1, 2, 3)]
+    assert forms_of(days) == ()
+    own = entry("valve_asymmetry", 2, gain_frac=0.02)
+    assert form_of([actuator(day(tmp_path, seed, own), 2) for seed in (4, 5)]) == ()
+
+
+def test_a_form_goes_through_the_machine_file() -> None:
+    record = Remainder("actuator", 2, "", 1e-5, 2e-5, form=(("the angle", (0.5, -1e-3)), ("other joints", (1e-9,))))
+    lines = remainders_to_toml([record])
+    assert parse_remainders(tomllib.loads(lines)["remainder"]) == (record,)
+
+
+@pytest.mark.parametrize(
+    ("form", "words"),
+    [
+        ((("the angle", (1.0, 2.0)),), "form.the angle has 2 numbers, 10 wanted"),
+        ((("the weather", (1.0,)),), "form.the weather has 1 numbers, no such family"),
+    ],
+)
+def test_a_form_of_another_arm_is_named(tmp_path: Path, form: tuple, words: str) -> None:
+    whole = day(tmp_path, 1)
+    cell, nominal = actuator(whole, 2), whole.nominal
+    assert nominal is not None
+    other = replace(nominal, remainders=(Remainder("actuator", 2, "", 0.0, 0.0, form=form),))
+    with pytest.raises(DiagnosisError, match=words):
+        with_form([cell], other)
