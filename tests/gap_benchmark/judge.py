@@ -91,10 +91,14 @@ class Equal:
         """Size of a true effect over its detection limit on this very recording: |s| / |s| at the limit."""
         return float(np.sqrt(size2(self._signature(true)) / FOUND))
 
-    def closed(self, true: list[Injected], named: list[dict[str, Any]]) -> float:
-        """The share of the true effects' whitened gap that the named ones, at their fitted sizes, really close."""
+    def closed(self, true: list[Injected], named: list[dict[str, Any]]) -> float | None:
+        """The share of the true effects' whitened gap that the named ones, at their fitted sizes, really close.
+
+        None where they move nothing on this recording.
+        """
         a, b = (_summed([self._signature(one) for one in side]) for side in (true, [_injected(n, 1.0) for n in named]))
-        return 1.0 - size2(_summed([a, {name: -part for name, part in b.items()}])) / size2(a)
+        left = size2(_summed([a, {name: -part for name, part in b.items()}]))
+        return 1.0 - left / size2(a) if size2(a) > 0.0 else None
 
     def _signature(self, one: Injected) -> Signature:
         if str(one) not in self._signatures:

@@ -157,9 +157,12 @@ def test_a_name_that_the_scorer_can_tell_apart_is_false(monkeypatch: pytest.Monk
     good = judged(truth, right, ())
     assert good["exact"]
     assert good["values"][0]["inside"]
+    assert good["closed_true"] == pytest.approx(1.0)
+    small = answered("effects", ("flow_gain_error", 1))
+    small["hypotheses"][0]["effects"][0]["parameters"] = {"gain_frac": {**number, "value": 0.01}}
     for T, exact in ((100.0, False), (1.0, True)):
         monkeypatch.setattr(Equal, "separation", lambda _self, _true, _named, T=T: T)
-        other = judged(truth, answered("effects", ("flow_gain_error", 1)), ())
+        other = judged(truth, small, ())
         assert other["exact"] is exact
         assert bool(other["false"]) is not exact
 
