@@ -25,7 +25,10 @@ SEEN_IN_MOTION = ("backlash", "link_flexibility")
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One effect on one joint (1-based; None: the machine), in one variant: `fixed` numbers do not move in a fit."""
+    """One effect on one joint (1-based; None: the machine), in one variant: `fixed` numbers do not move in a fit.
+
+    `counted`: its size is a share seen among so many; 0: it is fitted.
+    """
 
     name: str
     joint: int | None
@@ -33,6 +36,7 @@ class Candidate:
     option: str
     slots: tuple[Slot, ...]
     fixed: tuple[tuple[Slot, float], ...] = ()
+    counted: int = 0
 
     @property
     def key(self) -> tuple[str, int | None]:

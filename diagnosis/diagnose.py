@@ -258,5 +258,6 @@ def _numbers(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -> 
     for hypothesis in hypotheses[:10]:
         for answer, score in zip(answers, hypothesis.scores, strict=True):
             if id(score) not in out:
-                out[id(score)] = intervals(answer.search.cell, score.fit, answer.search.spread)
+                found = answer.search
+                out[id(score)] = intervals(found.cell, score.fit, found.spread, score.total - found.none.total)
     return out

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.cells import Cell
-from diagnosis.fit import Fit, bounds, costs, evaluated
+from diagnosis.cells import FORM_SHARE, Cell
+from diagnosis.fit import Fit, bounds, costs, evaluated, weights
 from diagnosis.score import covariance
 from diagnosis.search import Scan
 from machine.rotations import Array
 
 SHOWN_ENERGY = 43.0  # |s|^2 with s/2 - 1.28 = 2 standard errors over blocks (score.py): found with 90 %
+QUANTILE_95 = 1.645  # of a normal: 5 % on either side
 CHANCE_90 = 1.35  # nats below the best: 90 % limits of one number
 FLAT_NATS = 1e-3
 WIDEST = 0.1  # of the range: how far from the fit limits are looked for
@@ -27,23 +28,45 @@ class Interval:
     high: float
 
 
-def intervals(cell: Cell, found: Fit, spread: float) -> tuple[Interval, ...]:
-    """Limits of each number (the others held), by the cost's own course: flat valleys and kinks are seen.
+def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -> tuple[Interval, ...]:
+    """Limits of each number, by the cost's own course: flat valleys and kinks are seen.
 
-    Model: cost / spread rises by 1.35 nats; tried out to 30 standard deviations, and to 10 % of the range.
+    Model: cost / spread rises by 1.35 nats, the other numbers held; tried out to 30 standard deviations, and to 10 % of
+           the range; then as much wider as the number's standard deviation is with the others free. In oil the form of
+           a name may be wrong by a share of all it gains, and so may its size. A counted share has chance's limits.
     """
     if found.k == 0:
         return ()
     low, high = bounds(found.hypothesis)
-    sd = np.sqrt(np.maximum(np.diag(covariance(found)), 0.0) * spread)
-    return tuple(
-        _interval(cell, found, k, float(sd[k]), (float(low[k]), float(high[k])), spread) for k in range(found.k)
-    )
+    variances = np.maximum(np.diag(covariance(found)), 0.0)
+    alone = 1.0 / ((found.J**2 * weights(found.residual)[:, None]).sum(axis=0) + 1.0 / (high - low) ** 2)
+    wider = np.sqrt(np.maximum(variances / alone, 1.0))
+    allowed = CHANCE_90 + (cell.form_share if cell.form_share > FORM_SHARE else 0.0) * max(gained_nats, 0.0) / spread
+    counted = [one.counted for one in found.hypothesis for _ in one.slots]
+    out = []
+    for k, of in enumerate(counted):
+        one = _interval(cell, found, k, float(np.sqrt(variances[k] * spread)), allowed, spread)
+        out.append(_of_share(one.value, of) if of else _widened(one, float(wider[k]), float(low[k]), float(high[k])))
+    return tuple(out)
 
 
-def _interval(cell: Cell, found: Fit, k: int, sd: float, limits: tuple[float, float], spread: float) -> Interval:
-    value, (low, high) = float(found.theta[k]), limits
-    widest = WIDEST * (high - low)
+def _widened(one: Interval, times: float, low: float, high: float) -> Interval:
+    below, above = times * (one.value - one.low), times * (one.high - one.value)
+    return Interval(one.value, max(low, one.value - below), min(high, one.value + above))
+
+
+def _of_share(share: float, count: int) -> Interval:
+    """Wilson's limits of a share seen among so many."""
+    z2 = QUANTILE_95**2 / count
+    centre = (share + 0.5 * z2) / (1.0 + z2)
+    half = np.sqrt(z2 * (share * (1.0 - share) + 0.25 * z2)) / (1.0 + z2)
+    return Interval(share, float(centre - half), float(centre + half))
+
+
+def _interval(cell: Cell, found: Fit, k: int, sd: float, allowed: float, spread: float) -> Interval:
+    """Limits of number k, the others held, where cost / spread rises by what is allowed [nats]."""
+    low, high = (float(edge[k]) for edge in bounds(found.hypothesis))
+    value, widest = float(found.theta[k]), WIDEST * (high - low)
     local = np.concatenate([[0.0], OFFSETS * min(sd, widest), OFFSETS * widest / OFFSETS[-1]])
     tried = np.unique(np.clip(value + local, low, high))
     thetas = np.tile(found.theta, (len(tried), 1))
@@ -53,8 +76,9 @@ def _interval(cell: Cell, found: Fit, k: int, sd: float, limits: tuple[float, fl
     flat = tried[_run(np.abs(rise) < FLAT_NATS, at)]
     if len(flat) > 2:  # nothing between them can be told apart: the middle stands for all
         value = 0.5 * (float(flat[0]) + float(flat[-1]))
-    inside = _run(rise < CHANCE_90, at)
-    return Interval(value, _crossing(tried, rise, inside.start, -1), _crossing(tried, rise, inside.stop - 1, 1))
+    inside = _run(rise < allowed, at)
+    first, last = inside.start, inside.stop - 1
+    return Interval(value, _crossing(tried, rise, first, -1, allowed), _crossing(tried, rise, last, 1, allowed))
 
 
 def _run(mask: NDArray[np.bool_], at: int) -> slice:
@@ -67,13 +91,13 @@ def _run(mask: NDArray[np.bool_], at: int) -> slice:
     return slice(first, last + 1)
 
 
-def _crossing(tried: Array, rise: Array, edge: int, side: int) -> float:
+def _crossing(tried: Array, rise: Array, edge: int, side: int, allowed: float) -> float:
     """Where the cost crosses the limit between the last size inside and the next one."""
     following = edge + side
     if not 0 <= following < len(tried):
         return float(tried[edge])
     span = rise[following] - rise[edge]
-    share = (CHANCE_90 - rise[edge]) / span if span > 0.0 else 1.0
+    share = (allowed - rise[edge]) / span if span > 0.0 else 1.0
     return float(tried[edge] + np.clip(share, 0.0, 1.0) * (tried[following] - tried[edge]))
 
 

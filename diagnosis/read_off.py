@@ -7,6 +7,7 @@ datagrams were lost is in their numbers, not in how many they were.
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.candidates import Candidate
 from diagnosis.stretches import Stretch
@@ -29,16 +30,17 @@ def read_off(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) 
             out.append(_fixed(one, comb_of(values[:, one.joint - 1])))
         elif one.name != "packet_loss" or loss is None:
             out.append(one)
-        elif loss > 0.0:
-            out.append(_fixed(one, loss))
+        elif loss.any():
+            fixed = _fixed(one, float(loss.mean()))
+            out.append(one if fixed is one else replace(fixed, counted=len(loss)))
     return tuple(out)
 
 
-def _loss(stretches: tuple[Stretch, ...]) -> float | None:
-    """Share of the datagrams that never arrived; None where some stretch cannot tell."""
+def _loss(stretches: tuple[Stretch, ...]) -> NDArray[np.bool_] | None:
+    """Of every datagram whether it never arrived; None where some stretch cannot tell."""
     seen = [one.sent.lost for one in stretches if one.sent is not None]
     known = [one for one in seen if one is not None]
-    return float(np.mean(np.concatenate(known))) if known and len(known) == len(seen) else None
+    return np.concatenate(known) if known and len(known) == len(seen) else None
 
 
 def _fixed(one: Candidate, size: float | None) -> Candidate:

@@ -95,12 +95,15 @@ def _answered(recording: Recording) -> dict[str, Any]:
 
 
 def _probability(result: dict[str, Any], truth: Truth) -> float:
-    """Probability of the true effect and nothing else."""
+    """Probability of the true effect and nothing else, among all that the catalogue explains.
+
+    Why among those: an experiment is to tell one name from its rivals. What may be at work beside them, outside the
+    catalogue or too small to be seen, is as likely after it as before.
+    """
     wanted = [(truth.name, truth.joint)]
-    return float(
-        sum(
-            one["probability"]
-            for one in result["hypotheses"]
-            if [(effect["name"], effect["joint"]) for effect in one["effects"]] == wanted
-        )
+    found = sum(
+        one["probability"]
+        for one in result["hypotheses"]
+        if [(effect["name"], effect["joint"]) for effect in one["effects"]] == wanted
     )
+    return float(found / (1.0 - result["outside_probability"] - result["unseen_probability"]))
