@@ -10,6 +10,7 @@ from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, Candidate,
 from diagnosis.cells import Cell, Rows
 from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
+from diagnosis.point_noise import PointNoise, instants_of
 from diagnosis.points import PointData, PointFit, fit_points, static_data, tracked_data
 from diagnosis.reading import Read
 from machine.effects.encoders import true_angles
@@ -31,25 +32,35 @@ class PointResidual:
     """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time.
 
     Axes: radial, tangential and up about the base's upright, since a slewing arm swings across far more than it bends.
-    `sigma`: (3,) [m]. `known`: (3 m,) [m], what the machine's model is known to be wrong by.
+    `known`: (3 m,) [m], what the machine's model is known to be wrong by.
     """
 
     nominal: Nominal
     data: PointData
     paths: tuple[Path, ...]
     at: NDArray[np.int64]
-    sigma: Array
+    noise: PointNoise
     known: Array | None = None
 
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
+        return self.noise.white(self.metres(sets))
+
+    def metres(self, sets: ParameterSets) -> Array:
+        """The same (sets, 3 m) before it is weighed [m]."""
         plain = without_encoders(sets)
         rows = []
         for k in range(sets.sets):
             data = replace(self.data, q=self._angles(sets, k))
             rows.append(_about_upright(fit_points(self.nominal, plain, data, k), data.xyz).ravel())
-        known = 0.0 if self.known is None else self.known
-        return (np.array(rows) - known) / np.tile(self.sigma, len(self.data.xyz))
+        return np.array(rows) - (0.0 if self.known is None else self.known)
+
+    def reach_m(self, sets: ParameterSets) -> Array:
+        """How far each point is from the base's upright (m,)."""
+        data = replace(self.data, q=self._angles(sets, 0))
+        T = fit_points(self.nominal, without_encoders(sets), data, 0).T_base_tracker
+        p = data.xyz @ T[:3, :3].T + T[:3, 3]
+        return np.hypot(p[:, 0], p[:, 1])
 
     def _angles(self, sets: ParameterSets, which: int) -> Array:
         if not self.paths:
@@ -96,13 +107,15 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
     joints = tuple(range(1, nominal.n + 1))
     moving = bool(paths) and all(path.step_s is not None for path in paths)
     candidates = _candidates(joints, moving)
-    rough = PointResidual(nominal, data, paths, at, np.ones(3))
+    m = len(data.xyz)
+    rough = PointResidual(nominal, data, paths, at, PointNoise(np.ones(3), 0.0, np.zeros(m), instants_of(data.when)))
     known = _floor(rough, base)
     sigma = np.maximum(known if known is not None else saturated_floor(rough, base, candidates), SIGMA_MIN_M)
     record = nominal.remainder("structure", on="tracker" if paths else "static")
     sigma = np.hypot(sigma * np.ones(3), axes_of(record, 3))
     left = float(np.mean(axes_of(record, 3) ** 2 / sigma**2))
-    m = len(data.xyz)
+    swing_rad = record.swing_rad if record is not None else 0.0
+    noise = replace(rough.noise, own=sigma, swing_rad=swing_rad, reach_m=rough.reach_m(base))
     rows = rows_of(m, 3)
     q = {f"joint {j}": np.repeat(data.q[:, j - 1], 3) for j in joints}
     return Cell(
@@ -111,7 +124,7 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
         unit="m",
         candidates=candidates,
         base=base,
-        whitened=replace(rough, sigma=sigma),
+        whitened=replace(rough, noise=noise),
         rows=rows,
         scale=np.tile(sigma, m),
         quiet=1.0,

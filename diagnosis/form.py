@@ -153,7 +153,7 @@ def _white(cell: Cell) -> dict[str, Array]:
     """Families (N, k) of a cell of one joint, or of tracked points, as white as its residual."""
     seen = cell.whitened
     if isinstance(seen, PointResidual) and seen.paths:
-        return {TRACKED: acceleration_columns(seen) / np.tile(seen.sigma, len(seen.data.xyz))[:, None]}
+        return {TRACKED: seen.noise.white(acceleration_columns(seen).T).T}
     if not isinstance(seen, Replay) or cell.stage != "actuator":
         return {}
     per_part = families_of(cell, seen, 0, KNOTS)

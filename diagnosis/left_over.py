@@ -9,10 +9,12 @@ from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import behind_cells, measurement_of, told_behind, without
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_dynamic import SKIPPED, Replay, part_increments, stage_cells
+from diagnosis.cells_points import PointResidual
 from diagnosis.corner_noise import PLAIN, variances_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.floor import ORDER_MAX, deviations
 from diagnosis.form import form_of, with_form
+from diagnosis.point_noise import variances_of as variances_of_points
 from diagnosis.reading import Read
 from diagnosis.replay import replayer_of
 from diagnosis.stretches import repeat_groups
@@ -85,17 +87,20 @@ def _plain(cells: list[Cell], where: Remainder) -> Remainder:
     """Remainder [m or px] of points or corners, in all and by axis: nothing is whitened there."""
     if where.stage == "camera":
         return _of_corners(cells, where)
-    noise = np.array([cell.scale[:AXES] ** 2 for cell in cells])
-    found = np.array([_mean_squares(cell) for cell in cells])
-    by_axis = np.sqrt(common_excess(noise * found, noise))
+    found, noise, swings = [], [], []
+    for cell in cells:
+        seen = cell.whitened
+        if isinstance(seen, PointResidual):
+            own, swing = variances_of_points(seen.metres(cell.base)[0].reshape(-1, AXES), seen.noise)
+            found.append(own)
+            noise.append(seen.noise.own**2)
+            swings.append([max(swing, 0.0)])
+    if not found:
+        return where
+    by_axis = np.sqrt(common_excess(np.array(found), np.array(noise)))
     left = float(np.sqrt(np.mean(by_axis**2)))
-    return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis))
-
-
-def _mean_squares(cell: Cell) -> Array:
-    """Of a cell's whitened residual, by axis (3,)."""
-    squares = cell.whitened(cell.base)[0] ** 2
-    return np.array([np.mean(squares[cell.rows.channel == k]) for k in range(AXES)])
+    swing_rad = float(np.sqrt(common_excess(np.array(swings), np.zeros((len(swings), 1)))[0]))
+    return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis), swing_rad=swing_rad)
 
 
 def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:

@@ -16,7 +16,7 @@ USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern 
 USUAL_NAME = "name "  # before an effect, among the usual tests: what that name gains there [nats]
 USUAL_SHAPE = "shape "  # before what a remainder may go with, among the usual tests: what it foretells there [nats]
 SHARE_MIN = 0.5  # of the floor: a smaller share tells little of what would be foretold without noise
-KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual", "by_axis", "form"}
+KEYS = {"stage", "joint", "on", "sigma", "rms", "ar", "spread", "usual", "by_axis", "swing_rad", "form"}
 Form = tuple[tuple[str, tuple[float, ...]], ...]
 
 
@@ -28,9 +28,10 @@ class Remainder:
     [px], without the noise; `rms`: the same before whitening; `ar`: the increments' autoregression; `spread`: by how
     much scores are divided, since a remainder of form is no white noise. `on`: static, tracker, ooi or tool.
     `by_axis`: of points, sigma radial, tangential, up about the base's upright; of corners, what u and v of all corners
-    of a frame share, beside each one's own `sigma`. `usual`: tests of a residual that fire on the undisturbed machine,
-    and how large they get there; names that gain more there than others do, and what. `form`: what the model itself is
-    wrong by there, as a function of what drives it (actuator [rad], points [m]): families and the numbers of each.
+    of a frame share, beside each one's own `sigma`. `swing_rad`: the slew's swing that the points of an instant share.
+    `usual`: tests of a residual that fire on the undisturbed machine, and how large they get there; names that gain
+    more there than others do, and what. `form`: what the model itself is wrong by there, as a function of what drives
+    it (actuator [rad], points [m]): families and the numbers of each.
     """
 
     stage: str
@@ -42,6 +43,7 @@ class Remainder:
     spread: float = 1.0
     usual: tuple[tuple[str, float], ...] = ()
     by_axis: tuple[float, ...] = ()
+    swing_rad: float = 0.0
     form: Form = ()
 
     @property
@@ -117,6 +119,7 @@ def _one(table: object, where: str) -> Remainder:
         _number(table, "spread", 1.0, where),
         _usual(table.get("usual", {}), where),
         _numbers(by_axis, f"{where}: by_axis"),
+        _number(table, "swing_rad", 0.0, where),
         _form(table.get("form", {}), where),
     )
 
@@ -166,6 +169,8 @@ def _toml(one: Remainder) -> str:
     usual = f"usual = {{ {pairs} }}\n" if pairs else ""
     if one.by_axis:
         usual += f"by_axis = [{', '.join(map(repr, one.by_axis))}]\n"
+    if one.swing_rad:
+        usual += f"swing_rad = {one.swing_rad!r}\n"
     if one.form:
         families = ", ".join(f"{json.dumps(name)} = [{', '.join(map(repr, row))}]" for name, row in one.form)
         usual += f"form = {{ {families} }}\n"

@@ -174,4 +174,6 @@ def _more_points(measured: PointResidual, postures: Postures, truth: ParameterSe
     )
     paths = (*measured.paths, course) if measured.paths else ()
     at = np.concatenate([measured.at, np.full(len(q), len(measured.paths), dtype=np.int64)])
-    return replace(measured, data=more, paths=paths, at=at)
+    noise = measured.noise.with_more(np.hypot(base[:, 0], base[:, 1]), len(known))
+    wrong = None if measured.known is None else np.concatenate([measured.known, np.zeros(3 * len(q))])
+    return replace(measured, data=more, paths=paths, at=at, noise=noise, known=wrong)

@@ -16,7 +16,7 @@ MINUTE_S = 60.0
 
 
 def point_columns(measured: PointResidual) -> dict[str, Array]:
-    """(3 m, k) by what they are functions of; each of radial, tangential and up has its own numbers."""
+    """(3 m, k) by what they are functions of, as white as the residual; radial, tangential, up have own numbers."""
     data = measured.data
     out = {
         "posture": _each(_powers(data.q), 3),
@@ -28,11 +28,11 @@ def point_columns(measured: PointResidual) -> dict[str, Array]:
         out["motion"] = _each(np.concatenate([v, _side(v)], axis=1), 3)
         out["acceleration"] = acceleration_columns(measured)
         out["time"] = _each(_time(data.when), 3)
-    return out
+    return {name: measured.noise.white(columns.T).T for name, columns in out.items()}
 
 
 def acceleration_columns(measured: PointResidual) -> Array:
-    """(3 m, 3 n) of tracked points: what each of radial, tangential and up does with each joint's acceleration."""
+    """(3 m, 3 n) of tracked points, not weighed: what radial, tangential and up do with each joint's acceleration."""
     return _each(_motion(measured.paths, measured.at, measured.data.when)[1], 3)
 
 

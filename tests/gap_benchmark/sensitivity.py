@@ -254,11 +254,24 @@ def _in_floors(scene: Scene, first: dict[str, Array], second: dict[str, Array]) 
     out: Signature = {}
     for on in ("tracker", "static"):
         sigma = np.hypot(scene.noise.tracker_m, scene.by_axis("structure", on, 3))
-        out[on] = (_about_upright(second[on] - first[on], first[on]) / sigma).ravel()
+        change = _about_upright(second[on] - first[on], first[on]) / sigma
+        out[on] = _less_swing(change, first[on], scene.record("structure", None, on).swing_rad / sigma[1]).ravel()
     out["ooi"] = _without_place(scene, first["ooi"], second["ooi"] - first["ooi"])
     frames = len(first["ooi"])  # the tool is seen in each of them
     out["tool"] = (_white(scene, "tool", second["tool"] - first["tool"]) * np.sqrt(frames)).ravel()
     return {name: np.nan_to_num(part) for name, part in out.items()}
+
+
+def _less_swing(change: Array, at: Array, swing: float) -> Array:
+    """Changes (instants, points, 3) in floors: what an instant's points go across together counts beside the swing that
+    they share.
+    """
+    rho = np.hypot(at[..., 0], at[..., 1])
+    size2 = (rho**2).sum(axis=1, keepdims=True)
+    along = (rho * change[..., 1]).sum(axis=1, keepdims=True) / size2
+    out = change.copy()
+    out[..., 1] -= (1.0 - 1.0 / np.sqrt(1.0 + swing**2 * size2)) * along * rho
+    return out
 
 
 def _about_upright(change: Array, at: Array) -> Array:

@@ -1,0 +1,65 @@
+"""The noise of measured points: each one's own along radius, across and up, and a swing of the slew that all points of
+one instant share.
+
+Why: a slewing arm swings, and all its points go across with it, each by its reach. Counted point by point such an
+instant would speak three times, and any small effect at the slew would win.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.rotations import Array
+
+ACROSS = 1  # of radial, tangential, up
+
+
+@dataclass(frozen=True, slots=True)
+class PointNoise:
+    """Standard deviations `own` (3,) [m] and `swing_rad`; of each point `reach_m` (m,) and its instant's number."""
+
+    own: Array
+    swing_rad: float
+    reach_m: Array
+    instants: NDArray[np.int64]
+
+    def white(self, rows: Array) -> Array:
+        """White residuals (sets, 3 m) of residuals [m].
+
+        Model: across, covariance own^2 I + swing^2 rho rho' over the reaches rho of an instant, whose inverse root
+               takes what lies along rho down to own / sqrt(own^2 + swing^2 |rho|^2) of it.
+        """
+        out = rows.reshape(len(rows), -1, 3) / self.own
+        if self.swing_rad > 0.0:
+            size2 = np.bincount(self.instants, weights=self.reach_m**2)
+            share = 1.0 - 1.0 / np.sqrt(1.0 + (self.swing_rad / self.own[ACROSS]) ** 2 * size2)
+            for across in out[:, :, ACROSS]:
+                along = np.bincount(self.instants, weights=self.reach_m * across) / np.maximum(size2, 1e-12)
+                across -= self.reach_m * (share * along)[self.instants]
+        return out.reshape(len(rows), -1)
+
+    def with_more(self, reach_m: Array, per_instant: int) -> "PointNoise":
+        """The same with more points, so many at each new instant."""
+        first = int(self.instants.max(initial=-1)) + 1
+        instants = np.concatenate([self.instants, first + np.arange(len(reach_m)) // per_instant])
+        return replace(self, reach_m=np.concatenate([self.reach_m, reach_m]), instants=instants)
+
+
+def instants_of(when: Array) -> NDArray[np.int64]:
+    """Number of the instant at which each point was measured (m,)."""
+    return np.unique(np.round(when, 6), return_inverse=True)[1].astype(np.int64).reshape(-1)
+
+
+def variances_of(residual: Array, noise: PointNoise) -> tuple[Array, float]:
+    """Variances (3,) [m^2] of each point's own residual (m, 3) [m], and of the swing [rad^2], which chance can bring
+    below 0. Points that were measured alone tell of no swing.
+    """
+    across, rho = residual[:, ACROSS], noise.reach_m
+    S, Q = (np.bincount(noise.instants, weights=(rho * across) ** k) for k in (1, 2))
+    R2, R4 = (np.bincount(noise.instants, weights=rho**k) for k in (2, 4))
+    pairs = float((R2**2 - R4).sum())
+    swing = float((S**2 - Q).sum()) / pairs if pairs > 0.0 else 0.0
+    own = np.mean(residual**2, axis=0)
+    own[ACROSS] -= max(swing, 0.0) * float(np.mean(rho**2))
+    return own, swing
