@@ -24,6 +24,7 @@ from machine.errors import MachineFileError
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
 
 REMAINDER = Remainder("actuator", 2, "", 1.5e-5, 4e-5, (0.7, -0.1), 1.8)
+OF_POINTS = Remainder("structure", None, "tracker", 1e-4, 2e-4, by_axis=(1e-4, 2e-4, 3e-4), swing_rad=4e-4)
 
 
 def entry(name: str, joint: int | None, **parameters: object):
@@ -34,10 +35,10 @@ def entry(name: str, joint: int | None, **parameters: object):
 
 def test_a_machine_file_carries_its_baseline() -> None:
     lag = entry("valve_lag", 2, time_constant_s=0.03)
-    text = MACHINE_TOML + entries_to_toml([lag]) + remainders_to_toml([REMAINDER])
+    text = MACHINE_TOML + entries_to_toml([lag]) + remainders_to_toml([REMAINDER, OF_POINTS])
     machine, nominal = parse_machine_toml(text), nominal_of(text)
     assert machine.effects == nominal.baseline == (lag,)
-    assert machine.remainders == nominal.remainders == (REMAINDER,)
+    assert machine.remainders == nominal.remainders == (REMAINDER, OF_POINTS)
     assert nominal.remainder("actuator", 2) == REMAINDER
     assert nominal.remainder("actuator", 1) is None
     assert parse_machine_toml(MACHINE_TOML).effects == ()
@@ -52,6 +53,7 @@ def test_a_machine_file_carries_its_baseline() -> None:
         ({"stage": "link", "joint": 0}, "joint = 0"),
         ({"stage": "link", "colour": 1}, "unknown key 'colour'"),
         ({"stage": "link", "ar": ["x"]}, "ar = 'x'"),
+        ({"stage": "structure", "swing_rad": -1.0}, "swing_rad = -1"),
         ({"stage": "link", "form": [1.0]}, "form = [1.0] is not a table"),
         ({"stage": "link", "form": {"speed": ["x"]}}, "form.speed = 'x'"),
     ],
