@@ -23,6 +23,7 @@ from diagnosis.read_off import read_off
 from diagnosis.regressors import regressors_of
 from diagnosis.repeats import overlaid
 from diagnosis.replay import Prepared, Replayer, measured_output
+from diagnosis.side_by_side import side_by_side
 from diagnosis.stretches import Stretch, repeat_groups
 from diagnosis.tables import filled
 from machine.effects.dynamics import Actuators, Drive, DynamicStage, at_cycles, simulate
@@ -68,7 +69,7 @@ class Replay:
     def __call__(self, sets: ParameterSets) -> Array:
         """Residuals (sets, N): stretches end to end, channels within each."""
         chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(self.joints)]), sets.machine)
-        return np.concatenate([self._white(part, chosen) for part in self.parts], axis=1)
+        return np.concatenate(side_by_side(lambda part: self._white(part, chosen), self.parts), axis=1)
 
     def _white(self, part: Part, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.cells import FORM_SHARE, Cell
+from diagnosis.cells import Cell
 from diagnosis.fit import Fit, bounds, costs, evaluated, weights
 from diagnosis.score import covariance
 from diagnosis.search import Scan
@@ -32,8 +32,9 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
     """Limits of each number, by the cost's own course: flat valleys and kinks are seen.
 
     Model: cost / spread rises by 1.35 nats, the other numbers held; tried out to 30 standard deviations, and to 10 % of
-           the range; then as much wider as the number's standard deviation is with the others free. In oil the form of
-           a name may be wrong by a share of all it gains, and so may its size. A counted share has chance's limits.
+           the range; then as much wider as the number's standard deviation is with the others free. Beside a baseline
+           that left something, the form of a name may be wrong by a share of all it gains, and so may its size. A
+           counted share has chance's limits.
     """
     if found.k == 0:
         return ()
@@ -41,7 +42,8 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
     variances = np.maximum(np.diag(covariance(found)), 0.0)
     alone = 1.0 / ((found.J**2 * weights(found.residual)[:, None]).sum(axis=0) + 1.0 / (high - low) ** 2)
     wider = np.sqrt(np.maximum(variances / alone, 1.0))
-    allowed = CHANCE_90 + (cell.form_share if cell.form_share > FORM_SHARE else 0.0) * max(gained_nats, 0.0) / spread
+    form_share = cell.form_share if cell.left_share > 0.0 else 0.0
+    allowed = CHANCE_90 + form_share * max(gained_nats, 0.0) / spread
     counted = [one.counted for one in found.hypothesis for _ in one.slots]
     out = []
     for k, of in enumerate(counted):

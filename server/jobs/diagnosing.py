@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import os
 import sys
 import time
 from collections import deque
@@ -16,6 +17,7 @@ from server.errors import BusyError, ServerError
 
 log = logging.getLogger(__name__)
 NICE = "10"
+ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 TIMEOUT_S = 3600.0
 KEPT = 50
 COMMAND = (sys.executable, "-m", "longreach.cli", "diagnose")
@@ -133,6 +135,7 @@ class Diagnoses:
         outputs = ("--json", str(self._file(one, "json")), "--html", str(self._file(one, "html")))
         process = await asyncio.create_subprocess_exec(
             *("nice", "-n", NICE, *self._command, *(str(path) for path in one.recordings), *outputs),
+            env={**os.environ, **ONE_THREAD},
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.DEVNULL,
             stderr=asyncio.subprocess.PIPE,

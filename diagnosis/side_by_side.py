@@ -1,0 +1,25 @@
+"""The same for several pieces at once, a thread each: the compiled kernel runs without the interpreter's lock.
+
+NUMBA_NUM_THREADS=1 keeps it to one, for workers beside each other and for a diagnosis beside a running machine.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import TypeVar
+
+Piece = TypeVar("Piece")
+Result = TypeVar("Result")
+
+
+def side_by_side(of: Callable[[Piece], Result], pieces: Sequence[Piece]) -> list[Result]:
+    """`of` each piece, in their order; what one raises is raised."""
+    pool = _pool()
+    return [of(one) for one in pieces] if pool is None or len(pieces) < 2 else list(pool.map(of, pieces))
+
+
+@cache
+def _pool() -> ThreadPoolExecutor | None:
+    threads = int(os.environ.get("NUMBA_NUM_THREADS", len(os.sched_getaffinity(0))))
+    return ThreadPoolExecutor(threads, thread_name_prefix="replay") if threads > 1 else None
