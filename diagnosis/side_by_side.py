@@ -23,3 +23,6 @@ def side_by_side(of: Callable[[Piece], Result], pieces: Sequence[Piece]) -> list
 def _pool() -> ThreadPoolExecutor | None:
     threads = int(os.environ.get("NUMBA_NUM_THREADS", len(os.sched_getaffinity(0))))
     return ThreadPoolExecutor(threads, thread_name_prefix="replay") if threads > 1 else None
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # a child inherits the pool, but none of its threads
