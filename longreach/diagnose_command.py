@@ -65,7 +65,10 @@ def diagnose(
         screen.print(f"[yellow]{finding.severity}[/] {escape(str(finding))}", soft_wrap=True)
     if not whole.usable:
         raise typer.Exit(BAD_INPUT)
-    found, result, curves = _with_progress(whole, screen, tuple(lacking or ()), leaving)
+    try:
+        found, result, curves = _with_progress(whole, screen, tuple(lacking or ()), leaving)
+    except DiagnosisError as error:
+        raise _refused(error, screen) from error
     result["recordings"] = [path.name for path in recordings]
     for text in lines(result):
         typer.echo(text)
@@ -82,8 +85,13 @@ def _read(recordings: list[Path], machine_file: Path | None, screen: Console) ->
     try:
         return read_together(recordings, machine_file)
     except DiagnosisError as error:
-        screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
-        raise typer.Exit(BAD_INPUT) from error
+        raise _refused(error, screen) from error
+
+
+def _refused(error: Exception, screen: Console) -> typer.Exit:
+    """Say why, and the exit that says that the input is to blame."""
+    screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
+    return typer.Exit(BAD_INPUT)
 
 
 def _machine_out(recording: Path, machine_file: Path | None, found: Diagnosis, out: Path, screen: Console) -> None:
@@ -91,8 +99,7 @@ def _machine_out(recording: Path, machine_file: Path | None, found: Diagnosis, o
     try:
         typer.echo(write_machine(_machine_text(recording, machine_file), found, out))
     except MachineOutError as error:
-        screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
-        raise typer.Exit(BAD_INPUT) from error
+        raise _refused(error, screen) from error
 
 
 def _machine_text(recording: Path, machine_file: Path | None) -> str:
@@ -127,8 +134,7 @@ def _fit_baseline(recordings: list[Path], machine_file: Path | None, out: Path |
     try:
         typer.echo(make_baseline(recordings, machine_file, out, screen))
     except BaselineError as error:
-        screen.print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
-        raise typer.Exit(BAD_INPUT) from error
+        raise _refused(error, screen) from error
 
 
 def _with_progress(

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis_cases import folder, recording
+from typer.testing import CliRunner
 
 from diagnosis.cells import Cell
 from diagnosis.errors import DiagnosisError
@@ -14,6 +15,7 @@ from diagnosis.fit import neutral_fit
 from diagnosis.form import form_of, with_form
 from diagnosis.left_over import cells_of, forms_of, with_baseline
 from diagnosis.reading import Read, read
+from longreach.cli import app
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
@@ -82,3 +84,13 @@ def test_a_form_of_another_arm_is_named(tmp_path: Path, form: tuple, words: str)
     other = replace(nominal, remainders=(Remainder("actuator", 2, "", 0.0, 0.0, form=form),))
     with pytest.raises(DiagnosisError, match=words):
         with_form([cell], other)
+
+
+def test_the_command_says_it_without_a_traceback(tmp_path: Path) -> None:
+    wrong = Remainder("actuator", 2, "", 0.0, 0.0, form=(("the angle", (1.0,)),))
+    run = folder(tmp_path, recording(("repeat", "steps")))
+    machine = run / "machine.toml"
+    machine.write_text(machine.read_text(encoding="utf-8") + remainders_to_toml([wrong]), encoding="utf-8")
+    said = CliRunner().invoke(app, ["diagnose", str(run)])
+    assert said.exit_code == 2
+    assert "form.the angle has 1 numbers, 10 wanted; fit the baseline again" in said.output
