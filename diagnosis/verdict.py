@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from diagnosis.refusal import Fired
 from diagnosis.score import Score
 from diagnosis.shapes.found import TEST as SHAPE
+from diagnosis.shrink import by_noise, together
 from diagnosis.weigh import Whole
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def _left(one: CellAnswer) -> float:
     """Share of the gap that is left, or of all its nats that a shape foretells; all of it where nothing was named."""
     if not one.chosen.fit.hypothesis:
         return 1.0
-    closed = one.shrink.closed_frac if one.shrink.floor_by == "noise" else None  # the catalogue knows of no other gap
+    closed, _, _ = by_noise(together(one.squares))  # the catalogue knows of no gap outside it
     shaped = max((fired.share for fired in one.fired if fired.test == SHAPE), default=0.0)
     return 1.0 if closed is None else max(1.0 - closed, shaped)
 
