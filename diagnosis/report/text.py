@@ -10,7 +10,9 @@ def lines(result: dict[str, Any]) -> list[str]:
     """What a person reads first."""
     out = [f"verdict: {result['verdict']} ({result['why']})"]
     for hypothesis in result["hypotheses"][:NAMES_MAX]:
-        out.append(f"  {100 * hypothesis['probability']:5.1f} %  {effects_text(hypothesis['effects'])}")
+        out.append(_likely(hypothesis["probability"], effects_text(hypothesis["effects"])))
+    out.append(_likely(result["unseen_probability"], "one more effect, below its detection limit here"))
+    out.append(_likely(result["outside_probability"], "a cause outside the catalogue"))
     for members in result["indistinguishable"]:
         out.append("this recording cannot tell apart: " + ", ".join(place_text(one) for one in members))
     closed = result["shrink"].get("overall", {}).get("closed_frac")
@@ -26,6 +28,10 @@ def lines(result: dict[str, Any]) -> list[str]:
         out.append(f"next experiment: {following['what']}, {following['minutes']:g} min: {following['why']}")
     out += [f"missing: {one['costs']}" for one in result["missing"]]
     return out
+
+
+def _likely(probability: float, what: str) -> str:
+    return f"  {100 * probability:5.1f} %  {what}"
 
 
 def place_text(one: dict[str, Any]) -> str:

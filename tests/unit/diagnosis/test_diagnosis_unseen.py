@@ -10,6 +10,7 @@ from diagnosis import unseen
 from diagnosis.answer import judgement
 from diagnosis.diagnose import diagnose
 from diagnosis.reading import read
+from diagnosis.report.text import lines
 from diagnosis.unseen import one_more, unseen_share
 from diagnosis.weigh import calibration
 
@@ -49,6 +50,9 @@ def test_all_probabilities_sum_to_one_and_the_set_holds_ninety_percent(found, mo
     named = [tuple((one["name"], one["joint"]) for one in row["effects"]) for row in rows]
     assert len(set(named)) == len(named) > 5
     assert named[0] == ()
+    told = lines({**result, "shapes": [], "next_experiment": {"what": ""}})
+    unseen = 100.0 * result["unseen_probability"]
+    assert f"{unseen:7.1f} %  one more effect, below its detection limit here" in told
 
 
 def test_one_more_is_any_other_name_each_once(found) -> None:
