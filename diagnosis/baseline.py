@@ -285,9 +285,7 @@ def _beyond(gains: dict[str, tuple[float, float]], spread: float) -> dict[str, f
 
 
 def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
-    parts = cell.parts or (cell,)
-    cuts = np.cumsum([part.rows.count for part in parts])[:-1]
-    for part, own in zip(parts, np.split(np.clip(residual, -30.0, 30.0), cuts), strict=True):
+    for part, own in cell.by_part(np.clip(residual, -30.0, 30.0)):
         sizes = usual.setdefault((part.stage, part.joint, measurement_of(part)), {})
         for fired in tests_of(part, own, 1):
             sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)

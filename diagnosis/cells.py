@@ -86,6 +86,12 @@ class Cell:
         common = median(known.values()) if len(known) >= COMMON_MIN else 0.0
         return EXCEEDED_TIMES * sum(max(known.get(usual_name(one.name), 0.0), common) for one in effects)
 
+    def by_part(self, values: Array) -> tuple[tuple["Cell", Array], ...]:
+        """The cells that this one joins, a plain one itself, each with its own of values (N, ...)."""
+        parts = self.parts or (self,)
+        cuts = np.cumsum([part.rows.count for part in parts])[:-1]
+        return tuple(zip(parts, np.split(values, cuts), strict=True))
+
     @property
     def label(self) -> str:
         """How it is called in progress lines and tests."""

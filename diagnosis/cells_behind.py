@@ -142,9 +142,7 @@ def energies(cells: list[tuple[Cell, Array]]) -> dict[str, float]:
     """Mean squared residual in floors by measurement, of cells with their residuals (N,)."""
     out: dict[str, float] = {}
     for cell, residual in cells:
-        parts = cell.parts or (cell,)
-        cuts = np.cumsum([part.rows.count for part in parts])[:-1]
-        for part, own in zip(parts, np.split(residual, cuts), strict=True):
+        for part, own in cell.by_part(residual):
             out[measurement_of(part)] = float(np.mean(own**2))
     return out
 

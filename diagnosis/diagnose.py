@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, put
 from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, told_behind, without
@@ -20,7 +18,7 @@ from diagnosis.score import Score
 from diagnosis.search import Search, search, searched_again
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape, left_shapes, refusing
-from diagnosis.shrink import Shrink, Squares, shrink, shrinks, squares
+from diagnosis.shrink import Shrink, Squares, shrinks, squares
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack
@@ -44,7 +42,6 @@ class CellAnswer:
     weighed: tuple[Weighed, ...]
     fired: tuple[Fired, ...]
     squares: tuple[Squares, ...]
-    shrink: Shrink
     shrinks: tuple[Shrink, ...]
     limits: tuple[Limit, ...]
     same: tuple[tuple[Key, ...], ...]
@@ -98,10 +95,8 @@ def _evidence(answers: tuple[CellAnswer, ...]) -> dict[str, float]:
     out: dict[str, float] = {}
     for one in answers:
         cell, none, chosen = one.search.cell, one.search.none.held_out, one.chosen.held_out
-        parts = cell.parts or (cell,)
-        cuts = np.cumsum([part.rows.count for part in parts])[:-1]
         told = {fired.stage for fired in one.fired if fired.test != SHAPE}
-        for part, before, after in zip(parts, np.split(none, cuts), np.split(chosen, cuts), strict=True):
+        for (part, before), (_, after) in zip(cell.by_part(none), cell.by_part(chosen), strict=True):
             gained = 0.5 * float(before @ before - after @ after) if one.chosen.fit.hypothesis else 0.0
             left = 0.5 * float(after @ after - len(after)) if part.stage in told else 0.0
             out[part.stage] = out.get(part.stage, 0.0) + max(gained, 0.0) + max(left, 0.0)
@@ -223,7 +218,6 @@ def _answer(found: Search, cells: int) -> CellAnswer:
         weighed=_first(weighed(found), chosen),
         fired=(*remainder(found.cell, chosen, cells), *refusing(found.cell, shapes, gained)),
         squares=sums,
-        shrink=shrink(found, sums),
         shrinks=shrinks(found, sums),
         limits=tuple(
             detection_limit(one, found.spread, found.cell.usual_nats((one.candidate,))) for one in found.scans

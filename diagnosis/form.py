@@ -18,7 +18,7 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.fit import costs, neutral_fit, weights
 from diagnosis.nominal import Nominal
 from diagnosis.shapes.behind import acceleration_columns
-from diagnosis.shapes.driven import families_of, white_columns
+from diagnosis.shapes.driven import families_of, modelled_of, white_columns
 from machine.remainder import Form
 from machine.rotations import Array
 
@@ -52,11 +52,14 @@ def _less(cell: Cell, nominal: Nominal) -> Cell:
 
 
 def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
-    measured = [part.measured.copy() for part in replay.parts]
-    for channel, joint in enumerate(replay.joints):
-        form = _form_of(nominal, cell.stage, joint + 1, "")
+    forms = [_form_of(nominal, cell.stage, joint + 1, "") for joint in replay.joints]
+    if not any(forms):
+        return replay
+    measured, modelled = [part.measured.copy() for part in replay.parts], modelled_of(cell, replay)
+    for channel, (joint, form) in enumerate(zip(replay.joints, forms, strict=True)):
         if form:
-            for own, families in zip(measured, families_of(cell, replay, channel, KNOTS), strict=True):
+            families_by_part = families_of(cell, replay, modelled, channel, KNOTS)
+            for own, families in zip(measured, families_by_part, strict=True):
                 known = _fitting(families, form, f"{cell.stage} {joint + 1}")
                 own[: len(known), channel] -= known
     parts = tuple(replace(part, measured=own) for part, own in zip(replay.parts, measured, strict=True))
@@ -156,7 +159,7 @@ def _white(cell: Cell) -> dict[str, Array]:
         return {TRACKED: seen.noise.white(acceleration_columns(seen).T).T}
     if not isinstance(seen, Replay) or cell.stage != "actuator":
         return {}
-    per_part = families_of(cell, seen, 0, KNOTS)
+    per_part = families_of(cell, seen, modelled_of(cell, seen), 0, KNOTS)
     pieces = zip(seen.parts, per_part, strict=True)
     white = [
         {name: white_columns(seen.whitener, 0, part.stretch.dt_s, families[name]) for name in DRIVEN}

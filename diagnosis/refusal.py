@@ -49,10 +49,9 @@ def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
     r = np.clip(chosen.held_out, -30.0, 30.0)
     if not cell.parts:
         return tests_of(cell, r, cells)
-    cuts = np.cumsum([part.rows.count for part in cell.parts])[:-1]
     found = [
         one
-        for part, own in zip(cell.parts, np.split(r, cuts), strict=True)
+        for part, own in cell.by_part(r)
         for one in tests_of(replace(part, spread_least=cell.spread_least), own, cells + len(cell.parts) - 1)
     ]
     return tuple(sorted(found, key=lambda one: (one.lead == "", -one.size)))

@@ -59,12 +59,11 @@ class Squares:
 
 def squares(found: Search, chosen: Score) -> tuple[Squares, ...]:
     """Of each part of a cell; a plain cell is its own only part."""
-    cell, r = found.cell, found.none.held_out
-    parts = cell.parts or (cell,)
-    cuts = np.cumsum([part.rows.count for part in parts])[:-1]
+    r = found.none.held_out
     explained = r * _catalogue(found, chosen) if chosen.fit.hypothesis else np.zeros(len(r))
-    each = (np.split(one, cuts) for one in (r, chosen.held_out, explained))
-    return tuple(_of_part(part, *rows) for part, *rows in zip(parts, *each, strict=True))
+    return tuple(
+        _of_part(part, *own.T) for part, own in found.cell.by_part(np.stack([r, chosen.held_out, explained], 1))
+    )
 
 
 def _of_part(part: Cell, r: Array, left: Array, explained: Array) -> Squares:
@@ -83,13 +82,8 @@ def _catalogue(found: Search, chosen: Score) -> Array:
     return foretold(np.stack([r - chosen.held_out, *columns], axis=1), r, found.cell.rows, RIDGES)
 
 
-def shrink(found: Search, parts: tuple[Squares, ...]) -> Shrink:
-    """How far the chosen effects close one cell's gap; limits by resampling blocks."""
-    return _shrunk(found.cell, together(parts))
-
-
 def shrinks(found: Search, parts: tuple[Squares, ...]) -> tuple[Shrink, ...]:
-    """The same for each part of a joined cell, in its own unit."""
+    """How far the chosen effects close the gap of each part of a cell, in its own unit; limits by resampling blocks."""
     cell = found.cell
     return tuple(_shrunk(part, one) for part, one in zip(cell.parts or (cell,), parts, strict=True))
 

@@ -71,8 +71,9 @@ def driven_columns(cell: Cell) -> dict[str, Array]:
     if not isinstance(replay, Replay):
         return {}
     out: dict[str, list[Array]] = {}
+    modelled = modelled_of(cell, replay)
     for channel in range(len(replay.joints)):
-        per_part = families_of(cell, replay, channel)
+        per_part = families_of(cell, replay, modelled, channel)
         for name in per_part[0]:
             columns = [
                 white_columns(replay.whitener, channel, part.stretch.dt_s, f[name])
@@ -83,13 +84,15 @@ def driven_columns(cell: Cell) -> dict[str, Array]:
     return {name: _placed(blocks, lengths, len(replay.parts)) for name, blocks in out.items()}
 
 
-def families_of(cell: Cell, replay: Replay, channel: int, knots: Array | None = None) -> list[dict[str, Array]]:
+def families_of(
+    cell: Cell, replay: Replay, modelled: list[Array], channel: int, knots: Array | None = None
+) -> list[dict[str, Array]]:
     """Of one joint of a replay, for each stretch: families of signals (m, k) in the unit of the stage's output.
 
-    Args: knots: of what drives it; where it lies most of the time if None.
+    Args: modelled: by `modelled_of`. knots: of what drives it; where it lies most of the time if None.
     """
     family = {"link": _link, "controller": _controller, "actuator": _actuator}[cell.stage]
-    courses = [_course(cell, replay, part, _modelled(cell, replay, part), channel) for part in replay.parts]
+    courses = [_course(cell, replay, *one, channel) for one in zip(replay.parts, modelled, strict=True)]
     own = [_knots([getattr(one, name) for one in courses]) for name in ("drive", "q")]
     return [family(one, own[0] if knots is None else knots, own[1]) for one in courses]
 
@@ -108,10 +111,11 @@ def _placed(blocks: list[Array], lengths: NDArray[np.int64], parts: int) -> Arra
     return out
 
 
-def _modelled(cell: Cell, replay: Replay, part: Part) -> Array:
-    """The stage's own output through a stretch (m, joints)."""
+def modelled_of(cell: Cell, replay: Replay) -> list[Array]:
+    """The stage's own output through each stretch (m, joints)."""
     chosen = ParameterSets(np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]), cell.base.machine)
-    return np.asarray(getattr(simulate(part.plant, chosen, part.drive, LAST[cell.stage]), OUTPUT[cell.stage])[0])
+    runs = (simulate(part.plant, chosen, part.drive, LAST[cell.stage]) for part in replay.parts)
+    return [np.asarray(getattr(one, OUTPUT[cell.stage])[0]) for one in runs]
 
 
 def _course(cell: Cell, replay: Replay, part: Part, outputs: Array, channel: int) -> Course:

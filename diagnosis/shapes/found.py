@@ -45,9 +45,7 @@ class Shape:
 
 def shapes_of(cell: Cell, residual: Array, least_nats: float = LEAST_NATS) -> tuple[Shape, ...]:
     """Every shape of at least so many nats in a residual (N,), the largest first."""
-    parts = cell.parts or (cell,)
-    cuts = np.cumsum([part.rows.count for part in parts])[:-1]
-    found = [one for part, own in zip(parts, np.split(residual, cuts), strict=True) for one in _of_part(part, own)]
+    found = [one for part, own in cell.by_part(residual) for one in _of_part(part, own)]
     return tuple(sorted((one for one in found if one.nats >= least_nats), key=lambda one: -one.nats))
 
 

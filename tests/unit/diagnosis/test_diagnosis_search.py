@@ -13,7 +13,7 @@ from diagnosis.limits import detection_limit, intervals
 from diagnosis.refusal import remainder
 from diagnosis.score import better, covariance, log_evidence, score
 from diagnosis.search import scan, search
-from diagnosis.shrink import closed_share, shrink, squares
+from diagnosis.shrink import closed_share, shrinks, squares
 from diagnosis.weigh import calibration, combined, same_here, weighed
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.remainder import usual_name
@@ -156,17 +156,17 @@ def test_closed_share_is_never_clipped_and_none_without_a_gap() -> None:
 def test_a_gap_below_what_noise_is_known_by_is_held_against_what_the_catalogue_foretells() -> None:
     found = search(made_up((0.014, 0.0, 0.0)))  # |s|^2 = 94 beside 600 rows of noise
     assert [one.name for one in found.chosen.fit.hypothesis] == ["flow_gain_error"]
-    whole = shrink(found, squares(found, found.chosen))
+    (whole,) = shrinks(found, squares(found, found.chosen))
     assert whole.floor_by == "catalogue"
     assert whole.closed_frac == pytest.approx(1.0, abs=0.2)
     assert whole.low < 1.0 < whole.high
     change = found.chosen.held_out - found.none.held_out
     half = replace(found.chosen, held_out=found.none.held_out + 0.5 * change)
-    part = shrink(found, squares(found, half))
+    (part,) = shrinks(found, squares(found, half))
     assert part.closed_frac == pytest.approx(0.75, abs=0.2)
     assert part.closed_frac < whole.closed_frac
     nothing = search(made_up((0.0, 0.0, 0.0)))
-    assert shrink(nothing, squares(nothing, nothing.none)).closed_frac is None
+    assert shrinks(nothing, squares(nothing, nothing.none))[0].closed_frac is None
 
 
 def test_blocks_and_folds() -> None:
