@@ -13,7 +13,8 @@ from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import joined, measurement_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
-from diagnosis.left_over import cells_of, forms_of, remainders_of, with_baseline
+from diagnosis.form import TOGETHER_MIN
+from diagnosis.left_over import cells_of, forms_of, remainders_of, with_baseline, with_wanders
 from diagnosis.reading import Read
 from diagnosis.refusal import key_of, pattern_nats, tests_of
 from diagnosis.score import Score, better, numbers_of, score
@@ -33,6 +34,7 @@ FEW = 2
 CHANCE_NATS = 4.5  # that the best of some dozen wrong names gains by chance: three quarters of the margin of a name
 CHANCE_MORE_NATS = 2.0  # for each further number that it may choose
 CHECKED_MIN = 2  # recordings that the baseline is judged on
+FOLDS = 3  # of the recordings, each judged by the form of the others
 DAYS_OWN = 10  # from so many on, each joint has its own usual tests
 Progress = Callable[[str], None]
 
@@ -69,14 +71,22 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
         raise DiagnosisError(
             f"{len(fitted)} recordings to fit and {len(checked)} to judge; give at least 1 and {CHECKED_MIN}"
         )
-    entries = _sized([*fitted, *checked], _settled(fitted, progress), progress)
+    wholes = [*fitted, *checked]
+    entries = _sized(wholes, _settled(fitted, progress), progress)
     progress("what the model is wrong by on all recordings alike")
-    forms = _forms([*fitted, *checked], entries)
+    forms = _forms(wholes, entries)
+    foretold = _foretold(wholes, entries, forms)[len(fitted) :]
     progress("what is left on the other recordings")
-    remainders = _with_forms(remainders_of([with_baseline(one, entries, forms) for one in checked]), forms)
-    spreads, usual, names = _wrong_gains([with_baseline(one, entries, remainders) for one in checked], progress)
+    seen = [with_baseline(one, entries, own) for one, own in zip(checked, foretold, strict=True)]
+    left = remainders_of(seen)
+    later = [with_baseline(one, entries, _with_forms(left, own)) for one, own in zip(checked, foretold, strict=True)]
+    progress("what its numbers wander by from day to day")
+    left = with_wanders(left, later)
+    later = [with_baseline(one, entries, _with_forms(left, own)) for one, own in zip(checked, foretold, strict=True)]
+    remainders = _with_forms(left, forms)
+    spreads, usual, names = _wrong_gains(later, progress)
     finished = _spread(tuple(_with_usual(one, usual, len(checked)) for one in remainders), spreads, names)
-    return Baseline(entries, finished, _judged(checked, entries, forms), tuple(spreads.items()), _told(names))
+    return Baseline(entries, finished, _judged(checked, seen, entries), tuple(spreads.items()), _told(names))
 
 
 def _forms(wholes: list[Read], entries: tuple[EffectEntry, ...]) -> tuple[Remainder, ...]:
@@ -85,9 +95,27 @@ def _forms(wholes: list[Read], entries: tuple[EffectEntry, ...]) -> tuple[Remain
     return forms_of([with_baseline(one, entries, left) for one in wholes])
 
 
+def _foretold(
+    wholes: list[Read], entries: tuple[EffectEntry, ...], forms: tuple[Remainder, ...]
+) -> list[tuple[Remainder, ...]]:
+    """For each recording the form that the others have; with few of them the form of all.
+
+    Why: a form has some hundred numbers, and what it leaves of the recordings that it was fitted to is less than of
+    the next one.
+    """
+    if len(wholes) < FOLDS * TOGETHER_MIN:
+        return [forms for _ in wholes]
+    apart = [_forms([one for k, one in enumerate(wholes) if k % FOLDS != fold], entries) for fold in range(FOLDS)]
+    return [apart[k % FOLDS] for k in range(len(wholes))]
+
+
 def _with_forms(remainders: tuple[Remainder, ...], forms: tuple[Remainder, ...]) -> tuple[Remainder, ...]:
-    known = {(one.stage, one.joint, one.on): one.form for one in forms}
-    return tuple(replace(one, form=known.get((one.stage, one.joint, one.on), ())) for one in remainders)
+    known = {(one.stage, one.joint, one.on): one for one in forms}
+    out = []
+    for one in remainders:
+        its = known.get((one.stage, one.joint, one.on))
+        out.append(one if its is None else replace(one, form=its.form, form_most=its.form_most))
+    return tuple(out)
 
 
 def _told(names: dict[str, dict[str, float]]) -> tuple[tuple[str, float], ...]:
@@ -322,12 +350,12 @@ def _spread(
     return tuple(out)
 
 
-def _judged(
-    checked: list[Read], effects: tuple[EffectEntry, ...], forms: tuple[Remainder, ...]
-) -> tuple[CellBaseline, ...]:
-    """RMS in units of the noise floor, before and with the baseline, on recordings whose names were not fitted."""
-    sides = (((), ()), (effects, forms))
-    before, after = (_grouped([with_baseline(one, *side) for one in checked]) for side in sides)
+def _judged(checked: list[Read], seen: list[Read], effects: tuple[EffectEntry, ...]) -> tuple[CellBaseline, ...]:
+    """RMS in units of the noise floor, before and with the baseline, on recordings whose names were not fitted.
+
+    Args: seen: the same recordings, with the effects and with the form that the others have.
+    """
+    before, after = _grouped([with_baseline(one, (), ()) for one in checked]), _grouped(seen)
     return tuple(
         CellBaseline(label, effects, _rms(before[label]), _rms(after[label])) for label in before if label in after
     )

@@ -50,6 +50,7 @@ class Cell:
     `spread_least`: scores are divided by it at least (a baseline's remainder is no white noise).
     `usual`: tests that fire on the undisturbed machine, and their sizes there; `left_share`: of the floor, in squares,
     what the machine file's baseline leaves of the model's form. `usual_names`: among them what names gain there [nats].
+    `unlike`: joints that moved unlike any recording that the baseline's form was fitted to, which is left out for them.
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
@@ -74,6 +75,7 @@ class Cell:
     usual: tuple[tuple[str, float], ...] = ()
     left_share: float = 0.0
     usual_names: tuple[tuple[str, float], ...] = ()
+    unlike: tuple[int, ...] = ()
     parts: tuple["Cell", ...] = ()
 
     def usual_nats(self, effects: Iterable[Candidate]) -> float:

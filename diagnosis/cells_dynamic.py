@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, candidates_of, named
 from diagnosis.cells import FORM_SHARE, Cell, Rows, blocks_of, folds_of
+from diagnosis.day_noise import DayNoise
 from diagnosis.errors import DiagnosisError
 from diagnosis.floor import (
     BLOCK_S,
@@ -59,17 +60,22 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """The whitened residual of a stage for some joints, over several stretches."""
+    """The whitened residual of a stage for some joints, over several stretches.
+
+    `day`: what the machine's numbers wander by from day to day, where that is known.
+    """
 
     stage: str
     joints: tuple[int, ...]
     parts: tuple[Part, ...]
     whitener: Whitener
+    day: DayNoise | None = None
 
     def __call__(self, sets: ParameterSets) -> Array:
         """Residuals (sets, N): stretches end to end, channels within each."""
         chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(self.joints)]), sets.machine)
-        return np.concatenate(side_by_side(lambda part: self._white(part, chosen), self.parts), axis=1)
+        out = np.concatenate(side_by_side(lambda part: self._white(part, chosen), self.parts), axis=1)
+        return out if self.day is None else self.day.white(out)
 
     def _white(self, part: Part, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)

@@ -20,6 +20,7 @@ from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape, left_shapes, refusing
 from diagnosis.shrink import Shrink, Squares, shrinks, squares
 from diagnosis.verdict import Verdict, verdict_of
+from diagnosis.wander import with_wander
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack
 from machine.effects.layout import ParameterSets
@@ -123,6 +124,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     unseen = (*lacking, *told_behind([one.cell for one in behind]))
     for stage in DRIVEN_STAGES:
         cells = with_form(stage_cells(stage, replayer, whole.stretches, base, course), nominal)
+        cells = with_wander(cells, nominal)
         cells = without(cells, unseen)
         cells = [replace(one, least_nats=_least(one, searches)) for one in cells]
         found = _searched(cells, progress)
@@ -130,7 +132,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
             found = _beside_each_other(found)
             progress("what couples the joints", 0, 1)
             coupled = coupled_cell(replayer, whole.stretches, base, course)
-            coupled = with_form([coupled], nominal)[0] if coupled is not None else None
+            coupled = with_wander(with_form([coupled], nominal), nominal)[0] if coupled is not None else None
             found = _with_coupling(found, coupled if "supply_droop" not in lacking else None)
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
@@ -208,14 +210,15 @@ def _likely(found: Search) -> list[Candidate]:
 
 
 def _answer(found: Search, cells: int) -> CellAnswer:
-    chosen = settled(found)
+    ranked = weighed(found)
+    chosen = _named(settled(found), ranked[0].score)
     gained = chosen.total - found.none.total
     shapes = left_shapes(found.cell, chosen.held_out, gained)
     sums = squares(found, chosen)
     return CellAnswer(
         search=found,
         chosen=chosen,
-        weighed=_first(weighed(found), chosen),
+        weighed=_first(ranked, chosen),
         fired=(*remainder(found.cell, chosen, cells), *refusing(found.cell, shapes, gained)),
         squares=sums,
         shrinks=shrinks(found, sums),
@@ -225,6 +228,17 @@ def _answer(found: Search, cells: int) -> CellAnswer:
         same=same_here(found, chosen),
         shapes=shapes,
     )
+
+
+def _named(chosen: Score, likeliest: Score) -> Score:
+    """What is named: what passed the margin, or the part of it that is likelier than the whole.
+
+    Why: a margin asks one name whether it foretells; what else is there to name it for, and how often an undisturbed
+    machine shows it, is weighed after that. A name that is likelier not there than there is a lead, and stays in the
+    90 % set.
+    """
+    names, fewer = ({effect.key for effect in one.fit.hypothesis} for one in (chosen, likeliest))
+    return likeliest if fewer < names else chosen
 
 
 def _first(all_of: tuple[Weighed, ...], chosen: Score) -> tuple[Weighed, ...]:

@@ -15,6 +15,7 @@ from machine.rotations import Array
 
 BLOCK_S = 0.05
 ORDER_MAX = 6
+ORDER_LEFT = 20  # of what a baseline leaves: a second, in which a slow swing shows
 SIGMA_MIN = 1e-12
 RESPONSE = 1000  # increments, 50 s
 
@@ -102,7 +103,7 @@ def with_remainder(floor: Floor, steps: list[Array], ar: Array, sigma: Array, rm
     Args:  steps: increments (m, n) of the repeats' deviations, none where nothing was repeated. ar: (p, n), zero in
            columns without autoregression. sigma, rms: (n,), 0 in columns without a remainder, which are left alone.
     """
-    order = max(floor.whitener.order, ORDER_MAX)
+    order = max(floor.whitener.order, len(ar), ORDER_MAX)
     a = np.zeros((order, len(sigma)))
     a[: floor.whitener.order] = floor.whitener.a
     out = floor.whitener.sigma.copy()

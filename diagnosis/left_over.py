@@ -12,20 +12,20 @@ from diagnosis.cells_dynamic import SKIPPED, Replay, part_increments, stage_cell
 from diagnosis.cells_points import PointResidual
 from diagnosis.corner_noise import PLAIN, variances_of
 from diagnosis.errors import DiagnosisError
-from diagnosis.floor import ORDER_MAX, deviations
-from diagnosis.form import form_of, with_form
+from diagnosis.excess import common_excess
+from diagnosis.floor import ORDER_LEFT, ORDER_MAX, deviations
+from diagnosis.form import form_of, most_of, with_form
 from diagnosis.point_noise import variances_of as variances_of_points
 from diagnosis.reading import Read
 from diagnosis.replay import replayer_of
 from diagnosis.stretches import repeat_groups
+from diagnosis.wander import wander_of, with_wander
 from machine.effects.entries import EffectEntry, pack
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
 
 AXES = 3  # radial, tangential, up
-ROUNDS = 20  # of weighing anew; it settles within a few
-TINY = 1e-30  # keeps weights finite where nothing is measured
 NOTHING = 1e-6  # share of the mean square
 WHITE = 1e-3  # of the variance: the least eigenvalue of the moments
 
@@ -39,7 +39,8 @@ def cells_of(whole: Read) -> list[Cell]:
     replayer, behind = replayer_of(nominal), behind_cells(whole, base)
     if replayer is not None and whole.stretches:
         for stage in DRIVEN_STAGES:
-            cells += with_form(stage_cells(stage, replayer, whole.stretches, base, base), nominal)
+            found = stage_cells(stage, replayer, whole.stretches, base, base)
+            cells += with_wander(with_form(found, nominal), nominal)
     return without(cells, told_behind(behind)) + behind
 
 
@@ -57,10 +58,16 @@ def forms_of(wholes: list[Read]) -> tuple[Remainder, ...]:
     """What the model is wrong by on all these recordings alike, as remainders that say nothing else."""
     places = _by_place(wholes)
     return tuple(
-        Remainder(stage, joint, on, 0.0, 0.0, form=form)
+        Remainder(stage, joint, on, 0.0, 0.0, form=form, form_most=most_of(cells, form))
         for (stage, joint, on), cells in places.items()
         if (form := form_of(cells))
     )
+
+
+def with_wanders(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
+    """Remainders with what their joints' numbers wander by over recordings that these remainders belong to."""
+    found = {place: wander_of(cells) for place, cells in _by_place(wholes).items()}
+    return tuple(replace(one, wander=found.get((one.stage, one.joint, one.on), ())) for one in remainders)
 
 
 def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:
@@ -120,22 +127,6 @@ def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
     return replace(where, sigma=left, rms=both, by_axis=tuple(float(x) for x in np.sqrt(shared)))
 
 
-def common_excess(totals: Array, noises: Array) -> Array:
-    """Variance (n,) beyond the noise that recordings have in common.
-
-    Model: a mean square scatters by a share of itself, so that the most likely common excess L of
-           total_k ~ noise_k + L weighs each recording by 1 / (noise_k + L)^2. An even mean would let noisy recordings,
-           whose noise alone is less well known than L is large, drown what the quiet ones show.
-    Args:  totals, noises: (recordings, n), mean squares in all and of noise alone.
-    """
-    excess = np.maximum((totals - noises).mean(axis=0), 0.0)
-    least = 1e-3 * np.abs(totals).mean(axis=0) + TINY
-    for _ in range(ROUNDS):
-        weights = (noises + np.maximum(excess, least)) ** -2
-        excess = np.maximum((weights * (totals - noises)).sum(axis=0) / weights.sum(axis=0), 0.0)
-    return excess
-
-
 def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
     """Remainders of one stage, joint by joint: the autoregression of what all recordings have beyond their noise."""
     replays = [cell.whitened for cell in cells if isinstance(cell.whitened, Replay)]
@@ -155,9 +146,9 @@ def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
 
 def moments(runs: list[Array]) -> Array:
     """Mean products (p + 1, p + 1) of a sample and the p before it, over runs (m,) without a mean."""
-    long = [sliding_window_view(run, ORDER_MAX + 1) for run in runs if len(run) > ORDER_MAX]
+    long = [sliding_window_view(run, ORDER_LEFT + 1) for run in runs if len(run) > ORDER_LEFT]
     if not long:
-        return np.zeros((ORDER_MAX + 1, ORDER_MAX + 1))
+        return np.zeros((ORDER_LEFT + 1, ORDER_LEFT + 1))
     rows = np.concatenate(long)[:, ::-1]
     return rows.T @ rows / len(rows)
 
@@ -166,8 +157,9 @@ def common_process(totals: Array, noises: Array) -> tuple[Array, float, float]:
     """Autoregression (p,), its innovation's sigma, and RMS of what recordings have in common beyond their noise.
 
     Model: remainder and noise are independent, so that their moments add; recordings weigh as in `common_excess`. What
-           chance leaves that no process has is made one by a little white noise. Least squares, not the
-           autocovariances: stretches are short, and a slow swing would come out as damped by their ends.
+           chance leaves that no process has is made one by a little white noise; where it is much, the moments are not
+           read over many lags. Least squares, not the autocovariances: stretches are short, and a slow swing would
+           come out as damped by their ends.
     Args:  totals, noises: (recordings, p + 1, p + 1), moments in all and of noise alone.
     """
     order = totals.shape[1] - 1
@@ -176,7 +168,12 @@ def common_process(totals: Array, noises: Array) -> tuple[Array, float, float]:
         return np.zeros(order), 0.0, 0.0
     weights = (noises[:, 0, 0] + excess) ** -2
     left = np.einsum("k,kij->ij", weights / weights.sum(), totals - noises)
-    left += max(0.0, WHITE * left[0, 0] - float(np.linalg.eigvalsh(left)[0])) * np.eye(order + 1)
+    least = float(np.linalg.eigvalsh(left)[0])
+    if least < -WHITE * left[0, 0] and order > ORDER_MAX:  # noisy moments: many lags would fit what chance left
+        few = ORDER_MAX + 1
+        ar, sigma, rms = common_process(totals[:, :few, :few], noises[:, :few, :few])
+        return np.concatenate([ar, np.zeros(order - ORDER_MAX)]), sigma, rms
+    left += max(0.0, WHITE * left[0, 0] - least) * np.eye(order + 1)
     ar = np.linalg.solve(left[1:, 1:], left[1:, 0])
     return ar, float(np.sqrt(left[0, 0] - ar @ left[1:, 0])), float(np.sqrt(left[0, 0]))
 
@@ -197,4 +194,4 @@ def _noise(stage: str, cell: Cell, replay: Replay, column: int) -> list[Array]:
     sets = _own_joints(cell, replay)
     steps = [part_increments(stage, by_name[one.name], sets)[0][0][SKIPPED:, [column]] for one in members]
     rows = min(len(one) for one in steps)
-    return deviations(np.stack([one[:rows] for one in steps])) if rows > ORDER_MAX + 20 else []
+    return deviations(np.stack([one[:rows] for one in steps])) if rows > ORDER_LEFT + 20 else []

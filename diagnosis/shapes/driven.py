@@ -73,7 +73,7 @@ def driven_columns(cell: Cell) -> dict[str, Array]:
     out: dict[str, list[Array]] = {}
     modelled = modelled_of(cell, replay)
     for channel in range(len(replay.joints)):
-        per_part = families_of(cell, replay, modelled, channel)
+        per_part = families_of(cell.stage, courses_of(cell, replay, modelled, channel))
         for name in per_part[0]:
             columns = [
                 white_columns(replay.whitener, channel, part.stretch.dt_s, f[name])
@@ -84,15 +84,17 @@ def driven_columns(cell: Cell) -> dict[str, Array]:
     return {name: _placed(blocks, lengths, len(replay.parts)) for name, blocks in out.items()}
 
 
-def families_of(
-    cell: Cell, replay: Replay, modelled: list[Array], channel: int, knots: Array | None = None
-) -> list[dict[str, Array]]:
-    """Of one joint of a replay, for each stretch: families of signals (m, k) in the unit of the stage's output.
+def courses_of(cell: Cell, replay: Replay, modelled: list[Array], channel: int) -> list[Course]:
+    """One joint of a replay through each stretch. `modelled`: by `modelled_of`."""
+    return [_course(cell, replay, *one, channel) for one in zip(replay.parts, modelled, strict=True)]
 
-    Args: modelled: by `modelled_of`. knots: of what drives it; where it lies most of the time if None.
+
+def families_of(stage: str, courses: list[Course], knots: Array | None = None) -> list[dict[str, Array]]:
+    """Of one joint, for each stretch: families of signals (m, k) in the unit of the stage's output.
+
+    Args: knots: of what drives it; where it lies most of the time if None.
     """
-    family = {"link": _link, "controller": _controller, "actuator": _actuator}[cell.stage]
-    courses = [_course(cell, replay, *one, channel) for one in zip(replay.parts, modelled, strict=True)]
+    family = {"link": _link, "controller": _controller, "actuator": _actuator}[stage]
     own = [_knots([getattr(one, name) for one in courses]) for name in ("drive", "q")]
     return [family(one, own[0] if knots is None else knots, own[1]) for one in courses]
 
@@ -147,7 +149,7 @@ def _with_ends(knots: Array) -> Array:
     return np.unique(np.concatenate([knots, np.linspace(knots[0], knots[-1], 2 * KNOTS)]))
 
 
-def _hats(x: Array, knots: Array) -> Array:
+def hats(x: Array, knots: Array) -> Array:
     """Straight pieces between knots: any continuous function of x (m, knots)."""
     return np.stack([np.interp(x, knots, row) for row in np.eye(len(knots))], axis=1)
 
@@ -160,7 +162,7 @@ def _actuator(c: Course, knots: Array, _: Array) -> dict[str, Array]:
     slow = waves[:, np.tile(orders, 2) <= SLOW_ORDERS]
     turned = np.stack([np.sign(du), np.sign(du) * size], axis=1)
     return {
-        "the valve command": c.whole(_hats(c.drive, knots)),
+        "the valve command": c.whole(hats(c.drive, knots)),
         "the change of the command": np.concatenate(
             [np.stack([c.drive, size, v, c.rate(v)], axis=1), c.whole(turned)], axis=1
         ),
@@ -175,15 +177,15 @@ def _actuator(c: Course, knots: Array, _: Array) -> dict[str, Array]:
 def _controller(c: Course, knots: Array, own_knots: Array) -> dict[str, Array]:
     de, du = c.rate(c.drive), c.rate(c.q)
     return {
-        "its error": _hats(c.drive, knots),
-        "the valve command": _hats(c.q, own_knots),
+        "its error": hats(c.drive, knots),
+        "the valve command": hats(c.q, own_knots),
         "change": np.stack([c.drive, de, du, c.rate(du), np.abs(c.q)], axis=1),
         "time": np.stack([c.drive * c.t_s, c.q * c.t_s], axis=1),
     }
 
 
 def _link(c: Course, knots: Array, _: Array) -> dict[str, Array]:
-    dv, speeds = c.rate(c.drive), _hats(c.drive, _with_ends(knots))
+    dv, speeds = c.rate(c.drive), hats(c.drive, _with_ends(knots))
     return {
         "speed": np.concatenate([speeds, *(c.leaking(speeds, tau_s) for tau_s in LEAKS_S)], axis=1),
         "change": np.stack([c.drive, dv, c.rate(dv), np.abs(c.drive)], axis=1),

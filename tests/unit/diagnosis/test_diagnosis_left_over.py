@@ -5,7 +5,8 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from diagnosis.left_over import common_excess, common_process, moments
+from diagnosis.excess import common_excess
+from diagnosis.left_over import common_process, moments
 
 DOF = 60
 

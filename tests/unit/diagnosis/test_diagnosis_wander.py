@@ -1,0 +1,86 @@
+"""What a machine's numbers wander by from day to day is noise of those numbers, and of nothing else."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis_cases import folder, recording
+
+from diagnosis.cells import Cell
+from diagnosis.day_noise import day_noise
+from diagnosis.fit import neutral_fit
+from diagnosis.left_over import cells_of, remainders_of, with_baseline, with_wanders
+from diagnosis.reading import Read, read
+from diagnosis.search import search
+from diagnosis.wander import wander_of
+from machine.effects.entries import EffectEntry, make_entry
+from machine.effects.registry import effect_named
+from machine.remainder import Remainder, parse_remainders, remainders_to_toml
+
+KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
+WANDER = 0.01
+
+
+def gain(size: float) -> EffectEntry:
+    effect = effect_named("flow_gain_error")
+    assert effect is not None
+    return make_entry(effect, 2, {"gain_frac": size})
+
+
+@pytest.fixture(scope="module")
+def days(tmp_path_factory: pytest.TempPathFactory) -> list[Read]:
+    """Eight undisturbed days of a machine whose second joint is a percent faster or slower on each."""
+    rng, out = np.random.default_rng(5), []
+    for seed in range(8):
+        place = tmp_path_factory.mktemp(f"day{seed}")
+        out.append(read(folder(place, recording(KINDS, (gain(WANDER * float(rng.normal())),), seed))))
+    return out
+
+
+def actuator(whole: Read, joint: int) -> Cell:
+    return next(one for one in cells_of(whole) if one.label == f"actuator {joint}")
+
+
+def test_the_number_that_wanders_is_named_with_its_size_and_its_neighbours_are_not(days: list[Read]) -> None:
+    found = dict(wander_of([actuator(day, 2) for day in days]))
+    assert found["flow_gain_error"] == pytest.approx(WANDER, rel=0.6)
+    assert max((size for name, size in found.items() if name != "flow_gain_error"), default=0.0) < WANDER
+    assert wander_of([actuator(day, 1) for day in days]) == ()
+    assert wander_of([actuator(day, 2) for day in days[:5]]) == ()
+
+
+def test_a_day_within_the_wander_has_no_name_and_a_fault_beyond_it_has(days: list[Read], tmp_path: Path) -> None:
+    known = with_wanders(remainders_of(days), days)
+    plain = tuple(Remainder(one.stage, one.joint, one.on, one.sigma, one.rms, one.ar) for one in known)
+    usual = read(folder(tmp_path, recording(KINDS, (gain(1.2 * WANDER),), 20)))
+    named = search(actuator(with_baseline(usual, (), plain), 2)).chosen.fit.hypothesis
+    assert [one.name for one in named] == ["flow_gain_error"]
+    assert search(actuator(with_baseline(usual, (), known), 2)).chosen.fit.hypothesis == ()
+    place = tmp_path / "broken"
+    place.mkdir()
+    broken = read(folder(place, recording(KINDS, (gain(0.12),), 21)))
+    named = search(actuator(with_baseline(broken, (), known), 2)).chosen.fit.hypothesis
+    assert [one.name for one in named] == ["flow_gain_error"]
+
+
+def test_what_is_beside_the_wanders_direction_is_left_as_it_was() -> None:
+    rng = np.random.default_rng(1)
+    column, r = rng.normal(size=(50, 1)), rng.normal(size=50)
+    white = day_noise(3.0 * column).white(r[None])[0]
+    along = column[:, 0] / np.linalg.norm(column)
+    np.testing.assert_allclose(white - (white @ along) * along, r - (r @ along) * along, atol=1e-12)
+    size = 1.0 + 9.0 * float(column[:, 0] @ column[:, 0])
+    assert white @ along == pytest.approx((r @ along) / np.sqrt(size))
+
+
+def test_days_that_wander_come_out_white(days: list[Read]) -> None:
+    known = with_wanders(remainders_of(days), days)
+    before = [float(np.sum(neutral_fit(actuator(day, 2)).residual ** 2)) for day in days]
+    after = [float(np.sum(neutral_fit(actuator(with_baseline(day, (), known), 2)).residual ** 2)) for day in days]
+    assert sum(after) < 0.5 * sum(before)
+
+
+def test_a_wander_goes_through_the_machine_file() -> None:
+    record = Remainder("actuator", 2, "", 1e-5, 2e-5, wander=(("flow_gain_error", 0.004), ("valve_lag", 1e-3)))
+    assert parse_remainders(tomllib.loads(remainders_to_toml([record]))["remainder"]) == (record,)
