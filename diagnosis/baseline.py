@@ -14,7 +14,7 @@ from diagnosis.cells_behind import joined, measurement_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
 from diagnosis.form import TOGETHER_MIN
-from diagnosis.left_over import cells_of, forms_of, remainders_of, with_baseline, with_wanders
+from diagnosis.left_over import cells_of, forms_of, remainders_of, with_baseline, with_mosts, with_wanders
 from diagnosis.reading import Read
 from diagnosis.refusal import key_of, pattern_nats, tests_of
 from diagnosis.score import Score, better, numbers_of, score
@@ -84,6 +84,7 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     left = with_wanders(left, later)
     later = [with_baseline(one, entries, _with_forms(left, own)) for one, own in zip(checked, foretold, strict=True)]
     remainders = _with_forms(left, forms)
+    remainders = with_mosts(remainders, [with_baseline(one, entries, remainders) for one in wholes])
     spreads, usual, names = _wrong_gains(later, progress)
     finished = _spread(tuple(_with_usual(one, usual, len(checked)) for one in remainders), spreads, names)
     return Baseline(entries, finished, _judged(checked, seen, entries), tuple(spreads.items()), _told(names))
@@ -110,12 +111,8 @@ def _foretold(
 
 
 def _with_forms(remainders: tuple[Remainder, ...], forms: tuple[Remainder, ...]) -> tuple[Remainder, ...]:
-    known = {(one.stage, one.joint, one.on): one for one in forms}
-    out = []
-    for one in remainders:
-        its = known.get((one.stage, one.joint, one.on))
-        out.append(one if its is None else replace(one, form=its.form, form_most=its.form_most))
-    return tuple(out)
+    known = {(one.stage, one.joint, one.on): one.form for one in forms}
+    return tuple(replace(one, form=known.get((one.stage, one.joint, one.on), ())) for one in remainders)
 
 
 def _told(names: dict[str, dict[str, float]]) -> tuple[tuple[str, float], ...]:

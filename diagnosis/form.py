@@ -16,7 +16,6 @@ from diagnosis.cells_dynamic import Replay
 from diagnosis.cells_points import PointResidual
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import costs, neutral_fit, weights
-from diagnosis.floor import increments
 from diagnosis.nominal import Nominal
 from diagnosis.responses import RESPONSES, responses
 from diagnosis.shapes.behind import acceleration_columns
@@ -69,9 +68,9 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> tuple[Rep
     for channel, (joint, form) in enumerate(zip(replay.joints, forms, strict=True)):
         if not form:
             continue
-        courses = courses_of(cell, replay, modelled, channel)
-        known = [_fitting(one, form, f"{cell.stage} {joint + 1}") for one in _families(cell, courses)]
-        if most[channel] and _restlessness(known, courses) > EXCEEDED_TIMES * most[channel]:
+        families = _families(cell, courses_of(cell, replay, modelled, channel))
+        known = [_fitting(one, form, f"{cell.stage} {joint + 1}") for one in families]
+        if most[channel] and _power(replay, channel, known) > EXCEEDED_TIMES * most[channel]:
             unlike.append(joint + 1)
             continue
         for own, course in zip(measured, known, strict=True):
@@ -89,23 +88,24 @@ def _families(cell: Cell, courses: list[Course]) -> list[dict[str, Array]]:
     ]
 
 
-def _restlessness(signals: list[Array], courses: list[Course]) -> float:
-    """Mean square of the second differences of signals (m,) at 20 Hz.
+def _power(replay: Replay, channel: int, signals: list[Array]) -> float:
+    """Mean square of signals (m,) of one joint, as white as its residual.
 
-    A form that is asked about motions unlike those that it was fitted to shows it first by how much it jumps.
+    Why: a form that is asked about motions unlike those that it was fitted to says much more of them than of any of those.
     """
-    jumps = [np.diff(increments(one[:, None], course.dt_s)[:, 0]) for one, course in zip(signals, courses, strict=True)]
-    return float(np.mean(np.concatenate(jumps) ** 2))
+    pieces = zip(replay.parts, signals, strict=True)
+    white = [white_columns(replay.whitener, channel, part.stretch.dt_s, one[:, None]) for part, one in pieces]
+    return float(np.mean(np.concatenate(white) ** 2))
 
 
 def most_of(cells: list[Cell], form: Form) -> float:
-    """The most that a joint's form came to on these recordings, as `Remainder.form_most`; 0 for other cells."""
+    """The most that a joint's form says of these recordings, as `Remainder.form_most`; 0 for other cells."""
     found = [0.0]
     for cell in cells:
         replay = cell.whitened
         if isinstance(replay, Replay):
-            courses = courses_of(cell, replay, modelled_of(cell, replay), 0)
-            found.append(_restlessness([_fitting(one, form, cell.label) for one in _families(cell, courses)], courses))
+            families = _families(cell, courses_of(cell, replay, modelled_of(cell, replay), 0))
+            found.append(_power(replay, 0, [_fitting(one, form, cell.label) for one in families]))
     return max(found)
 
 

@@ -58,7 +58,7 @@ def forms_of(wholes: list[Read]) -> tuple[Remainder, ...]:
     """What the model is wrong by on all these recordings alike, as remainders that say nothing else."""
     places = _by_place(wholes)
     return tuple(
-        Remainder(stage, joint, on, 0.0, 0.0, form=form, form_most=most_of(cells, form))
+        Remainder(stage, joint, on, 0.0, 0.0, form=form)
         for (stage, joint, on), cells in places.items()
         if (form := form_of(cells))
     )
@@ -68,6 +68,13 @@ def with_wanders(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple
     """Remainders with what their joints' numbers wander by over recordings that these remainders belong to."""
     found = {place: wander_of(cells) for place, cells in _by_place(wholes).items()}
     return tuple(replace(one, wander=found.get((one.stage, one.joint, one.on), ())) for one in remainders)
+
+
+def with_mosts(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
+    """Remainders with the most that their forms say of any of these recordings, which these remainders belong to."""
+    cells = _by_place(wholes)
+    places = [(one, cells.get((one.stage, one.joint, one.on), [])) for one in remainders]
+    return tuple(replace(one, form_most=most_of(own, one.form)) if one.form else one for one, own in places)
 
 
 def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:

@@ -45,8 +45,8 @@ class Remainder:
     of a frame share, beside each one's own `sigma`. `swing_rad`: the slew's swing that the points of an instant share.
     `usual`: tests of a residual that fire on the undisturbed machine, and how large they get there; names that gain
     more there than others do, and what. `form`: what the model itself is wrong by there, as a function of what drives
-    it (actuator [rad], points [m]): families and the numbers of each; `form_most`: the most that it came to on an
-    undisturbed recording, mean square of the second differences at 20 Hz, 0 where that does not matter. `wander`: how
+    it (actuator [rad], points [m]): families and the numbers of each; `form_most`: the most that it said
+    of an undisturbed recording, mean square in floors, 0 where that does not matter. `wander`: how
     far numbers of effects are off from one day to the next, in each one's own unit.
     """
 

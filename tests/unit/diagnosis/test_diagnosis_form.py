@@ -9,12 +9,16 @@ import pytest
 from diagnosis_cases import folder, recording
 from typer.testing import CliRunner
 
+from diagnosis.answer import judgement
 from diagnosis.cells import Cell
+from diagnosis.diagnose import diagnose
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import neutral_fit
 from diagnosis.form import form_of, with_form
-from diagnosis.left_over import cells_of, forms_of, with_baseline
+from diagnosis.left_over import cells_of, forms_of, with_baseline, with_mosts
 from diagnosis.reading import Read, read
+from diagnosis.responses import DAMPING, RESPONSES, SWINGS_HZ, responses
+from diagnosis.shapes.driven import Course
 from longreach.cli import app
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
@@ -94,3 +98,52 @@ def test_the_command_says_it_without_a_traceback(tmp_path: Path) -> None:
     said = CliRunner().invoke(app, ["diagnose", str(run)])
     assert said.exit_code == 2
     assert "form.the angle has 1 numbers, 10 wanted; fit the baseline again" in said.output
+
+
+def test_what_a_machine_answers_later_is_foretold_too(tmp_path: Path) -> None:
+    own = entry("valve_lag", 2, time_constant_s=0.06)
+    days = [day(tmp_path, seed, own) for seed in (1, 2, 3)]
+    (form,) = (dict(one.form) for one in forms_of(days) if one.joint == 2)
+    assert set(form) & set(RESPONSES)
+    next_day = day(tmp_path, 4, own)
+    assert energy(actuator(with_baseline(next_day, (), forms_of(days)), 2)) < 0.1 * energy(actuator(next_day, 2))
+
+
+def test_a_form_asked_about_a_motion_unlike_any_is_left_out_and_said(tmp_path: Path) -> None:
+    own = entry("valve_asymmetry", 2, gain_frac=0.005)
+    days = [day(tmp_path, seed, own) for seed in (1, 2, 3)]
+    forms = forms_of(days)
+    forms = with_mosts(forms, [with_baseline(one, (), forms) for one in days])
+    calm = tuple(replace(one, form_most=1e-3 * one.form_most) for one in forms)
+    whole = day(tmp_path, 4, own)
+    known, unlike = (actuator(with_baseline(whole, (), one), 2) for one in (forms, calm))
+    assert known.unlike == ()
+    assert unlike.unlike == (2,)
+    assert energy(unlike) == pytest.approx(energy(actuator(whole, 2)))
+    said = judgement(diagnose(with_baseline(whole, (), calm)))["missing"]
+    assert "joint 2 moved unlike the undisturbed recordings" in str(said)
+
+
+@pytest.mark.parametrize("step_s", [0.001, 0.005, 0.04])
+def test_a_swing_is_the_same_at_every_step(step_s: float) -> None:
+    t = np.arange(0.0, 4.0, step_s)
+    u = np.where(t > 0.2, 1.0, 0.0)
+    nothing = np.zeros_like(t)
+    own = responses(Course(step_s, t, nothing, u, nothing, nothing[:, None]))["swings"]
+    omega = 2.0 * np.pi * SWINGS_HZ
+    s = omega * (-DAMPING + 1j * np.sqrt(1.0 - DAMPING**2))
+    later = t[-1] - (t[u > 0.0][0])
+    expected = (np.exp(s * later) - 1.0) / s
+    np.testing.assert_allclose(own[-1], np.concatenate([expected.real, expected.imag]), atol=1e-9)
+
+
+def test_one_joint_alone_has_no_others_to_answer_to() -> None:
+    t = np.arange(100) * 0.01
+    found = responses(Course(0.01, t, t, np.sin(t), 0.0 * t, np.zeros((100, 0))))
+    assert {name: one.shape for name, one in found.items()} == {
+        "echoes": (100, 20),
+        "catching up": (100, 35),
+        "swings": (100, 18),
+        "uneven swings": (100, 18),
+        "the other joints' swings": (100, 0),
+    }
