@@ -15,8 +15,11 @@ class DayNoise:
     taken: Array
 
     def white(self, residuals: Array) -> Array:
-        """Residuals (sets, N), white but for this noise, made white: (I + B B')^(-1/2) r."""
-        return np.asarray(residuals - ((residuals @ self.directions) * self.taken) @ self.directions.T)
+        """Residuals (sets, N), white but for this noise, made white: (I + B B')^(-1/2) r.
+
+        Each by itself: sums over several at once round by how many they are, and what changes nothing would change it.
+        """
+        return np.array([r - self.directions @ (self.taken * (self.directions.T @ r)) for r in residuals])
 
 
 def day_noise(columns: Array) -> DayNoise:

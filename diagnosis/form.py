@@ -1,9 +1,9 @@
 """What an undisturbed machine's model is wrong by, as a function of what drives it: the baseline's nameless part.
 
 A velocity actuator stands for oil, friction and bending booms. What that leaves is mostly the same every day: fitted on
-some recordings, a few functions of the command, its change, the angle and the other joints' commands foretell nine
-tenths of what they explain of another one. Taken as known, it hides no fault and looks like none. It is fixed by the
-undisturbed recordings: a diagnosis fits nothing of it.
+some recordings, functions of the command, its change, the angle and the load, and the responses that come later
+(`responses.py`), foretell most of what they explain of another one. Taken as known, it hides no fault and looks like
+none. It is fixed by the undisturbed recordings: a diagnosis fits nothing of it.
 """
 
 from dataclasses import dataclass, replace
@@ -91,7 +91,7 @@ def _families(cell: Cell, courses: list[Course]) -> list[dict[str, Array]]:
 def _power(replay: Replay, channel: int, signals: list[Array]) -> float:
     """Mean square of signals (m,) of one joint, as white as its residual.
 
-    Why: a form that is asked about motions unlike those that it was fitted to says much more of them than of any of those.
+    Why: asked about motions unlike those that it was fitted to, a form says much more than of any of those.
     """
     pieces = zip(replay.parts, signals, strict=True)
     white = [white_columns(replay.whitener, channel, part.stretch.dt_s, one[:, None]) for part, one in pieces]

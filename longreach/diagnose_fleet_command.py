@@ -17,10 +17,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from diagnosis.fleet.page import fleet_page
 from diagnosis.fleet.run import diagnose_all, recordings_below
 from diagnosis.fleet.summary import summary_of
+from longreach.one_thread import ONE_THREAD
 from server.version import __version__
 
 BAD_INPUT = 2
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
 def diagnose_fleet(
@@ -63,8 +63,7 @@ def diagnose_fleet(
 @contextmanager
 def _executor(workers: int, dask: str) -> Iterator[Executor]:
     """Processes by default; Dask's client gives an executor of the same kind."""
-    for name in ONE_THREAD:  # a worker each is the parallelism; and sums do not depend on the number of threads
-        os.environ.setdefault(name, "1")
+    os.environ.update({**ONE_THREAD, **os.environ})
     if not dask:
         with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
             yield pool

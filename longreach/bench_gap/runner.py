@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from longreach.bench_gap.code_mark import code_mark
-from longreach.bench_gap.warm import ONE_THREAD, Warm
+from longreach.bench_gap.warm import Warm
+from longreach.one_thread import ONE_THREAD
 
 ROOT = Path(__file__).parents[2]
 PLANTS = ("own", "foreign")
@@ -179,7 +180,7 @@ def _stage(hands: Hands, module: str, arguments: list[str], folder: Path) -> End
 def _run(arguments: list[str], folder: Path) -> Ended:
     """A process of its own, politely, however long it takes; its words also go to the folder's log."""
     folder.mkdir(parents=True, exist_ok=True)
-    environment = {**os.environ, **dict.fromkeys(ONE_THREAD, "1")}
+    environment = {**os.environ, **ONE_THREAD}
     command = [*(["nice", "-n", "19"] if shutil.which("nice") else []), sys.executable, *arguments]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     return _logged(folder, arguments, Ended(done.returncode, done.stdout + done.stderr))

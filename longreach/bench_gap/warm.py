@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 
-ONE_THREAD = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+from longreach.one_thread import ONE_THREAD
 
 
 class Warm:
@@ -28,7 +28,7 @@ class Warm:
         self._process = subprocess.Popen(
             [sys.executable, "-m", "longreach.bench_gap.warm", beforehand],
             cwd=root,
-            env={**os.environ, **dict.fromkeys(ONE_THREAD, "1")},
+            env={**os.environ, **ONE_THREAD},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from longreach.bench_machines.machine_run import MachineRun, run_machine
 from longreach.bench_machines.variants import ABLATIONS, DEFAULT
+from longreach.one_thread import ONE_THREAD
 from longreach.reproduce.fast_machine import QuasiStaticMachine
 from longreach.reproduce.fine_machine import FineMachine
 from longreach.reproduce.noise_model import fitted_noise
@@ -64,8 +65,7 @@ def _fresh(order: Order, seeds: Iterable[int], workers: int) -> Iterator[Machine
         for seed in seeds:
             yield run_one(order, seed)
         return
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):  # read by the fresh children
-        os.environ.setdefault(name, "1")
+    os.environ.update({**ONE_THREAD, **os.environ})  # read by the fresh children
     with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
         for done in as_completed([pool.submit(run_one, order, seed) for seed in seeds]):
             yield done.result()

@@ -84,3 +84,11 @@ def test_days_that_wander_come_out_white(days: list[Read]) -> None:
 def test_a_wander_goes_through_the_machine_file() -> None:
     record = Remainder("actuator", 2, "", 1e-5, 2e-5, wander=(("flow_gain_error", 0.004), ("valve_lag", 1e-3)))
     assert parse_remainders(tomllib.loads(remainders_to_toml([record]))["remainder"]) == (record,)
+
+
+def test_a_set_is_made_white_alike_alone_and_among_others() -> None:
+    rng = np.random.default_rng(2)
+    day, sets = day_noise(rng.normal(size=(999, 4))), rng.normal(size=(7, 999))
+    together = day.white(sets)
+    for one, white in zip(sets, together, strict=True):
+        np.testing.assert_array_equal(day.white(one[None])[0], white)
