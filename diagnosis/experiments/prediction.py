@@ -18,6 +18,7 @@ from diagnosis.points import PointData
 from diagnosis.reading import Read
 from diagnosis.replay import Replayer, replayer_of
 from diagnosis.stretches import Sent, Stretch
+from diagnosis.wander import with_wander
 from machine.effects.dynamics import DynamicStage, drive_by_sent, simulate
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
@@ -67,7 +68,9 @@ def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets
         prepared = replayer.prepare(stretch, cell.base)
     if prepared is None or replay.stage not in prepared.drives:
         return None
-    return replace(replay, parts=(part_of(replay.stage, prepared, list(replay.joints)),))
+    plain = replace(replay, parts=(part_of(replay.stage, prepared, list(replay.joints)),), day=None)
+    (there,) = with_wander([replace(cell, whitened=plain)], replayer.nominal)  # it goes along with the motion
+    return there.whitened
 
 
 def _foretold(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterSets) -> Stretch:
