@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from diagnosis_cases import folder, recording
 
+from diagnosis.answer import answer
 from diagnosis.cells import Cell
 from diagnosis.day_noise import day_noise
+from diagnosis.diagnose import diagnose
 from diagnosis.fit import neutral_fit
 from diagnosis.left_over import cells_of, remainders_of, with_baseline, with_wanders
 from diagnosis.reading import Read, read
@@ -92,3 +94,14 @@ def test_a_set_is_made_white_alike_alone_and_among_others() -> None:
     together = day.white(sets)
     for one, white in zip(sets, together, strict=True):
         np.testing.assert_array_equal(day.white(one[None])[0], white)
+
+
+def test_an_experiment_is_foretold_with_the_wander_along(days: list[Read], tmp_path: Path) -> None:
+    known = with_wanders(remainders_of(days), days)
+    effect = effect_named("valve_asymmetry")
+    assert effect is not None
+    small = make_entry(effect, 2, {"gain_frac": 0.04})
+    whole = read(folder(tmp_path, recording(KINDS, (small,), 22)))
+    told = answer(diagnose(with_baseline(whole, (), known)))
+    assert len(told["hypotheses"]) > 1
+    assert told["next_experiment"] is not None
