@@ -10,6 +10,7 @@ from diagnosis.baseline import Baseline, fit_baseline
 from diagnosis.errors import DiagnosisError
 from diagnosis.reading import Read, read
 from machine.effects.entries import entries_to_toml
+from machine.effects.registry import effect_named
 from machine.remainder import remainders_to_toml
 
 FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
@@ -70,7 +71,18 @@ def told(found: Baseline, fitted: int, count: int) -> str:
     rows += [f"  {one.name} {one.joint or ''} {dict(one.values)}" for one in found.effects]
     rows += [f"  {label}: a wrong name usually gains {times:.3g} times chance" for label, times in found.best_wrong]
     rows += [
+        f"  {one.stage} {one.joint}: {name} wanders by {size:.2g}{_unit(name)} from day to day"
+        for one in found.remainders
+        for name, size in one.wander
+    ]
+    rows += [
         f"  {name}: gains up to {nats:.3g} nats there, and has to gain that much more"
         for name, nats in found.usual_names
     ]
     return "\n".join(rows)
+
+
+def _unit(name: str) -> str:
+    """Of an effect's size, after a number; nothing for a plain share."""
+    effect = effect_named(name)
+    return f" {effect.size.unit}" if effect is not None and effect.size.unit != "1" else ""

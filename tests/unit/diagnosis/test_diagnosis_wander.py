@@ -8,6 +8,7 @@ import pytest
 from diagnosis_cases import folder, recording
 
 from diagnosis.answer import answer
+from diagnosis.baseline import Baseline
 from diagnosis.cells import Cell
 from diagnosis.day_noise import day_noise
 from diagnosis.diagnose import diagnose
@@ -16,6 +17,7 @@ from diagnosis.left_over import cells_of, remainders_of, with_baseline, with_wan
 from diagnosis.reading import Read, read
 from diagnosis.search import search
 from diagnosis.wander import wander_of
+from longreach.fit_baseline import told
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
@@ -102,6 +104,13 @@ def test_an_experiment_is_foretold_with_the_wander_along(days: list[Read], tmp_p
     assert effect is not None
     small = make_entry(effect, 2, {"gain_frac": 0.04})
     whole = read(folder(tmp_path, recording(KINDS, (small,), 22)))
-    told = answer(diagnose(with_baseline(whole, (), known)))
-    assert len(told["hypotheses"]) > 1
-    assert told["next_experiment"] is not None
+    said = answer(diagnose(with_baseline(whole, (), known)))
+    assert len(said["hypotheses"]) > 1
+    assert said["next_experiment"] is not None
+
+
+def test_the_command_says_what_wanders_and_in_which_unit() -> None:
+    left = Remainder("actuator", 2, "", 1e-5, 2e-5, wander=(("flow_gain_error", 0.0042), ("valve_lag", 1.1e-3)))
+    text = told(Baseline((), (left,), (), ()), 3, 18)
+    assert "actuator 2: flow_gain_error wanders by 0.0042 from day to day" in text
+    assert "actuator 2: valve_lag wanders by 0.0011 s from day to day" in text
