@@ -63,13 +63,15 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
 
     Why: a swing that went with the acceleration fifteen times goes with the posture or with time on the sixteenth day.
          Without a baseline nothing is refused: the form of a model that never met its machine would speak against
-         every name.
+         every name. A joint that moved unlike any undisturbed recording has none.
     """
     usual = _usual(cell)
     form = FORM_TIMES * cell.form_share * gained_nats
     out = []
     for one in left:
         known = usual[_at(one)]
+        if one.joint in cell.unlike:
+            continue
         if _known(known) and one.nats > _refused_from(known, one) + form:
             share = one.nats / (one.nats + max(gained_nats, 0.0))
             lead = f"goes with {one.goes_with}"

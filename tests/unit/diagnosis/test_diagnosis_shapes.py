@@ -133,3 +133,5 @@ def test_a_shape_speaks_against_a_model_only_beside_a_baseline_that_knows_the_us
     assert named[0].share == pytest.approx(0.25)
     swinging = replace(cell, usual=((usual_shape("time"), left[0].nats),))  # as large, though it went with another
     assert refusing(swinging, left, 0.0) == ()
+    assert refusing(replace(known, unlike=(2,)), left, 0.0) == ()  # a motion of which the baseline knows nothing
+    assert refusing(replace(known, unlike=(1,)), left, 0.0) == fired
