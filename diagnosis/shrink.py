@@ -151,10 +151,11 @@ def closed_share(before: Array, after: Array, count: Array, rows: int, seed: int
 
 def _foretold_share(sums: Squares, floor: Array, seed: int) -> Closed:
     """The same above what the catalogue does not foretell; None where that it foretells any is within the chance of 2
-    standard errors over blocks.
+    standard errors over blocks, or where the names close twice as much: it goes by one size of each effect, and that
+    of one that limits says little of any other.
     """
-    gap = sums.foretold
-    if gap.sum() <= 2.0 * np.sqrt(len(gap)) * gap.std(ddof=min(1, len(gap) - 1)):
+    gap, closed = sums.foretold, sums.before - sums.after
+    if gap.sum() <= 2.0 * np.sqrt(len(gap)) * gap.std(ddof=min(1, len(gap) - 1)) or closed.sum() > 2.0 * gap.sum():
         return UNKNOWN
     return _share(sums.before, sums.after, floor, seed)
 
