@@ -76,6 +76,8 @@ def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callab
         _run_first()
         gc.freeze()
         loop.run(_watched(stopped, loop.health, camera))
+        if loop.health.lost_ms:
+            log.warning("this computer was too slow for real time: %d ms let go in all", loop.health.lost_ms)
         log.info("simulated machine stopped: %s", loop.health)
         return loop.health
 

@@ -48,7 +48,7 @@ class Person:
         self.page.locator(button).wait_for(timeout=60_000)
         before = self.page.evaluate(JOBS_SEEN)
         self.click(button)
-        if kind == "accept":
+        if kind in NO_JOBS:
             return
         over = f"count => ({JOBS_SEEN})() > count && !document.querySelector('.step.running')"
         for _ in range(int(timeout_s / 0.5)):
@@ -65,18 +65,21 @@ class Person:
 
     def proposed(self):
         """The step the page proposes next."""
-        button = self.page.locator("#main-steps button.primary")
+        button = self.page.locator("button.primary[data-kind]")
         button.wait_for(timeout=60_000)
         return button.get_attribute("data-kind")
 
     def led_to(self, kind, steps_max=8):
         """Do what the page proposes next until it proposes this step, and click it: a look too old, a calibration from
-        too far away, are the operator's business too."""
+        too far away, a fault to reset, are the operator's business too. A plan that is proposed on the way to something
+        else is not driven; another look is taken instead."""
         for _ in range(steps_max):
             proposed = self.proposed()
-            self.step(proposed)
-            if proposed == kind:
+            done = "look_again" if proposed == "execute" != kind else proposed
+            self.step(done)
+            if done == kind:
                 return
+            self.page.wait_for_timeout(700)  # until the page has read what the step has changed
         raise AssertionError(f"{steps_max} steps did not lead to {kind}: {self.page.inner_text('#hint')}")
 
     def text(self, selector):
@@ -88,6 +91,7 @@ class Person:
         return self.page.evaluate(FETCH, [method, path, headers or {}, body])
 
 
+NO_JOBS = ("accept", "reset")  # answered at once
 JOBS_SEEN = "() => Number(document.body.dataset.jobs ?? 0)"
 FETCH = """async ([method, path, headers, body]) => {
   const answer = await fetch(path, { method, headers: { "Content-Type": "application/json", ...headers },

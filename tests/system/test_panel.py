@@ -179,7 +179,7 @@ def test_a_stale_tab_cannot_fire_a_plan_nor_can_a_replayed_request(anna, bert, s
     bert.page.get_by_role("button", name="Take over", exact=True).click()
     bert.page.wait_for_function("() => document.getElementById('control').classList.contains('mine')")
     bert.step("look")
-    bert.step("preview")
+    bert.led_to("preview")
     before = state(stack)
     assert before["plan"]["plan_hash"] != old_hash
     mine = headers_of(sent[-1])

@@ -13,20 +13,41 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
 READY_S = 180.0
 
 
-def test_position_ends_inside_tolerance_truly_and_leaves_a_recording(tmp_path):
-    truth = tmp_path / "truth"
-    stack = Stack(StackPorts.free(), seed=3, truth_log=truth, runs=tmp_path / "runs", log_folder=tmp_path / "logs")
+def positioned(folder):
+    """A whole run in this folder: (the finished job, what it told on the way)."""
+    stack = Stack(
+        StackPorts.free(),
+        seed=3,
+        camera_rate_hz=10.0,
+        truth_log=folder / "truth",
+        runs=folder / "runs",
+        log_folder=folder / "logs",
+    )
     with stack, JobClient(stack.url) as client:
         client.wait_ready(READY_S)
         told = []
         finished = client.run({"kind": "position", "owner": "test"}, told.append)
+    return finished, told
+
+
+def computer_stood_still(folder):
+    """Whether the simulated PLC lost cycles: a computer that pauses for 250 ms pauses the PLC too, which is a fault."""
+    return "too slow for real time" in (folder / "logs" / "sim.log").read_text()
+
+
+def test_position_ends_inside_tolerance_truly_and_leaves_a_recording(tmp_path):
+    for attempt in range(3):
+        folder = tmp_path / str(attempt)
+        finished, told = positioned(folder)
+        if finished.state == "done" or not computer_stood_still(folder):
+            break
     assert finished.state == "done", finished.reason
     assert finished.result["reached"], finished.result["reason"]
-    last = join_truth(finished.result, read_truth(truth / "truth.csv"))[-1]
+    last = join_truth(finished.result, read_truth(folder / "truth" / "truth.csv"))[-1]
     assert max(abs(value) for value in last.true_mm) <= 5.0
     assert last.true_deg <= 1.0
     assert any(event["name"] == "calibrate" for event in told)
-    recordings = list((tmp_path / "runs").glob("*.mcap"))
+    recordings = list((folder / "runs").glob("*.mcap"))
     assert len(recordings) == 1
     run = read_run(recordings[0])
     assert run.complete
