@@ -77,15 +77,13 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     forms = _forms(wholes, entries)
     foretold = _foretold(wholes, entries, forms)[len(fitted) :]
     progress("what is left on the other recordings")
-    seen = [with_baseline(one, entries, own) for one, own in zip(checked, foretold, strict=True)]
+    seen = _beside(checked, entries, foretold)
     left = remainders_of(seen)
-    later = [with_baseline(one, entries, _with_forms(left, own)) for one, own in zip(checked, foretold, strict=True)]
     progress("what its numbers wander by from day to day")
-    left = with_wanders(left, later)
-    later = [with_baseline(one, entries, _with_forms(left, own)) for one, own in zip(checked, foretold, strict=True)]
+    left = with_wanders(left, _beside(checked, entries, foretold, left))
     remainders = _with_forms(left, forms)
     remainders = with_mosts(remainders, [with_baseline(one, entries, remainders) for one in wholes])
-    spreads, usual, names = _wrong_gains(later, progress)
+    spreads, usual, names = _wrong_gains(_beside(checked, entries, foretold, left), progress)
     finished = _spread(tuple(_with_usual(one, usual, len(checked)) for one in remainders), spreads, names)
     return Baseline(entries, finished, _judged(checked, seen, entries), tuple(spreads.items()), _told(names))
 
@@ -108,6 +106,17 @@ def _foretold(
         return [forms for _ in wholes]
     apart = [_forms([one for k, one in enumerate(wholes) if k % FOLDS != fold], entries) for fold in range(FOLDS)]
     return [apart[k % FOLDS] for k in range(len(wholes))]
+
+
+def _beside(
+    wholes: list[Read],
+    entries: tuple[EffectEntry, ...],
+    foretold: list[tuple[Remainder, ...]],
+    left: tuple[Remainder, ...] | None = None,
+) -> list[Read]:
+    """Recordings with these effects, each with the form that is foretold of it, and with what that leaves if known."""
+    own = [forms if left is None else _with_forms(left, forms) for forms in foretold]
+    return [with_baseline(one, entries, remainders) for one, remainders in zip(wholes, own, strict=True)]
 
 
 def _with_forms(remainders: tuple[Remainder, ...], forms: tuple[Remainder, ...]) -> tuple[Remainder, ...]:

@@ -8,7 +8,7 @@ from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
 from diagnosis.cells_merged import merged_cells
-from diagnosis.form import with_form
+from diagnosis.known import with_known
 from diagnosis.limits import Interval, Limit, detection_limit, intervals
 from diagnosis.localise import Localisation, localise
 from diagnosis.reading import Read
@@ -20,7 +20,6 @@ from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape, left_shapes, refusing
 from diagnosis.shrink import Shrink, Squares, shrinks, squares
 from diagnosis.verdict import Verdict, verdict_of
-from diagnosis.wander import with_wander
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack
 from machine.effects.layout import ParameterSets
@@ -123,8 +122,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     course, searches = base, []
     unseen = (*lacking, *told_behind([one.cell for one in behind]))
     for stage in DRIVEN_STAGES:
-        cells = with_form(stage_cells(stage, replayer, whole.stretches, base, course), nominal)
-        cells = with_wander(cells, nominal)
+        cells = with_known(stage_cells(stage, replayer, whole.stretches, base, course), nominal)
         cells = without(cells, unseen)
         cells = [replace(one, least_nats=_least(one, searches)) for one in cells]
         found = _searched(cells, progress)
@@ -132,7 +130,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
             found = _beside_each_other(found)
             progress("what couples the joints", 0, 1)
             coupled = coupled_cell(replayer, whole.stretches, base, course)
-            coupled = with_wander(with_form([coupled], nominal), nominal)[0] if coupled is not None else None
+            coupled = with_known([coupled], nominal)[0] if coupled is not None else None
             found = _with_coupling(found, coupled if "supply_droop" not in lacking else None)
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)

@@ -14,12 +14,13 @@ from diagnosis.corner_noise import PLAIN, variances_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.excess import common_excess
 from diagnosis.floor import ORDER_LEFT, ORDER_MAX, deviations
-from diagnosis.form import form_of, most_of, with_form
+from diagnosis.form import form_of, most_of
+from diagnosis.known import with_known
 from diagnosis.point_noise import variances_of as variances_of_points
 from diagnosis.reading import Read
 from diagnosis.replay import replayer_of
 from diagnosis.stretches import repeat_groups
-from diagnosis.wander import wander_of, with_wander
+from diagnosis.wander import wander_of
 from machine.effects.entries import EffectEntry, pack
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
@@ -39,8 +40,7 @@ def cells_of(whole: Read) -> list[Cell]:
     replayer, behind = replayer_of(nominal), behind_cells(whole, base)
     if replayer is not None and whole.stretches:
         for stage in DRIVEN_STAGES:
-            found = stage_cells(stage, replayer, whole.stretches, base, base)
-            cells += with_wander(with_form(found, nominal), nominal)
+            cells += with_known(stage_cells(stage, replayer, whole.stretches, base, base), nominal)
     return without(cells, told_behind(behind)) + behind
 
 
