@@ -1,7 +1,8 @@
 """The scorer's own whitened sensitivity: how far an effect moves what was measured, in units of the floor.
 
 Each stage is run with the same measured input with and without the effect, by the plant itself. The floor is the noise
-that the generator draws, and what the machine file's baseline says it leaves ([[remainder]]); nothing of the tool.
+that the generator draws, and what the machine file's baseline says it leaves and its numbers wander by ([[remainder]]);
+nothing of the tool.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,7 +20,7 @@ from tests.gap_benchmark.link import received
 from tests.gap_benchmark.plants import Arm, Plant
 from tests.gap_benchmark.recorded import CAMERA_S, STATIC, TRACKER_S, Made, Noise, streams
 from tests.gap_benchmark.scales import BY_NAME, Kind
-from tests.gap_benchmark.whitening import covariance_of, filtered, process
+from tests.gap_benchmark.whitening import beside, covariance_of, filtered, process
 
 BLOCK = round(0.05 / own.CYCLE_S)
 LEAST = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # smaller moves the tip by less than 0.1 mm
@@ -40,6 +41,7 @@ class Scene:
     speed_noise: Array | None = None  # `speed_noise_of` once it was asked for
     plain: dict[str, Array] = field(default_factory=dict)  # what is measured behind the joints, noise-free
     place: list[Array] = field(default_factory=list)  # change of the corners with the object's place
+    wander: dict[str, Array] = field(default_factory=dict)  # `wander_of` once it was asked for
 
     def record(self, stage: str, joint: int | None = None, on: str = "") -> Remainder:
         """What the baseline leaves there; nothing where the file has no record."""
@@ -161,13 +163,33 @@ def driven(scene: Scene, faults: Faults) -> own_plant.Course:
 
 def encoder_signature(scene: Scene, change: Array) -> Signature:
     """A change of the encoders (m, n) under the same commands, in floors."""
-    steps = np.diff(_means(change), axis=0)
+    steps, days = np.diff(_means(change), axis=0), wander_of(scene)
     out: Signature = {}
     for j in range(own.N):
         record = scene.record("actuator", j + 1)
         both = process(record.ar, record.sigma) + speed_noise_of(scene)[:, j]
-        out[f"actuator {j + 1}"] = filtered(steps[:, j], both, LEAST["actuator"])
+        names = [name for name, _ in record.wander if name in days]
+        rows, *columns = (
+            filtered(one[:, j], both, LEAST["actuator"]) for one in (steps, *(days[name] for name in names))
+        )
+        out[f"actuator {j + 1}"] = beside(rows, columns)
     return out
+
+
+def wander_of(scene: Scene) -> dict[str, Array]:
+    """Change of the encoders' increments (m, n) by what each number of the machine is off by from day to day.
+
+    One run a name, of all joints that have it: each is felt by its own encoder.
+    """
+    if not scene.wander:
+        off: dict[str, list[Injected]] = {}
+        for record in scene.remainders:
+            for name, size in record.wander if record.stage == "actuator" else ():
+                off.setdefault(name, []).append(Injected(name, record.joint, {BY_NAME[name].parameter: size}))
+        for name, effects in off.items():
+            moved = driven(scene, faults_of(tuple(effects), own.N)).smooth
+            scene.wander[name] = np.diff(_means(moved - scene.made.course.smooth), axis=0)
+    return scene.wander
 
 
 def _moved(scene: Scene, faults: Faults) -> Array:

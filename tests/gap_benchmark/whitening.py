@@ -6,7 +6,7 @@ from scipy.linalg import solve_toeplitz
 from machine.rotations import Array
 from tests.gap_benchmark.filters import response_of, whitened_by
 
-ORDER = 6
+ORDER = 20  # a second: the remainders of a machine file remember as long
 RESPONSE = 1000
 
 
@@ -26,3 +26,11 @@ def filtered(steps: Array, covariance: Array, least: float) -> Array:
     a = solve_toeplitz(covariance[:-1] * np.concatenate([[1.0 + 1e-9], np.ones(ORDER - 1)]), covariance[1:])
     sigma = np.hypot(least, np.sqrt(max(float(covariance[0] - a @ covariance[1:]), 0.0)))
     return whitened_by(a, steps) / sigma
+
+
+def beside(rows: Array, columns: list[Array]) -> Array:
+    """Rows (m,) in floors where numbers vary, too: (I + B B')^(-1/2) rows, B what a standard deviation of each does."""
+    if not columns:
+        return rows
+    U, s, _ = np.linalg.svd(np.stack(columns, axis=1), full_matrices=False)
+    return np.asarray(rows - U @ ((1.0 - 1.0 / np.sqrt(1.0 + s**2)) * (U.T @ rows)))
