@@ -59,6 +59,7 @@ def naming(cases: Cases) -> list[Line]:
         _line("double, at least one right", ">= 98 %", [one["some"] for one in double]),
         _line("foreign refused or undecided", ">= 90 %", [one["refused"] for one in of(big, "foreign")]),
         _line("lacking refused or undecided", ">= 90 %", [one["refused"] for one in of(big, "lacking")]),
+        _line("lacking, named its equal (T < 9)", "", [bool(one.get("twin")) for one in of(big, "lacking")]),
         _line("false names", "<= 2 %", [bool(one["false"]) for one in inside]),
         _line("false names, outside the catalogue", "0", [bool(one["false"]) for one in beyond]),
         _line("right first stage", ">= 98 %", [bool(one["stage_right"]) for one in (*single, *double)]),

@@ -156,6 +156,7 @@ def judged(
     claimed = list(named) if answer["verdict"] == "effects" else []
     false = [key for key in claimed if key not in pairs.values()]
     exact_named = len(pairs) == len(true) == len(named)
+    strengths = [equal.strength(one) if one.name not in IN_LOG else None for one in true]
     found = {
         "verdict": answer["verdict"],
         "why": answer["why"],
@@ -165,6 +166,7 @@ def judged(
         "exact": answer["verdict"] == "effects" and exact_named,
         "exact_named": exact_named,
         "some": bool(pairs),
+        "twin": _twin(true, claimed, named, equal.separation) if truth["mix"] == "lacking" else None,
         "false": [list(key) for key in false],
         "false_named": [list(key) for key in named if key not in pairs.values()],
         "none": not named and answer["verdict"] == "none",
@@ -178,8 +180,8 @@ def judged(
         "classes": [len(one) for one in answer["indistinguishable"]],
         "closed": (answer["shrink"].get("overall") or {}),
         "closed_true": equal.closed(true, list(named.values())) if exact_named and pairs else None,
-        "strengths": [equal.strength(one) if one.name not in IN_LOG else None for one in true],
-        "limits": _limits(truth, answer),
+        "strengths": strengths,
+        "limits": _limits(true, strengths, answer),
         "values": _values(true, named),
         "left_out": _left_out(truth, answer),
         "rivals": {
@@ -239,6 +241,13 @@ def matched(true: list[Injected], named: list[dict[str, Any]], separation_of: Se
     return out
 
 
+def _twin(
+    true: list[Injected], claimed: list[Key], named: dict[Key, dict[str, Any]], separation_of: Separation
+) -> bool:
+    """Whether what was claimed in place of a name that the tool lacks is its equal on this recording, by T < 9."""
+    return bool(claimed) and len(matched(true, [named[key] for key in claimed], separation_of)) == len(claimed)
+
+
 def _credible(true: list[Injected], answer: dict[str, Any], separation_of: Separation, mix: str) -> bool:
     """Whether the 90 % set holds the truth; outside counts where the tool gives it a probability of a tenth or more."""
     if mix in ("foreign", "lacking"):
@@ -272,15 +281,21 @@ def stage_right(truth: dict[str, Any], answer: dict[str, Any]) -> bool | None:
     return first_stage(answer) in allowed
 
 
-def _limits(truth: dict[str, Any], answer: dict[str, Any]) -> list[dict[str, Any]]:
-    """The tool's detection limit beside the scorer's, of each true effect."""
+def _limits(true: list[Injected], strengths: list[float | None], answer: dict[str, Any]) -> list[dict[str, Any]]:
+    """The tool's detection limit beside the scorer's on the same recording, of each true effect in proportion to which
+    a residual moves.
+    """
     theirs = {(one["name"], one["joint"]): one["size"] for one in answer["detection_limits"]}
     return [
-        {"name": one["effect"]["name"], "joint": one["effect"]["joint"], "scorer": one["limit"],
-         "tool": theirs.get((one["effect"]["name"], one["effect"]["joint"]))}
-        for one in truth["effects"]
-        if one["limit"] is not None
-    ]  # fmt: skip
+        {
+            "name": one.name,
+            "joint": one.joint,
+            "scorer": abs(one.size) / times,
+            "tool": theirs.get((one.name, one.joint)),
+        }
+        for one, times in zip(true, strengths, strict=True)
+        if times and one.name in BY_NAME and not BY_NAME[one.name].limits
+    ]
 
 
 def _values(true: list[Injected], named: dict[Key, dict[str, Any]]) -> list[dict[str, Any]]:
