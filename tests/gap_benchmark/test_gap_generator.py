@@ -167,6 +167,21 @@ def test_a_name_that_the_scorer_can_tell_apart_is_false(monkeypatch: pytest.Monk
         assert bool(other["false"]) is not exact
 
 
+def test_what_is_named_for_a_lacking_effect_is_false_and_told_apart_where_it_can_be(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    effect = {"name": "valve_lag", "joint": 1, "values": {"time_constant_s": 0.1}, "option": "", "direction": []}
+    drawn = {"effect": effect, "limit": 0.01, "factor": 10.0, "stage": "actuator"}
+    truth = {"number": 0, "seed": 1, "mix": "lacking", "noise": 0, "effects": [drawn], "lacking": "valve_lag"}
+    for T, twin in ((100.0, False), (1.0, True)):
+        monkeypatch.setattr(Equal, "separation", lambda _self, _true, _named, T=T: T)
+        found = judged(truth, answered("effects", ("flow_gain_error", 1)), ())
+        assert found["false"] == [["flow_gain_error", 1]]
+        assert not found["refused"]
+        assert found["twin"] is twin
+    assert judged(truth, answered("outside"), ())["twin"] is False
+
+
 def _imported(folder: Path) -> set[str]:
     names: set[str] = set()
     for file in folder.rglob("*.py"):
