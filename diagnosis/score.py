@@ -69,7 +69,8 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
     """Whether `one` beats `other` by the margin: 6 nats, a share of its gain, and 2 standard errors over blocks (1.5
     from 30 nats on).
 
-    On top of the 6 nats comes what its further names gain on the undisturbed machine.
+    On top of the 6 nats comes what its further names gain on the undisturbed machine. Blocks are not asked about what
+    was counted in the log: nothing of it was fitted, and three packets may well have been lost in one block.
 
     `spread`: by how much scores are to be divided first (chi2/n of the best model, where the floor is too low);
     `cell`: where its input is not known well enough for 6 nats, or its model's form, it asks for more.
@@ -82,6 +83,10 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
         least, form_share = max(least + max(usual, 0.0) / spread, cell.least_nats), cell.form_share
     if float(gains.sum()) <= max(least, form_share * (one.total - none.total) / spread):
         return False
+    before = {effect.key for effect in other.fit.hypothesis}
+    further = [effect for effect in one.fit.hypothesis if effect.key not in before]
+    if further and all(effect.counted for effect in further):
+        return True
     least_se = MARGIN_SE if float(gains.sum()) >= CLEAR_NATS else MARGIN_SE_SMALL
     return float(gains.mean()) > least_se * float(gains.std(ddof=1)) / np.sqrt(len(gains))
 
