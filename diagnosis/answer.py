@@ -256,7 +256,9 @@ def _missing(found: Diagnosis) -> list[dict[str, str]]:
     if any(not one.search.cell.floor_known for one in found.cells):
         out.append({"signal": "repeats", "costs": "no usable repeats: noise floor estimated, probabilities widened"})
     for joint in sorted({joint for one in found.cells for joint in one.search.cell.unlike}):
-        text = f"joint {joint} moved unlike the undisturbed recordings: the baseline's form is left out for it"
+        text = (
+            f"joint {joint} moved unlike the undisturbed recordings: what is left there is a lead and refuses nothing"
+        )
         out.append({"signal": f"undisturbed motions like these of joint {joint}", "costs": text})
     if any(one.search.cell.same_kind for one in found.cells):
         text = "one kind of trajectory only: held-out data are of the same kind, which lag and delay can fool"

@@ -50,7 +50,7 @@ class Cell:
     `spread_least`: scores are divided by it at least (a baseline's remainder is no white noise).
     `usual`: tests that fire on the undisturbed machine, and their sizes there; `left_share`: of the floor, in squares,
     what the machine file's baseline leaves of the model's form. `usual_names`: among them what names gain there [nats].
-    `unlike`: joints that moved unlike any recording that the baseline's form was fitted to, which is left out for them.
+    `unlike`: joints that moved unlike any undisturbed recording, by their command or by what the form says of them.
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """

@@ -19,6 +19,7 @@ from diagnosis.search import Search, search, searched_again
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape, left_shapes, refusing
 from diagnosis.shrink import Shrink, Squares, shrinks, squares
+from diagnosis.unlike import far_off, marked, told_beyond
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack
@@ -65,7 +66,8 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose a recording that is usable. `lacking`: effects taken out of the library, to test its refusals."""
     behind = _behind(whole, progress, lacking)
-    return concluded(whole, _dynamic(whole, progress, behind, lacking) + behind, progress)
+    dynamic = _dynamic(whole, progress, behind, lacking)
+    return concluded(whole, dynamic + told_beyond(behind, dynamic), progress)
 
 
 def concluded(
@@ -119,18 +121,19 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     if nominal is None or replayer is None or not whole.stretches:
         return []
     base = _with_encoders(pack(nominal.baseline, nominal.n), behind)
-    course, searches = base, []
+    course, searches, unlike = base, [], ()
     unseen = (*lacking, *told_behind([one.cell for one in behind]))
     for stage in DRIVEN_STAGES:
         cells = with_known(stage_cells(stage, replayer, whole.stretches, base, course), nominal)
         cells = without(cells, unseen)
-        cells = [replace(one, least_nats=_least(one, searches)) for one in cells]
+        cells = [marked(replace(one, least_nats=_least(one, searches)), unlike) for one in cells]
+        unlike = (*unlike, *far_off(cells))
         found = _searched(cells, progress)
         if stage == "actuator" and found:
             found = _beside_each_other(found)
             progress("what couples the joints", 0, 1)
             coupled = coupled_cell(replayer, whole.stretches, base, course)
-            coupled = with_known([coupled], nominal)[0] if coupled is not None else None
+            coupled = marked(with_known([coupled], nominal)[0], unlike) if coupled is not None else None
             found = _with_coupling(found, coupled if "supply_droop" not in lacking else None)
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)

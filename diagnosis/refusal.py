@@ -52,7 +52,9 @@ def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
     found = [
         one
         for part, own in cell.by_part(r)
-        for one in tests_of(replace(part, spread_least=cell.spread_least), own, cells + len(cell.parts) - 1)
+        for one in tests_of(
+            replace(part, spread_least=cell.spread_least, unlike=cell.unlike), own, cells + len(cell.parts) - 1
+        )
     ]
     return tuple(sorted(found, key=lambda one: (one.lead == "", -one.size)))
 
@@ -98,6 +100,9 @@ def key_of(one: Fired) -> str:
 
 
 def _energy(cell: Cell, r: Array) -> list[Fired]:
+    """More energy than the floor has; none behind joints that moved unlike: so did the booms that they set swinging."""
+    if cell.unlike and cell.stage not in DRIVEN_STAGES:
+        return []
     n = len(r)
     ratio = float(r @ r) / n
     if ratio - 1.0 < ENERGY_MIN + REMAINDER_VARIES * cell.left_share or not cell.floor_known:

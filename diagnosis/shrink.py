@@ -22,6 +22,7 @@ DRAWS = 400
 FLOOR_SHARE = 0.1  # of the floor: how well repeats know it
 CLEAR_SHARE = 0.3  # of the noise: a gap three times as large as what the floor may be wrong by
 NARROWEST = 0.005  # a share is told to half a percent: what is fitted without a fold is not quite what is fitted to all
+TOO_MUCH = 1.1  # of the gap: where surely more than that is closed, the floor is too high for this motion
 RIDGES = (0.1, 1.0, 10.0)  # rows' worth of prior: a larger one would make the gap smaller than it is
 Floor = Literal["noise", "catalogue"]
 Closed = tuple[float | None, float | None, float | None]
@@ -128,7 +129,8 @@ def closing(sums: Squares, seed: int = 0) -> tuple[float, float, float, Closed, 
 
 
 def _told(closed: float | None, low: float | None, high: float | None) -> Closed:
-    if closed is None or low is None or high is None:
+    """A share as it is told; nothing where it says more of the floor than of the gap."""
+    if closed is None or low is None or high is None or low > TOO_MUCH:
         return UNKNOWN
     return closed, min(low, closed - NARROWEST), max(high, closed + NARROWEST)
 

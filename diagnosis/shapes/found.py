@@ -63,7 +63,7 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
 
     Why: a swing that went with the acceleration fifteen times goes with the posture or with time on the sixteenth day.
          Without a baseline nothing is refused: the form of a model that never met its machine would speak against
-         every name. A joint that moved unlike any undisturbed recording has none.
+         every name. What a joint leaves that moved unlike any undisturbed recording is a lead only.
     """
     usual = _usual(cell)
     form = FORM_TIMES * cell.form_share * gained_nats

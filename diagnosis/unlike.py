@@ -1,0 +1,44 @@
+"""Joints that did not move as those of an undisturbed machine do, since what commanded them was far off.
+
+A command that is cut to a square wave drives the oil and the booms through motions that no undisturbed recording holds.
+What a baseline is known to leave there is then known of other motions only.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from diagnosis.cells import Cell
+from diagnosis.cells_dynamic import Replay, part_increments
+from diagnosis.floor import increments
+from diagnosis.search import Search
+from machine.effects.layout import ParameterSets
+
+FAR_OFF = 0.1  # of a command's own changes, RMS: a lag or gain that is off by some per cent still moves the joint alike
+
+
+def far_off(cells: list[Cell]) -> tuple[int, ...]:
+    """Joints (1-based) whose reference or valve command changed by a tenth of itself unlike their model's."""
+    return tuple(sorted({joint for cell in cells for joint in _far_off(cell)}))
+
+
+def _far_off(cell: Cell) -> list[int]:
+    replay = cell.whitened
+    if not isinstance(replay, Replay) or replay.stage == "actuator":
+        return []
+    chosen = ParameterSets(np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]), cell.base.machine)
+    off = np.concatenate([part_increments(replay.stage, part, chosen)[0][0] for part in replay.parts])
+    own = np.concatenate([increments(part.measured, part.stretch.dt_s) for part in replay.parts])
+    shares = np.mean(off**2, axis=0) > FAR_OFF**2 * np.mean(own**2, axis=0)
+    return [joint + 1 for joint, share in zip(replay.joints, shares, strict=True) if share]
+
+
+def marked(cell: Cell, joints: tuple[int, ...]) -> Cell:
+    """The cell, told of these joints, too."""
+    return replace(cell, unlike=tuple(sorted({*cell.unlike, *joints}))) if joints else cell
+
+
+def told_beyond(behind: list[Search], dynamic: list[Search]) -> list[Search]:
+    """What was searched behind the joints, told of all joints that moved unlike."""
+    joints = tuple({joint for one in dynamic for joint in one.cell.unlike})
+    return [replace(one, cell=marked(one.cell, joints)) for one in behind]

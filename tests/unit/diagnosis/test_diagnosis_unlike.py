@@ -1,0 +1,46 @@
+"""Joints whose command was far off moved unlike an undisturbed machine: what is left there is a lead, no refusal."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from diagnosis_cases import folder, recording
+
+from diagnosis.answer import answer
+from diagnosis.diagnose import Diagnosis, diagnose
+from diagnosis.reading import read
+from diagnosis.refusal import tests_of as fired_tests
+from machine.effects.entries import make_entry
+from machine.effects.registry import effect_named
+
+KINDS = ("repeat", "repeat", "steps", "workcycle")
+
+
+def diagnosed(place: Path, name: str, **values: float) -> Diagnosis:
+    """A recording with one effect on joint 2."""
+    effect = effect_named(name)
+    assert effect is not None
+    return diagnose(read(folder(place, recording(KINDS, (make_entry(effect, 2, values),), 3))))
+
+
+def test_a_command_that_is_cut_marks_its_joint_and_all_that_hangs_on_it(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, "controller_saturation", limit_frac=0.1)
+    cells = [one.search.cell for one in found.cells]
+    assert {cell.unlike for cell in cells if cell.label == "controller 2"} == {()}  # judged by its own model
+    assert {cell.unlike for cell in cells if cell.stage == "actuator"} == {(2,)}
+    assert "joint 2 moved unlike the undisturbed recordings" in str(answer(found)["missing"])
+
+
+def test_a_gain_that_is_a_little_off_moves_the_joint_alike(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, "controller_gain_error", gain_frac=0.03)
+    assert {one.search.cell.unlike for one in found.cells} == {()}
+
+
+def test_behind_joints_that_moved_unlike_energy_alone_is_no_test(tmp_path: Path) -> None:
+    found = diagnosed(tmp_path, "controller_gain_error", gain_frac=0.03)
+    cell = next(one.search.cell for one in found.cells if one.search.cell.stage == "actuator")
+    loud = 2.0 * np.random.default_rng(1).normal(size=cell.rows.count)
+    behind = replace(cell, stage="structure")
+    assert "energy" in {one.test for one in fired_tests(behind, loud, 1)}
+    assert "energy" not in {one.test for one in fired_tests(replace(behind, unlike=(2,)), loud, 1)}
+    assert "energy" in {one.test for one in fired_tests(replace(cell, unlike=(2,)), loud, 1)}
