@@ -75,7 +75,7 @@ class Person:
         else is not driven; another look is taken instead."""
         for _ in range(steps_max):
             proposed = self.proposed()
-            done = "look_again" if proposed == "execute" != kind else proposed
+            done = "look_again" if proposed == "execute" and kind != "execute" else proposed
             self.step(done)
             if done == kind:
                 return
