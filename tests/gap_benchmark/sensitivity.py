@@ -168,10 +168,8 @@ def encoder_signature(scene: Scene, change: Array) -> Signature:
     for j in range(own.N):
         record = scene.record("actuator", j + 1)
         both = process(record.ar, record.sigma) + speed_noise_of(scene)[:, j]
-        names = [name for name, _ in record.wander if name in days]
-        rows, *columns = (
-            filtered(one[:, j], both, LEAST["actuator"]) for one in (steps, *(days[name] for name in names))
-        )
+        seen = (steps, *(days[name] for name, _ in record.wander))
+        rows, *columns = (filtered(one[:, j], both, LEAST["actuator"]) for one in seen)
         out[f"actuator {j + 1}"] = beside(rows, columns)
     return out
 

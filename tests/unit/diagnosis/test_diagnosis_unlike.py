@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from diagnosis_cases import folder, recording
 
 from diagnosis.answer import answer
@@ -23,6 +24,12 @@ def diagnosed(place: Path, name: str, **values: float) -> Diagnosis:
     return diagnose(read(folder(place, recording(KINDS, (make_entry(effect, 2, values),), 3))))
 
 
+@pytest.fixture(scope="module")
+def little_off(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """A gain that is 3 % too high."""
+    return diagnosed(tmp_path_factory.mktemp("little"), "controller_gain_error", gain_frac=0.03)
+
+
 def test_a_command_that_is_cut_marks_its_joint_and_all_that_hangs_on_it(tmp_path: Path) -> None:
     found = diagnosed(tmp_path, "controller_saturation", limit_frac=0.1)
     cells = [one.search.cell for one in found.cells]
@@ -31,14 +38,12 @@ def test_a_command_that_is_cut_marks_its_joint_and_all_that_hangs_on_it(tmp_path
     assert "joint 2 moved unlike the undisturbed recordings" in str(answer(found)["missing"])
 
 
-def test_a_gain_that_is_a_little_off_moves_the_joint_alike(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, "controller_gain_error", gain_frac=0.03)
-    assert {one.search.cell.unlike for one in found.cells} == {()}
+def test_a_gain_that_is_a_little_off_moves_the_joint_alike(little_off: Diagnosis) -> None:
+    assert {one.search.cell.unlike for one in little_off.cells} == {()}
 
 
-def test_behind_joints_that_moved_unlike_energy_alone_is_no_test(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, "controller_gain_error", gain_frac=0.03)
-    cell = next(one.search.cell for one in found.cells if one.search.cell.stage == "actuator")
+def test_behind_joints_that_moved_unlike_energy_alone_is_no_test(little_off: Diagnosis) -> None:
+    cell = next(one.search.cell for one in little_off.cells if one.search.cell.stage == "actuator")
     loud = 2.0 * np.random.default_rng(1).normal(size=cell.rows.count)
     behind = replace(cell, stage="structure")
     assert "energy" in {one.test for one in fired_tests(behind, loud, 1)}
