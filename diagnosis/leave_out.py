@@ -33,7 +33,7 @@ def _told(name: str, left: Diagnosis) -> dict[str, Any]:
         "without": name,
         "verdict": result["verdict"],
         "why": result["why"],
-        "named": [{"name": one["name"], "joint": one["joint"]} for one in best],
+        "named": best,
         "outside_probability": result["outside_probability"],
         "localisation": [one for one in result["localisation"] if one["regime"] == "all" or one["joint"] is None],
     }

@@ -14,6 +14,8 @@ MARGIN_NATS = 6.0  # 3 gave false names among dozens of candidates in a dozen ce
 MARGIN_MORE_NATS = 2.0  # for each further number that a model has
 MARGIN_SE = 1.5
 MARGIN_SE_SMALL = 2.0  # below CLEAR_NATS: a swing of one motion gains as much as a small effect, but not everywhere
+TOUCHED_MIN = 2  # blocks
+TOUCHED_SHARE = 0.5
 CLEAR_NATS = 30.0  # a command limited in a few blocks gains more than that in each
 
 
@@ -70,7 +72,9 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
     from 30 nats on).
 
     On top of the 6 nats comes what its further names gain on the undisturbed machine. Blocks are not asked about what
-    was counted in the log: nothing of it was fitted, and three packets may well have been lost in one block.
+    was counted in the log: nothing of it was fitted, and three packets may well have been lost in one block. Nor does
+    their spread count where names touch half of them or fewer and gain in each: of three fast moves the fastest is cut
+    most.
 
     `spread`: by how much scores are to be divided first (chi2/n of the best model, where the floor is too low);
     `cell`: where its input is not known well enough for 6 nats, or its model's form, it asks for more.
@@ -86,6 +90,9 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
     before = {effect.key for effect in other.fit.hypothesis}
     further = [effect for effect in one.fit.hypothesis if effect.key not in before]
     if further and all(effect.counted for effect in further):
+        return True
+    touched = gains[gains != 0.0]
+    if TOUCHED_MIN <= len(touched) <= TOUCHED_SHARE * len(gains) and touched.min() > 0.0:
         return True
     least_se = MARGIN_SE if float(gains.sum()) >= CLEAR_NATS else MARGIN_SE_SMALL
     return float(gains.mean()) > least_se * float(gains.std(ddof=1)) / np.sqrt(len(gains))

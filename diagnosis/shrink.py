@@ -1,8 +1,8 @@
 """How far the chosen effects close the gap on held-out trajectories.
 
 The floor is the noise where the gap stands out from it. A gap of ten times its detection limit may still be a hundredth
-of all squares, and no noise is known that well; then the floor is what no effect of the catalogue foretells of one kind
-of trajectory after the others: that needs no knowledge of the noise.
+of all squares, and no noise is known that well; then the gap is what the names close and what the whole catalogue
+foretells of the rest, one kind of trajectory after the others: that needs no knowledge of the noise.
 """
 
 from collections.abc import Iterable
@@ -11,19 +11,21 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri  # scipy.stats takes a second to import
 
 from diagnosis.cells import Cell
 from diagnosis.score import Score
 from diagnosis.search import Search
-from diagnosis.shapes.gain import foretold
+from diagnosis.shapes.gain import cross_fitted
 from machine.rotations import Array
 
 DRAWS = 400
+LIMIT_SHARE = 0.05  # of all cases beyond each limit
 FLOOR_SHARE = 0.1  # of the floor: how well repeats know it
 CLEAR_SHARE = 0.3  # of the noise: a gap three times as large as what the floor may be wrong by
 NARROWEST = 0.005  # a share is told to half a percent: what is fitted without a fold is not quite what is fitted to all
 TOO_MUCH = 1.1  # of the gap: where surely more than that is closed, the floor is too high for this motion
-RIDGES = (0.1, 1.0, 10.0)  # rows' worth of prior: a larger one would make the gap smaller than it is
+RIDGE = 1.0  # rows' worth of prior: a larger one would make the gap smaller than it is
 Floor = Literal["noise", "catalogue"]
 Closed = tuple[float | None, float | None, float | None]
 UNKNOWN: Closed = (None, None, None)
@@ -49,38 +51,43 @@ class Shrink:
 
 @dataclass(frozen=True, slots=True)
 class Squares:
-    """Whitened squares by block (blocks,): before, after, the noise's, what the catalogue foretells of them; `rows`."""
+    """Whitened squares by block (blocks,): before, after, the noise's, the gap's as the catalogue foretells it; `rows`,
+    and how many numbers the names were fitted with.
+    """
 
     before: Array
     after: Array
     noise: Array
     foretold: Array
     rows: int
+    numbers: int
 
 
 def squares(found: Search, chosen: Score) -> tuple[Squares, ...]:
     """Of each part of a cell; a plain cell is its own only part."""
-    r = found.none.held_out
-    explained = r * _catalogue(found, chosen) if chosen.fit.hypothesis else np.zeros(len(r))
-    return tuple(
-        _of_part(part, *own.T) for part, own in found.cell.by_part(np.stack([r, chosen.held_out, explained], 1))
-    )
+    r, left = found.none.held_out, chosen.held_out
+    gap = r**2 - left**2 + left * _catalogue(found, chosen) if chosen.fit.hypothesis else np.zeros(len(r))
+    return tuple(_of_part(part, own, chosen.fit.k) for part, own in found.cell.by_part(np.stack([r, left, gap], 1)))
 
 
-def _of_part(part: Cell, r: Array, left: Array, explained: Array) -> Squares:
-    block = part.rows.block
+def _of_part(part: Cell, of_rows: Array, numbers: int) -> Squares:
+    """Args: of_rows: (N, 3) residual before and after, and the gap's squares."""
+    block, (r, left, gap) = part.rows.block, of_rows.T
     noise = np.asarray(part.quiet * np.bincount(block), dtype=float)
-    return Squares(_sums(block, r**2), _sums(block, left**2), noise, _sums(block, explained), part.rows.count)
+    return Squares(_sums(block, r**2), _sums(block, left**2), noise, _sums(block, gap), part.rows.count, numbers)
 
 
 def _catalogue(found: Search, chosen: Score) -> Array:
-    """What all effects of the catalogue together say of the residual before, each fold after the others (N,).
+    """What all effects of the catalogue together say of the residual after, each fold after the others (N,).
 
-    The chosen names count as they were fitted without the fold; all others by their change at one scanned size.
+    The chosen names by their change as fitted without the fold, all others by theirs at one scanned size. It is told
+    whether it is more than chance or not: the sum of its product with the residual is right on the average, and what
+    chance does to it widens the limits.
     """
-    r = found.none.held_out
+    left = chosen.held_out
     columns = [one.column for one in found.scans if one.column is not None]
-    return foretold(np.stack([r - chosen.held_out, *columns], axis=1), r, found.cell.rows, RIDGES)
+    said = cross_fitted(np.stack([found.none.held_out - left, *columns], axis=1), left, found.cell.rows, (RIDGE,))
+    return next(said, np.zeros(len(left)))
 
 
 def shrinks(found: Search, parts: tuple[Squares, ...]) -> tuple[Shrink, ...]:
@@ -94,7 +101,7 @@ def together(parts: Iterable[Squares]) -> Squares:
     all_of = tuple(parts)
     names = ("before", "after", "noise", "foretold")
     joined = [np.concatenate([getattr(one, name) for one in all_of]) for name in names]
-    return Squares(*joined, rows=sum(one.rows for one in all_of))
+    return Squares(*joined, rows=sum(one.rows for one in all_of), numbers=sum(one.numbers for one in all_of))
 
 
 def _shrunk(cell: Cell, sums: Squares) -> Shrink:
@@ -136,8 +143,17 @@ def _told(closed: float | None, low: float | None, high: float | None) -> Closed
 
 
 def by_noise(sums: Squares, seed: int = 0) -> Closed:
-    """Share closed above the noise, whatever the catalogue says."""
-    return closed_share(sums.before, sums.after, sums.noise, sums.rows, seed)
+    """Share closed above the noise, whatever the catalogue says.
+
+    Where less is left than the noise is said to be, the noise is that at most, and anything down to none: all of the
+    gap is closed, but for what is left at the most.
+    """
+    closed, low, high = closed_share(sums.before, sums.after, sums.noise, sums.rows, seed)
+    left = float(sums.after.sum() / sums.noise.sum())
+    if low is None or left >= 1.0 - FLOOR_SHARE:
+        return closed, low, high
+    closed, low, high = closed_share(sums.before, sums.after, left * sums.noise, sums.rows, seed)
+    return (closed, min(low, 1.0 - float(sums.after.sum() / sums.before.sum())), high) if low is not None else UNKNOWN
 
 
 def closed_share(before: Array, after: Array, count: Array, rows: int, seed: int) -> Closed:
@@ -153,22 +169,26 @@ def closed_share(before: Array, after: Array, count: Array, rows: int, seed: int
 
 def _foretold_share(sums: Squares, floor: Array, seed: int) -> Closed:
     """The same above what the catalogue does not foretell; None where that it foretells any is within the chance of 2
-    standard errors over blocks, or where the names close twice as much: it goes by one size of each effect, and that
-    of one that limits says little of any other.
+    standard errors over blocks.
+
+    The upper limit is all of it at least: what is foretold of the rest may be the machine's own remainder, which goes
+    with posture and motion on an undisturbed day, too. The lower one is what fitted numbers may be wrong by at most.
     """
-    gap, closed = sums.foretold, sums.before - sums.after
-    if gap.sum() <= 2.0 * np.sqrt(len(gap)) * gap.std(ddof=min(1, len(gap) - 1)) or closed.sum() > 2.0 * gap.sum():
+    gap = sums.foretold
+    if gap.sum() <= 2.0 * np.sqrt(len(gap)) * gap.std(ddof=min(1, len(gap) - 1)):
         return UNKNOWN
-    return _share(sums.before, sums.after, floor, seed)
+    closed, low, high = _share(sums.before, sums.after, floor, seed)
+    wrong = float(chdtri(max(1, sums.numbers), LIMIT_SHARE)) / float(gap.sum())
+    return closed, min(low, 1.0 - wrong), max(1.0, high)
 
 
-def _share(before: Array, after: Array, floor: Array, seed: int) -> Closed:
+def _share(before: Array, after: Array, floor: Array, seed: int) -> tuple[float, float, float]:
     closed = 1.0 - float(after.sum() - floor.sum()) / float(before.sum() - floor.sum())
     draws = np.random.default_rng(seed).integers(0, len(before), (DRAWS, len(before)))
     b, a, c = before[draws].sum(axis=1), after[draws].sum(axis=1), floor[draws].sum(axis=1)
     good = b - c > 0.0
     shares = 1.0 - (a[good] - c[good]) / (b[good] - c[good])
-    return closed, float(np.quantile(shares, 0.05)), float(np.quantile(shares, 0.95))
+    return closed, float(np.quantile(shares, LIMIT_SHARE)), float(np.quantile(shares, 1.0 - LIMIT_SHARE))
 
 
 def _sums(block: NDArray[np.int64], values: Array) -> Array:

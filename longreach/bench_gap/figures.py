@@ -90,6 +90,7 @@ def left_out(cases: Cases) -> list[Line]:
     lines = [
         _line("refused or undecided, and the right stage", ">= 85 %", good),
         _line("no other name claimed", "", [not row["claimed"] for row in rows]),
+        _line("named its equal (T < 9)", "", [bool(row.get("twin")) for row in rows]),
     ]
     names = dict.fromkeys(row["name"] for row, fine in zip(rows, good, strict=True) if not fine)
     return lines + [

@@ -30,6 +30,7 @@ SEPARATED = 9.0
 IN_LOG = ("dropped_samples", "swapped_joints", "loose_marker")  # spoil what was written down, however strong
 SPLIT_SHARES = (0.7, 1.4)  # of the named size, besides itself: thresholds bend
 Key = tuple[str, int | None]
+Separation = Callable[[Injected, dict[str, Any]], float]
 SEEN_AS = {  # where a gap of a stage without rows of its own shows
     "joint": ("joint", "structure", "camera"),
     "time": ("time", "camera", "structure"),
@@ -183,7 +184,7 @@ def judged(
         "strengths": strengths,
         "limits": _limits(true, strengths, answer),
         "values": _values(true, named),
-        "left_out": _left_out(truth, answer),
+        "left_out": _left_out(truth, answer, true, equal.separation),
         "rivals": {
             name: _rival(true, effects, equal.separation, truth["mix"])
             for name, effects in answer.get("rivals", {}).items()
@@ -209,24 +210,27 @@ def _ladder(truth: dict[str, Any], answer: dict[str, Any], first_right: bool) ->
     return rows
 
 
-def _left_out(truth: dict[str, Any], answer: dict[str, Any]) -> list[dict[str, Any]]:
+def _left_out(
+    truth: dict[str, Any], answer: dict[str, Any], true: list[Injected], separation_of: Separation
+) -> list[dict[str, Any]]:
     """Single effects: what the tool says when the true name is taken from its library (the same fits)."""
     if truth["mix"] != "single":
         return []
-    name = truth["effects"][0]["effect"]["name"]
-    return [
-        {
-            "name": name,
-            "refused": one["verdict"] in ("outside", "undecided"),
-            "claimed": [[other["name"], other["joint"]] for other in one["named"] if one["verdict"] == "effects"],
-            "stage_right": stage_right(truth, one),
-        }
-        for one in answer.get("left_out", [])
-        if one["without"] == name
-    ]
-
-
-Separation = Callable[[Injected, dict[str, Any]], float]
+    rows = []
+    for one in answer.get("left_out", []):
+        if one["without"] != true[0].name:
+            continue
+        named = {(other["name"], other["joint"]): other for other in one["named"] if one["verdict"] == "effects"}
+        rows.append(
+            {
+                "name": true[0].name,
+                "refused": one["verdict"] in ("outside", "undecided"),
+                "claimed": [list(key) for key in named],
+                "twin": _twin(true, list(named), named, separation_of),
+                "stage_right": stage_right(truth, one),
+            }
+        )
+    return rows
 
 
 def matched(true: list[Injected], named: list[dict[str, Any]], separation_of: Separation) -> dict[Key, Key]:

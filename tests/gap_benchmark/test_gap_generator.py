@@ -182,6 +182,23 @@ def test_what_is_named_for_a_lacking_effect_is_false_and_told_apart_where_it_can
     assert judged(truth, answered("outside"), ())["twin"] is False
 
 
+@pytest.mark.parametrize(("T", "twin"), [(100.0, False), (1.0, True)])
+def test_what_is_named_for_the_true_name_left_out_is_told_apart_where_it_can_be(
+    T: float, twin: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Equal, "separation", lambda _self, _true, _named: T)
+    effect = {"name": "valve_lag", "joint": 1, "values": {"time_constant_s": 0.1}, "option": "", "direction": []}
+    drawn = {"effect": effect, "limit": 0.01, "factor": 10.0, "stage": "actuator"}
+    truth = {"number": 0, "seed": 1, "mix": "single", "noise": 0, "effects": [drawn], "lacking": ""}
+    other = answered("effects", ("flow_gain_error", 1))
+    named = other["hypotheses"][0]["effects"]
+    said = {"without": "valve_lag", "verdict": "effects", "named": named, "localisation": other["localisation"]}
+    (row,) = judged(truth, {**answered("outside"), "left_out": [said]}, ())["left_out"]
+    assert row["claimed"] == [["flow_gain_error", 1]]
+    assert not row["refused"]
+    assert row["twin"] is twin
+
+
 def _imported(folder: Path) -> set[str]:
     names: set[str] = set()
     for file in folder.rglob("*.py"):

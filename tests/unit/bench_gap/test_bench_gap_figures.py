@@ -102,6 +102,8 @@ def test_leave_out_needs_the_refusal_and_the_stage() -> None:
     cases = [case("single", 3.0, left_out=[row]), case("single", 3.0, left_out=[{**row, "stage_right": False}])]
     assert shown(figures.left_out(cases), "refused or undecided, and the right stage") == (1, 2)
     assert shown(figures.left_out(cases), "  valve_lag") == (1, 2)
+    equal = {**row, "refused": False, "claimed": [["flow_gain_error", 1]], "twin": True}
+    assert shown(figures.left_out([case("single", 3.0, left_out=[equal])]), "named its equal (T < 9)") == (1, 1)
 
 
 def test_what_is_on_file_is_told_with_its_count(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

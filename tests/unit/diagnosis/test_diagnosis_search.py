@@ -123,6 +123,18 @@ def test_blocks_judge_what_was_fitted_and_not_what_the_log_counted() -> None:
     assert not better(few, none, none)
 
 
+def test_a_name_that_touches_few_blocks_has_to_gain_in_each() -> None:
+    cell = made_up((0.0, 0.0, 0.0))
+    none = score(cell, neutral_fit(cell))
+    found = score(cell, fit(cell, cell.candidates[:1], np.array([0.01])))
+    uneven = np.zeros(len(none.by_block))
+    uneven[:3] = (3.0, 6.0, 40.0)  # of three fast moves the fastest is cut most
+    assert better(replace(found, by_block=none.by_block + uneven), none, none)
+    assert not better(replace(found, by_block=none.by_block + np.where(uneven == 3.0, -3.0, uneven)), none, none)
+    everywhere = uneven + np.where(uneven == 0.0, 0.01, 0.0)
+    assert not better(replace(found, by_block=none.by_block + everywhere), none, none)
+
+
 def test_effects_of_one_direction_are_one_class() -> None:
     cell = made_up((0.2, 0.0, 0.0))
     twins = replace(cell, whitened=lambda sets: cell.whitened(_both_into_gain(sets)))

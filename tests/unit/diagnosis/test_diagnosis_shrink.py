@@ -13,7 +13,7 @@ def sums(gap: float, closed: float, foretold: float) -> Squares:
     rng = np.random.default_rng(3)
     noise, wobble = np.full(BLOCKS, 100.0), rng.normal(0.0, 2.0, BLOCKS)
     before = noise - 5.0 + gap + wobble  # the noise is believed to be a little more than it is
-    return Squares(before, before - closed - 0.1 * wobble, noise, np.full(BLOCKS, foretold) + 0.1 * wobble, ROWS)
+    return Squares(before, before - closed - 0.1 * wobble, noise, np.full(BLOCKS, foretold) + 0.1 * wobble, ROWS, 1)
 
 
 def test_a_gap_below_the_noise_is_what_the_catalogue_foretells() -> None:
@@ -26,10 +26,26 @@ def test_a_gap_below_the_noise_is_what_the_catalogue_foretells() -> None:
     assert low < 0.95 < high
 
 
-def test_names_that_close_far_more_than_is_foretold_tell_no_share() -> None:
-    _, _, _, closed, floor_by = closing(sums(gap=3.0, closed=58.0, foretold=2.0))
+def test_what_is_foretold_of_the_rest_may_be_the_machines_own() -> None:
+    _, _, _, (share, low, high), _ = closing(sums(gap=4.0, closed=2.0, foretold=4.0))
+    assert share == pytest.approx(0.5, abs=0.05)
+    assert low is not None
+    assert low > 0.3
+    assert high == 1.0
+
+
+def test_a_gap_within_chance_tells_no_share() -> None:
+    made = sums(gap=0.0, closed=0.0, foretold=0.0)
+    assert closing(made)[3] == UNKNOWN
+
+
+def test_less_left_than_the_noise_says_that_the_noise_is_smaller() -> None:
+    made = sums(gap=600.0, closed=650.0, foretold=600.0)  # 45 of a noise of 100 are left
+    _, _, _, (share, low, high), floor_by = closing(made)
     assert floor_by == "noise"
-    assert closed == UNKNOWN
+    assert share == pytest.approx(1.0)
+    assert low == pytest.approx(1.0 - 45.0 / 695.0, abs=0.01)  # were there no noise at all
+    assert high == pytest.approx(1.005, abs=0.01)
 
 
 def test_a_gap_that_stands_clear_is_held_against_the_noise() -> None:

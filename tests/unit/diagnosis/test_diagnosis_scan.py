@@ -1,0 +1,36 @@
+"""Where a scan looks beyond its grid: a wave's own phase, and the size at which a limit begins to be felt."""
+
+import numpy as np
+import pytest
+
+from diagnosis.candidates import named
+from diagnosis.search import foreseen
+
+ANGLE = np.linspace(-1.0, 1.3, 400)
+
+
+@pytest.mark.parametrize(("amplitude", "phase"), [(0.0027, 0.63), (0.004, -2.9), (0.001, 1.9)])
+def test_a_wave_is_sought_at_its_own_amplitude_and_phase(amplitude: float, phase: float) -> None:
+    one = next(one for one in named(("encoder_eccentricity",), (1,)) if one.fixed[0][1] == 2.0)
+    thetas = one.starts()
+    waves = thetas[:, :1] * np.sin(2.0 * ANGLE + thetas[:, 1:])
+    gap = amplitude * np.sin(2.0 * ANGLE + phase)
+    found = foreseen(one, thetas, -waves / 1e-4, gap / 1e-4)
+    assert found[0] == pytest.approx([amplitude, phase], rel=0.05)
+
+
+def test_a_limit_is_sought_where_it_begins_to_be_felt() -> None:
+    (one,) = named(("reference_rate_limit",), (1,))
+    thetas, speed = one.starts(), np.abs(np.sin(3.0 * ANGLE)) * 0.3
+    cut = np.minimum(speed, thetas) - speed
+    found = foreseen(one, thetas, cut, np.minimum(speed, 0.285) - speed)
+    felt, beyond = thetas[thetas < 0.3].max(), thetas[thetas > 0.3].min()
+    assert found.min() > felt
+    assert found.max() < beyond
+    assert np.abs(found - 0.285).min() < 0.03 * 0.285
+
+
+def test_a_limit_that_nothing_reaches_is_sought_no_further() -> None:
+    (one,) = named(("reference_rate_limit",), (1,))
+    thetas = one.starts()
+    assert len(foreseen(one, thetas, np.zeros((len(thetas), 50)), np.ones(50))) == 0
