@@ -1,8 +1,8 @@
 """How far the chosen effects close the gap on held-out trajectories.
 
 The floor is the noise where the gap stands out from it. A gap of ten times its detection limit may still be a hundredth
-of all squares, and no noise is known that well; then the gap is what the names close and what the whole catalogue
-foretells of the rest, one kind of trajectory after the others: that needs no knowledge of the noise.
+of all squares, and no noise is known that well; then the floor is what no effect of the catalogue foretells of one kind
+of trajectory after the others: that needs no knowledge of the noise.
 """
 
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ from scipy.special import chdtri  # scipy.stats takes a second to import
 from diagnosis.cells import Cell
 from diagnosis.score import Score
 from diagnosis.search import Search
-from diagnosis.shapes.gain import cross_fitted
+from diagnosis.shapes.gain import foretold
 from machine.rotations import Array
 
 DRAWS = 400
@@ -25,7 +25,7 @@ FLOOR_SHARE = 0.1  # of the floor: how well repeats know it
 CLEAR_SHARE = 0.3  # of the noise: a gap three times as large as what the floor may be wrong by
 NARROWEST = 0.005  # a share is told to half a percent: what is fitted without a fold is not quite what is fitted to all
 TOO_MUCH = 1.1  # of the gap: where surely more than that is closed, the floor is too high for this motion
-RIDGE = 1.0  # rows' worth of prior: a larger one would make the gap smaller than it is
+RIDGES = (0.1, 1.0, 10.0)  # rows' worth of prior: a larger one would make the gap smaller than it is
 Floor = Literal["noise", "catalogue"]
 Closed = tuple[float | None, float | None, float | None]
 UNKNOWN: Closed = (None, None, None)
@@ -51,7 +51,7 @@ class Shrink:
 
 @dataclass(frozen=True, slots=True)
 class Squares:
-    """Whitened squares by block (blocks,): before, after, the noise's, the gap's as the catalogue foretells it; `rows`,
+    """Whitened squares by block (blocks,): before, after, the noise's, what the catalogue foretells of them; `rows`,
     and how many numbers the names were fitted with.
     """
 
@@ -65,29 +65,27 @@ class Squares:
 
 def squares(found: Search, chosen: Score) -> tuple[Squares, ...]:
     """Of each part of a cell; a plain cell is its own only part."""
-    r, left = found.none.held_out, chosen.held_out
-    gap = r**2 - left**2 + left * _catalogue(found, chosen) if chosen.fit.hypothesis else np.zeros(len(r))
-    return tuple(_of_part(part, own, chosen.fit.k) for part, own in found.cell.by_part(np.stack([r, left, gap], 1)))
+    r = found.none.held_out
+    explained = r * _catalogue(found, chosen) if chosen.fit.hypothesis else np.zeros(len(r))
+    of_rows = np.stack([r**2, chosen.held_out**2, explained], axis=1)
+    return tuple(_of_part(part, own, chosen.fit.k) for part, own in found.cell.by_part(of_rows))
 
 
 def _of_part(part: Cell, of_rows: Array, numbers: int) -> Squares:
-    """Args: of_rows: (N, 3) residual before and after, and the gap's squares."""
-    block, (r, left, gap) = part.rows.block, of_rows.T
+    block = part.rows.block
+    before, after, foretold_of = (_sums(block, one) for one in of_rows.T)
     noise = np.asarray(part.quiet * np.bincount(block), dtype=float)
-    return Squares(_sums(block, r**2), _sums(block, left**2), noise, _sums(block, gap), part.rows.count, numbers)
+    return Squares(before, after, noise, foretold_of, part.rows.count, numbers)
 
 
 def _catalogue(found: Search, chosen: Score) -> Array:
-    """What all effects of the catalogue together say of the residual after, each fold after the others (N,).
+    """What all effects of the catalogue together say of the residual before, each fold after the others (N,).
 
-    The chosen names by their change as fitted without the fold, all others by theirs at one scanned size. It is told
-    whether it is more than chance or not: the sum of its product with the residual is right on the average, and what
-    chance does to it widens the limits.
+    The chosen names count as they were fitted without the fold; all others by their change at one scanned size.
     """
-    left = chosen.held_out
+    r = found.none.held_out
     columns = [one.column for one in found.scans if one.column is not None]
-    said = cross_fitted(np.stack([found.none.held_out - left, *columns], axis=1), left, found.cell.rows, (RIDGE,))
-    return next(said, np.zeros(len(left)))
+    return foretold(np.stack([r - chosen.held_out, *columns], axis=1), r, found.cell.rows, RIDGES)
 
 
 def shrinks(found: Search, parts: tuple[Squares, ...]) -> tuple[Shrink, ...]:
@@ -169,17 +167,20 @@ def closed_share(before: Array, after: Array, count: Array, rows: int, seed: int
 
 def _foretold_share(sums: Squares, floor: Array, seed: int) -> Closed:
     """The same above what the catalogue does not foretell; None where that it foretells any is within the chance of 2
-    standard errors over blocks.
+    standard errors over blocks, or where the names close twice as much: it goes by one size of each effect, and that
+    of one that limits says little of any other.
 
-    The upper limit is all of it at least: what is foretold of the rest may be the machine's own remainder, which goes
-    with posture and motion on an undisturbed day, too. The lower one is what fitted numbers may be wrong by at most.
+    What is foretold is a little less than there is, and holds what the machine's own remainder shares with an effect:
+    no limit excludes that all is closed, but for what the fitted numbers may be wrong by.
     """
-    gap = sums.foretold
-    if gap.sum() <= 2.0 * np.sqrt(len(gap)) * gap.std(ddof=min(1, len(gap) - 1)):
+    gap, closed = sums.foretold, sums.before - sums.after
+    if gap.sum() <= 2.0 * np.sqrt(len(gap)) * gap.std(ddof=min(1, len(gap) - 1)) or closed.sum() > 2.0 * gap.sum():
         return UNKNOWN
-    closed, low, high = _share(sums.before, sums.after, floor, seed)
+    share, low, high = _share(sums.before, sums.after, floor, seed)
+    if low > TOO_MUCH:
+        return UNKNOWN
     wrong = float(chdtri(max(1, sums.numbers), LIMIT_SHARE)) / float(gap.sum())
-    return closed, min(low, 1.0 - wrong), max(1.0, high)
+    return share, min(low, 1.0 - wrong), max(1.0, high)
 
 
 def _share(before: Array, after: Array, floor: Array, seed: int) -> tuple[float, float, float]:

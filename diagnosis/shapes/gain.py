@@ -1,7 +1,5 @@
 """What a family of columns foretells of a residual where it was not fitted."""
 
-from collections.abc import Iterator
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,29 +24,23 @@ def foretold(columns: Array, r: Array, rows: Rows, ridges: tuple[float, ...] = R
            gain, sum rho(r) - rho(r - B x), that is at least 1.5 standard errors over blocks.
     Args:  columns: (N, k), white as the residual r (N,) is. ridges: a large one foretells more, and less than is there.
     """
-    best, most = np.zeros(len(r)), 0.0
-    for said in cross_fitted(columns, r, rows, ridges):
-        gains = np.bincount(rows.block, weights=costs(r) - costs(r - said))
-        if gains.mean() > MARGIN_SE * gains.std(ddof=1) / np.sqrt(len(gains)) and gains.sum() > most:
-            best, most = said, float(gains.sum())
-    return best
-
-
-def cross_fitted(columns: Array, r: Array, rows: Rows, ridges: tuple[float, ...]) -> Iterator[Array]:
-    """The same for each ridge, whether it gains anything or not; none at all where there is nothing to fit it to."""
-    size = np.sqrt(np.mean(columns**2, axis=0))
+    size, best = np.sqrt(np.mean(columns**2, axis=0)), np.zeros(len(r))
     B = columns[:, size > 0.0] / size[size > 0.0]
     if B.shape[1] == 0 or rows.block.max(initial=0) == 0:  # one block has no others to be foretold from
-        return
+        return best
     w, folds = weights(r), np.unique(rows.fold)
     own = [_normal(B, r, w, rows.fold == fold) for fold in folds]
     H, g = np.sum([part[0] for part in own], axis=0), np.sum([part[1] for part in own], axis=0)
+    most = 0.0
     for ridge in ridges:
         said = np.zeros(len(r))
         for fold, (H_own, g_own) in zip(folds, own, strict=True):
             x = np.linalg.solve(H - H_own + ridge * np.eye(B.shape[1]), g - g_own)
             said[rows.fold == fold] = B[rows.fold == fold] @ x
-        yield said
+        gains = np.bincount(rows.block, weights=costs(r) - costs(r - said))
+        if gains.mean() > MARGIN_SE * gains.std(ddof=1) / np.sqrt(len(gains)) and gains.sum() > most:
+            best, most = said, float(gains.sum())
+    return best
 
 
 def _normal(B: Array, r: Array, w: Array, chosen: NDArray[np.bool_]) -> tuple[Array, Array]:

@@ -26,17 +26,12 @@ def test_a_gap_below_the_noise_is_what_the_catalogue_foretells() -> None:
     assert low < 0.95 < high
 
 
-def test_what_is_foretold_of_the_rest_may_be_the_machines_own() -> None:
-    _, _, _, (share, low, high), _ = closing(sums(gap=4.0, closed=2.0, foretold=4.0))
-    assert share == pytest.approx(0.5, abs=0.05)
-    assert low is not None
-    assert low > 0.3
-    assert high == 1.0
-
-
-def test_a_gap_within_chance_tells_no_share() -> None:
-    made = sums(gap=0.0, closed=0.0, foretold=0.0)
-    assert closing(made)[3] == UNKNOWN
+def test_no_limit_below_the_noise_excludes_that_all_is_closed() -> None:
+    more, less = (closing(sums(gap=4.0, closed=closed, foretold=4.0))[3] for closed in (4.4, 3.2))
+    assert more[0] == pytest.approx(1.1, abs=0.03)
+    assert more[1] == pytest.approx(1.0 - 3.84 / 160.0, abs=0.003)  # a number that is wrong by two of its errors
+    assert less[0] == pytest.approx(0.8, abs=0.03)
+    assert less[2] == pytest.approx(1.0)
 
 
 def test_less_left_than_the_noise_says_that_the_noise_is_smaller() -> None:
@@ -46,6 +41,12 @@ def test_less_left_than_the_noise_says_that_the_noise_is_smaller() -> None:
     assert share == pytest.approx(1.0)
     assert low == pytest.approx(1.0 - 45.0 / 695.0, abs=0.01)  # were there no noise at all
     assert high == pytest.approx(1.005, abs=0.01)
+
+
+def test_names_that_close_far_more_than_is_foretold_tell_no_share() -> None:
+    _, _, _, closed, floor_by = closing(sums(gap=3.0, closed=58.0, foretold=2.0))
+    assert floor_by == "noise"
+    assert closed == UNKNOWN
 
 
 def test_a_gap_that_stands_clear_is_held_against_the_noise() -> None:
