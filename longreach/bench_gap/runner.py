@@ -25,7 +25,7 @@ STAGES = {  # module -> what it imports beforehand
     "longreach.cli": "longreach.diagnose_command",
     "tests.gap_benchmark.judge": "tests.gap_benchmark.judge",
 }
-UNDISTURBED = 18  # recordings for a baseline: three to fit, fifteen to judge, all noise levels
+UNDISTURBED = 36  # recordings: three to fit, the others to judge; fifteen do not tell a wander from chance
 CASE_S = 3600.0  # a process that takes longer is stopped, and its case is run again next time
 BAD_INPUT = 2  # exit code of a recording that the tool will not judge: a refusal, not a crash
 
