@@ -32,6 +32,7 @@ log = logging.getLogger(__name__)
 _WARM_UP_CYCLES = 3
 _EPOCH_RANGE_S = 100_000
 _HEALTH_NS = 5_000 * MS
+_LATE_MS = 250.0  # later than this is told: whoever watched the machine saw it stand still
 _FIFO_PRIORITY = 20  # below the link process, should both run here
 _NICENESS = -10  # where it is allowed: the PLC's cycles before pictures and panels
 _CAMERA_STOP_S = 3.0
@@ -76,8 +77,8 @@ def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callab
         _run_first()
         gc.freeze()
         loop.run(_watched(stopped, loop.health, camera))
-        if loop.health.lost_ms:
-            log.warning("this computer was too slow for real time: %d ms let go in all", loop.health.lost_ms)
+        if loop.health.behind_max_ms > _LATE_MS:
+            log.warning("in all: %s", _too_slow(loop.health))
         log.info("simulated machine stopped: %s", loop.health)
         return loop.health
 
@@ -121,17 +122,22 @@ def _warm_up(world: World) -> None:
     machine.plant.T_base_tcp()
 
 
+def _too_slow(health: LoopHealth) -> str:
+    return f"this computer is too slow for real time: {health.behind_max_ms:.0f} ms late, {health.lost_ms} ms let go"
+
+
 def _watched(stopped: Callable[[], bool], health: LoopHealth, camera: BaseProcess | None) -> Callable[[], bool]:
-    """`stopped`, and on the way a line in the log when time was lost or the camera has died."""
-    told_ms, told_camera, next_ns = 0, False, time.monotonic_ns() + _HEALTH_NS
+    """`stopped`, and on the way a line in the log when the cycles were late or the camera has died."""
+    told, told_camera, next_ns = (_LATE_MS, 0), False, time.monotonic_ns() + _HEALTH_NS
 
     def asked() -> bool:
-        nonlocal told_ms, told_camera, next_ns
+        nonlocal told, told_camera, next_ns
         if time.monotonic_ns() >= next_ns:
             next_ns = time.monotonic_ns() + _HEALTH_NS
-            if health.lost_ms > told_ms:
-                told_ms = health.lost_ms
-                log.warning("this computer is too slow for real time: %d ms let go so far", told_ms)
+            now = (health.behind_max_ms, health.lost_ms)
+            if now[0] > told[0] or now[1] > told[1]:
+                told = now
+                log.warning("%s", _too_slow(health))
             if camera is not None and not camera.is_alive() and not told_camera:
                 told_camera = True
                 log.error("the camera process has ended with code %s; the PLC goes on without it", camera.exitcode)
