@@ -139,7 +139,9 @@ def scan(cell: Cell, candidate: Candidate, none: Fit) -> Scan:
 
 
 def foreseen(candidate: Candidate, thetas: Array, changes: Array, r0: Array) -> Array:
-    """Sizes (at most 2, slots) at which changes (m, N), taken as linear, leave the least of r0 (N,)."""
+    """Further sizes (m, slots): where changes (m, N), taken as linear, leave the least of r0 (N,); of a limit, where it
+    begins to be felt.
+    """
     slots = candidate.slots
     if slots[0].neutral != 0.0:
         return _first_felt(thetas, changes)

@@ -147,11 +147,11 @@ def by_noise(sums: Squares, seed: int = 0) -> Closed:
     gap is closed, but for what is left at the most.
     """
     closed, low, high = closed_share(sums.before, sums.after, sums.noise, sums.rows, seed)
-    left = float(sums.after.sum() / sums.noise.sum())
-    if low is None or left >= 1.0 - FLOOR_SHARE:
+    before, after, noise = (float(one.sum()) for one in (sums.before, sums.after, sums.noise))
+    if low is None or after >= (1.0 - FLOOR_SHARE) * noise:
         return closed, low, high
-    closed, low, high = closed_share(sums.before, sums.after, left * sums.noise, sums.rows, seed)
-    return (closed, min(low, 1.0 - float(sums.after.sum() / sums.before.sum())), high) if low is not None else UNKNOWN
+    closed, low, high = closed_share(sums.before, sums.after, after / noise * sums.noise, sums.rows, seed)
+    return (closed, min(low, 1.0 - after / before), high) if low is not None else UNKNOWN
 
 
 def closed_share(before: Array, after: Array, count: Array, rows: int, seed: int) -> Closed:
