@@ -38,8 +38,8 @@ class StandstillWatch:
     """The second process and what it has noted."""
 
     def __init__(self) -> None:
-        self._notes = Path(tempfile.mkstemp(prefix="standstills-")[1])
-        with self._notes.open("w") as out:
+        with tempfile.NamedTemporaryFile("w", prefix="standstills-", delete=False) as out:
+            self._notes = Path(out.name)
             self._process = subprocess.Popen([sys.executable, "-S", "-c", _WATCH, str(STOOD_S)], stdout=out)
 
     def longest_s(self, since_s: float) -> float:

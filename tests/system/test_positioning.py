@@ -30,24 +30,15 @@ def positioned(folder):
     return finished, told
 
 
-def computer_stood_still(folder):
-    """Whether the simulated PLC lost cycles: a computer that pauses for 250 ms pauses the PLC too, which is a fault."""
-    return "too slow for real time" in (folder / "logs" / "sim.log").read_text()
-
-
 def test_position_ends_inside_tolerance_truly_and_leaves_a_recording(tmp_path):
-    for attempt in range(3):
-        folder = tmp_path / str(attempt)
-        finished, told = positioned(folder)
-        if finished.state == "done" or not computer_stood_still(folder):
-            break
+    finished, told = positioned(tmp_path)
     assert finished.state == "done", finished.reason
     assert finished.result["reached"], finished.result["reason"]
-    last = join_truth(finished.result, read_truth(folder / "truth" / "truth.csv"))[-1]
+    last = join_truth(finished.result, read_truth(tmp_path / "truth" / "truth.csv"))[-1]
     assert max(abs(value) for value in last.true_mm) <= 5.0
     assert last.true_deg <= 1.0
     assert any(event["name"] == "calibrate" for event in told)
-    recordings = list((folder / "runs").glob("*.mcap"))
+    recordings = list((tmp_path / "runs").glob("*.mcap"))
     assert len(recordings) == 1
     run = read_run(recordings[0])
     assert run.complete
