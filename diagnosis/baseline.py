@@ -23,7 +23,7 @@ from diagnosis.shapes.found import shapes_of
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
 from machine.errors import MachineFileError
-from machine.remainder import SHARE_MIN, USUAL_NAME, USUAL_NATS, Remainder, usual_name, usual_shape
+from machine.remainder import SHARE_MIN, USUAL_ENERGY, USUAL_NAME, USUAL_NATS, Remainder, usual_name, usual_shape
 from machine.rotations import Array
 
 EFFECTS_MAX = 9  # in one cell
@@ -323,6 +323,7 @@ def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
         sizes = usual.setdefault((part.stage, part.joint, measurement_of(part)), {})
         for fired in tests_of(part, own, 1):
             sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)
+        sizes[USUAL_ENERGY] = max(sizes.get(USUAL_ENERGY, 0.0), float(np.mean(own**2)))
         drowned = max(part.left_share, SHARE_MIN)  # as `usual_at` reads it
         sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), pattern_nats(part, own) / drowned)
         for one in shapes_of(part, own, 0.0):
@@ -331,13 +332,17 @@ def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
 
 
 def _with_usual(one: Remainder, usual: Usual, days: int) -> Remainder:
-    """A joint keeps its own where enough recordings tell; all joints of a stage the same where few speak for many."""
+    """A joint keeps its own where enough recordings tell; all joints of a stage the same where few speak for many.
+
+    Few do not tell what the most is that is ever left.
+    """
     alike = [
         sizes
         for (stage, joint, on), sizes in usual.items()
         if (stage, on) == (one.stage, one.on) and (joint in (None, one.joint) or days < DAYS_OWN)
     ]
-    names = dict.fromkeys(name for sizes in alike for name in sizes)
+    few = (USUAL_ENERGY,) if days < DAYS_OWN else ()
+    names = dict.fromkeys(name for sizes in alike for name in sizes if name not in few)
     return replace(one, usual=tuple((name, max(sizes.get(name, 0.0) for sizes in alike)) for name in names))
 
 

@@ -8,7 +8,7 @@ from scipy.special import chdtrc, erfc  # scipy.stats takes a second to import
 
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.score import Score
-from machine.remainder import USUAL_NATS
+from machine.remainder import USUAL_ENERGY, USUAL_NATS
 from machine.rotations import Array
 
 LEVEL = 1e-3  # of all tests of a recording together (Bonferroni)
@@ -18,6 +18,8 @@ REMAINDER_VARIES = 1.0  # a swing's energy may be twice as large in one motion a
 ENERGY_MIN = 0.7  # chi2/n beyond 1: a gap of 0.84 floors; a few repeats know the floor to a quarter
 AUTOCORRELATION_MIN = 0.08  # sum of squares over 20 lags, besides what chance and a filter from few repeats give
 AUTOCORRELATION_CHANCE = 60.0  # over the number of rows
+QUIET_MAX = 0.1  # of the floor's energy: an undisturbed stage that never leaves more is quiet
+QUIET_TIMES = 1.5  # the most that it ever left
 EXCESS_MIN = 0.1  # of the noise's own energy: a pattern without more energy than the noise is the filter's error
 CORRELATION_MIN = 0.15
 PEAK_MIN = 0.06  # share of the variance in one period of time or position
@@ -65,7 +67,7 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
         return ()
     n_tests = cells * (4 + len(cell.regressors))
     level = LEVEL / max(n_tests, 1)
-    found = [*_energy(cell, r), *_patterns(cell, r, 1.0)]
+    found = [*_energy(cell, r), *_unrest(cell, r), *_patterns(cell, r, 1.0)]
     usual = dict(cell.usual)
     least, times = (PATTERN_NATS, USUAL_TIMES)
     if usual and cell.stage not in DRIVEN_STAGES:
@@ -108,6 +110,23 @@ def _energy(cell: Cell, r: Array) -> list[Fired]:
     if ratio - 1.0 < ENERGY_MIN + REMAINDER_VARIES * cell.left_share or not cell.floor_known:
         return []
     return [Fired("energy", cell.stage, cell.joint, ratio, float(chdtrc(n, r @ r)), "", 1.0 - 1.0 / ratio)]
+
+
+def _unrest(cell: Cell, r: Array) -> list[Fired]:
+    """More than a quiet stage has ever left on the undisturbed machine, however far below what is believed as floor.
+
+    Why: what a PLC's program does repeats to a rounding, day by day. A floor there says what moves the tip, not what is
+    usual; a command in steps of a tenth of a millimetre is a fault all the same.
+    """
+    most = dict(cell.usual).get(USUAL_ENERGY)
+    if most is None or most > QUIET_MAX or not cell.floor_known:
+        return []
+    ratio, least = float(r @ r) / len(r), QUIET_TIMES * most + cell.quiet
+    if ratio <= least:
+        return []
+    p_value = float(chdtrc(len(r), float(r @ r) / least)) if least > 0.0 else 0.0
+    lead = "is more than the undisturbed machine ever left there"
+    return [Fired("unrest", cell.stage, cell.joint, ratio, p_value, lead, 1.0 - least / ratio)]
 
 
 def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:

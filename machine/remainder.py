@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 STAGES = ("link", "controller", "actuator", "structure", "camera")
 USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern explained, however small
+USUAL_ENERGY = "energy left"  # among the usual tests: the most that a recording left there, mean square in floors
 USUAL_NAME = "name "  # before an effect, among the usual tests: what that name gains there [nats]
 USUAL_SHAPE = "shape "  # before what a remainder may go with, among the usual tests: what it foretells there [nats]
 SHARE_MIN = 0.5  # of the floor: a smaller share tells little of what would be foretold without noise
@@ -43,11 +44,11 @@ class Remainder:
     much scores are divided, since a remainder of form is no white noise. `on`: static, tracker, ooi or tool.
     `by_axis`: of points, sigma radial, tangential, up about the base's upright; of corners, what u and v of all corners
     of a frame share, beside each one's own `sigma`. `swing_rad`: the slew's swing that the points of an instant share.
-    `usual`: tests of a residual that fire on the undisturbed machine, and how large they get there; names that gain
-    more there than others do, and what. `form`: what the model itself is wrong by there, as a function of what drives
-    it (actuator [rad], points [m]): families and the numbers of each; `form_most`: the most that it said
-    of an undisturbed recording, mean square in floors, 0 where that does not matter. `wander`: how
-    far numbers of effects are off from one day to the next, in each one's own unit.
+    `usual`: tests of a residual that fire on the undisturbed machine, and how large they get there; the most energy
+    that a recording left, where many tell; names that gain more there than others do, and what. `form`: what the model
+    itself is wrong by there, as a function of what drives it (actuator [rad], points [m]): families and the numbers of
+    each; `form_most`: the most that it said of an undisturbed recording, mean square in floors, 0 where that does not
+    matter. `wander`: how far numbers of effects are off from one day to the next, in each one's own unit.
     """
 
     stage: str

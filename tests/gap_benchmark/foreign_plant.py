@@ -68,8 +68,13 @@ class ForeignPlant:
         T[2, 3] = own.OOI_AHEAD_M
         return arm_of(faults_of((), 3)).tcp(home) @ own.six_joints().T_tcp_cam_left @ T
 
-    def run(self, faults: Faults, ref: Array, shock: Array, u_given: Array | None = None) -> Course:
-        """Drive it from home along the received reference (m, 3) [rad], a row every 5 ms."""
+    def run(
+        self, faults: Faults, ref: Array, shock: Array, u_given: Array | None = None, near: Array | None = None
+    ) -> Course:
+        """Drive it from home along the received reference (m, 3) [rad], a row every 5 ms; `near` is not kept:
+        Exudyn's state is its own.
+        """
+        del near
         return run(faults, ref, shock, u_given)
 
     def arm(self, faults: Faults) -> ForeignArm:

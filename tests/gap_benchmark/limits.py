@@ -23,6 +23,7 @@ from tests.gap_benchmark.sensitivity import (
     FOUND,
     OF_PLANT,
     Scene,
+    changes,
     driven,
     encoder_signature,
     scene_of,
@@ -83,7 +84,7 @@ def _of_actuators(kind: Kind, levels: list[Scene], rng: np.random.Generator) -> 
     strengths: dict[str, list[list[float]]] = {}
     for size in _sizes(kind):
         effects = tuple(sized(kind, placed(kind, joint, size, rng), size) for joint in joints or (None,))
-        change = driven(scene, faults_of(effects, own.N)).smooth - scene.made.course.smooth
+        change = changes(scene, driven(scene, faults_of(effects, own.N)))
         for level in levels:
             found = encoder_signature(level, change)
             for joint in joints or (None,):

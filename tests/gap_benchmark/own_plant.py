@@ -25,6 +25,7 @@ PLANT_SEED = 7  # the one machine of this benchmark
 GRID = 15
 RESTICK = 0.2  # of the breakaway command (the effect's definition)
 STEPS = 20  # of 0.25 ms in a PLC cycle
+FOLLOWS = 20  # PLC cycles, 0.1 s
 
 
 @cache
@@ -62,6 +63,12 @@ def _bilinear(table: Array, x0: float, dx: float, y0: float, dy: float, x: float
 
 
 @njit(cache=True, error_model="numpy")
+def _reading(q: float, encoder: Array, joint: Array) -> float:
+    reading = q * (1.0 + encoder[1]) + encoder[0] + encoder[2] * np.sin(encoder[3] * q + encoder[4])
+    return reading + joint[f.GEAR] * np.sin(joint[f.GEAR_ORDER] * q)
+
+
+@njit(cache=True, error_model="numpy")
 def _run(
     par,
     state,
@@ -72,6 +79,7 @@ def _run(
     resolution: Array,
     ref: Array,
     u_given: Array,
+    near: Array,
     shock: Array,
     loads: Array,
     grid: Array,
@@ -81,19 +89,21 @@ def _run(
     true_out: Array,
     pressure_out: Array,
 ) -> None:
-    """One row a PLC cycle. `u_given` with rows: those commands instead of the controller's (open loop)."""
+    """One row a PLC cycle. `u_given` with rows: those commands instead of the controller's (open loop); `near` with
+    rows: the joints are set there now and then, and `smooth_out` goes on as if they were not.
+    """
     n, oil, shared = joint.shape[0], par.oil, state.shared
     lagged, u, slow, moving = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    load, wind, opened = np.zeros(n), np.zeros(n), np.zeros(n)
+    load, wind, opened, ahead = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     dt = kernel.STEP_S
     cycle = STEPS * dt
     for k in range(ref.shape[0]):
         for j in range(n):
-            q = state.q[par.motors[j]]
-            e = encoder[j]
-            reading = q * (1.0 + e[1]) + e[0] + e[2] * np.sin(e[3] * q + e[4])
-            reading += joint[j, f.GEAR] * np.sin(joint[j, f.GEAR_ORDER] * q)
-            smooth_out[k, j] = reading
+            reading = _reading(state.q[par.motors[j]], encoder[j], joint[j])
+            smooth_out[k, j] = reading + ahead[j]
+            if near.shape[0] and k % FOLLOWS == FOLLOWS - 1:
+                state.q[par.motors[j]] = near[k, j]
+                ahead[j] += reading - _reading(near[k, j], encoder[j], joint[j])
             reading = np.round(reading / resolution[j]) * resolution[j]
             tau = nominal[j, 1] * (1.0 + joint[j, f.KP_LAG])
             share = 1.0 - np.exp(-cycle / tau) if tau > 0.0 else 1.0
@@ -236,10 +246,13 @@ def true_at(reading: Array, encoder: Array) -> Array:
     return q
 
 
-def run(faults: f.Faults, ref: Array, shock: Array, u_given: Array | None = None) -> Course:
+def run(faults: f.Faults, ref: Array, shock: Array, u_given: Array | None = None, near: Array | None = None) -> Course:
     """Drive the plant from home along the received reference (m, 3) [rad], a row every 5 ms.
 
-    Args: shock: disturbance's innovations (m, 3) [rad/s]. u_given: (m, 3) valve commands for an open-loop run.
+    Args: shock: disturbance's innovations (m, 3) [rad/s]. u_given: (m, 3) valve commands for an open-loop run. near:
+          angles (m, 3) that an open-loop run is set to every 0.1 s, at its own speeds and pressures: left to itself a
+          machine with a fault is a tenth of a radian elsewhere after two minutes, where all joints carry other loads,
+          which tells nothing to whoever knows the measured angles. `smooth` goes on as if nothing had been set.
     """
     machine, n = own.six_joints(), own.N
     encoder = encoder_rows(faults, n)
@@ -251,7 +264,7 @@ def run(faults: f.Faults, ref: Array, shock: Array, u_given: Array | None = None
     grid = np.array([lifts[0], lifts[1] - lifts[0], tilts[0], tilts[1] - tilts[0]])
     m = len(ref)
     out = Course(*(np.zeros((m, columns)) for columns in (n, n, n, N_JOINTS, 2 * n + 1)))
-    given = np.zeros((0, n)) if u_given is None else np.ascontiguousarray(u_given)
+    given, kept_near = (np.zeros((0, n)) if one is None else np.ascontiguousarray(one) for one in (u_given, near))
     _run(
         plant.parameters,
         plant.state,
@@ -262,6 +275,7 @@ def run(faults: f.Faults, ref: Array, shock: Array, u_given: Array | None = None
         resolution,
         np.ascontiguousarray(ref),
         given,
+        kept_near,
         np.ascontiguousarray(shock),
         loads,
         grid,

@@ -64,8 +64,10 @@ class Plant(Protocol):
         """Where the seen object stands (4, 4)."""
         ...
 
-    def run(self, faults: Faults, ref: Array, shock: Array, u_given: Array | None = None) -> own_plant.Course:
-        """Drive it from home along the received reference (m, 3) [rad]."""
+    def run(
+        self, faults: Faults, ref: Array, shock: Array, u_given: Array | None = None, near: Array | None = None
+    ) -> own_plant.Course:
+        """Drive it from home along the received reference (m, 3) [rad], in open loop kept `near` where it can be."""
         ...
 
     def arm(self, faults: Faults) -> Arm:
@@ -118,9 +120,11 @@ class OwnPlant:
         """Where the seen object stands (4, 4)."""
         return own.T_base_ooi()
 
-    def run(self, faults: Faults, ref: Array, shock: Array, u_given: Array | None = None) -> own_plant.Course:
-        """Drive it from home along the received reference (m, 3) [rad]."""
-        return own_plant.run(faults, ref, shock, u_given)
+    def run(
+        self, faults: Faults, ref: Array, shock: Array, u_given: Array | None = None, near: Array | None = None
+    ) -> own_plant.Course:
+        """Drive it from home along the received reference (m, 3) [rad], in open loop kept `near` where it can be."""
+        return own_plant.run(faults, ref, shock, u_given, near)
 
     def arm(self, faults: Faults) -> OwnArm:
         """The arm with the injected effects of the structure."""

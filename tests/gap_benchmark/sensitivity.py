@@ -26,7 +26,7 @@ BLOCK = round(0.05 / own.CYCLE_S)
 LEAST = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # smaller moves the tip by less than 0.1 mm
 FOUND = 24.7  # |s|^2 that is found with 90 % at 2 % false alarms
 OF_PLANT = ("payload_error",)  # the plant itself has to be run again
-Signature = dict[str, Array]
+Signature = dict[str, Array]  # by cell (N,); (2, N) where two draws of the disturbance tell what it does beside chance
 
 
 @dataclass
@@ -38,6 +38,7 @@ class Scene:
     seed: int
     remainders: tuple[Remainder, ...]
     shock: Array  # the disturbance as it was drawn: the same commands and shocks give the same motion again
+    again: own_plant.Course | None = None  # `again_of` once it was asked for
     speed_noise: Array | None = None  # `speed_noise_of` once it was asked for
     plain: dict[str, Array] = field(default_factory=dict)  # what is measured behind the joints, noise-free
     place: list[Array] = field(default_factory=list)  # change of the corners with the object's place
@@ -63,13 +64,24 @@ def scene_of(made: Made, noise: Noise, seed: int, remainders: tuple[Remainder, .
 def speed_noise_of(scene: Scene) -> Array:
     """Autocovariance (ORDER + 1, joints) of the encoders' increments by disturbance: a second run with another."""
     if scene.speed_noise is None:
-        made = scene.made
-        other = np.random.default_rng([scene.seed, 99]).normal(0.0, scene.noise.speed, made.ref.shape)
-        again = made.plant.run(faults_of((), own.N), made.ref, other, made.course.u)
-        apart = (again.enc - made.course.enc) / np.sqrt(2.0)
+        apart = (again_of(scene).enc - scene.made.course.enc) / np.sqrt(2.0)
         steps = np.diff(_means(apart), axis=0)
         scene.speed_noise = np.stack([covariance_of(column) for column in steps.T], axis=1)
     return scene.speed_noise
+
+
+def again_of(scene: Scene) -> own_plant.Course:
+    """The same commands with another disturbance."""
+    if scene.again is None:
+        scene.again = scene.made.plant.run(
+            faults_of((), own.N), scene.made.ref, other_shock(scene), scene.made.course.u
+        )
+    return scene.again
+
+
+def other_shock(scene: Scene) -> Array:
+    """The other disturbance's innovations (m, n)."""
+    return np.random.default_rng([scene.seed, 99]).normal(0.0, scene.noise.speed, scene.made.ref.shape)
 
 
 def _means(values: Array) -> Array:
@@ -94,17 +106,21 @@ def signature(scene: Scene, one: Injected) -> Signature:
 
 def size2(found: Signature) -> float:
     """|s|^2 over all cells."""
-    return float(sum(part @ part for part in found.values()))
+    return max(0.0, sum(_product(part, part) for part in found.values()))
 
 
 def separation(a: Signature, b: Signature) -> float:
     """T: least |a - k b|^2 over the size k."""
-    names = set(a) | set(b)
-    aa, bb, ab = size2(a), size2(b), 0.0
-    for name in names:
-        if name in a and name in b:
-            ab += float(a[name] @ b[name])
+    aa, bb = size2(a), size2(b)
+    ab = sum(_product(a[name], b[name]) for name in set(a) & set(b))
     return aa if bb == 0.0 else max(0.0, aa - ab * ab / bb)
+
+
+def _product(a: Array, b: Array) -> float:
+    """a b, of two draws each by the other's: an effect also shifts when the oil swings, which only somebody who knows
+    the disturbance could foretell. What is so by chance has no part in the product of two draws.
+    """
+    return float(a @ b) if a.ndim == 1 else 0.5 * float(a[0] @ b[1] + a[1] @ b[0])
 
 
 def sized(kind: Kind, shaped: Injected, size: float) -> Injected:
@@ -153,24 +169,32 @@ def _commands(plant: Plant, faults: Faults, ref: Array, enc: Array) -> Array:
 
 
 def _actuator(scene: Scene, faults: Faults) -> Signature:
-    return encoder_signature(scene, driven(scene, faults).smooth - scene.made.course.smooth)
+    return encoder_signature(scene, changes(scene, driven(scene, faults)))
 
 
-def driven(scene: Scene, faults: Faults) -> own_plant.Course:
-    """The same commands and shocks through a plant with faults."""
-    return scene.made.plant.run(faults, scene.made.ref, scene.shock, scene.made.course.u)
+def driven(scene: Scene, faults: Faults) -> tuple[own_plant.Course, own_plant.Course]:
+    """The same commands, with each of two disturbances, through a plant with faults that stays where it was."""
+    made, plains = scene.made, ((scene.shock, scene.made.course), (other_shock(scene), again_of(scene)))
+    first, second = (made.plant.run(faults, made.ref, shock, made.course.u, plain.smooth) for shock, plain in plains)
+    return first, second
+
+
+def changes(scene: Scene, moved: tuple[own_plant.Course, own_plant.Course]) -> Array:
+    """How the encoders (2, m, n) are changed."""
+    plains = (scene.made.course, again_of(scene))
+    return np.stack([one.smooth - plain.smooth for one, plain in zip(moved, plains, strict=True)])
 
 
 def encoder_signature(scene: Scene, change: Array) -> Signature:
-    """A change of the encoders (m, n) under the same commands, in floors."""
-    steps, days = np.diff(_means(change), axis=0), wander_of(scene)
+    """A change of the encoders (2, m, n) under the same commands, in floors."""
+    draws, days = [np.diff(_means(one), axis=0) for one in change], wander_of(scene)
     out: Signature = {}
     for j in range(own.N):
         record = scene.record("actuator", j + 1)
         both = process(record.ar, record.sigma) + speed_noise_of(scene)[:, j]
-        seen = (steps, *(days[name] for name, _ in record.wander))
-        rows, *columns = (filtered(one[:, j], both, LEAST["actuator"]) for one in seen)
-        out[f"actuator {j + 1}"] = beside(rows, columns)
+        seen = (*draws, *(days[name] for name, _ in record.wander))
+        first, second, *columns = (filtered(one[:, j], both, LEAST["actuator"]) for one in seen)
+        out[f"actuator {j + 1}"] = np.stack([beside(row, columns) for row in (first, second)])
     return out
 
 
@@ -185,8 +209,8 @@ def wander_of(scene: Scene) -> dict[str, Array]:
             for name, size in record.wander if record.stage == "actuator" else ():
                 off.setdefault(name, []).append(Injected(name, record.joint, {BY_NAME[name].parameter: size}))
         for name, effects in off.items():
-            moved = driven(scene, faults_of(tuple(effects), own.N)).smooth
-            scene.wander[name] = np.diff(_means(moved - scene.made.course.smooth), axis=0)
+            moved = changes(scene, driven(scene, faults_of(tuple(effects), own.N)))
+            scene.wander[name] = np.diff(_means(moved.mean(axis=0)), axis=0)
     return scene.wander
 
 
@@ -231,9 +255,9 @@ def _by_plant(scene: Scene, faults: Faults) -> Signature:
     moved = driven(scene, faults)
     bent = scene.made.course.tree_q.copy()  # the same encoder readings: where the joints went is theirs to tell
     springs = list(scene.made.plant.springs)
-    bent[:, springs] = moved.tree_q[:, springs]
+    bent[:, springs] = moved[0].tree_q[:, springs]
     second = _measured(scene, faults, bent)
-    driven_too = encoder_signature(scene, moved.smooth - scene.made.course.smooth)
+    driven_too = encoder_signature(scene, changes(scene, moved))
     return {**_in_floors(scene, _plain(scene), second), **driven_too}
 
 

@@ -1,0 +1,64 @@
+"""A stage that leaves nearly nothing on the undisturbed machine: what is below the floor tells there, too."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis_cases import folder, recording
+
+from diagnosis.cells import Cell, Rows
+from diagnosis.left_over import cells_of, with_baseline
+from diagnosis.reading import read
+from diagnosis.refusal import QUIET_TIMES
+from diagnosis.refusal import tests_of as fired_tests
+from machine.effects.layout import neutral_sets
+from machine.remainder import USUAL_ENERGY, Remainder
+
+ROWS = 2000
+SMALL = 0.2 * np.random.default_rng(1).normal(size=ROWS)  # a twenty-fifth of the floor's energy
+
+
+def cell_of(*usual: tuple[str, float], quiet: float = 0.0) -> Cell:
+    zeros = np.zeros(ROWS, dtype=np.int64)
+    return Cell(
+        "link", None, "rad", (), neutral_sets(1), lambda sets: np.zeros((sets.sets, ROWS)), Rows(*4 * [zeros]),
+        np.ones(ROWS), quiet, True, False, (), np.arange(ROWS) * 0.05, usual=usual,
+    )  # fmt: skip
+
+
+def names(cell: Cell, residual: np.ndarray = SMALL) -> set[str]:
+    return {one.test for one in fired_tests(cell, residual, 1)}
+
+
+def test_more_than_a_quiet_stage_has_ever_left_is_a_gap() -> None:
+    assert names(cell_of((USUAL_ENERGY, 1e-3))) == {"unrest"}
+    (one,) = fired_tests(cell_of((USUAL_ENERGY, 1e-3)), SMALL, 1)
+    assert one.lead == "is more than the undisturbed machine ever left there"
+    assert one.share == pytest.approx(1.0 - QUIET_TIMES * 1e-3 / one.size)
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        cell_of(),  # nobody knows what it leaves
+        cell_of((USUAL_ENERGY, 0.03)),  # as much as once before
+        cell_of((USUAL_ENERGY, 0.4)),  # no quiet stage: patterns tell there
+        cell_of((USUAL_ENERGY, 1e-3), quiet=0.05),  # this recording's repeats show that noise
+        replace(cell_of((USUAL_ENERGY, 1e-3)), floor_known=False),
+    ],
+)
+def test_what_is_usual_or_noise_or_not_known_is_none(cell: Cell) -> None:
+    assert names(cell) == set()
+
+
+def test_a_trace_is_none() -> None:
+    assert names(cell_of((USUAL_ENERGY, 1e-12)), 1e-2 * SMALL) == set()
+
+
+def test_a_link_without_noise_is_as_quiet_as_its_repeats(tmp_path: Path) -> None:
+    whole = read(folder(tmp_path, recording(("repeat", "repeat", "steps"), (), 3)))
+    known = tuple(Remainder("link", joint, "", 0.0, 0.0) for joint in (1, 2, 3))
+    link = next(cell for cell in cells_of(with_baseline(whole, (), known)) if cell.stage == "link")
+    assert link.floor_known
+    assert link.quiet < 0.01
