@@ -12,13 +12,13 @@ from diagnosis.nominal import nominal_of
 from machine.effects.entries import make_entry, pack
 from machine.effects.registry import NAMES, effect_named
 from machine.effects.structure import link_poses, tcp_poses
-from tests.gap_benchmark import behind, link, motion, recorded
+from tests.gap_benchmark import behind, link, motion, own_plant, recorded
 from tests.gap_benchmark import nominal_own as own
 from tests.gap_benchmark.arm_effects import ARM_EFFECTS
 from tests.gap_benchmark.cases import BLOCK, draw, mix_of
 from tests.gap_benchmark.faults import FOREIGN, Injected, faults_of
 from tests.gap_benchmark.judge import Equal, SealError, judged, opened
-from tests.gap_benchmark.limits import key
+from tests.gap_benchmark.limits import key, no_easier_beside_noise
 from tests.gap_benchmark.scales import KINDS, NOT_JUDGED
 from tests.gap_benchmark.sensitivity import separation, size2
 
@@ -118,6 +118,38 @@ def test_separation_is_what_the_other_effect_cannot_take_up() -> None:
     assert separation(a, b) == pytest.approx(16.0)
     assert separation(a, {"y": np.array([1.0])}) == pytest.approx(25.0)
     assert separation(a, a) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_what_an_effect_does_by_chance_is_not_counted() -> None:
+    rng = np.random.default_rng(1)
+    steady, swing = np.full(4000, 0.05), rng.normal(0.0, 0.5, (2, 4000))
+    draws = {"x": steady + swing}
+    assert size2({"x": steady}) == pytest.approx(10.0)
+    assert draws["x"][0] @ draws["x"][0] > 900.0
+    assert size2(draws) == pytest.approx(10.0, abs=20.0)
+    assert size2({"x": np.array([[1.0, 0.0], [-1.0, 0.0]])}) == 0.0
+    assert separation({"x": np.stack([steady, steady])}, {"x": np.stack([steady, steady])}) == pytest.approx(0.0)
+
+
+def test_a_faulty_machine_is_kept_where_the_other_one_is() -> None:
+    seconds = np.arange(0.0, 4.0, own.CYCLE_S)
+    ref = own.HOME_RAD + np.outer(0.15 * (1.0 - np.cos(1.5 * seconds)), [1.0, 1.0, -1.0])
+    shock = np.zeros_like(ref)
+    plain = own_plant.run(faults_of((), own.N), ref, shock)
+    fast = faults_of((Injected("flow_gain_error", 2, {"gain_frac": 0.1}),), own.N)
+    free, kept = (own_plant.run(fast, ref, shock, plain.u, near) for near in (None, plain.smooth))
+    ahead = kept.smooth - plain.smooth
+    assert np.abs(ahead[:, 1]).max() > 0.01  # goes on as if nothing had been set
+    assert np.abs(kept.tree_q - plain.tree_q).max() < 0.2 * np.abs(free.tree_q - plain.tree_q).max()
+    assert np.abs(ahead[:, ::2]).max() < 0.1 * np.abs(ahead[:, 1]).max()
+    same = own_plant.run(faults_of((), own.N), ref, shock, plain.u, plain.smooth)
+    np.testing.assert_array_equal(same.smooth, plain.smooth)
+
+
+def test_no_limit_is_larger_beside_less_noise() -> None:
+    assert no_easier_beside_noise([0.7, 0.3, 0.4]) == [0.3, 0.3, 0.4]
+    assert no_easier_beside_noise([0.1, 0.2, None]) == [0.1, 0.2, None]
+    assert no_easier_beside_noise([None, 0.2, 0.3]) == [0.2, 0.2, 0.3]
 
 
 def answered(verdict: str, *names: tuple[str, int | None]) -> dict:
