@@ -99,7 +99,8 @@ def _plain(fit: Fit, at: int, count: int) -> tuple[Interval, ...]:
 
 
 def _number(number: Interval, unit: str) -> dict[str, Any]:
-    return {"value": _round(number.value), "unit": unit, "low": _round(number.low), "high": _round(number.high)}
+    low, high = _round_outward(number.low, -1), _round_outward(number.high, 1)
+    return {"value": _round(number.value), "unit": unit, "low": low, "high": high}
 
 
 def _vector(name: str, unit: str, direction: str, numbers: tuple[Interval, ...]) -> dict[str, Any]:
@@ -107,8 +108,9 @@ def _vector(name: str, unit: str, direction: str, numbers: tuple[Interval, ...])
     half = max(0.5 * (one.high - one.low) for one in numbers)
     size = float(np.linalg.norm(vector))
     along = (vector / size).tolist() if size > 0.0 else vector.tolist()
+    low, high = _round_outward(max(0.0, size - half), -1), _round_outward(size + half, 1)
     return {
-        name: {"value": _round(size), "unit": unit, "low": _round(max(0.0, size - half)), "high": _round(size + half)},
+        name: {"value": _round(size), "unit": unit, "low": low, "high": high},
         direction: {"value": [_round(x) for x in along], "unit": "1", "low": None, "high": None},
     }
 
@@ -284,3 +286,12 @@ def _searched(one: CellAnswer) -> dict[str, Any]:
 def _round(value: float | None) -> float | None:
     """Six digits; None for what is not a finite number."""
     return float(f"{value:.6g}") if value is not None and np.isfinite(value) else None
+
+
+def _round_outward(limit: float, side: int) -> float | None:
+    """Six digits, down (side -1) or up (+1): a step that is known to a millionth is not outside its limits by them."""
+    rounded = _round(limit)
+    if rounded is None or (rounded - limit) * side >= 0.0:
+        return rounded
+    digit = 10.0 ** (np.floor(np.log10(abs(limit))) - 5.0)
+    return _round(rounded + side * digit)

@@ -12,7 +12,7 @@ from diagnosis.known import with_known
 from diagnosis.limits import Interval, Limit, detection_limit, intervals
 from diagnosis.localise import Localisation, localise
 from diagnosis.reading import Read
-from diagnosis.refusal import Fired, remainder
+from diagnosis.refusal import UNREST, Fired, remainder
 from diagnosis.replay import replayer_of
 from diagnosis.score import Score
 from diagnosis.search import Search, search, searched_again
@@ -101,7 +101,9 @@ def _evidence(answers: tuple[CellAnswer, ...]) -> dict[str, float]:
         for (part, before), (_, after) in zip(cell.by_part(none), cell.by_part(chosen), strict=True):
             gained = 0.5 * float(before @ before - after @ after) if one.chosen.fit.hypothesis else 0.0
             left = 0.5 * float(after @ after - len(after)) if part.stage in told else 0.0
-            out[part.stage] = out.get(part.stage, 0.0) + max(gained, 0.0) + max(left, 0.0)
+            unrest = [fired.share for fired in one.fired if (fired.test, fired.stage) == (UNREST, part.stage)]
+            left = max(left, 0.5 * max(unrest, default=0.0) * float(after @ after))
+            out[part.stage] = out.get(part.stage, 0.0) + max(gained, 0.0) + left
         shaped: dict[str, float] = {}
         for fired in one.fired:
             if fired.test == SHAPE:

@@ -18,6 +18,7 @@ REMAINDER_VARIES = 1.0  # a swing's energy may be twice as large in one motion a
 ENERGY_MIN = 0.7  # chi2/n beyond 1: a gap of 0.84 floors; a few repeats know the floor to a quarter
 AUTOCORRELATION_MIN = 0.08  # sum of squares over 20 lags, besides what chance and a filter from few repeats give
 AUTOCORRELATION_CHANCE = 60.0  # over the number of rows
+UNREST = "unrest"
 QUIET_MAX = 0.1  # of the floor's energy: an undisturbed stage that never leaves more is quiet
 QUIET_TIMES = 1.5  # the most that it ever left
 EXCESS_MIN = 0.1  # of the noise's own energy: a pattern without more energy than the noise is the filter's error
@@ -126,7 +127,7 @@ def _unrest(cell: Cell, r: Array) -> list[Fired]:
         return []
     p_value = float(chdtrc(len(r), float(r @ r) / least)) if least > 0.0 else 0.0
     lead = "is more than the undisturbed machine ever left there"
-    return [Fired("unrest", cell.stage, cell.joint, ratio, p_value, lead, 1.0 - least / ratio)]
+    return [Fired(UNREST, cell.stage, cell.joint, ratio, p_value, lead, 1.0 - least / ratio)]
 
 
 def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:

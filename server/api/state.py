@@ -7,7 +7,7 @@ from fastapi.responses import JSONResponse, Response
 
 from server.api.problems import problem
 from server.api.state_cache import StateCache
-from server.api.state_view import state_view
+from server.api.state_view import CAMERA_SILENT_MS, state_view
 from server.api.views import Problem, StateView, View
 from server.jobs.service import JobService
 
@@ -58,11 +58,21 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
         """Whether a job could start now; 503 with the reasons when not."""
         view = state_view(service.cell, service.engine, service.context)
         reasons = [reason for reason in [view.steps["look"]] if reason]
-        if view.camera.age_ms is None or view.camera.age_ms > 1000.0:
-            reasons.append("the camera gives no images: check its cable and [camera] settings")
+        if (camera := camera_reason(view.camera.age_ms)) is not None:
+            reasons.append(camera)
         if service.keeper is not None and service.keeper.problem:
             reasons.append(f"nothing can be written down: {service.keeper.problem}")
         told = ReadyView(ready=not reasons, reasons=reasons)
         return JSONResponse(told.model_dump(), status_code=503 if reasons else 200)
 
     return router
+
+
+def camera_reason(age_ms: float | None) -> str | None:
+    """Why no look could be taken with a newest picture of this age [ms]; None: it could."""
+    if age_ms is None:
+        return "the camera gives no images: check its cable and [camera] settings"
+    if age_ms > CAMERA_SILENT_MS:
+        old = f"{age_ms / 1e3:.1f} s old (limit {CAMERA_SILENT_MS / 1e3:.1f} s)"
+        return f"the camera's newest image is {old}: check its cable, its rate and how busy its computer is"
+    return None

@@ -11,7 +11,7 @@ from fastapi import FastAPI
 from machine.chain import chain_of
 from server.api.jobs import jobs_router
 from server.api.problems import install_problem_handlers
-from server.api.state import state_router
+from server.api.state import camera_reason, state_router
 from server.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
@@ -128,6 +128,13 @@ async def test_readiness_names_its_reasons(client, service):
     assert answer.status_code == 503
     assert "PLC does not answer" in answer.json()["reasons"][0]
     assert "camera gives no images" in answer.json()["reasons"][1]
+
+
+def test_an_old_picture_is_told_with_its_age():
+    assert camera_reason(999.0) is None
+    assert camera_reason(2300.0) == (
+        "the camera's newest image is 2.3 s old (limit 1.0 s): check its cable, its rate and how busy its computer is"
+    )
 
 
 @pytest.mark.parametrize(

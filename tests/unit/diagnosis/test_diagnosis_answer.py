@@ -8,8 +8,9 @@ import pytest
 from foreign_plant import Fault, write
 from typer.testing import CliRunner
 
-from diagnosis.answer import answer
+from diagnosis.answer import _number, answer
 from diagnosis.diagnose import Diagnosis, diagnose
+from diagnosis.limits import Interval
 from diagnosis.reading import read
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
@@ -43,6 +44,13 @@ def diagnosed(tmp_path: Path, fault: Fault, seed: int = 3, **options) -> tuple[D
 
 def names(result: dict) -> list[tuple[str, int | None]]:
     return [(one["name"], one["joint"]) for one in result["hypotheses"][0]["effects"]]
+
+
+@pytest.mark.parametrize("limit", [0.00123456789, -0.00123456789, 123456.7, 0.99999999, -5e-9, 0.0])
+def test_a_printed_limit_leaves_nothing_out(limit: float) -> None:
+    low, high = _number(Interval(limit, limit, limit), "1")["low"], _number(Interval(limit, limit, limit), "1")["high"]
+    assert low <= limit <= high
+    assert high - low <= 1.01e-5 * abs(limit)
 
 
 def test_nothing_is_found_where_nothing_is_wrong(tmp_path: Path) -> None:
