@@ -16,7 +16,7 @@ from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
 from diagnosis.form import TOGETHER_MIN
 from diagnosis.left_over import cells_of, forms_of, remainders_of, with_baseline, with_mosts, with_wanders
 from diagnosis.reading import Read
-from diagnosis.refusal import key_of, pattern_nats, tests_of
+from diagnosis.refusal import key_of, pattern_nats, steady_energy, tests_of
 from diagnosis.score import Score, better, numbers_of, score
 from diagnosis.search import FELT, Scan, Search, foreseen, scan, search
 from diagnosis.shapes.found import shapes_of
@@ -323,7 +323,7 @@ def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
         sizes = usual.setdefault((part.stage, part.joint, measurement_of(part)), {})
         for fired in tests_of(part, own, 1):
             sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)
-        sizes[USUAL_ENERGY] = max(sizes.get(USUAL_ENERGY, 0.0), float(np.mean(own**2)))
+        sizes[USUAL_ENERGY] = max(sizes.get(USUAL_ENERGY, 0.0), steady_energy(part, own))
         drowned = max(part.left_share, SHARE_MIN)  # as `usual_at` reads it
         sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), pattern_nats(part, own) / drowned)
         for one in shapes_of(part, own, 0.0):

@@ -21,8 +21,9 @@ SMALL = 0.2 * np.random.default_rng(1).normal(size=ROWS)  # a twenty-fifth of th
 
 def cell_of(*usual: tuple[str, float], quiet: float = 0.0) -> Cell:
     zeros = np.zeros(ROWS, dtype=np.int64)
+    rows = Rows(zeros, np.arange(ROWS) // 100, zeros, zeros)
     return Cell(
-        "link", None, "rad", (), neutral_sets(1), lambda sets: np.zeros((sets.sets, ROWS)), Rows(*4 * [zeros]),
+        "link", None, "rad", (), neutral_sets(1), lambda sets: np.zeros((sets.sets, ROWS)), rows,
         np.ones(ROWS), quiet, True, False, (), np.arange(ROWS) * 0.05, usual=usual,
     )  # fmt: skip
 
@@ -50,6 +51,14 @@ def test_more_than_a_quiet_stage_has_ever_left_is_a_gap() -> None:
 )
 def test_what_is_usual_or_noise_or_not_known_is_none(cell: Cell) -> None:
     assert names(cell) == set()
+
+
+def test_what_happens_once_is_no_unrest() -> None:
+    once = np.zeros(ROWS)
+    once[300:305] = 5.0
+    assert "unrest" not in names(cell_of((USUAL_ENERGY, 1e-3)), once)
+    once[900:905] = 5.0
+    assert "unrest" in names(cell_of((USUAL_ENERGY, 1e-3)), once)
 
 
 def test_a_trace_is_none() -> None:
