@@ -341,8 +341,8 @@ def _with_usual(one: Remainder, usual: Usual, days: int) -> Remainder:
         for (stage, joint, on), sizes in usual.items()
         if (stage, on) == (one.stage, one.on) and (joint in (None, one.joint) or days < DAYS_OWN)
     ]
-    few = (USUAL_ENERGY,) if days < DAYS_OWN else ()
-    names = dict.fromkeys(name for sizes in alike for name in sizes if name not in few)
+    told = (name for sizes in alike for name in sizes if name != USUAL_ENERGY or days >= DAYS_OWN)
+    names = dict.fromkeys(told)
     return replace(one, usual=tuple((name, max(sizes.get(name, 0.0) for sizes in alike)) for name in names))
 
 

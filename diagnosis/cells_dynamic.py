@@ -195,7 +195,7 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: 
         stand_ins = [floor_without_repeats(one, dt) for one in known.values()]
         sigma = np.median([one.whitener.sigma for one in stand_ins], axis=0)
         floor = replace(stand_ins[0], whitener=Whitener(np.zeros((0, len(sigma))), sigma), increment_rms=sigma)
-    least, alone = _smallest(stage, prepared), floor.whitener.sigma
+    least = _smallest(stage, prepared)
     floor = _not_below(floor, least)
     records = [replayer.nominal.remainder(stage, j + 1) for j in range(replayer.nominal.n)]
     if not any(records):
@@ -206,10 +206,8 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: 
             ar[: len(one.ar), j] = one.ar
     sigma, rms = (np.array([getattr(one, name) if one else 0.0 for one in records]) for name in ("sigma", "rms"))
     both = with_remainder(floor, steps, ar, sigma, rms)
-    known = np.array([one is not None for one in records])
     believed = _not_below(both, least)
-    seen = np.where(sigma > 0.0, believed.rms, np.minimum(1.0, alone / believed.whitener.sigma))
-    return replace(believed, rms=np.where(known, seen, both.rms))  # no noise, no remainder: the floor is a belief only
+    return replace(believed, rms=np.where(sigma > 0.0, believed.rms, both.rms))  # no remainder: as the repeats show
 
 
 def _smallest(stage: str, prepared: list[Prepared]) -> Array:

@@ -3,10 +3,9 @@
 import time
 from typing import Literal
 
+from server.api.state_view import CAMERA_SILENT_MS
 from server.api.views import View
 from server.jobs.service import JobService
-
-CAMERA_SILENT_MS = 1000.0
 
 
 class FaultView(View):

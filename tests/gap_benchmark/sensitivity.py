@@ -38,7 +38,7 @@ class Scene:
     seed: int
     remainders: tuple[Remainder, ...]
     shock: Array  # the disturbance as it was drawn: the same commands and shocks give the same motion again
-    again: own_plant.Course | None = None  # `again_of` once it was asked for
+    again: tuple[Array, own_plant.Course] | None = None  # `again_of` once it was asked for
     speed_noise: Array | None = None  # `speed_noise_of` once it was asked for
     plain: dict[str, Array] = field(default_factory=dict)  # what is measured behind the joints, noise-free
     place: list[Array] = field(default_factory=list)  # change of the corners with the object's place
@@ -64,24 +64,19 @@ def scene_of(made: Made, noise: Noise, seed: int, remainders: tuple[Remainder, .
 def speed_noise_of(scene: Scene) -> Array:
     """Autocovariance (ORDER + 1, joints) of the encoders' increments by disturbance: a second run with another."""
     if scene.speed_noise is None:
-        apart = (again_of(scene).enc - scene.made.course.enc) / np.sqrt(2.0)
+        apart = (again_of(scene)[1].enc - scene.made.course.enc) / np.sqrt(2.0)
         steps = np.diff(_means(apart), axis=0)
         scene.speed_noise = np.stack([covariance_of(column) for column in steps.T], axis=1)
     return scene.speed_noise
 
 
-def again_of(scene: Scene) -> own_plant.Course:
-    """The same commands with another disturbance."""
+def again_of(scene: Scene) -> tuple[Array, own_plant.Course]:
+    """Another disturbance's innovations (m, n), and the same commands with it."""
     if scene.again is None:
-        scene.again = scene.made.plant.run(
-            faults_of((), own.N), scene.made.ref, other_shock(scene), scene.made.course.u
-        )
+        made = scene.made
+        shock = np.random.default_rng([scene.seed, 99]).normal(0.0, scene.noise.speed, made.ref.shape)
+        scene.again = shock, made.plant.run(faults_of((), own.N), made.ref, shock, made.course.u)
     return scene.again
-
-
-def other_shock(scene: Scene) -> Array:
-    """The other disturbance's innovations (m, n)."""
-    return np.random.default_rng([scene.seed, 99]).normal(0.0, scene.noise.speed, scene.made.ref.shape)
 
 
 def _means(values: Array) -> Array:
@@ -172,17 +167,23 @@ def _actuator(scene: Scene, faults: Faults) -> Signature:
     return encoder_signature(scene, changes(scene, driven(scene, faults)))
 
 
+def _draws(scene: Scene) -> tuple[tuple[Array, own_plant.Course], tuple[Array, own_plant.Course]]:
+    """Two disturbances, each with what the machine without faults did in it."""
+    return (scene.shock, scene.made.course), again_of(scene)
+
+
 def driven(scene: Scene, faults: Faults) -> tuple[own_plant.Course, own_plant.Course]:
     """The same commands, with each of two disturbances, through a plant with faults that stays where it was."""
-    made, plains = scene.made, ((scene.shock, scene.made.course), (other_shock(scene), again_of(scene)))
-    first, second = (made.plant.run(faults, made.ref, shock, made.course.u, plain.smooth) for shock, plain in plains)
+    made = scene.made
+    first, second = (
+        made.plant.run(faults, made.ref, shock, made.course.u, plain.smooth) for shock, plain in _draws(scene)
+    )
     return first, second
 
 
 def changes(scene: Scene, moved: tuple[own_plant.Course, own_plant.Course]) -> Array:
     """How the encoders (2, m, n) are changed."""
-    plains = (scene.made.course, again_of(scene))
-    return np.stack([one.smooth - plain.smooth for one, plain in zip(moved, plains, strict=True)])
+    return np.stack([one.smooth - plain.smooth for one, (_, plain) in zip(moved, _draws(scene), strict=True)])
 
 
 def encoder_signature(scene: Scene, change: Array) -> Signature:
