@@ -59,17 +59,17 @@ def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callab
         udp = _udp_port(settings)
         cleanup.callback(udp.close)
         _warm_up(world)
-        feed = PoseFeed.create(offset_ns)
-        cleanup.callback(feed.close)
         machine = MachineLoop(
             world, framing, _cycle_start(offset_ns), lambda: secrets.randbits(32), panel, settings.key, settings.dry_run
         )
-        machine.feed = feed
         if settings.truth_log is not None:
             machine.truth = TruthLog(settings.truth_log, world, settings.stand_off_m)
             cleanup.callback(machine.truth.close)
-        camera = _start_camera(world, feed, settings) if settings.camera else None
-        if camera is not None:
+        camera = None
+        if settings.camera:  # without one nobody reads the poses, which cost a sixth of a cycle
+            machine.feed = PoseFeed.create(offset_ns)
+            cleanup.callback(machine.feed.close)
+            camera = _start_camera(world, machine.feed, settings)
             cleanup.callback(_end_camera, camera)
         log.info("PLC ready on udp %s:%d (%s framing)", *udp.address, settings.framing)
         machine.t_plc_ns = _cycle_start(offset_ns)

@@ -86,7 +86,7 @@ def verdict_of(blocks: Sequence[Block], readers: int) -> Verdict:
     worst = max(latencies, default=0)
     late = percentiles([float(us if us >= 0 else max(worst, 10_000_000)) for us in latencies])
     rate = _rate(loaded)
-    rate_quiet, replayed = _rate(quiet), max((block.replay_hz for block in blocks), default=0.0)
+    rate_quiet, replayed = _rate(quiet), _replayed(loaded)
     return Verdict(
         blocks=len(loaded),
         questions=len(latencies),
@@ -104,6 +104,10 @@ def verdict_of(blocks: Sequence[Block], readers: int) -> Verdict:
         readers_lost=sum(readers - block.readers_at_end for block in loaded),
         events=sum(block.events for block in loaded),
     )
+
+
+def _replayed(blocks: Sequence[Block]) -> float:
+    return sum(b.replay_hz * b.seconds for b in blocks) / sum(b.seconds for b in blocks) if blocks else 0.0
 
 
 def _rate(blocks: Sequence[Block]) -> float:

@@ -87,7 +87,6 @@ def run_rate(machine: Machine, pairs: PairsInMemory, n: int, paced: bool, on_pai
         reports.append(whole(frame, dropped))
         latencies_ms.append((time.perf_counter() - due_s) * 1e3)
     took_s, cpu_s = time.perf_counter() - started_s, time.process_time() - cpu_s
-    pipeline.close()
     return _figures(reports, latencies_ms, took_s, cpu_s, dropped, times)
 
 

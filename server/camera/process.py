@@ -3,6 +3,7 @@
 It ends when it is told to, or when the server's end of the pipe is gone.
 """
 
+import gc
 import logging
 import signal
 import time
@@ -26,7 +27,7 @@ from server.camera.contracts import (
 from server.camera.errors import CameraError
 from server.camera.health import ImageHealth
 from server.camera.pipeline import Odometry, VisionPipeline
-from server.camera.sources.opening import open_source
+from server.camera.sources.opening import open_ahead
 from server.vision.contracts import ObjectPoseSource
 
 WARM_UP_STEP_NS = 66_000_000
@@ -74,17 +75,18 @@ def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> 
     cv2.setNumThreads(settings.threads)
     try:
         pipeline = build_pipeline(settings, machine)
-        source = open_source(settings.source)
+        source = open_ahead(settings.source)
     except CameraError as error:
         _tell_and_wait(pipe, str(error))
         return
+    gc.collect()
+    gc.freeze()  # what exists now stays; later collections are short
     try:
         VisionLoop(pipe, source, pipeline).run()
     except (EOFError, BrokenPipeError, ConnectionResetError):
         _log.info("the server is gone; vision ends")
     finally:
         source.close()
-        pipeline.close()
 
 
 def _tell_and_wait(pipe: Connection, text: str) -> None:

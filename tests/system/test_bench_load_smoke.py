@@ -12,7 +12,7 @@ from rest_stand import served
 
 from longreach.bench_load.block import Block, block_from, verdict_of
 from longreach.bench_load.clients import ClientProcess, Demand, demand
-from longreach.bench_load.command import line, summary
+from longreach.bench_load.command import held, line, summary
 from longreach.bench_load.http_client import Connection
 
 pytestmark = pytest.mark.system
@@ -120,3 +120,7 @@ def test_each_limit_can_be_missed(changed):
     verdict = verdict_of([QUIET, a_block(**(base | changed))], readers=50)
     assert not verdict.holds
     assert "DOES NOT HOLD" in summary(verdict)
+
+
+def test_the_rate_replayed_is_one_that_a_camera_has():
+    assert [held(rate) for rate in (70.0, 43.4, 30.0, 29.9, 15.0, 9.0)] == [60.0, 30.0, 30.0, 15.0, 15.0, 15.0]

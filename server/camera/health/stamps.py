@@ -26,7 +26,7 @@ class StampMonitor:
 
     def _forget(self) -> None:
         self._before: StereoFrame | None = None
-        self._steps_ns: deque[int] = deque(maxlen=WINDOW)
+        self._periods_ns: deque[int] = deque(maxlen=WINDOW)
         self._offsets_ns: deque[int] = deque(maxlen=WINDOW)
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
@@ -39,7 +39,7 @@ class StampMonitor:
         finding = self._step(before, frame)
         arrival = self._arrival(frame) if finding is None else None
         if finding is None and arrival is None:
-            self._learn(frame, frame.t_exposure_ns - before.t_exposure_ns)
+            self._learn(frame, (frame.t_exposure_ns - before.t_exposure_ns) // _periods(before, frame))
             return ()
         moved_ns = frame.t_exposure_ns - before.t_exposure_ns
         if finding is not None and finding.code is FaultCode.STAMP_STANDS:
@@ -50,11 +50,11 @@ class StampMonitor:
         found = finding or arrival
         return () if found is None else (found,)
 
-    def _learn(self, frame: StereoFrame, step_ns: int | None) -> None:
+    def _learn(self, frame: StereoFrame, period_ns: int | None) -> None:
         self._before = frame
         self._offsets_ns.append(frame.t_receive_mono_ns - frame.t_exposure_ns)
-        if step_ns is not None:
-            self._steps_ns.append(step_ns)
+        if period_ns is not None:
+            self._periods_ns.append(period_ns)
 
     def _step(self, before: StereoFrame, frame: StereoFrame) -> Finding | None:
         step_ns = frame.t_exposure_ns - before.t_exposure_ns
@@ -64,9 +64,10 @@ class StampMonitor:
         if step_ns < 0:
             text = f"camera stamps run backwards by {-step_ns / 1e6:.1f} ms; its clock was set: restart the stream"
             return Finding(FaultCode.STAMP_BACKWARDS, text)
-        if len(self._steps_ns) < PERIOD_KNOWN_FROM:
+        if len(self._periods_ns) < PERIOD_KNOWN_FROM:
             return None
-        usual_ns = sorted(self._steps_ns)[len(self._steps_ns) // 2]
+        usual_ns = sorted(self._periods_ns)[len(self._periods_ns) // 2]
+        usual_ns *= _periods(before, frame)
         if step_ns < PERIOD_MIN_FRAC * usual_ns:
             text = (
                 f"camera stamps jumped: a step of {step_ns / 1e6:.1f} ms where {usual_ns / 1e6:.1f} ms are usual "
@@ -96,6 +97,11 @@ class StampMonitor:
             )
             return Finding(FaultCode.STAMP_JUMPED, text)
         return None
+
+
+def _periods(before: StereoFrame, frame: StereoFrame) -> int:
+    """Exposures from one to the other, those passed over counted; 1 for a camera whose count does not go on."""
+    return max(1, frame.sequence - before.sequence)
 
 
 def eyes_apart(left_ns: int, right_ns: int) -> tuple[Finding, ...]:

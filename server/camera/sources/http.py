@@ -30,6 +30,7 @@ _log = logging.getLogger(__name__)
 @dataclass(frozen=True, slots=True)
 class _Received:
     part: Part
+    number: int  # of all that arrived, for a camera that does not count
     connection: int
 
 
@@ -78,13 +79,12 @@ class HttpStereoSource:
             self._bad_pictures += 1
             self._state = f"camera {self._url}: {error} ({self._bad_pictures} so far)"
             return None
-        self._counted += 1
         return StereoFrame(
             left=left,
             right=right,
             t_exposure_ns=part.t_header_ns if part.t_exposure_ns is None else part.t_exposure_ns,
             t_receive_mono_ns=part.t_header_ns,
-            sequence=self._counted if part.sequence is None else part.sequence,
+            sequence=received.number if part.sequence is None else part.sequence,
             connection=received.connection,
         )
 
@@ -139,5 +139,6 @@ class HttpStereoSource:
             for part in parser.feed(data, time.monotonic_ns()):
                 any_part = True
                 self._state = ""
-                self._newest.put(_Received(part, self._connection))
+                self._counted += 1
+                self._newest.put(_Received(part, self._counted, self._connection))
         return any_part

@@ -1,6 +1,7 @@
 """From settings to a source."""
 
 from server.camera.contracts import StereoSource
+from server.camera.sources.ahead import AheadSource
 from server.camera.sources.device import DeviceStereoSource
 from server.camera.sources.euroc import EurocStereoSource
 from server.camera.sources.folder import FolderStereoSource
@@ -44,3 +45,13 @@ def open_source(settings: SourceSettings) -> StereoSource:
             return EurocStereoSource(settings)
         case RecordingSource():
             return RecordingStereoSource(settings)
+
+
+def open_ahead(settings: SourceSettings) -> StereoSource:
+    """The same, a camera's next pair decoded while the one before is worked on; stored pairs wait until asked for.
+
+    Raises: CameraError as open_source.
+    """
+    source = open_source(settings)
+    camera = settings.source if isinstance(settings, RectifiedSource) else settings
+    return AheadSource(source) if isinstance(camera, HttpSource | DeviceSource | RtspSource) else source

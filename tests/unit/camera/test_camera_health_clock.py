@@ -44,6 +44,21 @@ def test_sick_images_are_named(sick: StereoFrame, text: str) -> None:
     assert text in "; ".join(health.check(sick))
 
 
+@pytest.mark.parametrize("wide", [3, 7])
+def test_a_worker_that_catches_up_is_no_clock_that_jumps(wide: int) -> None:
+    health = ImageHealth()
+    numbers = [*range(0, 20 * wide, wide), *range(20 * wide, 20 * wide + 20)]
+    assert [health.check(frame(number)) for number in numbers] == [()] * 40
+
+
+def test_a_clock_that_jumps_is_found_while_pairs_are_passed_over() -> None:
+    health = ImageHealth()
+    for number in range(0, 60, 3):
+        health.check(frame(number))
+    back = replace(frame(60), t_exposure_ns=58 * 66 * MS)
+    assert "stamps jumped: a step of 66.0 ms where 198.0 ms are usual" in "; ".join(health.check(back))
+
+
 def test_a_new_connection_may_have_a_new_clock() -> None:
     health = ImageHealth()
     health.check(frame(9))
