@@ -11,7 +11,7 @@ from rich.table import Table
 
 from longreach.bench_gap import figures
 from longreach.bench_gap.calibrate import calibrated, fit, restated
-from longreach.bench_gap.runner import PLANTS, ROOT, Campaign, CampaignError, run_campaign, scores
+from longreach.bench_gap.runner import PLANTS, ROOT, Campaign, CampaignError, pack, run_campaign, scores
 from longreach.bench_machines.command import told
 
 console = Console(width=170)
@@ -30,6 +30,9 @@ def gap(
         bool, typer.Option("--calibrate", help="fit the probabilities' numbers on what is on file (seeds below 100)")
     ] = False,
     only_tell: Annotated[bool, typer.Option("--tell", help="run nothing, tell what is on file")] = False,
+    packed: Annotated[
+        bool, typer.Option("--pack", help="write the scores on file as one, which another computer goes on from")
+    ] = False,
     folder: Annotated[Path, typer.Option(help="where every case is saved")] = Path("runs/bench-gap"),
 ) -> None:
     """Blind cases of the gap diagnosis: names, refusals, probabilities, limits and shrink against sealed truths."""
@@ -40,25 +43,29 @@ def gap(
             f"--calibrate with --seed {seed}: seeds of {JUDGEMENT} and above judge, and fit nothing"
         )
     asked, numbers = Campaign(plant, seed, folder.resolve(), factor), range(first, first + n)
-    if not only_tell:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        with Progress(*columns, TimeRemainingColumn(), console=console) as shown:
-            task = shown.add_task("baseline", total=n)
-            try:
-                failed = run_campaign(
-                    asked,
-                    numbers,
-                    lambda text: shown.update(task, description=text, advance=text.startswith("case")),
-                    workers,
-                )
-            except CampaignError as error:
-                console.print(f"[bold red]longreach:[/] {escape(str(error))}")
-                raise typer.Exit(2) from error
-        console.print(f"{failed} cases could not be judged: see their log.txt") if failed else None
-    cases = scores(asked, numbers)
-    tell(cases, f"{plant}, seed {seed}")
+    try:
+        if not only_tell:
+            failed = _run(asked, numbers, workers)
+            console.print(f"{failed} cases could not be judged: see their log.txt") if failed else None
+        cases = scores(asked, numbers)
+        tell(cases, f"{plant}, seed {seed}")
+        console.print(f"packed: {pack(asked, numbers)}") if packed else None
+    except CampaignError as error:
+        console.print(f"[bold red]longreach:[/] {escape(str(error))}")
+        raise typer.Exit(2) from error
     if calibrate and cases:
         _calibrate(cases, f"{len(cases)} cases of plant {plant}, seed {seed}")
+
+
+def _run(asked: Campaign, numbers: range, workers: int) -> int:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=console) as shown:
+        task = shown.add_task("baseline", total=len(numbers))
+
+        def advance(text: str) -> None:
+            shown.update(task, description=text, advance=text.startswith("case"))
+
+        return run_campaign(asked, numbers, advance, workers)
 
 
 def _calibrate(cases: figures.Cases, told_on: str) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from longreach.bench_gap.code_mark import code_mark
+from longreach.bench_gap.packed import Packed, PackedError, read_packed, write_packed
 from longreach.bench_gap.warm import Warm
 from longreach.one_thread import ONE_THREAD
 
@@ -50,6 +51,11 @@ class Campaign:
         return self.folder / f"{self.plant}-{self.seed}{size}"
 
     @property
+    def packed(self) -> Path:
+        """Its scores in one file, here or brought from another computer."""
+        return self.place.with_name(f"{self.place.name}.jsonl.gz")
+
+    @property
     def machine(self) -> Path:
         """The plant's machine file with its baseline: one a plant."""
         return self.folder / f"{self.plant}.toml"
@@ -73,11 +79,14 @@ def run_campaign(
 ) -> int:
     """Run the cases that are not on file yet, `workers` at a time; how many could not be judged.
 
-    Raises: CampaignError: no generator here, cases made by other code, or no baseline or table of limits could be made.
+    Raises: CampaignError: no generator here, cases made by other code, packed scores that cannot be read, or no
+            baseline or table of limits could be made.
     """
     if not (ROOT / "tests" / "gap_benchmark").is_dir():
         raise CampaignError("the generator lies in tests/ of the source tree; run this from a checkout")
-    _mark(asked)
+    packed = _packed(asked)
+    _mark(asked, packed.code)
+    numbers_left = [number for number in numbers if number not in packed.scores]
     if not asked.machine.is_file():
         advance("fitting the baseline")
         _fit(asked)
@@ -86,19 +95,22 @@ def run_campaign(
         _limits(asked)
     with ExitStack() as stack, ThreadPoolExecutor(workers) as pool:  # each waits for processes of its own
         free: queue.SimpleQueue[Hands] = queue.SimpleQueue()
-        for _ in range(min(workers, len(numbers))):
+        for _ in range(min(workers, len(numbers_left))):
             free.put({name: stack.enter_context(Warm(name, first, ROOT)) for name, first in STAGES.items()})
-        ended = [pool.submit(_case_once, asked, number, free) for number in numbers]
-        for number, one in zip(numbers, ended, strict=True):
+        for number in packed.scores.keys() & set(numbers):
+            advance(f"case {number}")
+        ended = [pool.submit(_case_once, asked, number, free) for number in numbers_left]
+        for number, one in zip(numbers_left, ended, strict=True):
             one.result()
             advance(f"case {number}")
     return sum(not one.result() for one in ended)
 
 
-def _mark(asked: Campaign) -> None:
+def _mark(asked: Campaign, packed: str | None) -> None:
     """Write down which code makes these cases, or refuse to mix them with other ones."""
     file, mark = asked.place / "code.txt", code_mark(ROOT)
-    if file.is_file() and file.read_text(encoding="utf-8").strip() != mark:
+    made_by = {file.read_text(encoding="utf-8").strip() if file.is_file() else mark, packed or mark}
+    if made_by != {mark}:
         raise CampaignError(
             f"{asked.place}: its cases were made by other code than this; rates of two versions mean nothing together. "
             "Delete the folder, or give another --folder; --tell shows what is there"
@@ -192,11 +204,36 @@ def _logged(folder: Path, arguments: list[str], ended: Ended) -> Ended:
     return ended
 
 
+def _packed(asked: Campaign) -> Packed:
+    try:
+        return read_packed(asked.packed)
+    except PackedError as error:
+        raise CampaignError(str(error)) from error
+
+
 def scores(asked: Campaign, numbers: range) -> list[dict[str, Any]]:
-    """What the judge wrote, of the cases that have been run."""
-    found = []
+    """What the judge wrote, of the cases that have been run here or were brought packed.
+
+    Raises: CampaignError: the packed ones cannot be read.
+    """
+    found, packed = [], _packed(asked).scores
     for number in numbers:
         file = asked.place / f"case{number:05d}" / "score.json"
         if file.is_file():
             found.append(json.loads(file.read_text(encoding="utf-8")))
+        elif number in packed:
+            found.append(packed[number])
     return found
+
+
+def pack(asked: Campaign, numbers: range) -> Path:
+    """Everything on file as one file, which a run of the same code elsewhere goes on from; where it is.
+
+    Raises: CampaignError: nothing is on file, or what is there cannot be read.
+    """
+    done, file = scores(asked, numbers), asked.place / "code.txt"
+    code = file.read_text(encoding="utf-8").strip() if file.is_file() else _packed(asked).code
+    if not done or code is None:
+        raise CampaignError(f"{asked.place}: no judged case is on file; run the campaign first")
+    write_packed(asked.packed, code, done)
+    return asked.packed

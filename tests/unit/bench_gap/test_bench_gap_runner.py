@@ -3,7 +3,8 @@
 import pytest
 
 from longreach.bench_gap import code_mark
-from longreach.bench_gap.runner import ROOT, Campaign, CampaignError, run_campaign
+from longreach.bench_gap.packed import read_packed, write_packed
+from longreach.bench_gap.runner import ROOT, Campaign, CampaignError, pack, run_campaign, scores
 
 NONE = range(0)
 
@@ -39,3 +40,35 @@ def test_a_changed_number_changes_the_mark(tmp_path, monkeypatch):
     before = code_mark.code_mark(tmp_path)
     file.write_text("2", encoding="utf-8")
     assert code_mark.code_mark(tmp_path) != before
+
+
+def test_packed_scores_are_told_beside_those_of_the_folder_and_not_run_again(asked):
+    mark = code_mark.code_mark(ROOT)
+    write_packed(asked.packed, mark, [{"number": 1, "exact": False}, {"number": 0, "exact": True}])
+    assert run_campaign(asked, range(2)) == 0  # nothing is left to do
+    here = asked.place / "case00002"
+    here.mkdir()
+    (here / "score.json").write_text('{"number": 2, "exact": true}', encoding="utf-8")
+    assert [one["exact"] for one in scores(asked, range(5))] == [True, False, True]
+    bytes_before = pack(asked, range(5)).read_bytes()
+    assert sorted(read_packed(asked.packed).scores) == [0, 1, 2]
+    assert pack(asked, range(5)).read_bytes() == bytes_before
+
+
+def test_packed_scores_of_other_code_are_refused(asked):
+    write_packed(asked.packed, "0123456789abcdef", [{"number": 0}])
+    with pytest.raises(CampaignError, match="other code"):
+        run_campaign(asked, range(3))
+
+
+@pytest.mark.parametrize("spoilt", [b"", b"no gzip", None])
+def test_packed_scores_that_cannot_be_read_are_told(asked, spoilt):
+    write_packed(asked.packed, "0123456789abcdef", [{"number": 0}])
+    asked.packed.write_bytes(asked.packed.read_bytes()[:-12] if spoilt is None else spoilt)
+    with pytest.raises(CampaignError, match="no packed scores"):
+        scores(asked, range(3))
+
+
+def test_nothing_is_packed_where_nothing_is_on_file(asked):
+    with pytest.raises(CampaignError, match="run the campaign first"):
+        pack(asked, range(3))
