@@ -135,6 +135,8 @@ def bench(machine: Machine, pairs: int, seed: int, folder: Path, console: Consol
                     save_samples(path, [*before, *new])
     except KeyboardInterrupt:
         console.print("ended early; the next run goes on from here")
+    finally:
+        pipeline.close()
     save_samples(path, [*before, *new])
     return [*before, *new]
 

@@ -90,6 +90,7 @@ def run_case(machine: Machine, pictures: Pictures, kind: FaultKind, seed: int, m
         told = [] if notices is None else [one.text for one in notices.before_use(arrival.frame)]
         texts = [*report.warnings, *told]
         seen.append(_Seen(faulty, not texts, texts[0] if texts else ""))
+    pipeline.close()
     return _verdict(kind, seed, moving, seen, n_fault, len(looks.used & faulty_numbers), looks.n_ok)
 
 

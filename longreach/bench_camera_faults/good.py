@@ -70,6 +70,7 @@ def run_good(machine: Machine, kind: str, seed: int, pairs: int) -> GoodCase:
         report = pipeline.process(frame, 0)
         alarms += not report.usable
         texts.update(set(report.warnings))
+    pipeline.close()
     return GoodCase(kind, seed, pairs, alarms, dict(texts.most_common(5)))
 
 

@@ -189,6 +189,7 @@ class InServerVision:
             return
         finally:
             source.close()
+            pipeline.close()
 
     def _take(self, report: FrameReport) -> None:
         self._ready.set()

@@ -1,8 +1,9 @@
-"""One stereo pair in, one report out: health, marker poses, odometry with the tool masked, preview."""
+"""One stereo pair in, one report out: health, marker poses and odometry side by side, preview."""
 
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Protocol
 
 import cv2
@@ -40,8 +41,8 @@ class Odometry(Protocol):
 class VisionPipeline:
     """Holds what must be remembered from pair to pair; knows neither camera nor process.
 
-    One after the other: in threads of their own markers and odometry took as long together, and a quarter more of the
-    processor, for they wait for the interpreter in turns. Decoding is free of it, and done beside them (AheadSource).
+    Odometry runs in a thread of its own beside the markers: nearly all of both is compiled and lets go of the
+    interpreter. It masks the tool where the pair before showed it, which is where it still is.
     """
 
     def __init__(
@@ -63,6 +64,7 @@ class VisionPipeline:
         self._mask = ToolMask(tool_ids, settings.mask_scale)
         self._receive_ns: deque[int] = deque(maxlen=RATE_FRAMES)
         self._preview_ns = 0
+        self._beside = ThreadPoolExecutor(max_workers=1, thread_name_prefix="odometry")
 
     def use_pose_source(self, name: PoseSourceName) -> None:
         """Find marker poses in this way from the next pair on."""
@@ -75,15 +77,23 @@ class VisionPipeline:
         self._odometry_started = False
         return OdometryMap(ended.map_points(MAP_POINTS)) if ended is not None and started and not on else None
 
+    def close(self) -> None:
+        """End the odometry's thread."""
+        self._beside.shutdown()
+
     def process(self, frame: StereoFrame, skipped: int) -> FrameReport:
         """Everything this pair tells. Never raises on what the images show."""
         started_s = time.perf_counter()
         findings = self._health.before_use(frame)
         forbidden = any(finding.forbids_odometry for finding in findings)
         mapped_ns = self._clock.map(frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection)
+        following = None if forbidden else self._follow_beside(frame)
         observation = self._pose_sources[self._pose_source].observe(frame.left, frame.right, frame.t_exposure_ns)
         self._mask.update(observation.views)
-        odometry = None if forbidden else self._follow(frame)
+        if following is None and not forbidden:
+            odometry = self._follow(frame)
+        else:
+            odometry = following.result() if following is not None else None
         findings += self._health.after_markers(observation)
         preview = self._preview(frame)
         self._receive_ns.append(frame.t_receive_mono_ns)
@@ -102,6 +112,12 @@ class VisionPipeline:
             preview_jpeg=preview,
             preview_width_px=self._preview_width_px(frame.left),
         )
+
+    def _follow_beside(self, frame: StereoFrame) -> Future[OdometryPose | None] | None:
+        """Started at once; not for the first pair, whose markers must say first where the tool is."""
+        if self._odometry is None or not self._odometry_started:
+            return None
+        return self._beside.submit(self._follow, frame)
 
     def _follow(self, frame: StereoFrame) -> OdometryPose | None:
         if self._odometry is None:
