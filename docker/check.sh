@@ -139,6 +139,7 @@ clean_up() {
         remove_network
         grep -F "$scratch" /proc/mounts | cut -d' ' -f2 | sort -r | while read -r mount; do umount "$mount"; done
     fi
+    say "removing its files"
     rm -rf "$scratch"
     if [ "$code" = 0 ]; then say "docker check passed"; else say "docker check FAILED"; fi
     exit "$code"
