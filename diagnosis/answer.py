@@ -14,6 +14,7 @@ from diagnosis.shrink import closing, together
 from diagnosis.unseen import one_more, unseen_share
 from diagnosis.weigh import Key, Whole, calibration
 from machine.effects.registry import effect_named
+from machine.effects.spec import Direction
 
 FORMAT = 1
 MASS_90 = 0.9
@@ -81,7 +82,7 @@ def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]
         parameters: dict[str, Any] = {}
         vector = len({slot.parameter for slot in one.slots}) < len(one.slots)
         if vector and effect is not None and effect.direction is not None:
-            parameters = _vector(one.slots[0].parameter, effect.size.unit, effect.direction.name, mine)
+            parameters = _vector(one.slots[0].parameter, effect.size.unit, effect.direction, mine)
         else:
             for slot, number in zip(one.slots, mine, strict=True):
                 spec = effect.parameter(slot.parameter) if effect is not None else None
@@ -103,15 +104,16 @@ def _number(number: Interval, unit: str) -> dict[str, Any]:
     return {"value": _round(number.value), "unit": unit, "low": low, "high": high}
 
 
-def _vector(name: str, unit: str, direction: str, numbers: tuple[Interval, ...]) -> dict[str, Any]:
-    vector = np.array([one.value for one in numbers])
+def _vector(name: str, unit: str, direction: Direction, numbers: tuple[Interval, ...]) -> dict[str, Any]:
+    vector = np.zeros(len(direction.default))
+    vector[: len(numbers)] = [one.value for one in numbers]
     half = max(0.5 * (one.high - one.low) for one in numbers)
     size = float(np.linalg.norm(vector))
     along = (vector / size).tolist() if size > 0.0 else vector.tolist()
     low, high = _round_outward(max(0.0, size - half), -1), _round_outward(size + half, 1)
     return {
         name: {"value": _round(size), "unit": unit, "low": low, "high": high},
-        direction: {"value": [_round(x) for x in along], "unit": "1", "low": None, "high": None},
+        direction.name: {"value": [_round(x) for x in along], "unit": "1", "low": None, "high": None},
     }
 
 

@@ -12,7 +12,7 @@ from diagnosis.known import with_known
 from diagnosis.limits import Interval, Limit, detection_limit, intervals
 from diagnosis.localise import Localisation, localise
 from diagnosis.reading import Read
-from diagnosis.refusal import UNREST, Fired, remainder
+from diagnosis.refusal import UNREST, Fired, at_edge, remainder
 from diagnosis.replay import replayer_of
 from diagnosis.score import Score
 from diagnosis.search import Search, search, searched_again
@@ -222,7 +222,11 @@ def _answer(found: Search, cells: int) -> CellAnswer:
         search=found,
         chosen=chosen,
         weighed=_first(ranked, chosen),
-        fired=(*remainder(found.cell, chosen, cells), *refusing(found.cell, shapes, gained)),
+        fired=(
+            *remainder(found.cell, chosen, cells),
+            *refusing(found.cell, shapes, gained),
+            *at_edge(found.cell, chosen),
+        ),
         squares=sums,
         shrinks=shrinks(found, sums),
         limits=tuple(

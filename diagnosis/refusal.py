@@ -19,6 +19,7 @@ ENERGY_MIN = 0.7  # chi2/n beyond 1: a gap of 0.84 floors; a few repeats know th
 AUTOCORRELATION_MIN = 0.08  # sum of squares over 20 lags, besides what chance and a filter from few repeats give
 AUTOCORRELATION_CHANCE = 60.0  # over the number of rows
 UNREST = "unrest"
+EDGE = "edge"
 QUIET_MAX = 0.1  # of the floor's energy: an undisturbed stage that never leaves more is quiet
 QUIET_TIMES = 1.5  # the most that it ever left
 EXCESS_MIN = 0.1  # of the noise's own energy: a pattern without more energy than the noise is the filter's error
@@ -83,6 +84,23 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
         and one.share * worth > least_nats
     ]
     return tuple(sorted(kept, key=lambda one: (one.lead == "", -one.size)))
+
+
+def at_edge(cell: Cell, chosen: Score) -> tuple[Fired, ...]:
+    """Names that fit only at the end of what is believed of their size: a foreign cause bends them that far."""
+    found, at = [], 0
+    for effect in chosen.fit.hypothesis:
+        here = slice(at, at + len(effect.slots))
+        at += len(effect.slots)
+        sizes = [slot.parameter == effect.slots[0].parameter for slot in effect.slots]
+        for slot, size, is_size, ends in zip(
+            effect.slots, chosen.fit.theta[here], sizes, chosen.fit.at_bound[here], strict=True
+        ):
+            nothing = abs(size - np.clip(slot.neutral, slot.low, slot.high)) <= 1e-3 * (slot.high - slot.low)
+            if is_size and ends and not nothing and not effect.counted:
+                lead = f"is small only if {effect.name} is {size:.3g}, the most that is believed of it"
+                found.append(Fired(EDGE, cell.stage, effect.joint, 1.0, 0.0, lead))
+    return tuple(found)
 
 
 def _patterns(cell: Cell, r: Array, least: float) -> list[Fired]:

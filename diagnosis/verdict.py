@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
-from diagnosis.refusal import Fired
+from diagnosis.refusal import EDGE, Fired
 from diagnosis.score import Score
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shrink import by_noise, together
@@ -59,8 +59,11 @@ def verdict_of(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...], h
 
 
 def _left(one: CellAnswer) -> float:
-    """Share of the gap that is left, or of all its nats that a shape foretells; all of it where nothing was named."""
-    if not one.chosen.fit.hypothesis:
+    """Share of the gap that is left, or of all its nats that a shape foretells.
+
+    All of it where nothing was named, or only what nobody would believe.
+    """
+    if not one.chosen.fit.hypothesis or any(fired.test == EDGE for fired in one.fired):
         return 1.0
     closed, _, _ = by_noise(together(one.squares))  # the catalogue knows of no gap outside it
     shaped = max((fired.share for fired in one.fired if fired.test == SHAPE), default=0.0)

@@ -150,7 +150,7 @@ def column_of(effect: Effect, parameter: str, option: str = "") -> int:
 
 
 def slots_of(name: str, joint: int | None, option: str = "") -> tuple[Slot, ...]:
-    """What a fit moves for one effect, sizes before shapes; a direction gives one number per component.
+    """What a fit moves for one effect, sizes before shapes; a direction gives one number per fitted component.
 
     Raises: MachineError: no such effect, or a joint where none belongs (or none where one does).
     """
@@ -167,7 +167,7 @@ def slots_of(name: str, joint: int | None, option: str = "") -> tuple[Slot, ...]
         if effect.direction is None:
             slots.append(Slot(name, parameter.name, joint, option, effect.scope, column, *bounds, parameter.start))
             continue
-        for index, along in enumerate(effect.direction.default):
+        for index, along in enumerate(effect.direction.default[: effect.direction.fitted]):
             around = (-parameter.high, parameter.high, 0.0)
             start = parameter.start if along else 0.3 * parameter.start
             slots.append(Slot(name, parameter.name, None, "", "machine", column + index, *around, start, index))

@@ -77,11 +77,15 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Direction:
-    """The unit vector that a size is measured along or about. In a fit size and direction are one plain vector."""
+    """The unit vector that a size is measured along or about. In a fit size and direction are one plain vector.
+
+    `fitted`: how many of its components, from the first, a fit moves; the others are another effect's.
+    """
 
     name: str
     default: tuple[float, ...]
     frame: str
+    fitted: int = 3
 
 
 @dataclass(frozen=True, slots=True)

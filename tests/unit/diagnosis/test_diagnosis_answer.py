@@ -8,14 +8,15 @@ import pytest
 from foreign_plant import Fault, write
 from typer.testing import CliRunner
 
-from diagnosis.answer import _number, answer
+from diagnosis.answer import _number, _vector, answer
+from diagnosis.candidates import named
 from diagnosis.diagnose import Diagnosis, diagnose
 from diagnosis.limits import Interval
 from diagnosis.reading import read
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
 from longreach.cli import app
-from machine.effects.registry import NAMES
+from machine.effects.registry import NAMES, effect_named
 
 KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
 SHORT = {"seconds": 10.0, "kinds": KINDS}
@@ -51,6 +52,15 @@ def test_a_printed_limit_leaves_nothing_out(limit: float) -> None:
     told = _number(Interval(limit, limit, limit), "1")
     assert told["low"] <= limit <= told["high"]
     assert told["high"] - told["low"] <= 1.01e-5 * abs(limit)
+
+
+def test_a_base_is_tilted_about_level_axes_only() -> None:
+    (tilt,) = named(("base_tilt",), ())
+    assert [slot.index for slot in tilt.slots] == [0, 1]  # about the upright it is the bias of the first encoder
+    direction = effect_named("base_tilt").direction
+    told = _vector("tilt_rad", "rad", direction, (Interval(3e-3, 2e-3, 4e-3), Interval(-4e-3, -5e-3, -3e-3)))
+    assert told["axis"]["value"] == [0.6, -0.8, 0.0]
+    assert told["tilt_rad"]["value"] == pytest.approx(5e-3)
 
 
 def test_nothing_is_found_where_nothing_is_wrong(tmp_path: Path) -> None:

@@ -7,13 +7,15 @@ import pytest
 
 from diagnosis.candidates import candidates_of, named, put
 from diagnosis.cells import Cell, Rows, blocks_of, folds_of
+from diagnosis.diagnose import _answer
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import evaluated, fit, jacobian, neutral_fit
 from diagnosis.limits import detection_limit, intervals
-from diagnosis.refusal import remainder
+from diagnosis.refusal import at_edge, remainder
 from diagnosis.score import better, covariance, log_evidence, score
 from diagnosis.search import scan, search
 from diagnosis.shrink import closed_share, shrinks, squares
+from diagnosis.verdict import verdict_of
 from diagnosis.weigh import calibration, combined, same_here, weighed
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.remainder import usual_name
@@ -74,6 +76,24 @@ def test_a_fit_stays_inside_its_bounds_and_says_so() -> None:
     found = fit(cell, cell.candidates[2:], np.array([0.1]))
     assert found.theta[0] == LAG.high
     assert found.at_bound == (True,)
+
+
+@pytest.mark.parametrize(("truth", "word"), [(0.4, "effects"), (0.504, "outside")])
+def test_a_name_that_fits_only_at_the_end_of_what_is_believed_is_not_told(truth: float, word: str) -> None:
+    cell = made_up((0.0, 0.0, truth))
+    answer = _answer(search(cell), 1)
+    assert [one.name for one in answer.chosen.fit.hypothesis] == ["valve_lag"]
+    verdict = verdict_of((answer,), combined([answer.weighed]))
+    assert verdict.word == word
+    assert ("valve_lag is 0.5, the most that is believed of it" in verdict.why) == (word == "outside")
+
+
+def test_a_limit_that_cuts_nothing_off_stands_at_no_end() -> None:
+    (droop,) = named(("supply_droop",), ())
+    cell = replace(made_up((0.0, 0.0, 0.0)), candidates=(droop,))
+    none_cut = replace(neutral_fit(cell), hypothesis=(droop,), theta=np.array([droop.slots[0].high]), at_bound=(True,))
+    assert droop.slots[0].neutral >= droop.slots[0].high - 0.1
+    assert at_edge(cell, replace(score(cell, neutral_fit(cell)), fit=none_cut)) == ()
 
 
 def test_limits_of_a_number_are_those_of_least_squares() -> None:

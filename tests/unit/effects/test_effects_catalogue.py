@@ -138,8 +138,12 @@ def test_every_slot_of_every_effect_has_a_column_of_its_own() -> None:
                 taken.add((slot.scope, slot.column))
                 assert neutral_sets(3).get(slot) == slot.neutral
     sizes = {scope: len([one for one in taken if one[0] == scope]) for scope in ("joint", "machine")}
-    neutral = neutral_sets(3)
-    assert sizes == {"joint": neutral.joint.shape[2], "machine": neutral.machine.shape[1]}
+    neutral, held = neutral_sets(3), {"base_tilt": 1}  # about the upright it is the first encoder's bias
+    directions = {effect.name: effect.direction for effect in EFFECTS if effect.direction is not None}
+    not_fitted = {name: len(one.default) - one.fitted for name, one in directions.items()}
+    assert {name: count for name, count in not_fitted.items() if count > 0} == held
+    columns = {"joint": neutral.joint.shape[2], "machine": neutral.machine.shape[1]}
+    assert columns == {"joint": sizes["joint"], "machine": sizes["machine"] + sum(held.values())}
 
 
 def test_slots_refuse_what_is_not_there() -> None:
