@@ -17,7 +17,10 @@ from server.vision.goal_error import PoseError, PrintSigmas, error_to_goal
 
 
 def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, object, LookTaken]:
-    """Rest, then look, over `pairs_share` times the usual pairs. A failed look is in the record, not an error."""
+    """Rest, then look, over `pairs_share` times the usual pairs. A failed look is in the record, not an error.
+
+    A previewed plan ends here: what was measured since may speak against it.
+    """
     reading = expect((yield Settle()), MachineReading)
     yield Progress("look", 0.0, 1.0, "", "looking: tool and object of interest in both eyes")
     paper = ctx.method == "paper"
@@ -25,6 +28,7 @@ def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, obje
     look = expect((yield TakeLook(pairs=pairs, source="mono" if paper else "stereo")), Look)
     taken = _taken(ctx, look, reading)
     ctx.knowledge.last_look = taken
+    ctx.knowledge.previewed = None  # it was made from an older look
     if taken.error is not None:
         ctx.knowledge.T_base_ooi = ooi_in_base(ctx, taken)
         yield from watch_slip(ctx, taken)

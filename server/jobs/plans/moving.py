@@ -117,7 +117,7 @@ def check_executable(previewed: PreviewedPlan | None, wanted_hash: str, t_now_ns
     Raises: PlanRefusedError saying which of the two it is not.
     """
     if previewed is None:
-        raise PlanRefusedError("no plan was previewed; preview first")
+        raise PlanRefusedError("no plan was previewed since the last look or move; preview first")
     if previewed.plan_hash != wanted_hash:
         raise PlanRefusedError(f"plan {wanted_hash} is not the previewed one ({previewed.plan_hash}); preview again")
     if t_now_ns > previewed.expires_ns:

@@ -177,6 +177,13 @@ def test_preview_moves_nothing_and_execute_fires_it_once():
         check_executable(ctx.knowledge.previewed, plan.plan_hash, 10)
 
 
+def test_a_new_look_ends_the_plan_made_from_the_one_before():
+    world, ctx, plan = previewed()
+    run(take_look(ctx), world)
+    with pytest.raises(PlanRefusedError, match="since the last look"):
+        check_executable(ctx.knowledge.previewed, plan.plan_hash, 10)
+
+
 def test_another_hash_an_expired_plan_and_a_moved_machine_are_refused():
     world, ctx, plan = previewed()
     with pytest.raises(PlanRefusedError, match="is not the previewed one"):
