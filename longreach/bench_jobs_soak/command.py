@@ -12,7 +12,7 @@ from rich.console import Console
 
 from longreach.bench_jobs_soak.case import SoakCase, run_all, run_case
 from longreach.bench_jobs_soak.faults import planned
-from longreach.bench_jobs_soak.figures import figures_of, line, summary
+from longreach.bench_jobs_soak.figures import SoakKind, figures_of, line, summary
 from longreach.bench_jobs_soak.stand import OWNER, Stand
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.kill_drill.drill import fast_machine
@@ -30,22 +30,24 @@ def jobs_soak(
     quick: Annotated[
         bool, typer.Option("--quick", help="a look and a short move instead of a whole positioning job")
     ] = False,
+    fast: Annotated[bool, typer.Option("--fast", help="whole positioning jobs, the TCP at 0.15 m/s")] = False,
     preset: Annotated[str, typer.Option(help="ideal, realistic or paper")] = "realistic",
     folder: Annotated[Path, typer.Option(help="where every job is saved; a second run resumes")] = FOLDER,
 ) -> None:
     """Memory, handles, tasks and database over many jobs with faults; that the server always finds back."""
     console = Console(width=200)
-    cases = bench(n, seed, quick, preset, folder / ("quick" if quick else "full"), console)
+    kind: SoakKind = "quick" if quick else "fast" if fast else "full"
+    cases = bench(n, seed, kind, preset, folder / kind, console)
     if not cases:
         raise typer.Exit(1)
     figures = figures_of(cases)
-    (folder / f"result-{seed}{'-quick' * quick}.json").write_text(json.dumps(asdict(figures), indent=1))
-    console.print(summary(figures, quick), highlight=False)
+    (folder / kind / f"result-{seed}.json").write_text(json.dumps(asdict(figures), indent=1))
+    console.print(summary(figures, kind), highlight=False)
     if len(cases) < n or not figures.holds:
         raise typer.Exit(1)
 
 
-def bench(n: int, seed: int, quick: bool, preset: str, folder: Path, console: Console) -> list[SoakCase]:
+def bench(n: int, seed: int, kind: SoakKind, preset: str, folder: Path, console: Console) -> list[SoakCase]:
     """Run or resume until n cases are there; Ctrl-C or a server that is lost ends it early."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{seed}-cases.jsonl"
@@ -53,7 +55,8 @@ def bench(n: int, seed: int, quick: bool, preset: str, folder: Path, console: Co
     if len(cases) >= n:
         return cases[:n]
     try:
-        machine_file = fast_machine(folder)[0] if quick else None  # quick: TCP at 0.15 m/s
+        machine_file = None if kind == "full" else fast_machine(folder)[0]  # TCP at 0.15 m/s
+        quick = kind == "quick"
         with Stand(preset, seed, folder, machine_file) as stand, open_to_add(path) as file:
             _begin(stand, quick)
             segment, t0_s = (cases[-1].segment + 1 if cases else 1), time.monotonic()

@@ -4,6 +4,7 @@ import statistics
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from longreach.bench_jobs_soak.case import SoakCase
 from longreach.bench_jobs_soak.sample import MIB, Growth, growth_of
@@ -12,6 +13,12 @@ SLOPE_MAX_MIB_H = 2.0
 WARM_UP_S = 400.0  # three minutes of PLC samples and 600 pairs with their previews are kept: until those are full
 WARM_UP_CASES = 70  # the last 200 jobs are kept with their stories, about three a case: until those are full, too
 WARM_UP_FRAC_MAX = 0.4  # of a short run
+SoakKind = Literal["quick", "fast", "full"]
+TOLD: dict[SoakKind, str] = {
+    "quick": "QUICK: a case is a look and a short move, not a positioning job",
+    "fast": "positioning jobs, the TCP at 0.15 m/s",
+    "full": "positioning jobs",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,15 +89,14 @@ def line(case: SoakCase) -> str:
     )
 
 
-def summary(figures: Figures, quick: bool) -> str:
+def summary(figures: Figures, kind: SoakKind) -> str:
     """All in some lines."""
     rss = "; ".join(f"{_growth(one)} MiB/h, {one.first:.1f} to {one.last:.1f} MiB" for one in figures.rss_mib)
     counts = "; ".join(f"{one.name} {one.first:.0f} to {one.last:.0f}" for one in figures.files)
     threads = "; ".join(f"{one.name} {one.first:.0f} to {one.last:.0f}" for one in figures.threads)
     tasks = f"{figures.tasks.first:.0f} to {figures.tasks.last:.0f}" if figures.tasks else "too few samples"
-    kind = "QUICK: a case is a look and a short move, not a positioning job" if quick else "positioning jobs"
     return (
-        f"N reached {figures.cases} ({kind}), median {figures.median_s:.1f} s; cases with violations: "
+        f"N reached {figures.cases} ({TOLD[kind]}), median {figures.median_s:.1f} s; cases with violations: "
         f"{figures.violations}\nmemory after warm-up, {figures.segment_cases} cases of one life (limit "
         f"{SLOPE_MAX_MIB_H:g} MiB/h): {rss or 'too few samples'}\nopen files: {counts}\nthreads: {threads}\n"
         f"asyncio tasks: {tasks}\ndatabase: {figures.store_bytes_per_case:.0f} bytes a case\n"

@@ -54,8 +54,8 @@ def test_growth_is_fitted_behind_the_warm_up():
     assert server.per_hour == pytest.approx(1.2, abs=0.01)
     assert link.per_hour == 0.0
     assert figures.holds
-    assert "holds" in summary(figures, quick=False)
-    assert "QUICK" in summary(figures, quick=True)
+    assert "holds" in summary(figures, "full")
+    assert "QUICK" in summary(figures, "quick")
 
 
 def test_memory_handles_tasks_and_violations_can_each_be_too_much():
