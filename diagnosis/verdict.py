@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+from diagnosis.cells import Cell
 from diagnosis.refusal import EDGE, Fired
 from diagnosis.score import Score
 from diagnosis.shapes.found import TEST as SHAPE
@@ -18,6 +19,7 @@ Word = Literal["none", "effects", "outside", "undecided"]
 LEFT_SMALL = 0.02  # share of the gap: a remainder below it does not take back a name
 LEFT_LARGE = 0.5  # share of the gap: a remainder above it says that no name fits
 HOLES_MANY = 10  # a cable pulled once is no fault of the log; samples that go missing all the time are
+CROWD = 3  # names at once on a machine whose usual state is known: one cause that the catalogue lacks is likelier
 SURE = 0.5  # probability of the best hypothesis with its equivalents
 
 
@@ -52,10 +54,18 @@ def verdict_of(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...], h
         return Verdict("undecided", f"{text}: look at the logger first")
     if not named:
         return Verdict("none", "nothing above the noise floor")
+    if len(named) >= CROWD and all(known_well(one.search.cell) for one in answers):
+        names = ", ".join(dict.fromkeys(effect.name for effect in named))
+        return Verdict("undecided", f"{len(named)} faults at once ({names}): look for one cause of all of them first")
     sure = _probability_with_equivalents(answers, hypotheses)
     if sure < SURE:
         return Verdict("undecided", f"the best hypothesis has a probability of {sure:.2g}")
     return Verdict("effects", "catalogue effects explain the gap")
+
+
+def known_well(cell: Cell) -> bool:
+    """Whether a baseline says what this cell shows on the undisturbed machine."""
+    return all(part.usual for part in cell.parts or (cell,))
 
 
 def _left(one: CellAnswer) -> float:

@@ -23,6 +23,7 @@ RARE_NATS = 60.0  # the same for single moments
 RARE_TIMES = 3.0  # of what moments show undisturbed: the sixteenth day's largest one is far larger
 FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
 TEST = "shape"
+STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
@@ -80,7 +81,12 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
 
 
 def _refused_from(usual: dict[str, float], shape: Shape) -> float:
-    """Its own usual size, or any course's that is larger there; single moments are no course, and rarer."""
+    """Its own usual size, or any course's that is larger there; single moments are no course, and rarer.
+
+    Where nothing swings only its own: what goes with another course on another day is a swing.
+    """
+    if shape.measurement in STILL and shape.goes_with != SINGLE_MOMENTS:
+        return REFUSED_NATS + EXCEEDED_TIMES * usual.get(usual_shape(shape.goes_with), 0.0)
     moments = usual_shape(SINGLE_MOMENTS)
     courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != moments]
     most = max([usual.get(usual_shape(shape.goes_with), 0.0), *courses])

@@ -88,6 +88,18 @@ def test_a_name_that_fits_only_at_the_end_of_what_is_believed_is_not_told(truth:
     assert ("valve_lag is 0.5, the most that is believed of it" in verdict.why) == (word == "outside")
 
 
+@pytest.mark.parametrize(("known_well", "word"), [(False, "effects"), (True, "undecided")])
+def test_three_faults_at_once_on_a_machine_known_well_are_rather_one_that_has_no_name(
+    known_well: bool, word: str
+) -> None:
+    cell = replace(made_up((0.3, 0.3, 0.3)), usual=(("peak", 0.0),) if known_well else ())
+    answer = _answer(search(cell), 1)
+    assert len(answer.chosen.fit.hypothesis) == 3
+    verdict = verdict_of((answer,), combined([answer.weighed]))
+    assert verdict.word == word
+    assert ("3 faults at once" in verdict.why) == known_well
+
+
 def test_a_limit_that_cuts_nothing_off_stands_at_no_end() -> None:
     (droop,) = named(("supply_droop",), ())
     cell = replace(made_up((0.0, 0.0, 0.0)), candidates=(droop,))

@@ -15,7 +15,7 @@ from diagnosis.left_over import cells_of
 from diagnosis.reading import read
 from diagnosis.shapes.behind import point_columns
 from diagnosis.shapes.driven import driven_columns
-from diagnosis.shapes.found import LEAST_NATS, REFUSED_NATS, left_shapes, refusing, shapes_of
+from diagnosis.shapes.found import LEAST_NATS, REFUSED_NATS, Shape, _refused_from, left_shapes, refusing, shapes_of
 from diagnosis.shapes.gain import held_out_nats
 from machine.effects.entries import make_entry
 from machine.effects.registry import effect_named
@@ -135,3 +135,16 @@ def test_a_shape_speaks_against_a_model_only_beside_a_baseline_that_knows_the_us
     assert refusing(swinging, left, 0.0) == ()
     assert refusing(replace(known, unlike=(2,)), left, 0.0) == ()  # a motion of which the baseline knows nothing
     assert refusing(replace(known, unlike=(1,)), left, 0.0) == fired
+
+
+@pytest.mark.parametrize(
+    ("measurement", "speaks"), [("tool", True), ("static", True), ("ooi", False), ("tracker", False)]
+)
+def test_where_nothing_swings_a_shape_is_held_to_its_own_usual_size(measurement: str, speaks: bool) -> None:
+    usual = {usual_shape("posture"): 0.0, usual_shape("time"): 7.0}
+    shape = Shape("structure", None, measurement, "posture", REFUSED_NATS + 1.0)
+    assert (shape.nats > _refused_from(usual, shape)) == speaks
+    moments = replace(shape, goes_with="single moments", nats=REFUSED_NATS + 40.0)
+    assert moments.nats < _refused_from(usual, moments)
+    often = {**usual, usual_shape("posture"): 7.0}
+    assert shape.nats < _refused_from(often, shape)
