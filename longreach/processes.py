@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -38,7 +39,9 @@ class StackPorts:
 
 @dataclass(slots=True)
 class Stack:
-    """One simulated machine and its server, as processes; a context manager that leaves nothing behind."""
+    """One simulated machine and its server, as processes; a context manager that leaves nothing behind, on SIGTERM
+    neither.
+    """
 
     ports: StackPorts
     preset: str = "realistic"
@@ -57,6 +60,7 @@ class Stack:
         return f"http://127.0.0.1:{self.ports.http}"
 
     def __enter__(self) -> "Stack":
+        _unwind_on_sigterm()
         self.start_sim()
         self.start_server()
         return self
@@ -108,6 +112,12 @@ class Stack:
         )
         if output is not None:
             output.close()
+
+
+def _unwind_on_sigterm() -> None:
+    """SIGTERM ends this program as an error would, so that what it started is ended; by default it ends at once."""
+    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
