@@ -256,7 +256,9 @@ def entries_of(found: Fit) -> list[EffectEntry]:
             size = float(np.linalg.norm(values))
             parameters |= {effect.size.name: min(size, effect.size.high)}
             if size > 0.0:
-                parameters[effect.direction.name] = [float(x) for x in values / size]
+                along = np.zeros(len(effect.direction.default))  # a base is tilted about its level axes only
+                along[: len(values)] = values / size
+                parameters[effect.direction.name] = along.tolist()
         else:
             parameters |= {slot.parameter: float(value) for slot, value in zip(one.slots, values, strict=True)}
         if effect.choice is not None and one.option:

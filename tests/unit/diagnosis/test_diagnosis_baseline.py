@@ -1,6 +1,7 @@
 """Baselines: what a machine file carries, floors raised by a remainder, joined cells, a fit that finds its effects."""
 
 import re
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -10,16 +11,18 @@ from scipy.signal import lfilter
 from test_diagnosis_search import made_up
 
 from diagnosis.baseline import entries_of, forward
-from diagnosis.candidates import named
+from diagnosis.candidates import named, put
 from diagnosis.cells_behind import joined, told_behind, without
-from diagnosis.fit import neutral_fit
+from diagnosis.fit import Fit, neutral_fit
 from diagnosis.floor import Floor, Whitener, with_remainder
 from diagnosis.nominal import nominal_of
 from diagnosis.search import search
 from longreach.fit_baseline import with_baseline
 from machine.description import parse_machine_toml
-from machine.effects.entries import entries_to_toml, make_entry, pack
-from machine.effects.registry import effect_named
+from machine.effects.entries import entries_to_toml, make_entry, pack, parse_entries
+from machine.effects.layout import neutral_sets
+from machine.effects.registry import EFFECTS, effect_named
+from machine.effects.spec import Effect
 from machine.errors import MachineFileError
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
 
@@ -142,6 +145,18 @@ def test_forward_steps_find_what_was_put_in_and_nothing_where_nothing_is() -> No
     quiet = made_up((0.0, 0.0, 0.0))
     assert forward(quiet).fit.hypothesis == ()
     assert neutral_fit(quiet).k == 0
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda one: one.name)
+def test_whatever_a_fit_names_can_be_written_to_a_machine_file_and_is_the_same_there(effect: Effect) -> None:
+    (one, *_) = named((effect.name,), (1,))
+    inside = [0.3 * slot.high if one.vector else slot.low + 0.6 * min(slot.high - slot.low, 1.0) for slot in one.slots]
+    theta = np.array(inside)
+    found = Fit((one,), theta, np.zeros(0), np.zeros((0, len(theta))), 0.0, (False,) * len(theta))
+    back = parse_entries(tomllib.loads(entries_to_toml(entries_of(found))).get("effect"), 1)
+    wanted, packed = put(neutral_sets(1), (one,), theta), pack(back, 1)
+    np.testing.assert_allclose(packed.joint, wanted.joint, rtol=1e-9)
+    np.testing.assert_allclose(packed.machine, wanted.machine, rtol=1e-9)
 
 
 def test_encoders_are_left_to_what_was_measured_behind_them_if_it_sees_them() -> None:
