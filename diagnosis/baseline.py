@@ -311,7 +311,7 @@ def _note_names(found: Search, gains: dict[str, tuple[float, float]]) -> None:
     for one in found.scored:
         if len(one.fit.hypothesis) == 1:
             effect = one.fit.hypothesis[0]
-            key, gain = usual_name(effect.name), one.total - found.none.total
+            key, gain = usual_name(found.cell.usual_as(effect, one.fit.theta)), one.total - found.none.total
             gains[key] = max(gains.get(key, (0.0, 0.0)), (gain, _beyond_chance(one, found.none)))
 
 

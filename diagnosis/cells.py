@@ -4,14 +4,16 @@ Every stage is replayed with its own measured input. What one stage, and but for
 its residual is then independent of all others, and a hypothesis' score is the sum of its cells' scores.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import Candidate
+from diagnosis.candidates import SWINGS, Candidate
+from diagnosis.margin import margin_of
+from machine.effects.kernel import KNOWN_HZ
 from machine.effects.layout import ParameterSets
 from machine.remainder import usual_name
 from machine.rotations import Array
@@ -21,6 +23,7 @@ FORM_SHARE = 0.002
 BLOCK_ROWS_MAX = 100  # 5 s at 20 Hz
 EXCEEDED_TIMES = 1.5  # the most that some recordings showed is exceeded by one more in every dozen
 COMMON_MIN = 3
+SLOW = 0.9  # of the frequency of a joint's known swing
 DRIVEN_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly in time; poses and corners are not
 
 
@@ -78,15 +81,25 @@ class Cell:
     unlike: tuple[int, ...] = ()
     parts: tuple["Cell", ...] = ()
 
-    def usual_nats(self, effects: Iterable[Candidate]) -> float:
-        """What these names may gain on the undisturbed machine [nats, not divided].
+    def usual_nats(self, effect: Candidate, numbers: Array) -> float:
+        """What an effect of these numbers (slots,) may gain on the undisturbed machine, beyond the margin that every
+        name is asked for [nats, not divided].
 
         Where several names are known to gain more than chance there, any other one may gain as much as the middle one
         of them on the next day.
         """
         known = dict(self.usual_names)
         common = median(known.values()) if len(known) >= COMMON_MIN else 0.0
-        return EXCEEDED_TIMES * sum(max(known.get(usual_name(one.name), 0.0), common) for one in effects)
+        most = max(known.get(usual_name(self.usual_as(effect, numbers)), 0.0), common)
+        return max(0.0, EXCEEDED_TIMES * most - margin_of(effect))
+
+    def usual_as(self, effect: Candidate, numbers: Array) -> str:
+        """The name by which a baseline knows it: a swing slower than its joint's own is not what booms do every day."""
+        if effect.name not in SWINGS or effect.joint is None:
+            return effect.name
+        shape = {slot.parameter: x for slot, x in (*zip(effect.slots, numbers, strict=True), *effect.fixed)}
+        own_hz = self.base.joint[0, effect.joint - 1, KNOWN_HZ]
+        return f"slow {effect.name}" if shape["frequency_hz"] < SLOW * own_hz else effect.name
 
     def by_part(self, values: Array) -> tuple[tuple["Cell", Array], ...]:
         """The cells that this one joins, a plain one itself, each with its own of values (N, ...)."""

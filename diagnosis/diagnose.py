@@ -22,7 +22,7 @@ from diagnosis.shrink import Shrink, Squares, shrinks, squares
 from diagnosis.unlike import far_off, marked, told_beyond
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
-from machine.effects.entries import pack
+from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
 Progress = Callable[[str, int, int], None]
@@ -123,7 +123,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     replayer = replayer_of(nominal) if nominal is not None else None
     if nominal is None or replayer is None or not whole.stretches:
         return []
-    base = _with_encoders(pack(nominal.baseline, nominal.n), behind)
+    base = _with_encoders(pack_under(nominal.baseline, nominal.n), behind)
     course, searches, unlike = base, [], ()
     unseen = (*lacking, *told_behind([one.cell for one in behind]))
     for stage in DRIVEN_STAGES:
@@ -178,7 +178,7 @@ def _behind(whole: Read, progress: Progress, lacking: tuple[str, ...]) -> list[S
     """What was measured behind the encoders: points, marker corners."""
     if whole.nominal is None:
         return []
-    base = pack(whole.nominal.baseline, whole.nominal.n)
+    base = pack_under(whole.nominal.baseline, whole.nominal.n)
     return _searched(without(behind_cells(whole, base), lacking), progress)
 
 
@@ -231,7 +231,8 @@ def _answer(found: Search, cells: int) -> CellAnswer:
         squares=sums,
         shrinks=shrinks(found, sums),
         limits=tuple(
-            detection_limit(one, found.spread, found.cell.usual_nats((one.candidate,))) for one in found.scans
+            detection_limit(one, found.spread, found.cell.usual_nats(one.candidate, one.thetas[one.best]))
+            for one in found.scans
         ),
         same=same_here(found, chosen),
         shapes=shapes,

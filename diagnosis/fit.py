@@ -34,6 +34,12 @@ class Fit:
         """Numbers that were fitted."""
         return len(self.theta)
 
+    @property
+    def by_effect(self) -> tuple[tuple[Candidate, Array], ...]:
+        """Each effect with its own numbers (slots,)."""
+        cuts = np.cumsum([len(one.slots) for one in self.hypothesis])[:-1]
+        return tuple(zip(self.hypothesis, np.split(self.theta, cuts), strict=True)) if self.hypothesis else ()
+
 
 def costs(residual: Array) -> Array:
     """Soft-L1 cost of each residual [nats]; 1/2 r^2 while small."""

@@ -21,7 +21,7 @@ from diagnosis.reading import Read
 from diagnosis.replay import replayer_of
 from diagnosis.stretches import repeat_groups
 from diagnosis.wander import wander_of
-from machine.effects.entries import EffectEntry, pack
+from machine.effects.entries import EffectEntry, pack_under
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
@@ -36,7 +36,7 @@ def cells_of(whole: Read) -> list[Cell]:
     nominal = whole.nominal
     if nominal is None:
         return []
-    base, cells = pack(nominal.baseline, nominal.n), []
+    base, cells = pack_under(nominal.baseline, nominal.n), []
     replayer, behind = replayer_of(nominal), behind_cells(whole, base)
     if replayer is not None and whole.stretches:
         for stage in DRIVEN_STAGES:

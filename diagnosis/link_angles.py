@@ -17,6 +17,7 @@ COURSE_COLUMNS = [
     kernel.BACKLASH,
     *(kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE, kernel.ECC_ORDER, kernel.ECC_PHASE),
     *(kernel.FLEX_GAIN, kernel.FLEX_HZ, kernel.FLEX_DAMPING),
+    *(kernel.KNOWN_GAIN, kernel.KNOWN_HZ, kernel.KNOWN_DAMPING),
 ]
 REMEMBERED = 12
 COURSE_S = 0.01  # between two angles of a course: between them 0.01 mm of the tip at 0.2 rad/s^2
@@ -60,7 +61,7 @@ def link_angles(paths: tuple[Path, ...], sets: ParameterSets, which: int, at: ND
     n = sets.joint.shape[1]
     out, times = np.zeros((len(t_s), n)), np.ascontiguousarray(t_s, dtype=float)
     encoders = np.ones((len(paths), n), dtype=bool)
-    loose = np.any(sets.joint[which][:, [kernel.BACKLASH, kernel.FLEX_GAIN]], axis=1)
+    loose = np.any(sets.joint[which][:, [kernel.BACKLASH, kernel.FLEX_GAIN, kernel.KNOWN_GAIN]], axis=1)
     keys = [sets.joint[which, j, COURSE_COLUMNS].tobytes() if loose[j] else b"" for j in range(n)]
     for k in np.unique(at):
         path = paths[k]

@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 from diagnosis.cells import FORM_SHARE, Cell
 from diagnosis.fit import Fit, bounds, costs, evaluated, weights
+from diagnosis.margin import MARGIN_MORE_NATS, MARGIN_NATS
 from machine.effects.registry import effect_named
 from machine.rotations import Array
 
-MARGIN_NATS = 6.0  # 3 gave false names among dozens of candidates in a dozen cells
-MARGIN_MORE_NATS = 2.0  # for each further number that a model has
 MARGIN_SE = 1.5
 MARGIN_SE_SMALL = 2.0  # below CLEAR_NATS: a swing of one motion gains as much as a small effect, but not everywhere
 TOUCHED_MIN = 2  # blocks
@@ -71,10 +70,10 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
     """Whether `one` beats `other` by the margin: 6 nats, a share of its gain, and 2 standard errors over blocks (1.5
     from 30 nats on).
 
-    On top of the 6 nats comes what its further names gain on the undisturbed machine. Blocks are not asked about what
-    was counted in the log: nothing of it was fitted, and three packets may well have been lost in one block. Nor does
-    their spread count where names touch half of them or fewer and gain in each: of three fast moves the fastest is cut
-    most.
+    Where its further names gain more than that on the undisturbed machine, half as much again as they ever did is
+    asked for. Blocks are not asked about what was counted in the log: nothing of it was fitted, and three packets may
+    well have been lost in one block. Nor does their spread count where names touch half of them or fewer and gain in
+    each: of three fast moves the fastest is cut most.
 
     `spread`: by how much scores are to be divided first (chi2/n of the best model, where the floor is too low);
     `cell`: where its input is not known well enough for 6 nats, or its model's form, it asks for more.
@@ -83,7 +82,7 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
     more = max(0, numbers_of(one.fit) - numbers_of(other.fit) - 1)
     least, form_share = MARGIN_NATS + MARGIN_MORE_NATS * more, FORM_SHARE
     if cell is not None:
-        usual = cell.usual_nats(one.fit.hypothesis) - cell.usual_nats(other.fit.hypothesis)
+        usual = usual_nats(cell, one.fit) - usual_nats(cell, other.fit)
         least, form_share = max(least + max(usual, 0.0) / spread, cell.least_nats), cell.form_share
     if float(gains.sum()) <= max(least, form_share * (one.total - none.total) / spread):
         return False
@@ -96,6 +95,11 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
         return True
     least_se = MARGIN_SE if float(gains.sum()) >= CLEAR_NATS else MARGIN_SE_SMALL
     return float(gains.mean()) > least_se * float(gains.std(ddof=1)) / np.sqrt(len(gains))
+
+
+def usual_nats(cell: Cell, found: Fit) -> float:
+    """What a fit's names gain on the undisturbed machine, beyond the margin [nats, not divided]."""
+    return sum(cell.usual_nats(effect, numbers) for effect, numbers in found.by_effect)
 
 
 def numbers_of(found: Fit) -> int:

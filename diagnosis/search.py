@@ -9,8 +9,9 @@ import numpy as np
 from diagnosis.candidates import Candidate, beside
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.fit import Fit, Hypothesis, costs, evaluated, fit, neutral_fit, weights
+from diagnosis.margin import MARGIN_NATS
 from diagnosis.rare import with_the_event_cut
-from diagnosis.score import MARGIN_NATS, Score, better, score
+from diagnosis.score import Score, better, score
 from machine.effects.layout import Slot
 from machine.rotations import Array
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from diagnosis.cells import Cell
 from diagnosis.fit import evaluated
-from diagnosis.score import MARGIN_MORE_NATS, MARGIN_NATS, Score, numbers_of
+from diagnosis.margin import MARGIN_MORE_NATS, MARGIN_NATS
+from diagnosis.score import Score, numbers_of, usual_nats
 from diagnosis.search import Search
 from machine.rotations import Array
 
@@ -96,7 +97,7 @@ def _count(one: Score) -> int:
 
 
 def _usual_nats(found: Search, one: Score) -> float:
-    return found.cell.usual_nats(one.fit.hypothesis) / found.spread
+    return usual_nats(found.cell, one.fit) / found.spread
 
 
 def _paid(found: Search, one: Score) -> float:
@@ -167,7 +168,8 @@ def _probability(kept: list[tuple[Weighed, ...]], at: tuple[int, ...]) -> float:
 def same_here(found: Search, chosen: Score) -> tuple[tuple[Key, ...], ...]:
     """Classes of effects that this recording cannot tell apart from each chosen effect.
 
-    Model: at the fitted size, T = least |W (f_i - f_j)|^2 over j's size (one linear step), or |cos| of the changes.
+    Model: at the fitted size, T = least |W (f_i - f_j)|^2 over j's size (one linear step) below 9. What points the same
+           way (|cos| above 0.95) is told apart all the same where it is large: the data decide, not the angle.
     """
     classes: list[tuple[Key, ...]] = []
     for effect in chosen.fit.hypothesis:
@@ -182,7 +184,7 @@ def same_here(found: Search, chosen: Score) -> tuple[tuple[Key, ...], ...]:
                 continue
             cosine = _cosine(own, other)
             left = float(own @ own) * (1.0 - cosine**2)
-            if abs(cosine) > SAME_DIRECTION or left / found.spread < SEPARATED_NATS:
+            if left / found.spread < SEPARATED_NATS:
                 rivals.append(key)
         if len(rivals) > 1:
             classes.append(tuple(rivals))

@@ -76,7 +76,7 @@ def told(found: Baseline, fitted: int, count: int) -> str:
         for name, size in one.wander
     ]
     rows += [
-        f"  {name}: gains up to {nats:.3g} nats there, and has to gain that much more"
+        f"  {name}: gains up to {nats:.3g} nats there, and has to gain half as much again"
         for name, nats in found.usual_names
     ]
     return "\n".join(rows)

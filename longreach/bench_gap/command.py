@@ -96,7 +96,7 @@ def tell(cases: figures.Cases, title: str) -> None:
     classes = [size for one in cases for size in one["classes"]]
     console.print(
         f"mean size of the 90 % set {sum(sizes) / len(sizes):.2f}; mean class size "
-        f"{(sum(classes) / len(classes)) if classes else 1.0:.2f} over {len(classes)} classes"
+        f"{(sum(classes) / len(classes)) if classes else 1.0:.2f} over {len(classes)} names"
     )
     ratios = sorted(figures.limit_ratios(cases))
     if ratios:

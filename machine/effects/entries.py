@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from machine.effects.kernel import FLEX_DAMPING, FLEX_GAIN, FLEX_HZ, KNOWN_DAMPING, KNOWN_GAIN, KNOWN_HZ
 from machine.effects.layout import ParameterSets, column_of, neutral_sets
 from machine.effects.registry import NAMES, effect_named
 from machine.effects.spec import Effect, Parameter
 from machine.errors import MachineFileError
 
+SWING = "link_flexibility"
 Vector = tuple[float, ...]
 
 
@@ -173,16 +175,42 @@ def _known(entry: EffectEntry) -> Effect:
 def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
     """One parameter set with these effects; several entries of one effect and joint add up.
 
-    Model: sizes with neutral 0 add, limits (neutral 1 or inf) take the smaller one, shapes take the last one given.
+    Model: sizes with neutral 0 add, limits (neutral 1 or inf) take the smaller one, shapes take the last one given. A
+           second swing of a joint goes on beside the first one, at its own frequency.
+
+    Raises: MachineFileError: a joint has a third swing.
     """
     packed = neutral_sets(n_joints)
     for entry in entries:
         effect = _known(entry)
+        if entry.joint is not None and effect.name == SWING and packed.joint[0, entry.joint - 1, FLEX_GAIN] != 0.0:
+            _step_aside(packed, entry.joint)
         for name, value in entry.values:
             parameter = effect.parameter(name)
             if parameter is not None:
                 _put(packed, entry, effect, parameter, value)
     return packed
+
+
+def pack_under(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
+    """The same, to put a hypothesis on: a joint's one swing leaves its place to what a hypothesis may put beside it."""
+    packed = pack(entries, n_joints)
+    for joint in range(1, n_joints + 1):
+        row = packed.joint[0, joint - 1]
+        if row[FLEX_GAIN] != 0.0 and row[KNOWN_GAIN] == 0.0:
+            _step_aside(packed, joint)
+    return packed
+
+
+def _step_aside(packed: ParameterSets, joint: int) -> None:
+    row = packed.joint[0, joint - 1]
+    if row[KNOWN_GAIN] != 0.0:
+        raise MachineFileError(
+            f"effect {SWING}, joint {joint}: a third swing of one joint; two are modelled. Add the gains of those "
+            "whose frequencies are alike, or leave the smallest one out"
+        )
+    row[[KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING]] = row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]]
+    row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]] = neutral_sets(joint).joint[0, 0, [FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]]
 
 
 def _put(packed: ParameterSets, entry: EffectEntry, effect: Effect, parameter: Parameter, value: float) -> None:

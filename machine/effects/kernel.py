@@ -17,14 +17,17 @@ STEP, RATE, KP_GAIN, PT1_LAG, U_LIMIT = 0, 1, 2, 3, 4
 HYSTERESIS, LAG, DEADBAND, FLOW, ASYMMETRY, DROOP, LEAK, BREAKAWAY = 5, 6, 7, 8, 9, 10, 11, 12
 BIAS, SCALE, ECC_AMPLITUDE, ECC_ORDER, ECC_PHASE = 13, 14, 15, 16, 17
 BACKLASH, FLEX_GAIN, FLEX_HZ, FLEX_DAMPING = 18, 19, 20, 21
+KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING = 22, 23, 24  # a swing of the same joint that goes on beside that one
 # Columns of the machine's parameters (sets, MACHINE_COLUMNS).
 DELAY, LOSS, FLOW_LIMIT, PAYLOAD = 0, 1, 2, 3
 # Columns of the nominal actuators (joints, 5).
 KV, WN, ZETA, KP, TAU = 0, 1, 2, 3, 4
 # Stages that a run begins and ends with.
 LINK, CONTROLLER, ACTUATOR, JOINT = 0, 1, 2, 3
-# A link behind its joint: where its side of the play is [rad], its speed, the swing [rad] and its speed.
-SIDE, SIDE_D, BEND, BEND_D = 0, 1, 2, 3
+# A link behind its joint: where its side of the play is [rad], its speed, both swings [rad] and their speeds.
+SIDE, SIDE_D, BEND, BEND_D, KNOWN_BEND, KNOWN_BEND_D = 0, 1, 2, 3, 4, 5
+BEHIND = 6
+FREE = 8  # numbers of two free swings over one cycle
 
 RESTICK_SHARE = 0.2  # of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
 LOSS_STREAM = 0x7061636B65745F6C  # "packet_l": the stream of packet_loss
@@ -83,6 +86,14 @@ def _share(dt: float, tau: float) -> float:
 
 
 @njit(cache=True)
+def _swings(p: Array, dt: float, out: Array) -> None:
+    """Free motion (FREE,) of a joint's swing and of the one beside it; nothing of one that is not there."""
+    _swing(2.0 * np.pi * p[FLEX_HZ], p[FLEX_DAMPING], dt, out[:4])
+    if p[KNOWN_GAIN] != 0.0:
+        _swing(2.0 * np.pi * p[KNOWN_HZ], p[KNOWN_DAMPING], dt, out[4:])
+
+
+@njit(cache=True)
 def _swing(w: float, damping: float, dt: float, out: Array) -> None:
     """Free motion of an underdamped oscillator over dt, exactly: (b, b') -> out (2, 2, row by row) times (b, b')."""
     wd = w * np.sqrt(1.0 - damping * damping)
@@ -103,13 +114,17 @@ def _flow(x: float, inverse_span: float, gain_up: float, gain_down: float, p: Ar
 
 @njit(cache=True, inline="always")
 def _follow(behind: Array, q: float, p: Array, swing: Array, cycle_s: float) -> None:
-    """One PLC cycle of a link behind its joint: play, then the swing that the link's side is kicked into."""
+    """One PLC cycle of a link behind its joint: play, then the swings that the link's side is kicked into."""
     before, before_d = behind[SIDE], behind[SIDE_D]
     behind[SIDE] = _play(q, before, 0.5 * p[BACKLASH])
     behind[SIDE_D] = (behind[SIDE] - before) / cycle_s
     kicked = behind[BEND_D] - p[FLEX_GAIN] * (behind[SIDE_D] - before_d)
     behind[BEND_D] = swing[2] * behind[BEND] + swing[3] * kicked
     behind[BEND] = swing[0] * behind[BEND] + swing[1] * kicked
+    if p[KNOWN_GAIN] != 0.0:
+        kicked = behind[KNOWN_BEND_D] - p[KNOWN_GAIN] * (behind[SIDE_D] - before_d)
+        behind[KNOWN_BEND_D] = swing[6] * behind[KNOWN_BEND] + swing[7] * kicked
+        behind[KNOWN_BEND] = swing[4] * behind[KNOWN_BEND] + swing[5] * kicked
 
 
 @njit(cache=True, nogil=True)
@@ -117,12 +132,12 @@ def course(p: Array, enc: Array, cycle_s: float) -> Array:
     """Link-side angles (m,) of one joint with parameters p (JOINT_COLUMNS,) behind its encoder's readings (m,), a row a
     cycle: what `run` does in its last stage, for one joint and set.
     """
-    swing, behind, out = np.zeros(4), np.zeros(4), np.zeros(len(enc))
-    _swing(2.0 * np.pi * p[FLEX_HZ], p[FLEX_DAMPING], cycle_s, swing)
+    swing, behind, out = np.zeros(FREE), np.zeros(BEHIND), np.zeros(len(enc))
+    _swings(p, cycle_s, swing)
     behind[SIDE] = _true_angle(enc[0], p)
     for k in range(len(enc)):
         _follow(behind, _true_angle(enc[k], p), p, swing, cycle_s)
-        out[k] = behind[SIDE] + behind[BEND]
+        out[k] = behind[SIDE] + behind[BEND] + behind[KNOWN_BEND]
     return out
 
 
@@ -159,9 +174,9 @@ def run(
     ref, lagged, u = np.zeros(n), np.zeros(n), np.zeros(n)
     play, slow, spool, spool_d, speed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     moving, q, enc = np.zeros(n), np.zeros(n), np.zeros(n)
-    behind = np.zeros((n, 4))
+    behind = np.zeros((n, BEHIND))
     pt1, slow_share, span = np.zeros(n), np.zeros(n), np.zeros(n)
-    up, down, swing = np.zeros(n), np.zeros(n), np.zeros((n, 4))
+    up, down, swing = np.zeros(n), np.zeros(n), np.zeros((n, FREE))
     for s in range(sets):
         P, G = joint[s], machine[s]
         whole, part = 0, 0.0
@@ -179,7 +194,7 @@ def run(
             span[j] = 1.0 / (1.0 - P[j, DEADBAND])
             down[j] = nominal[j, KV] * (1.0 + P[j, FLOW])
             up[j] = down[j] * (1.0 + P[j, ASYMMETRY])
-            _swing(2.0 * np.pi * P[j, FLEX_HZ], P[j, FLEX_DAMPING], cycle_s, swing[j])
+            _swings(P[j], cycle_s, swing[j])
             ref[j] = sent[kept[latest[0]], j] if first == LINK else enc_start[j]
             enc[j] = enc_start[j]
             q[j] = _true_angle(enc_start[j], P[j])
@@ -229,7 +244,7 @@ def run(
                     ref_out[s, row, j] = ref[j]
                     u_out[s, row, j] = u[j]
                     enc_out[s, row, j] = enc[j]
-                    link_out[s, row, j] = behind[j, SIDE] + behind[j, BEND]
+                    link_out[s, row, j] = behind[j, SIDE] + behind[j, BEND] + behind[j, KNOWN_BEND]
             if first <= ACTUATOR and last >= ACTUATOR:
                 for _ in range(substeps):
                     total = 0.0

@@ -12,8 +12,8 @@ from machine.errors import MachineError
 from machine.rotations import Array
 
 # Columns behind the kernel's own, used by structure, camera and clocks.
-SAG, LENGTH_A, LENGTH_D, TILT_X, TILT_Y = 22, 23, 24, 25, 26
-JOINT_COLUMNS = 27
+SAG, LENGTH_A, LENGTH_D, TILT_X, TILT_Y = 25, 26, 27, 28, 29
+JOINT_COLUMNS = 30
 CLOCK_OFFSET, CLOCK_RATE_PPM, BASE_TILT, BASE_COMPLIANCE = 4, 5, slice(6, 9), 9
 FOCAL, PRINCIPAL, K1, MARKER_SIZE = 10, slice(11, 13), 13, 14
 HAND_EYE_ROTATION, HAND_EYE_TRANSLATION, STEREO = slice(15, 18), slice(18, 21), slice(21, 24)

@@ -178,7 +178,7 @@ def judged(
         "stage_right": stage_right(truth, answer),
         "credible": _credible(true, answer, equal.separation, truth["mix"]),
         "credible_size": len(answer["credible_set_90"]),
-        "classes": [len(one) for one in answer["indistinguishable"]],
+        "classes": _class_sizes(answer, list(named)) if answer["verdict"] == "effects" else [],
         "closed": (answer["shrink"].get("overall") or {}),
         "closed_true": equal.closed(true, list(named.values())) if exact_named and pairs else None,
         "strengths": strengths,
@@ -266,6 +266,12 @@ def _credible(true: list[Injected], answer: dict[str, Any], separation_of: Separ
         if len(known) == len(found) == len(wanted) == len(matched(true, known, separation_of)):
             return True
     return False
+
+
+def _class_sizes(answer: dict[str, Any], named: list[Key]) -> list[int]:
+    """Of each named effect, how many it is told together with, itself counted: 1 where it is told apart from all."""
+    classes = {(one[0]["name"], one[0]["joint"]): len(one) for one in answer["indistinguishable"]}
+    return [classes.get(key, 1) for key in named]
 
 
 def first_stage(answer: dict[str, Any]) -> str:

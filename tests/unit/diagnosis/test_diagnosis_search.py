@@ -175,10 +175,21 @@ def test_effects_of_one_direction_are_one_class() -> None:
     assert {key[0] for key in classes[0]} >= {"flow_gain_error", "valve_asymmetry"}
 
 
-def _both_into_gain(sets: ParameterSets) -> ParameterSets:
+def test_what_points_the_same_way_is_told_apart_where_it_is_large() -> None:
+    small, large = (same_here(found, found.chosen) for found in (search(_nearly_alike(g)) for g in (0.03, 0.2)))
+    assert {key[0] for key in small[0]} >= {"flow_gain_error", "valve_asymmetry"}
+    assert not large
+
+
+def _nearly_alike(gain: float) -> Cell:
+    cell = made_up((gain, 0.0, 0.0))
+    return replace(cell, whitened=lambda sets: cell.whitened(_both_into_gain(sets, 0.2)))
+
+
+def _both_into_gain(sets: ParameterSets, apart: float = 0.0) -> ParameterSets:
     joint = sets.joint.copy()
-    joint[..., GAIN.column] += joint[..., ASYMMETRY.column]
-    joint[..., ASYMMETRY.column] = 0.0
+    joint[..., GAIN.column] += (1.0 - apart) * joint[..., ASYMMETRY.column]
+    joint[..., ASYMMETRY.column] *= apart
     return ParameterSets(joint, sets.machine)
 
 

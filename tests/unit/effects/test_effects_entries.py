@@ -6,8 +6,8 @@ import tomllib
 import numpy as np
 import pytest
 
-from machine.effects.entries import EffectEntry, entries_to_toml, make_entry, pack, parse_entries
-from machine.effects.kernel import DEADBAND, FLEX_HZ, FLOW_LIMIT, RATE
+from machine.effects.entries import EffectEntry, entries_to_toml, make_entry, pack, pack_under, parse_entries
+from machine.effects.kernel import DEADBAND, FLEX_GAIN, FLEX_HZ, FLOW_LIMIT, KNOWN_GAIN, KNOWN_HZ, RATE
 from machine.effects.layout import HAND_EYE_ROTATION, LENGTH_A, LENGTH_D, neutral_sets
 from machine.effects.registry import EFFECTS
 from machine.errors import MachineFileError
@@ -129,4 +129,22 @@ def test_an_effect_beyond_a_baseline_adds_and_limits_take_the_smaller() -> None:
     assert packed.machine[0, FLOW_LIMIT] == 0.7
     assert packed.joint[0, 2, [LENGTH_A, LENGTH_D]] == pytest.approx([0.01, 0.02])
     assert packed.joint[0, 2, FLEX_HZ] == 4.0
+    assert packed.joint[0, 2, KNOWN_GAIN] == 0.0
     assert packed.machine[0, HAND_EYE_ROTATION] == pytest.approx([0.02, 0.0, -0.01])
+
+
+def test_a_second_swing_of_a_joint_keeps_its_own_frequency_and_a_third_is_refused() -> None:
+    swings = [entry("link_flexibility", 2, gain=gain, frequency_hz=hz) for gain, hz in ((0.9, 3.8), (0.2, 2.1))]
+    both = pack(swings, 3).joint[0, 1]
+    assert both[[FLEX_GAIN, FLEX_HZ, KNOWN_GAIN, KNOWN_HZ]] == pytest.approx([0.2, 2.1, 0.9, 3.8])
+    with pytest.raises(MachineFileError, match="link_flexibility, joint 2: a third swing"):
+        pack([*swings, swings[0]], 3)
+
+
+def test_what_a_hypothesis_is_put_on_leaves_it_a_swing_of_its_own() -> None:
+    known = entry("link_flexibility", 1, gain=0.9, frequency_hz=3.8)
+    under = pack_under([known], 2).joint[0, 0]
+    assert under[[FLEX_GAIN, KNOWN_GAIN, KNOWN_HZ]] == pytest.approx([0.0, 0.9, 3.8])
+    assert under[FLEX_HZ] == neutral_sets(1).joint[0, 0, FLEX_HZ]
+    full = [known, entry("link_flexibility", 1, gain=0.2, frequency_hz=2.1)]
+    assert np.array_equal(pack_under(full, 2).joint, pack(full, 2).joint)

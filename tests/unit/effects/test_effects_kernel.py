@@ -230,6 +230,21 @@ def test_backlash_and_flexibility_stand_behind_the_encoder() -> None:
     assert bend[101:199] == pytest.approx(-0.5 / wd * np.exp(-0.05 * w * tau) * np.sin(wd * tau), abs=2e-3)
 
 
+def test_two_swings_of_a_joint_go_on_beside_each_other() -> None:
+    plant, effect = plant_of_hiab(), effect_named("link_flexibility")
+    assert effect is not None
+    t = np.arange(600) * 0.01
+    enc = np.tile(0.2 * np.sin(2.0 * np.pi * 0.5 * t)[:, None], 6)
+
+    def bend(*swings: tuple[float, float]) -> np.ndarray:
+        entries = [make_entry(effect, 2, {"gain": gain, "frequency_hz": hz}) for gain, hz in swings]
+        return simulate(plant, pack(entries, 6), drive_joint(plant, enc)).link[0, :, 1] - enc[:, 1]
+
+    one, other = (0.9, 3.8), (0.2, 2.1)
+    assert np.abs(bend(other)).max() > 1e-4
+    assert bend(one, other) == pytest.approx(bend(one) + bend(other), abs=1e-12)
+
+
 def test_lost_datagrams_are_a_share_and_the_same_for_all_joints() -> None:
     plant = Actuators(plant_of_hiab().joints, 0.001, 0.001, 0.0)
     t = np.arange(5000) * 1e-3
