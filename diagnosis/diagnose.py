@@ -84,7 +84,7 @@ def concluded(
     hypotheses = _hypotheses(answers)
     numbers = _numbers(answers, hypotheses)
     holes = sum(one.count for one in whole.findings if one.code == "gap")
-    verdict = verdict_of(answers, hypotheses, holes)
+    verdict = verdict_of(answers, holes)
     progress("localising", 1, 1)
     energy = energies([(one.cell, one.none.fit.residual) for one in searches])
     return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, _evidence(answers)))

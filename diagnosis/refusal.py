@@ -22,6 +22,7 @@ UNREST = "unrest"
 EDGE = "edge"
 QUIET_MAX = 0.1  # of the floor's energy: an undisturbed stage that never leaves more is quiet
 QUIET_TIMES = 1.5  # the most that it ever left
+SPARED_BLOCKS = 2
 EXCESS_MIN = 0.1  # of the noise's own energy: a pattern without more energy than the noise is the filter's error
 CORRELATION_MIN = 0.15
 PEAK_MIN = 0.06  # share of the variance in one period of time or position
@@ -149,9 +150,9 @@ def _unrest(cell: Cell, r: Array) -> list[Fired]:
 
 
 def steady_energy(cell: Cell, r: Array) -> float:
-    """Mean square of a residual (N,) without its strongest block: one late packet in a month is no habit of a link."""
-    by_block = np.bincount(cell.rows.block, weights=r**2)
-    return float(by_block.sum() - by_block.max()) / len(r)
+    """Mean square of a residual (N,) without its strongest blocks: a late packet or two in a month are no habit."""
+    by_block = np.sort(np.bincount(cell.rows.block, weights=r**2))
+    return float(by_block[:-SPARED_BLOCKS].sum()) / len(r)
 
 
 def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:

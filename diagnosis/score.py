@@ -107,6 +107,11 @@ def numbers_of(found: Fit) -> int:
     return sum(len(one.slots) + len(one.fixed) for one in found.hypothesis)
 
 
+def chosen_nats(found: Fit) -> float:
+    """What a hypothesis pays for the numbers that it could choose beyond one an effect [nats]."""
+    return MARGIN_MORE_NATS * (numbers_of(found) - len(found.hypothesis))
+
+
 def covariance(found: Fit) -> Array:
     """Of theta (k, k), with the range as a weak prior."""
     low, high = bounds(found.hypothesis)

@@ -11,7 +11,7 @@ from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.fit import Fit, Hypothesis, costs, evaluated, fit, neutral_fit, weights
 from diagnosis.margin import MARGIN_NATS
 from diagnosis.rare import with_the_event_cut
-from diagnosis.score import Score, better, score
+from diagnosis.score import Score, better, chosen_nats, score
 from machine.effects.layout import Slot
 from machine.rotations import Array
 
@@ -113,7 +113,7 @@ def _searched(cell: Cell, none: Score, scans: list[Scan], known: dict[frozenset[
     spread = _spread(cell, [none, *singles, *pairs, *triples])
     chosen = none
     for level in levels:
-        best = max(level, key=lambda one: one.total)
+        best = max(level, key=lambda one: one.total - spread * chosen_nats(one.fit))
         if better(best, chosen, none, spread, cell):
             chosen = best
     chosen = _backward(book, chosen, spread)

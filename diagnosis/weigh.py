@@ -11,8 +11,8 @@ import numpy as np
 
 from diagnosis.cells import Cell
 from diagnosis.fit import evaluated
-from diagnosis.margin import MARGIN_MORE_NATS, MARGIN_NATS
-from diagnosis.score import Score, numbers_of, usual_nats
+from diagnosis.margin import MARGIN_NATS
+from diagnosis.score import Score, chosen_nats, usual_nats
 from diagnosis.search import Search
 from machine.rotations import Array
 
@@ -110,9 +110,8 @@ def _price(cell: Cell, one: Score) -> float:
     """Nats that a hypothesis pays for its effects and their numbers."""
     numbers = calibration()
     foreign = sum(_foreign(cell, effect.stage) for effect in one.fit.hypothesis)
-    effects = len(one.fit.hypothesis)
-    more = MARGIN_MORE_NATS * (numbers_of(one.fit) - effects)
-    return numbers.penalty_nats_per_effect * effects + more + numbers.foreign_stage_penalty_nats * foreign
+    of_names = numbers.penalty_nats_per_effect * len(one.fit.hypothesis)
+    return of_names + chosen_nats(one.fit) + numbers.foreign_stage_penalty_nats * foreign
 
 
 def _foreign(cell: Cell, stage: str) -> bool:

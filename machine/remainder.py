@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 STAGES = ("link", "controller", "actuator", "structure", "camera")
 USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern explained, however small
-USUAL_ENERGY = "energy left"  # among the usual tests: the most that a recording left but for its strongest block
+USUAL_ENERGY = "energy left"  # among the usual tests: the most that a recording left but for its two strongest blocks
 USUAL_NAME = "name "  # before an effect, among the usual tests: what that name gains there [nats]
 USUAL_SHAPE = "shape "  # before what a remainder may go with, among the usual tests: what it foretells there [nats]
 SHARE_MIN = 0.5  # of the floor: a smaller share tells little of what would be foretold without noise

@@ -16,7 +16,7 @@ from diagnosis.score import better, covariance, log_evidence, score
 from diagnosis.search import scan, search
 from diagnosis.shrink import closed_share, shrinks, squares
 from diagnosis.verdict import verdict_of
-from diagnosis.weigh import calibration, combined, same_here, weighed
+from diagnosis.weigh import Weighed, calibration, combined, same_here, weighed
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.remainder import usual_name
 
@@ -83,7 +83,7 @@ def test_a_name_that_fits_only_at_the_end_of_what_is_believed_is_not_told(truth:
     cell = made_up((0.0, 0.0, truth))
     answer = _answer(search(cell), 1)
     assert [one.name for one in answer.chosen.fit.hypothesis] == ["valve_lag"]
-    verdict = verdict_of((answer,), combined([answer.weighed]))
+    verdict = verdict_of((answer,))
     assert verdict.word == word
     assert ("valve_lag is 0.5, the most that is believed of it" in verdict.why) == (word == "outside")
 
@@ -95,9 +95,21 @@ def test_three_faults_at_once_on_a_machine_known_well_are_rather_one_that_has_no
     cell = replace(made_up((0.3, 0.3, 0.3)), usual=(("peak", 0.0),) if known_well else ())
     answer = _answer(search(cell), 1)
     assert len(answer.chosen.fit.hypothesis) == 3
-    verdict = verdict_of((answer,), combined([answer.weighed]))
+    verdict = verdict_of((answer,))
     assert verdict.word == word
     assert ("3 faults at once" in verdict.why) == known_well
+
+
+def test_doubt_where_nothing_is_named_takes_no_name_back_but_doubt_of_the_name_does() -> None:
+    named_one = _answer(search(made_up((0.3, 0.0, 0.0))), 1)
+    quiet = _answer(search(made_up((0.0, 0.0, 0.0))), 1)
+    assert not quiet.chosen.fit.hypothesis
+    first = next(one for one in named_one.weighed if one.score is named_one.chosen)
+    other = next(one for one in named_one.weighed if one.score is not named_one.chosen)
+    doubtful = replace(quiet, weighed=(Weighed(quiet.chosen, 0.4), Weighed(other.score, 0.6)))
+    assert verdict_of((named_one, doubtful, doubtful)).word == "effects"
+    unsure = replace(named_one, weighed=(Weighed(first.score, 0.4), Weighed(other.score, 0.6)), same=())
+    assert "0.4 among others" in verdict_of((unsure, quiet)).why
 
 
 def test_a_limit_that_cuts_nothing_off_stands_at_no_end() -> None:
