@@ -38,13 +38,16 @@ class EffectEntry:
 def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
     """The effects of a machine file's `effect` list, as `tomllib` gives it (None: no list).
 
-    Raises: MachineFileError: unknown name (with the nearest ones), joint or parameter; value out of bounds.
+    Raises: MachineFileError: unknown name (with the nearest ones), joint or parameter; value out of bounds; a third swing
+        of one joint.
     """
     if tables is None:
         return ()
     if not isinstance(tables, list):
         raise MachineFileError(f"effect = {tables!r} is not a list; write each effect as its own [[effect]] table")
-    return tuple(_entry(table, n_joints, f"effect {number}") for number, table in enumerate(tables, start=1))
+    entries = tuple(_entry(table, n_joints, f"effect {number}") for number, table in enumerate(tables, start=1))
+    pack(entries, n_joints)  # a third swing of a joint
+    return entries
 
 
 def _entry(table: object, n_joints: int, where: str) -> EffectEntry:

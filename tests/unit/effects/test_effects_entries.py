@@ -137,8 +137,9 @@ def test_a_second_swing_of_a_joint_keeps_its_own_frequency_and_a_third_is_refuse
     swings = [entry("link_flexibility", 2, gain=gain, frequency_hz=hz) for gain, hz in ((0.9, 3.8), (0.2, 2.1))]
     both = pack(swings, 3).joint[0, 1]
     assert both[[FLEX_GAIN, FLEX_HZ, KNOWN_GAIN, KNOWN_HZ]] == pytest.approx([0.2, 2.1, 0.9, 3.8])
+    assert read(entries_to_toml(swings)) == tuple(swings)
     with pytest.raises(MachineFileError, match="link_flexibility, joint 2: a third swing"):
-        pack([*swings, swings[0]], 3)
+        read(entries_to_toml([*swings, swings[0]]))
 
 
 def test_what_a_hypothesis_is_put_on_leaves_it_a_swing_of_its_own() -> None:
