@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from diagnosis.diagnose import CellAnswer
 
 Word = Literal["none", "effects", "outside", "undecided"]
+STICKS = "stiction"
 LEFT_SMALL = 0.02  # share of the gap: a remainder below it does not take back a name
+LEFT_STUCK = 0.3  # the same where a joint sticks: what rings after each of its jumps has no model
 LEFT_LARGE = 0.5  # share of the gap: a remainder above it says that no name fits
 HOLES_MANY = 10  # a cable pulled once is no fault of the log; samples that go missing all the time are
 CROWD = 3  # names at once on a machine whose usual state is known: one cause that the catalogue lacks is likelier
@@ -34,12 +36,13 @@ def verdict_of(answers: tuple[CellAnswer, ...], holes: int = 0) -> Verdict:
     """The verdict over all cells. `holes`: places where the log lacks rows.
 
     Model: a remainder that tests find takes back a name: a wrong effect can close most of a foreign gap. It is
-           "outside" where it is most of the gap, or nothing was named; else "undecided", unless below 2 % of the gap.
+           "outside" where it is most of the gap, or nothing was named; else "undecided", unless below 2 % of the gap
+           (30 % where a joint sticks).
     """
     if not answers:
         return Verdict("undecided", "no stage could be replayed")
     outside = [one for one in answers if one.fired and _left(one) > LEFT_LARGE]
-    partly = [one for one in answers if one.fired and LEFT_SMALL < _left(one) <= LEFT_LARGE]
+    partly = [one for one in answers if one.fired and _allowed(one) < _left(one) <= LEFT_LARGE]
     named = [effect for one in answers for effect in one.chosen.fit.hypothesis]
     if outside:
         one = outside[0]
@@ -60,6 +63,10 @@ def verdict_of(answers: tuple[CellAnswer, ...], holes: int = 0) -> Verdict:
     if sure < SURE:
         return Verdict("undecided", f"the names found have a probability of {sure:.2g} among others")
     return Verdict("effects", "catalogue effects explain the gap")
+
+
+def _allowed(one: CellAnswer) -> float:
+    return LEFT_STUCK if any(effect.name == STICKS for effect in one.chosen.fit.hypothesis) else LEFT_SMALL
 
 
 def known_well(cell: Cell) -> bool:

@@ -38,8 +38,8 @@ class EffectEntry:
 def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
     """The effects of a machine file's `effect` list, as `tomllib` gives it (None: no list).
 
-    Raises: MachineFileError: unknown name (with the nearest ones), joint or parameter; value out of bounds; a third swing
-        of one joint.
+    Raises: MachineFileError: unknown name (with the nearest ones), joint or parameter; value out of bounds; a joint's
+        third swing.
     """
     if tables is None:
         return ()

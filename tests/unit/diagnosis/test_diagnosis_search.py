@@ -11,7 +11,7 @@ from diagnosis.diagnose import _answer
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import evaluated, fit, jacobian, neutral_fit
 from diagnosis.limits import detection_limit, intervals
-from diagnosis.refusal import at_edge, remainder
+from diagnosis.refusal import Fired, at_edge, remainder
 from diagnosis.score import better, covariance, log_evidence, score
 from diagnosis.search import scan, search
 from diagnosis.shrink import closed_share, shrinks, squares
@@ -110,6 +110,22 @@ def test_doubt_where_nothing_is_named_takes_no_name_back_but_doubt_of_the_name_d
     assert verdict_of((named_one, doubtful, doubtful)).word == "effects"
     unsure = replace(named_one, weighed=(Weighed(first.score, 0.4), Weighed(other.score, 0.6)), same=())
     assert "0.4 among others" in verdict_of((unsure, quiet)).why
+
+
+@pytest.mark.parametrize(
+    ("name", "left", "word"),
+    [("stiction", 0.2, "effects"), ("stiction", 0.35, "undecided"), ("valve_lag", 0.2, "undecided")],
+)
+def test_a_joint_that_sticks_may_ring_after_its_jumps(
+    name: str, left: float, word: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = _answer(search(made_up((0.0, 0.0, 0.2))), 1)
+    (lag,) = found.chosen.fit.hypothesis
+    chosen = replace(found.chosen, fit=replace(found.chosen.fit, hypothesis=(replace(lag, name=name),)))
+    rings = Fired("autocorrelation", "actuator", 1, 0.2, 0.0, "goes on over 0.15 s")
+    answer = replace(found, chosen=chosen, weighed=(Weighed(chosen, 1.0),), fired=(rings,))
+    monkeypatch.setattr("diagnosis.verdict._left", lambda _one: left)
+    assert verdict_of((answer,)).word == word
 
 
 def test_a_limit_that_cuts_nothing_off_stands_at_no_end() -> None:
