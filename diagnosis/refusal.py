@@ -70,7 +70,9 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
         return ()
     n_tests = cells * (4 + len(cell.regressors))
     level = LEVEL / max(n_tests, 1)
-    found = [*_energy(cell, r), *_unrest(cell, r), *_patterns(cell, r, 1.0)]
+    found = [*_energy(cell, r), *_unrest(cell, r)]
+    if cell.joint not in cell.unlike:  # what it leaves of another motion goes on in another way
+        found += _patterns(cell, r, 1.0)
     usual = dict(cell.usual)
     least, times = (PATTERN_NATS, USUAL_TIMES)
     if usual and cell.stage not in DRIVEN_STAGES:

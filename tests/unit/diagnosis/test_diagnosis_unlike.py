@@ -49,3 +49,11 @@ def test_behind_joints_that_moved_unlike_energy_alone_is_no_test(little_off: Dia
     assert "energy" in {one.test for one in fired_tests(behind, loud, 1)}
     assert "energy" not in {one.test for one in fired_tests(replace(behind, unlike=(2,)), loud, 1)}
     assert "energy" in {one.test for one in fired_tests(replace(cell, unlike=(2,)), loud, 1)}
+
+
+def test_a_pattern_of_a_joint_that_moved_unlike_is_no_test(little_off: Diagnosis) -> None:
+    cell = next(one.search.cell for one in little_off.cells if one.search.cell.label == "actuator 2")
+    swinging = 1.5 * np.sin(0.4 * np.arange(cell.rows.count))
+    assert {"autocorrelation", "peak"} <= {one.test for one in fired_tests(cell, swinging, 1)}
+    assert fired_tests(replace(cell, unlike=(2,)), swinging, 1) == ()
+    assert "autocorrelation" in {one.test for one in fired_tests(replace(cell, unlike=(1,)), swinging, 1)}
