@@ -29,6 +29,9 @@ def gap(
     calibrate: Annotated[
         bool, typer.Option("--calibrate", help="fit the probabilities' numbers on what is on file (seeds below 100)")
     ] = False,
+    with_seed: Annotated[
+        list[int] | None, typer.Option(help="a further campaign on file that --calibrate counts; may be given again")
+    ] = None,
     only_tell: Annotated[bool, typer.Option("--tell", help="run nothing, tell what is on file")] = False,
     packed: Annotated[
         bool, typer.Option("--pack", help="write the scores on file as one, which another computer goes on from")
@@ -38,9 +41,10 @@ def gap(
     """Blind cases of the gap diagnosis: names, refusals, probabilities, limits and shrink against sealed truths."""
     if plant not in PLANTS:
         raise typer.BadParameter(f"--plant {plant}; there are {', '.join(PLANTS)}")
-    if calibrate and seed >= JUDGEMENT:
+    seeds = [seed, *(with_seed or ())]
+    if calibrate and max(seeds) >= JUDGEMENT:
         raise typer.BadParameter(
-            f"--calibrate with --seed {seed}: seeds of {JUDGEMENT} and above judge, and fit nothing"
+            f"--calibrate with --seed {max(seeds)}: seeds of {JUDGEMENT} and above judge, and fit nothing"
         )
     asked, numbers = Campaign(plant, seed, folder.resolve(), factor), range(first, first + n)
     try:
@@ -54,7 +58,11 @@ def gap(
         console.print(f"[bold red]longreach:[/] {escape(str(error))}")
         raise typer.Exit(2) from error
     if calibrate and cases:
-        _calibrate(cases, f"{len(cases)} cases of plant {plant}, seed {seed}")
+        counted = [
+            one for number in seeds for one in scores(Campaign(plant, number, folder.resolve(), factor), numbers)
+        ]
+        told_seeds = f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
+        _calibrate(counted, f"{len(counted)} cases of plant {plant}, {told_seeds}")
 
 
 def _run(asked: Campaign, numbers: range, workers: int) -> int:
