@@ -12,6 +12,7 @@ from machine.rotations import Array
 from recording.content import Recording
 
 Generator = np.random.Generator
+Key = tuple[str, int | None]
 WIND = 2e-5
 PITCH_AXIS = (0.0, 1.0, 0.0)
 
@@ -126,4 +127,14 @@ PAIRS: dict[str, Callable[[int, Generator], Case]] = {
     "sag-bias": _bent,
     "print-focal": _straight,
     "bias-mount": _held_wrist,
+}
+
+#: The two names of each pair, with their joints: the first is the true one of even seeds.
+NAMES: dict[str, tuple[Key, Key]] = {
+    "gain-droop": (("flow_gain_error", 2), ("load_droop", 2)),
+    "lag-delay": (("valve_lag", 2), ("transport_delay", None)),
+    "deadband-hysteresis": (("valve_deadband", 1), ("valve_hysteresis", 1)),
+    "sag-bias": (("gravity_sag", 2), ("encoder_bias", 2)),
+    "print-focal": (("marker_size_error", None), ("focal_length_error", None)),
+    "bias-mount": (("encoder_bias", 4), ("hand_eye_rotation", None)),
 }

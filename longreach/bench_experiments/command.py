@@ -14,6 +14,7 @@ from longreach.reproduce.summary import share
 from longreach.saved_lines import open_to_add, whole_lines
 
 console = Console(width=150)
+HEADINGS = ("pair", "ambiguous", "separated", "95 %", "nothing beside it", "nothing proposed", "clear at once")
 DRAWS_MAX = 3  # draws per wanted case: some first recordings are not ambiguous, and count apart
 
 
@@ -50,15 +51,17 @@ def _run_pair(pair: str, n: int, seed: int, file: Path) -> list[Outcome]:
                 one = run_case(pair, number)
                 lines.write(one.to_line() + "\n")
                 lines.flush()
-                console.print(f"{pair} {number}: {one.truth}, {one.what}: P {one.p_first:.3f} -> {one.p_both:.3f}")
+                told = f"P {one.apart_first:.3f} -> {one.apart_both:.3f}"
+                console.print(f"{pair} {number}: {one.truth}, {one.what}: {told}")
             out.append(one)
     return out
 
 
 def tell(found: dict[str, list[Outcome]]) -> None:
     """One row a pair."""
-    table = Table(title="P(true) > 0.95 after the proposed experiment (wanted: >= 90 %)", title_justify="left")
-    for heading in ("pair", "ambiguous cases", "separated", "95 %", "nothing proposed", "clear at once"):
+    title = "True effect told from its rivals with P > 0.95 by the proposed experiment (wanted: >= 90 %)"
+    table = Table(title=title, title_justify="left")
+    for heading in HEADINGS:
         table.add_column(heading)
     for pair, outcomes in found.items():
         told = [one for one in outcomes if one.ambiguous]
@@ -68,6 +71,7 @@ def tell(found: dict[str, list[Outcome]]) -> None:
             str(len(told)),
             f"{got.k} of {got.n}" if got else "-",
             f"{100 * got.low:.0f} to {100 * got.high:.0f} %" if got else "-",
+            str(sum(one.alone for one in told)),
             str(sum(one.what is None for one in told)),
             str(len(outcomes) - len(told)),
         )

@@ -12,8 +12,9 @@ from diagnosis.reading import examine
 from diagnosis.replay import replayer_of
 from diagnosis.together import together
 from diagnosis.views_one_eye import planar_pose
-from longreach.bench_experiments.cases import draw
-from longreach.bench_experiments.run import run_case
+from longreach.bench_experiments.arm import Truth
+from longreach.bench_experiments.cases import NAMES, PAIRS, draw
+from longreach.bench_experiments.run import alone, apart, run_case
 from machine.effects.layout import neutral_sets
 from machine.markers import marker_corners
 from machine.rotations import rotation_from_rotvec
@@ -27,6 +28,32 @@ def test_bias_and_sag_are_told_apart_by_the_proposed_postures():
     assert found.what == "postures across the range"
     assert found.separated
     assert found.best_both == ["encoder_bias 2"]
+
+
+@pytest.mark.parametrize("pair", list(PAIRS))
+def test_even_seeds_have_the_first_effect_of_a_pair_and_odd_ones_the_second(pair: str):
+    truths = [draw(pair, seed).rig.truth for seed in (0, 1)]
+    assert tuple((one.name, one.joint) for one in truths) == NAMES[pair]
+
+
+def test_a_name_beside_the_true_one_leaves_the_rival_apart():
+    truth = Truth("flow_gain_error", 2)
+    result = {
+        "hypotheses": [
+            _told(0.4, ("flow_gain_error", 2)),
+            _told(0.2, ("valve_lag", 1), ("flow_gain_error", 2)),
+            _told(0.1, ("load_droop", 2), ("flow_gain_error", 2)),
+            _told(0.1, ("load_droop", 2)),
+        ],
+        "outside_probability": 0.1,
+        "unseen_probability": 0.1,
+    }
+    assert apart(result, truth, {("load_droop", 2)}) == pytest.approx(0.75)
+    assert alone(result, truth) == pytest.approx(0.5)
+
+
+def _told(probability: float, *names: tuple[str, int | None]) -> dict[str, object]:
+    return {"probability": probability, "effects": [{"name": name, "joint": joint} for name, joint in names]}
 
 
 def test_without_reference_and_command_link_controller_and_actuator_are_one_cell():
