@@ -11,6 +11,7 @@ from diagnosis.limits import Interval
 from diagnosis.rivals import rivals
 from diagnosis.score import Score
 from diagnosis.shrink import closing, together
+from diagnosis.sliding import in_metres
 from diagnosis.unseen import one_more, unseen_share
 from diagnosis.weigh import Key, Whole, calibration
 from machine.effects.registry import effect_named
@@ -34,7 +35,7 @@ def answer(found: Diagnosis) -> dict[str, Any]:
 def judgement(found: Diagnosis) -> dict[str, Any]:
     """What the recording says, without what to do next."""
     hypotheses = [_hypothesis(found, number) for number in range(min(len(found.hypotheses), HYPOTHESES_MAX))]
-    return {
+    told: dict[str, Any] = {
         "format_version": FORMAT,
         "verdict": found.verdict.word,
         "why": found.verdict.why,
@@ -53,6 +54,8 @@ def judgement(found: Diagnosis) -> dict[str, Any]:
         "searched": [_searched(one) for one in found.cells],
         "rivals": rivals(found.cells),
     }
+    nominal = found.whole.nominal
+    return in_metres(told, nominal.sliding) if nominal is not None and any(nominal.sliding) else told
 
 
 def _outside(found: Diagnosis) -> float:

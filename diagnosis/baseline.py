@@ -294,7 +294,7 @@ def _wrong_gains(
     for number, whole in enumerate(checked, start=1):
         progress(f"what a wrong name would gain: recording {number} of {len(checked)}")
         for cell in cells_of(whole):
-            found = search(cell)
+            found = search(cell, further=False)
             best = max(found.scored, key=lambda one: _beyond_chance(one, found.none))
             told = " + ".join(f"{one.name} {one.joint or ''}".strip() for one in best.fit.hypothesis)
             progress(f"  {cell.label}: {told or 'nothing'} gains {best.total - found.none.total:.3g} nats")

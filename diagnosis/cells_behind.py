@@ -15,6 +15,7 @@ from diagnosis.cells_camera import CornerResidual, camera_cells
 from diagnosis.cells_points import PointResidual, point_cells
 from diagnosis.form import with_form
 from diagnosis.link_angles import paths_of
+from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
 from machine.effects.kernel import PAYLOAD
 from machine.effects.layout import BASE_COMPLIANCE, BASE_TILT, FOCAL, STEREO, ParameterSets
@@ -24,6 +25,7 @@ REMEMBERED = 400  # residuals of one part
 OF_ARM = [PAYLOAD, *range(BASE_TILT.start, BASE_TILT.stop), BASE_COMPLIANCE]
 OF_MOUNT = list(range(FOCAL, STEREO.stop))
 JOINED_UNIT = "floors"
+OF_A_TURN = ("encoder_eccentricity",)
 
 
 def behind_cells(whole: Read, base: ParameterSets) -> list[Cell]:
@@ -155,6 +157,16 @@ def told_behind(cells: list[Cell]) -> tuple[str, ...]:
 
 def without(cells: list[Cell], names: tuple[str, ...]) -> list[Cell]:
     """Cells whose library lacks these effects."""
-    if not names:
+    return _kept(cells, lambda one: one.name not in names) if names else cells
+
+
+def fitting(cells: list[Cell], nominal: Nominal) -> list[Cell]:
+    """Cells without effects that such a joint cannot have: what slides has no turn that a wave could go with."""
+    if not any(nominal.sliding):
         return cells
-    return [replace(cell, candidates=tuple(c for c in cell.candidates if c.name not in names)) for cell in cells]
+    slides = [False, *nominal.sliding]  # by joint; the machine's own are at 0
+    return _kept(cells, lambda one: one.name not in OF_A_TURN or not slides[one.joint or 0])
+
+
+def _kept(cells: list[Cell], wanted: Callable[[Candidate], bool]) -> list[Cell]:
+    return [replace(cell, candidates=tuple(one for one in cell.candidates if wanted(one))) for cell in cells]

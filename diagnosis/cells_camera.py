@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, candidates_of, named
 from diagnosis.cells import Cell, Rows
-from diagnosis.cells_points import rows_of, saturated_floor
-from diagnosis.corner_noise import PLAIN, CornerNoise, groups_of, noise_of_visits
+from diagnosis.cells_points import rows_of
+from diagnosis.corner_noise import AXES, PLAIN, CornerNoise, groups_of, noise_of_visits
 from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
+from diagnosis.saturated import saturated_noise
 from diagnosis.tables import MarkerTable
 from diagnosis.views import mean_pose, views_of
 from diagnosis.views_one_eye import one_eye_views
@@ -193,7 +194,7 @@ def _cell(
         candidates = tuple(one for one in candidates if one.name not in TIMED)
     candidates = tuple(one for one in candidates if one.name != "odometry_scale")
     known = _floor(placed, base)
-    noise = known if known is not None else replace(PLAIN, own=np.full(2, saturated_floor(placed, base, candidates)))
+    noise = known if known is not None else _of_two(saturated_noise(placed, base, candidates, frames.groups))
     noise = replace(noise, own=np.maximum(noise.own, SIGMA_MIN_PX))
     record = nominal.remainder("camera", on=on)
     rows, t_s = _rows(frames)
@@ -218,6 +219,11 @@ def _cell(
             left_share=left,
         )
     ]
+
+
+def _of_two(own_and_shared: tuple[float, float]) -> CornerNoise:
+    own, shared = own_and_shared
+    return CornerNoise(np.full(AXES, own), np.full(AXES, shared))
 
 
 def _share_left(record: Remainder, noise: CornerNoise) -> float:

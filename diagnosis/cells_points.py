@@ -1,18 +1,18 @@
 """The cell of points measured at rest (static.csv) or in motion (tracker.csv) against the arm."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, Candidate, candidates_of, named, put
+from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, Candidate, candidates_of, named
 from diagnosis.cells import Cell, Rows
 from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.point_noise import PointNoise, instants_of
 from diagnosis.points import PointData, PointFit, fit_points, static_data, tracked_data
 from diagnosis.reading import Read
+from diagnosis.saturated import saturated_noise
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
@@ -110,12 +110,14 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
     m = len(data.xyz)
     rough = PointResidual(nominal, data, paths, at, PointNoise(np.ones(3), 0.0, np.zeros(m), instants_of(data.when)))
     known = _floor(rough, base)
-    sigma = np.maximum(known if known is not None else saturated_floor(rough, base, candidates), SIGMA_MIN_M)
+    by_instant = 3 * np.repeat(rough.noise.instants, 3) + np.tile(np.arange(3), m)
+    own, common = saturated_noise(rough, base, candidates, by_instant) if known is None else (known, 0.0)
     record = nominal.remainder("structure", on="tracker" if paths else "static")
-    sigma = np.hypot(sigma * np.ones(3), axes_of(record, 3))
+    sigma = np.hypot(np.maximum(own, SIGMA_MIN_M) * np.ones(3), axes_of(record, 3))
     left = float(np.mean(axes_of(record, 3) ** 2 / sigma**2))
     swing_rad = record.swing_rad if record is not None else 0.0
-    noise = replace(rough.noise, own=sigma, swing_rad=swing_rad, reach_m=rough.reach_m(base))
+    reach_m = rough.reach_m(base)
+    noise = replace(rough.noise, own=sigma, swing_rad=swing_rad, reach_m=reach_m, common_m=common)
     rows = rows_of(m, 3)
     q = {f"joint {j}": np.repeat(data.q[:, j - 1], 3) for j in joints}
     return Cell(
@@ -126,7 +128,7 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
         base=base,
         whitened=replace(rough, noise=noise),
         rows=rows,
-        scale=np.tile(sigma, m),
+        scale=np.tile(np.hypot(sigma, common), m),
         quiet=1.0,
         floor_known=known is not None,
         same_kind=False,
@@ -193,28 +195,3 @@ def _directions(rough: PointResidual) -> Array:
             now, before = (np.interp(when, path.t_s, path.enc[:, j]) for when in (t, t - DIRECTION_S))
             out[rows, j] = np.sign(np.where(np.abs(now - before) > 1e-3, now - before, 0.0))
     return out
-
-
-def saturated_floor(
-    residual: Callable[[ParameterSets], Array], base: ParameterSets, candidates: tuple[Candidate, ...]
-) -> float:
-    """RMS that no linear mixture of all effects at once can explain: a stand-in where nothing was measured twice.
-
-    Why not the residual of a model under test: that would hide the gap. This one has every effect in it.
-    """
-    r0 = residual(base)[0]
-    columns = []
-    for one in candidates:
-        theta = np.array([0.0 if slot.neutral == 0.0 else slot.start for slot in one.slots])
-        for k, slot in enumerate(one.slots):
-            theta[k] = 0.2 * slot.start if slot.neutral == 0.0 else slot.start
-            change = residual(put(base, (one,), theta[None]))[0] - r0
-            columns.append(change)
-            theta[k] = 0.0 if slot.neutral == 0.0 else slot.start
-    A = np.array(columns).T
-    A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-15)
-    u, s, _ = np.linalg.svd(A, full_matrices=False)
-    u = u[:, s > 1e-4 * s[0]] if len(s) else u
-    left = r0 - u @ (u.T @ r0)
-    dof = max(len(r0) - u.shape[1], max(3, len(r0) // 10))
-    return float(np.sqrt(left @ left / dof))

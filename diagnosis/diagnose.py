@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, put
 from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
-from diagnosis.cells_behind import behind_cells, energies, told_behind, without
+from diagnosis.cells_behind import behind_cells, energies, fitting, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
 from diagnosis.cells_merged import merged_cells
 from diagnosis.known import with_known
@@ -127,7 +127,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     course, searches, unlike = base, [], ()
     unseen = (*lacking, *told_behind([one.cell for one in behind]))
     for stage in DRIVEN_STAGES:
-        cells = with_known(stage_cells(stage, replayer, whole.stretches, base, course), nominal)
+        cells = fitting(with_known(stage_cells(stage, replayer, whole.stretches, base, course), nominal), nominal)
         cells = without(cells, unseen)
         cells = [marked(replace(one, least_nats=_least(one, searches)), unlike) for one in cells]
         unlike = (*unlike, *far_off(cells))
@@ -141,7 +141,8 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
         searches += found
-    return searches + _searched(without(merged_cells(replayer, whole.stretches, base), unseen), progress)
+    merged = fitting(merged_cells(replayer, whole.stretches, base), nominal)
+    return searches + _searched(without(merged, unseen), progress)
 
 
 def _beside_each_other(found: list[Search]) -> list[Search]:
@@ -179,7 +180,7 @@ def _behind(whole: Read, progress: Progress, lacking: tuple[str, ...]) -> list[S
     if whole.nominal is None:
         return []
     base = pack_under(whole.nominal.baseline, whole.nominal.n)
-    return _searched(without(behind_cells(whole, base), lacking), progress)
+    return _searched(without(fitting(behind_cells(whole, base), whole.nominal), lacking), progress)
 
 
 def _searched(cells: list[Cell], progress: Progress) -> list[Search]:

@@ -81,7 +81,10 @@ def _duplicates(subject: str, table: PointTable) -> list[Finding]:
     pairs = [(a, b) for a, b in combinations(sorted(by_name), 2) if by_name[a] == by_name[b]]
     return [
         Finding(
-            "duplicate_points", "problem", subject, f"{a!r} and {b!r} have the same coordinates throughout; drop one"
+            "duplicate_points",
+            "problem",
+            subject,
+            f"{a!r} and {b!r} have the same coordinates throughout; {b!r} is not counted: drop it, or give its own",
         )
         for a, b in pairs
     ]

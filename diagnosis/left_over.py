@@ -6,7 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from diagnosis.cells import DRIVEN_STAGES, Cell
-from diagnosis.cells_behind import behind_cells, measurement_of, told_behind, without
+from diagnosis.cells_behind import behind_cells, fitting, measurement_of, told_behind, without
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_dynamic import SKIPPED, Replay, part_increments, stage_cells
 from diagnosis.cells_points import PointResidual
@@ -41,7 +41,7 @@ def cells_of(whole: Read) -> list[Cell]:
     if replayer is not None and whole.stretches:
         for stage in DRIVEN_STAGES:
             cells += with_known(stage_cells(stage, replayer, whole.stretches, base, base), nominal)
-    return without(cells, told_behind(behind)) + behind
+    return fitting(without(cells, told_behind(behind)) + behind, nominal)
 
 
 def with_baseline(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:

@@ -38,7 +38,8 @@ class Nominal:
     """A machine file, as far as it goes. `absent`: what each missing part would have needed, by part.
 
     `q_min`, `q_max`: (n,) [rad], -inf and inf where not given. `actuators` without kp holds 0 there: stage controller
-    is then absent. `baseline`: effects that belong to this machine before anything is wrong with it.
+    is then absent. `sliding`: joints that slide (n,), whose rad are m. `baseline`: effects that belong to this machine
+    before anything is wrong with it.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Nominal:
     absent: tuple[tuple[str, str], ...]
     remainders: tuple[Remainder, ...] = ()
     serial: str = ""
+    sliding: tuple[bool, ...] = ()
 
     def remainder(self, stage: str, joint: int | None = None, on: str = "") -> Remainder | None:
         """What the baseline leaves of one stage; None where the file says nothing."""
@@ -126,7 +128,13 @@ class _Reader:
             absent=tuple(self._absent),
             remainders=parse_remainders(self._tables.get("remainder")),
             serial=str(machine.get("serial", "")),
+            sliding=self._sliding(arm, len(names)),
         )
+
+    def _sliding(self, arm: Arm | None, n: int) -> tuple[bool, ...]:
+        if arm is not None:
+            return tuple(bool(x) for x in arm.prismatic)
+        return tuple(k < len(self._joints) and self._joints[k].get("type") == "prismatic" for k in range(n))
 
     def _lack(self, part: str, needed: tuple[str, ...]) -> bool:
         """Whether some joint lacks a field; the first lack is written down."""

@@ -1,5 +1,5 @@
-"""The noise of measured points: each one's own along radius, across and up, and a swing of the slew that all points of
-one instant share.
+"""The noise of measured points: each one's own along radius, across and up, a swing of the slew that all points of one
+instant share, and a shift that they share.
 
 Why: a slewing arm swings, and all its points go across with it, each by its reach. Counted point by point such an
 instant would speak three times, and any small effect at the slew would win.
@@ -17,18 +17,22 @@ ACROSS = 1  # of radial, tangential, up
 
 @dataclass(frozen=True, slots=True)
 class PointNoise:
-    """Standard deviations `own` (3,) [m] and `swing_rad`; of each point `reach_m` (m,) and its instant's number."""
+    """Standard deviations `own` (3,) [m], `swing_rad` and, of the shift, `common_m`; of each point `reach_m` (m,) and
+    its instant's number.
+    """
 
     own: Array
     swing_rad: float
     reach_m: Array
     instants: NDArray[np.int64]
+    common_m: float = 0.0
 
     def white(self, rows: Array) -> Array:
         """White residuals (sets, 3 m) of residuals [m].
 
         Model: across, covariance own^2 I + swing^2 rho rho' over the reaches rho of an instant, whose inverse root
-               takes what lies along rho down to own / sqrt(own^2 + swing^2 |rho|^2) of it.
+               takes what lies along rho down to own / sqrt(own^2 + swing^2 |rho|^2) of it; along each axis the same of
+               a shift, which all points have alike.
         """
         out = rows.reshape(len(rows), -1, 3) / self.own
         if self.swing_rad > 0.0:
@@ -37,6 +41,13 @@ class PointNoise:
             for across in out[:, :, ACROSS]:
                 along = np.bincount(self.instants, weights=self.reach_m * across) / np.maximum(size2, 1e-12)
                 across -= self.reach_m * (share * along)[self.instants]
+        if self.common_m > 0.0:
+            count = np.bincount(self.instants)
+            for axis, own in enumerate(self.own):
+                share = 1.0 - 1.0 / np.sqrt(1.0 + (self.common_m / own) ** 2 * count)
+                for rows_of_axis in out[:, :, axis]:
+                    mean = np.bincount(self.instants, weights=rows_of_axis) / np.maximum(count, 1)
+                    rows_of_axis -= (share * mean)[self.instants]
         return out.reshape(len(rows), -1)
 
     def with_more(self, reach_m: Array, per_instant: int) -> "PointNoise":

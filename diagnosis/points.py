@@ -63,7 +63,15 @@ def _data(nominal: Nominal, table: PointTable, q: Array) -> PointData | None:
     index = {point.name: k for k, point in enumerate(nominal.points)}
     which = np.array([index.get(name, -1) for name in table.names], dtype=np.int64)
     good = (which >= 0) & np.isfinite(q).all(axis=1) & np.isfinite(table.xyz).all(axis=1)
+    good &= _first_of_each(table.t_s, table.xyz)
     return PointData(q[good], which[good], table.xyz[good], table.t_s[good]) if good.any() else None
+
+
+def _first_of_each(when: Array, xyz: Array) -> NDArray[np.bool_]:
+    """Rows (m,) whose numbers no row before them has at the same instant: two points are never in one place."""
+    first = np.zeros(len(when), dtype=bool)
+    first[np.unique(np.column_stack([when, xyz]), axis=0, return_index=True)[1]] = True
+    return first
 
 
 def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_number: int = 0) -> PointFit:

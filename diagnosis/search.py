@@ -9,6 +9,7 @@ import numpy as np
 from diagnosis.candidates import Candidate, beside
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.fit import Fit, Hypothesis, costs, evaluated, fit, neutral_fit, weights
+from diagnosis.further import asked_more, one_more, steps_further, swapped
 from diagnosis.margin import MARGIN_NATS
 from diagnosis.rare import with_the_event_cut
 from diagnosis.score import Score, better, chosen_nats, score
@@ -32,13 +33,15 @@ Key = tuple[str, int | None]
 class Scan:
     """A candidate at several sizes: where (m, k), its cost at each (m,), and |change of the residual|^2 (m,).
 
-    `column`: the change (N,) at the smallest size that is felt, whatever the residual; None where none is.
+    `felt`: number of the smallest size that is felt, whatever the residual; None where none is. `column`: the change
+    (N,) there.
     """
 
     candidate: Candidate
     thetas: Array
     costs: Array
     energy: Array
+    felt: int | None
     column: Array | None
 
     @property
@@ -73,18 +76,19 @@ class _Book:
         return self.known[key]
 
 
-def search(cell: Cell) -> Search:
-    """Search one cell.
+def search(cell: Cell, further: bool = True) -> Search:
+    """Search one cell. `further`: for more than three names, too, where no baseline is known.
 
     Model: every candidate is scanned over its range; those that gain are fitted; all pairs of fitted singles are
-           screened by their finite columns, the best refined; triples go on from the best pair; then one backward pass.
+           screened by their finite columns, the best refined; triples go on from the best pair; further names, if any
+           was found, one by one with exchanges; then one backward pass.
     """
     cell = replace(cell, candidates=beside(cell.base, cell.candidates))
     nothing = neutral_fit(cell)
     cell = with_the_event_cut(cell, nothing.residual)
     none = score(cell, nothing)
     scans = _variants_settled([scan(cell, one, none.fit) for one in cell.candidates])
-    return _searched(cell, none, scans, {})
+    return _searched(cell, none, scans, {}, further)
 
 
 def searched_again(found: Search, least_nats: float) -> Search:
@@ -104,22 +108,60 @@ def _by_keys(scored: Iterable[Score]) -> dict[frozenset[Key], Score]:
     return {frozenset(one.key for one in score.fit.hypothesis): score for score in scored}
 
 
-def _searched(cell: Cell, none: Score, scans: list[Scan], known: dict[frozenset[Key], Score]) -> Search:
+def _searched(
+    cell: Cell, none: Score, scans: list[Scan], known: dict[frozenset[Key], Score], further: bool = True
+) -> Search:
     book = _Book(cell, {**known, frozenset(): none})
     singles = _singles(book, scans, none)
     pairs = _pairs(book, singles, none)
     triples = _triples(book, singles, pairs)
     levels = [level for level in (singles, pairs, triples) if level]
-    spread = _spread(cell, [none, *singles, *pairs, *triples])
-    chosen = none
-    for level in levels:
-        best = max(level, key=lambda one: one.total - spread * chosen_nats(one.fit))
-        if better(best, chosen, none, spread, cell):
-            chosen = best
+    chosen, spread = _best_that_passes(book, levels)
+    if further and chosen is not none and steps_further(cell):
+        levels += _further(book, scans, levels)
+        chosen, spread = _best_that_passes(book, levels)
     chosen = _backward(book, chosen, spread)
     if not better(chosen, none, none, spread, cell):  # what is left of a pair has to stand on its own
         chosen = none
     return Search(cell, tuple(scans), none, tuple(book.known.values()), chosen, spread)
+
+
+def _best_that_passes(book: _Book, levels: list[list[Score]]) -> tuple[Score, float]:
+    """Of each level the best, if it beats what was chosen before it; and by what scores were divided."""
+    chosen = none = book.known[frozenset()]
+    spread = _spread(book.cell, [none, *(one for level in levels for one in level)])
+    for level in levels:
+        best = _best_of(level, spread)
+        if better(best, chosen, none, spread, asked_more(book.cell, best)):
+            chosen = best
+    return chosen, spread
+
+
+def _best_of(level: list[Score], spread: float) -> Score:
+    return max(level, key=lambda one: one.total - spread * chosen_nats(one.fit))
+
+
+def _further(book: _Book, scans: list[Scan], levels: list[list[Score]]) -> list[list[Score]]:
+    """Name after name, as long as each gains the margin of one by the noise that the fit before it leaves.
+
+    Why not by the noise of the recording: while half of the names are lacking, all that is left looks like noise.
+    """
+    changes = [
+        (one.candidate, one.thetas[one.felt], one.column)
+        for one in scans
+        if one.felt is not None and one.column is not None
+    ]
+    out: list[list[Score]] = []
+    best = swapped(book.scored, changes, max((one for level in levels for one in level), key=lambda one: one.total))
+    out.append([best])
+    while found := one_more(book.scored, changes, best):
+        following = swapped(book.scored, changes, found[0])
+        gained = following.total - best.total
+        out.append([following, *found])
+        if gained <= MARGIN_NATS * _spread(book.cell, [following]):
+            break
+        best = following
+    return out
 
 
 def scan(cell: Cell, candidate: Candidate, none: Fit) -> Scan:
@@ -134,9 +176,10 @@ def scan(cell: Cell, candidate: Candidate, none: Fit) -> Scan:
         thetas = np.concatenate([thetas, further])
         residuals = np.concatenate([residuals, evaluated(cell, (candidate,), further)])
     energy = ((residuals - none.residual) ** 2).sum(axis=1)
-    felt = np.nonzero(energy > FELT)[0]
-    column = residuals[felt[np.argmin(energy[felt])]] - none.residual if len(felt) else None
-    return Scan(candidate, thetas, costs(residuals).sum(axis=1), energy, column)
+    strong = np.nonzero(energy > FELT)[0]
+    felt = int(strong[np.argmin(energy[strong])]) if len(strong) else None
+    column = residuals[felt] - none.residual if felt is not None else None
+    return Scan(candidate, thetas, costs(residuals).sum(axis=1), energy, felt, column)
 
 
 def foreseen(candidate: Candidate, thetas: Array, changes: Array, r0: Array) -> Array:

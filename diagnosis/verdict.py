@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
+
 from diagnosis.cells import Cell
-from diagnosis.refusal import EDGE, Fired
+from diagnosis.refusal import EDGE, ENERGY_MIN, Fired
 from diagnosis.score import Score
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shrink import by_noise, together
@@ -54,6 +56,11 @@ def verdict_of(answers: tuple[CellAnswer, ...], holes: int = 0) -> Verdict:
     if not named and holes >= HOLES_MANY:
         text = f"nothing above the noise floor in what was logged, but rows are missing in {holes} places"
         return Verdict("undecided", f"{text}: look at the logger first")
+    unclear = [one for one in answers if _above_a_guess(one)]
+    if not named and unclear:
+        cell = unclear[0].search.cell
+        text = f"{cell.label}: {_energy(unclear[0]):.2g} times the noise that was estimated, and no name foretells it"
+        return Verdict("undecided", f"{text}; repeat a motion or a pose, so that the noise is known")
     if not named:
         return Verdict("none", "nothing above the noise floor")
     if len(named) >= CROWD and all(known_well(one.search.cell) for one in answers):
@@ -62,7 +69,25 @@ def verdict_of(answers: tuple[CellAnswer, ...], holes: int = 0) -> Verdict:
     sure = _probability_of_names(answers)
     if sure < SURE:
         return Verdict("undecided", f"the names found have a probability of {sure:.2g} among others")
-    return Verdict("effects", "catalogue effects explain the gap")
+    return Verdict("effects", "catalogue effects explain the gap" if not unclear else _partly(unclear[0]))
+
+
+def _above_a_guess(one: CellAnswer) -> bool:
+    """Whether more is left than the noise, where that was never measured: neither a gap nor none can be told."""
+    return not one.search.cell.floor_known and _energy(one) > 1.0 + ENERGY_MIN
+
+
+def _partly(one: CellAnswer) -> str:
+    """What the names explain where the noise was never measured."""
+    closed, _, _ = by_noise(together(one.squares))
+    share = "" if closed is None else f" {100 * closed:.2g} % of"
+    left = f"{_energy(one):.2g} times the noise that was estimated"
+    return f"catalogue effects explain{share} the gap; what is left is {left}: repeats would tell it"
+
+
+def _energy(one: CellAnswer) -> float:
+    """Of what is left, in units of the floor's."""
+    return float(np.mean(one.chosen.held_out**2)) / one.search.cell.quiet
 
 
 def _allowed(one: CellAnswer) -> float:

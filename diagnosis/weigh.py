@@ -20,6 +20,10 @@ SAME_DIRECTION = 0.95
 SEPARATED_NATS = 9.0  # T below it: the data cannot tell two effects apart
 SHARE_MIN = 1e-3
 COMBINATIONS_MAX = 40
+SEEN_TOGETHER = {"structure": ("joint", "structure")}
+#: Entered as a number at every mounting; lengths and axes come from a machine tool, and are the rarer fault.
+SET_BY_HAND = ("encoder_bias",)
+EQUAL_NATS = 0.5
 BY_VERDICT = ("outside_probability", "unseen_probability")
 Key = tuple[str, int | None]
 
@@ -115,30 +119,52 @@ def _price(cell: Cell, one: Score) -> float:
 
 
 def _foreign(cell: Cell, stage: str) -> bool:
-    """Whether an effect's stage is not the cell's own; a joined cell is at home in every stage behind the encoders."""
-    return not cell.parts and stage != cell.stage
+    """Whether an effect's stage is not the cell's own. Points see joints and links together; a joined cell is at home
+    in every stage behind the encoders.
+    """
+    return not cell.parts and stage not in SEEN_TOGETHER.get(cell.stage, (cell.stage,))
 
 
 def settled(found: Search) -> Score:
-    """The chosen hypothesis, or an equivalent one whose effects belong to the cell's own stage.
+    """The chosen hypothesis, or an equivalent one whose effects are likelier before any data.
 
-    Why: an encoder's scale and a flow gain are one direction in the data; the report names the class, and first the
-    one that is likelier before any data.
+    Why: an encoder's scale and a flow gain are one direction in the data, and so are a joint's zero and the next axis'
+    tilt; the report names the class, and first what belongs to the cell's own stage, or is set by hand.
     """
+    own = _of_own_stage(found)
+    rivals = [one for one in _alike(found, own, EQUAL_NATS * found.spread) if _by_hand(one) > _by_hand(own)]
+    return max(rivals, key=lambda one: (_by_hand(one), one.total), default=own)
+
+
+def _of_own_stage(found: Search) -> Score:
+    """The chosen hypothesis, or an equivalent one that pays less for stages which are not the cell's own."""
     chosen, cell = found.chosen, found.cell
     if not any(_foreign(cell, effect.stage) for effect in chosen.fit.hypothesis):
         return chosen
-    allowed = MARGIN_NATS + 0.01 * (chosen.total - found.none.total)
+    price = _price(cell, chosen) + _usual_nats(found, chosen)
     rivals = [
         one
-        for one in found.scored
-        if len(one.fit.hypothesis) == len(chosen.fit.hypothesis)
-        and _price(cell, one) + _usual_nats(found, one) < _price(cell, chosen) + _usual_nats(found, chosen)
-        and chosen.total - one.total < allowed
-        and _cosine(one.fit.residual - found.none.fit.residual, chosen.fit.residual - found.none.fit.residual)
-        > SAME_DIRECTION
+        for one in _alike(found, chosen, MARGIN_NATS + 0.01 * (chosen.total - found.none.total))
+        if _price(cell, one) + _usual_nats(found, one) < price
     ]
     return max(rivals, key=lambda one: one.total, default=chosen)
+
+
+def _alike(found: Search, chosen: Score, allowed: float) -> list[Score]:
+    """Hypotheses of as many names that change the same, and score no less than this [nats, not divided]."""
+    none = found.none.fit.residual
+    return [
+        one
+        for one in found.scored
+        if _count(one) == _count(chosen)
+        and one is not chosen
+        and chosen.total - one.total < allowed
+        and _cosine(one.fit.residual - none, chosen.fit.residual - none) > SAME_DIRECTION
+    ]
+
+
+def _by_hand(one: Score) -> int:
+    return sum(effect.name in SET_BY_HAND for effect in one.fit.hypothesis)
 
 
 def combined(per_cell: list[tuple[Weighed, ...]]) -> tuple[Whole, ...]:

@@ -322,3 +322,14 @@ def test_a_name_that_gains_on_the_undisturbed_machine_has_to_gain_that_much_more
     several = tuple((usual_name(name), gain) for name in ("valve_lag", "valve_deadband", "stiction"))
     anywhere = search(replace(cell, usual_names=several))  # three that do: a fourth may
     assert "flow_gain_error" not in [one.name for one in anywhere.chosen.fit.hypothesis]
+
+
+def test_noise_above_what_was_estimated_is_no_none() -> None:
+    """Where nothing was measured twice, a residual that no name foretells may be noise or a gap: nobody can tell."""
+    loud, quiet = (
+        verdict_of((_answer(search(replace(made_up((0.0, 0.0, 0.0), noise=noise), floor_known=False)), 1),))
+        for noise in (1.6, 1.1)
+    )
+    assert loud.word == "undecided"
+    assert "repeat a motion or a pose" in loud.why
+    assert quiet.word == "none"

@@ -1,0 +1,54 @@
+"""The noise of rows that were never measured twice: what no mixture of all effects explains of them."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.candidates import Candidate, put
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+DISTINCT = 1e-4  # of the strongest direction: a weaker one is rounding
+
+
+def saturated_noise(
+    residual: Callable[[ParameterSets], Array],
+    base: ParameterSets,
+    candidates: tuple[Candidate, ...],
+    groups: NDArray[np.int64],
+) -> tuple[float, float]:
+    """Standard deviations of each row's own noise, and of what the rows of one group share.
+
+    Args:  groups: (N,) of the rows: one instant, one axis.
+    Model: what is left by one linear step in all effects at once, its degrees of freedom counted; the mean product of
+           two rows of a group is what they share.
+    Why:   not the residual of a model under test: that would hide the gap. And a hand that stands 3 mm beside its
+           model takes all its markers with it: counted one by one such a pose would speak as often as it has markers.
+    """
+    left, dof = _left(residual, base, candidates)
+    S, Q, n = np.bincount(groups, weights=left), np.bincount(groups, weights=left**2), np.bincount(groups)
+    pairs = float((n * (n - 1)).sum())
+    variance = float(left @ left) / dof
+    shared = float((S**2 - Q).sum()) / pairs * len(left) / dof if pairs > 0.0 else 0.0
+    shared = float(np.clip(shared, 0.0, variance))
+    return float(np.sqrt(variance - shared)), float(np.sqrt(shared))
+
+
+def _left(
+    residual: Callable[[ParameterSets], Array], base: ParameterSets, candidates: tuple[Candidate, ...]
+) -> tuple[Array, int]:
+    """What no mixture explains (N,), and how many degrees of freedom it has."""
+    r0 = residual(base)[0]
+    columns = []
+    for one in candidates:
+        theta = np.array([0.0 if slot.neutral == 0.0 else slot.start for slot in one.slots])
+        for k, slot in enumerate(one.slots):
+            theta[k] = 0.2 * slot.start if slot.neutral == 0.0 else slot.start
+            columns.append(residual(put(base, (one,), theta[None]))[0] - r0)
+            theta[k] = 0.0 if slot.neutral == 0.0 else slot.start
+    A = np.array(columns).T
+    A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-15)
+    u, s, _ = np.linalg.svd(A, full_matrices=False)
+    u = u[:, s > DISTINCT * s[0]] if len(s) else u
+    return r0 - u @ (u.T @ r0), max(len(r0) - u.shape[1], max(3, len(r0) // 10))
