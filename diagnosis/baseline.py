@@ -254,7 +254,7 @@ def entries_of(found: Fit) -> list[EffectEntry]:
         parameters: dict[str, object] = {slot.parameter: value for slot, value in one.fixed}
         if effect.direction is not None:
             size = float(np.linalg.norm(values))
-            parameters |= {effect.size.name: min(size, effect.size.high)}
+            parameters |= {effect.size.name: min(size, effect.size.highest)}
             if size > 0.0:
                 along = np.zeros(len(effect.direction.default))  # a base is tilted about its level axes only
                 along[: len(values)] = values / size

@@ -66,13 +66,18 @@ def neutral_fit(cell: Cell) -> Fit:
 def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
     """Lower and upper bounds (k,) each."""
     slots = [slot for one in hypothesis for slot in one.slots]
-    return np.array([slot.low for slot in slots]), np.array([slot.high for slot in slots])
+    return np.array([slot.low for slot in slots]), np.array([slot.highest for slot in slots])
+
+
+def spans(hypothesis: Hypothesis) -> Array:
+    """The ruler of each number (k,): what good machines have of it, from end to end."""
+    return np.array([slot.high - slot.low for one in hypothesis for slot in one.slots])
 
 
 def jacobian(cell: Cell, hypothesis: Hypothesis, theta: Array, residual: Array) -> Array:
     """(N, k) by finite steps away from the nearer bound, one kernel call."""
-    low, high = bounds(hypothesis)
-    steps = STEP_SHARE * (high - low)
+    high = bounds(hypothesis)[1]
+    steps = STEP_SHARE * spans(hypothesis)
     signs = np.where(theta + steps > high, -1.0, 1.0)
     moved = theta + np.diag(signs * steps)
     return ((evaluated(cell, hypothesis, moved) - residual) / (signs * steps)[:, None]).T
@@ -93,7 +98,7 @@ def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) 
     cost = float(costs(residual).sum())
     J = jacobian(cell, hypothesis, theta, residual)
     for _ in range(rounds):
-        trials = np.clip(theta + _steps(J, residual, high - low), low, high)
+        trials = np.clip(theta + _steps(J, residual, spans(hypothesis)), low, high)
         tried = evaluated(cell, hypothesis, trials)
         totals = costs(tried).sum(axis=1)
         best = int(np.argmin(totals))
@@ -104,7 +109,7 @@ def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) 
         J = jacobian(cell, hypothesis, theta, residual)
         if gained < SETTLED_NATS + SETTLED_SHARE * cost:
             break
-    edge = 1e-3 * (high - low)
+    edge = 1e-3 * spans(hypothesis)
     at_bound = tuple(bool(b) for b in (theta > high - edge) | ((theta < low + edge) & (low != 0.0)))
     return Fit(hypothesis, theta, residual, J, cost, at_bound)
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.cells import Cell
-from diagnosis.fit import Fit, bounds, costs, evaluated, weights
+from diagnosis.fit import Fit, bounds, costs, evaluated, spans, weights
 from diagnosis.score import covariance
 from diagnosis.search import Scan
 from machine.rotations import Array
@@ -40,7 +40,7 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
         return ()
     low, high = bounds(found.hypothesis)
     variances = np.maximum(np.diag(covariance(found)), 0.0)
-    alone = 1.0 / ((found.J**2 * weights(found.residual)[:, None]).sum(axis=0) + 1.0 / (high - low) ** 2)
+    alone = 1.0 / ((found.J**2 * weights(found.residual)[:, None]).sum(axis=0) + 1.0 / spans(found.hypothesis) ** 2)
     wider = np.sqrt(np.maximum(variances / alone, 1.0))
     form_share = cell.form_share if cell.left_share > 0.0 else 0.0
     allowed = CHANCE_90 + form_share * max(gained_nats, 0.0) / spread
@@ -68,7 +68,7 @@ def _of_share(share: float, count: int) -> Interval:
 def _interval(cell: Cell, found: Fit, k: int, sd: float, allowed: float, spread: float) -> Interval:
     """Limits of number k, the others held, where cost / spread rises by what is allowed [nats]."""
     low, high = (float(edge[k]) for edge in bounds(found.hypothesis))
-    value, widest = float(found.theta[k]), WIDEST * (high - low)
+    value, widest = float(found.theta[k]), WIDEST * float(spans(found.hypothesis)[k])
     local = np.concatenate([[0.0], OFFSETS * min(sd, widest), OFFSETS * widest / OFFSETS[-1]])
     tried = np.unique(np.clip(value + local, low, high))
     thetas = np.tile(found.theta, (len(tried), 1))

@@ -45,9 +45,10 @@ def _loss(stretches: tuple[Stretch, ...]) -> NDArray[np.bool_] | None:
 
 def _fixed(one: Candidate, size: float | None) -> Candidate:
     slot = one.slots[0]
-    if size is None or not slot.low < size < slot.high:
+    if size is None or not slot.low < size < slot.highest:
         return one
-    return replace(one, slots=(replace(slot, low=size * (1.0 - NARROW), high=size * (1.0 + NARROW), start=size),))
+    low, high = size * (1.0 - NARROW), size * (1.0 + NARROW)
+    return replace(one, slots=(replace(slot, low=low, high=high, highest=high, start=size),))
 
 
 def comb_of(values: Array) -> float | None:

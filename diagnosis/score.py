@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.cells import FORM_SHARE, Cell
-from diagnosis.fit import Fit, bounds, costs, evaluated, weights
+from diagnosis.fit import Fit, bounds, costs, evaluated, spans, weights
 from diagnosis.margin import MARGIN_MORE_NATS, MARGIN_NATS
 from machine.effects.registry import effect_named
 from machine.rotations import Array
@@ -56,7 +56,7 @@ def fold_thetas(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array]:
     low, high = bounds(found.hypothesis)
     w = weights(found.residual)
     folds = np.unique(cell.rows.fold)
-    ridge = np.diag(1.0 / (high - low) ** 2)
+    ridge = np.diag(1.0 / spans(found.hypothesis) ** 2)
     thetas = []
     for fold in folds:
         keep = cell.rows.fold != fold
@@ -114,8 +114,7 @@ def chosen_nats(found: Fit) -> float:
 
 def covariance(found: Fit) -> Array:
     """Of theta (k, k), with the range as a weak prior."""
-    low, high = bounds(found.hypothesis)
-    H = (found.J * weights(found.residual)[:, None]).T @ found.J + np.diag(1.0 / (high - low) ** 2)
+    H = (found.J * weights(found.residual)[:, None]).T @ found.J + np.diag(1.0 / spans(found.hypothesis) ** 2)
     return np.asarray(np.linalg.pinv(H), dtype=float)
 
 

@@ -261,7 +261,7 @@ def _refined(cell: Cell, one: Scan) -> Array:
     if len(best) > 1 or cell.stage not in DRIVEN_STAGES:
         return best
     slot = one.candidate.slots[0]
-    sizes, found = np.unique(np.append(one.thetas[:, 0], slot.high)), float(best[0])
+    sizes, found = np.unique(np.append(one.thetas[:, 0], slot.highest)), float(best[0])
     for _ in range(2):
         at = int(np.searchsorted(sizes, found))
         edges = [sizes[max(at - 1, 0)], found, sizes[min(at + 1, len(sizes) - 1)]]

@@ -115,8 +115,8 @@ def _number(parameter: Parameter, value: object, where: str) -> float:
             f" (neutral {parameter.neutral:g})" if not parameter.low <= parameter.neutral <= parameter.high else ""
         )
         raise MachineFileError(
-            f"{where}: {parameter.name} = {value:g} is outside {whole}{parameter.low:g} .. {parameter.high:g}{neutral} "
-            f"[{parameter.unit}]; {parameter.meaning}"
+            f"{where}: {parameter.name} = {value:g} is outside {whole}{parameter.low:g} .. {parameter.highest:g}"
+            f"{neutral} [{parameter.unit}]; {parameter.meaning}"
         )
     return float(value)
 

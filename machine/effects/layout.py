@@ -76,6 +76,7 @@ _MACHINE: dict[tuple[str, str], int] = {
 class Slot:
     """One number that a fit may move: where it stands, its bounds, neutral, and a step that it feels.
 
+    `high`: what good machines have, and the ruler of steps and scans; `highest`: where a fit has to stop.
     `index`: 0 for plain numbers, else the component of a direction's vector. `joint`: 1-based, None for the machine.
     """
 
@@ -87,6 +88,7 @@ class Slot:
     column: int
     low: float
     high: float
+    highest: float
     neutral: float
     start: float
     index: int = 0
@@ -163,12 +165,12 @@ def slots_of(name: str, joint: int | None, option: str = "") -> tuple[Slot, ...]
     slots: list[Slot] = []
     for parameter in sorted(effect.parameters, key=lambda one: one.role != "size"):
         column = column_of(effect, parameter.name, option)
-        bounds = (parameter.low, parameter.high, parameter.neutral)
+        bounds = (parameter.low, parameter.high, parameter.highest, parameter.neutral)
         if effect.direction is None:
             slots.append(Slot(name, parameter.name, joint, option, effect.scope, column, *bounds, parameter.start))
             continue
         for index, along in enumerate(effect.direction.default[: effect.direction.fitted]):
-            around = (-parameter.high, parameter.high, 0.0)
+            around = (-parameter.high, parameter.high, parameter.high, 0.0)
             start = parameter.start if along else 0.3 * parameter.start
             slots.append(Slot(name, parameter.name, None, "", "machine", column + index, *around, start, index))
     return tuple(slots)

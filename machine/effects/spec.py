@@ -25,7 +25,8 @@ class Parameter:
     """One number of an effect. Role "size": at `neutral` the effect vanishes exactly; "shape": only says how it looks.
 
     `start`: where a fit begins, never at neutral, where thresholds have no slope. `low`..`high`: what is believable;
-    a fit that ends there means "larger than assumed".
+    a fit that ends there means "larger than assumed". `most`: how far beyond `high` a poor machine's size may lie;
+    `high` is then what good ones have, and the ruler of steps and scans.
     """
 
     name: str
@@ -38,10 +39,16 @@ class Parameter:
     neutral: float = 0.0
     role: Literal["size", "shape"] = "size"
     integer: bool = False
+    most: float | None = None
+
+    @property
+    def highest(self) -> float:
+        """The largest value that is believed at all."""
+        return self.high if self.most is None else self.most
 
     def contains(self, value: float) -> bool:
         """Whether a value lies inside the bounds; a size may also be neutral."""
-        inside = self.low <= value <= self.high and (not self.integer or value == round(value))
+        inside = self.low <= value <= self.highest and (not self.integer or value == round(value))
         return inside or (self.role == "size" and value == self.neutral)
 
     def log_prior(self, value: float) -> float:

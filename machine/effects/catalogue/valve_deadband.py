@@ -12,6 +12,7 @@ EFFECT = Effect(
             unit="1",
             low=0.0,
             high=0.25,
+            most=0.7,
             start=0.04,
             prior=Prior("half_normal", 0.04),
             meaning="spool opening, of full command, within which no oil flows",
@@ -22,5 +23,8 @@ EFFECT = Effect(
         "valve_hysteresis depends on the direction of change, stiction on whether the joint moves already, "
         "flow_gain_error acts on large commands too; needs slow passes through zero"
     ),
-    source="+-10 % of the half range on the PATU 655 (u_dl, u_dh of its public parameters); servo valves 2 %",
+    source=(
+        "+-10 % of the half range on the PATU 655 (u_dl, u_dh of its public parameters); servo valves 2 %; up to "
+        "two thirds on cheap mobile valves, whose spool no controller holds"
+    ),
 )

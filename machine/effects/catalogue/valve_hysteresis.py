@@ -12,6 +12,7 @@ EFFECT = Effect(
             unit="1",
             low=0.0,
             high=0.1,
+            most=0.3,
             start=0.015,
             prior=Prior("half_normal", 0.01),
             meaning="half width of the play between command and spool, of full command",

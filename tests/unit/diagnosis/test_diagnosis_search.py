@@ -286,7 +286,7 @@ def test_every_candidate_has_starts_inside_bounds_and_off_neutral() -> None:
     for stage in ("time", "link", "controller", "actuator", "joint", "structure", "camera"):
         for one in candidates_of(stage, (1, 2), True):
             starts = one.starts()
-            low, high = np.array([s.low for s in one.slots]), np.array([s.high for s in one.slots])
+            low, high = np.array([s.low for s in one.slots]), np.array([s.highest for s in one.slots])
             assert (starts >= low - 1e-12).all(), one.key
             assert (starts <= high + 1e-12).all(), one.key
             changed = put(neutral_sets(2), (one,), starts[:1])

@@ -45,7 +45,7 @@ def test_entries_are_read() -> None:
         ('name = "base_compliance"\njoint = 1\nparameters = { compliance_rad_nm = 0 }', "belongs to the whole machine"),
         (
             'name = "valve_deadband"\njoint = 1\nparameters = { half_width_frac = 0.9 }',
-            r"0.9 is outside 0 .. 0.25 \[1\]",
+            r"0.9 is outside 0 .. 0.7 \[1\]",
         ),
         (
             'name = "gravity_sag"\njoint = 1\nparameters = { compliance_rad_nm = 1 }',
