@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from diagnosis.report.curves import CellCurves, Replayed, Residuals
-from diagnosis.report.svg import Line, autocorrelation, chart, histogram
+from diagnosis.report.svg import DOTS, Line, autocorrelation, chart, histogram
 from machine.rotations import Array
 
 
@@ -41,7 +41,9 @@ def _replayed(one: Replayed, explained: bool) -> str:
 
 def _residuals(one: Residuals) -> str:
     t = one.t_s - one.t_s[0] if len(one.t_s) else one.t_s
-    over_time = [Line("before", "before", t, one.before), Line("after", "after", t, one.after)]
+    poses = bool((np.diff(one.t_s) == 0.0).any()) and bool((one.t_s == np.round(one.t_s)).all())
+    along, shown = ("pose", f" {DOTS}") if poses else ("time [s]", "")
+    over_time = [Line("before", f"before{shown}", t, one.before), Line("after", f"after{shown}", t, one.after)]
     lags = np.arange(1, 41, dtype=float)
     limit = 1.96 / np.sqrt(max(1, len(one.before)))
     together = [
@@ -52,7 +54,13 @@ def _residuals(one: Residuals) -> str:
     ]
     return (
         "<h3>What is left, in noise floors, on held-out data</h3>"
-        + chart(over_time, "time [s]", "residual [floors]", "residual over time, before and after", symmetric=True)
+        + chart(
+            over_time,
+            "pose" if poses else "time [s]",
+            "residual [floors]",
+            "residual over time, before and after",
+            symmetric=True,
+        )
         + histogram(one.before, one.after, "residual [noise floors]", "distribution of the residual")
         + chart(together, "lag", "autocorrelation", "autocorrelation of the residual")
     )

@@ -30,7 +30,7 @@ svg text.title{font-weight:600;fill:var(--ink)}
 svg text.cause{font-size:10px;font-weight:700;fill:var(--after)}
 .frame{fill:none;stroke:var(--line)}.grid{stroke:var(--line);stroke-dasharray:2 4}
 .track{fill:var(--line);opacity:.5}
-path{fill:none;stroke-width:1.4}.before{stroke:var(--before)}.after{stroke:var(--after)}
+path{fill:none;stroke-width:1.4}.before{stroke:var(--before)}.after{stroke:var(--after)}.dots{stroke-width:3.5;stroke-linecap:round}
 .measured{stroke:var(--measured);stroke-width:2.4;opacity:.55}.floor{stroke:var(--soft);stroke-dasharray:5 4}
 .bar{fill:var(--after)}.faint{opacity:.4}.stage{fill:var(--tint);stroke:var(--line)}
 .unjudged{stroke-dasharray:5 4;fill:none}

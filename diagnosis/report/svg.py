@@ -12,11 +12,12 @@ WIDTH, HEIGHT = 720, 210
 LEFT, RIGHT, TOP, BOTTOM = 66, 10, 10, 40
 POINTS_MAX = 700
 TICKS = 5
+DOTS = "dots"
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line (m,) over x (m,). `css`: class that gives it its colour and dashes."""
+    """One line (m,) over x (m,). `css`: class that gives it its colour and dashes; with DOTS: points."""
 
     label: str
     css: str
@@ -105,6 +106,8 @@ def _thinned(one: Line) -> Line:
 
 def _path(frame: _Frame, one: Line) -> str:
     xs, ys = frame.px(one.x), frame.py(one.y)
+    if DOTS in one.css:
+        return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in zip(xs, ys, strict=True) if np.isfinite(y))
     pieces, pen = [], "M"
     for x, y in zip(xs, ys, strict=True):
         if not np.isfinite(y):

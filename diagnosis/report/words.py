@@ -4,9 +4,11 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+from diagnosis.report.equals import equals_of, probability_with_equals
 from diagnosis.report.text import effects_text, place_text
 from machine.effects.registry import effect_named
 
+MOST = 0.8  # of the gap: below it the names are a part of the cause
 SIGNS = {"none": "✓", "effects": "!", "outside": "✗", "undecided": "?"}
 
 
@@ -31,7 +33,9 @@ def _headline(result: dict[str, Any]) -> str:
         return "No gap above the noise: the model fits this machine as far as this recording can tell"
     if word == "effects":
         names = [place_text(one).replace("_", " ") for one in result["hypotheses"][0]["effects"]]
-        return f"Cause found: {' and '.join(names)}"
+        closed = (result["shrink"].get("overall") or {}).get("closed_frac")
+        part = "Cause" if closed is None or closed >= MOST else f"Cause of {100 * closed:.0f} % of the gap"
+        return f"{part} found: {' and '.join(names)}"
     if word == "outside":
         return "There is a gap, and no known effect explains it: do not trust any name below"
     return "Undecided: there may be a gap, but its cause cannot be named from this recording"
@@ -42,7 +46,8 @@ def _facts(result: dict[str, Any]) -> list[str]:
     if word == "effects":
         best = result["hypotheses"][0]
         facts.append(effects_text(best["effects"]))
-        facts.append(f"probability {100 * best['probability']:.0f} %")
+        facts.append(_probability(result))
+        facts += [_equals(result, one) for one in best["effects"] if equals_of(result, one)]
     else:
         facts.append(result["why"])
     overall = result["shrink"].get("overall") or {}
@@ -52,7 +57,20 @@ def _facts(result: dict[str, Any]) -> list[str]:
         facts.append(
             f"with it the model's gap on held-out trajectories shrinks by {100 * overall['closed_frac']:.1f} %{limits}"
         )
+    if word == "effects" and ";" in result["why"]:  # what the names leave
+        facts.append(result["why"].split("; ", 1)[1])
     return facts
+
+
+def _probability(result: dict[str, Any]) -> str:
+    alone, together = result["hypotheses"][0]["probability"], probability_with_equals(result)
+    equal = " with its equals" if together > alone else ""
+    return f"probability {100 * together:.0f} %{equal}"
+
+
+def _equals(result: dict[str, Any], effect: dict[str, Any]) -> str:
+    others = " or ".join(place_text(one) for one in equals_of(result, effect))
+    return f"instead of {place_text(effect)} it may be {others}: this recording cannot tell"
 
 
 def what_it_looks_like(result: dict[str, Any]) -> str:

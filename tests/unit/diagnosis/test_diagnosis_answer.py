@@ -209,3 +209,18 @@ def test_the_page_escapes_what_it_shows(tmp_path: Path) -> None:
     text = page({**result, "why": "<blink>"}, "<blink>")
     assert "<blink>" not in text
     assert "&lt;blink&gt;" in text
+
+
+def test_names_that_cannot_be_told_apart_count_as_one_for_the_reader() -> None:
+    bias, tilt, sag = ({"name": name, "joint": j} for name, j in (("bias", 6), ("tilt", 7), ("sag", 2)))
+    result = {
+        "indistinguishable": [[bias, tilt]],
+        "hypotheses": [
+            {"effects": [bias, sag], "probability": 0.4},
+            {"effects": [sag, tilt], "probability": 0.3},
+            {"effects": [bias], "probability": 0.1},
+        ],
+    }
+    assert probability_with_equals(result) == pytest.approx(0.7)
+    assert equals_of(result, bias) == [tilt]
+    assert equals_of(result, sag) == []
