@@ -54,13 +54,7 @@ def _residuals(one: Residuals) -> str:
     ]
     return (
         "<h3>What is left, in noise floors, on held-out data</h3>"
-        + chart(
-            over_time,
-            "pose" if poses else "time [s]",
-            "residual [floors]",
-            "residual over time, before and after",
-            symmetric=True,
-        )
+        + chart(over_time, along, "residual [floors]", f"residual over {along}, before and after", symmetric=True)
         + histogram(one.before, one.after, "residual [noise floors]", "distribution of the residual")
         + chart(together, "lag", "autocorrelation", "autocorrelation of the residual")
     )

@@ -27,7 +27,7 @@ summary{cursor:pointer;font-weight:600}
 svg text{font:12px system-ui,sans-serif;fill:var(--soft)}
 svg.plot,svg.chain{width:100%;height:auto;display:block}
 svg text.title{font-weight:600;fill:var(--ink)}
-svg text.cause{font-size:10px;font-weight:700;fill:var(--after)}
+svg text.cause{font-size:9px;font-weight:700;fill:var(--after)}
 .frame{fill:none;stroke:var(--line)}.grid{stroke:var(--line);stroke-dasharray:2 4}
 .track{fill:var(--line);opacity:.5}
 path{fill:none;stroke-width:1.4}.before{stroke:var(--before)}.after{stroke:var(--after)}.dots{stroke-width:3.5;stroke-linecap:round}

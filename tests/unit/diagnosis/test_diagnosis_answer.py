@@ -13,6 +13,7 @@ from diagnosis.candidates import named
 from diagnosis.diagnose import Diagnosis, diagnose
 from diagnosis.limits import Interval
 from diagnosis.reading import read
+from diagnosis.report.equals import equals_of, probability_with_equals
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
 from longreach.cli import app
