@@ -13,6 +13,7 @@ from machine.rotations import Array
 SIZES = (0.004, 0.012, 0.035, 0.1, 0.25, 0.6)  # of the bound: where the scan looks, neutral 0
 POOR = 3  # sizes beyond those of good machines
 LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral 1 or inf)
+NARROW = {"stiction": 50}  # sizes of effects whose cost has a valley far narrower than the way there
 PHASES = (-2.0, -0.4, 1.2, 2.7)
 SWINGS = ("link_flexibility",)  # effects with a frequency of their own
 FREQUENCIES_HZ = (1.2, 1.8, 2.5, 3.5, 5.0)  # a swing's cost has a valley for each
@@ -125,6 +126,8 @@ def _grid(slot: Slot) -> Array:
     if slot.neutral != 0.0:
         return np.geomspace(max(slot.low, 1e-6), slot.high, LIMITS)
     above = slot.high * np.array(SIZES)
+    if slot.effect in NARROW:
+        above = np.concatenate([above[:2], np.linspace(0.0, slot.high, NARROW[slot.effect] + 1)[1:]])
     if slot.highest > slot.high:
         above = np.append(above, np.linspace(slot.high, slot.highest, POOR + 1)[:-1])
     return np.concatenate([slot.low * np.array(SIZES), above]) if slot.low < 0.0 else above

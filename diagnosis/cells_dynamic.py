@@ -1,5 +1,6 @@
 """Cells of link, controller and actuator: 20 Hz increments of measured less replayed, white by the repeats' noise."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +29,7 @@ from diagnosis.side_by_side import side_by_side
 from diagnosis.stretches import Stretch, repeat_groups
 from diagnosis.tables import filled
 from machine.effects.dynamics import Actuators, Drive, DynamicStage, at_cycles, simulate
+from machine.effects.kernel import BREAKAWAY
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.remainder import Remainder
 from machine.rotations import Array
@@ -49,6 +51,8 @@ class Part:
     """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
 
     `between`: (m, joints), how far two guesses of the input's course between logged rows drive the increments apart.
+    `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
+    course (m,); empty, or None, where nothing is.
     """
 
     plant: Actuators
@@ -56,6 +60,7 @@ class Part:
     measured: Array
     stretch: Stretch
     between: Array
+    moved: tuple[Callable[[Array], Array] | None, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +119,9 @@ def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array,
     traces = simulate(part.plant, sets, part.drive, LAST[stage])
     modelled = getattr(traces, OUTPUT[stage])
     error = part.measured[None, : modelled.shape[1]] - modelled
+    for channel, otherwise in enumerate(part.moved):
+        for k in np.nonzero(sets.joint[:, channel, BREAKAWAY])[0] if otherwise is not None else ():
+            error[k, :, channel] -= otherwise(modelled[k, :, channel])
     size = max(1, round(BLOCK_S / part.stretch.dt_s))
     rows = error.shape[1] // size * size
     shape = (len(error), -1, size, error.shape[2])

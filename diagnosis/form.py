@@ -6,6 +6,7 @@ some recordings, functions of the command, its change, the angle and the load, a
 none. It is fixed by the undisturbed recordings: a diagnosis fits nothing of it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from diagnosis.fit import costs, neutral_fit, weights
 from diagnosis.nominal import Nominal
 from diagnosis.responses import RESPONSES, responses
 from diagnosis.shapes.behind import acceleration_columns
-from diagnosis.shapes.driven import Course, courses_of, families_of, modelled_of, white_columns
+from diagnosis.shapes.driven import Course, courses_of, families_of, modelled_of, moving_families, white_columns
 from machine.remainder import Form
 from machine.rotations import Array
 
@@ -65,18 +66,45 @@ def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> tuple[Rep
         return replay, ()
     unlike = []
     measured, modelled = [part.measured.copy() for part in replay.parts], modelled_of(cell, replay)
+    moved: list[list[Callable[[Array], Array] | None]] = [[None] * len(replay.joints) for _ in replay.parts]
     for channel, (joint, form) in enumerate(zip(replay.joints, forms, strict=True)):
         if not form:
             continue
-        families = _families(cell, courses_of(cell, replay, modelled, channel))
-        known = [_fitting(one, form, f"{cell.stage} {joint + 1}") for one in families]
+        courses = courses_of(cell, replay, modelled, channel)
+        known = [_fitting(one, form, f"{cell.stage} {joint + 1}") for one in _families(cell, courses)]
         if most[channel] and _power(replay, channel, known) > EXCEEDED_TIMES * most[channel]:
             unlike.append(joint + 1)
             continue
-        for own, course in zip(measured, known, strict=True):
-            own[: len(course), channel] -= course
-    parts = tuple(replace(part, measured=own) for part, own in zip(replay.parts, measured, strict=True))
+        for own, said, otherwise, course in zip(measured, known, moved, courses, strict=True):
+            own[: len(said), channel] -= said
+            otherwise[channel] = Otherwise.of(course, form)
+    pieces = zip(replay.parts, measured, moved, strict=True)
+    parts = tuple(replace(part, measured=own, moved=tuple(one)) for part, own, one in pieces)
     return replace(replay, parts=parts), tuple(unlike)
+
+
+@dataclass(frozen=True, slots=True)
+class Otherwise:
+    """What a joint's form says beyond what was taken off (`said`), of a joint that moves otherwise than modelled.
+
+    Why: a joint that sticks moves in jumps where its command is smooth. Taken from the undisturbed model, a form then
+    speaks of a motion that never was: three quarters of what stiction of 0.2 left was that.
+    """
+
+    course: Course
+    form: Form
+    said: Array
+
+    @classmethod
+    def of(cls, course: Course, form: Form) -> "Otherwise":
+        """Of a stretch whose undisturbed model runs along `course`."""
+        families = moving_families(course)
+        own = tuple(one for one in form if one[0] in families)
+        return cls(course, own, _fitting(families, own, "a joint"))
+
+    def __call__(self, q: Array) -> Array:
+        """For a modelled course q (m,), in its unit (m,)."""
+        return _fitting(moving_families(replace(self.course, q=q)), self.form, "a joint") - self.said
 
 
 def _families(cell: Cell, courses: list[Course]) -> list[dict[str, Array]]:

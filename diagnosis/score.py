@@ -13,6 +13,8 @@ from machine.rotations import Array
 
 MARGIN_SE = 1.5
 MARGIN_SE_SMALL = 2.0  # below CLEAR_NATS: a swing of one motion gains as much as a small effect, but not everywhere
+STICKS = "stiction"
+FORM_SHARE_STUCK = 0.15  # what oil and boom do after each jump of a joint that sticks is in no form
 TOUCHED_MIN = 2  # blocks
 TOUCHED_SHARE = 0.5
 CLEAR_NATS = 30.0  # a command limited in a few blocks gains more than that in each
@@ -84,6 +86,8 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
     if cell is not None:
         usual = usual_nats(cell, one.fit) - usual_nats(cell, other.fit)
         least, form_share = max(least + max(usual, 0.0) / spread, cell.least_nats), cell.form_share
+        if any(effect.name == STICKS for effect in other.fit.hypothesis):
+            form_share = max(form_share, FORM_SHARE_STUCK)
     if float(gains.sum()) <= max(least, form_share * (one.total - none.total) / spread):
         return False
     before = {effect.key for effect in other.fit.hypothesis}

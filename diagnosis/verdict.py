@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnosis.cells import Cell
 from diagnosis.refusal import EDGE, ENERGY_MIN, Fired
-from diagnosis.score import Score
+from diagnosis.score import STICKS, Score
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shrink import by_noise, together
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from diagnosis.diagnose import CellAnswer
 
 Word = Literal["none", "effects", "outside", "undecided"]
-STICKS = "stiction"
 LEFT_SMALL = 0.02  # share of the gap: a remainder below it does not take back a name
 LEFT_STUCK = 0.3  # the same where a joint sticks: what rings after each of its jumps has no model
 LEFT_LARGE = 0.5  # share of the gap: a remainder above it says that no name fits

@@ -154,23 +154,35 @@ def hats(x: Array, knots: Array) -> Array:
     return np.stack([np.interp(x, knots, row) for row in np.eye(len(knots))], axis=1)
 
 
-def _actuator(c: Course, knots: Array, _: Array) -> dict[str, Array]:
+def moving_families(c: Course) -> dict[str, Array]:
+    """Of an actuator: families that go with how the joint moves, not only with what it was told to do."""
     v, du, size = c.smooth(c.rate(c.q)), c.rate(c.smooth(c.drive)), np.abs(c.drive)
     busy = np.abs(c.others).sum(axis=1)
-    orders = np.arange(1, ORDERS + 1)
-    waves = np.concatenate([np.sin(np.outer(c.q, orders)), np.cos(np.outer(c.q, orders))], axis=1)
-    slow = waves[:, np.tile(orders, 2) <= SLOW_ORDERS]
     turned = np.stack([np.sign(du), np.sign(du) * size], axis=1)
     return {
-        "the valve command": c.whole(hats(c.drive, knots)),
         "the change of the command": np.concatenate(
             [np.stack([c.drive, size, v, c.rate(v)], axis=1), c.whole(turned)], axis=1
         ),
         "the load": c.whole(np.stack([c.load, v * c.load, np.abs(v) * c.load, c.load**2], axis=1)),
-        "the angle": np.concatenate([c.whole(v[:, None] * np.stack([c.q, c.q**2], axis=1)), slow], axis=1),
-        "waves over the angle": waves,
-        "time": c.whole(np.stack([np.ones_like(v), c.t_s, v * c.t_s, np.abs(v) * c.t_s], axis=1)),
+        "the angle": np.concatenate(
+            [c.whole(v[:, None] * np.stack([c.q, c.q**2], axis=1)), _waves(c.q, SLOW_ORDERS)], axis=1
+        ),
         "other joints": np.concatenate([c.whole(np.stack([v * busy, np.sign(v) * busy], axis=1)), c.others], axis=1),
+    }
+
+
+def _waves(q: Array, orders: int) -> Array:
+    turns = np.outer(q, np.arange(1, orders + 1))
+    return np.concatenate([np.sin(turns), np.cos(turns)], axis=1)
+
+
+def _actuator(c: Course, knots: Array, _: Array) -> dict[str, Array]:
+    v = c.smooth(c.rate(c.q))
+    return {
+        "the valve command": c.whole(hats(c.drive, knots)),
+        **moving_families(c),
+        "waves over the angle": _waves(c.q, ORDERS),
+        "time": c.whole(np.stack([np.ones_like(v), c.t_s, v * c.t_s, np.abs(v) * c.t_s], axis=1)),
     }
 
 
