@@ -54,6 +54,7 @@ class Cell:
     `usual`: tests that fire on the undisturbed machine, and their sizes there; `left_share`: of the floor, in squares,
     what the machine file's baseline leaves of the model's form. `usual_names`: among them what names gain there [nats].
     `unlike`: joints that moved unlike any undisturbed recording, by their command or by what the form says of them.
+    `knocked`: beside a joint that sticks, whose jumps move what this one holds: what is left says nothing.
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
@@ -79,6 +80,7 @@ class Cell:
     left_share: float = 0.0
     usual_names: tuple[tuple[str, float], ...] = ()
     unlike: tuple[int, ...] = ()
+    knocked: bool = False
     parts: tuple["Cell", ...] = ()
 
     def usual_nats(self, effect: Candidate, numbers: Array) -> float:

@@ -66,7 +66,7 @@ def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
 
 def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
     """The tests of one residual (N,) that fire beyond what is usual on the undisturbed machine."""
-    if 0.5 * (float(r @ r) - cell.quiet * len(r)) < cell.least_nats:
+    if cell.knocked or 0.5 * (float(r @ r) - cell.quiet * len(r)) < cell.least_nats:
         return ()
     n_tests = cells * (4 + len(cell.regressors))
     level = LEVEL / max(n_tests, 1)

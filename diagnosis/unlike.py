@@ -1,17 +1,20 @@
 """Joints that did not move as those of an undisturbed machine do, since what commanded them was far off.
 
 A command that is cut to a square wave drives the oil and the booms through motions that no undisturbed recording holds.
-What a baseline is known to leave there is then known of other motions only.
+What a baseline is known to leave there is then known of other motions only. A joint that sticks moves in jumps, and
+knocks at the joints beside it and at the booms behind.
 """
 
 from dataclasses import replace
 
 import numpy as np
 
+from diagnosis.candidates import SWINGS
 from diagnosis.cells import Cell
 from diagnosis.cells_dynamic import Replay, part_increments
 from diagnosis.floor import increments
-from diagnosis.search import Search
+from diagnosis.score import STICKS
+from diagnosis.search import Search, searched_without
 from machine.effects.layout import ParameterSets
 
 FAR_OFF = 0.1  # of a command's own changes, RMS: a lag or gain that is off by some per cent still moves the joint alike
@@ -38,7 +41,33 @@ def marked(cell: Cell, joints: tuple[int, ...]) -> Cell:
     return replace(cell, unlike=tuple(sorted({*cell.unlike, *joints}))) if joints else cell
 
 
+def knocked(found: list[Search]) -> list[Search]:
+    """Searches of the actuators; where one sticks, it is told so, and all others that they were knocked at."""
+    stuck = _stuck(found)
+    if not stuck:
+        return found
+    return [
+        replace(one, cell=replace(marked(one.cell, stuck), knocked=one.cell.joint not in stuck)) for one in found
+    ]
+
+
 def told_beyond(behind: list[Search], dynamic: list[Search]) -> list[Search]:
-    """What was searched behind the joints, told of all joints that moved unlike."""
+    """What was searched behind the joints, told of all joints that moved unlike.
+
+    A swing is no news where a joint sticks: its jumps set booms swinging as no undisturbed recording shows.
+    """
     joints = tuple({joint for one in dynamic for joint in one.cell.unlike})
+    if _stuck(dynamic):
+        for name in SWINGS:
+            behind = [searched_without(one, name) if _names(one, name) else one for one in behind]
     return [replace(one, cell=marked(one.cell, joints)) for one in behind]
+
+
+def _stuck(found: list[Search]) -> tuple[int, ...]:
+    """Joints (1-based) that were found to stick."""
+    named = (effect for one in found for effect in one.chosen.fit.hypothesis)
+    return tuple(effect.joint for effect in named if effect.name == STICKS and effect.joint is not None)
+
+
+def _names(found: Search, name: str) -> bool:
+    return any(effect.name == name for effect in found.chosen.fit.hypothesis)
