@@ -29,12 +29,16 @@ DRIVEN_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """What each residual (N,) belongs to: fold (left out together), block (scored together), series, channel."""
+    """What each residual (N,) belongs to: fold (left out together), block (scored together), series, channel.
+
+    `whole`: blocks before one of them was cut into pieces (`rare.py`); None where none was.
+    """
 
     fold: NDArray[np.int64]
     block: NDArray[np.int64]
     series: NDArray[np.int64]
     channel: NDArray[np.int64]
+    whole: NDArray[np.int64] | None = None
 
     @property
     def count(self) -> int:

@@ -247,7 +247,7 @@ def cell_of(
 ) -> Cell:
     """One cell of a stage: these joints (0-based) over all prepared stretches."""
     chosen = list(joints)
-    white = Whitener(np.ascontiguousarray(floor.whitener.a[:, chosen]), floor.whitener.sigma[chosen])
+    white = floor.whitener.only(chosen)
     parts = tuple(part_of(stage, one, chosen) for one in prepared)
     replay = Replay(stage, joints, parts, white)
     kinds = [part.stretch.kind for part in parts]

@@ -32,6 +32,12 @@ class Whitener:
         """Lags used."""
         return len(self.a)
 
+    def only(self, channels: list[int]) -> "Whitener":
+        """The filter of these channels, without lags that none of them uses: each costs 50 ms of every stretch."""
+        a = np.ascontiguousarray(self.a[:, channels])
+        used = np.nonzero(a.any(axis=1))[0]
+        return Whitener(a[: used[-1] + 1 if len(used) else 0], self.sigma[channels])
+
     def whiten(self, increments: Array) -> Array:
         """White residuals (m - order, n) of increments (m, n)."""
         d = np.asarray(increments, dtype=float)

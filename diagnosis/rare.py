@@ -34,4 +34,4 @@ def with_the_event_cut(cell: Cell, residual: Array) -> Cell:
     cut, fold = block.copy(), cell.rows.fold.copy()
     cut[event] = np.where(piece == 0, strongest, int(block.max()) + piece)
     fold[event] = int(fold.max()) + 1 + piece % FOLDS
-    return replace(cell, rows=replace(cell.rows, block=cut, fold=fold))
+    return replace(cell, rows=replace(cell.rows, block=cut, fold=fold, whole=block))

@@ -124,12 +124,19 @@ def key_of(one: Fired) -> str:
 
 
 def _energy(cell: Cell, r: Array) -> list[Fired]:
-    """More energy than the floor has; none behind joints that moved unlike: so did the booms that they set swinging."""
-    if cell.unlike and cell.stage not in DRIVEN_STAGES:
+    """More energy than the floor has; none behind joints that moved unlike: so did the booms that they set swinging.
+
+    What booms do differs from day to day by more than what oil does: there twice the most that was ever left is asked.
+    """
+    behind = cell.stage not in DRIVEN_STAGES
+    if cell.unlike and behind:
         return []
     n = len(r)
     ratio = float(r @ r) / n
-    if ratio - 1.0 < ENERGY_MIN + REMAINDER_VARIES * cell.left_share or not cell.floor_known:
+    least = 1.0 + ENERGY_MIN + REMAINDER_VARIES * cell.left_share
+    if behind:
+        least = max(least, USUAL_TIMES * dict(cell.usual).get(USUAL_ENERGY, 0.0))
+    if ratio < least or not cell.floor_known:
         return []
     return [Fired("energy", cell.stage, cell.joint, ratio, float(chdtrc(n, r @ r)), "", 1.0 - 1.0 / ratio)]
 
@@ -153,7 +160,8 @@ def _unrest(cell: Cell, r: Array) -> list[Fired]:
 
 def steady_energy(cell: Cell, r: Array) -> float:
     """Mean square of a residual (N,) without its strongest blocks: a late packet or two in a month are no habit."""
-    by_block = np.sort(np.bincount(cell.rows.block, weights=r**2))
+    block = cell.rows.block if cell.rows.whole is None else cell.rows.whole
+    by_block = np.sort(np.bincount(block, weights=r**2))
     return float(by_block[:-SPARED_BLOCKS].sum()) / len(r)
 
 

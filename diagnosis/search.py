@@ -21,7 +21,7 @@ SINGLES_MAX = 16  # fitted, the best of the scan
 PAIRS_REFINED = 5
 TRIPLES_REFINED = 2
 FORESEEN = 2  # sizes tried beyond the grid, where the grid's own changes point
-LIMITS_BETWEEN = 12  # sizes of a limit tried where it begins to be felt
+LIMITS_BETWEEN = 20  # sizes of a limit tried where it begins to be felt
 FELT = 100.0  # change of the residual, squared floors
 REFINED = 10  # sizes tried on either side of a scan's best
 ROUNDS_SINGLE = 8
@@ -207,13 +207,16 @@ def foreseen(candidate: Candidate, thetas: Array, changes: Array, r0: Array) -> 
 
 
 def _first_felt(thetas: Array, changes: Array) -> Array:
-    """Sizes (m, slots) of a limit between the largest one that changes anything and the next, which is beyond all that
-    was commanded: a limit that cuts a tenth off the fastest moves lies between two sizes of the range.
+    """Sizes (m, slots) of a limit between the largest one that changes much and the smallest that changes nothing,
+    which is beyond all that was commanded: a limit that cuts a tenth off the fastest moves lies between two sizes of
+    the range. One that cuts a jump of a late packet changes something, too, but not much.
     """
-    felt = (changes != 0.0).any(axis=1)
+    energy = (changes**2).sum(axis=1)
+    felt = energy > 0.0
     if not felt.any() or felt.all():
         return np.zeros((0, thetas.shape[1]))
-    low, high = thetas[felt].max(axis=0), thetas[~felt].min(axis=0)
+    much = energy > FELT
+    low, high = thetas[much if much.any() else felt].max(axis=0), thetas[~felt].min(axis=0)
     return np.geomspace(low, high, LIMITS_BETWEEN + 2)[1:-1]
 
 

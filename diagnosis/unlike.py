@@ -17,6 +17,7 @@ from diagnosis.score import STICKS
 from diagnosis.search import Search, searched_without
 from machine.effects.layout import ParameterSets
 
+UNLIKE_NATS = 100.0  # for a name where the joint moved unlike: after a square wave a lag gained 61
 FAR_OFF = 0.1  # of a command's own changes, RMS: a lag or gain that is off by some per cent still moves the joint alike
 
 
@@ -37,7 +38,9 @@ def _far_off(cell: Cell) -> list[int]:
 
 
 def marked(cell: Cell, joints: tuple[int, ...]) -> Cell:
-    """The cell, told of these joints, too."""
+    """The cell, told of these joints, too; its own joint's names are asked for more."""
+    if cell.stage == "actuator" and cell.joint in joints:
+        cell = replace(cell, least_nats=max(cell.least_nats, UNLIKE_NATS))
     return replace(cell, unlike=tuple(sorted({*cell.unlike, *joints}))) if joints else cell
 
 
@@ -46,9 +49,7 @@ def knocked(found: list[Search]) -> list[Search]:
     stuck = _stuck(found)
     if not stuck:
         return found
-    return [
-        replace(one, cell=replace(marked(one.cell, stuck), knocked=one.cell.joint not in stuck)) for one in found
-    ]
+    return [replace(one, cell=replace(marked(one.cell, stuck), knocked=one.cell.joint not in stuck)) for one in found]
 
 
 def told_beyond(behind: list[Search], dynamic: list[Search]) -> list[Search]:
