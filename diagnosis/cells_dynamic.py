@@ -122,7 +122,9 @@ def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array,
     modelled = getattr(traces, OUTPUT[stage])
     error = part.measured[None, : modelled.shape[1]] - modelled
     for channel, otherwise in enumerate(part.moved):
-        for k in np.nonzero(sets.joint[:, channel, BREAKAWAY])[0] if otherwise is not None else ():
+        if otherwise is None:
+            continue
+        for k in np.nonzero(sets.joint[:, channel, BREAKAWAY])[0]:
             error[k, :, channel] -= otherwise(modelled[k, :, channel])
     size = max(1, round(BLOCK_S / part.stretch.dt_s))
     rows = error.shape[1] // size * size
