@@ -8,6 +8,8 @@ import pytest
 from diagnosis_cases import folder, recording
 
 from diagnosis.cells import Cell, Rows
+from diagnosis.cells_dynamic import SILENT_SHARE, Replay
+from diagnosis.floor import Whitener
 from diagnosis.left_over import cells_of, with_baseline
 from diagnosis.reading import read
 from diagnosis.refusal import QUIET_TIMES
@@ -71,3 +73,25 @@ def test_a_link_without_noise_is_as_quiet_as_its_repeats(tmp_path: Path) -> None
     link = next(cell for cell in cells_of(with_baseline(whole, (), known)) if cell.stage == "link")
     assert link.floor_known
     assert link.quiet < 0.01
+
+
+@pytest.mark.parametrize(("usual", "share"), [(((USUAL_ENERGY, 1e-9),), SILENT_SHARE), (((USUAL_ENERGY, 0.1),), 1.0)])
+def test_a_controller_that_never_left_anything_is_held_to_a_quarter(
+    tmp_path: Path, usual: tuple[tuple[str, float], ...], share: float
+) -> None:
+    whole = read(folder(tmp_path, recording(("repeat", "repeat", "steps"), (), 3)))
+    known = tuple(Remainder("controller", joint, "", 0.0, 0.0, usual=usual) for joint in (1, 2, 3))
+    cells = cells_of(with_baseline(whole, (), known))
+    (replay,) = (cell.whitened for cell in cells if cell.label == "controller 2")
+    assert isinstance(replay, Replay)
+    plain = next(cell.whitened for cell in cells_of(with_baseline(whole, (), ())) if cell.label == "controller 2")
+    assert isinstance(plain, Replay)
+    assert replay.whitener.sigma == pytest.approx(share * plain.whitener.sigma)
+
+
+def test_lags_that_nothing_uses_cost_no_part_of_a_stretch() -> None:
+    a = np.array([[0.4, 0.0], [0.0, 0.0], [0.2, 0.0]])
+    whitener = Whitener(a, np.array([1.0, 2.0]))
+    assert whitener.only([0]).order == 3
+    assert whitener.only([1]).order == 0
+    assert whitener.only([1]).sigma == pytest.approx([2.0])

@@ -7,6 +7,7 @@ import pytest
 
 from diagnosis.cells import Cell, Rows, blocks_of
 from diagnosis.rare import FOLDS, with_the_event_cut
+from diagnosis.refusal import steady_energy
 from machine.effects.layout import neutral_sets
 
 ROWS = 1200
@@ -38,6 +39,12 @@ def test_one_event_is_left_out_in_turns_and_scored_in_pieces() -> None:
     np.testing.assert_array_equal(cut.block[~inside], cell.rows.block[~inside])
     assert (np.bincount(cut.block) > 0).all()
     assert FOLDS == 3
+    np.testing.assert_array_equal(cut.whole, cell.rows.block)
+
+
+def test_the_pieces_of_an_event_are_one_where_the_strongest_are_spared() -> None:
+    late = event(slice(420, 432))
+    assert steady_energy(with_the_event_cut(cell_of("link"), late), late) == 0.0
 
 
 @pytest.mark.parametrize(("stage", "rows"), [("actuator", slice(420, 432)), ("controller", slice(0, ROWS, 10))])

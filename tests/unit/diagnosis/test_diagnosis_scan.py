@@ -34,3 +34,13 @@ def test_a_limit_that_nothing_reaches_is_sought_no_further() -> None:
     (one,) = named(("reference_rate_limit",), (1,))
     thetas = one.starts()
     assert len(foreseen(one, thetas, np.zeros((len(thetas), 50)), np.ones(50))) == 0
+
+
+def test_a_jump_of_a_late_packet_does_not_hide_where_a_limit_is_felt() -> None:
+    (one,) = named(("reference_rate_limit",), (1,))
+    thetas, speed = one.starts(), np.abs(np.sin(3.0 * ANGLE)) * 0.2
+    speed[200] = 0.3  # twice the speed for once
+    cut = np.minimum(speed, thetas) - speed
+    in_floors = cut / 1e-2
+    found = foreseen(one, thetas, in_floors, (np.minimum(speed, 0.19) - speed) / 1e-2)
+    assert np.abs(found - 0.19).min() < 0.05 * 0.19

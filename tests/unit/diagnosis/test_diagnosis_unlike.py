@@ -13,6 +13,7 @@ from diagnosis.reading import read
 from diagnosis.refusal import tests_of as fired_tests
 from machine.effects.entries import make_entry
 from machine.effects.registry import effect_named
+from machine.remainder import USUAL_ENERGY
 
 KINDS = ("repeat", "repeat", "steps", "workcycle")
 
@@ -49,6 +50,14 @@ def test_behind_joints_that_moved_unlike_energy_alone_is_no_test(little_off: Dia
     assert "energy" in {one.test for one in fired_tests(behind, loud, 1)}
     assert "energy" not in {one.test for one in fired_tests(replace(behind, unlike=(2,)), loud, 1)}
     assert "energy" in {one.test for one in fired_tests(replace(cell, unlike=(2,)), loud, 1)}
+
+
+def test_behind_the_joints_twice_what_any_day_left_is_asked_for(little_off: Diagnosis) -> None:
+    cell = next(one.search.cell for one in little_off.cells if one.search.cell.stage == "actuator")
+    loud = np.sqrt(2.0) * np.random.default_rng(1).normal(size=cell.rows.count)  # twice the floor's energy
+    known = replace(cell, stage="structure", usual=((USUAL_ENERGY, 1.3),))
+    assert "energy" not in {one.test for one in fired_tests(known, loud, 1)}
+    assert "energy" in {one.test for one in fired_tests(known, 1.5 * loud, 1)}
 
 
 def test_a_pattern_of_a_joint_that_moved_unlike_is_no_test(little_off: Diagnosis) -> None:
