@@ -3,6 +3,7 @@
 from html import escape
 from typing import Any
 
+from diagnosis.report.html import wide
 from diagnosis.verdict import Word
 from machine.effects.spec import STAGES
 
@@ -30,7 +31,7 @@ def chain(result: dict[str, Any]) -> str:
         for one in result["merged_stages"]
     )
     note = "<p>Bar: share of the whole gap, carried to the tcp. A stage is judged by its own measured input.</p>"
-    return svg + note + (f"<ul>{merged}</ul>" if merged else "")
+    return wide(svg) + note + (f"<ul>{merged}</ul>" if merged else "")
 
 
 def stage_shares(result: dict[str, Any]) -> dict[str, float]:
@@ -75,7 +76,7 @@ def _box(number: int, stage: str, share: float | None, judged: bool, named: list
         out.append(
             f'<text class="cause" x="{middle}" y="{TOP + 90 + 11 * k}" text-anchor="middle">{escape(text)}</text>'
         )
-    return "".join(out)
+    return f"<g>{''.join(out)}</g>"
 
 
 def _short(named: list[str]) -> list[str]:

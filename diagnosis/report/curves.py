@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.candidates import put
 from diagnosis.cells_dynamic import LAST, OUTPUT, Part, Replay
@@ -19,11 +20,15 @@ SIGNAL_UNITS = {"link": "rad", "controller": "of full command", "actuator": "rad
 
 @dataclass(frozen=True, slots=True)
 class Residuals:
-    """White held-out residuals of one cell, in noise floors: t_s, before, after (N,) each."""
+    """White held-out residuals of one cell, in noise floors: t_s, before, after (N,) each, in the order of time.
+
+    `series`: (N,) which of several measured side by side each belongs to: an axis of a point, a joint's stretch.
+    """
 
     t_s: Array
     before: Array
     after: Array
+    series: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +69,8 @@ def _cell(one: CellAnswer) -> CellCurves:
     cell = one.search.cell
     named = " + ".join(effect.name for effect in one.chosen.fit.hypothesis)
     order = np.argsort(cell.t_s, kind="stable")
-    white = Residuals(cell.t_s[order], one.search.none.held_out[order], one.chosen.held_out[order])
+    before, after = one.search.none.held_out, one.chosen.held_out
+    white = Residuals(cell.t_s[order], before[order], after[order], cell.rows.series[order])
     return CellCurves(cell.label, named, white, _replayed(one))
 
 

@@ -25,7 +25,12 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     """A table; nothing without rows. Numbers to four digits, None as an empty cell."""
     lines = "".join("<tr>" + "".join(_cell(value) for value in row) + "</tr>" for row in rows)
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
-    return f"<table><tr>{head}</tr>{lines}</table>" if lines else ""
+    return wide(f"<table><tr>{head}</tr>{lines}</table>") if lines else ""
+
+
+def wide(body: str) -> str:
+    """What may be wider than a small screen: it is moved on its own, not the page."""
+    return f'<div class="wide">{body}</div>'
 
 
 def _cell(value: Any) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 from diagnosis.report.chain import chain
 from diagnosis.report.curves import CellCurves
-from diagnosis.report.html import document, section, table
+from diagnosis.report.html import document, section, table, wide
 from diagnosis.report.plots import plots
 from diagnosis.report.simulated import simulated_section
 from diagnosis.report.svg import bar
@@ -116,7 +116,7 @@ def _hypotheses(result: dict[str, Any]) -> str:
         f"<td>{escape(text)}{' <b>in the 90 % set</b>' if inside else ''}</td></tr>"
         for probability, text, inside in rows
     )
-    return f"<table>{lines}</table>"
+    return wide(f"<table>{lines}</table>")
 
 
 def _key(effects: list[dict[str, Any]]) -> tuple[tuple[str, int], ...]:

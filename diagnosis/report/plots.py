@@ -41,14 +41,15 @@ def _replayed(one: Replayed, explained: bool) -> str:
 
 def _residuals(one: Residuals) -> str:
     t = one.t_s - one.t_s[0] if len(one.t_s) else one.t_s
-    poses = bool((np.diff(one.t_s) == 0.0).any()) and bool((one.t_s == np.round(one.t_s)).all())
-    along, shown = ("pose", f" {DOTS}") if poses else ("time [s]", "")
+    together = bool((np.diff(one.t_s) == 0.0).any())  # several at an instant: no line leads from one to the next
+    along = "pose" if together and bool((one.t_s == np.round(one.t_s)).all()) else "time [s]"
+    shown = f" {DOTS}" if together else ""
     over_time = [Line("before", f"before{shown}", t, one.before), Line("after", f"after{shown}", t, one.after)]
     lags = np.arange(1, 41, dtype=float)
     limit = 1.96 / np.sqrt(max(1, len(one.before)))
-    together = [
-        Line("before", "before", lags, autocorrelation(one.before)),
-        Line("after", "after", lags, autocorrelation(one.after)),
+    correlated = [
+        Line("before", "before", lags, autocorrelation(one.before, one.series)),
+        Line("after", "after", lags, autocorrelation(one.after, one.series)),
         Line("95 % of pure noise", "floor", lags, _constant(lags, limit)),
         Line("", "floor", lags, _constant(lags, -limit)),
     ]
@@ -56,7 +57,7 @@ def _residuals(one: Residuals) -> str:
         "<h3>What is left, in noise floors, on held-out data</h3>"
         + chart(over_time, along, "residual [floors]", f"residual over {along}, before and after", symmetric=True)
         + histogram(one.before, one.after, "residual [noise floors]", "distribution of the residual")
-        + chart(together, "lag", "autocorrelation", "autocorrelation of the residual")
+        + chart(correlated, "lag", "autocorrelation", "autocorrelation of the residual")
     )
 
 

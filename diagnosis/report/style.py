@@ -19,13 +19,15 @@ header.none{border-color:var(--good)}header.none>span{color:var(--good)}
 header.effects{border-color:var(--after)}header.effects>span{color:var(--after)}
 header.outside{border-color:var(--bad)}header.outside>span{color:var(--bad)}
 .look{color:var(--soft);margin:.5em 0}
+li,p,summary{overflow-wrap:anywhere}
 table{border-collapse:collapse;margin:.4em 0}
 th,td{padding:.2em .7em;border-bottom:1px solid var(--line);text-align:left}
 td.n{text-align:right;white-space:nowrap;font-variant-numeric:tabular-nums}
 details{margin:.6em 0;border:1px solid var(--line);border-radius:6px;padding:.3em .8em}
 summary{cursor:pointer;font-weight:600}
 svg text{font:12px system-ui,sans-serif;fill:var(--soft)}
-svg.plot,svg.chain{width:100%;height:auto;display:block}
+.wide{overflow-x:auto}
+svg.plot,svg.chain{width:100%;min-width:38em;height:auto;display:block}
 svg text.title{font-weight:600;fill:var(--ink)}
 svg text.cause{font-size:9px;font-weight:700;fill:var(--after)}
 .frame{fill:none;stroke:var(--line)}.grid{stroke:var(--line);stroke-dasharray:2 4}
@@ -35,7 +37,8 @@ path{fill:none;stroke-width:1.4}.before{stroke:var(--before)}.after{stroke:var(-
 .bar{fill:var(--after)}.faint{opacity:.4}.stage{fill:var(--tint);stroke:var(--line)}
 .unjudged{stroke-dasharray:5 4;fill:none}
 .stage.named{stroke:var(--after);stroke-width:2.5}.arrow{stroke:var(--soft)}
-.legend span{margin-right:1.4em;color:var(--soft);white-space:nowrap}.legend{margin:.1em 0 .9em 4em}
+.legend span{margin-right:1.4em;color:var(--soft)}.legend{margin:.1em 0 .9em 4em}
+@media (max-width:40em){.legend{margin-left:0}}
 svg.inline{vertical-align:middle}
 @media print{details{border:none}}
 """

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from html import escape
 
 import numpy as np
+from numpy.typing import NDArray
 
+from diagnosis.report.html import wide
 from machine.rotations import Array
 
 WIDTH, HEIGHT = 720, 210
@@ -59,13 +61,17 @@ def bar(fraction: float, css: str = "bar") -> str:
     )
 
 
-def autocorrelation(values: Array, lags: int = 40) -> Array:
-    """Of residuals (m,), lags 1 .. `lags`; zeros where nothing varies."""
-    v = values - values.mean()
-    power = float(v @ v)
-    if power <= 0.0 or len(v) <= lags:
-        return np.zeros(lags)
-    return np.array([float(v[k:] @ v[:-k]) / power for k in range(1, lags + 1)])
+def autocorrelation(values: Array, series: NDArray[np.int64], lags: int = 40) -> Array:
+    """Of residuals (m,), lags 1 .. `lags`, within each series, pooled; zeros where nothing varies or all are short."""
+    total, power = np.zeros(lags), 0.0
+    for number in np.unique(series):
+        v = values[series == number]
+        if len(v) <= lags:
+            continue
+        v = v - v.mean()
+        power += float(v @ v)
+        total += np.array([float(v[k:] @ v[:-k]) for k in range(1, lags + 1)])
+    return total / power if power > 0.0 else total
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,4 +179,5 @@ def _legend(lines: Sequence[Line]) -> str:
 
 
 def _svg(body: str, title: str) -> str:
-    return f'<svg class="plot" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}">{body}</svg>'
+    size = f'viewBox="0 0 {WIDTH} {HEIGHT}"'
+    return wide(f'<svg class="plot" {size} role="img" aria-label="{escape(title)}">{body}</svg>')

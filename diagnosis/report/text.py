@@ -49,10 +49,13 @@ def effects_text(effects: list[dict[str, Any]]) -> str:
 
 
 def _numbers(parameters: dict[str, Any]) -> str:
-    return ", ".join(f"{name} = {_number(one)}" for name, one in parameters.items())
+    return "; ".join(f"{name} = {_number(one)}" for name, one in parameters.items())
 
 
 def _number(one: dict[str, Any]) -> str:
     if not isinstance(one["value"], int | float) or one["low"] is None:
         return str(one["value"])
-    return f"{one['value']:.4g} [{one['low']:.4g} .. {one['high']:.4g}] {one['unit']}"
+    if one["low"] == one["high"] == one["value"]:
+        return f"{one['value']:.4g}"
+    unit = "" if one["unit"] == "1" else f" {one['unit']}"
+    return f"{one['value']:.4g}{unit}, 90 % {one['low']:.4g} to {one['high']:.4g}"
