@@ -262,7 +262,7 @@ def _missing(found: Diagnosis) -> list[dict[str, str]]:
     out += [{"signal": part, "costs": text} for part, text in nominal.absent] if nominal is not None else []
     if any(not one.search.cell.floor_known for one in found.cells):
         out.append({"signal": "repeats", "costs": "no usable repeats: noise floor estimated, probabilities widened"})
-    for joint in sorted({joint for one in found.cells for joint in one.search.cell.unlike}):
+    for joint in sorted({joint for one in found.cells for joint in one.search.cell.moved_unlike}):
         text = (
             f"joint {joint} moved unlike the undisturbed recordings: what is left there is a lead and refuses nothing"
         )

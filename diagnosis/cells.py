@@ -58,7 +58,7 @@ class Cell:
     `usual`: tests that fire on the undisturbed machine, and their sizes there; `left_share`: of the floor, in squares,
     what the machine file's baseline leaves of the model's form. `usual_names`: among them what names gain there [nats].
     `unlike`: joints that moved unlike any undisturbed recording, by their command or by what the form says of them.
-    `knocked`: beside a joint that sticks, whose jumps move what this one holds: what is left says nothing.
+    `stuck`: joints that were told to stick: they moved unlike as well, and knock at the others.
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
@@ -84,8 +84,18 @@ class Cell:
     left_share: float = 0.0
     usual_names: tuple[tuple[str, float], ...] = ()
     unlike: tuple[int, ...] = ()
-    knocked: bool = False
+    stuck: tuple[int, ...] = ()
     parts: tuple["Cell", ...] = ()
+
+    @property
+    def moved_unlike(self) -> tuple[int, ...]:
+        """Joints that moved unlike any undisturbed recording, by whatever cause."""
+        return tuple(sorted({*self.unlike, *self.stuck}))
+
+    @property
+    def knocked(self) -> bool:
+        """An actuator beside a joint that sticks, whose jumps move what it holds: what it leaves says nothing."""
+        return self.stage == "actuator" and bool(self.stuck) and self.joint not in (None, *self.stuck)
 
     def usual_nats(self, effect: Candidate, numbers: Array) -> float:
         """What an effect of these numbers (slots,) may gain on the undisturbed machine, beyond the margin that every

@@ -19,7 +19,7 @@ from diagnosis.search import Search, search, searched_again
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape, left_shapes, refusing
 from diagnosis.shrink import Shrink, Squares, shrinks, squares
-from diagnosis.unlike import far_off, knocked, marked, told_beyond
+from diagnosis.unlike import far_off, marked, told_beyond, told_who_sticks
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack_under
@@ -133,7 +133,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         unlike = (*unlike, *far_off(cells))
         found = _searched(cells, progress)
         if stage == "actuator" and found:
-            found = knocked(_beside_each_other(found))
+            found = told_who_sticks(_beside_each_other(found))
             progress("what couples the joints", 0, 1)
             coupled = coupled_cell(replayer, whole.stretches, base, course)
             coupled = marked(with_known([coupled], nominal)[0], unlike) if coupled is not None else None

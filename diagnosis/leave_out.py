@@ -4,7 +4,9 @@ from typing import Any
 
 from diagnosis.answer import judgement
 from diagnosis.diagnose import Diagnosis, concluded
+from diagnosis.score import STICKS
 from diagnosis.search import searched_without
+from diagnosis.unlike import nothing_sticks
 
 
 def leave_named_out(found: Diagnosis) -> list[dict[str, Any]]:
@@ -19,6 +21,8 @@ def without_effect(found: Diagnosis, name: str) -> Diagnosis:
         searched_without(one.search, name) if _holds(one.search.cell.candidates, name) else one.search
         for one in found.cells
     ]
+    if name == STICKS:
+        searches = [nothing_sticks(one) for one in searches]
     return concluded(found.whole, searches, known=found.cells)
 
 

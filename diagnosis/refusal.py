@@ -54,13 +54,9 @@ def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
     r = np.clip(chosen.held_out, -30.0, 30.0)
     if not cell.parts:
         return tests_of(cell, r, cells)
-    found = [
-        one
-        for part, own in cell.by_part(r)
-        for one in tests_of(
-            replace(part, spread_least=cell.spread_least, unlike=cell.unlike), own, cells + len(cell.parts) - 1
-        )
-    ]
+    told = {"spread_least": cell.spread_least, "unlike": cell.unlike, "stuck": cell.stuck}
+    number = cells + len(cell.parts) - 1
+    found = [one for part, own in cell.by_part(r) for one in tests_of(replace(part, **told), own, number)]
     return tuple(sorted(found, key=lambda one: (one.lead == "", -one.size)))
 
 
@@ -71,7 +67,7 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
     n_tests = cells * (4 + len(cell.regressors))
     level = LEVEL / max(n_tests, 1)
     found = [*_energy(cell, r), *_unrest(cell, r)]
-    if cell.joint not in cell.unlike:  # what it leaves of another motion goes on in another way
+    if cell.joint not in cell.moved_unlike:  # what it leaves of another motion goes on in another way
         found += _patterns(cell, r, 1.0)
     usual = dict(cell.usual)
     least, times = (PATTERN_NATS, USUAL_TIMES)
@@ -129,7 +125,7 @@ def _energy(cell: Cell, r: Array) -> list[Fired]:
     What booms do differs from day to day by more than what oil does: there twice the most that was ever left is asked.
     """
     behind = cell.stage not in DRIVEN_STAGES
-    if cell.unlike and behind:
+    if cell.moved_unlike and behind:
         return []
     n = len(r)
     ratio = float(r @ r) / n

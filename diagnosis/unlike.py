@@ -44,12 +44,15 @@ def marked(cell: Cell, joints: tuple[int, ...]) -> Cell:
     return replace(cell, unlike=tuple(sorted({*cell.unlike, *joints}))) if joints else cell
 
 
-def knocked(found: list[Search]) -> list[Search]:
-    """Searches of the actuators; where one sticks, it is told so, and all others that they were knocked at."""
+def told_who_sticks(found: list[Search]) -> list[Search]:
+    """Searches of the actuators, told which joints were found to stick."""
     stuck = _stuck(found)
-    if not stuck:
-        return found
-    return [replace(one, cell=replace(marked(one.cell, stuck), knocked=one.cell.joint not in stuck)) for one in found]
+    return [replace(one, cell=replace(one.cell, stuck=stuck)) for one in found] if stuck else found
+
+
+def nothing_sticks(found: Search) -> Search:
+    """The same search, of a machine on which nothing was found to stick."""
+    return replace(found, cell=replace(found.cell, stuck=())) if found.cell.stuck else found
 
 
 def told_beyond(behind: list[Search], dynamic: list[Search]) -> list[Search]:
@@ -57,11 +60,11 @@ def told_beyond(behind: list[Search], dynamic: list[Search]) -> list[Search]:
 
     A swing is no news where a joint sticks: its jumps set booms swinging as no undisturbed recording shows.
     """
-    joints = tuple({joint for one in dynamic for joint in one.cell.unlike})
-    if _stuck(dynamic):
+    joints, stuck = tuple({joint for one in dynamic for joint in one.cell.unlike}), _stuck(dynamic)
+    if stuck:
         for name in SWINGS:
             behind = [searched_without(one, name) if _names(one, name) else one for one in behind]
-    return [replace(one, cell=marked(one.cell, joints)) for one in behind]
+    return [replace(one, cell=replace(marked(one.cell, joints), stuck=stuck)) for one in behind]
 
 
 def _stuck(found: list[Search]) -> tuple[int, ...]:

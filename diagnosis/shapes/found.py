@@ -71,7 +71,7 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
     out = []
     for one in left:
         known = usual[_at(one)]
-        if cell.knocked or one.joint in cell.unlike:
+        if cell.knocked or one.joint in cell.moved_unlike:
             continue
         if _known(known) and one.nats > _refused_from(known, one) + form:
             share = one.nats / (one.nats + max(gained_nats, 0.0))

@@ -13,11 +13,12 @@ from diagnosis.cells_dynamic import Replay
 from diagnosis.diagnose import Diagnosis, diagnose
 from diagnosis.fit import costs, evaluated
 from diagnosis.form import Otherwise
+from diagnosis.leave_out import without_effect
 from diagnosis.left_over import cells_of, forms_of, with_baseline
 from diagnosis.reading import Read, read
 from diagnosis.refusal import tests_of as fired_tests
 from diagnosis.shapes.driven import Course
-from diagnosis.unlike import UNLIKE_NATS, knocked, marked
+from diagnosis.unlike import UNLIKE_NATS, marked, told_who_sticks
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
 
@@ -64,17 +65,24 @@ def test_what_it_knocks_at_speaks_against_no_name(stuck: Diagnosis) -> None:
     loud = 3.0 * np.random.default_rng(1).normal(size=beside.rows.count)
     assert beside.knocked
     assert fired_tests(beside, loud, 1) == ()
-    assert "energy" in {one.test for one in fired_tests(replace(beside, knocked=False, least_nats=0.0), loud, 1)}
+    assert "energy" in {one.test for one in fired_tests(replace(beside, stuck=(), least_nats=0.0), loud, 1)}
     assert not own.knocked
-    assert own.unlike == (2,)
+    assert own.moved_unlike == (2,)
+    assert own.least_nats < UNLIKE_NATS
     assert "energy" in {one.test for one in fired_tests(own, loud, 1)}
+
+
+def test_without_its_name_nobody_is_excused_by_it(stuck: Diagnosis) -> None:
+    left = without_effect(stuck, "stiction")
+    assert not any(one.search.cell.stuck for one in left.cells)
+    assert left.verdict.word in ("outside", "undecided")
 
 
 def test_where_nothing_sticks_nobody_is_told(tmp_path: Path) -> None:
     found = diagnose(day(tmp_path, 3, entry("valve_deadband", 2, half_width_frac=0.02)))
     searches = [one.search for one in found.cells]
-    assert knocked(searches) is searches
-    assert not any(one.cell.knocked or one.cell.unlike for one in searches)
+    assert told_who_sticks(searches) is searches
+    assert not any(one.cell.moved_unlike for one in searches)
 
 
 def test_names_where_a_joint_moved_unlike_are_asked_for_more(stuck: Diagnosis) -> None:
