@@ -3,16 +3,20 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.candidates import SWINGS, named, put
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_points import PointResidual
 from diagnosis.link_angles import Path, link_angles
-from machine.effects.layout import neutral_sets
+from machine.effects.layout import ParameterSets, neutral_sets
 from machine.rotations import Array
 
 STILL_RAD_S = 2e-3
 SMOOTH_ROWS = 11
 ORDERS = 4  # of waves over an angle, a turn
 MINUTE_S = 60.0
+SWINGS_OF = "swings of joint"
+SWINGS_HZ = np.geomspace(0.6, 6.0, 14)
+SWUNG, DAMPING = 0.05, 0.1  # of a unit swing, and wide enough that one between two frequencies is a sum of both
 
 
 def point_columns(measured: PointResidual) -> dict[str, Array]:
@@ -34,6 +38,21 @@ def point_columns(measured: PointResidual) -> dict[str, Array]:
 def acceleration_columns(measured: PointResidual) -> Array:
     """(3 m, 3 n) of tracked points, not weighed: what radial, tangential and up do with each joint's acceleration."""
     return _each(_motion(measured.paths, measured.at, measured.data.when)[1], 3)
+
+
+def swing_columns(measured: PointResidual, base: ParameterSets) -> dict[str, Array]:
+    """(3 m, k) for each joint: what its motion sets swinging behind it, at each of some frequencies; white.
+
+    Why: measured points are too rare for the autocorrelation that tells of a swing in a driven stage.
+    """
+    if not measured.paths or any(path.step_s is None for path in measured.paths):
+        return {}
+    out, plain = {}, measured(base)[0]
+    for joint in range(1, measured.nominal.n + 1):
+        (swing,) = named(SWINGS, (joint,))
+        sizes = np.stack([np.full(len(SWINGS_HZ), SWUNG), SWINGS_HZ, np.full(len(SWINGS_HZ), DAMPING)], axis=1)
+        out[f"{SWINGS_OF} {joint}"] = (measured(put(base, (swing,), sizes)) - plain).T / SWUNG
+    return out
 
 
 def corner_columns(seen: CornerResidual) -> dict[str, Array]:

@@ -11,7 +11,7 @@ from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_points import PointResidual
 from diagnosis.fit import costs
 from diagnosis.refusal import BEHIND_NATS, BEHIND_TIMES, Fired
-from diagnosis.shapes.behind import corner_columns, point_columns
+from diagnosis.shapes.behind import SWINGS_OF, corner_columns, point_columns, swing_columns
 from diagnosis.shapes.driven import driven_columns
 from diagnosis.shapes.gain import held_out_nats
 from machine.remainder import USUAL_SHAPE, usual_shape
@@ -71,7 +71,10 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
     out = []
     for one in left:
         known = usual[_at(one)]
-        if cell.knocked or one.joint in cell.moved_unlike:
+        swings = one.goes_with.startswith(SWINGS_OF)
+        if cell.knocked or one.joint in cell.moved_unlike or (swings and cell.moved_unlike):
+            continue
+        if swings and usual_shape(one.goes_with) not in known:  # a baseline that was fitted before these were sought
             continue
         if _known(known) and one.nats > _refused_from(known, one) + form:
             share = one.nats / (one.nats + max(gained_nats, 0.0))
@@ -83,9 +86,9 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
 def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     """Its own usual size, or any course's that is larger there; single moments are no course, and rarer.
 
-    Where nothing swings only its own: what goes with another course on another day is a swing.
+    Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too.
     """
-    if shape.measurement in STILL and shape.goes_with != SINGLE_MOMENTS:
+    if (shape.measurement in STILL and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(SWINGS_OF):
         return REFUSED_NATS + EXCEEDED_TIMES * usual.get(usual_shape(shape.goes_with), 0.0)
     moments = usual_shape(SINGLE_MOMENTS)
     courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != moments]
@@ -127,7 +130,7 @@ def _of_part(part: Cell, residual: Array) -> list[Shape]:
 
 def _columns(part: Cell) -> dict[str, Array]:
     if isinstance(part.whitened, PointResidual):
-        return point_columns(part.whitened)
+        return {**point_columns(part.whitened), **swing_columns(part.whitened, part.base)}
     if isinstance(part.whitened, CornerResidual):
         return corner_columns(part.whitened)
     return driven_columns(part)
