@@ -12,13 +12,13 @@ from diagnosis.known import with_known
 from diagnosis.limits import Interval, Limit, detection_limit, intervals
 from diagnosis.localise import Localisation, localise
 from diagnosis.reading import Read
-from diagnosis.refusal import UNREST, Fired, at_edge, remainder
+from diagnosis.refusal import Fired, at_edge, remainder
 from diagnosis.replay import replayer_of
 from diagnosis.score import Score
 from diagnosis.search import Search, search, searched_again
-from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape, left_shapes, refusing
 from diagnosis.shrink import Shrink, Squares, shrinks, squares
+from diagnosis.stage_evidence import nats_by_stage
 from diagnosis.unlike import far_off, marked, told_beyond, told_who_sticks
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
@@ -87,31 +87,7 @@ def concluded(
     verdict = verdict_of(answers, holes)
     progress("localising", 1, 1)
     energy = energies([(one.cell, one.none.fit.residual) for one in searches])
-    return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, _evidence(answers)))
-
-
-def _evidence(answers: tuple[CellAnswer, ...]) -> dict[str, float]:
-    """By stage, what its named effects gain, and what tests that fired find left there [nats].
-
-    A shape says how much it foretells: that may be little beside all that a stage's rows differ from their floor by.
-    """
-    out: dict[str, float] = {}
-    for one in answers:
-        cell, none, chosen = one.search.cell, one.search.none.held_out, one.chosen.held_out
-        told = {fired.stage for fired in one.fired if fired.test != SHAPE}
-        for (part, before), (_, after) in zip(cell.by_part(none), cell.by_part(chosen), strict=True):
-            gained = 0.5 * float(before @ before - after @ after) if one.chosen.fit.hypothesis else 0.0
-            left = 0.5 * float(after @ after - len(after)) if part.stage in told else 0.0
-            unrest = [fired.share for fired in one.fired if (fired.test, fired.stage) == (UNREST, part.stage)]
-            left = max(left, 0.5 * max(unrest, default=0.0) * float(after @ after))
-            out[part.stage] = out.get(part.stage, 0.0) + max(gained, 0.0) + left
-        shaped: dict[str, float] = {}
-        for fired in one.fired:
-            if fired.test == SHAPE:
-                shaped[fired.stage] = max(shaped.get(fired.stage, 0.0), fired.size)
-        for stage, nats in shaped.items():
-            out[stage] = out.get(stage, 0.0) + nats
-    return out
+    return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, nats_by_stage(answers)))
 
 
 def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tuple[str, ...]) -> list[Search]:
