@@ -46,6 +46,7 @@ class StampMonitor:
             self._before = frame  # nothing to learn from
         elif finding is not None or (arrival is not None and arrival.code is FaultCode.STAMP_JUMPED and moved_ns > 0):
             self._offsets_ns.clear()
+            self._periods_ns.clear()  # a camera that was short of time and is so no longer is faster from now on
             self._learn(frame, None)
         found = finding or arrival
         return () if found is None else (found,)
@@ -71,7 +72,8 @@ class StampMonitor:
         if step_ns < PERIOD_MIN_FRAC * usual_ns:
             text = (
                 f"camera stamps jumped: a step of {step_ns / 1e6:.1f} ms where {usual_ns / 1e6:.1f} ms are usual "
-                f"(limit {PERIOD_MIN_FRAC * usual_ns / 1e6:.1f} ms); its clock was set: restart the stream"
+                f"(limit {PERIOD_MIN_FRAC * usual_ns / 1e6:.1f} ms): its clock was set, or it is faster from now on; "
+                "restart the stream if this stays"
             )
             return Finding(FaultCode.STAMP_JUMPED, text)
         return None

@@ -30,22 +30,20 @@ from server.jobs.requests import (
     expect,
 )
 from server.motion.calibration_paths import plan_calibration_path
-from server.motion.contracts import PathPlan, PlanStatus
+from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
 
 
 def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, CalibrationRecord]:
     """Drive the path with odometry on, match, and keep the result as the mount's rotation here."""
     reading = expect((yield Settle()), MachineReading)
-    plan = plan_path(ctx, reading)
-    if plan.status is not PlanStatus.OK or plan.trajectory is None:
-        raise JobFailedError(f"calibration path: {plan.reason}", f"plan_{plan.status.value}")
+    plan, trajectory = possible_path(ctx, reading)
     text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s while the camera measures its own way"
     yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
     yield Arm()
     yield StartOdometry()
     before = side_now(ctx)
-    yield Move(plan.trajectory, "calibration path")
-    remember_motion(ctx, plan.trajectory)
+    yield Move(trajectory, "calibration path")
+    remember_motion(ctx, trajectory)
     rested = expect((yield Settle()), MachineReading)
     tracks = expect((yield StopOdometry()), tuple)
     camera, encoder = tracks
@@ -61,6 +59,17 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     text = f"camera rotation known to {record.sigma_deg:.2f} deg, clock offset {record.time_offset_ms:.0f} ms"
     yield Progress("calibrate", plan.duration_s, plan.duration_s, "s", text)
     return record
+
+
+def possible_path(ctx: PlanContext, reading: MachineReading) -> tuple[PathPlan, JointTrajectory]:
+    """The calibration path from where the machine stands, and its motion.
+
+    Raises: JobFailedError: none is possible here.
+    """
+    plan = plan_path(ctx, reading)
+    if plan.status is not PlanStatus.OK or plan.trajectory is None:
+        raise JobFailedError(f"calibration path: {plan.reason}", f"plan_{plan.status.value}")
+    return plan, plan.trajectory
 
 
 def plan_path(ctx: PlanContext, reading: MachineReading) -> PathPlan:

@@ -8,13 +8,13 @@ from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.assurance import assured_preview
-from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.calibrating import calibrate, possible_path
 from server.jobs.plans.living import require_valid, validity
-from server.jobs.plans.looking import good_look
+from server.jobs.plans.looking import good_look, ooi_in_base
 from server.jobs.plans.moving import execute
-from server.jobs.plans.orienting import orient
+from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orient
 from server.jobs.records import CalibrationRecord, ErrorMm, PositionResult
-from server.jobs.requests import MachineReading, Progress, ReadMachine, Request
+from server.jobs.requests import Progress, Request
 
 Clock = Callable[[], int]
 
@@ -22,18 +22,22 @@ Clock = Callable[[], int]
 def position(
     ctx: PlanContext, recalibrate: bool, clock_ns: Clock = time.monotonic_ns
 ) -> Generator[Request, object, PositionResult]:
-    """Bring the tool to the goal. Ends reached, or not reached with the reason; a failed look fails the job."""
+    """Bring the tool to the goal. Ends reached, or not reached with the reason; a failed look fails the job.
+
+    A tool that is inside already stays where it is. What was known of the run before is forgotten when this one begins,
+    not when it is refused: the way back and the calibration outlive a job that moved nothing.
+    """
     watch = _StopWatch(clock_ns)
-    reading = yield ReadMachine()
-    if isinstance(reading, MachineReading):
-        ctx.knowledge.q_start = reading.q_rad
-    ctx.knowledge.moves.clear()
-    if recalibrate:
-        ctx.knowledge.forget_calibration()
-    ctx.knowledge.looks.clear()  # of the job before: the object of interest may be another one
     taken = first = yield from good_look(ctx)
     watch.lap("look")
-    yield from _drop_expired(ctx, taken)
+    if inside(ctx, taken):
+        ctx.knowledge.moves.clear()
+        return _result(ctx, first, taken, ctx.knowledge.calibration, watch)
+    if recalibrate and taken.error is not None and taken.error.rotation_deg < GOOD_ENOUGH_DEG:
+        possible_path(ctx, taken.reading)  # it will be driven from here
+    if not recalibrate:
+        yield from _drop_expired(ctx, taken)
+    _begin_run(ctx, taken, recalibrate)
     taken = yield from orient(ctx, taken)
     watch.lap("orient")
     if ctx.knowledge.mount is None:
@@ -43,6 +47,17 @@ def position(
         watch.lap("look after calibration")
     taken = yield from _move_until_inside(ctx, taken, watch, clock_ns)
     return _result(ctx, first, taken, ctx.knowledge.calibration, watch)
+
+
+def _begin_run(ctx: PlanContext, taken: LookTaken, recalibrate: bool) -> None:
+    """Only this look is known from now on: the object of interest may be another one than before."""
+    ctx.knowledge.q_start = taken.reading.q_rad
+    ctx.knowledge.moves.clear()
+    fresh = ctx.knowledge.looks[-1:]
+    if recalibrate:
+        ctx.knowledge.forget_calibration()
+    ctx.knowledge.looks[:], ctx.knowledge.joint = fresh, None
+    ctx.knowledge.T_base_ooi = ooi_in_base(ctx, taken)  # by what is still known of the mount
 
 
 def _drop_expired(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, None]:

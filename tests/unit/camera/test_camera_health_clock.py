@@ -59,6 +59,17 @@ def test_a_clock_that_jumps_is_found_while_pairs_are_passed_over() -> None:
     assert "stamps jumped: a step of 66.0 ms where 198.0 ms are usual" in "; ".join(health.check(back))
 
 
+@pytest.mark.parametrize("slow", [3, 6])
+def test_a_camera_that_is_faster_than_it_was_is_used_again(slow: int) -> None:
+    """A simulated camera on a busy computer: its count goes on by one however long a picture took."""
+    health = ImageHealth()
+    stamps = [*range(0, 130 * slow, slow), *range(130 * slow, 130 * slow + 30)]
+    frames = [replace(frame(stamp), sequence=number) for number, stamp in enumerate(stamps)]
+    found = [health.check(one) for one in frames]
+    assert any(found)  # said, learnt anew, and over as soon as ten good pairs have come
+    assert found[-9:] == [()] * 9
+
+
 def test_a_new_connection_may_have_a_new_clock() -> None:
     health = ImageHealth()
     health.check(frame(9))
