@@ -19,6 +19,7 @@ from diagnosis.search import Search, search, searched_again
 from diagnosis.shapes.found import Shape, left_shapes, refusing
 from diagnosis.shrink import Shrink, Squares, shrinks, squares
 from diagnosis.stage_evidence import nats_by_stage
+from diagnosis.stretches import stood_still
 from diagnosis.unlike import far_off, marked, told_beyond, told_who_sticks
 from diagnosis.verdict import Verdict, verdict_of
 from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
@@ -84,7 +85,8 @@ def concluded(
     hypotheses = _hypotheses(answers)
     numbers = _numbers(answers, hypotheses)
     holes = sum(one.count for one in whole.findings if one.code == "gap")
-    verdict = verdict_of(answers, holes)
+    still = stood_still(whole.stretches) and (whole.tables is None or whole.tables.static is None)
+    verdict = verdict_of(answers, holes, still)
     progress("localising", 1, 1)
     energy = energies([(one.cell, one.none.fit.residual) for one in searches])
     return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, nats_by_stage(answers)))

@@ -14,6 +14,7 @@ from recording.run import Segment
 
 MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
 LOGGED_OFTEN = 0.7  # of a sending period: a log row that comes later may have skipped a datagram
+STOOD_RAD = 2e-3  # no joint went further than this from where it was: one posture
 JITTER_MAX = 1e-3  # of a step: stamps closer to the even grid than this are taken as they are
 
 
@@ -48,6 +49,21 @@ class Stretch:
     def duration_s(self) -> float:
         """Length [s]."""
         return float(self.t_s[-1] - self.t_s[0])
+
+
+def stood_still(stretches: tuple[Stretch, ...]) -> bool:
+    """Whether every joint was asked and seen to stay at one place; False where its encoders were not logged."""
+    for name in ("enc", "ref"):
+        rows = [values for one in stretches if (values := getattr(one, name)) is not None]
+        if not rows:
+            if name == "enc":
+                return False
+            continue
+        known = np.concatenate(rows)
+        known = known[np.isfinite(known).all(axis=1)]
+        if len(known) == 0 or np.ptp(known, axis=0).max() > STOOD_RAD:
+            return False
+    return bool(stretches)
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,8 +33,8 @@ class Verdict:
     why: str
 
 
-def verdict_of(answers: tuple[CellAnswer, ...], holes: int = 0) -> Verdict:
-    """The verdict over all cells. `holes`: places where the log lacks rows.
+def verdict_of(answers: tuple[CellAnswer, ...], holes: int = 0, stood_still: bool = False) -> Verdict:
+    """The verdict over all cells. `holes`: places where the log lacks rows; `stood_still`: all is of one posture.
 
     Model: a remainder that tests find takes back a name: a wrong effect can close most of a foreign gap. It is
            "outside" where it is most of the gap, or nothing was named; else "undecided", unless below 2 % of the gap
@@ -52,6 +52,9 @@ def verdict_of(answers: tuple[CellAnswer, ...], holes: int = 0) -> Verdict:
         one = partly[0]
         text = f"{_where(one)}: the best names leave {100 * _left(one):.3g} % of the gap{_lead(one)}"
         return Verdict("undecided", text)
+    if stood_still:
+        text = "no joint moved, and at one posture a mount, a lens, a zero and a print look alike"
+        return Verdict("undecided", f"{text}; record a motion of all joints, or a whole job from look to accept")
     if not named and holes >= HOLES_MANY:
         text = f"nothing above the noise floor in what was logged, but rows are missing in {holes} places"
         return Verdict("undecided", f"{text}: look at the logger first")
@@ -79,7 +82,7 @@ def _above_a_guess(one: CellAnswer) -> bool:
 def _partly(one: CellAnswer) -> str:
     """What the names explain where the noise was never measured."""
     closed, _, _ = by_noise(together(one.squares))
-    share = "" if closed is None else f" {100 * closed:.2g} % of"
+    share = "" if closed is None else f" {100 * closed:.3g} % of"
     left = f"{_energy(one):.2g} times the noise that was estimated"
     return f"catalogue effects explain{share} the gap; what is left is {left}: repeats would tell it"
 

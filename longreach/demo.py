@@ -1,5 +1,8 @@
 """`longreach demo`: simulated machine and server as separate processes, and the panel's address."""
 
+import os
+import shutil
+import sys
 import time
 import webbrowser
 from pathlib import Path
@@ -24,19 +27,25 @@ def demo(
     ports = StackPorts.free()
     ports = StackPorts(http=port, plc=ports.plc, plc_local=ports.plc_local, camera=ports.camera)
     started = time.monotonic()
+    console.print("starting simulator, server and camera; the first time their numerics are compiled, for some minutes")
     with Stack(ports, preset=preset, seed=seed, log_folder=Path("runs") / "demo-logs", runs=Path("runs")) as stack:
         try:
-            with console.status("starting (the first time, the plant is compiled)"), JobClient(stack.url) as client:
+            with console.status("starting"), JobClient(stack.url) as client:
                 client.wait_ready(180.0)
         except JobRefusedError as error:
             console.print(f"[bold red]not started:[/] {error}; see runs/demo-logs")
             raise typer.Exit(1) from error
         took_s = time.monotonic() - started
         console.print(f"[bold green]ready[/] after {took_s:.0f} s: open [bold]{stack.url}/[/]   (Ctrl-C ends it)")
-        console.print(f"or without hands:  longreach position --url {stack.url}")
+        console.print(f"or without hands:  {_command()} position --url {stack.url}")
         if browser:
             webbrowser.open(stack.url)
         _wait(stack, seconds)
+
+
+def _command() -> str:
+    """How the one who started this calls longreach from here."""
+    return "longreach" if shutil.which("longreach") else os.path.relpath(sys.argv[0])
 
 
 def _wait(stack: Stack, seconds: float) -> None:

@@ -10,6 +10,7 @@ from machine.effects.spec import STAGES
 BOX_W, BOX_H, STEP = 92, 112, 104
 LEFT, TOP = 6, 6
 BAR_H = 40
+FITS = 15  # letters of a cause across a box; longer ones are drawn narrower
 
 
 def chain(result: dict[str, Any]) -> str:
@@ -73,9 +74,9 @@ def _box(number: int, stage: str, share: float | None, judged: bool, named: list
         out.append(f'<rect class="bar" x="{middle - 12}" y="{base - height:.1f}" width="24" height="{height:.1f}"/>')
         out.append(f'<text x="{middle}" y="{base + 14}" text-anchor="middle">{100 * share:.0f} %</text>')
     for k, text in enumerate(_short(named)):
-        out.append(
-            f'<text class="cause" x="{middle}" y="{TOP + 90 + 11 * k}" text-anchor="middle">{escape(text)}</text>'
-        )
+        narrow = f' textLength="{BOX_W - 8}" lengthAdjust="spacingAndGlyphs"' if len(text) > FITS else ""
+        at = f'x="{middle}" y="{TOP + 90 + 11 * k}" text-anchor="middle"'
+        out.append(f'<text class="cause" {at}{narrow}>{escape(text)}</text>')
     return f"<g>{''.join(out)}</g>"
 
 

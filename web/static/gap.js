@@ -36,6 +36,7 @@ async function follow() {
   const running = data.some((one) => one.state === "running");
   byId("gap-start").disabled = running || !byId("gap-run").value;
   setText(byId("gap-why"), running ? t("gap_one") : byId("gap-run").value ? "" : t("no_recordings"));
+  byId("gap-empty").hidden = data.length > 0;
   const key = data.map((one) => [one.diagnosis_id, one.state, one.last_line, Math.round(one.elapsed_s), results.has(one.diagnosis_id)]);
   whenChanged("gap-list", key, (list) => list.replaceChildren(...data.map(card)));
   if (running) timer = setTimeout(follow, AGAIN_MS);

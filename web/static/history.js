@@ -33,14 +33,14 @@ function trend(history, tolerance) {
   const low = Math.log10(0.3);
   const high = Math.log10(Math.max(10 * tolerance, ...known, 10));
   const y = (value) => HEIGHT - 8 - ((HEIGHT - 16) * (Math.log10(Math.max(0.3, value)) - low)) / (high - low);
-  const x = (i) => 30 + ((WIDTH - 45) * i) / Math.max(1, values.length - 1);
+  const x = (i) => 50 + ((WIDTH - 65) * i) / Math.max(1, values.length - 1);
   const label = t("trend_label", { n: values.length, now: known.length ? known.at(-1).toFixed(1) : "–" });
   const chart = svg("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": label });
-  chart.append(svg("rect", { class: "band", x: 26, y: y(tolerance), width: WIDTH - 30, height: HEIGHT - 4 - y(tolerance) }));
+  chart.append(svg("rect", { class: "band", x: 46, y: y(tolerance), width: WIDTH - 50, height: HEIGHT - 4 - y(tolerance) }));
   for (const value of [1, 10, 100, 1000].filter((one) => Math.log10(one) <= high)) {
-    chart.append(svg("line", { class: "grid", x1: 26, x2: WIDTH - 4, y1: y(value), y2: y(value) }));
-    const text = svg("text", { x: 22, y: y(value) + 3, "text-anchor": "end" });
-    text.textContent = value;
+    chart.append(svg("line", { class: "grid", x1: 46, x2: WIDTH - 4, y1: y(value), y2: y(value) }));
+    const text = svg("text", { x: 42, y: y(value) + 3, "text-anchor": "end" });
+    text.textContent = `${value} mm`;
     chart.append(text);
   }
   const points = values.flatMap((value, i) => (value === null ? [] : [[x(i), y(value)]]));

@@ -1,6 +1,6 @@
 // The 3D view in its frame: shown while it runs, loaded anew after it came back, never in the way of anything.
 import { serverSilent } from "./age.js";
-import { byId, setText } from "./dom.js";
+import { byId, setClass, setText } from "./dom.js";
 import { t } from "./texts.js";
 
 const OFF = "longreach-scene-off";
@@ -28,6 +28,7 @@ export function showScene(state) {
     else frame.src = `/view/?hideViserLogo&hideSceneTree&run=${process_id}`;
   }
   setText(byId("scene-off"), off ? t("scene_hidden") : problem ? t("scene_off", { problem }) : t("scene_loading"));
+  setClass(byId("scene-off"), "behind", loaded !== null);
   byId("scrub-field").hidden = !state.plan;
   const slider = byId("scrub");
   if (document.activeElement !== slider) slider.value = String(Math.round(100 * scrub_frac));

@@ -20,7 +20,7 @@ export const TEXTS = {
   plc_sub: "{age}, {loss} % lost", camera_text: "{fps} pairs/s", camera_sub: "{age} old", camera_unfit: "not fit for a look",
   plc_silent: "no answer", camera_silent: "no picture", last_ago: "last {age} ago", camera_frozen: "FROZEN", camera_late: "late",
   estop_sub: "enable {enable}", enable_needed: "needed", no_image: "no picture", dry_run: "DRY RUN: valves stay neutral",
-  alarm_none: "no alarm", alarm_seen: "{n} acknowledged", alarm_was: "over: {title}",
+  alarm_none: "no alarm", alarm_seen: "{n} acknowledged", alarm_was: "ended: {title}",
   // camera
   camera_title: "Camera, left eye", frame_age: "{fps} pairs/s · {age} old", veil_old: "old: {age}", veil_none: "no picture yet",
   veil_camera: "no new picture comes: check the camera and its cable", veil_server: "the server does not answer", veil_way: "pictures come late to this page: this computer or its network is busy",
@@ -54,14 +54,14 @@ export const TEXTS = {
   why_first: "look first", why_calibrate_first: "calibrate first",
   plan: "plan", plan_text: "{hash}, good for {s} s more", path: "path", path_text: "{mm} mm in {s} s, at most {v} mm/s",
   clearance: "to the wall", clearance_text: "{mm} mm at the nearest", clearance_none: "wall not known", caution: "caution",
-  travel: "joint travel", travel_text: "{list}°", checks: "checks", checks_text: "joint limits, speed and wall: ok, by the planner",
+  travel: "joint travel", travel_text: "{list}", checks: "checks", checks_text: "joint limits, speed and wall: ok, by the planner",
   more: "Goal and options", goal_edit: "Goal", stand_off: "in front, mm", offset_x: "shift X, mm", offset_y: "shift Y, mm", set_goal: "Set", retract_mm: "mm back",
   // history
   history: "History", alarms_tab: "Alarms", joints: "Joints", story: "Story", n: "#", time: "time", after: "after", inside: "inside",
-  accepted_by: "accepted by {who}", yes: "✓ yes", no: "✗ no", trend: "Distance to the goal over the looks, logarithmic; line: tolerance",
+  accepted_by: "accepted by {who}", yes: "✓ yes", no: "✗ no", trend: "Distance to the goal over the looks, mm, logarithmic; green: tolerance",
   trend_label: "Trend of the distance over {n} looks, now {now} mm", no_history: "No look yet.", 
   // alarms
-  no_alarms: "No alarm.", since: "since {time}", over: "over since {time}", still: "still so", cause: "Cause", remedy: "What to do", clears: "Who may clear it",
+  no_alarms: "No alarm.", since: "since {time}", over: "ended at {time}", still: "still so", cause: "Cause", remedy: "What to do", clears: "Who may clear it",
   acknowledge: "Acknowledge", acknowledged: "acknowledged by {who}", help: "help", ack_note: "Acknowledging never starts a motion.",
   priority_high: "HIGH", priority_medium: "MEDIUM", priority_low: "LOW",
   // drawer
@@ -73,6 +73,7 @@ export const TEXTS = {
   not_calibrated: "Not calibrated.", cal_known: "camera rotation known to (1 sigma)", cal_residual: "residual", cal_age: "age", cal_place: "from where it was made",
   cal_valid: "holds here", cal_expired: "EXPIRED: {why}", cal_offset: "clock offset", cal_nominal: "off the nominal mount", cal_weakest: "least known about the axis (TCP)",
   cal_ellipse: "One-sigma ellipses of the rotation, degrees", cal_pairs: "pairs used",
+  gap_empty: "No diagnosis yet. Choose the recording of a job that moved all joints: a calibration, an execution, or Automatic. It takes about a minute.",
   gap_missing: "Not available: this server has no diagnoses (/v1/diagnoses).", gap_run: "Diagnose", gap_report: "The whole report", gap_stop: "End it", gap_one: "one at a time", gap_after: "{s} s", gap_cause: "effect", gap_likely: "probability",
   gap_state_running: "Running", gap_state_done: "Done", gap_state_failed: "Failed", gap_state_stopped: "Ended by hand", gap_joint: "{name}, joint {joint}",
   gap_none: "NO GAP: the machine does what the model says, within what the recording can show", gap_effects: "EXPLAINED: these effects make the gap",
