@@ -18,17 +18,17 @@ def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
     if not groups:
         text = "no command was repeated: the noise floor is not known, and every probability is widened"
         return [
-            Finding("no_repeats", "problem", "run.toml", f"{text}; repeat one command at least {REPEATS_GOOD} times")
+            Finding("no_repeats", "problem", "segments", f"{text}; repeat one command at least {REPEATS_GOOD} times")
         ]
     findings = []
     for name, members in groups.items():
         if len(members) < REPEATS_GOOD:
             text = f"{name!r} has {len(members)} runs; {REPEATS_GOOD} or more make a sound noise floor"
-            findings.append(Finding("few_repeats", "note", "run.toml", text))
+            findings.append(Finding("few_repeats", "note", "segments", text))
         apart = reference_spread(members)
         if apart > DIFFER_MAX_RAD:
             text = f"repeats of {name!r} differ by up to {apart:.3g} rad in their reference; they give no noise floor"
-            findings.append(Finding("repeats_differ", "problem", "run.toml", text))
+            findings.append(Finding("repeats_differ", "problem", "segments", text))
     return findings
 
 

@@ -12,6 +12,8 @@ from diagnosis.reading import Read, read
 from machine.effects.entries import entries_to_toml
 from machine.effects.registry import effect_named
 from machine.remainder import remainders_to_toml
+from recording.errors import RecordingError
+from recording.opening import read_run
 
 FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
 FITTED_MOST = 3  # more hardly move what is fitted, and what a rare motion leaves is seen by those that judge
@@ -26,15 +28,15 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
 
     Raises: BaselineError: an unusable recording, too few of them, or a file that cannot be written.
     """
+    nominal = _machine_text(recordings[0], machine_file)
     wholes = [_usable(path, machine_file) for path in recordings]
     count = min(FITTED_MOST, max(1, round(len(wholes) * FITTED_SHARE)))
     try:
         found = fit_baseline(wholes[:count], wholes[count:], lambda text: screen.print(f"[dim]{escape(text)}[/]"))
     except DiagnosisError as error:
         raise BaselineError(str(error)) from error
-    text = with_baseline(_machine_text(wholes[0], recordings[0], machine_file), found)
     try:
-        out.write_text(text, encoding="utf-8")
+        out.write_text(with_baseline(nominal, found), encoding="utf-8")
     except OSError as error:
         raise BaselineError(f"{out} cannot be written: {error.strerror}") from error
     return told(found, count, len(wholes))
@@ -47,13 +49,17 @@ def _usable(path: Path, machine_file: Path | None) -> Read:
     return whole
 
 
-def _machine_text(whole: Read, path: Path, machine_file: Path | None) -> str:
+def _machine_text(path: Path, machine_file: Path | None) -> str:
+    """The file's own text, or what the recording (a folder or an MCAP file) holds."""
     if machine_file is not None:
         return machine_file.read_text(encoding="utf-8")
-    inside = path / "machine.toml"
-    if not inside.is_file():
-        raise BaselineError(f"{path} holds no machine.toml file; give one by --machine")
-    return inside.read_text(encoding="utf-8")
+    try:
+        inside = read_run(path).machine_toml
+    except RecordingError as error:
+        raise BaselineError(str(error)) from error
+    if not inside:
+        raise BaselineError(f"{path} holds no machine.toml; give one by --machine")
+    return inside
 
 
 def with_baseline(text: str, found: Baseline) -> str:

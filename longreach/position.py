@@ -50,14 +50,16 @@ def position(
 
 def _show(console: Console, status: Any, event: dict[str, Any]) -> None:
     status.update(event["text"])
+    if event["name"] == "ended":
+        return  # told below, with what came of it
     console.print(f"[dim]{event['elapsed_s']:6.1f} s[/]  {event['text']}")
 
 
 def error_table(result: dict[str, Any]) -> Table:
     """Errors before and after each step, image-based."""
-    table = Table(title="error of the tool against its goal (by the camera)", title_justify="left")
+    table = Table(title="error of the tool against its goal, by the camera, ± one sigma", title_justify="left")
     for heading in ("step", "x mm", "y mm", "z mm", "rotation deg", "path mm", "s", "trims"):
-        table.add_column(heading, justify="right" if heading != "step" else "left")
+        table.add_column(heading, justify="right" if heading != "step" else "left", no_wrap=True)
     _row(table, "start", result["start"], "", "", "")
     for move in result["moves"]:
         name = "orientation" if move["kind"] == "orientation" else f"move {move['number']}"
