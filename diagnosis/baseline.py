@@ -16,7 +16,7 @@ from diagnosis.fit import Fit, costs, evaluated, fit, neutral_fit
 from diagnosis.form import TOGETHER_MIN
 from diagnosis.left_over import cells_of, forms_of, remainders_of, with_baseline, with_mosts, with_wanders
 from diagnosis.reading import Read
-from diagnosis.refusal import key_of, pattern_nats, steady_energy, tests_of
+from diagnosis.refusal import at_edge, key_of, pattern_nats, steady_energy, tests_of
 from diagnosis.score import Score, better, numbers_of, score
 from diagnosis.search import FELT, Scan, Search, foreseen, scan, search
 from diagnosis.shapes.found import shapes_of
@@ -182,11 +182,13 @@ def forward(cell: Cell) -> Score:
 
     The margin is counted in units of what the best model leaves (chi2/n): a plant's form is never met to the floor. It
     is no share of what is gained in all, as a diagnosis asks: what is small and steady belongs to the machine, too.
+    A size at the end of what is believed of it is no usual state: the cause is another one, which has no name.
     """
     none = chosen = score(cell, neutral_fit(cell))
     scans = [scan(cell, one, none.fit) for one in cell.candidates]
     while len(chosen.fit.hypothesis) < EFFECTS_MAX:
-        found = [_more(cell, chosen, one) for one in _promising(cell, chosen.fit, scans)]
+        tried = [_more(cell, chosen, one) for one in _promising(cell, chosen.fit, scans)]
+        found = [one for one in tried if not at_edge(cell, one)]
         best = max(found, key=lambda one: one.total, default=None)
         if best is None or not better(best, chosen, chosen, _left(best)):
             break

@@ -21,9 +21,10 @@ def lines(result: dict[str, Any]) -> list[str]:
         out.append("this recording cannot tell apart: " + ", ".join(place_text(one) for one in members))
     closed = result["shrink"].get("overall", {}).get("closed_frac")
     if closed is not None:
-        out.append(f"gap closed on held-out trajectories: {100 * closed:.3g} %")
+        out.append(_closed(closed, result["verdict"]))
     for one in result["unexplained"][:NAMES_MAX]:
-        out.append(f"unexplained: {one['stage']} {one['joint'] or ''} {one['test']} {one['size']:.3g} {one['lead']}")
+        where = f"{one['stage']} {one['joint']}" if one["joint"] else one["stage"]
+        out.append(f"unexplained in {where}: {one['lead'] or 'more than noise'} ({one['test']} {one['size']:.3g})")
     shapes = [f"{one['stage']} {one['joint'] or one['measurement']}: {one['goes_with']}" for one in result["shapes"]]
     if shapes:
         out.append(f"the remainder goes with: {', '.join(shapes[:SHAPES_MAX])}")
@@ -32,6 +33,12 @@ def lines(result: dict[str, Any]) -> list[str]:
         out.append(f"next experiment: {following['what']}, {following['minutes']:g} min: {following['why']}")
     out += [f"missing: {one['costs']}" for one in result["missing"]]
     return out
+
+
+def _closed(closed: float, verdict: str) -> str:
+    """What the names take away; where they are not believed, that this is no proof of them."""
+    text = f"gap closed on held-out trajectories: {100 * closed:.3g} %"
+    return text if verdict in ("effects", "none") else f"{text} by names that are not believed: wrong ones can, too"
 
 
 def _likely(probability: float, what: str) -> str:

@@ -147,6 +147,12 @@ def test_forward_steps_find_what_was_put_in_and_nothing_where_nothing_is() -> No
     assert neutral_fit(quiet).k == 0
 
 
+@pytest.mark.parametrize(("lag_s", "told"), [(0.4, True), (0.504, False)])
+def test_a_size_at_the_end_of_what_is_believed_of_it_is_no_usual_state(lag_s: float, told: bool) -> None:
+    names = [one.name for one in forward(made_up((0.0, 0.0, lag_s))).fit.hypothesis]
+    assert ("valve_lag" in names) == told
+
+
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda one: one.name)
 def test_whatever_a_fit_names_can_be_written_to_a_machine_file_and_is_the_same_there(effect: Effect) -> None:
     (one, *_) = named((effect.name,), (1,))
