@@ -42,7 +42,7 @@ class Scene:
     speed_noise: Array | None = None  # `speed_noise_of` once it was asked for
     plain: dict[str, Array] = field(default_factory=dict)  # what is measured behind the joints, noise-free
     place: list[Array] = field(default_factory=list)  # change of the corners with the object's place
-    wander: dict[str, Array] = field(default_factory=dict)  # `wander_of` once it was asked for
+    wander: dict[tuple[str, int], Array] = field(default_factory=dict)  # `wander_of` once it was asked for
 
     def record(self, stage: str, joint: int | None = None, on: str = "") -> Remainder:
         """What the baseline leaves there; nothing where the file has no record."""
@@ -193,25 +193,26 @@ def encoder_signature(scene: Scene, change: Array) -> Signature:
     for j in range(own.N):
         record = scene.record("actuator", j + 1)
         both = process(record.ar, record.sigma) + speed_noise_of(scene)[:, j]
-        seen = (*draws, *(days[name] for name, _ in record.wander))
-        first, second, *columns = (filtered(one[:, j], both, LEAST["actuator"]) for one in seen)
+        seen = (*(one[:, j] for one in draws), *(days[name, j + 1] for name, _ in record.wander))
+        first, second, *columns = (filtered(one, both, LEAST["actuator"]) for one in seen)
         out[f"actuator {j + 1}"] = np.stack([beside(row, columns) for row in (first, second)])
     return out
 
 
-def wander_of(scene: Scene) -> dict[str, Array]:
-    """Change of the encoders' increments (m, n) by what each number of the machine is off by from day to day.
+def wander_of(scene: Scene) -> dict[tuple[str, int], Array]:
+    """Change of a joint's increments (m,) by what a number of it is off by from day to day, by name and joint.
 
-    One run a name, of all joints that have it: each is felt by its own encoder.
+    The first name of every joint in one run, then the second ones: each is felt by its own encoder.
     """
     if not scene.wander:
-        off: dict[str, list[Injected]] = {}
-        for record in scene.remainders:
-            for name, size in record.wander if record.stage == "actuator" else ():
-                off.setdefault(name, []).append(Injected(name, record.joint, {BY_NAME[name].parameter: size}))
-        for name, effects in off.items():
-            moved = changes(scene, driven(scene, faults_of(tuple(effects), own.N)))
-            scene.wander[name] = np.diff(_means(moved.mean(axis=0)), axis=0)
+        off = {one.joint: one.wander for one in scene.remainders if one.stage == "actuator" and one.joint is not None}
+        for turn in range(max(map(len, off.values()), default=0)):
+            now = {joint: names[turn] for joint, names in off.items() if turn < len(names)}
+            faults = faults_of(
+                tuple(Injected(name, j, {BY_NAME[name].parameter: size}) for j, (name, size) in now.items()), own.N
+            )
+            steps = np.diff(_means(changes(scene, driven(scene, faults)).mean(axis=0)), axis=0)
+            scene.wander |= {(name, joint): steps[:, joint - 1] for joint, (name, _) in now.items()}
     return scene.wander
 
 
