@@ -28,7 +28,7 @@ function alarmItem(one, mine) {
   const done = one.acknowledged_by ? make("span", { class: "soft" }, t("acknowledged", { who: one.acknowledged_by })) : make("span", {}, button, mine ? null : make("small", { class: "why" }, ` ${t("no_control")}`));
   return make(
     "article",
-    { class: `alarm ${one.level} ${one.acknowledged_by ? "seen" : ""}` },
+    { class: `alarm ${one.level} ${one.acknowledged_by ? "seen" : ""} ${one.ended_unix_s === null ? "" : "ended"}` },
     make("h3", {}, make("span", { class: "level" }, t(LEVEL[one.level])), ` ${one.title} `, make("small", {}, when)),
     one.detail ? make("p", { class: "detail" }, one.detail) : null,
     make("p", {}, make("b", {}, `${t("cause")}: `), one.cause),

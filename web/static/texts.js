@@ -61,7 +61,7 @@ export const TEXTS = {
   accepted_by: "accepted by {who}", yes: "✓ yes", no: "✗ no", trend: "Distance to the goal over the looks, mm, logarithmic; green: tolerance",
   trend_label: "Trend of the distance over {n} looks, now {now} mm", no_history: "No look yet.", 
   // alarms
-  no_alarms: "No alarm.", since: "since {time}", over: "ended at {time}", still: "still so", cause: "Cause", remedy: "What to do", clears: "Who may clear it",
+  no_alarms: "No alarm.", since: "since {time}", over: "ended at {time}: read it, then acknowledge it", still: "still so", cause: "Cause", remedy: "What to do", clears: "Who may clear it",
   acknowledge: "Acknowledge", acknowledged: "acknowledged by {who}", help: "help", ack_note: "Acknowledging never starts a motion.",
   priority_high: "HIGH", priority_medium: "MEDIUM", priority_low: "LOW",
   // drawer
