@@ -99,7 +99,7 @@ def test_nearness_to_the_ooi_is_refused_with_the_distance():
     ooi = ooi_ahead(Q_USUAL, 0.15)
     plan = plan_calibration_path(machine(), Q_USUAL, T_base_ooi_estimate=ooi)
     assert plan.status is PlanStatus.WALL
-    assert "150 mm from the OOI" in plan.reason
+    assert "150 mm from the target" in plan.reason
     assert "limit 250 mm; retract first" in plan.reason
     assert plan.trajectory is None
 
