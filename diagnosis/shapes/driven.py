@@ -22,6 +22,7 @@ ORDERS = 24  # of a wave over the angle, a turn
 SLOW_ORDERS = 4
 SMOOTH_S = 0.045
 LEAKS_S = (0.05, 0.3)
+SINCE = "time since the start"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,7 @@ class Course:
     """Signals of one joint through a stretch, a row a log row (m,), and the time between two rows [s].
 
     `q`: the stage's own modelled output; `drive`: what it answers to; `load`: gravity's part; `others`: (m, k) the
-    commands of the other joints; `t_s`: from the stretch's start.
+    commands of the other joints; `t_s`: from the stretch's start; `since_s`: from the recording's.
     """
 
     dt_s: float
@@ -38,6 +39,7 @@ class Course:
     drive: Array
     load: Array
     others: Array
+    since_s: Array
 
     def rate(self, x: Array) -> Array:
         """d/dt of a signal."""
@@ -130,7 +132,9 @@ def _course(cell: Cell, replay: Replay, part: Part, outputs: Array, channel: int
     if cell.stage == "link":
         drive = np.gradient(modelled, stretch.dt_s)
     load = part.drive.load[:m, channel] if len(part.drive.load) >= m else np.zeros(m)
-    return Course(stretch.dt_s, stretch.t_s[:m] - stretch.t_s[0], modelled, drive, load, np.delete(u, j, axis=1))
+    t_s, began_s = stretch.t_s[:m], min(one.stretch.t_s[0] for one in replay.parts)
+    others = np.delete(u, j, axis=1)
+    return Course(stretch.dt_s, t_s - t_s[0], modelled, drive, load, others, t_s - began_s)
 
 
 def white_columns(whitener: Whitener, channel: int, dt_s: float, signals: Array) -> Array:
@@ -177,12 +181,13 @@ def _waves(q: Array, orders: int) -> Array:
 
 
 def _actuator(c: Course, knots: Array, _: Array) -> dict[str, Array]:
-    v = c.smooth(c.rate(c.q))
+    v, minutes = c.smooth(c.rate(c.q)), c.since_s / 60.0
     return {
         "the valve command": c.whole(hats(c.drive, knots)),
         **moving_families(c),
         "waves over the angle": _waves(c.q, ORDERS),
         "time": c.whole(np.stack([np.ones_like(v), c.t_s, v * c.t_s, np.abs(v) * c.t_s], axis=1)),
+        SINCE: c.whole(np.stack([minutes, v * minutes, np.abs(v) * minutes], axis=1)),  # oil that warms
     }
 
 

@@ -12,7 +12,7 @@ from diagnosis.cells_points import PointResidual
 from diagnosis.fit import costs
 from diagnosis.refusal import BEHIND_NATS, BEHIND_TIMES, Fired
 from diagnosis.shapes.behind import SWINGS_OF, corner_columns, point_columns, swing_columns
-from diagnosis.shapes.driven import driven_columns
+from diagnosis.shapes.driven import SINCE, driven_columns
 from diagnosis.shapes.gain import held_out_nats
 from machine.remainder import USUAL_SHAPE, usual_shape
 from machine.rotations import Array
@@ -25,6 +25,10 @@ FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by:
 TEST = "shape"
 STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
+LATER = (
+    SWINGS_OF,
+    SINCE,
+)  # sought since some baselines were fitted: only one that knows their usual size refuses by them
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
 Place = tuple[str, int | None, str]
@@ -74,7 +78,7 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
         swings = one.goes_with.startswith(SWINGS_OF)
         if cell.knocked or one.joint in cell.moved_unlike or (swings and cell.moved_unlike):
             continue
-        if swings and usual_shape(one.goes_with) not in known:  # a baseline that was fitted before these were sought
+        if one.goes_with.startswith(LATER) and usual_shape(one.goes_with) not in known:
             continue
         if _known(known) and one.nats > _refused_from(known, one) + form:
             share = one.nats / (one.nats + max(gained_nats, 0.0))
@@ -86,9 +90,10 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
 def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     """Its own usual size, or any course's that is larger there; single moments are no course, and rarer.
 
-    Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too.
+    Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, and
+    of time since the start, which no motion goes with.
     """
-    if (shape.measurement in STILL and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(SWINGS_OF):
+    if (shape.measurement in STILL and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(LATER):
         return REFUSED_NATS + EXCEEDED_TIMES * usual.get(usual_shape(shape.goes_with), 0.0)
     moments = usual_shape(SINGLE_MOMENTS)
     courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != moments]

@@ -129,7 +129,7 @@ def test_a_swing_is_the_same_at_every_step(step_s: float) -> None:
     t = np.arange(0.0, 4.0, step_s)
     u = np.where(t > 0.2, 1.0, 0.0)
     nothing = np.zeros(len(t))
-    own = responses(Course(step_s, t, nothing, u, nothing, nothing[:, None]))["swings"]
+    own = responses(Course(step_s, t, nothing, u, nothing, nothing[:, None], t))["swings"]
     omega = 2.0 * np.pi * SWINGS_HZ
     s = omega * (-DAMPING + 1j * np.sqrt(1.0 - DAMPING**2))
     later = t[-1] - (t[u > 0.0][0])
@@ -139,7 +139,7 @@ def test_a_swing_is_the_same_at_every_step(step_s: float) -> None:
 
 def test_one_joint_alone_has_no_others_to_answer_to() -> None:
     t = np.arange(100) * 0.01
-    found = responses(Course(0.01, t, t, np.sin(t), 0.0 * t, np.zeros((100, 0))))
+    found = responses(Course(0.01, t, t, np.sin(t), 0.0 * t, np.zeros((100, 0)), t))
     assert {name: one.shape for name, one in found.items()} == {
         "echoes": (100, 20),
         "catching up": (100, 35),

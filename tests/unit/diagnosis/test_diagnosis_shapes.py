@@ -14,7 +14,7 @@ from diagnosis.fit import neutral_fit
 from diagnosis.left_over import cells_of
 from diagnosis.reading import read
 from diagnosis.shapes.behind import point_columns
-from diagnosis.shapes.driven import driven_columns
+from diagnosis.shapes.driven import SINCE, driven_columns
 from diagnosis.shapes.found import LEAST_NATS, REFUSED_NATS, Shape, _refused_from, left_shapes, refusing, shapes_of
 from diagnosis.shapes.gain import held_out_nats
 from machine.effects.entries import make_entry
@@ -109,6 +109,25 @@ def test_only_what_the_undisturbed_machine_does_not_show_is_told(tmp_path: Path)
     assert left_shapes(known, residual, 20.0 * nats) == ()  # 9 % of a large effect's form
 
 
+def test_a_gain_that_drifts_goes_with_time_since_the_start_and_refuses_where_its_usual_size_is_known(
+    tmp_path: Path,
+) -> None:
+    """Oil that warms: within each motion of a quarter of a minute the gain hardly changes."""
+    cell, _ = cell_with(tmp_path, "actuator 2")
+    rising = driven_columns(cell)[SINCE][:, 1]
+    assert abs(rising[-400:]).max() > 2.0 * abs(rising[:400]).max()  # it goes on from motion to motion
+    noise = np.random.default_rng(5).normal(size=len(rising))
+    drifting = noise + rising * np.sqrt(300.0 / (rising @ rising))
+    left = shapes_of(cell, drifting)
+    assert left[0].goes_with == SINCE
+    assert left[0].nats > 60.0
+    assert all(one.goes_with != SINCE for one in shapes_of(cell, noise))
+    known = replace(cell, usual=((usual_shape("time"), 40.0), (usual_shape(SINCE), 5.0)))
+    assert [one.lead for one in refusing(known, left[:1], 0.0)] == [f"goes with {SINCE}"]  # not held to another course
+    older = replace(cell, usual=((usual_shape("time"), 0.0),))
+    assert refusing(older, left[:1], 0.0) == ()
+
+
 @pytest.mark.parametrize("count", [1, 3])
 def test_single_moments_are_found_without_a_course(tmp_path: Path, count: int) -> None:
     cell, residual = cell_with(tmp_path, "link")
@@ -123,7 +142,9 @@ def test_a_shape_speaks_against_a_model_only_beside_a_baseline_that_knows_the_us
     cell, residual = cell_with(tmp_path, "actuator 2", half_width_frac=0.01)
     left = left_shapes(cell, residual, 0.0)
     assert refusing(cell, left, 0.0) == ()
-    known = replace(cell, usual=((usual_shape("the load"), 0.0), (usual_shape("single moments"), 1e4)))
+    known = replace(
+        cell, usual=((usual_shape("the load"), 0.0), (usual_shape(SINCE), 0.0), (usual_shape("single moments"), 1e4))
+    )
     left = tuple(one for one in left if one.goes_with != "single moments" and one.nats > REFUSED_NATS)
     fired = refusing(known, left, 0.0)
     assert [one.size for one in fired] == [one.nats for one in left]

@@ -108,7 +108,7 @@ def test_the_form_goes_with_how_a_stuck_joint_moves(tmp_path: Path) -> None:
 
 def test_a_joint_that_moves_as_modelled_has_nothing_further_said_of_it() -> None:
     t = np.arange(400) * 0.01
-    course = Course(0.01, t, 0.2 * np.sin(t), np.cos(t), np.ones(400), np.zeros((400, 1)))
+    course = Course(0.01, t, 0.2 * np.sin(t), np.cos(t), np.ones(400), np.zeros((400, 1)), t)
     said = Otherwise.of(course, (("the angle", tuple(np.linspace(0.1, 1.0, 10))), ("echoes", (1.0,) * 20)))
     assert said(course.q) == pytest.approx(0.0, abs=1e-12)
     assert np.abs(said(np.zeros(400))).max() > 0.1
