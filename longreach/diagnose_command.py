@@ -20,9 +20,8 @@ from diagnosis.report.page import page
 from diagnosis.report.text import lines
 from diagnosis.together import read_together
 from longreach.fit_baseline import BaselineError, make_baseline
-from longreach.machine_out import MachineOutError, write_machine
+from longreach.machine_out import MachineOutError, machine_text, write_machine
 from machine.effects.registry import NAMES
-from recording.opening import read_run
 
 BAD_INPUT = 2
 
@@ -73,7 +72,7 @@ def diagnose(
     for text in lines(result):
         typer.echo(text)
     if simulate:
-        _simulate(_machine_text(recording, machine_file), found, result, screen)
+        _simulate(machine_text(recording, machine_file), found, result, screen)
     _write(json_file, json.dumps(result, indent=1, allow_nan=False) + "\n", screen)
     _write(html_file, page(result, recording.name, curves), screen)
     if machine_out is not None:
@@ -97,13 +96,9 @@ def _refused(error: Exception, screen: Console) -> typer.Exit:
 def _machine_out(recording: Path, machine_file: Path | None, found: Diagnosis, out: Path, screen: Console) -> None:
     """The machine file with the diagnosed effects added."""
     try:
-        typer.echo(write_machine(_machine_text(recording, machine_file), found, out))
+        typer.echo(write_machine(machine_text(recording, machine_file), found, out))
     except MachineOutError as error:
         raise _refused(error, screen) from error
-
-
-def _machine_text(recording: Path, machine_file: Path | None) -> str:
-    return read_run(recording).machine_toml if machine_file is None else machine_file.read_text(encoding="utf-8")
 
 
 def _simulate(text: str, found: Diagnosis, result: dict[str, Any], screen: Console) -> None:

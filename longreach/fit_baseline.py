@@ -9,11 +9,11 @@ from rich.markup import escape
 from diagnosis.baseline import Baseline, fit_baseline
 from diagnosis.errors import DiagnosisError
 from diagnosis.reading import Read, read
+from longreach.machine_out import machine_text
 from machine.effects.entries import entries_to_toml
 from machine.effects.registry import effect_named
 from machine.remainder import remainders_to_toml
 from recording.errors import RecordingError
-from recording.opening import read_run
 
 FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
 FITTED_MOST = 3  # more hardly move what is fitted, and what a rare motion leaves is seen by those that judge
@@ -28,7 +28,7 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
 
     Raises: BaselineError: an unusable recording, too few of them, or a file that cannot be written.
     """
-    nominal = _machine_text(recordings[0], machine_file)
+    nominal = _nominal(recordings[0], machine_file)
     wholes = [_usable(path, machine_file) for path in recordings]
     count = min(FITTED_MOST, max(1, round(len(wholes) * FITTED_SHARE)))
     try:
@@ -49,17 +49,14 @@ def _usable(path: Path, machine_file: Path | None) -> Read:
     return whole
 
 
-def _machine_text(path: Path, machine_file: Path | None) -> str:
-    """The file's own text, or what the recording (a folder or an MCAP file) holds."""
-    if machine_file is not None:
-        return machine_file.read_text(encoding="utf-8")
+def _nominal(path: Path, machine_file: Path | None) -> str:
     try:
-        inside = read_run(path).machine_toml
+        text = machine_text(path, machine_file)
     except RecordingError as error:
         raise BaselineError(str(error)) from error
-    if not inside:
+    if not text:
         raise BaselineError(f"{path} holds no machine.toml; give one by --machine")
-    return inside
+    return text
 
 
 def with_baseline(text: str, found: Baseline) -> str:

@@ -6,6 +6,7 @@ from diagnosis.baseline import entries_of
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
 from machine.effects.entries import EffectEntry, entries_to_toml
+from recording.opening import read_run
 
 USABLE = ("effects", "none")
 
@@ -36,6 +37,14 @@ def machine_with_effects(text: str, found: Diagnosis) -> str:
     probability = found.hypotheses[0].probability if found.hypotheses else 1.0
     line = f"\n# longreach diagnose: verdict {word}, probability {probability:.3g}\n"
     return text.rstrip() + "\n" + line + entries_to_toml(effects_found(found))
+
+
+def machine_text(recording: Path, machine_file: Path | None) -> str:
+    """The text of a machine file: the one given, else what the recording (a folder or an MCAP file) holds.
+
+    Raises: RecordingError: the recording cannot be read.
+    """
+    return read_run(recording).machine_toml if machine_file is None else machine_file.read_text(encoding="utf-8")
 
 
 def write_machine(text: str, found: Diagnosis, path: Path) -> str:

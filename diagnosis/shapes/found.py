@@ -25,10 +25,7 @@ FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by:
 TEST = "shape"
 STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
-LATER = (
-    SWINGS_OF,
-    SINCE,
-)  # sought since some baselines were fitted: only one that knows their usual size refuses by them
+LATER = (SWINGS_OF, SINCE)  # a baseline fitted before these were sought refuses nothing by them
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
 Place = tuple[str, int | None, str]

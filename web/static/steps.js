@@ -167,7 +167,7 @@ function showPlan(plan) {
     ["plan", t("plan_text", { hash: plan.plan_hash.slice(0, 8), s: left })],
     ["path", t("path_text", { mm: plan.length_mm.toFixed(0), s: plan.duration_s.toFixed(1), v: plan.tcp_speed_max_mm_s.toFixed(0) })],
     ["clearance", plan.clearance_mm === null ? t("clearance_none") : t("clearance_text", { mm: plan.clearance_mm.toFixed(0) })],
-    ["travel", t("travel_text", { list: plan.joint_travel_deg.map((deg, i) => `${state.joint_names[i] ?? i + 1} ${deg.toFixed(1)}°`).join(", ") })],
+    ["travel", plan.joint_travel_deg.map((deg, i) => `${state.joint_names[i] ?? i + 1} ${deg.toFixed(1)}°`).join(", ")],
     ["checks", t("checks_text")],
     ...(plan.caution ? [["caution", plan.caution]] : []),
   ];

@@ -54,7 +54,7 @@ export const TEXTS = {
   why_first: "look first", why_calibrate_first: "calibrate first",
   plan: "plan", plan_text: "{hash}, good for {s} s more", path: "path", path_text: "{mm} mm in {s} s, at most {v} mm/s",
   clearance: "to the wall", clearance_text: "{mm} mm at the nearest", clearance_none: "wall not known", caution: "caution",
-  travel: "joint travel", travel_text: "{list}", checks: "checks", checks_text: "joint limits, speed and wall: ok, by the planner",
+  travel: "joint travel", checks: "checks", checks_text: "joint limits, speed and wall: ok, by the planner",
   more: "Goal and options", goal_edit: "Goal", stand_off: "in front, mm", offset_x: "shift X, mm", offset_y: "shift Y, mm", set_goal: "Set", retract_mm: "mm back",
   // history
   history: "History", alarms_tab: "Alarms", joints: "Joints", story: "Story", n: "#", time: "time", after: "after", inside: "inside",

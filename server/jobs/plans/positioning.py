@@ -33,10 +33,10 @@ def position(
     if inside(ctx, taken):
         ctx.knowledge.moves.clear()
         return _result(ctx, first, taken, ctx.knowledge.calibration, watch)
-    if recalibrate and taken.error is not None and taken.error.rotation_deg < GOOD_ENOUGH_DEG:
-        possible_path(ctx, taken.reading)  # it will be driven from here
     if not recalibrate:
         yield from _drop_expired(ctx, taken)
+    elif error_of(taken).rotation_deg < GOOD_ENOUGH_DEG:
+        possible_path(ctx, taken.reading)  # it will be driven from here
     _begin_run(ctx, taken, recalibrate)
     taken = yield from orient(ctx, taken)
     watch.lap("orient")
