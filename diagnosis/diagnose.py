@@ -16,7 +16,7 @@ from diagnosis.refusal import Fired, at_edge, remainder
 from diagnosis.replay import replayer_of
 from diagnosis.score import Score
 from diagnosis.search import Search, search, searched_again
-from diagnosis.shapes.found import Shape, left_shapes, refusing
+from diagnosis.shapes.found import Shape, instead, left_shapes, refusing
 from diagnosis.shrink import Shrink, Squares, shrinks, squares
 from diagnosis.stage_evidence import nats_by_stage
 from diagnosis.stretches import stood_still
@@ -204,7 +204,7 @@ def _answer(found: Search, cells: int) -> CellAnswer:
         weighed=_first(ranked, chosen),
         fired=(
             *remainder(found.cell, chosen, cells),
-            *refusing(found.cell, shapes, gained),
+            *(refusing(found.cell, shapes, gained) or _instead(found, chosen)),
             *at_edge(found.cell, chosen),
         ),
         squares=sums,
@@ -216,6 +216,12 @@ def _answer(found: Search, cells: int) -> CellAnswer:
         same=same_here(found, chosen),
         shapes=shapes,
     )
+
+
+def _instead(found: Search, chosen: Score) -> tuple[Fired, ...]:
+    if not chosen.fit.hypothesis:
+        return ()
+    return instead(found.cell, found.none.held_out, chosen.total - found.none.total)
 
 
 def _named(chosen: Score, ranked: tuple[Weighed, ...]) -> Score:

@@ -84,6 +84,20 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
     return tuple(out)
 
 
+def instead(cell: Cell, nothing: Array, gained_nats: float) -> tuple[Fired, ...]:
+    """Names that stand in for what has none: time since the start foretells far more than they gain.
+
+    Why: where such names take up most of that course, too little of it is left in their remainder.
+    Args: nothing: (N,) the held-out residual of the baseline alone; gained_nats: what the names gain over that.
+    """
+    usual, more = _usual(cell), []
+    for part, residual in cell.by_part(nothing):
+        B = _columns(part).get(SINCE)
+        if B is not None and usual_shape(SINCE) in usual[_place(part)]:
+            more.append(Shape(*_place(part), SINCE, held_out_nats(B, residual, part.rows) - gained_nats))
+    return refusing(cell, tuple(more), gained_nats)
+
+
 def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     """Its own usual size, or any course's that is larger there; single moments are no course, and rarer.
 

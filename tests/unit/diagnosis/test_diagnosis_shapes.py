@@ -15,7 +15,16 @@ from diagnosis.left_over import cells_of
 from diagnosis.reading import read
 from diagnosis.shapes.behind import point_columns
 from diagnosis.shapes.driven import SINCE, driven_columns
-from diagnosis.shapes.found import LEAST_NATS, REFUSED_NATS, Shape, _refused_from, left_shapes, refusing, shapes_of
+from diagnosis.shapes.found import (
+    LEAST_NATS,
+    REFUSED_NATS,
+    Shape,
+    _refused_from,
+    instead,
+    left_shapes,
+    refusing,
+    shapes_of,
+)
 from diagnosis.shapes.gain import held_out_nats
 from machine.effects.entries import make_entry
 from machine.effects.registry import effect_named
@@ -126,6 +135,9 @@ def test_a_gain_that_drifts_goes_with_time_since_the_start_and_refuses_where_its
     assert [one.lead for one in refusing(known, left[:1], 0.0)] == [f"goes with {SINCE}"]  # not held to another course
     older = replace(cell, usual=((usual_shape("time"), 0.0),))
     assert refusing(older, left[:1], 0.0) == ()
+    assert [one.lead for one in instead(known, drifting, 60.0)] == [f"goes with {SINCE}"]  # a gain stood in for it
+    assert instead(known, drifting, left[0].nats) == ()  # a name that gains as much is its equal
+    assert instead(older, drifting, 60.0) == ()
 
 
 @pytest.mark.parametrize("count", [1, 3])
