@@ -91,7 +91,9 @@ def tell(cases: figures.Cases, title: str) -> None:
     if not cases:
         return
     console.print(_table("names and refusals (from 2x the detection limit on)", figures.naming(cases)))
-    console.print(_table("by size, by stage", [*figures.by_factor(cases), *figures.by_stage(cases)]))
+    console.print(
+        _table("by size, by stage", [*figures.by_factor(cases), *figures.by_own_limit(cases), *figures.by_stage(cases)])
+    )
     console.print(_table("the true name left out of the library", figures.left_out(cases)))
     console.print(_table("simpler methods, same cases", figures.rivals(cases)))
     table = Table(title="reliability of the best answer's probability", title_justify="left")

@@ -142,6 +142,25 @@ def limit_ratios(cases: Cases) -> list[float]:
     ]
 
 
+def by_own_limit(cases: Cases) -> list[Line]:
+    """Line 5.2: single effects named, by size over the limit that the tool itself gave for that recording."""
+    edges = (0.0, 0.7, 0.85, 1.2, 1.6, 100.0)
+    told = [
+        (strength * row["scorer"] / row["tool"], bool(one["exact_named"]))
+        for one in of(cases, "single")
+        for strength, row in zip(one["strengths"], one["limits"], strict=False)
+        if strength is not None and row["tool"]
+    ]
+    return [
+        _line(
+            f"named, {low:g}x to {high:g}x the tool's limit",
+            "80 to 97 %" if low < 1.0 < high else "",
+            [named for times, named in told if low <= times < high],
+        )
+        for low, high in pairwise(edges)
+    ]
+
+
 def shrinks(cases: Cases) -> tuple[float | None, int]:
     """Median closed_frac of exact answers, and how many."""
     closed = [one["closed"].get("closed_frac") for one in cases if one["exact"]]

@@ -37,6 +37,19 @@ def test_names_are_counted_from_twice_the_limit_on() -> None:
     assert shown(figures.by_factor(cases), "single exact, 1x to 2x") == (0, 1)
 
 
+def test_the_tools_own_limit_is_where_its_sizes_are_counted_from() -> None:
+    limits = [{"name": "backlash", "joint": 1, "scorer": 2.0, "tool": 3.0}]  # 1.5x the scorer's limit is the tool's
+    cases = [
+        case("single", 1.5, limits=limits),
+        case("single", 1.6, limits=limits, exact_named=False),
+        case("single", 3.0, limits=limits),
+        case("double", 1.5, limits=limits * 2),
+    ]
+    lines = figures.by_own_limit(cases)
+    assert shown(lines, "named, 0.85x to 1.2x the tool's limit") == (1, 2)
+    assert shown(lines, "named, 1.6x to 100x the tool's limit") == (1, 1)
+
+
 def test_false_names_and_refusals() -> None:
     cases = [
         case("none", named=[], none=True, exact=False),
