@@ -221,12 +221,12 @@ def _both_into_gain(sets: ParameterSets, apart: float = 0.0) -> ParameterSets:
     return ParameterSets(joint, sets.machine)
 
 
-def test_a_detection_limit_is_where_the_change_is_six_and_a_half_floors() -> None:
+def test_a_detection_limit_is_where_the_change_is_eight_and_a_half_floors() -> None:
     cell = made_up((0.0, 0.0, 0.0))
     limit = detection_limit(scan(cell, cell.candidates[0], neutral_fit(cell)), 1.0)
     assert limit.size is not None
     change = evaluated(cell, cell.candidates[:1], np.array([[limit.size]]))[0] - cell.whitened(cell.base)[0]
-    assert float(change @ change) == pytest.approx(43.0, rel=0.02)
+    assert float(change @ change) == pytest.approx(72.7, rel=0.02)
 
 
 def test_a_remainder_fires_with_its_lead_and_noise_does_not() -> None:
