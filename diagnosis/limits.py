@@ -12,9 +12,7 @@ from diagnosis.search import Scan
 from machine.rotations import Array
 
 WHITE_ENERGY = 43.0  # |s|^2 with s/2 - 1.28 = 2 standard errors over blocks (score.py): in white noise found with 90 %
-SCATTER = (
-    1.3  # of a gain, over white noise's, since numbers wander by the day: 22 of 25 found at the limit, 11 of 16 by 1
-)
+SCATTER = 1.3  # of a gain over white noise's: numbers wander by the day (22 of 25 found at the limit; 11 of 16 by 1)
 SHOWN_ENERGY = SCATTER**2 * WHITE_ENERGY
 QUANTILE_95 = 1.645  # of a normal: 5 % on either side
 CHANCE_90 = 1.35  # nats below the best: 90 % limits of one number
