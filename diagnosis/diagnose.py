@@ -86,7 +86,7 @@ def concluded(
     numbers = _numbers(answers, hypotheses)
     holes = sum(one.count for one in whole.findings if one.code == "gap")
     still = stood_still(whole.stretches) and (whole.tables is None or whole.tables.static is None)
-    verdict = verdict_of(answers, holes, still)
+    verdict = verdict_of(answers, holes, still, whole.log_unused)
     progress("localising", 1, 1)
     energy = energies([(one.cell, one.none.fit.residual) for one in searches])
     return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, nats_by_stage(answers)))

@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from diagnosis.findings import Finding
+from recording.folder import SEPARATORS
 from recording.rows import CSV_ROW_TYPES, Row, csv_fields
 
 
@@ -26,7 +27,14 @@ def header_findings(folder: Path) -> list[Finding]:
 
 def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        names = [name.strip().removeprefix("\ufeff") for name in next(csv.reader(file), [])]
+        reader = csv.reader(file)
+        names = [name.strip().removeprefix("\ufeff") for name in next(reader, [])]
+        rows = next(reader, None) is not None
+    no_text = any("\ufffd" in name or "\0" in name for name in names)
+    if no_text or (len(names) == 1 and any(separator in names[0] for separator in SEPARATORS)):
+        return []  # reading it says so
+    if names and not rows:
+        return [Finding("no_rows", "problem", path.name, "holds column names and no rows; its stages cannot be judged")]
     patterns = [pattern for _, pattern in csv_fields(row_type)]
     finders = [re.compile(re.escape(one).replace(re.escape("{j}"), r"(\d{1,2})")) for one in patterns]
     findings = [

@@ -15,6 +15,7 @@ GAP_STEPS = 1.5  # a step in time above this many median steps: rows are missing
 ROWS_MIN = 50
 EDGE_S = 1e-6  # rounding of a segment's ends
 DURATION_MIN_S = 2.0
+STEP_MAX = 500.0  # cycles between two rows: beyond it the unit of time is wrong (units.py)
 COMMAND_WORKS = 0.2  # a command above it moves any joint
 
 
@@ -147,7 +148,7 @@ def _rate(plc: PlcTable, nominal: Nominal | None) -> list[Finding]:
     if nominal is None or nominal.actuators is None or len(rising) == 0:
         return []
     median, stated = float(np.median(rising)), nominal.actuators.log_cycle_s
-    if abs(median / stated - 1.0) < 0.02:
+    if abs(median / stated - 1.0) < 0.02 or median > STEP_MAX * stated:
         return []
     text = f"rows come every {1e3 * median:.4g} ms, machine.toml says {1e3 * stated:.4g} ms; correct plc.log_cycle_s"
     return [Finding("uneven_rate", "problem", "plc.csv", text)]

@@ -20,6 +20,7 @@ from diagnosis.units import unit_findings
 from recording.content import Recording
 from recording.errors import RecordingError
 from recording.opening import read_run
+from recording.rows import PlcState
 from recording.run import FORMAT_VERSION
 
 Stage = str
@@ -39,6 +40,14 @@ class Read:
     def usable(self) -> bool:
         """Whether there is a stage that can be judged."""
         return self.nominal is not None and not fatal(self.findings) and bool(stages_present(self))
+
+    @property
+    def log_unused(self) -> bool:
+        """Whether there is a PLC's log of the encoders, empty, too broken or segmented too wrongly to be replayed."""
+        if self.tables is None or self.stretches:
+            return False
+        written = self.tables.plc is not None and self.tables.plc.enc is not None
+        return written or any(one.code == "no_rows" and one.subject == PlcState.file for one in self.findings)
 
 
 def read(path: Path, machine_file: Path | None = None) -> Read:

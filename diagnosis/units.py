@@ -1,9 +1,10 @@
-"""Units that were mistaken: degrees, percent, millimetres, bar. Found and named, never converted."""
+"""Units that were mistaken: degrees, percent, millimetres, milliseconds, bar. Found and named, never converted."""
 
 import numpy as np
 
 from diagnosis.findings import Finding
 from diagnosis.nominal import Nominal
+from diagnosis.quality import ROWS_MIN
 from diagnosis.tables import PlcTable, PointTable, Tables, filled, largest
 from machine.rotations import Array
 
@@ -14,11 +15,14 @@ DEGREES = (40.0, 80.0)  # a ratio of 57.3, give or take the effects that scale s
 PERCENT_MIN = 1.5
 BAR_MAX_PA = 2e3  # pressures of a crane are above 1e5 Pa; 400 bar stay below
 ARM_MAX_M = 60.0
+SECONDS = ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds"))
+SECONDS_SHARE = 1.5  # spans of one recording differ by less, where one clock began earlier or rows are missing
 
 
 def unit_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     """Degrees for radians, by the joint's limits, by comparison of two columns, by the speed at full command."""
     plc, found = tables.plc, []
+    found += _milliseconds(tables, nominal)
     signals: list[tuple[str, str, Array]] = []
     if plc is not None:
         named = (("q_ref_{j}_rad", plc.ref), ("q_{j}_rad", plc.enc))
@@ -31,10 +35,50 @@ def unit_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         columns = [j for j in range(values.shape[1]) if _beyond_turn(values[:, j], _limit(nominal, j))]
         if columns:
             found.append(_degrees(subject, pattern, columns, f"reach {largest(values[:, columns]):.4g}"))
-    if not found and plc is not None:
+    if not any(one.code == "degrees" for one in found) and plc is not None:
         found += _degrees_by_comparison(plc) or _degrees_by_speed(plc, nominal)
     found += [] if plc is None else _percent(plc) + _bar(plc)
     return found + [one for table in (tables.static, tables.tracker) for one in _millimetres(table)]
+
+
+def _milliseconds(tables: Tables, nominal: Nominal | None) -> list[Finding]:
+    """Times of the PLC by its cycle in the machine file, else by its segments; all others by how long the PLC's are."""
+    plc = tables.plc
+    if plc is None or len(plc.t_s) < ROWS_MIN:
+        return []
+    span_s = _span_s(plc.t_s)
+    wanted_s, who = (
+        _span_s(np.array([(one.t_start_plc_s, one.t_end_plc_s) for one in tables.run.segments])),
+        "segments span",
+    )
+    if nominal is not None and nominal.actuators is not None:
+        wanted_s, who = nominal.actuators.log_cycle_s * (len(plc.t_s) - 1), "its rows at the machine file's cycle span"
+    own = _looks_like("plc.csv", "t_plc_s", span_s, wanted_s, who)
+    others = (
+        ("sent.csv", "t_pc_s", tables.sent),
+        ("markers.csv", "t_camera_s", tables.markers),
+        ("odometry.csv", "t_camera_s", tables.odometry),
+        ("tracker.csv", "t_plc_s", tables.tracker),
+    )
+    beside = [
+        _looks_like(subject, column, _span_s(table.t_s), span_s, "plc.csv spans")
+        for subject, column, table in others
+        if table is not None and not own
+    ]
+    return own + [one for found in beside for one in found]
+
+
+def _span_s(t_s: Array) -> float:
+    finite = t_s[np.isfinite(t_s)]
+    return float(np.ptp(finite)) if finite.size else 0.0
+
+
+def _looks_like(subject: str, column: str, span_s: float, wanted_s: float, who: str) -> list[Finding]:
+    for times, unit in SECONDS:
+        if wanted_s > 0.0 and times / SECONDS_SHARE < span_s / wanted_s < times * SECONDS_SHARE:
+            why = f"spans {span_s:.4g} s where {who} {wanted_s:.4g} s"
+            return [Finding("milliseconds", "fatal", subject, f"{column} {why}: this looks like {unit}; write seconds")]
+    return []
 
 
 def _limit(nominal: Nominal | None, j: int) -> float:

@@ -33,8 +33,11 @@ class Verdict:
     why: str
 
 
-def verdict_of(answers: tuple[CellAnswer, ...], holes: int = 0, stood_still: bool = False) -> Verdict:
-    """The verdict over all cells. `holes`: places where the log lacks rows; `stood_still`: all is of one posture.
+def verdict_of(
+    answers: tuple[CellAnswer, ...], holes: int = 0, stood_still: bool = False, log_unused: bool = False
+) -> Verdict:
+    """The verdict over all cells. `holes`: places where the log lacks rows; `stood_still`: all is of one posture;
+    `log_unused`: there is a PLC's log, and nothing of it could be judged.
 
     Model: a remainder that tests find takes back a name: a wrong effect can close most of a foreign gap. It is
            "outside" where it is most of the gap, or nothing was named; else "undecided", unless below 2 % of the gap
@@ -58,6 +61,9 @@ def verdict_of(answers: tuple[CellAnswer, ...], holes: int = 0, stood_still: boo
     if not named and holes >= HOLES_MANY:
         text = f"nothing above the noise floor in what was logged, but rows are missing in {holes} places"
         return Verdict("undecided", f"{text}: look at the logger first")
+    if not named and log_unused:
+        text = "nothing above the noise floor in what could be judged, but nothing of the PLC's log could be"
+        return Verdict("undecided", f"{text}: mend what is said of it first")
     unclear = [one for one in answers if _above_a_guess(one)]
     if not named and unclear:
         cell = unclear[0].search.cell

@@ -13,6 +13,10 @@ from recording.errors import RecordingError
 from recording.rows import CSV_ROW_TYPES, MISSING_COUNT, NAN, Floats, Row, csv_fields
 from recording.run import run_from_toml, run_to_toml
 
+#: What spreadsheets put between columns in place of commas, and how it is called.
+SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+AS_NUMBERS = "write commas between columns and points in numbers"
+
 
 def write_folder(recording: Recording, folder: Path) -> None:
     """Write a recording's numbers as a folder of CSV files; images and channels without a CSV form are left out."""
@@ -118,11 +122,17 @@ def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[
     places = {name: _places(pattern, header) for name, pattern in csv_fields(row_type)}
     first = next(iter(places))
     if not places[first]:
+        for separator, called in SEPARATORS.items():
+            if len(header) == 1 and separator in header[0]:
+                raise RecordingError(f"{path}: columns are separated by {called}; {AS_NUMBERS}")
         raise RecordingError(f"{path}: column '{csv_fields(row_type)[0][1]}' is missing; the file cannot be placed")
     quick = {name: _quick(hints[name], at) for name, at in places.items()}
 
     def take(number: int, cells: list[str]) -> Row:
         values: dict[str, Any] = {}
+        if len(cells) > len(header) and any(cells[len(header) :]):
+            where = f"{path}, line {number}"
+            raise RecordingError(f"{where}: {len(cells)} cells under {len(header)} column names; {AS_NUMBERS}")
         for name, converted in quick.items():
             try:
                 values[name] = converted(cells)
@@ -195,4 +205,5 @@ def _number(text: str, where: str) -> float:
     try:
         return float(text)
     except ValueError as error:
-        raise RecordingError(f"{where}: '{text[:40]}' is not a number; leave a missing one empty") from error
+        remedy = "write a point, not a comma" if "," in text else "leave a missing one empty"
+        raise RecordingError(f"{where}: '{text[:40]}' is not a number; {remedy}") from error

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import MACHINE, MACHINE_TOML
 
+from diagnosis.diagnose import diagnose
 from diagnosis.errors import DiagnosisError
 from diagnosis.localise import localise, merged_stages
 from diagnosis.nominal import nominal_of
@@ -23,7 +24,7 @@ from machine.effects.structure import link_poses, tcp_poses
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
 from recording.content import Recording
-from recording.rows import MarkerCorners, PlcState, Row, StaticPoint
+from recording.rows import NAN, MarkerCorners, PlcState, Row, StaticPoint
 from recording.run import RunInfo, Segment
 
 ARM = arm_of(MACHINE)
@@ -64,6 +65,23 @@ def test_static_poses_alone_are_enough_for_the_structure() -> None:
     assert {one.stage for one in found.places} == {"structure"}
     assert max(one.gap for one in found.places) == pytest.approx(NOISE_M, rel=0.25)
     assert merged_stages(whole)[-1][0] == ("joint", "structure")
+
+
+def test_a_log_of_which_nothing_is_replayed_is_said_beside_what_is_judged() -> None:
+    made = static_recording(neutral_sets(6))
+    assert not examined(made).log_unused
+    signals = [(0.1 * float(np.sin(0.01 * k)),) * 6 for k in range(2000)]
+    still = (0.0,) * 6
+    log = tuple(PlcState(0.005 * k, 0, q, (), q, still, (), (), NAN, NAN) for k, q in enumerate(signals))
+    with_log = replace(made, rows=(*made.rows, *log))
+    assert not examined(with_log).log_unused
+    elsewhere = replace(with_log, run=replace(made.run, segments=(Segment("late", "steps", 50.0, 60.0),)))
+    whole = examined(elsewhere)
+    assert whole.usable
+    assert whole.log_unused
+    verdict = diagnose(whole).verdict
+    assert verdict.word == "undecided"
+    assert "PLC's log" in verdict.why
 
 
 def test_a_long_link_and_a_soft_one_are_seen_in_static_poses() -> None:

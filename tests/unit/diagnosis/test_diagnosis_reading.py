@@ -120,6 +120,18 @@ SPOILT = {
         "problem",
         "multiply by 1e5",
     ),
+    "milliseconds": (
+        lambda: changed(MADE, PlcState, lambda _, row: replace(row, t_plc_s=1e3 * row.t_plc_s)),
+        "milliseconds",
+        "fatal",
+        "t_plc_s spans .* looks like milliseconds",
+    ),
+    "nanoseconds sent": (
+        lambda: changed(MADE, Sent, lambda _, row: replace(row, t_pc_s=1e9 * row.t_pc_s)),
+        "milliseconds",
+        "fatal",
+        "sent.csv: t_pc_s spans .* looks like nanoseconds",
+    ),
     "encoders exchanged": (
         lambda: changed(MADE, PlcState, lambda _, row: with_q(row, lambda q: permuted(q, 3, 4))),
         "swapped_columns",
@@ -281,6 +293,26 @@ def test_spoilt_text_is_named(tmp_path, file: str, old: str, new: str, code: str
     result = read(path)
     assert any(one.code == code and text in str(one) for one in result.findings), [str(one) for one in result.findings]
     assert not result.usable
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code", "text"),
+    [
+        (lambda text: text.replace(",", ";").replace(".", ","), "unreadable", "columns are separated by semicolons"),
+        (lambda text: text.replace(",", "\t"), "unreadable", "columns are separated by tabs"),
+        (lambda text: re.sub(r"(\d)\.", r"\1,", text), "unreadable", "cells under"),
+        (lambda text: re.sub(r"\n([\d.]+)\.(\d+),", r'\n"\1,\2",', text), "unreadable", "write a point, not a comma"),
+    ],
+)  # fmt: skip
+def test_a_spreadsheets_export_is_named(tmp_path, spoil, code: str, text: str) -> None:
+    path = folder(tmp_path, recording(("steps",)))
+    content = (path / "plc.csv").read_text(encoding="utf-8")
+    (path / "plc.csv").write_text(spoil(content), encoding="utf-8")
+    result = read(path)
+    assert [one.code for one in result.findings] == [code], [str(one) for one in result.findings]
+    assert text in str(result.findings[0])
+    (path / "plc.csv").write_text(content.split("\n")[0] + "\n", encoding="utf-8")
+    assert any(one.code == "no_rows" and one.severity == "problem" for one in read(path).findings)
 
 
 def test_a_missing_run_or_a_text_cell_is_a_finding(tmp_path) -> None:

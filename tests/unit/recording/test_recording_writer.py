@@ -171,7 +171,8 @@ def test_a_foreign_folder_with_few_columns(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("t_plc_s,q_1_rad\n1.0,0,5\nx,1\n", "line 3.*'x' is not a number"),
+        ("t_plc_s,q_1_rad\n1.0,0\n2.0,0,5\n", "line 3: 3 cells under 2 column names"),
+        ("t_plc_s,q_1_rad\n1.0,0,\nx,1\n", "line 3.*'x' is not a number"),
         ("t_plc_s,q_1_rad,q_3_rad\n1.0,0,5\n", r"joints \[1, 3\]"),
         ("time,q_1_rad\n1.0,0\n", "column 't_plc_s' is missing"),
     ],
