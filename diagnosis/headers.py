@@ -34,7 +34,8 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
     if no_text or (len(names) == 1 and any(separator in names[0] for separator in SEPARATORS)):
         return []  # reading it says so
     if names and not rows:
-        return [Finding("no_rows", "problem", path.name, "holds column names and no rows; its stages cannot be judged")]
+        text = "holds column names and no rows; record it again, or remove the file"
+        return [Finding("no_rows", "problem", path.name, text)]
     patterns = [pattern for _, pattern in csv_fields(row_type)]
     finders = [re.compile(re.escape(one).replace(re.escape("{j}"), r"(\d{1,2})")) for one in patterns]
     findings = [

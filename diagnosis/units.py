@@ -46,11 +46,8 @@ def _milliseconds(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     plc = tables.plc
     if plc is None or len(plc.t_s) < ROWS_MIN:
         return []
-    span_s = _span_s(plc.t_s)
-    wanted_s, who = (
-        _span_s(np.array([(one.t_start_plc_s, one.t_end_plc_s) for one in tables.run.segments])),
-        "segments span",
-    )
+    segments = np.array([(one.t_start_plc_s, one.t_end_plc_s) for one in tables.run.segments])
+    span_s, wanted_s, who = _span_s(plc.t_s), _span_s(segments), "segments span"
     if nominal is not None and nominal.actuators is not None:
         wanted_s, who = nominal.actuators.log_cycle_s * (len(plc.t_s) - 1), "its rows at the machine file's cycle span"
     own = _looks_like("plc.csv", "t_plc_s", span_s, wanted_s, who)
