@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, candidates_of, named
 from diagnosis.cells import FORM_SHARE, Cell, Rows, blocks_of, folds_of
+from diagnosis.course import late, smooth
 from diagnosis.day_noise import DayNoise
 from diagnosis.errors import DiagnosisError
 from diagnosis.floor import (
@@ -43,6 +44,7 @@ SIGMA_MIN = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # nothing smal
 FORM_SHARE_OIL = 0.03  # friction and dead bands of real valves are no single number
 TIMING_S = 1.5e-3
 PASSES = 3
+UNIFORM = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
 SILENT = 1e-3  # of every usual test: a program that leaves nothing, day by day
 SILENT_SHARE = 0.25  # of the least sigma, there: what is no noise at all adds up along a move
 STEP_SHARE = 0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
@@ -52,7 +54,8 @@ STEP_SHARE = 0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which re
 class Part:
     """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
 
-    `between`: (m, joints), how far two guesses of the input's course between logged rows drive the increments apart.
+    `between`: (m, joints), how far two guesses of the input's course between logged rows drive the increments apart;
+    `jumps`: whether they differ where the command jumped somewhere between two rows, each time elsewhere.
     `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
     course (m,); empty, or None, where nothing is.
     """
@@ -62,6 +65,7 @@ class Part:
     measured: Array
     stretch: Stretch
     between: Array
+    jumps: bool = False
     moved: tuple[Callable[[Array], Array] | None, ...] = ()
 
 
@@ -88,9 +92,14 @@ class Replay:
         steps, shift = part_increments(self.stage, part, sets)
         white = whiten_sets(self.whitener, steps)[:, SKIPPED:]
         if self.stage == "actuator":
-            columns = [shift, part.between[None]]
-            white = _excused(white, [whiten_sets(self.whitener, one)[:, SKIPPED:] for one in columns])
+            columns = [whiten_sets(self.whitener, one)[:, SKIPPED:] for one in (shift, part.between[None])]
+            white = _excused(white, columns) * trust(part, columns[1])
         return white.transpose(0, 2, 1).reshape(len(white), -1)
+
+
+def trust(part: Part, between: Array) -> Array | float:
+    """The weight of rows: those after a jump of the command count less. `between`: (sets, m, joints), as white."""
+    return 1.0 / np.hypot(1.0, UNIFORM * between) if part.jumps else 1.0
 
 
 def _excused(white: Array, columns: list[Array]) -> Array:
@@ -257,7 +266,7 @@ def cell_of(
     """One cell of a stage: these joints (0-based) over all prepared stretches."""
     chosen = list(joints)
     white = floor.whitener.only(chosen)
-    parts = tuple(part_of(stage, one, chosen) for one in prepared)
+    parts = tuple(part_of(stage, one, chosen, replayer) for one in prepared)
     replay = Replay(stage, joints, parts, white)
     kinds = [part.stretch.kind for part in parts]
     per_channel = [white_rows(part, white.order) for part in parts]
@@ -359,7 +368,7 @@ def possible(one: Candidate, replayer: Replayer, loaded: Array | None) -> bool:
     return one.name != "controller_lag_error" or bool(replayer.plant.joints[one.joint - 1, 4] > 0.0)
 
 
-def part_of(stage: str, one: Prepared, joints: list[int]) -> Part:
+def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) -> Part:
     """One stretch's replay narrowed to some joints (0-based)."""
     drive = one.drives[stage]
     signals = {name: getattr(drive, name) for name in ("sent", "ref", "enc", "u", "load", "load_kg")}
@@ -371,17 +380,35 @@ def part_of(stage: str, one: Prepared, joints: list[int]) -> Part:
         raise DiagnosisError(f"{one.stretch.name}: the output of stage {stage} was not recorded")
     measured = filled(output)[:, joints]
     part = Part(plant, narrowed, measured, one.stretch, np.zeros((0, len(joints))))
-    return replace(part, between=_between(stage, part))
+    finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
+    if stage == "actuator" and finer.any():
+        part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
+    return _with_courses(stage, part)
 
 
-def _between(stage: str, part: Part) -> Array:
-    """Increments (m, joints) by the modelled course of the command less those by straight lines between rows."""
+def by_steps(part: Part) -> Array:
+    """What an endless number of steps changes in the modelled course (rows, joints), to first order in the step."""
+    own, half = (
+        simulate(replace(part.plant, refined=times), neutral_sets(part.plant.n), part.drive).enc[0] for times in (1, 2)
+    )
+    return 2.0 * (half - own)
+
+
+def _with_courses(stage: str, part: Part) -> Part:
+    """The part with increments (m, joints) by the command's course less those by another.
+
+    A modelled course is compared with straight lines between rows; where none is known, jumps in the middle of a row
+    are compared with jumps at its end.
+    """
     sets = neutral_sets(part.plant.n)
     own = part_increments(stage, part, sets)[0][0]
     if stage != "actuator" or part.plant.decimate == 1 or part.drive.first is not DynamicStage.ACTUATOR:
-        return np.zeros_like(own)
-    straight = replace(part.drive, u=at_cycles(part.plant, part.drive.u[:: part.plant.decimate]))
-    return own - part_increments(stage, replace(part, drive=straight), sets)[0][0]
+        return replace(part, between=np.zeros_like(own))
+    rows = part.drive.u[:: part.plant.decimate]
+    guessed = np.allclose(part.drive.u, smooth(part.plant, rows))
+    other = late(part.plant, rows) if guessed else at_cycles(part.plant, rows)
+    changed = replace(part, drive=replace(part.drive, u=other))
+    return replace(part, between=own - part_increments(stage, changed, sets)[0][0], jumps=guessed)
 
 
 def white_rows(part: Part, order: int) -> int:

@@ -11,6 +11,7 @@ from diagnosis.cells_merged import merged_cells
 from diagnosis.known import with_known
 from diagnosis.limits import Interval, Limit, detection_limit, intervals
 from diagnosis.localise import Localisation, localise
+from diagnosis.own_step import at_its_step
 from diagnosis.reading import Read
 from diagnosis.refusal import Fired, at_edge, remainder
 from diagnosis.replay import replayer_of
@@ -102,6 +103,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     if nominal is None or replayer is None or not whole.stretches:
         return []
     base = _with_encoders(pack_under(nominal.baseline, nominal.n), behind)
+    replayer = at_its_step(replayer, whole.stretches, base)
     course, searches, unlike = base, [], ()
     unseen = (*lacking, *told_behind([one.cell for one in behind]))
     for stage in DRIVEN_STAGES:

@@ -16,6 +16,7 @@ from diagnosis.excess import common_excess
 from diagnosis.floor import ORDER_LEFT, ORDER_MAX, deviations
 from diagnosis.form import form_of, most_of
 from diagnosis.known import with_known
+from diagnosis.own_step import at_its_step
 from diagnosis.point_noise import variances_of as variances_of_points
 from diagnosis.reading import Read
 from diagnosis.replay import replayer_of
@@ -39,6 +40,7 @@ def cells_of(whole: Read) -> list[Cell]:
     base, cells = pack_under(nominal.baseline, nominal.n), []
     replayer, behind = replayer_of(nominal), behind_cells(whole, base)
     if replayer is not None and whole.stretches:
+        replayer = at_its_step(replayer, whole.stretches, base)
         for stage in DRIVEN_STAGES:
             cells += with_known(stage_cells(stage, replayer, whole.stretches, base, base), nominal)
     return fitting(without(cells, told_behind(behind)) + behind, nominal)

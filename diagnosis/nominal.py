@@ -137,15 +137,15 @@ class _Reader:
         return tuple(k < len(self._joints) and self._joints[k].get("type") == "prismatic" for k in range(n))
 
     def _lack(self, part: str, needed: tuple[str, ...]) -> bool:
-        """Whether some joint lacks a field; the first lack is written down."""
+        """Whether some joint lacks a field; all that the first such joint lacks is written down."""
         if not self._joints:
             self._absent.append((part, f"no [[joint]] with {', '.join(needed)}"))
             return True
         for number, joint in enumerate(self._joints, start=1):
-            for field in needed:
-                if field not in joint:
-                    self._absent.append((part, f"joint {number} ({joint.get('name', '?')}) has no {field}"))
-                    return True
+            missing = [field for field in needed if field not in joint]
+            if missing:
+                self._absent.append((part, f"joint {number} ({joint.get('name', '?')}) has no {', '.join(missing)}"))
+                return True
         return False
 
     def _names(self) -> tuple[str, ...]:
@@ -175,7 +175,7 @@ class _Reader:
         missing = [key for key in ("file", "base_link", "tip_link") if not isinstance(section.get(key), str)]
         if missing:
             raise DiagnosisError(
-                f"machine.toml: [urdf] {missing[0]} is missing or no text; give file, base_link, tip_link"
+                f"machine.toml: [urdf] {', '.join(missing)} missing or no text; give file, base_link, tip_link"
             )
         if self._urdf is None:
             self._absent.append(("structure", f"the URDF {section['file']!r} is not in the recording; put it beside"))
@@ -195,10 +195,10 @@ class _Reader:
 
     def _actuators(self) -> Actuators | None:
         plc = _table(self._tables.get("plc", {}), "[plc]")
-        for field in TIMES:
-            if field not in plc:
-                self._absent.append(("actuator", f"[plc] has no {field}"))
-                return None
+        missing = [field for field in TIMES if field not in plc]
+        if missing:
+            self._absent.append(("actuator", f"[plc] has no {', '.join(missing)}"))
+            return None
         if self._lack("actuator", VALVE):
             return None
         rows = []
@@ -211,7 +211,7 @@ class _Reader:
     def _camera(self, section: Mapping[str, Any]) -> StereoCamera | None:
         missing = [field for field in EYES if field not in section]
         if missing:
-            self._absent.append(("camera", f"[camera] has no {missing[0]}"))
+            self._absent.append(("camera", f"[camera] has no {', '.join(missing)}"))
             return None
         values = {field: cast(float, _number(section, field, "[camera]")) for field in EYES}
         given = _vector(section, "distortion", 5, "[camera]")

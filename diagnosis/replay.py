@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnosis.course import smooth
 from diagnosis.nominal import Nominal
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
@@ -33,11 +34,19 @@ class Prepared:
 
 @dataclass(frozen=True, slots=True)
 class Replayer:
-    """The replays of one machine. `torque_reference`: (n,) [N m], None where masses or limits are not known."""
+    """The replays of one machine. `torque_reference`: (n,) [N m], None where masses or limits are not known.
+
+    `finer`: how much of the way from this model's steps to endlessly many the machine's own are found to have gone.
+    """
 
     nominal: Nominal
     plant: Actuators
     torque_reference: Array | None
+    finer: float = 0.0
+
+    def learnt(self, stage: str, joint: int) -> bool:
+        """Whether a baseline knows what the model is wrong by there (joint: 0-based)."""
+        return self.nominal.remainder(stage, joint + 1) is not None
 
     def prepare(self, stretch: Stretch, course: ParameterSets | None = None) -> Prepared:
         """Each stage's measured input at every PLC cycle.
@@ -61,7 +70,7 @@ class Replayer:
             drives["controller"] = drive_controller(plant, ref_fine, at_cycles(plant, enc), u[0], fine=True)
             between = self._fine("controller", plant, drives["controller"], known)
         if u is not None and enc is not None:
-            u_fine = _through(plant, u, between)
+            u_fine = smooth(plant, u) if between is None else _through(plant, u, between)
             drives["actuator"] = drive_actuator(plant, u_fine, enc[0], self.loads(enc), fine=True)
         return Prepared(plant, drives, stretch)
 

@@ -68,7 +68,7 @@ def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets
         prepared = replayer.prepare(stretch, cell.base)
     if prepared is None or replay.stage not in prepared.drives:
         return None
-    plain = replace(replay, parts=(part_of(replay.stage, prepared, list(replay.joints)),), day=None)
+    plain = replace(replay, parts=(part_of(replay.stage, prepared, list(replay.joints), replayer),), day=None)
     (there,) = with_wander([replace(cell, whitened=plain)], replayer.nominal)  # it goes along with the motion
     return there.whitened
 

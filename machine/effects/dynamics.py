@@ -33,6 +33,7 @@ class Actuators:
     cycle_s: float
     log_cycle_s: float
     transport_delay_s: float
+    refined: int = 1  # times as many steps as the nominal model's definition asks for
 
     def __post_init__(self) -> None:
         """Refuse wrong shapes, values, and a log cycle that is no multiple of the PLC's cycle."""
@@ -62,7 +63,8 @@ class Actuators:
     def substeps(self) -> int:
         """Integration steps per PLC cycle."""
         wn = float(self.joints[:, kernel.WN].max())
-        return int(np.ceil(max(self.cycle_s / STEP_MAX_S, self.cycle_s * wn / STEP_ANGLE_MAX) - 1e-9))
+        steps = int(np.ceil(max(self.cycle_s / STEP_MAX_S, self.cycle_s * wn / STEP_ANGLE_MAX) - 1e-9))
+        return self.refined * steps
 
 
 def actuators_of(machine: Machine) -> Actuators:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from machine.description import parse_machine_toml
-from machine.effects.dynamics import actuators_of, drive_by_sent, simulate
+from machine.effects.dynamics import Actuators, actuators_of, drive_by_sent, simulate
 from machine.effects.entries import EffectEntry, pack
 from recording.content import Recording
 from recording.folder import write_folder
@@ -32,14 +32,19 @@ def reference(kind: str, t: np.ndarray) -> np.ndarray:
 
 
 def run_segment(
-    kind: str, rng: np.random.Generator, effects: tuple[EffectEntry, ...], t_start: float
+    kind: str,
+    rng: np.random.Generator,
+    effects: tuple[EffectEntry, ...],
+    t_start: float,
+    plant: Actuators = PLANT,
+    noise_rad: float = NOISE_RAD,
 ) -> tuple[list[Row], list[Row]]:
     """Sent and logged rows of one segment on the PLC's clock from t_start."""
     cycles = round(SEGMENT_S / PLANT.cycle_s)
     t_cycle = PLANT.cycle_s * np.arange(cycles)
     sent = reference(kind, t_cycle[::4])
-    traces = simulate(PLANT, pack(effects, 6), drive_by_sent(PLANT, t_cycle[::4], sent, 0.0, cycles))
-    enc = traces.enc[0] + rng.normal(0.0, NOISE_RAD, traces.enc[0].shape)
+    traces = simulate(plant, pack(effects, 6), drive_by_sent(plant, t_cycle[::4], sent, 0.0, cycles))
+    enc = traces.enc[0] + rng.normal(0.0, noise_rad, traces.enc[0].shape)
     t_log = t_start + PLANT.log_cycle_s * np.arange(len(enc))
     first = 1 + round(t_start * 1000)
     logged: list[Row] = [
@@ -67,6 +72,8 @@ def recording(
     kinds: tuple[str, ...] = ("repeat", "repeat", "repeat", "repeat", "steps"),
     effects: tuple[EffectEntry, ...] = (),
     seed: int = 1,
+    plant: Actuators = PLANT,
+    noise_rad: float = NOISE_RAD,
 ) -> Recording:
     """One segment of each kind, 1 s apart; those called repeat share one command."""
     rng = np.random.default_rng(seed)
@@ -75,7 +82,7 @@ def recording(
     segments = []
     for number, kind in enumerate(kinds):
         start = number * (SEGMENT_S + 1.0)
-        posted, rows = run_segment(kind, rng, effects, start)
+        posted, rows = run_segment(kind, rng, effects, start, plant, noise_rad)
         sent += posted
         logged += rows
         name, end = f"{kind}{number}", start + SEGMENT_S - PLANT.log_cycle_s
