@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, candidates_of, named
 from diagnosis.cells import FORM_SHARE, Cell, Rows, blocks_of, folds_of
-from diagnosis.course import late, smooth
 from diagnosis.day_noise import DayNoise
 from diagnosis.errors import DiagnosisError
 from diagnosis.floor import (
@@ -29,7 +28,7 @@ from diagnosis.replay import Prepared, Replayer, measured_output
 from diagnosis.side_by_side import side_by_side
 from diagnosis.stretches import Stretch, repeat_groups
 from diagnosis.tables import filled
-from machine.effects.dynamics import Actuators, Drive, DynamicStage, at_cycles, simulate
+from machine.effects.dynamics import Actuators, Drive, DynamicStage, simulate
 from machine.effects.kernel import BREAKAWAY
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.remainder import Remainder
@@ -92,8 +91,8 @@ class Replay:
         steps, shift = part_increments(self.stage, part, sets)
         white = whiten_sets(self.whitener, steps)[:, SKIPPED:]
         if self.stage == "actuator":
-            columns = [whiten_sets(self.whitener, one)[:, SKIPPED:] for one in (shift, part.between[None])]
-            white = _excused(white, columns) * trust(part, columns[1])
+            columns = [whiten_sets(self.whitener, one)[:, SKIPPED:] for one in (part.between[None], shift)]
+            white = _excused(white, columns) * trust(part, columns[0])
         return white.transpose(0, 2, 1).reshape(len(white), -1)
 
 
@@ -106,13 +105,14 @@ def _excused(white: Array, columns: list[Array]) -> Array:
     """Residuals without what the log's own coarseness can explain, per set and joint.
 
     Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
-    the command's course is a guess. A shift of at most TIMING_S, and at most once the
-    difference of two guesses, are no effects. Solved in turn (Gauss-Seidel), since each has its own limit.
+    the command's course is a guess. At most once the difference of two guesses, and a shift of at most TIMING_S, are
+    no effects. Solved in turn (Gauss-Seidel), the courses first, since each has its own limit: what both can explain
+    is theirs.
     """
     amounts = [np.zeros_like(white[:, :1]) for _ in columns]
     left = white
     for _ in range(PASSES):
-        for k, (column, most) in enumerate(zip(columns, (TIMING_S, 1.0), strict=True)):
+        for k, (column, most) in enumerate(zip(columns, (1.0, TIMING_S), strict=True)):
             wanted = np.clip(amounts[k] - _share(left, column), -most, most)
             left = left + (wanted - amounts[k]) * column
             amounts[k] = wanted
@@ -379,11 +379,15 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
     if output is None:
         raise DiagnosisError(f"{one.stretch.name}: the output of stage {stage} was not recorded")
     measured = filled(output)[:, joints]
-    part = Part(plant, narrowed, measured, one.stretch, np.zeros((0, len(joints))))
+    part = Part(plant, narrowed, measured, one.stretch, np.zeros((0, len(joints))), one.guessed)
     finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
     if stage == "actuator" and finer.any():
         part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
-    return _with_courses(stage, part)
+    own = part_increments(stage, part, neutral_sets(len(joints)))[0][0]
+    if stage != "actuator" or one.other is None:
+        return replace(part, between=np.zeros_like(own))
+    other = replace(part, drive=replace(part.drive, u=np.ascontiguousarray(one.other[:, joints])))
+    return replace(part, between=own - part_increments(stage, other, neutral_sets(len(joints)))[0][0])
 
 
 def by_steps(part: Part) -> Array:
@@ -392,23 +396,6 @@ def by_steps(part: Part) -> Array:
         simulate(replace(part.plant, refined=times), neutral_sets(part.plant.n), part.drive).enc[0] for times in (1, 2)
     )
     return 2.0 * (half - own)
-
-
-def _with_courses(stage: str, part: Part) -> Part:
-    """The part with increments (m, joints) by the command's course less those by another.
-
-    A modelled course is compared with straight lines between rows; where none is known, jumps in the middle of a row
-    are compared with jumps at its end.
-    """
-    sets = neutral_sets(part.plant.n)
-    own = part_increments(stage, part, sets)[0][0]
-    if stage != "actuator" or part.plant.decimate == 1 or part.drive.first is not DynamicStage.ACTUATOR:
-        return replace(part, between=np.zeros_like(own))
-    rows = part.drive.u[:: part.plant.decimate]
-    guessed = np.allclose(part.drive.u, smooth(part.plant, rows))
-    other = late(part.plant, rows) if guessed else at_cycles(part.plant, rows)
-    changed = replace(part, drive=replace(part.drive, u=other))
-    return replace(part, between=own - part_increments(stage, changed, sets)[0][0], jumps=guessed)
 
 
 def white_rows(part: Part, order: int) -> int:

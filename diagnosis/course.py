@@ -1,5 +1,7 @@
 """The command's course between two logged rows, where no model of a controller tells it."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,9 +31,12 @@ def smooth(plant: Actuators, rows: Array) -> Array:
 
 def late(plant: Actuators, rows: Array) -> Array:
     """The same with every jump at the end of its row, where a line has it in the middle."""
-    jumps, held = (np.repeat(one, plant.decimate, axis=0) for one in (jumping(rows), rows))
-    cycles = (len(rows) - 1) * plant.decimate + 1
-    return np.where(jumps[:cycles], held[:cycles], smooth(plant, rows))
+    return np.where(held_rows(plant, jumping(rows)), held_rows(plant, rows), smooth(plant, rows))
+
+
+def held_rows(plant: Actuators, rows: NDArray[Any]) -> NDArray[Any]:
+    """Logged rows (rows, n) at every PLC cycle, each until the next one."""
+    return np.repeat(rows, plant.decimate, axis=0)[: (len(rows) - 1) * plant.decimate + 1]
 
 
 def jumping(rows: Array) -> NDArray[np.bool_]:

@@ -50,9 +50,10 @@ def agreed(shares: list[Share]) -> float:
 
 
 def believed(share: Share) -> float:
-    """The mean of what a share may be: half of all simulators step as the model does, the others anyhow."""
+    """The mean of what a share may be; 0 where that is likelier: half of all simulators step as the model does."""
     likely = np.exp(-0.5 * ((GRID - np.clip(share.value, 0.0, 1.0)) / share.sigma) ** 2)
-    return float(np.mean(GRID * likely) / (likely[0] + np.mean(likely)))
+    none, finer = float(likely[0]), float(np.mean(likely))
+    return 0.0 if none >= finer else float(np.mean(GRID * likely)) / (none + finer)
 
 
 def share_of(cell: Cell) -> Share | None:

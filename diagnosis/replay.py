@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.course import smooth
+from diagnosis.course import held_rows, late, smooth
 from diagnosis.nominal import Nominal
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
@@ -25,11 +25,17 @@ from machine.rotations import Array
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows."""
+    """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows.
+
+    `other`: (cycles, n), another course that the valve commands may as well have taken between logged rows; None where
+    each cycle was logged. `guessed`: no controller tells their course, and each jump may be anywhere in its row.
+    """
 
     plant: Actuators
     drives: dict[str, Drive]
     stretch: Stretch
+    other: Array | None = None
+    guessed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +58,8 @@ class Replayer:
         """Each stage's measured input at every PLC cycle.
 
         Model: between two logged rows an input moves as the stage before it says (by `course`, nominal without),
-               corrected linearly so that it meets both rows: a jump of the reference falls on its own cycle.
+               corrected linearly so that it meets both rows: a jump of the reference falls on its own cycle. Where what
+               was sent is not known, the reference may as well have stood still until the next row.
         """
         known = neutral_sets(self.nominal.n) if course is None else course
         plant = self.at_rate(stretch.dt_s)
@@ -65,14 +72,29 @@ class Replayer:
             drives["link"] = drive_by_sent(plant, sent.t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
             between = self._fine("link", plant, drives["link"], known)
         ref_fine = None if ref is None else _through(plant, ref, between)
-        between = None
-        if ref_fine is not None and enc is not None and u is not None and self.nominal.has_controller:
-            drives["controller"] = drive_controller(plant, ref_fine, at_cycles(plant, enc), u[0], fine=True)
+        between, other = None, None
+        if (
+            ref is not None
+            and ref_fine is not None
+            and enc is not None
+            and u is not None
+            and self.nominal.has_controller
+        ):
+            seen = smooth(plant, enc)
+            drives["controller"] = drive_controller(plant, ref_fine, seen, u[0], fine=True)
             between = self._fine("controller", plant, drives["controller"], known)
-        if u is not None and enc is not None:
-            u_fine = smooth(plant, u) if between is None else _through(plant, u, between)
-            drives["actuator"] = drive_actuator(plant, u_fine, enc[0], self.loads(enc), fine=True)
-        return Prepared(plant, drives, stretch)
+            if stretch.sent is None:
+                held = drive_controller(plant, held_rows(plant, ref), seen, u[0], fine=True)
+                other = self._fine("controller", plant, held, known)
+        if u is None or enc is None:
+            return Prepared(plant, drives, stretch)
+        u_fine = smooth(plant, u) if between is None else _through(plant, u, between)
+        drives["actuator"] = drive_actuator(plant, u_fine, enc[0], self.loads(enc), fine=True)
+        if plant.decimate == 1:
+            return Prepared(plant, drives, stretch)
+        return Prepared(
+            plant, drives, stretch, late(plant, u) if between is None else _through(plant, u, other), between is None
+        )
 
     def outputs(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
         """What every set gives for a stage's output (sets, rows, n); None where the stretch lacks input or output."""
