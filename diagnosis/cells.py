@@ -59,6 +59,7 @@ class Cell:
     what the machine file's baseline leaves of the model's form. `usual_names`: among them what names gain there [nats].
     `unlike`: joints that moved unlike any undisturbed recording, by their command or by what the form says of them.
     `stuck`: joints that were told to stick: they moved unlike as well, and knock at the others.
+    `restless`: what moved by itself from one look at a posture to the next, in words; empty where nothing did.
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
@@ -85,6 +86,7 @@ class Cell:
     usual_names: tuple[tuple[str, float], ...] = ()
     unlike: tuple[int, ...] = ()
     stuck: tuple[int, ...] = ()
+    restless: str = ""
     parts: tuple["Cell", ...] = ()
 
     @property

@@ -11,6 +11,7 @@ from diagnosis.cells import Cell, Rows
 from diagnosis.cells_points import rows_of
 from diagnosis.corner_noise import AXES, PLAIN, CornerNoise, groups_of, noise_of_visits
 from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
+from diagnosis.loose_marker import loose_marker
 from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
 from diagnosis.saturated import saturated_noise
@@ -193,7 +194,9 @@ def _cell(
     else:
         candidates = tuple(one for one in candidates if one.name not in TIMED)
     candidates = tuple(one for one in candidates if one.name != "odometry_scale")
-    known = _floor(placed, base)
+    visits = _visits(placed, base)
+    known = noise_of_visits(visits, 1 if on == "tool" else VISITED_MIN)
+    loose = loose_marker(visits, len(frames.markers))
     noise = known if known is not None else _of_two(saturated_noise(placed, base, candidates, frames.groups))
     noise = replace(noise, own=np.maximum(noise.own, SIGMA_MIN_PX))
     record = nominal.remainder("camera", on=on)
@@ -217,6 +220,7 @@ def _cell(
             t_s=t_s,
             usual=record.usual_at(left) if record is not None else (),
             left_share=left,
+            restless="" if loose is None else loose.told(frames.markers[loose.number].marker_id),
         )
     ]
 
@@ -276,14 +280,14 @@ def _rows(frames: Frames) -> tuple[Rows, Array]:
     return cut, np.repeat(frames.t_s, seen.shape[1])[kept]
 
 
-def _floor(placed: CornerResidual, base: ParameterSets) -> CornerNoise | None:
-    """Deviations where the same pose was looked at again, seconds apart; None where that never happened.
+def _visits(placed: CornerResidual, base: ParameterSets) -> list[Array]:
+    """Corners (k, C, 2) [px] of each pose that was looked at again, seconds apart.
 
-    Of residuals, not of corners: a pose that repeats to a millimetre only would look like noise of pixels.
+    Residuals, not corners: a pose that repeats to a millimetre only would look like noise of pixels.
     """
     pixels = placed.frames.pixels
     if placed.on == "tool":
-        return noise_of_visits([pixels.reshape(len(pixels), -1, 2)], 1)
+        return [pixels.reshape(len(pixels), -1, 2)]
     flat = pixels.copy()
     flat[np.isfinite(flat)] = placed(base)[0]
     flat = flat.reshape(len(pixels), -1, 2)
@@ -296,4 +300,4 @@ def _floor(placed: CornerResidual, base: ParameterSets) -> CornerNoise | None:
         if any(placed.frames.t_s[k] - placed.frames.t_s[first] > VISITS_S for k in same):
             visits.append(flat[[first, *same]])
         left = [k for k in left if k not in set(same)]
-    return noise_of_visits(visits, VISITED_MIN)
+    return visits

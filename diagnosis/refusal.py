@@ -19,6 +19,7 @@ ENERGY_MIN = 0.7  # chi2/n beyond 1: a gap of 0.84 floors; a few repeats know th
 AUTOCORRELATION_MIN = 0.08  # sum of squares over 20 lags, besides what chance and a filter from few repeats give
 AUTOCORRELATION_CHANCE = 60.0  # over the number of rows
 UNREST = "unrest"
+BY_ITSELF = "moves by itself"
 EDGE = "edge"
 QUIET_MAX = 0.1  # of the floor's energy: an undisturbed stage that never leaves more is quiet
 QUIET_TIMES = 1.5  # the most that it ever left
@@ -62,6 +63,8 @@ def remainder(cell: Cell, chosen: Score, cells: int) -> tuple[Fired, ...]:
 
 def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
     """The tests of one residual (N,) that fire beyond what is usual on the undisturbed machine."""
+    if cell.restless:  # it made the noise, too: no residual is large beside it
+        return (Fired(BY_ITSELF, cell.stage, cell.joint, 1.0, 0.0, cell.restless),)
     if cell.knocked or 0.5 * (float(r @ r) - cell.quiet * len(r)) < cell.least_nats:
         return ()
     n_tests = cells * (4 + len(cell.regressors))
