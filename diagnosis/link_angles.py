@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from diagnosis.quiet_encoders import quieted
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
 from machine.effects import kernel
@@ -44,7 +45,7 @@ def paths_of(stretches: tuple[Stretch, ...], has_actuators: bool) -> tuple[Path,
             continue
         skip = max(1, int(COURSE_S / one.dt_s + 1e-9))
         step_s = one.dt_s * skip if has_actuators else None
-        out.append(Path(one.t_s[::skip], np.ascontiguousarray(filled(one.enc)[::skip]), step_s))
+        out.append(Path(one.t_s[::skip], np.ascontiguousarray(quieted(filled(one.enc), one.dt_s)[::skip]), step_s))
     return tuple(out)
 
 
