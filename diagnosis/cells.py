@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.candidates import SWINGS, Candidate
+from diagnosis.floor import Whitener
 from diagnosis.margin import margin_of
 from machine.effects.kernel import KNOWN_HZ
 from machine.effects.layout import ParameterSets
@@ -61,6 +62,7 @@ class Cell:
     `stuck`: joints that were told to stick: they moved unlike as well, and knock at the others.
     `restless`: what moved by itself from one look at a posture to the next, in words; empty where nothing did.
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
+    `at_noise`: the same cell by another filter, where the noise was never measured; else None.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
 
@@ -88,6 +90,7 @@ class Cell:
     stuck: tuple[int, ...] = ()
     restless: str = ""
     parts: tuple["Cell", ...] = ()
+    at_noise: Callable[[Whitener], "Cell"] | None = None
 
     @property
     def moved_unlike(self) -> tuple[int, ...]:

@@ -54,7 +54,7 @@ class Part:
     """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
 
     `between`: (m, joints), how far two guesses of the input's course between logged rows drive the increments apart;
-    `jumps`: whether they differ where the command jumped somewhere between two rows, each time elsewhere.
+    `unsure`: (m, joints), the same of jumps that each may be anywhere in its row; None where no row hides a jump.
     `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
     course (m,); empty, or None, where nothing is.
     """
@@ -64,7 +64,7 @@ class Part:
     measured: Array
     stretch: Stretch
     between: Array
-    jumps: bool = False
+    unsure: Array | None = None
     moved: tuple[Callable[[Array], Array] | None, ...] = ()
 
 
@@ -89,16 +89,23 @@ class Replay:
 
     def _white(self, part: Part, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)
-        white = whiten_sets(self.whitener, steps)[:, SKIPPED:]
+        weight = trust(part, self.whitener)
+        white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
         if self.stage == "actuator":
-            columns = [whiten_sets(self.whitener, one)[:, SKIPPED:] for one in (part.between[None], shift)]
-            white = _excused(white, columns) * trust(part, columns[0])
+            columns = [whiten_sets(self.whitener, one)[:, SKIPPED:] * weight for one in (part.between[None], shift)]
+            white = _excused(white, columns)
         return white.transpose(0, 2, 1).reshape(len(white), -1)
 
 
-def trust(part: Part, between: Array) -> Array | float:
-    """The weight of rows: those after a jump of the command count less. `between`: (sets, m, joints), as white."""
-    return 1.0 / np.hypot(1.0, UNIFORM * between) if part.jumps else 1.0
+def trust(part: Part, whitener: Whitener) -> Array | float:
+    """The weight of rows (1, m, joints): those after a jump that may be anywhere in its row count less.
+
+    Model: 1 / (1 + x^2) over the jump's standard deviation x: beside the noise it tells as much as chance, far above it
+           nothing, not one deviation time after time.
+    """
+    if part.unsure is None:
+        return 1.0
+    return 1.0 / (1.0 + (UNIFORM * whiten_sets(whitener, part.unsure[None])[:, SKIPPED:]) ** 2)
 
 
 def _excused(white: Array, columns: list[Array]) -> Array:
@@ -282,6 +289,11 @@ def cell_of(
     one_based = tuple(j + 1 for j in joints)
     whole = stage == "link" or len(joints) > 1
     left = _records(replayer, stage, joints, white.sigma)
+
+    def at_noise(noise: Whitener) -> Cell:
+        other = _at_noise(floor, chosen, noise)
+        return cell_of(stage, joints, prepared, other, base, replayer)
+
     return Cell(
         stage=stage,
         joint=None if whole else one_based[0],
@@ -302,7 +314,16 @@ def cell_of(
         usual=left.usual,
         left_share=float(np.mean(left.shares)),
         usual_names=left.usual_names,
+        at_noise=None if floor.known or stage != "actuator" or any(left.known) else at_noise,
     )
+
+
+def _at_noise(floor: Floor, chosen: list[int], noise: Whitener) -> Floor:
+    """A floor with another filter for some joints (0-based)."""
+    n = len(floor.whitener.sigma)
+    a, sigma, rms = np.zeros((noise.order, n)), floor.whitener.sigma.copy(), floor.increment_rms.copy()
+    a[:, chosen], sigma[chosen], rms[chosen] = noise.a, noise.sigma, noise.sigma
+    return replace(floor, rms=np.ones(n), whitener=Whitener(a, sigma), increment_rms=rms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -379,15 +400,23 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
     if output is None:
         raise DiagnosisError(f"{one.stretch.name}: the output of stage {stage} was not recorded")
     measured = filled(output)[:, joints]
-    part = Part(plant, narrowed, measured, one.stretch, np.zeros((0, len(joints))), one.guessed)
+    part = Part(plant, narrowed, measured, one.stretch, np.zeros((0, len(joints))))
     finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
     if stage == "actuator" and finer.any():
         part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
     own = part_increments(stage, part, neutral_sets(len(joints)))[0][0]
+
+    def apart(**inputs: Array) -> Array:
+        other = replace(
+            part, drive=replace(part.drive, **{k: np.ascontiguousarray(x[:, joints]) for k, x in inputs.items()})
+        )
+        return own - part_increments(stage, other, neutral_sets(len(joints)))[0][0]
+
+    jumped = one.late.get(stage)
+    unsure = None if jumped is None else apart(u=jumped.u) if stage == "actuator" else apart(ref=jumped.ref)
     if stage != "actuator" or one.other is None:
-        return replace(part, between=np.zeros_like(own))
-    other = replace(part, drive=replace(part.drive, u=np.ascontiguousarray(one.other[:, joints])))
-    return replace(part, between=own - part_increments(stage, other, neutral_sets(len(joints)))[0][0])
+        return replace(part, between=np.zeros_like(own), unsure=unsure)
+    return replace(part, between=apart(u=one.other), unsure=unsure)
 
 
 def by_steps(part: Part) -> Array:

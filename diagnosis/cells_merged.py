@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.candidates import Candidate, candidates_of
+from diagnosis.candidates import Candidate, candidates_of, named
 from diagnosis.cells import Cell
 from diagnosis.cells_dynamic import cell_of, possible, stage_floor
 from diagnosis.replay import Prepared, Replayer
@@ -75,5 +75,5 @@ def _candidates(merge: Merge, joints: tuple[int, ...], replayer: Replayer) -> tu
         one
         for stage in merge.stages
         for one in candidates_of(stage, joints, stage == "link")  # pyright: ignore[reportArgumentType]
-    )
+    ) + named(("supply_droop",), ())
     return tuple(one for one in found if possible(one, replayer, replayer.torque_reference))

@@ -31,7 +31,15 @@ def smooth(plant: Actuators, rows: Array) -> Array:
 
 def late(plant: Actuators, rows: Array) -> Array:
     """The same with every jump at the end of its row, where a line has it in the middle."""
-    return np.where(held_rows(plant, jumping(rows)), held_rows(plant, rows), smooth(plant, rows))
+    course = smooth(plant, rows)
+    found = late_jumps(plant, rows, course)
+    return course if found is None else found
+
+
+def late_jumps(plant: Actuators, rows: Array, course: Array) -> Array | None:
+    """A course (cycles, n) of logged rows with every jump at the end of its row; None where nothing jumps."""
+    jumps = jumping(rows)
+    return np.where(held_rows(plant, jumps), held_rows(plant, rows), course) if jumps.any() else None
 
 
 def held_rows(plant: Actuators, rows: NDArray[Any]) -> NDArray[Any]:

@@ -8,6 +8,7 @@ from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, fitting, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
 from diagnosis.cells_merged import merged_cells
+from diagnosis.guessed_noise import searched
 from diagnosis.known import with_known
 from diagnosis.limits import Interval, Limit, detection_limit, intervals
 from diagnosis.localise import Localisation, localise
@@ -16,7 +17,7 @@ from diagnosis.reading import Read
 from diagnosis.refusal import Fired, at_edge, remainder
 from diagnosis.replay import replayer_of
 from diagnosis.score import Score
-from diagnosis.search import Search, search, searched_again
+from diagnosis.search import Search, searched_again
 from diagnosis.shapes.found import Shape, instead, left_shapes, refusing
 from diagnosis.shrink import Shrink, Squares, shrinks, squares
 from diagnosis.stage_evidence import nats_by_stage
@@ -167,7 +168,7 @@ def _searched(cells: list[Cell], progress: Progress) -> list[Search]:
     out = []
     for number, cell in enumerate(cells):
         progress(f"searching {cell.label}", number, len(cells))
-        out.append(search(cell))
+        out.append(searched(cell))
     return out
 
 
@@ -175,11 +176,11 @@ def _with_coupling(searches: list[Search], coupled: Cell | None) -> list[Search]
     """The actuators, searched together where the pump's sharing explains what single joints do not."""
     if coupled is None:
         return searches
-    alone = search(coupled)
+    alone = searched(coupled)
     if not alone.chosen.fit.hypothesis:
         return searches
     others = {one.key: one for found in searches for one in _likely(found)}
-    together = search(replace(coupled, candidates=(*coupled.candidates, *others.values())))
+    together = searched(replace(coupled, candidates=(*coupled.candidates, *others.values())))
     if not any(one.name == "supply_droop" for one in together.chosen.fit.hypothesis):
         return searches
     if together.chosen.total <= sum(one.chosen.total for one in searches):

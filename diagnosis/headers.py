@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from diagnosis.findings import Finding
-from recording.folder import SEPARATORS
+from recording.folder import SEPARATORS, column_finder
 from recording.rows import CSV_ROW_TYPES, Row, csv_fields
 
 
@@ -25,11 +25,38 @@ def header_findings(folder: Path) -> list[Finding]:
     return findings
 
 
-def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
+def metre_findings(folder: Path, sliding: tuple[bool, ...]) -> list[Finding]:
+    """Columns in m of joints that turn: only what slides has a position in m."""
+    findings: list[Finding] = []
+    for row_type in CSV_ROW_TYPES:
+        path = folder / row_type.file
+        for name in _names(path)[0] if path.is_file() else ():
+            joints = [int(match[1]) for _, pattern in csv_fields(row_type) if (match := _in_metres(pattern, name))]
+            if joints and not (joints[0] <= len(sliding) and sliding[joints[0] - 1]):
+                text = (
+                    f"column {name!r} is in m, but joint {joints[0]} of the machine file turns; write rad, or its type"
+                )
+                findings.append(Finding("metres", "fatal", path.name, f'{text} = "prismatic"'))
+    return findings
+
+
+def _in_metres(pattern: str, name: str) -> re.Match[str] | None:
+    """The joint (group 1) of a column that the format has in rad, where it is written in m."""
+    if "_rad" not in pattern or "_rad" in name:
+        return None
+    return column_finder(pattern).fullmatch(name)
+
+
+def _names(path: Path) -> tuple[list[str], bool]:
+    """A file's column names, and whether there is a row below them."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
         reader = csv.reader(file)
         names = [name.strip().removeprefix("\ufeff") for name in next(reader, [])]
-        rows = next(reader, None) is not None
+        return names, next(reader, None) is not None
+
+
+def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
+    names, rows = _names(path)
     no_text = any("\ufffd" in name or "\0" in name for name in names)
     if no_text or (len(names) == 1 and any(separator in names[0] for separator in SEPARATORS)):
         return []  # reading it says so
@@ -37,7 +64,7 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
         text = "holds column names and no rows; record it again, or remove the file"
         return [Finding("no_rows", "problem", path.name, text)]
     patterns = [pattern for _, pattern in csv_fields(row_type)]
-    finders = [re.compile(re.escape(one).replace(re.escape("{j}"), r"(\d{1,2})")) for one in patterns]
+    finders = [column_finder(one) for one in patterns]
     findings = [
         Finding(
             "unknown_column", "problem", path.name, f"column {name!r} was not read{_nearest(name, _examples(patterns))}"

@@ -69,7 +69,7 @@ def share_of(cell: Cell) -> Share | None:
         rows = min(steps.shape[1], column.shape[1])
         signals = [one[:, :rows] for one in (steps, column, shift, part.between[None])]
         white = [whiten_sets(replay.whitener, one)[:, SKIPPED:] for one in signals]
-        left, along, *beside = ((one * trust(part, white[-1]))[0, :, 0] for one in white)
+        left, along, *beside = ((one * trust(part, replay.whitener))[0, :, 0] for one in white)
         if len(left) <= len(beside):
             continue
         left, along = _without(np.stack([left, along], axis=1), np.stack(beside, axis=1)).T

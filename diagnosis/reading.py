@@ -9,7 +9,7 @@ from diagnosis.cells_merged import merge_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.findings import Finding, fatal
 from diagnosis.fitting_file import corner_findings, machine_findings
-from diagnosis.headers import header_findings
+from diagnosis.headers import header_findings, metre_findings
 from diagnosis.nominal import Nominal, nominal_of
 from diagnosis.pairing import pairing_findings
 from diagnosis.quality import plc_findings, time_findings
@@ -67,10 +67,12 @@ def read(path: Path, machine_file: Path | None = None) -> Read:
 
 def examine(recording: Recording, path: Path, machine_file: Path | None = None, before: Sequence[Finding] = ()) -> Read:
     """What a recording in memory gives. `path`: what it is called; `before`: what its form already showed."""
-    findings = [*before, *_form_findings(recording)]
+    findings = [*before, *_form_findings(recording, path)]
     tables = tables_of(recording)
     nominal = _nominal(path, recording, tables, machine_file, findings)
     findings += _checks(tables, nominal)
+    if path.is_dir() and nominal is not None:
+        findings += _guarded(lambda: metre_findings(path, nominal.sliding), path.name)
     stretches: tuple[Stretch, ...] = ()
     if not fatal(findings):
         stretches, left_out = stretches_of(tables)
@@ -95,8 +97,11 @@ def _guarded(check: Callable[[], list[Finding]], subject: str) -> list[Finding]:
         return [Finding("unreadable", "fatal", subject, f"cannot be read: {error.strerror}")]
 
 
-def _form_findings(recording: Recording) -> list[Finding]:
+def _form_findings(recording: Recording, path: Path) -> list[Finding]:
     findings = []
+    if path.is_dir() and not (path / "run.toml").is_file():
+        text = "is not there: no segments, no repeats, no clocks are known"
+        findings.append(Finding("no_run_file", "note", "run.toml", text))
     if not recording.complete:
         text = "the file was cut; what could be read is used, `longreach recording recover` writes a whole one"
         findings.append(Finding("cut_file", "problem", "recording", text))

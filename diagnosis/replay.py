@@ -1,10 +1,10 @@
 """Each dynamic stage run with its own measured input: what is left between its output and what was measured."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from diagnosis.course import held_rows, late, smooth
+from diagnosis.course import held_rows, late, late_jumps, smooth
 from diagnosis.nominal import Nominal
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
@@ -28,14 +28,15 @@ class Prepared:
     """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows.
 
     `other`: (cycles, n), another course that the valve commands may as well have taken between logged rows; None where
-    each cycle was logged. `guessed`: no controller tells their course, and each jump may be anywhere in its row.
+    each cycle was logged. `late`: the drives of stages whose input jumps, with each jump at the end of its logged row:
+    what was sent is not known, so that it may be anywhere in it.
     """
 
     plant: Actuators
     drives: dict[str, Drive]
     stretch: Stretch
     other: Array | None = None
-    guessed: bool = False
+    late: dict[str, Drive] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,8 @@ class Replayer:
             drives["link"] = drive_by_sent(plant, sent.t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
             between = self._fine("link", plant, drives["link"], known)
         ref_fine = None if ref is None else _through(plant, ref, between)
-        between, other = None, None
+        late_drives: dict[str, Drive] = {}
+        between, other, jumped = None, None, None
         if (
             ref is not None
             and ref_fine is not None
@@ -83,18 +85,28 @@ class Replayer:
             seen = smooth(plant, enc)
             drives["controller"] = drive_controller(plant, ref_fine, seen, u[0], fine=True)
             between = self._fine("controller", plant, drives["controller"], known)
-            if stretch.sent is None:
+            if stretch.sent is None and plant.decimate > 1:
                 held = drive_controller(plant, held_rows(plant, ref), seen, u[0], fine=True)
                 other = self._fine("controller", plant, held, known)
+                ref_late = late_jumps(plant, ref, ref_fine)
+                if ref_late is not None:
+                    late_drives["controller"] = drive_controller(plant, ref_late, seen, u[0], fine=True)
+                    jumped = self._fine("controller", plant, late_drives["controller"], known)
         if u is None or enc is None:
             return Prepared(plant, drives, stretch)
         u_fine = smooth(plant, u) if between is None else _through(plant, u, between)
-        drives["actuator"] = drive_actuator(plant, u_fine, enc[0], self.loads(enc), fine=True)
+        loads = self.loads(enc)
+        drives["actuator"] = drive_actuator(plant, u_fine, enc[0], loads, fine=True)
         if plant.decimate == 1:
             return Prepared(plant, drives, stretch)
-        return Prepared(
-            plant, drives, stretch, late(plant, u) if between is None else _through(plant, u, other), between is None
-        )
+        if between is None:
+            other = u_late = late(plant, u)
+        else:
+            other = _through(plant, u, other)
+            u_late = None if jumped is None else _through(plant, u, jumped)
+        if u_late is not None:
+            late_drives["actuator"] = drive_actuator(plant, u_late, enc[0], loads, fine=True)
+        return Prepared(plant, drives, stretch, other, late_drives)
 
     def outputs(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
         """What every set gives for a stage's output (sets, rows, n); None where the stretch lacks input or output."""

@@ -26,7 +26,7 @@ def saturated_noise(
     Why:   not the residual of a model under test: that would hide the gap. And a hand that stands 3 mm beside its
            model takes all its markers with it: counted one by one such a pose would speak as often as it has markers.
     """
-    left, dof = _left(residual, base, candidates)
+    left, dof = unexplained(residual, base, candidates)
     S, Q, n = np.bincount(groups, weights=left), np.bincount(groups, weights=left**2), np.bincount(groups)
     pairs = float((n * (n - 1)).sum())
     variance = float(left @ left) / dof
@@ -35,7 +35,7 @@ def saturated_noise(
     return float(np.sqrt(variance - shared)), float(np.sqrt(shared))
 
 
-def _left(
+def unexplained(
     residual: Callable[[ParameterSets], Array], base: ParameterSets, candidates: tuple[Candidate, ...]
 ) -> tuple[Array, int]:
     """What no mixture explains (N,), and how many degrees of freedom it has."""

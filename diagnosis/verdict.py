@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -94,8 +95,8 @@ def _partly(one: CellAnswer) -> str:
 
 
 def _energy(one: CellAnswer) -> float:
-    """Of what is left, in units of the floor's."""
-    return float(np.mean(one.chosen.held_out**2)) / one.search.cell.quiet
+    """Of what is left, in units of what is believed as floor: below that no guess of the noise means anything."""
+    return float(np.mean(one.chosen.held_out**2))
 
 
 def _allowed(one: CellAnswer) -> float:
@@ -136,7 +137,7 @@ def _leading(one: CellAnswer) -> Fired:
 
 
 def _probability_of_names(answers: tuple[CellAnswer, ...]) -> float:
-    """Probability of the names, with what only exchanges effects of one class, in the cells where something is named.
+    """Probability that the names are at work, or their equals, alone or beside others, in the cells of the names.
 
     Why only those: what may be at work elsewhere, too small to be told, takes no name back. Over all cells together
     such small doubts multiplied to a half: in 327 cases six answers with the right names were refused by it, and one
@@ -145,16 +146,15 @@ def _probability_of_names(answers: tuple[CellAnswer, ...]) -> float:
     total = 1.0
     for answer in answers:
         if answer.chosen.fit.hypothesis:
-            alike = (one for one in answer.weighed if _equivalent(answer, answer.chosen, one.score))
+            alike = (one for one in answer.weighed if _holds(answer, answer.chosen, one.score))
             total *= sum(one.probability for one in alike)
     return total
 
 
-def _equivalent(answer: CellAnswer, a: Score, b: Score) -> bool:
-    mine, other = ([effect.key for effect in one.fit.hypothesis] for one in (a, b))
-    if len(mine) != len(other):
-        return False
-    return sorted(_class(answer, key) for key in mine) == sorted(_class(answer, key) for key in other)
+def _holds(answer: CellAnswer, names: Score, other: Score) -> bool:
+    """Whether the other hypothesis holds all of the names, each as itself or as an equal of its class."""
+    mine, others = (Counter(_class(answer, effect.key) for effect in one.fit.hypothesis) for one in (names, other))
+    return mine <= others
 
 
 def _class(answer: CellAnswer, key: tuple[str, int | None]) -> str:

@@ -11,7 +11,7 @@ from typing import Any, get_type_hints
 from recording.content import Attachment, Recording
 from recording.errors import RecordingError
 from recording.rows import CSV_ROW_TYPES, MISSING_COUNT, NAN, Floats, Row, csv_fields
-from recording.run import run_from_toml, run_to_toml
+from recording.run import RunInfo, run_from_toml, run_to_toml
 
 #: What spreadsheets put between columns in place of commas, and how it is called.
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
@@ -72,14 +72,15 @@ def _cell(value: object) -> str:
 
 
 def read_folder(folder: Path) -> Recording:
-    """The recording in a folder. Every file but run.toml and machine.toml is optional.
+    """The recording in a folder. Every file is optional, but one of the format has to be there.
 
     Raises: RecordingError naming file, line, column and value.
     """
-    run_file = folder / "run.toml"
-    if not run_file.is_file():
-        raise RecordingError(f"folder {folder} has no run.toml; it may hold just [run] name, but must be there")
-    machine_file = folder / "machine.toml"
+    run_file, machine_file = folder / "run.toml", folder / "machine.toml"
+    if not any((folder / name).is_file() for name in ("run.toml", *(row_type.file for row_type in CSV_ROW_TYPES))):
+        raise RecordingError(
+            f"folder {folder} holds no recording: neither run.toml nor plc.csv, static.csv or the like"
+        )
     rows: list[Row] = []
     for row_type in CSV_ROW_TYPES:
         path = folder / row_type.file
@@ -89,7 +90,7 @@ def read_folder(folder: Path) -> Recording:
     others = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.name not in known]
     return Recording(
         form="folder",
-        run=run_from_toml(_text(run_file)),
+        run=run_from_toml(_text(run_file)) if run_file.is_file() else RunInfo(""),
         machine_toml=_text(machine_file) if machine_file.is_file() else "",
         rows=tuple(rows),
         attachments=tuple(Attachment(path.name, _media_type(path), path.read_bytes()) for path in others),
@@ -169,12 +170,24 @@ def _there(numbers: Floats) -> Floats:
     return numbers
 
 
+def column_finder(pattern: str) -> re.Pattern[str]:
+    """What a column's name must match: group 1 is the joint. A joint that slides may be written in m: `q_1_m`."""
+    return re.compile(re.escape(pattern).replace(re.escape("{j}"), r"(\d{1,2})").replace("_rad", "_(?:rad|m)"))
+
+
 def _places(pattern: str, header: list[str]) -> list[int]:
     """Where a field's columns are; for joints in the order of their numbers, without gaps."""
     if "{j}" not in pattern:
         return [header.index(pattern)] if pattern in header else []
-    finder = re.compile(re.escape(pattern).replace(re.escape("{j}"), r"(\d{1,2})"))
-    found = {int(match[1]): place for place, name in enumerate(header) if (match := finder.fullmatch(name))}
+    finder = column_finder(pattern)
+    matching = [(int(match[1]), place) for place, name in enumerate(header) if (match := finder.fullmatch(name))]
+    found = dict(matching)
+    twice = sorted(
+        {header[place] for joint, place in matching if found[joint] != place}
+        - {header[place] for place in found.values()}
+    )
+    if twice:
+        raise RecordingError(f"column '{twice[0]}' is there in two units; keep the one of the joint's type")
     if set(found) != set(range(1, len(found) + 1)):
         raise RecordingError(f"columns '{pattern}': joints {sorted(found)}; they must count from 1 without gaps")
     return [found[joint] for joint in sorted(found)]
