@@ -18,11 +18,21 @@ from diagnosis.link_angles import paths_of
 from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
 from machine.effects.kernel import PAYLOAD
-from machine.effects.layout import BASE_COMPLIANCE, BASE_TILT, FOCAL, STEREO, ParameterSets
+from machine.effects.layout import (
+    BASE_COMPLIANCE,
+    BASE_TILT,
+    CLOCK_OFFSET,
+    CLOCK_RATE_PPM,
+    CLOCK_ZERO,
+    FOCAL,
+    STEREO,
+    ParameterSets,
+)
 from machine.rotations import Array
 
 REMEMBERED = 400  # residuals of one part
-OF_ARM = [PAYLOAD, *range(BASE_TILT.start, BASE_TILT.stop), BASE_COMPLIANCE]
+OF_CLOCK = [CLOCK_OFFSET, CLOCK_RATE_PPM, CLOCK_ZERO]
+OF_ARM = [PAYLOAD, *range(BASE_TILT.start, BASE_TILT.stop), BASE_COMPLIANCE, *OF_CLOCK]
 OF_MOUNT = list(range(FOCAL, STEREO.stop))
 JOINED_UNIT = "floors"
 OF_A_TURN = ("encoder_eccentricity",)

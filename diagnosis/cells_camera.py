@@ -65,7 +65,7 @@ class CornerResidual:
     on: Literal["tool", "ooi"]
     paths: tuple[Path, ...]
     at: NDArray[np.int64]
-    t_zero_s: float
+    t_start_s: float
     T_base_ooi: Array
     nuisance: Array
     noise: CornerNoise
@@ -100,7 +100,7 @@ class CornerResidual:
         T_cam_tcp = np.asarray(np.linalg.inv(camera_mount(sets, mount, k)), dtype=float)
         if self.on == "tool":
             return np.tile(T_cam_tcp, (len(self.frames.t_s), 1, 1))
-        t = true_times(sets, self.frames.t_s, self.t_zero_s, k) + later_s
+        t = true_times(sets, self.frames.t_s, self.t_start_s, k) + later_s
         q = link_angles(self.paths, sets, k, self.at, t)
         return np.asarray(T_cam_tcp @ np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k)), dtype=float)
 
@@ -179,8 +179,8 @@ def _cell(
     table: MarkerTable,
 ) -> list[Cell]:
     at = inside(paths, frames.t_s) if on == "ooi" else np.zeros(len(frames.t_s), dtype=np.int64)
-    t_zero = float(paths[0].t_s[0]) if paths else 0.0
-    rough = CornerResidual(nominal, frames, on, paths, at, t_zero, np.eye(4), np.zeros((0, 0)), PLAIN)
+    start_s = float(paths[0].t_s[0]) if paths else 0.0
+    rough = CornerResidual(nominal, frames, on, paths, at, start_s, np.eye(4), np.zeros((0, 0)), PLAIN)
     placed = _placed(rough, nominal, table, base)
     if placed is None:
         return []

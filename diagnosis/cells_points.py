@@ -15,6 +15,7 @@ from diagnosis.reading import Read
 from diagnosis.saturated import saturated_noise
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
+from machine.effects.seen import true_times
 from machine.remainder import Remainder
 from machine.rotations import Array
 
@@ -24,7 +25,7 @@ SIGMA_MIN_M = 2e-5
 SAME_POSE_RAD = 2e-3
 DIRECTION_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is no noise
 POINT_ROWS_MIN = 6
-FEW, ENOUGH = 3, 12  # repeated points for a floor at all, and for one of each axis
+FEW, ENOUGH = 8, 12  # repeated points for a floor at all, and for one of each axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,8 @@ class PointResidual:
     """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time.
 
     Axes: radial, tangential and up about the base's upright, since a slewing arm swings across far more than it bends.
-    `known`: (3 m,) [m], what the machine's model is known to be wrong by.
+    `known`: (3 m,) [m], what the machine's model is known to be wrong by. `t_start_s`: of the recording, where the tracker's
+    clock may be off (see `true_times`); None where that is the camera's.
     """
 
     nominal: Nominal
@@ -41,6 +43,7 @@ class PointResidual:
     at: NDArray[np.int64]
     noise: PointNoise
     known: Array | None = None
+    t_start_s: float | None = None
 
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
@@ -65,7 +68,8 @@ class PointResidual:
     def _angles(self, sets: ParameterSets, which: int) -> Array:
         if not self.paths:
             return true_angles(sets, self.data.q, which)
-        return link_angles(self.paths, sets, which, self.at, self.data.when)
+        when = self.data.when if self.t_start_s is None else true_times(sets, self.data.when, self.t_start_s, which)
+        return link_angles(self.paths, sets, which, self.at, when)
 
 
 def _about_upright(found: PointFit, xyz: Array) -> Array:
@@ -89,7 +93,7 @@ def point_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None
     tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
     if tracked is not None and len(tracked.xyz) >= POINT_ROWS_MIN:
         courses = paths_of(whole.stretches, nominal.actuators is not None) if paths is None else paths
-        cells.append(_cell(nominal, _thinned(tracked), courses, base))
+        cells.append(_cell(nominal, _thinned(tracked), courses, base, clocked=tables.markers is None))
     return cells
 
 
@@ -98,7 +102,10 @@ def _thinned(data: PointData) -> PointData:
     return PointData(data.q[rows], data.which[rows], data.xyz[rows], data.when[rows])
 
 
-def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: ParameterSets) -> Cell:
+def _cell(
+    nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: ParameterSets, clocked: bool = False
+) -> Cell:
+    """`clocked`: whether these points' clock may be off: no camera was there whose clock the catalogue means."""
     at = inside(paths, data.when) if paths else np.zeros(len(data.when), dtype=np.int64)
     if paths and (at < 0).any():
         kept = at >= 0
@@ -106,9 +113,11 @@ def _cell(nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: Para
         at = at[kept]
     joints = tuple(range(1, nominal.n + 1))
     moving = bool(paths) and all(path.step_s is not None for path in paths)
-    candidates = _candidates(joints, moving)
+    candidates = _candidates(joints, moving) + (candidates_of("time", joints, True) if clocked else ())
     m = len(data.xyz)
-    rough = PointResidual(nominal, data, paths, at, PointNoise(np.ones(3), 0.0, np.zeros(m), instants_of(data.when)))
+    plain = PointNoise(np.ones(3), 0.0, np.zeros(m), instants_of(data.when))
+    start_s = float(paths[0].t_s[0]) if clocked else None
+    rough = PointResidual(nominal, data, paths, at, plain, t_start_s=start_s)
     known = _floor(rough, base)
     by_instant = 3 * np.repeat(rough.noise.instants, 3) + np.tile(np.arange(3), m)
     own, common = saturated_noise(rough, base, candidates, by_instant) if known is None else (known, 0.0)

@@ -17,8 +17,8 @@ JOINT_COLUMNS = 30
 CLOCK_OFFSET, CLOCK_RATE_PPM, BASE_TILT, BASE_COMPLIANCE = 4, 5, slice(6, 9), 9
 FOCAL, PRINCIPAL, K1, MARKER_SIZE = 10, slice(11, 13), 13, 14
 HAND_EYE_ROTATION, HAND_EYE_TRANSLATION, STEREO = slice(15, 18), slice(18, 21), slice(21, 24)
-LATENCY, READOUT, ODOMETRY_SCALE = 24, 25, 26
-MACHINE_COLUMNS = 27
+LATENCY, READOUT, ODOMETRY_SCALE, STAMP_ROW, CLOCK_ZERO = 24, 25, 26, 27, 28
+MACHINE_COLUMNS = 29
 
 # (effect, parameter, option or "") -> column; a direction's size stands in as many columns as the vector has.
 _JOINT: dict[tuple[str, str, str], int] = {
@@ -57,6 +57,7 @@ _MACHINE: dict[tuple[str, str], int] = {
     ("payload_error", "mass_kg"): kernel.PAYLOAD,
     ("clock_offset", "offset_s"): CLOCK_OFFSET,
     ("clock_drift", "rate_ppm"): CLOCK_RATE_PPM,
+    ("clock_drift", "zero_s"): CLOCK_ZERO,
     ("base_tilt", "tilt_rad"): BASE_TILT.start,
     ("base_compliance", "compliance_rad_nm"): BASE_COMPLIANCE,
     ("focal_length_error", "scale_frac"): FOCAL,
@@ -68,6 +69,7 @@ _MACHINE: dict[tuple[str, str], int] = {
     ("stereo_misalignment", "angle_rad"): STEREO.start,
     ("camera_latency", "latency_s"): LATENCY,
     ("rolling_shutter", "readout_s"): READOUT,
+    ("rolling_shutter", "stamp_row"): STAMP_ROW,
     ("odometry_scale", "scale_frac"): ODOMETRY_SCALE,
 }
 

@@ -9,6 +9,7 @@ from machine.description import StereoCamera
 from machine.effects.layout import (
     CLOCK_OFFSET,
     CLOCK_RATE_PPM,
+    CLOCK_ZERO,
     FOCAL,
     HAND_EYE_ROTATION,
     HAND_EYE_TRANSLATION,
@@ -18,6 +19,7 @@ from machine.effects.layout import (
     ODOMETRY_SCALE,
     PRINCIPAL,
     READOUT,
+    STAMP_ROW,
     STEREO,
     ParameterSets,
 )
@@ -29,13 +31,14 @@ from machine.targets import Marker
 DEPTH_MIN_M = 1e-6  # at or behind the eye: NaN
 
 
-def true_times(sets: ParameterSets, t_camera_s: Array, t_zero_s: float, which: int = 0) -> Array:
+def true_times(sets: ParameterSets, t_camera_s: Array, t_start_s: float, which: int = 0) -> Array:
     """When images with these stamps were really exposed, on the PLC's clock (m,) [s].
 
-    Model: t_camera = t_true + offset + rate (t_true - t_zero) + latency; identity at neutral.
-    Args:  t_camera_s: stamps mapped by the best known offset (m,) [s]. t_zero_s: start of the recording [s].
+    Model: t_camera = t_true + offset + rate (t_true - t_start - zero) + latency; identity at neutral.
+    Args:  t_camera_s: stamps mapped by the best known offset (m,) [s]. t_start_s: start of the recording [s].
     """
     G = sets.machine[which]
+    t_zero_s = t_start_s + G[CLOCK_ZERO]
     rate = 1e-6 * G[CLOCK_RATE_PPM]
     stamps = np.asarray(t_camera_s, dtype=float)
     return (stamps - G[CLOCK_OFFSET] - G[LATENCY] + rate * t_zero_s) / (1.0 + rate)
@@ -98,7 +101,7 @@ def seen_corners(
     """What both eyes see of an object's markers.
 
     Model:   pinhole with the true lens; the right eye turned by the misalignment; each corner moves on by its own speed
-             times (row / last row - 1/2) readout, the speed from a second set of poses dt_s later.
+             times (row / last row - 1/2 + stamp_row / 2) readout, the speed from a second set of poses dt_s later.
     Args:    Ts_cam_object, Ts_cam_object_later: (m, 4, 4), the object in the left eye's frame. dt_s: [s], above 0 with
              later poses. Without them the shutter has no effect.
     Raises:  MachineError: wrong shapes.
@@ -117,12 +120,15 @@ def seen_corners(
         raise MachineError(f"later poses are {dt_s} s later; give a time above 0 s")
     later = _both_eyes(sets, lens, np.asarray(Ts_cam_object_later, dtype=float), points, which)
     return Corners(
-        *(_sheared(one, two, camera.height_px, readout / dt_s) for one, two in zip((left, right), later, strict=True))
+        *(
+            _sheared(one, two, camera.height_px, readout / dt_s, float(sets.machine[which, STAMP_ROW]))
+            for one, two in zip((left, right), later, strict=True)
+        )
     )
 
 
-def _sheared(pixels: Array, later: Array, height_px: int, readout_over_dt: float) -> Array:
-    row = pixels[..., 1:] / (height_px - 1.0) - 0.5
+def _sheared(pixels: Array, later: Array, height_px: int, readout_over_dt: float, stamp_row: float) -> Array:
+    row = pixels[..., 1:] / (height_px - 1.0) - 0.5 + 0.5 * stamp_row
     return pixels + (later - pixels) * row * readout_over_dt
 
 

@@ -13,7 +13,7 @@ from machine.effects.spec import STAGES
 from machine.errors import MachineError
 
 CONTRACT = {
-    "time": {"clock_offset": "offset_s", "clock_drift": "rate_ppm"},
+    "time": {"clock_offset": "offset_s", "clock_drift": "rate_ppm zero_s"},
     "link": {
         "transport_delay": "delay_s",
         "packet_loss": "loss_frac",
@@ -60,7 +60,7 @@ CONTRACT = {
         "hand_eye_translation": "distance_m",
         "stereo_misalignment": "angle_rad",
         "camera_latency": "latency_s",
-        "rolling_shutter": "readout_s",
+        "rolling_shutter": "readout_s stamp_row",
         "odometry_scale": "scale_frac",
     },
 }

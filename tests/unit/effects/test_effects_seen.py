@@ -61,7 +61,8 @@ def test_every_image_parameter_is_felt_finite_and_neutral_is_exact(effect) -> No
         mounted = camera_mount(sets, MACHINE.T_tcp_cam_left)
         return np.concatenate([corners(sets).ravel(), mounted.ravel()])
 
-    for slot in slots_of(effect.name, None):
+    sizes = [slot for slot in slots_of(effect.name, None) if slot.parameter == effect.size.name]
+    for slot in sizes:
         for value, same in ((slot.neutral, True), (slot.start, False), (slot.low, None), (slot.high, None)):
             changed = neutral_sets(6)
             changed.put(slot, value)
@@ -117,6 +118,8 @@ def test_the_shutter_shears_by_speed_and_row() -> None:
     rate = (np.stack([later.left, later.right]) - nominal) / 1e-3
     row = nominal[..., 1:] / (MACHINE.camera.height_px - 1.0) - 0.5
     assert sheared == pytest.approx(rate * row * 0.01, abs=1e-9)
+    of_first_row = corners(packed("rolling_shutter", readout_s=0.01, stamp_row=1)) - nominal
+    assert of_first_row == pytest.approx(rate * (row + 0.5) * 0.01, abs=1e-9)
     still = seen_corners(packed("rolling_shutter", readout_s=0.01), MACHINE.camera, MARKERS, POSES)
     assert np.array_equal(still.left, nominal[0])
 
@@ -137,6 +140,7 @@ def test_clocks_map_stamps_to_true_times() -> None:
         ("clock_offset", {"offset_s": 0.1}, t - 0.1),
         ("camera_latency", {"latency_s": 0.05}, t - 0.05),
         ("clock_drift", {"rate_ppm": 400.0}, 100.0 + (t - 100.0) / (1.0 + 4e-4)),
+        ("clock_drift", {"rate_ppm": 400.0, "zero_s": -20.0}, 80.0 + (t - 80.0) / (1.0 + 4e-4)),
     ):
         assert true_times(packed(name, **parameters), t, 100.0) == pytest.approx(wanted, abs=1e-10)
 
