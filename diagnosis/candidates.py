@@ -29,7 +29,8 @@ SEEN_IN_MOTION = ("backlash", "link_flexibility")
 class Candidate:
     """One effect on one joint (1-based; None: the machine), in one variant: `fixed` numbers do not move in a fit.
 
-    `counted`: its size is a share seen among so many; 0: it is fitted.
+    `counted`: its size is a share seen among so many; 0: it is fitted. `cycles`: of a delay, a PLC's cycle and what the
+    nominal machine has of it [s]: whole cycles are where its cost has a kink that no gradient finds.
     """
 
     name: str
@@ -39,6 +40,14 @@ class Candidate:
     slots: tuple[Slot, ...]
     fixed: tuple[tuple[Slot, float], ...] = ()
     counted: int = 0
+    cycles: tuple[float, float] | None = None
+
+    def settled(self, theta: Array) -> Array:
+        """Numbers (slots,) with the delay at the nearest whole number of cycles."""
+        if self.cycles is None:
+            return theta
+        cycle_s, nominal_s = self.cycles
+        return np.round((theta + nominal_s) / cycle_s) * cycle_s - nominal_s
 
     @property
     def key(self) -> tuple[str, int | None]:

@@ -26,6 +26,7 @@ from diagnosis.regressors import regressors_of
 from diagnosis.repeats import overlaid
 from diagnosis.replay import Prepared, Replayer, measured_output
 from diagnosis.side_by_side import side_by_side
+from diagnosis.steady_repeats import steadied
 from diagnosis.stretches import Stretch, repeat_groups
 from diagnosis.tables import filled
 from machine.effects.dynamics import Actuators, Drive, DynamicStage, simulate
@@ -212,9 +213,14 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: 
     dt = prepared[0].stretch.dt_s
     floor: Floor | None = None
     steps: list[Array] = []
+    records = [replayer.nominal.remainder(stage, j + 1) for j in range(replayer.nominal.n)]
     if len(members) > 1:
         try:
             repeats = overlaid(members, [known[one.name] for one in members])
+            if stage == "actuator":
+                repeats = steadied(
+                    repeats, overlaid(members, _encoders(members)), dt, np.array([not one for one in records])
+                )
             floor = floor_of_repeats(repeats, dt)
             steps = [increments(one, dt) for one in deviations(repeats)]
         except DiagnosisError:
@@ -223,7 +229,6 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: 
         stand_ins = [floor_without_repeats(one, dt) for one in known.values()]
         sigma = np.median([one.whitener.sigma for one in stand_ins], axis=0)
         floor = replace(stand_ins[0], whitener=Whitener(np.zeros((0, len(sigma))), sigma), increment_rms=sigma)
-    records = [replayer.nominal.remainder(stage, j + 1) for j in range(replayer.nominal.n)]
     least = _smallest(stage, prepared) * np.array([SILENT_SHARE if _silent(one) else 1.0 for one in records])
     floor = _not_below(floor, least)
     if not any(records):
@@ -236,6 +241,10 @@ def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: 
     both = with_remainder(floor, steps, ar, sigma, rms)
     believed = _not_below(both, least)
     return replace(believed, rms=np.where(sigma > 0.0, believed.rms, both.rms))  # no remainder: as the repeats show
+
+
+def _encoders(members: tuple[Stretch, ...]) -> list[Array]:
+    return [np.nan_to_num(filled(one.enc)) for one in members if one.enc is not None]
 
 
 def _smallest(stage: str, prepared: list[Prepared]) -> Array:
@@ -374,6 +383,9 @@ def _candidates(
     found = candidates_of(stage, joints, machine)  # pyright: ignore[reportArgumentType]
     if stage == "link":
         found = read_off(found, tuple(one.stretch for one in prepared))
+        plant = replayer.plant
+        cycles = (plant.cycle_s, plant.transport_delay_s)
+        found = tuple(replace(one, cycles=cycles) if one.name == "transport_delay" else one for one in found)
     if stage == "actuator":
         found = tuple(one for one in found if one.name != "supply_droop") + named(SEEN_BY_ENCODER, joints)
     loaded = replayer.torque_reference

@@ -109,9 +109,23 @@ def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) 
         J = jacobian(cell, hypothesis, theta, residual)
         if gained < SETTLED_NATS + SETTLED_SHARE * cost:
             break
+    kinks = np.clip(_at_kinks(hypothesis, theta), low, high)
+    if not np.array_equal(kinks, theta):
+        there = evaluated(cell, hypothesis, kinks)[0]
+        if float(costs(there).sum()) < cost:
+            theta, residual, cost = kinks, there, float(costs(there).sum())
+            J = jacobian(cell, hypothesis, theta, residual)
     edge = 1e-3 * spans(hypothesis)
     at_bound = tuple(bool(b) for b in (theta > high - edge) | ((theta < low + edge) & (low != 0.0)))
     return Fit(hypothesis, theta, residual, J, cost, at_bound)
+
+
+def _at_kinks(hypothesis: Hypothesis, theta: Array) -> Array:
+    """Theta (k,) with what has a kink at the nearest one."""
+    if all(one.cycles is None for one in hypothesis):
+        return theta
+    cuts = np.cumsum([len(one.slots) for one in hypothesis])[:-1]
+    return np.concatenate([one.settled(own) for one, own in zip(hypothesis, np.split(theta, cuts), strict=True)])
 
 
 def _steps(J: Array, residual: Array, span: Array) -> Array:

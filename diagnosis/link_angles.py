@@ -79,7 +79,11 @@ def link_angles(paths: tuple[Path, ...], sets: ParameterSets, which: int, at: ND
 
 @njit(cache=True)
 def _interpolate(at_s: Array, values: Array, path_of: NDArray[np.int64], path: int, times_s: Array, out: Array) -> None:
-    """Those of `out` (m,) that lie in `path`: values (k,) at at_s (k,), straight between, held beyond the ends."""
+    """Those of `out` (m,) that lie in `path`: values (k,) at at_s (k,), evenly apart, by the cubic through the four
+    nearest; straight at the ends, held beyond them.
+
+    Why no lines: a joint that starts at 2 rad/s^2 is 0.1 mm of the tip away from them, as much as a tracker's noise.
+    """
     last = len(at_s) - 1
     for i in range(len(times_s)):
         if path_of[i] != path:
@@ -88,8 +92,12 @@ def _interpolate(at_s: Array, values: Array, path_of: NDArray[np.int64], path: i
         if right == 0 or right > last:
             out[i] = values[0 if right == 0 else last]
             continue
-        share = (times_s[i] - at_s[right - 1]) / (at_s[right] - at_s[right - 1])
-        out[i] = values[right - 1] + share * (values[right] - values[right - 1])
+        s = (times_s[i] - at_s[right - 1]) / (at_s[right] - at_s[right - 1])
+        a, b = values[right - 1], values[right]
+        out[i] = a + s * (b - a)
+        if 1 < right < last:
+            before, after = b - 2.0 * a + values[right - 2], values[right + 1] - 2.0 * b + a
+            out[i] -= s * (1.0 - s) / 6.0 * ((2.0 - s) * before + (1.0 + s) * after)
 
 
 def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes) -> Array:
