@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.findings import Finding
+from diagnosis.frozen import frozen_findings
 from diagnosis.nominal import Nominal
 from diagnosis.tables import JOINT_SIGNALS, PlcTable, Tables, filled, largest
 from machine.rotations import Array
@@ -30,7 +31,7 @@ def plc_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         values = getattr(plc, short)
         if values is not None:
             findings += _numbers("plc.csv", pattern, values)
-    findings += _constants(plc)
+    findings += _constants(plc) + frozen_findings(plc.enc)
     findings += _rate(plc, nominal)
     return findings
 

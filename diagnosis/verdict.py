@@ -35,10 +35,14 @@ class Verdict:
 
 
 def verdict_of(
-    answers: tuple[CellAnswer, ...], holes: int = 0, stood_still: bool = False, log_unused: bool = False
+    answers: tuple[CellAnswer, ...],
+    holes: int = 0,
+    stood_still: bool = False,
+    log_unused: bool = False,
+    frozen: int = 0,
 ) -> Verdict:
     """The verdict over all cells. `holes`: places where the log lacks rows; `stood_still`: all is of one posture;
-    `log_unused`: there is a PLC's log, and nothing of it could be judged.
+    `log_unused`: there is a PLC's log, and nothing of it could be judged; `frozen`: places where it repeats old values.
 
     Model: a remainder that tests find takes back a name: a wrong effect can close most of a foreign gap. It is
            "outside" where it is most of the gap, or nothing was named; else "undecided", unless below 2 % of the gap
@@ -59,6 +63,9 @@ def verdict_of(
     if stood_still:
         text = "no joint moved, and at one posture a mount, a lens, a zero and a print look alike"
         return Verdict("undecided", f"{text}; record a motion of all joints, or a whole job from look to accept")
+    if frozen >= HOLES_MANY:
+        text = f"the log goes on with old encoder values in {frozen} places while the machine moves"
+        return Verdict("undecided", f"{text}: look at the logger first")
     if not named and holes >= HOLES_MANY:
         text = f"nothing above the noise floor in what was logged, but rows are missing in {holes} places"
         return Verdict("undecided", f"{text}: look at the logger first")
