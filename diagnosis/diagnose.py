@@ -8,6 +8,7 @@ from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, fitting, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
 from diagnosis.cells_merged import merged_cells
+from diagnosis.gear import gears
 from diagnosis.guessed_noise import searched
 from diagnosis.known import with_known
 from diagnosis.limits import Interval, Limit, detection_limit, intervals
@@ -209,6 +210,7 @@ def _answer(found: Search, cells: int) -> CellAnswer:
             *remainder(found.cell, chosen, cells),
             *(refusing(found.cell, shapes, gained) or _instead(found, chosen)),
             *at_edge(found.cell, chosen),
+            *gears(found.cell, chosen),
         ),
         squares=sums,
         shrinks=shrinks(found, sums),

@@ -8,7 +8,7 @@ import numpy as np
 
 from diagnosis.candidates import Candidate, beside
 from diagnosis.cells import DRIVEN_STAGES, Cell
-from diagnosis.fit import Fit, Hypothesis, costs, evaluated, fit, neutral_fit, weights
+from diagnosis.fit import Fit, Hypothesis, bounds, costs, evaluated, fit, neutral_fit, weights
 from diagnosis.further import asked_more, one_more, steps_further, swapped
 from diagnosis.margin import MARGIN_NATS
 from diagnosis.rare import with_the_event_cut
@@ -24,6 +24,11 @@ FORESEEN = 2  # sizes tried beyond the grid, where the grid's own changes point
 LIMITS_BETWEEN = 20  # sizes of a limit tried where it begins to be felt
 FELT = 100.0  # change of the residual, squared floors
 REFINED = 10  # sizes tried on either side of a scan's best
+PAYLOAD = "payload_error"
+YIELDING = ("gravity_sag", "base_compliance")  # to gravity
+PAIRS_BURDENED = 2
+SOFTER = (0.4, 0.6, 0.8, 1.2, 1.6)  # of the compliance that explains most without another weight
+ROUNDS_BURDENED = 30  # compliance times weight is known far better than either
 ROUNDS_SINGLE = 8
 ROUNDS_PAIR = 6
 Key = tuple[str, int | None]
@@ -113,7 +118,7 @@ def _searched(
 ) -> Search:
     book = _Book(cell, {**known, frozenset(): none})
     singles = _singles(book, scans, none)
-    pairs = _pairs(book, singles, none)
+    pairs = sorted(_pairs(book, singles, none) + _burdened(book, singles), key=lambda one: -one.total)
     triples = _triples(book, singles, pairs)
     levels = [level for level in (singles, pairs, triples) if level]
     chosen, spread = _best_that_passes(book, levels)
@@ -296,6 +301,22 @@ def _pairs(book: _Book, singles: list[Score], none: Score) -> list[Score]:
         start = _best_start(book.cell, r0, (a, b), amounts)
         found.append(book.scored((*a.fit.hypothesis, *b.fit.hypothesis), start, ROUNDS_PAIR))
     return sorted(found, key=lambda one: -one.total)
+
+
+def _burdened(book: _Book, singles: list[Score]) -> list[Score]:
+    """What yields to gravity, with another weight to carry: on a rigid arm a payload alone moves nothing."""
+    payload = next((one for one in book.cell.candidates if one.name == PAYLOAD), None)
+    yielding = [one for one in singles if one.fit.hypothesis[0].name in YIELDING][:PAIRS_BURDENED]
+    if payload is None:
+        return []
+    found = []
+    for one in yielding:
+        hypothesis = (*one.fit.hypothesis, payload)
+        grid = [np.append(share * one.fit.theta, mass) for share in SOFTER for mass in payload.starts()[:, 0]]
+        starts = np.clip(np.array(grid), *bounds(hypothesis))
+        best = int(np.argmin(costs(evaluated(book.cell, hypothesis, starts)).sum(axis=1)))
+        found.append(book.scored(hypothesis, starts[best], ROUNDS_BURDENED))
+    return found
 
 
 def _best_start(cell: Cell, r0: Array, singles: tuple[Score, Score], amounts: Array) -> Array:

@@ -12,7 +12,7 @@ from diagnosis.cells import Cell
 from diagnosis.refusal import EDGE, ENERGY_MIN, Fired
 from diagnosis.score import STICKS, Score
 from diagnosis.shapes.found import TEST as SHAPE
-from diagnosis.shrink import by_noise, together
+from diagnosis.shrink import by_noise, closing, together
 
 if TYPE_CHECKING:
     from diagnosis.diagnose import CellAnswer
@@ -79,6 +79,13 @@ def verdict_of(
         return Verdict("undecided", f"{text}; repeat a motion or a pose, so that the noise is known")
     if not named:
         return Verdict("none", "nothing above the noise floor")
+    little = [one for one in answers if _closed_at_most(one) < LEFT_LARGE]
+    if little:
+        one = little[0]
+        text = (
+            f"{one.search.cell.label}: the best names close {100.0 * _closed_at_most(one):.3g} % of the gap at the most"
+        )
+        return Verdict("undecided", f"{text}: something else is most of it")
     if len(named) >= CROWD and all(known_well(one.search.cell) for one in answers):
         names = ", ".join(dict.fromkeys(effect.name for effect in named))
         return Verdict("undecided", f"{len(named)} faults at once ({names}): look for one cause of all of them first")
@@ -99,6 +106,14 @@ def _partly(one: CellAnswer) -> str:
     share = "" if closed is None else f" {100 * closed:.3g} % of"
     left = f"{_energy(one):.2g} times the noise that was estimated"
     return f"catalogue effects explain{share} the gap; what is left is {left}: repeats would tell it"
+
+
+def _closed_at_most(one: CellAnswer) -> float:
+    """Upper limit of the share of the gap that a cell's names close; 1 where none can be told, or nothing was named."""
+    if not one.chosen.fit.hypothesis:
+        return 1.0
+    high = closing(together(one.squares))[3][2]
+    return 1.0 if high is None else high
 
 
 def _energy(one: CellAnswer) -> float:
