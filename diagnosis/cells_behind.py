@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from diagnosis.candidates import SEEN_BY_ENCODER, Candidate
 from diagnosis.cells import Cell, Rows
 from diagnosis.cells_camera import CornerResidual, camera_cells
+from diagnosis.cells_odometry import ChordResidual, odometry_cells
 from diagnosis.cells_points import PointResidual, point_cells
 from diagnosis.form import with_form
 from diagnosis.link_angles import paths_of
@@ -38,12 +39,16 @@ JOINED_UNIT = "floors"
 OF_A_TURN = ("encoder_eccentricity",)
 
 
-def behind_cells(whole: Read, base: ParameterSets) -> list[Cell]:
-    """What was measured behind the encoders: one cell, or none."""
+def behind_cells(whole: Read, base: ParameterSets, with_odometry: bool = False) -> list[Cell]:
+    """What was measured behind the encoders: one cell, or none.
+
+    `with_odometry`: what it usually leaves is in no baseline, so that beside one it is left alone.
+    """
     nominal = whole.nominal
     paths = paths_of(whole.stretches, nominal is not None and nominal.actuators is not None)
     points = point_cells(whole, base, paths)
     parts = (with_form(points, nominal) if nominal is not None else points) + camera_cells(whole, base, paths)
+    parts += odometry_cells(whole, base) if with_odometry else []
     if len(parts) < 2:
         return parts
     known = nominal.remainder("structure") if nominal is not None else None
@@ -103,7 +108,7 @@ def _rows(rows: list[Rows]) -> Rows:
 
 def _columns(part: Cell) -> tuple[bool, list[int] | None]:
     """Whether a part feels the joints' parameters, and which of the machine's; None: all."""
-    if part.parts:
+    if part.parts or isinstance(part.whitened, ChordResidual):
         return True, None
     if not isinstance(part.whitened, CornerResidual):
         return True, OF_ARM if part.stage == "structure" else None
@@ -142,7 +147,9 @@ class _Remembered:
 
 
 def measurement_of(part: Cell) -> str:
-    """Which measurement behind the encoders a part is: static, tracker, ooi or tool; empty for other stages."""
+    """Which measurement behind the encoders a part is: static, tracker, ooi, tool, odometry; empty for other stages."""
+    if isinstance(part.whitened, ChordResidual):
+        return "odometry"
     if isinstance(part.whitened, CornerResidual):
         return part.whitened.on
     if isinstance(part.whitened, PointResidual):

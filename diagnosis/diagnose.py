@@ -162,7 +162,8 @@ def _behind(whole: Read, progress: Progress, lacking: tuple[str, ...]) -> list[S
     if whole.nominal is None:
         return []
     base = pack_under(whole.nominal.baseline, whole.nominal.n)
-    return _searched(without(fitting(behind_cells(whole, base), whole.nominal), lacking), progress)
+    cells = behind_cells(whole, base, with_odometry=not whole.nominal.remainders)
+    return _searched(without(fitting(cells, whole.nominal), lacking), progress)
 
 
 def _searched(cells: list[Cell], progress: Progress) -> list[Search]:

@@ -1,0 +1,125 @@
+"""The cell of visual odometry: how long the camera's own paths are against the encoders'.
+
+Lengths, not places: odometry starts in a frame of its own and wanders off, but over a second it knows how far it came.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, Candidate, candidates_of, named
+from diagnosis.cells import Cell
+from diagnosis.cells_points import rows_of
+from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
+from diagnosis.nominal import Nominal
+from diagnosis.reading import Read
+from diagnosis.saturated import saturated_noise
+from diagnosis.tables import OdometryTable
+from machine.effects.layout import ODOMETRY_SCALE, ParameterSets
+from machine.effects.seen import camera_mount, true_times
+from machine.effects.structure import tcp_poses
+from machine.rotations import Array
+
+CHORDS_MAX = 200
+CHORDS_MIN = 20
+CHORD_S = 1.0
+LONG_M = 0.05  # a chord far longer than odometry's noise has a length without bias
+SIGMA_MIN_M = 2e-5
+MOUNT = ("hand_eye_translation", "odometry_scale")  # of the camera's effects, those that change a path's length
+
+
+@dataclass(frozen=True, slots=True)
+class ChordResidual:
+    """Whitened lengths (sets, m): odometry's less the encoders'.
+
+    Each chord from `start_s` to `end_s` (m,), stamps on the PLC's clock as best known, in paths `at` (m,); `length_m`
+    (m,) as odometry has it.
+    """
+
+    nominal: Nominal
+    paths: tuple[Path, ...]
+    at: NDArray[np.int64]
+    start_s: Array
+    end_s: Array
+    length_m: Array
+    t_start_s: float
+    sigma_m: float = 1.0
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        """One row per set."""
+        plain = without_encoders(sets)
+        rows = [self.length_m - self.foreseen(sets, plain, k) for k in range(sets.sets)]
+        return np.array(rows) / self.sigma_m
+
+    def foreseen(self, sets: ParameterSets, plain: ParameterSets, k: int) -> Array:
+        """Lengths (m,) [m] that one set foresees."""
+        ends = [self._places(sets, plain, k, t) for t in (self.start_s, self.end_s)]
+        scale = 1.0 + float(sets.machine[k, ODOMETRY_SCALE])
+        return scale * np.linalg.norm(ends[1] - ends[0], axis=1)
+
+    def _places(self, sets: ParameterSets, plain: ParameterSets, k: int, stamps_s: Array) -> Array:
+        """The camera in the base (m, 3)."""
+        arm, mount = self.nominal.arm, self.nominal.T_tcp_cam_left
+        if arm is None or mount is None:
+            return np.zeros((len(stamps_s), 3))
+        t = true_times(sets, stamps_s, self.t_start_s, k)
+        Ts_base_tcp = tcp_poses(arm, plain, link_angles(self.paths, sets, k, self.at, t), k)
+        return (Ts_base_tcp @ camera_mount(sets, mount, k))[:, :3, 3]
+
+
+def odometry_cells(whole: Read, base: ParameterSets) -> list[Cell]:
+    """A cell where odometry, the arm and the camera's mount are known and the camera went far enough; else none."""
+    nominal, tables = whole.nominal, whole.tables
+    if nominal is None or tables is None or tables.odometry is None or nominal.arm is None:
+        return []
+    paths = paths_of(whole.stretches, nominal.actuators is not None)
+    if nominal.T_tcp_cam_left is None or not paths:
+        return []
+    rough = _chords(nominal, tables.odometry, tables.run.camera_to_plc_offset_s, paths)
+    long = rough.length_m > LONG_M
+    if int(long.sum()) < CHORDS_MIN:
+        return []
+    cut = {name: getattr(rough, name)[long] for name in ("at", "start_s", "end_s", "length_m")}
+    rough = replace(rough, **cut)
+    candidates = _candidates(tuple(range(1, nominal.n + 1)), nominal.actuators is not None)
+    count = len(rough.at)
+    # the noise across a chord makes it longer by sigma^2 / length on the average: taken off below
+    sigma = max(saturated_noise(rough, base, candidates, np.arange(count))[0], SIGMA_MIN_M)
+    return [
+        Cell(
+            stage="camera",
+            joint=None,
+            unit="m",
+            candidates=candidates,
+            base=base,
+            whitened=replace(rough, sigma_m=sigma, length_m=rough.length_m - sigma**2 / rough.length_m),
+            rows=rows_of(count, 1),
+            scale=np.full(count, sigma),
+            quiet=1.0,
+            floor_known=False,
+            same_kind=False,
+            regressors=(),
+            t_s=rough.start_s,
+        )
+    ]
+
+
+def _chords(nominal: Nominal, table: OdometryTable, to_plc_s: float, paths: tuple[Path, ...]) -> ChordResidual:
+    """At most 200 chords of a second, evenly spread over what lies within stretches."""
+    good = np.isfinite(table.t_s) & np.isfinite(table.position).all(axis=1)
+    order = np.argsort(table.t_s[good], kind="stable")
+    t, places = table.t_s[good][order] + to_plc_s, table.position[good][order]
+    end = np.minimum(np.searchsorted(t, t + CHORD_S), len(t) - 1)
+    start_in, end_in = inside(paths, t), inside(paths, t[end])
+    lasted = t[end] - t
+    usable = np.nonzero((start_in >= 0) & (start_in == end_in) & (lasted > 0.8 * CHORD_S) & (lasted < 1.2 * CHORD_S))[0]
+    some = usable[np.unique(np.linspace(0, len(usable) - 1, CHORDS_MAX).astype(int))] if len(usable) else usable
+    length = np.linalg.norm(places[end[some]] - places[some], axis=1)
+    return ChordResidual(nominal, paths, start_in[some], t[some], t[end[some]], length, float(paths[0].t_s[0]))
+
+
+def _candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
+    found = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
+    found = tuple(one for one in found if moving or one.name not in SEEN_IN_MOTION)
+    return found + named(MOUNT, joints) + candidates_of("time", joints, True)
