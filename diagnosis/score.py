@@ -17,6 +17,7 @@ STICKS = "stiction"
 FORM_SHARE_STUCK = 0.15  # what oil and boom do after each jump of a joint that sticks is in no form
 TOUCHED_MIN = 2  # blocks
 TOUCHED_SHARE = 0.5
+FAINT_NATS = 0.5  # of a block after which a loop has nearly forgotten that its command was limited
 CLEAR_NATS = 30.0  # a command limited in a few blocks gains more than that in each
 
 
@@ -94,7 +95,8 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
     further = [effect for effect in one.fit.hypothesis if effect.key not in before]
     if further and all(effect.counted for effect in further):
         return True
-    touched = gains[gains != 0.0]
+    limits = bool(further) and all(one.slots[0].neutral != 0.0 for one in further) and float(gains.sum()) >= CLEAR_NATS
+    touched = gains[np.abs(gains) > (FAINT_NATS if limits else 0.0)]
     if TOUCHED_MIN <= len(touched) <= TOUCHED_SHARE * len(gains) and touched.min() > 0.0:
         return True
     least_se = MARGIN_SE if float(gains.sum()) >= CLEAR_NATS else MARGIN_SE_SMALL

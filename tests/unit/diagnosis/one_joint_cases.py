@@ -1,0 +1,82 @@
+"""One joint in closed loop by a loop of its own (no kernel of ours): what its log looks like, as a folder."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+SPEED, WN, DAMPING, KP, TAU_S = 0.5, 2.0 * np.pi * 12.0, 0.8, 4.0, 0.1
+CYCLE_S, STEPS = 2e-3, 8
+SECONDS = 14.0
+
+
+@dataclass(frozen=True)
+class Machine:
+    """How it is driven, disturbed, logged and spoilt."""
+
+    kinds: tuple[str, ...] = ("repeat", "multisine", "repeat", "steps", "repeat", "sweep", "repeat")
+    log_every: int = 5
+    disturbance_rad_s: float = 2e-4
+    disturbance_s: float = 0.2
+    noise_rad: float = 5e-6
+    prismatic: bool = False
+    gain: Callable[[float], float] = lambda _t: 1.0
+    wave: Callable[[float], float] = lambda _q: 0.0
+
+
+def reference(kind: str, t: np.ndarray) -> np.ndarray:
+    """A command (m,) from rest to rest; jumps fall between logged rows."""
+    fade = np.clip(np.minimum(t, SECONDS - t), 0.0, 1.0)
+    slow = 0.12 * np.sin(1.1 * t) + 0.05 * np.sin(2.9 * t + 1.0) + 0.02 * np.sin(7.1 * t)
+    jumps = 0.08 * np.sign(np.sin(1.7 * t + 0.3))
+    if kind == "repeat":
+        return fade * np.where(t < 0.5 * SECONDS, slow, jumps)
+    return fade * {"multisine": slow[::-1], "steps": jumps, "sweep": 0.2 * np.sin(0.25 * t * t)}[kind]
+
+
+def recorded(place: Path, machine: Machine, seed: int = 1) -> Path:
+    """The folder: plc.csv, machine.toml, run.toml."""
+    rng, unit = np.random.default_rng(seed), "m" if machine.prismatic else "rad"
+    rows, segments = [], []
+    for number, kind in enumerate(machine.kinds):
+        start = 100.0 + number * (SECONDS + 1.0)
+        ref = reference(kind, CYCLE_S * np.arange(round(SECONDS / CYCLE_S)))
+        rows += _run(machine, ref, start, rng)
+        end = start + SECONDS - CYCLE_S * machine.log_every
+        repeat = 'repeat_of = "A"' if kind == "repeat" else ""
+        segments.append(
+            f'[[segment]]\nname = "s{number}"\nkind = "{kind}"\nt_start_plc_s = {start}\nt_end_plc_s = {end}\n{repeat}'
+        )
+    kind = "prismatic" if machine.prismatic else "revolute"
+    header = f"t_plc_s,q_ref_1_{unit},q_1_{unit},u_1_frac"
+    (place / "plc.csv").write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    (place / "run.toml").write_text("\n".join(['[run]\nname = "one joint"', *segments]), encoding="utf-8")
+    (place / "machine.toml").write_text(
+        f'[machine]\nname = "one joint"\n[[joint]]\nname = "lift"\ntype = "{kind}"\n'
+        f"velocity_gain_rad_s = {SPEED}\nvalve_frequency_hz = {WN / 2.0 / np.pi}\nvalve_damping = {DAMPING}\n"
+        f"kp_frac_per_rad = {KP}\npt1_tau_s = {TAU_S}\n"
+        f"[plc]\ncycle_s = {CYCLE_S}\nlog_cycle_s = {CYCLE_S * machine.log_every}\ntransport_delay_s = 0.0\n",
+        encoding="utf-8",
+    )
+    return place
+
+
+def _run(machine: Machine, ref: np.ndarray, start: float, rng: np.random.Generator) -> list[str]:
+    """Logged rows of one segment: the nominal model of shared definition, and what spoils it."""
+    dt, fade = CYCLE_S / STEPS, np.exp(-CYCLE_S / machine.disturbance_s)
+    q = x = xd = lagged = pushed = 0.0
+    share, rows = 1.0 - np.exp(-CYCLE_S / TAU_S), []
+    for k, wanted in enumerate(ref):
+        t = start + k * CYCLE_S
+        enc = q + machine.wave(q) + rng.normal(0.0, machine.noise_rad)
+        lagged += share * (KP * (wanted - enc) - lagged)
+        u = float(np.clip(lagged, -1.0, 1.0))
+        if k % machine.log_every == 0:
+            rows.append(f"{t:.6f},{wanted:.9f},{enc:.9f},{u:.9f}")
+        pushed = fade * pushed + np.sqrt(1.0 - fade**2) * rng.normal(0.0, machine.disturbance_rad_s)
+        for _ in range(STEPS):
+            xd += dt * (WN * WN * (u - x) - 2.0 * DAMPING * WN * xd)
+            x += dt * xd
+            q += dt * (SPEED * machine.gain(t) * x + pushed)
+    return rows

@@ -1,0 +1,92 @@
+"""Logs as others make them: no repeats, coarse rows with jumps in them, columns in m, a machine that warms."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from one_joint_cases import Machine, recorded
+
+from diagnosis.answer import answer
+from diagnosis.diagnose import diagnose
+from diagnosis.reading import read
+
+UNREPEATED = ("multisine", "steps", "sweep")
+
+
+def told(place: Path, machine: Machine) -> dict[str, Any]:
+    return answer(diagnose(read(recorded(place, machine))))
+
+
+def names(found: dict[str, Any]) -> list[tuple[str, int | None]]:
+    return [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+
+
+@pytest.mark.parametrize("log_every", [1, 5])
+def test_jumps_that_fall_anywhere_in_a_row_are_no_gap(tmp_path: Path, log_every: int) -> None:
+    found = told(tmp_path, Machine(log_every=log_every))
+    assert found["verdict"] == "none", found["why"]
+
+
+def test_beside_them_a_small_gain_is_found(tmp_path: Path) -> None:
+    found = told(tmp_path, Machine(gain=lambda _t: 1.02))
+    assert found["verdict"] == "effects", found["why"]
+    assert names(found) == [("flow_gain_error", 1)]
+    gain = found["hypotheses"][0]["effects"][0]["parameters"]["gain_frac"]["value"]
+    assert gain == pytest.approx(0.02, abs=5e-4)  # 0.0003 are the model's step of 1 ms
+
+
+@pytest.mark.parametrize(("gain", "verdict"), [(1.0, "none"), (1.1, "effects")])
+def test_a_disturbance_that_nobody_repeated_is_no_gap(tmp_path: Path, gain: float, verdict: str) -> None:
+    """2 mrad/s that go on for 0.3 s, a hundredth of the motion: counted as white it refused every answer."""
+    spoilt = Machine(kinds=UNREPEATED, disturbance_rad_s=2e-3, disturbance_s=0.3, gain=lambda _t: gain)
+    found = told(tmp_path, spoilt)
+    assert found["verdict"] == verdict, found["why"]
+    assert names(found) == ([("flow_gain_error", 1)] if gain != 1.0 else [])
+    assert any("noise floor" in one["costs"] for one in found["missing"])
+
+
+def test_what_slides_may_be_written_in_metres(tmp_path: Path) -> None:
+    found = told(tmp_path, Machine(prismatic=True, kinds=UNREPEATED, gain=lambda _t: 1.1))
+    assert names(found) == [("flow_gain_error", 1)]
+
+
+def test_what_turns_may_not(tmp_path: Path) -> None:
+    place = recorded(tmp_path, Machine(prismatic=True, kinds=UNREPEATED))
+    text = (place / "machine.toml").read_text(encoding="utf-8")
+    (place / "machine.toml").write_text(text.replace("prismatic", "revolute"), encoding="utf-8")
+    whole = read(place)
+    assert not whole.usable
+    assert "column 'q_1_m' is in m, but joint 1 of the machine file turns" in " ".join(map(str, whole.findings))
+
+
+def test_two_units_of_one_column_are_refused(tmp_path: Path) -> None:
+    place = recorded(tmp_path, Machine(kinds=UNREPEATED))
+    rows = (place / "plc.csv").read_text(encoding="utf-8").splitlines()
+    twice = [rows[0] + ",q_1_m", *(f"{row},0.1" for row in rows[1:])]
+    (place / "plc.csv").write_text("\n".join(twice), encoding="utf-8")
+    assert "there in two units" in " ".join(map(str, read(place).findings))
+
+
+def test_without_a_run_file_what_is_there_is_judged(tmp_path: Path) -> None:
+    place = recorded(tmp_path, Machine(kinds=UNREPEATED))
+    (place / "run.toml").unlink()
+    whole = read(place)
+    assert whole.usable
+    assert {"no_run_file", "no_segments", "no_repeats"} <= {one.code for one in whole.findings}
+
+
+def test_an_oil_that_warms_between_repeats_is_refused_not_taken_for_noise(tmp_path: Path) -> None:
+    found = told(tmp_path, Machine(gain=lambda t: 1.0 + 0.15 * (1.0 - np.exp(-(t - 100.0) / 40.0))))
+    assert found["verdict"] in ("outside", "undecided"), found["hypotheses"][0]
+    assert found["unexplained"]
+
+
+def test_a_gears_wave_is_no_encoders(tmp_path: Path) -> None:
+    geared = Machine(kinds=("multisine", "steps", "sweep"), wave=lambda q: 0.01 * np.sin(9.0 * q + 0.4))
+    found = told(tmp_path, geared)
+    assert found["verdict"] == "outside", found["hypotheses"][0]
+    discs = replace(geared, wave=lambda q: 0.01 * np.sin(2.0 * q + 0.4))
+    found = told(tmp_path, discs)
+    assert found["verdict"] != "outside", found["why"]
