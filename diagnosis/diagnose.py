@@ -20,6 +20,7 @@ from diagnosis.replay import replayer_of
 from diagnosis.score import Score
 from diagnosis.search import Search, searched_again
 from diagnosis.shapes.found import Shape, instead, left_shapes, refusing
+from diagnosis.shapes.oil import swinging
 from diagnosis.shrink import Shrink, Squares, shrinks, squares
 from diagnosis.stage_evidence import nats_by_stage
 from diagnosis.stretches import stood_still
@@ -212,6 +213,7 @@ def _answer(found: Search, cells: int) -> CellAnswer:
             *(refusing(found.cell, shapes, gained) or _instead(found, chosen)),
             *at_edge(found.cell, chosen),
             *gears(found.cell, chosen),
+            *swinging(found.cell, chosen.held_out, shapes, gained),
         ),
         squares=sums,
         shrinks=shrinks(found, sums),

@@ -83,7 +83,7 @@ def driven_columns(cell: Cell) -> dict[str, Array]:
             ]
             out.setdefault(name, []).append(np.concatenate(columns))
     lengths = np.bincount(cell.rows.series, minlength=len(replay.parts) * len(replay.joints))
-    return {name: _placed(blocks, lengths, len(replay.parts)) for name, blocks in out.items()}
+    return {name: placed(blocks, lengths, len(replay.parts)) for name, blocks in out.items()}
 
 
 def courses_of(cell: Cell, replay: Replay, modelled: list[Array], channel: int) -> list[Course]:
@@ -101,7 +101,7 @@ def families_of(stage: str, courses: list[Course], knots: Array | None = None) -
     return [family(one, own[0] if knots is None else knots, own[1]) for one in courses]
 
 
-def _placed(blocks: list[Array], lengths: NDArray[np.int64], parts: int) -> Array:
+def placed(blocks: list[Array], lengths: NDArray[np.int64], parts: int) -> Array:
     """Columns of each channel (its stretches end to end) at its rows, which lie stretch by stretch: each its own."""
     channels, edges = len(blocks), np.cumsum([0, *(block.shape[1] for block in blocks)])
     out = np.zeros((int(lengths.sum()), int(edges[-1])))
