@@ -7,6 +7,7 @@ import numpy as np
 from diagnosis.candidates import Candidate, put
 from diagnosis.cells import Cell
 from diagnosis.errors import DiagnosisError
+from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 SOFT = 3.0  # whitened residuals beyond it count linearly (soft-L1)
@@ -53,8 +54,12 @@ def weights(residual: Array) -> Array:
 
 def evaluated(cell: Cell, hypothesis: Hypothesis, thetas: Array) -> Array:
     """Residuals (m, N) at each row of thetas (m, k)."""
-    out = cell.whitened(put(cell.base, hypothesis, thetas))
-    return np.nan_to_num(out, nan=1e3, posinf=1e3, neginf=-1e3)
+    return evaluated_at(cell, put(cell.base, hypothesis, thetas))
+
+
+def evaluated_at(cell: Cell, sets: ParameterSets) -> Array:
+    """Residuals (sets, N); far off where a model runs away."""
+    return np.nan_to_num(cell.whitened(sets), nan=1e3, posinf=1e3, neginf=-1e3)
 
 
 def neutral_fit(cell: Cell) -> Fit:

@@ -11,7 +11,7 @@ import numpy as np
 from diagnosis.candidates import put
 from diagnosis.cells import Cell
 from diagnosis.cells_dynamic import Replay
-from diagnosis.fit import Fit, neutral_fit
+from diagnosis.fit import Fit, evaluated_at, neutral_fit
 from diagnosis.floor import ORDER_MAX, Whitener, fit_whitener, increments
 from diagnosis.saturated import unexplained
 from diagnosis.search import Search, search
@@ -47,7 +47,7 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
     replay, at = cell.whitened, put(cell.base, about.hypothesis, about.theta)
     if not isinstance(replay, Replay):
         return None
-    left, dof = unexplained(cell.whitened, at, cell.candidates)
+    left, dof = unexplained(lambda sets: evaluated_at(cell, sets), at, cell.candidates)
     runs = [_runs(cell, left, channel) for channel in range(len(replay.joints))]
     if not all(runs):
         return None
