@@ -80,6 +80,12 @@ def named(names: tuple[str, ...], joints: tuple[int, ...]) -> tuple[Candidate, .
     return tuple(one for effect in found if effect is not None for one in _of_effect(effect, joints, True))
 
 
+def arm_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
+    """What changes where a link is for its encoder. `moving`: whether the encoders' course in time is known, too."""
+    found = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
+    return tuple(one for one in found if moving or one.name not in SEEN_IN_MOTION)
+
+
 def _of_effect(effect: Effect, joints: tuple[int, ...], machine: bool) -> list[Candidate]:
     places: tuple[int | None, ...] = joints
     if effect.scope == "machine":

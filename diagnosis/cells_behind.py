@@ -48,7 +48,7 @@ def behind_cells(whole: Read, base: ParameterSets, with_odometry: bool = False) 
     paths = paths_of(whole.stretches, nominal is not None and nominal.actuators is not None)
     points = point_cells(whole, base, paths)
     parts = (with_form(points, nominal) if nominal is not None else points) + camera_cells(whole, base, paths)
-    parts += odometry_cells(whole, base) if with_odometry else []
+    parts += odometry_cells(whole, base, paths) if with_odometry else []
     if len(parts) < 2:
         return parts
     known = nominal.remainder("structure") if nominal is not None else None

@@ -6,7 +6,7 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, candidates_of, named
+from diagnosis.candidates import arm_candidates, candidates_of
 from diagnosis.cells import Cell, Rows
 from diagnosis.cells_points import rows_of
 from diagnosis.corner_noise import AXES, PLAIN, CornerNoise, groups_of, noise_of_visits
@@ -187,9 +187,7 @@ def _cell(
     joints = tuple(range(1, nominal.n + 1))
     candidates = candidates_of("camera", joints, True)
     if on == "ooi":
-        arm = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
-        moving = nominal.actuators is not None
-        candidates = tuple(one for one in arm if moving or one.name not in SEEN_IN_MOTION) + candidates
+        candidates = arm_candidates(joints, nominal.actuators is not None) + candidates
         candidates += candidates_of("time", joints, True)
     else:
         candidates = tuple(one for one in candidates if one.name not in TIMED)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, Candidate, candidates_of, named
+from diagnosis.candidates import Candidate, arm_candidates, candidates_of, named
 from diagnosis.cells import Cell
 from diagnosis.cells_points import rows_of
-from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
+from diagnosis.link_angles import Path, inside, link_angles, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
 from diagnosis.saturated import saturated_noise
@@ -68,12 +68,14 @@ class ChordResidual:
         return (Ts_base_tcp @ camera_mount(sets, mount, k))[:, :3, 3]
 
 
-def odometry_cells(whole: Read, base: ParameterSets) -> list[Cell]:
-    """A cell where odometry, the arm and the camera's mount are known and the camera went far enough; else none."""
+def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) -> list[Cell]:
+    """A cell where odometry, the arm and the camera's mount are known and the camera went far enough; else none.
+
+    `paths`: the encoders' courses.
+    """
     nominal, tables = whole.nominal, whole.tables
     if nominal is None or tables is None or tables.odometry is None or nominal.arm is None:
         return []
-    paths = paths_of(whole.stretches, nominal.actuators is not None)
     if nominal.T_tcp_cam_left is None or not paths:
         return []
     rough = _chords(nominal, tables.odometry, tables.run.camera_to_plc_offset_s, paths)
@@ -120,6 +122,4 @@ def _chords(nominal: Nominal, table: OdometryTable, to_plc_s: float, paths: tupl
 
 
 def _candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
-    found = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
-    found = tuple(one for one in found if moving or one.name not in SEEN_IN_MOTION)
-    return found + named(MOUNT, joints) + candidates_of("time", joints, True)
+    return arm_candidates(joints, moving) + named(MOUNT, joints) + candidates_of("time", joints, True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import SEEN_BEHIND_ENCODER, SEEN_IN_MOTION, Candidate, candidates_of, named
+from diagnosis.candidates import arm_candidates, candidates_of
 from diagnosis.cells import Cell, Rows
 from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
@@ -113,7 +113,7 @@ def _cell(
         at = at[kept]
     joints = tuple(range(1, nominal.n + 1))
     moving = bool(paths) and all(path.step_s is not None for path in paths)
-    candidates = _candidates(joints, moving) + (candidates_of("time", joints, True) if clocked else ())
+    candidates = arm_candidates(joints, moving) + (candidates_of("time", joints, True) if clocked else ())
     m = len(data.xyz)
     plain = PointNoise(np.ones(3), 0.0, np.zeros(m), instants_of(data.when))
     start_s = float(paths[0].t_s[0]) if clocked else None
@@ -153,11 +153,6 @@ def axes_of(record: Remainder | None, axes: int) -> Array:
     if record is None:
         return np.zeros(axes)
     return np.array(record.by_axis if len(record.by_axis) == axes else [record.sigma] * axes)
-
-
-def _candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
-    found = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
-    return tuple(one for one in found if moving or one.name not in SEEN_IN_MOTION)
 
 
 def rows_of(m: int, channels: int) -> Rows:

@@ -21,7 +21,7 @@ def gears(cell: Cell, chosen: Score) -> tuple[Fired, ...]:
     """A refusal where a wave was named by the highest order of the catalogue, and one of more orders fits better."""
     found = []
     for number, effect in enumerate(chosen.fit.hypothesis):
-        if effect.name == WAVE and _order(effect) == max(range(1, ORDERS[0])):
+        if effect.name == WAVE and _order(effect) == ORDERS[0] - 1:
             best = _best_gear(cell, chosen.fit, number)
             if best is not None:
                 lead = f"waves about {best} times a turn, more often than an encoder's disc"

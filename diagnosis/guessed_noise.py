@@ -25,17 +25,21 @@ TAKEN = ("whitened", "rows", "scale", "quiet", "regressors", "t_s")  # by the no
 
 def searched(cell: Cell) -> Search:
     """Search a cell; where its noise was never measured, by what all effects together leave about the best model."""
-    if cell.at_noise is None:
+    noise = None if cell.at_noise is None else noise_about(cell, neutral_fit(cell))
+    if cell.at_noise is None or noise is None:
         return search(cell)
-    found, about, before = search(cell), neutral_fit(cell), np.zeros(0)
-    for round_ in range(ROUNDS):
-        noise = noise_about(cell, about)
-        if noise is None or (round_ and float(np.abs(np.log(noise.sigma / before)).max()) < SETTLED):
+    found = search(_by(cell, cell.at_noise(noise)))
+    for _ in range(ROUNDS - 1):
+        again = noise_about(cell, max(found.scored, key=lambda one: one.total).fit)
+        if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
             break
-        fresh = cell.at_noise(noise)
-        found = search(replace(cell, **{name: getattr(fresh, name) for name in TAKEN}))
-        about, before = max(found.scored, key=lambda one: one.total).fit, noise.sigma
+        noise, found = again, search(_by(cell, cell.at_noise(again)))
     return found
+
+
+def _by(cell: Cell, other: Cell) -> Cell:
+    """The cell with the other one's noise."""
+    return replace(cell, **{name: getattr(other, name) for name in TAKEN})
 
 
 def noise_about(cell: Cell, about: Fit) -> Whitener | None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from diagnosis.cells import Cell
 from diagnosis.cells_dynamic import LAST, OUTPUT, SKIPPED, Part, Replay, whiten_sets
@@ -82,8 +81,7 @@ def driven_columns(cell: Cell) -> dict[str, Array]:
                 for part, f in zip(replay.parts, per_part, strict=True)
             ]
             out.setdefault(name, []).append(np.concatenate(columns))
-    lengths = np.bincount(cell.rows.series, minlength=len(replay.parts) * len(replay.joints))
-    return {name: placed(blocks, lengths, len(replay.parts)) for name, blocks in out.items()}
+    return {name: placed(cell, replay, blocks) for name, blocks in out.items()}
 
 
 def courses_of(cell: Cell, replay: Replay, modelled: list[Array], channel: int) -> list[Course]:
@@ -101,8 +99,10 @@ def families_of(stage: str, courses: list[Course], knots: Array | None = None) -
     return [family(one, own[0] if knots is None else knots, own[1]) for one in courses]
 
 
-def placed(blocks: list[Array], lengths: NDArray[np.int64], parts: int) -> Array:
+def placed(cell: Cell, replay: Replay, blocks: list[Array]) -> Array:
     """Columns of each channel (its stretches end to end) at its rows, which lie stretch by stretch: each its own."""
+    parts = len(replay.parts)
+    lengths = np.bincount(cell.rows.series, minlength=parts * len(replay.joints))
     channels, edges = len(blocks), np.cumsum([0, *(block.shape[1] for block in blocks)])
     out = np.zeros((int(lengths.sum()), int(edges[-1])))
     starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)

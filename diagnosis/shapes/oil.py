@@ -47,11 +47,10 @@ def _columns(cell: Cell, replay: Replay) -> Array:
     """(N, 2 frequencies joints), white as the cell's residual."""
     modelled, blocks = modelled_of(cell, replay), []
     for channel in range(len(replay.joints)):
-        courses = zip(replay.parts, courses_of(cell, replay, modelled, channel), strict=True)
-        white = [white_columns(replay.whitener, channel, one.dt_s, _swings(one)) for _, one in courses]
+        courses = courses_of(cell, replay, modelled, channel)
+        white = [white_columns(replay.whitener, channel, one.dt_s, _swings(one)) for one in courses]
         blocks.append(np.concatenate(white))
-    lengths = np.bincount(cell.rows.series, minlength=len(replay.parts) * len(replay.joints))
-    return placed(blocks, lengths, len(replay.parts))
+    return placed(cell, replay, blocks)
 
 
 def _swings(course: Course) -> Array:
