@@ -9,8 +9,9 @@ import numpy as np
 
 from diagnosis.candidates import Candidate, candidates_of, named
 from diagnosis.cells import Cell
-from diagnosis.cells_dynamic import cell_of, possible, stage_floor
+from diagnosis.cells_dynamic import cell_of, possible
 from diagnosis.replay import Prepared, Replayer
+from diagnosis.stage_floor import stage_floor
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
 from machine.effects.dynamics import Drive, drive_by_sent, drive_controller

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.cells import EXCEEDED_TIMES, Cell
-from diagnosis.cells_dynamic import Replay
 from diagnosis.cells_points import PointResidual
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import costs, neutral_fit, weights
@@ -21,6 +20,7 @@ from diagnosis.nominal import Nominal
 from diagnosis.responses import RESPONSES, responses
 from diagnosis.shapes.behind import acceleration_columns
 from diagnosis.shapes.driven import Course, courses_of, families_of, modelled_of, moving_families, white_columns
+from diagnosis.stage_replay import Replay
 from machine.remainder import Form
 from machine.rotations import Array
 

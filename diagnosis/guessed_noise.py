@@ -10,11 +10,11 @@ import numpy as np
 
 from diagnosis.candidates import put
 from diagnosis.cells import Cell
-from diagnosis.cells_dynamic import Replay
 from diagnosis.fit import Fit, evaluated_at, neutral_fit
 from diagnosis.floor import ORDER_MAX, Whitener, fit_whitener, increments
 from diagnosis.saturated import unexplained
 from diagnosis.search import Search, search
+from diagnosis.stage_replay import Replay
 from machine.rotations import Array
 
 ROUNDS = 3

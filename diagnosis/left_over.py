@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import behind_cells, fitting, measurement_of, told_behind, without
 from diagnosis.cells_camera import CornerResidual
-from diagnosis.cells_dynamic import SKIPPED, Replay, part_increments, stage_cells
+from diagnosis.cells_dynamic import stage_cells
 from diagnosis.cells_points import PointResidual
 from diagnosis.corner_noise import PLAIN, variances_of
 from diagnosis.errors import DiagnosisError
@@ -20,6 +20,7 @@ from diagnosis.own_step import at_its_step
 from diagnosis.point_noise import variances_of as variances_of_points
 from diagnosis.reading import Read
 from diagnosis.replay import replayer_of
+from diagnosis.stage_replay import SKIPPED, Replay, part_increments
 from diagnosis.stretches import repeat_groups
 from diagnosis.wander import wander_of
 from machine.effects.entries import EffectEntry, pack_under

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.cells import Cell
-from diagnosis.cells_dynamic import SKIPPED, Replay, by_steps, part_increments, stage_cells, trust, whiten_sets
+from diagnosis.cells_dynamic import stage_cells
 from diagnosis.floor import increments
 from diagnosis.replay import Replayer
+from diagnosis.stage_replay import SKIPPED, Replay, by_steps, part_increments, trust, whiten_sets
 from diagnosis.stretches import Stretch
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array

@@ -1,19 +1,15 @@
 """What a remainder of the dynamic stages may go with: commands, motion, time, other joints."""
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from diagnosis.floor import BLOCK_S, block_means
+from diagnosis.stage_replay import Part
 from diagnosis.tables import filled
 from machine.rotations import Array
 
-if TYPE_CHECKING:
-    from diagnosis.cells_dynamic import Part
-
 
 def regressors_of(
-    parts: "tuple[Part, ...]", joints: list[int], order: int, skipped: int, rows_of: "list[int]"
+    parts: tuple[Part, ...], joints: list[int], order: int, skipped: int, rows_of: list[int]
 ) -> tuple[tuple[tuple[str, Array], ...], Array]:
     """What a remainder may go with, at the residuals' rows."""
     by_name: dict[str, list[Array]] = {}

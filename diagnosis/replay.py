@@ -40,6 +40,19 @@ class Prepared:
 
 
 @dataclass(frozen=True, slots=True)
+class _Commands:
+    """What a controller would do at every PLC cycle (cycles, n); None where each cycle is logged, or nothing is known.
+
+    `own`: to the reference as it is taken to be. `held`: to one that stood still between logged rows; `jumped`: to one
+    that jumps at the end of its rows. The last two are None, too, where what was sent tells the reference's course.
+    """
+
+    own: Array | None
+    held: Array | None = None
+    jumped: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Replayer:
     """The replays of one machine. `torque_reference`: (n,) [N m], None where masses or limits are not known.
 
@@ -64,49 +77,65 @@ class Replayer:
         """
         known = neutral_sets(self.nominal.n) if course is None else course
         plant = self.at_rate(stretch.dt_s)
-        drives: dict[str, Drive] = {}
+        out = Prepared(plant, {}, stretch)
         ref, enc, u = (None if signal is None else filled(signal) for signal in (stretch.ref, stretch.enc, stretch.u))
-        between: Array | None = None
-        if stretch.sent is not None and ref is not None:
-            cycles = (stretch.rows - 1) * plant.decimate + 1
-            sent = stretch.sent
-            drives["link"] = drive_by_sent(plant, sent.t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
-            between = self._fine("link", plant, drives["link"], known)
-        ref_fine = None if ref is None else _through(plant, ref, between)
-        late_drives: dict[str, Drive] = {}
-        between, other, jumped = None, None, None
-        if (
-            ref is not None
-            and ref_fine is not None
-            and enc is not None
-            and u is not None
-            and self.nominal.has_controller
-        ):
-            seen = smooth(plant, enc)
-            drives["controller"] = drive_controller(plant, ref_fine, seen, u[0], fine=True)
-            between = self._fine("controller", plant, drives["controller"], known)
-            if stretch.sent is None and plant.decimate > 1:
-                held = drive_controller(plant, held_rows(plant, ref), seen, u[0], fine=True)
-                other = self._fine("controller", plant, held, known)
-                ref_late = late_jumps(plant, ref, ref_fine)
-                if ref_late is not None:
-                    late_drives["controller"] = drive_controller(plant, ref_late, seen, u[0], fine=True)
-                    jumped = self._fine("controller", plant, late_drives["controller"], known)
+        ref_fine = None if ref is None else self._reference(out, ref, known)
         if u is None or enc is None:
-            return Prepared(plant, drives, stretch)
-        u_fine = smooth(plant, u) if between is None else _through(plant, u, between)
-        loads = self.loads(enc)
-        drives["actuator"] = drive_actuator(plant, u_fine, enc[0], loads, fine=True)
-        if plant.decimate == 1:
-            return Prepared(plant, drives, stretch)
-        if between is None:
+            return out
+        commands = _Commands(None)
+        if ref is not None and ref_fine is not None and self.nominal.has_controller:
+            commands = self._commands(out, (ref, ref_fine, enc, u), known)
+        return self._valves(out, enc, u, commands)
+
+    def _reference(self, out: Prepared, ref: Array, known: ParameterSets) -> Array:
+        """The received reference at every PLC cycle; the link's drive goes to `out` where what was sent is known."""
+        plant, sent = out.plant, out.stretch.sent
+        if sent is None:
+            return _through(plant, ref, None)
+        cycles = (out.stretch.rows - 1) * plant.decimate + 1
+        drive = drive_by_sent(plant, sent.t_s, sent.q, float(out.stretch.t_s[0]), cycles, lost=sent.lost)
+        out.drives["link"] = drive
+        return _through(plant, ref, self._fine("link", plant, drive, known))
+
+    def _commands(self, out: Prepared, signals: tuple[Array, Array, Array, Array], known: ParameterSets) -> _Commands:
+        """The controller's courses from reference (logged, fine), encoders and commands; its drives go to `out`."""
+        plant = out.plant
+        ref, ref_fine, enc, u = signals
+        seen = smooth(plant, enc)
+
+        def driven(course: Array) -> tuple[Drive, Array | None]:
+            drive = drive_controller(plant, course, seen, u[0], fine=True)
+            return drive, self._fine("controller", plant, drive, known)
+
+        out.drives["controller"], own = driven(ref_fine)
+        if out.stretch.sent is not None or plant.decimate == 1:
+            return _Commands(own)
+        _, held = driven(held_rows(plant, ref))
+        ref_late = late_jumps(plant, ref, ref_fine)
+        if ref_late is None:
+            return _Commands(own, held)
+        out.late["controller"], jumped = driven(ref_late)
+        return _Commands(own, held, jumped)
+
+    def _valves(self, out: Prepared, enc: Array, u: Array, commands: _Commands) -> Prepared:
+        """With the actuators' drive, and with the other courses that the commands may have taken."""
+        plant, loads = out.plant, self.loads(enc)
+
+        def driven(course: Array) -> Drive:
+            return drive_actuator(plant, course, enc[0], loads, fine=True)
+
+        if commands.own is None:
+            out.drives["actuator"] = driven(smooth(plant, u))
+            if plant.decimate == 1:
+                return out
             other = u_late = late(plant, u)
         else:
-            other = _through(plant, u, other)
-            u_late = None if jumped is None else _through(plant, u, jumped)
+            out.drives["actuator"] = driven(_through(plant, u, commands.own))
+            other = _through(plant, u, commands.held)
+            u_late = None if commands.jumped is None else _through(plant, u, commands.jumped)
         if u_late is not None:
-            late_drives["actuator"] = drive_actuator(plant, u_late, enc[0], loads, fine=True)
-        return Prepared(plant, drives, stretch, other, late_drives)
+            out.late["actuator"] = driven(u_late)
+        return replace(out, other=other)
 
     def outputs(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
         """What every set gives for a stage's output (sets, rows, n); None where the stretch lacks input or output."""

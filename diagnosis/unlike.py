@@ -11,10 +11,10 @@ import numpy as np
 
 from diagnosis.candidates import SWINGS
 from diagnosis.cells import Cell
-from diagnosis.cells_dynamic import Replay, part_increments
 from diagnosis.floor import increments
 from diagnosis.score import STICKS
 from diagnosis.search import Search, searched_without
+from diagnosis.stage_replay import Replay, part_increments
 from machine.effects.layout import ParameterSets
 
 UNLIKE_NATS = 100.0  # for a name where the joint moved unlike: after a square wave a lag gained 61

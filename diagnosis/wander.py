@@ -11,11 +11,11 @@ import numpy as np
 
 from diagnosis.candidates import Candidate, named
 from diagnosis.cells import Cell
-from diagnosis.cells_dynamic import Replay
 from diagnosis.day_noise import day_noise
 from diagnosis.excess import common_excess
 from diagnosis.fit import evaluated, neutral_fit
 from diagnosis.nominal import Nominal
+from diagnosis.stage_replay import Replay
 from machine.rotations import Array
 
 DAYS_MIN = 6  # recordings that can tell

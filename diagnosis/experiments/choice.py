@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from diagnosis.cells_camera import CornerResidual
-from diagnosis.cells_dynamic import Replay
 from diagnosis.diagnose import Diagnosis
 from diagnosis.experiments.described import described
 from diagnosis.experiments.library import Experiment, Motion, motions
@@ -14,6 +13,7 @@ from diagnosis.experiments.postures import extremes, looks, pool, visible
 from diagnosis.experiments.prediction import rows_of_motion, rows_of_postures, sets_of
 from diagnosis.experiments.separation import separation_nats
 from diagnosis.nominal import Nominal
+from diagnosis.stage_replay import Replay
 from diagnosis.weigh import SEPARATED_NATS, Key
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array

@@ -8,7 +8,6 @@ import numpy as np
 from diagnosis.candidates import put
 from diagnosis.cells import Cell
 from diagnosis.cells_camera import CornerResidual, Frames, nuisance_of
-from diagnosis.cells_dynamic import Replay, part_of
 from diagnosis.cells_merged import merge_of, merged
 from diagnosis.cells_points import PointResidual
 from diagnosis.experiments.library import LOOK_S, SAMPLE_S, Motion, Postures
@@ -17,6 +16,7 @@ from diagnosis.link_angles import Path, without_encoders
 from diagnosis.points import PointData
 from diagnosis.reading import Read
 from diagnosis.replay import Replayer, replayer_of
+from diagnosis.stage_replay import Replay, part_of
 from diagnosis.stretches import Sent, Stretch
 from diagnosis.wander import with_wander
 from machine.effects.dynamics import DynamicStage, drive_by_sent, simulate

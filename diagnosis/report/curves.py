@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.candidates import put
-from diagnosis.cells_dynamic import LAST, OUTPUT, Part, Replay
 from diagnosis.diagnose import CellAnswer, Diagnosis
 from diagnosis.score import Score, fold_thetas
+from diagnosis.stage_replay import LAST, OUTPUT, Part, Replay
 from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 
 from diagnosis.cells import Cell
-from diagnosis.cells_dynamic import LAST, OUTPUT, SKIPPED, Part, Replay, whiten_sets
 from diagnosis.floor import Whitener, increments
+from diagnosis.stage_replay import LAST, OUTPUT, SKIPPED, Part, Replay, whiten_sets
 from diagnosis.tables import filled
 from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets

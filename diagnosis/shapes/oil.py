@@ -10,11 +10,11 @@ import numpy as np
 from numba import njit
 
 from diagnosis.cells import Cell
-from diagnosis.cells_dynamic import Replay
 from diagnosis.refusal import Fired
 from diagnosis.shapes.driven import Course, courses_of, modelled_of, placed, white_columns
 from diagnosis.shapes.found import SINGLE_MOMENTS, TEST, Shape
 from diagnosis.shapes.gain import held_out_nats
+from diagnosis.stage_replay import Replay
 from machine.rotations import Array
 
 FREQUENCIES_HZ = np.geomspace(0.8, 6.0, 12)

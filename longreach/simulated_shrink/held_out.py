@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.baseline import entries_of
-from diagnosis.cells_dynamic import Replay
 from diagnosis.diagnose import CellAnswer, Diagnosis
 from diagnosis.score import fold_thetas
+from diagnosis.stage_replay import Replay
 from diagnosis.stretches import Stretch
 from machine.effects.entries import EffectEntry
 

@@ -8,12 +8,13 @@ import pytest
 from diagnosis_cases import folder, recording
 
 from diagnosis.cells import Cell, Rows
-from diagnosis.cells_dynamic import SILENT_SHARE, Replay
 from diagnosis.floor import Whitener
 from diagnosis.left_over import cells_of, with_baseline
 from diagnosis.reading import read
 from diagnosis.refusal import QUIET_TIMES
 from diagnosis.refusal import tests_of as fired_tests
+from diagnosis.stage_floor import SILENT_SHARE
+from diagnosis.stage_replay import Replay
 from machine.effects.layout import neutral_sets
 from machine.remainder import USUAL_ENERGY, Remainder
 

@@ -9,7 +9,6 @@ from diagnosis_cases import folder, recording
 
 from diagnosis.candidates import NARROW, named
 from diagnosis.cells import Cell
-from diagnosis.cells_dynamic import Replay
 from diagnosis.diagnose import Diagnosis, diagnose
 from diagnosis.fit import costs, evaluated
 from diagnosis.form import Otherwise
@@ -18,6 +17,7 @@ from diagnosis.left_over import cells_of, forms_of, with_baseline
 from diagnosis.reading import Read, read
 from diagnosis.refusal import tests_of as fired_tests
 from diagnosis.shapes.driven import Course
+from diagnosis.stage_replay import Replay
 from diagnosis.unlike import UNLIKE_NATS, marked, told_who_sticks
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named

@@ -1,0 +1,179 @@
+"""A dynamic stage's residual for any parameters: 20 Hz increments of measured less replayed, white by its noise."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.day_noise import DayNoise
+from diagnosis.errors import DiagnosisError
+from diagnosis.floor import BLOCK_S, Whitener
+from diagnosis.replay import Prepared, Replayer, measured_output
+from diagnosis.side_by_side import side_by_side
+from diagnosis.stretches import Stretch
+from diagnosis.tables import filled
+from machine.effects.dynamics import Actuators, Drive, DynamicStage, simulate
+from machine.effects.kernel import BREAKAWAY
+from machine.effects.layout import ParameterSets, neutral_sets
+from machine.rotations import Array
+
+LAST = {"link": DynamicStage.LINK, "controller": DynamicStage.CONTROLLER, "actuator": DynamicStage.ACTUATOR}
+OUTPUT = {"link": "ref", "controller": "u", "actuator": "enc"}
+SKIPPED = 10  # increments at a stretch's start: the valve's state is not known there
+TIMING_S = 1.5e-3
+PASSES = 3
+UNIFORM = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
+
+    `between`: (m, joints), how far two guesses of the input's course between logged rows drive the increments apart;
+    `unsure`: (m, joints), the same of jumps that each may be anywhere in its row; None where no row hides a jump.
+    `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
+    course (m,); empty, or None, where nothing is.
+    """
+
+    plant: Actuators
+    drive: Drive
+    measured: Array
+    stretch: Stretch
+    between: Array
+    unsure: Array | None = None
+    moved: tuple[Callable[[Array], Array] | None, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """The whitened residual of a stage for some joints, over several stretches.
+
+    `day`: what the machine's numbers wander by from day to day, where that is known.
+    """
+
+    stage: str
+    joints: tuple[int, ...]
+    parts: tuple[Part, ...]
+    whitener: Whitener
+    day: DayNoise | None = None
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        """Residuals (sets, N): stretches end to end, channels within each."""
+        chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(self.joints)]), sets.machine)
+        out = np.concatenate(side_by_side(lambda part: self._white(part, chosen), self.parts), axis=1)
+        return out if self.day is None else self.day.white(out)
+
+    def _white(self, part: Part, sets: ParameterSets) -> Array:
+        steps, shift = part_increments(self.stage, part, sets)
+        weight = trust(part, self.whitener)
+        white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
+        if self.stage == "actuator":
+            columns = [whiten_sets(self.whitener, one)[:, SKIPPED:] * weight for one in (part.between[None], shift)]
+            white = _excused(white, columns)
+        return white.transpose(0, 2, 1).reshape(len(white), -1)
+
+
+def trust(part: Part, whitener: Whitener) -> Array | float:
+    """The weight of rows (1, m, joints): those after a jump that may be anywhere in its row count less.
+
+    Model: 1 / (1 + x^2) over the jump's standard deviation x: beside the noise it tells as much as chance, far above it
+           nothing, not one deviation time after time.
+    """
+    if part.unsure is None:
+        return 1.0
+    return 1.0 / (1.0 + (UNIFORM * whiten_sets(whitener, part.unsure[None])[:, SKIPPED:]) ** 2)
+
+
+def _excused(white: Array, columns: list[Array]) -> Array:
+    """Residuals without what the log's own coarseness can explain, per set and joint.
+
+    Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
+    the command's course is a guess. At most once the difference of two guesses, and a shift of at most TIMING_S, are
+    no effects. Solved in turn (Gauss-Seidel), the courses first, since each has its own limit: what both can explain
+    is theirs.
+    """
+    amounts = [np.zeros_like(white[:, :1]) for _ in columns]
+    left = white
+    for _ in range(PASSES):
+        for k, (column, most) in enumerate(zip(columns, (1.0, TIMING_S), strict=True)):
+            wanted = np.clip(amounts[k] - _share(left, column), -most, most)
+            left = left + (wanted - amounts[k]) * column
+            amounts[k] = wanted
+    return left
+
+
+def _share(white: Array, column: Array) -> Array:
+    """Least-squares amount of a column in the residual, (sets, 1, joints)."""
+    power = (column**2).sum(axis=1, keepdims=True)
+    return (column * white).sum(axis=1, keepdims=True) / np.where(power > 1e-12, power, np.inf)
+
+
+def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array, Array]:
+    """20 Hz increments (sets, m, joints) of measured less replayed, and their change per second of delay."""
+    traces = simulate(part.plant, sets, part.drive, LAST[stage])
+    modelled = getattr(traces, OUTPUT[stage])
+    error = part.measured[None, : modelled.shape[1]] - modelled
+    for channel, otherwise in enumerate(part.moved):
+        if otherwise is None:
+            continue
+        for k in np.nonzero(sets.joint[:, channel, BREAKAWAY])[0]:
+            error[k, :, channel] -= otherwise(modelled[k, :, channel])
+    size = max(1, round(BLOCK_S / part.stretch.dt_s))
+    rows = error.shape[1] // size * size
+    shape = (len(error), -1, size, error.shape[2])
+    means = error[:, :rows].reshape(shape).mean(axis=2)
+    slopes = np.gradient(modelled[:, :rows], part.stretch.dt_s, axis=1).reshape(shape).mean(axis=2)
+    return np.diff(means, axis=1), np.diff(slopes, axis=1)
+
+
+def whiten_sets(whitener: Whitener, steps: Array) -> Array:
+    """White residuals (sets, m - order, n) of increments (sets, m, n)."""
+    p = whitener.order
+    out = steps[:, p:].copy()
+    for i in range(p):
+        out -= whitener.a[i] * steps[:, p - 1 - i : steps.shape[1] - 1 - i]
+    return out / whitener.sigma
+
+
+def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) -> Part:
+    """One stretch's replay narrowed to some joints (0-based)."""
+    drive = one.drives[stage]
+    signals = {name: getattr(drive, name) for name in ("sent", "ref", "enc", "u", "load", "load_kg")}
+    cut = {name: np.ascontiguousarray(values[:, joints]) for name, values in signals.items()}
+    narrowed = replace(drive, **cut, enc_start=drive.enc_start[joints].copy(), u_start=drive.u_start[joints].copy())
+    plant = replace(one.plant, joints=one.plant.joints[joints])
+    output = measured_output(stage, one.stretch)
+    if output is None:
+        raise DiagnosisError(f"{one.stretch.name}: the output of stage {stage} was not recorded")
+    measured = filled(output)[:, joints]
+    part = Part(plant, narrowed, measured, one.stretch, np.zeros((0, len(joints))))
+    finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
+    if stage == "actuator" and finer.any():
+        part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
+    own = part_increments(stage, part, neutral_sets(len(joints)))[0][0]
+
+    def apart(**inputs: Array) -> Array:
+        other = replace(
+            part, drive=replace(part.drive, **{k: np.ascontiguousarray(x[:, joints]) for k, x in inputs.items()})
+        )
+        return own - part_increments(stage, other, neutral_sets(len(joints)))[0][0]
+
+    jumped = one.late.get(stage)
+    unsure = None if jumped is None else apart(u=jumped.u) if stage == "actuator" else apart(ref=jumped.ref)
+    if stage != "actuator" or one.other is None:
+        return replace(part, between=np.zeros_like(own), unsure=unsure)
+    return replace(part, between=apart(u=one.other), unsure=unsure)
+
+
+def by_steps(part: Part) -> Array:
+    """What an endless number of steps changes in the modelled course (rows, joints), to first order in the step."""
+    own, half = (
+        simulate(replace(part.plant, refined=times), neutral_sets(part.plant.n), part.drive).enc[0] for times in (1, 2)
+    )
+    return 2.0 * (half - own)
+
+
+def white_rows(part: Part, order: int) -> int:
+    """White residuals of one channel in a part."""
+    size = max(1, round(BLOCK_S / part.stretch.dt_s))
+    return max(0, len(part.measured) // size - 1 - order - SKIPPED)
