@@ -17,8 +17,9 @@ from diagnosis.form import TOGETHER_MIN
 from diagnosis.left_over import cells_of, forms_of, remainders_of, with_baseline, with_mosts, with_wanders
 from diagnosis.reading import Read
 from diagnosis.refusal import at_edge, key_of, pattern_nats, steady_energy, tests_of
+from diagnosis.scan import FELT, Scan, foreseen, scan
 from diagnosis.score import Score, better, numbers_of, score
-from diagnosis.search import FELT, Scan, Search, foreseen, scan, search
+from diagnosis.search import Search, search
 from diagnosis.shapes.found import shapes_of
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from diagnosis.cells import Cell
 from diagnosis.fit import Fit, bounds, costs, evaluated, spans, weights
+from diagnosis.scan import Scan
 from diagnosis.score import covariance
-from diagnosis.search import Scan
 from machine.rotations import Array
 
 WHITE_ENERGY = 43.0  # |s|^2 with s/2 - 1.28 = 2 standard errors over blocks (score.py): in white noise found with 90 %

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.candidates import named
-from diagnosis.search import foreseen
+from diagnosis.scan import foreseen
 
 ANGLE = np.linspace(-1.0, 1.3, 400)
 

@@ -12,8 +12,9 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.fit import evaluated, fit, jacobian, neutral_fit
 from diagnosis.limits import detection_limit, intervals
 from diagnosis.refusal import Fired, at_edge, remainder
+from diagnosis.scan import scan
 from diagnosis.score import better, covariance, log_evidence, score
-from diagnosis.search import scan, search
+from diagnosis.search import search
 from diagnosis.shrink import closed_share, shrinks, squares
 from diagnosis.verdict import verdict_of
 from diagnosis.weigh import Weighed, calibration, combined, same_here, weighed
