@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from diagnosis.baseline import entries_of
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
+from diagnosis.forward import entries_of
 from machine.effects.entries import EffectEntry, entries_to_toml
 from recording.opening import read_run
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnosis.baseline import entries_of, forward
 from diagnosis.diagnose import diagnose
+from diagnosis.forward import entries_of, forward
 from diagnosis.left_over import cells_of, remainders_of, with_baseline
 from diagnosis.reading import Read, examine
 from machine.effects.entries import EffectEntry

@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.baseline import entries_of
 from diagnosis.diagnose import CellAnswer, Diagnosis
+from diagnosis.forward import entries_of
 from diagnosis.score import fold_thetas
 from diagnosis.stage_replay import Replay
 from diagnosis.stretches import Stretch

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.baseline import entries_of
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
+from diagnosis.forward import entries_of
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
 from longreach.simulated_shrink.compare import SKIPPED_S, Errors, positions, speeds

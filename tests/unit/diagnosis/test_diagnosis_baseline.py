@@ -10,11 +10,11 @@ from diagnosis_cases import MACHINE_TOML
 from scipy.signal import lfilter
 from test_diagnosis_search import made_up
 
-from diagnosis.baseline import entries_of, forward
 from diagnosis.candidates import named, put
 from diagnosis.cells_behind import joined, told_behind, without
 from diagnosis.fit import Fit, neutral_fit
 from diagnosis.floor import Floor, Whitener, with_remainder
+from diagnosis.forward import entries_of, forward
 from diagnosis.nominal import nominal_of
 from diagnosis.search import search
 from longreach.fit_baseline import with_baseline
