@@ -13,6 +13,7 @@ from diagnosis.score import Score
 from diagnosis.shrink import closing, together
 from diagnosis.sliding import in_metres
 from diagnosis.unseen import one_more, unseen_share
+from diagnosis.unweighed import unweighed
 from diagnosis.weigh import Key, Whole, calibration
 from machine.effects.registry import effect_named
 from machine.effects.spec import Direction
@@ -42,7 +43,7 @@ def judgement(found: Diagnosis) -> dict[str, Any]:
         "hypotheses": hypotheses,
         "outside_probability": _outside(found),
         "unseen_probability": _round((1.0 - _outside(found)) * unseen_share(found.verdict.word)),
-        "indistinguishable": _classes(found.cells),
+        "indistinguishable": _classes(found),
         "credible_set_90": _credible(found),
         "localisation": _localisation(found),
         "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in found.localisation.merged],
@@ -120,8 +121,15 @@ def _vector(name: str, unit: str, direction: Direction, numbers: tuple[Interval,
     }
 
 
-def _classes(cells: tuple[CellAnswer, ...]) -> list[list[dict[str, Any]]]:
-    return [[{"name": name, "joint": joint} for name, joint in members] for one in cells for members in one.same]
+def _classes(found: Diagnosis) -> list[list[dict[str, Any]]]:
+    """Effects that this recording cannot tell apart, and those that this machine file cannot."""
+    classes = [members for one in found.cells for members in one.same]
+    classes += unweighed(found.whole.nominal, [key for one in found.cells for key in _names(one)])
+    return [[{"name": name, "joint": joint} for name, joint in members] for members in classes]
+
+
+def _names(one: CellAnswer) -> list[Key]:
+    return [effect.key for effect in one.chosen.fit.hypothesis]
 
 
 def _credible(found: Diagnosis) -> list[dict[str, Any]]:

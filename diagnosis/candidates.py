@@ -21,8 +21,12 @@ FREQUENCIES_HZ = (1.2, 1.8, 2.5, 3.5, 5.0)  # a swing's cost has a valley for ea
 SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
 #: Effects of the joint stage that points or markers behind the encoder show.
 SEEN_BEHIND_ENCODER = ("encoder_bias", "encoder_scale", "encoder_eccentricity", "backlash")
+#: Entered as a number at every mounting; lengths and axes come from a machine tool, and are the rarer fault.
+SET_BY_HAND = ("encoder_bias",)
 #: Effects that need the encoders' course in time, and the actuators' cycle to follow it.
 SEEN_IN_MOTION = ("backlash", "link_flexibility")
+
+Variant = tuple[str, int | None, str, tuple[float, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +57,11 @@ class Candidate:
     def key(self) -> tuple[str, int | None]:
         """Effect and joint, whatever the variant."""
         return self.name, self.joint
+
+    @property
+    def variant(self) -> Variant:
+        """The same with what distinguishes its variants: a length of a or of d, a tilt about x or about y."""
+        return self.name, self.joint, self.option, tuple(value for _, value in self.fixed)
 
     @property
     def vector(self) -> bool:

@@ -57,6 +57,25 @@ def behind_cells(whole: Read, base: ParameterSets, with_odometry: bool = False) 
     return [replace(joined(parts, known.spread), usual_names=known.usual_names)]
 
 
+def independent(cell: Cell, count: int) -> int:
+    """How many of so many residuals speak for themselves: where the noise was never measured, what an arm's model is
+    wrong by in one pose takes all of that pose's points with it.
+    """
+    if cell.floor_known or not isinstance(cell.whitened, PointResidual):
+        return count
+    return min(count, 3 * len(np.unique(cell.whitened.noise.instants)))
+
+
+def guessed_scatter_m(cell: Cell) -> float:
+    """The noise of measured points where it was guessed from what no mixture of effects explains; else 0."""
+    own = [
+        float(part.whitened.noise.own.max())
+        for part in cell.parts or (cell,)
+        if not part.floor_known and isinstance(part.whitened, PointResidual)
+    ]
+    return max(own, default=0.0)
+
+
 def joined(parts: list[Cell], spread: float = 1.0) -> Cell:
     """Several cells as one: candidates of all, residuals end to end.
 

@@ -33,6 +33,7 @@ from machine.effects.layout import ParameterSets
 Progress = Callable[[str, int, int], None]
 SINGLES_COUPLED = 2  # of each joint, besides what was chosen there, that are searched again beside supply_droop
 SHARED = 0.15  # of what a joint's actuator gains: the next joint's has to gain more to have a cause of its own
+SHARED_UNKNOWN = 0.02  # the same where no baseline is known: there every joint has its own faults
 TOLD_ODDS = 3.0  # of the names told against fewer of them
 CHOSEN_SHARE = 0.6  # of the two's probability, for a hypothesis that passed the margin against one that scored more
 
@@ -133,7 +134,8 @@ def _beside_each_other(found: list[Search]) -> list[Search]:
     gains = [one.chosen.total - one.none.total for one in found]
     out = []
     for k, one in enumerate(found):
-        least = SHARED * max((gain for other, gain in enumerate(gains) if other != k), default=0.0)
+        share = SHARED if one.cell.usual else SHARED_UNKNOWN
+        least = share * max((gain for other, gain in enumerate(gains) if other != k), default=0.0)
         out.append(searched_again(one, least) if least > one.cell.least_nats and gains[k] > 0.0 else one)
     return out
 
@@ -249,7 +251,7 @@ def _named(chosen: Score, ranked: tuple[Weighed, ...]) -> Score:
 
 
 def _first(all_of: tuple[Weighed, ...], chosen: Score) -> tuple[Weighed, ...]:
-    """The chosen hypothesis first: what passed the margin goes before what merely scored a little more.
+    """The chosen hypothesis first, none likelier: what passed the margin goes before what merely scored a little more.
 
     Where both have as many names, no margin stands between them: as likely as each other is what the two are then.
     """
@@ -259,8 +261,15 @@ def _first(all_of: tuple[Weighed, ...], chosen: Score) -> tuple[Weighed, ...]:
         return all_of
     share = 0.5 if len(top.score.fit.hypothesis) == len(chosen.fit.hypothesis) else CHOSEN_SHARE
     both = own.probability + top.probability
-    moved = (Weighed(chosen, share * both), Weighed(top.score, (1.0 - share) * both))
-    return (*moved, *(one for one in all_of if one is not own and one is not top))
+    most = share * both
+    rest = [Weighed(one.score, min(one.probability, most)) for one in all_of if one is not own and one is not top]
+    listed = (Weighed(chosen, most), Weighed(top.score, min((1.0 - share) * both, most)), *rest)
+    total = sum(one.probability for one in listed)
+    return tuple(sorted((replace(one, probability=one.probability / total) for one in listed), key=_less_likely))
+
+
+def _less_likely(one: Weighed) -> float:
+    return -one.probability
 
 
 def _hypotheses(answers: tuple[CellAnswer, ...]) -> tuple[Whole, ...]:

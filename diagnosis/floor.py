@@ -18,6 +18,9 @@ ORDER_MAX = 6
 ORDER_LEFT = 20  # of what a baseline leaves: a second, in which a slow swing shows
 SIGMA_MIN = 1e-12
 RESPONSE = 1000  # increments, 50 s
+STOOD = 1e-9  # two readings closer than this are one [rad or m]
+STILL_SHARE = 0.2  # of a log's rows: a signal without steps hardly ever repeats itself
+PILED = 0.6  # the least change over what one in ten stays below: without steps a tenth
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,14 +161,19 @@ def _yule_walker(covariance: Array) -> tuple[Array, float]:
 
 
 def encoder_step(column: Array) -> float:
-    """The encoder's resolution [rad]: the step that most changes are multiples of; 0 where it shows none."""
+    """The encoder's resolution [rad]: the step that most changes are multiples of; 0 where it shows none.
+
+    Behind a linkage the same step of the encoder is a little longer here than there: then changes pile up at the least.
+    """
     changes = np.abs(np.diff(column[np.isfinite(column)]))
-    changes = changes[changes > 1e-9]
+    still = float(np.mean(changes <= STOOD)) if len(changes) else 0.0
+    changes = changes[changes > STOOD]
     if len(changes) < 50:
         return 0.0
-    step = float(np.quantile(changes, 0.02))
+    least, step, more = np.quantile(changes, (0.01, 0.02, 0.1))
     away = np.abs(changes / step - np.round(changes / step))
-    return step if float(np.median(away)) < 0.02 else 0.0
+    multiples = float(np.median(away)) < 0.02
+    return float(step) if multiples or (still > STILL_SHARE and least > PILED * more) else 0.0
 
 
 def deviations(repeats: Array) -> list[Array]:

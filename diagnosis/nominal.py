@@ -166,7 +166,8 @@ class _Reader:
         )
         com = [_vector(joint, "com_m", 3, name) for joint, name in zip(self._joints, names, strict=True)]
         if any("mass_kg" not in joint for joint in self._joints):
-            self._absent.append(("load", "some joint has no mass_kg: gravity's torque is not known"))
+            text = "some joint has no mass_kg: gravity's torque is not known; a bend is told as an encoder's error"
+            self._absent.append(("load", text))
         centres = np.array([np.zeros(3) if one is None else one for one in com])
         return arm_from_dh(rows, tool, mass, centres, gravity), names
 

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import chdtrc, erfc  # scipy.stats takes a second to import
 
 from diagnosis.cells import DRIVEN_STAGES, Cell
+from diagnosis.cells_behind import independent
 from diagnosis.score import Score
 from machine.remainder import USUAL_ENERGY, USUAL_NATS
 from machine.rotations import Array
@@ -199,7 +200,7 @@ def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
         if power == 0.0:
             continue
         rho = float(x @ y) / power
-        p = float(erfc(abs(rho) * np.sqrt(0.5 * len(x))))  # two-sided
+        p = float(erfc(abs(rho) * np.sqrt(0.5 * independent(cell, len(x)))))  # two-sided
         if abs(rho) * np.sqrt(quiet) > CORRELATION_MIN:
             found.append(Fired("correlation", cell.stage, cell.joint, abs(rho), p, f"goes with {name}", rho**2))
     return found
@@ -214,9 +215,9 @@ def _peaks(cell: Cell, r: Array, quiet: float) -> list[Fired]:
         span = float(np.ptp(values))
         if span <= 0.0 or len(values) < 100:
             continue
-        # At least three periods, at most one in four samples; over position up to 60 a turn.
+        # At least three periods, at most one in four samples or different positions; over position up to 60 a turn.
         least = 3.0 / min(span, 60.0 if name == "time" else span)
-        most = 5.0 if name == "time" else 60.0 / (2.0 * np.pi)
+        most = 5.0 if name == "time" else min(60.0 / (2.0 * np.pi), 0.25 * len(np.unique(values.round(3))) / span)
         if most <= least:
             continue
         f = np.linspace(least, most, PERIODS)
@@ -224,7 +225,7 @@ def _peaks(cell: Cell, r: Array, quiet: float) -> list[Fired]:
         best = int(np.argmax(share))
         if share[best] * quiet < PEAK_MIN:
             continue
-        p = min(1.0, PERIODS * float(np.exp(-0.5 * len(r) * share[best])))
+        p = min(1.0, PERIODS * float(np.exp(-0.5 * independent(cell, len(r)) * share[best])))
         shown = f[best] if name == "time" else f[best] * 2.0 * np.pi
         lead, size = f"periodic in {name}, {shown:.3g} {unit}", float(share[best])
         found.append(Fired("peak", cell.stage, cell.joint, size, p, lead, size))

@@ -1,5 +1,6 @@
 """One candidate over its range: what each size leaves of a cell's residual, and where the best size lies."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -113,9 +114,21 @@ def _wave(slots: tuple[Slot, ...], thetas: Array, changes: Array, r0: Array) -> 
 
 def variants_settled(scans: list[Scan]) -> list[Scan]:
     """The best variant of each effect and joint."""
-    best: dict[tuple[str, int | None], Scan] = {}
+    return _best(scans, lambda one: one.candidate.key)
+
+
+def orders_settled(scans: list[Scan]) -> list[Scan]:
+    """The best order of each wave; a length of a and one of d both stay, and so do tilts about two axes.
+
+    Why not all orders: a dozen waves for every joint explain a little of anything, where poses are few.
+    """
+    return _best(scans, lambda one: (one.candidate.key, one.candidate.option))
+
+
+def _best(scans: list[Scan], kind: Callable[[Scan], object]) -> list[Scan]:
+    best: dict[object, Scan] = {}
     for one in scans:
-        key = one.candidate.key
+        key = kind(one)
         if key not in best or one.costs[one.best] < best[key].costs[best[key].best]:
             best[key] = one
     return list(best.values())

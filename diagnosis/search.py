@@ -5,27 +5,32 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.candidates import beside
+from diagnosis.candidates import SET_BY_HAND, Variant, beside
 from diagnosis.cells import Cell
 from diagnosis.fit import neutral_fit
-from diagnosis.further import asked_more, one_more, steps_further, swapped
+from diagnosis.further import Change, asked_more, one_more, steps_further, swapped, swaps
 from diagnosis.margin import MARGIN_NATS
 from diagnosis.rare import with_the_event_cut
-from diagnosis.scan import Scan, refined, scan, variants_settled
+from diagnosis.scan import Scan, orders_settled, refined, scan, variants_settled
 from diagnosis.score import Score, better, chosen_nats, score
-from diagnosis.several import ROUNDS_PAIR, Book, Key, burdened, pairs_of, triples_of
+from diagnosis.several import ROUNDS_PAIR, Book, burdened, pairs_of, triples_of
 
 SCAN_GAIN_NATS = 1.0  # a candidate whose best scanned size gains less is not fitted: it cannot reach the margin
 SINGLES_MAX = 16  # fitted, the best of the scan
 ROUNDS_SINGLE = 8
+TILT = "joint_axis_tilt"
 
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """What was tried in one cell. `chosen` passed the margin; `spread`: chi2/n of the best model, at least 1."""
+    """What was tried in one cell. `chosen` passed the margin; `spread`: chi2/n of the best model, at least 1.
+
+    `scans`: of each effect and joint the best variant as the only name; `variants`: the others, too.
+    """
 
     cell: Cell
     scans: tuple[Scan, ...]
+    variants: tuple[Scan, ...]
     none: Score
     scored: tuple[Score, ...]
     chosen: Score
@@ -43,43 +48,45 @@ def search(cell: Cell, further: bool = True) -> Search:
     nothing = neutral_fit(cell)
     cell = with_the_event_cut(cell, nothing.residual)
     none = score(cell, nothing)
-    scans = variants_settled([scan(cell, one, none.fit) for one in cell.candidates])
-    return _searched(cell, none, scans, {}, further)
+    return _searched(cell, none, orders_settled([scan(cell, one, none.fit) for one in cell.candidates]), {}, further)
 
 
 def searched_again(found: Search, least_nats: float) -> Search:
     """The same search by a higher margin: nothing is fitted twice."""
-    return _searched(replace(found.cell, least_nats=least_nats), found.none, list(found.scans), _by_keys(found.scored))
+    return _searched(replace(found.cell, least_nats=least_nats), found.none, list(found.variants), _known(found.scored))
 
 
 def searched_without(found: Search, name: str) -> Search:
     """The same search with one effect taken out of the library: what was fitted without it is not fitted again."""
     cell = replace(found.cell, candidates=tuple(one for one in found.cell.candidates if one.name != name))
-    scans = [one for one in found.scans if one.candidate.name != name]
+    variants = [one for one in found.variants if one.candidate.name != name]
     kept = [score for score in found.scored if all(one.name != name for one in score.fit.hypothesis)]
-    return _searched(cell, found.none, scans, _by_keys(kept))
+    return _searched(cell, found.none, variants, _known(kept))
 
 
-def _by_keys(scored: Iterable[Score]) -> dict[frozenset[Key], Score]:
-    return {frozenset(one.key for one in score.fit.hypothesis): score for score in scored}
+def _known(scored: Iterable[Score]) -> dict[frozenset[Variant], Score]:
+    return {frozenset(one.variant for one in score.fit.hypothesis): score for score in scored}
 
 
 def _searched(
-    cell: Cell, none: Score, scans: list[Scan], known: dict[frozenset[Key], Score], further: bool = True
+    cell: Cell, none: Score, variants: list[Scan], known: dict[frozenset[Variant], Score], further: bool = True
 ) -> Search:
     book = Book(cell, {**known, frozenset(): none})
+    scans, changes = variants_settled(variants), _changes(variants)
     singles = _singles(book, scans, none)
     pairs = sorted(pairs_of(book, singles, none) + burdened(book, singles), key=lambda one: -one.total)
     triples = triples_of(book, singles, pairs)
-    levels = [level for level in (singles, pairs, triples) if level]
+    levels = [_with_siblings(book, changes, level) for level in (singles, pairs, triples) if level]
     chosen, spread = _best_that_passes(book, levels)
     if further and chosen is not none and steps_further(cell):
-        levels += _further(book, scans, levels)
+        levels += _further(book, changes, levels)
         chosen, spread = _best_that_passes(book, levels)
     chosen = _backward(book, chosen, spread)
     if not better(chosen, none, none, spread, cell):  # what is left of a pair has to stand on its own
         chosen = none
-    return Search(cell, tuple(scans), none, tuple(book.known.values()), chosen, spread)
+    if len(chosen.fit.hypothesis) > 1:  # a zero that is off looks like the next axis' tilt, and is the likelier one
+        swaps(book.scored, [one for one in changes if one[0].name in SET_BY_HAND], chosen, TILT)
+    return Search(cell, tuple(scans), tuple(variants), none, tuple(book.known.values()), chosen, spread)
 
 
 def _best_that_passes(book: Book, levels: list[list[Score]]) -> tuple[Score, float]:
@@ -97,16 +104,32 @@ def _best_of(level: list[Score], spread: float) -> Score:
     return max(level, key=lambda one: one.total - spread * chosen_nats(one.fit))
 
 
-def _further(book: Book, scans: list[Scan], levels: list[list[Score]]) -> list[list[Score]]:
+def _changes(variants: list[Scan]) -> list[Change]:
+    return [
+        (one.candidate, one.thetas[one.felt], one.column)
+        for one in variants
+        if one.felt is not None and one.column is not None
+    ]
+
+
+def _with_siblings(book: Book, changes: list[Change], level: list[Score]) -> list[Score]:
+    """A level whose best hypothesis may exchange an effect's variant for another one.
+
+    Why: beside a joint's zero that is off, an error of d is best told as one of a, as long as it is the only name.
+    """
+    best = level[0]
+    if len(best.fit.hypothesis) < 2:
+        return level
+    keys = {one.key for one in best.fit.hypothesis}
+    better = swapped(book.scored, [one for one in changes if one[0].key in keys], best)
+    return level if better is best else [better, *level]
+
+
+def _further(book: Book, changes: list[Change], levels: list[list[Score]]) -> list[list[Score]]:
     """Name after name, as long as each gains the margin of one by the noise that the fit before it leaves.
 
     Why not by the noise of the recording: while half of the names are lacking, all that is left looks like noise.
     """
-    changes = [
-        (one.candidate, one.thetas[one.felt], one.column)
-        for one in scans
-        if one.felt is not None and one.column is not None
-    ]
     out: list[list[Score]] = []
     best = swapped(book.scored, changes, max((one for level in levels for one in level), key=lambda one: one.total))
     out.append([best])

@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 
+from diagnosis.candidates import Variant
 from diagnosis.cells import Cell
 from diagnosis.fit import Fit, Hypothesis, bounds, costs, evaluated, fit
 from diagnosis.margin import MARGIN_NATS
@@ -19,7 +20,6 @@ PAIRS_BURDENED = 2
 SOFTER = (0.4, 0.6, 0.8, 1.2, 1.6)  # of the compliance that explains most without another weight
 ROUNDS_BURDENED = 30  # compliance times weight is known far better than either
 ROUNDS_PAIR = 6
-Key = tuple[str, int | None]
 
 
 @dataclass(slots=True)
@@ -27,11 +27,11 @@ class Book:
     """Scores of one cell by hypothesis, so that nothing is fitted twice."""
 
     cell: Cell
-    known: dict[frozenset[Key], Score] = field(default_factory=dict)
+    known: dict[frozenset[Variant], Score] = field(default_factory=dict)
 
     def scored(self, hypothesis: Hypothesis, start: Array, rounds: int) -> Score:
         """The score of a hypothesis, fitted from `start` unless it is known."""
-        key = frozenset(one.key for one in hypothesis)
+        key = frozenset(one.variant for one in hypothesis)
         if key not in self.known:
             self.known[key] = score(self.cell, fit(self.cell, hypothesis, start, rounds))
         return self.known[key]

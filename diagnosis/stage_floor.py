@@ -9,7 +9,6 @@ from diagnosis.floor import (
     Floor,
     Whitener,
     deviations,
-    encoder_step,
     floor_of_repeats,
     floor_without_repeats,
     increments,
@@ -79,10 +78,8 @@ def _smallest(stage: str, prepared: list[Prepared]) -> Array:
     n = prepared[0].plant.n
     least = np.full(n, SIGMA_MIN[stage])
     if stage == "actuator":
-        steps = [
-            encoder_step(one.stretch.enc[:, j]) for one in prepared[:1] if one.stretch.enc is not None for j in range(n)
-        ]
-        least = np.maximum(least, STEP_SHARE * np.array(steps))
+        steps = [one.stretch.enc_step for one in prepared if one.stretch.enc_step is not None]
+        least = np.maximum(least, STEP_SHARE * np.max(steps, axis=0, initial=0.0))
     return least
 
 

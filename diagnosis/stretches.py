@@ -1,12 +1,13 @@
 """Evenly sampled pieces of a recording: each segment, cut where the log is broken."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.findings import Finding
+from diagnosis.floor import encoder_step
 from diagnosis.quality import DURATION_MIN_S, GAP_STEPS, ROWS_MIN
 from diagnosis.tables import PlcTable, Tables
 from machine.rotations import Array
@@ -24,6 +25,7 @@ class Stretch:
 
     `t_s`: (m,), a step of `dt_s`; `t_segment_s`: of the segment's start, so that repeats can be laid over each other.
     Signals (m, n), `p_supply` (m,); None where not recorded. `sent`: see `Sent`; None where the link cannot be judged.
+    `enc_step`: (n,) resolution of the encoders as they were logged, 0 where they show none.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Stretch:
     p_b: Array | None
     p_supply: Array | None
     sent: "Sent | None" = None
+    enc_step: Array | None = None
 
     @property
     def rows(self) -> int:
@@ -94,6 +97,7 @@ def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
     findings: list[Finding] = []
     segments = tables.run.segments or _whole(plc, findings)
     clock, lost = sent_clock(tables, findings), never_received(tables)
+    enc_step = np.array([encoder_step(column) for column in plc.enc.T])
     found: list[Stretch] = []
     for number, segment in enumerate(segments, start=1):
         pieces = list(_pieces(plc, segment))
@@ -103,7 +107,8 @@ def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
         for part, rows in enumerate(pieces, start=1):
             label = segment.name or f"{segment.kind}{number}"
             name = f"{label}/{part}" if len(pieces) > 1 else label
-            found.append(_stretch(plc, segment, name, rows, _sent(tables, clock, lost, plc.t_s[rows])))
+            one = _stretch(plc, segment, name, rows, _sent(tables, clock, lost, plc.t_s[rows]))
+            found.append(replace(one, enc_step=enc_step))
     findings += _mended(plc)
     return tuple(found), findings
 

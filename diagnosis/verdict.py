@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from diagnosis.cells import DRIVEN_STAGES, Cell
+from diagnosis.cells_behind import guessed_scatter_m
 from diagnosis.refusal import EDGE, ENERGY_MIN, Fired
 from diagnosis.score import STICKS, Score
 from diagnosis.shapes.found import TEST as SHAPE
@@ -25,6 +26,8 @@ LEFT_LARGE = 0.5  # share of the gap: a remainder above it says that no name fit
 HOLES_MANY = 10  # a cable pulled once is no fault of the log; samples that go missing all the time are
 CROWD = 3  # names at once on a machine whose usual state is known: one cause that the catalogue lacks is likelier
 WITH_TIME, DRIFT_NATS = "time", 25.0  # twice what is told as a lead: of 40 sound recordings none showed it
+LOUD = 4.0  # energy of what is left over a noise that was only estimated
+SCATTER_MAX_M = 0.02  # of measured points: no tracker or camera is that bad
 SURE = 0.5  # probability of the names, with their equivalents
 
 
@@ -79,6 +82,10 @@ def verdict_of(
         cell = unclear[0].search.cell
         text = f"{cell.label}: {_energy(unclear[0]):.2g} times the noise that was estimated, and no name foretells it"
         return Verdict("undecided", f"{text}; repeat a motion or a pose, so that the noise is known")
+    scattered = max((guessed_scatter_m(one.search.cell) for one in answers), default=0.0)
+    if not named and scattered > SCATTER_MAX_M:
+        text = f"the points scatter by {1e3 * scattered:.3g} mm about every model of this arm: that is no noise"
+        return Verdict("undecided", f"{text}; check the points' joint, frame and unit, and measure some poses twice")
     drifting = [(one, shape) for one in answers for shape in one.shapes if _drifts(one, shape)]
     if not named and drifting:
         one, shape = drifting[0]
@@ -86,6 +93,13 @@ def verdict_of(
         return Verdict("undecided", f"{text}; something moved that should not: a frame, a mount, a marker")
     if not named:
         return Verdict("none", "nothing above the noise floor")
+    loud = [one for one in unclear if one.chosen.fit.hypothesis and _energy(one) > LOUD]
+    if loud:
+        one = loud[0]
+        left = f"{_energy(one):.2g} times the noise that was estimated"
+        return Verdict(
+            "undecided", f"{one.search.cell.label}: the best names leave {left}: more is wrong than they say"
+        )
     little = [one for one in answers if _closed_at_most(one) < LEFT_LARGE]
     if little:
         one = little[0]

@@ -9,6 +9,7 @@ from itertools import count
 
 import numpy as np
 
+from diagnosis.candidates import SET_BY_HAND
 from diagnosis.cells import Cell
 from diagnosis.fit import evaluated
 from diagnosis.margin import MARGIN_NATS
@@ -21,8 +22,6 @@ SEPARATED_NATS = 9.0  # T below it: the data cannot tell two effects apart
 SHARE_MIN = 1e-3
 COMBINATIONS_MAX = 40
 SEEN_TOGETHER = {"structure": ("joint", "structure")}
-#: Entered as a number at every mounting; lengths and axes come from a machine tool, and are the rarer fault.
-SET_BY_HAND = ("encoder_bias",)
 EQUAL_NATS = 0.5
 BY_VERDICT = ("outside_probability", "unseen_probability")
 Key = tuple[str, int | None]
@@ -193,14 +192,17 @@ def _probability(kept: list[tuple[Weighed, ...]], at: tuple[int, ...]) -> float:
 def same_here(found: Search, chosen: Score) -> tuple[tuple[Key, ...], ...]:
     """Classes of effects that this recording cannot tell apart from each chosen effect.
 
-    Model: at the fitted size, T = least |W (f_i - f_j)|^2 over j's size (one linear step) below 9. What points the same
-           way (|cos| above 0.95) is told apart all the same where it is large: the data decide, not the angle.
+    Model: at the size that it was named with, T = least |W (f_i - f_j)|^2 over j's size (one linear step) below 9. What
+           points the same way (|cos| above 0.95) is told apart all the same where it is large: the data decide, not the
+           angle.
+    Why at that size: as the only name, beside five others, it may fit best at next to nothing, which is like all else.
     """
     classes: list[tuple[Key, ...]] = []
+    none, at = found.none.fit.residual, 0
     for effect in chosen.fit.hypothesis:
-        own = _column(found, effect.key)
-        if own is None:
-            continue
+        theta = chosen.fit.theta[at : at + len(effect.slots)]
+        at += len(effect.slots)
+        own = evaluated(found.cell, (effect,), theta[None])[0] - none
         rivals = [effect.key]
         for scan in found.scans:
             key = scan.candidate.key

@@ -13,6 +13,7 @@ from machine.poses import pose
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
 
 LENGTH_MIN_M = 1e-9  # a shorter link has no direction of its own
+SKEW_MIN = 0.05  # sine between two axes: below it they are parallel, and no normal of both is their own
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +36,9 @@ def arm_from_urdf(
     """The chain between two links of a URDF, up to their common ancestor and down again.
 
     Model:   before_i = fixed joints since the last moving one, origin, and the turn that brings the axis onto z;
-             after_i undoes that turn. Upwards the joint's inverse. Lengths: "a" along the origin's offset, "d" along
-             the axis. Link i is what joint i moves. Masses of links that are fixed to it are left out.
+             after_i undoes that turn. Upwards the joint's inverse. Lengths as of modified DH: "a" along the common
+             normal of the last axis and this one, "d" along the axis. Link i is what joint i moves. Masses of links
+             that are fixed to it are left out.
     Args:    joint_names: order of the joint vector; moving joints of the chain without a name here are held at 0, names
              that are not in the chain get a joint that moves nothing. Without them: the chain's own, from the base.
     Returns: the arm, and the names of its joints.
@@ -104,12 +106,12 @@ def _arm(
     before, after = np.tile(np.eye(4), (n, 1, 1)), np.tile(np.eye(4), (n, 1, 1))
     length_before, length_after = np.zeros((n, 2, 3)), np.zeros((n, 2, 3))
     moves, prismatic, mass, com = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 3))
+    last: Array | None = None
     for i, part in zip(places, parts, strict=True):
         turn = pose(_z_onto(part.joint.axis), np.zeros(3))
         before[i], after[i] = part.T_last_joint @ turn, turn.T
-        offset = part.T_last_joint[:3, 3]
-        length = float(np.linalg.norm(offset))
-        length_before[i, 0] = offset / length if length > LENGTH_MIN_M else 0.0
+        length_before[i, 0] = _apart(last, part)
+        last = part.joint.axis / np.linalg.norm(part.joint.axis)
         length_after[i, 1, 2] = 1.0
         moves[i] = -1.0 if part.rising else 1.0
         prismatic[i] = float(part.joint.kind == "prismatic")
@@ -117,6 +119,21 @@ def _arm(
     gravity = np.array([0.0, 0.0, -9.81])
     zero = np.zeros(n)
     return Arm(before, after, zero, moves, prismatic, length_before, length_after, mass, com, gravity, T_flange_tcp)
+
+
+def _apart(last: Array | None, part: _Part) -> Array:
+    """Direction (3,), in the last joint's frame, in which an axis may lie further from the last one.
+
+    0 where there is none: what goes along either axis is a d.
+    """
+    offset = part.T_last_joint[:3, 3]
+    axis = part.T_last_joint[:3, :3] @ part.joint.axis / np.linalg.norm(part.joint.axis)
+    normal = offset - (offset @ axis) * axis
+    if last is not None and float(np.linalg.norm(np.cross(last, axis))) > SKEW_MIN:
+        both = np.cross(last, axis)
+        normal = both if offset @ both >= 0.0 else -both
+    length = float(np.linalg.norm(normal))
+    return normal / length if length > LENGTH_MIN_M else np.zeros(3)
 
 
 def _z_onto(axis: Array) -> Array:
