@@ -8,6 +8,7 @@ from diagnosis.diagnose import CellAnswer, Diagnosis
 from diagnosis.experiments.choice import next_experiment
 from diagnosis.fit import Fit
 from diagnosis.limits import Interval
+from diagnosis.localise import totals_of
 from diagnosis.rivals import rivals
 from diagnosis.score import Score
 from diagnosis.shrink import closing, together
@@ -160,6 +161,8 @@ def _keys(whole: Whole) -> tuple[Key, ...]:
 
 
 def _localisation(found: Diagnosis) -> list[dict[str, Any]]:
+    """First each stage as a whole, then its joints or axes, which share what it has, and their regimes."""
+    places = found.localisation.places
     return [
         {
             "stage": place.stage,
@@ -171,7 +174,7 @@ def _localisation(found: Diagnosis) -> list[dict[str, Any]]:
             "unit": place.unit,
             "share_frac": _round(place.share_frac),
         }
-        for place in found.localisation.places
+        for place in (*totals_of(places), *places)
     ]
 
 

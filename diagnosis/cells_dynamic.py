@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, candidates_of, named
+from diagnosis.candidates import DROOP, SEEN_BY_ENCODER, Candidate, candidates_of, named
 from diagnosis.cells import FORM_SHARE, Cell, Rows, blocks_of, folds_of
 from diagnosis.floor import BLOCK_S, Floor, Whitener
 from diagnosis.read_off import read_off
@@ -49,7 +49,7 @@ def coupled_cell(
         return None
     floor = stage_floor(replayer, "actuator", some, base)
     cell = cell_of("actuator", tuple(range(n)), some, floor, base, replayer)
-    return replace(cell, candidates=named(("supply_droop",), ()))
+    return replace(cell, candidates=named((DROOP,), ()))
 
 
 def _recorded(stage: str, one: Prepared, j: int) -> bool:
@@ -164,7 +164,7 @@ def _candidates(
         cycles = (plant.cycle_s, plant.transport_delay_s)
         found = tuple(replace(one, cycles=cycles) if one.name == "transport_delay" else one for one in found)
     if stage == "actuator":
-        found = tuple(one for one in found if one.name != "supply_droop") + named(SEEN_BY_ENCODER, joints)
+        found = tuple(one for one in found if one.name != DROOP) + named(SEEN_BY_ENCODER, joints)
     loaded = replayer.torque_reference
     return tuple(one for one in found if possible(one, replayer, loaded))
 

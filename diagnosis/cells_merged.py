@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.candidates import Candidate, candidates_of, named
+from diagnosis.candidates import DROOP, Candidate, candidates_of, named
 from diagnosis.cells import Cell
 from diagnosis.cells_dynamic import cell_of, possible
 from diagnosis.replay import Prepared, Replayer
@@ -40,17 +40,34 @@ def merge_of(stretches: tuple[Stretch, ...]) -> Merge | None:
 
 
 def merged_cells(replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> list[Cell]:
-    """One cell over all joints: a late link moves them all."""
+    """The joints one by one; as one cell where the link is among what merges: a late link moves them all."""
+    merge, prepared = merge_of(stretches), merged_drives(replayer, stretches)
+    if merge is None or not prepared:
+        return []
+    everything = tuple(range(replayer.nominal.n))
+    groups = [everything] if "link" in merge.stages else [(j,) for j in everything]
+    floor = stage_floor(replayer, "actuator", prepared, base)
+    cells = [(joints, cell_of("actuator", joints, prepared, floor, base, replayer)) for joints in groups]
+    droop = named((DROOP,), ()) if "link" in merge.stages else ()
+    return [replace(cell, candidates=(*_candidates(merge, joints, replayer), *droop)) for joints, cell in cells]
+
+
+def coupled_merged_cell(replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> Cell | None:
+    """All joints at once, for what couples them, where they are judged one by one; else None."""
+    merge, prepared = merge_of(stretches), merged_drives(replayer, stretches)
+    if merge is None or not prepared or "link" in merge.stages or replayer.nominal.n < 2:
+        return None
+    floor = stage_floor(replayer, "actuator", prepared, base)
+    cell = cell_of("actuator", tuple(range(replayer.nominal.n)), prepared, floor, base, replayer)
+    return replace(cell, candidates=named((DROOP,), ()))
+
+
+def merged_drives(replayer: Replayer, stretches: tuple[Stretch, ...]) -> list[Prepared]:
+    """The stretches whose encoders can be replayed although no valve command was logged; none where one was."""
     merge = merge_of(stretches)
     if merge is None or not replayer.nominal.has_controller:
         return []
-    prepared = [one for stretch in stretches if (one := merged(replayer, stretch, merge)) is not None]
-    if not prepared:
-        return []
-    joints = tuple(range(replayer.nominal.n))
-    floor = stage_floor(replayer, "actuator", prepared, base)
-    cell = cell_of("actuator", joints, prepared, floor, base, replayer)
-    return [replace(cell, candidates=_candidates(merge, tuple(j + 1 for j in joints), replayer))]
+    return [one for stretch in stretches if (one := merged(replayer, stretch, merge)) is not None]
 
 
 def merged(replayer: Replayer, stretch: Stretch, merge: Merge) -> Prepared | None:
@@ -72,9 +89,10 @@ def merged(replayer: Replayer, stretch: Stretch, merge: Merge) -> Prepared | Non
 
 
 def _candidates(merge: Merge, joints: tuple[int, ...], replayer: Replayer) -> tuple[Candidate, ...]:
+    """What may be wrong with joints (0-based), each by itself; of the link, too, where it is among what merges."""
     found = tuple(
         one
         for stage in merge.stages
-        for one in candidates_of(stage, joints, stage == "link")  # pyright: ignore[reportArgumentType]
-    ) + named(("supply_droop",), ())
-    return tuple(one for one in found if possible(one, replayer, replayer.torque_reference))
+        for one in candidates_of(stage, tuple(j + 1 for j in joints), stage == "link")  # pyright: ignore[reportArgumentType]
+    )
+    return tuple(one for one in found if one.name != DROOP and possible(one, replayer, replayer.torque_reference))

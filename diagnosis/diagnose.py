@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from diagnosis.candidates import SEEN_BY_ENCODER, Candidate, put
+from diagnosis.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put
 from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, fitting, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
-from diagnosis.cells_merged import merged_cells
+from diagnosis.cells_merged import coupled_merged_cell, merged_cells
 from diagnosis.gear import gears
 from diagnosis.guessed_noise import searched
 from diagnosis.known import with_known
@@ -114,19 +114,20 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         cells = fitting(with_known(stage_cells(stage, replayer, whole.stretches, base, course), nominal), nominal)
         cells = without(cells, unseen)
         cells = [marked(replace(one, least_nats=_least(one, searches)), unlike) for one in cells]
-        unlike = (*unlike, *far_off(cells))
+        unlike = (*unlike, *far_off(cells)) if nominal.remainders else ()
         found = _searched(cells, progress)
         if stage == "actuator" and found:
             found = told_who_sticks(_beside_each_other(found))
             progress("what couples the joints", 0, 1)
             coupled = coupled_cell(replayer, whole.stretches, base, course)
             coupled = marked(with_known([coupled], nominal)[0], unlike) if coupled is not None else None
-            found = _with_coupling(found, coupled if "supply_droop" not in lacking else None)
+            found = _with_coupling(found, coupled if DROOP not in lacking else None)
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
         searches += found
-    merged = fitting(merged_cells(replayer, whole.stretches, base), nominal)
-    return searches + _searched(without(merged, unseen), progress)
+    merged = _searched(without(fitting(merged_cells(replayer, whole.stretches, base), nominal), unseen), progress)
+    together = coupled_merged_cell(replayer, whole.stretches, base) if DROOP not in lacking else None
+    return searches + _with_coupling(merged, together)
 
 
 def _beside_each_other(found: list[Search]) -> list[Search]:
@@ -186,7 +187,7 @@ def _with_coupling(searches: list[Search], coupled: Cell | None) -> list[Search]
         return searches
     others = {one.key: one for found in searches for one in _likely(found)}
     together = searched(replace(coupled, candidates=(*coupled.candidates, *others.values())))
-    if not any(one.name == "supply_droop" for one in together.chosen.fit.hypothesis):
+    if not any(one.name == DROOP for one in together.chosen.fit.hypothesis):
         return searches
     if together.chosen.total <= sum(one.chosen.total for one in searches):
         return searches

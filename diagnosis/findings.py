@@ -22,6 +22,7 @@ CODES: dict[str, str] = {
     "not_a_number": "numbers are missing or infinite",
     "constant": "a signal that never changes while others do",
     "gap": "rows are missing",
+    "bridged": "rows are missing so often that short gaps are filled by lines",
     "frozen": "old values are written again while the machine moves on",
     "clock_jump": "the clock jumps while the signals go on",
     "time_backwards": "time runs backwards",

@@ -66,9 +66,7 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
     patterns = [pattern for _, pattern in csv_fields(row_type)]
     finders = [column_finder(one) for one in patterns]
     findings = [
-        Finding(
-            "unknown_column", "problem", path.name, f"column {name!r} was not read{_nearest(name, _examples(patterns))}"
-        )
+        _unknown(path, name, _nearest(name, _examples(patterns)))
         for name in names
         if name and not any(finder.fullmatch(name) for finder in finders)
     ]
@@ -81,6 +79,13 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
     for name in sorted({name for name in names if name and names.count(name) > 1}):
         findings.append(Finding("unknown_column", "problem", path.name, f"column {name!r} is there twice; remove one"))
     return findings
+
+
+def _unknown(path: Path, name: str, nearest: str) -> Finding:
+    """A column of somebody's own is no fault; one that nearly has a known name may be that one, misspelt."""
+    return Finding(
+        "unknown_column", "problem" if nearest else "note", path.name, f"column {name!r} was not read{nearest}"
+    )
 
 
 def _examples(patterns: list[str]) -> set[str]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.cells_merged import merged_drives
 from diagnosis.floor import BLOCK_S, block_means, increments
 from diagnosis.nominal import Nominal
 from diagnosis.points import fit_points, static_data, tracked_data
@@ -21,6 +22,7 @@ from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
 
+MERGED_UNDER = "actuator"  # the last of the stages that no valve command tells apart
 STAGE_UNITS = {"link": "rad", "controller": "1", "actuator": "rad/s"}
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 POSTURES = 25
@@ -76,6 +78,7 @@ def localise(
         prepared = [replayer.prepare(one) for one in whole.stretches]
         for stage in STAGE_UNITS:
             places += _dynamic(replayer, stage, prepared, groups, sets, lever)
+        places += _dynamic(replayer, MERGED_UNDER, merged_drives(replayer, whole.stretches), groups, sets, lever)
     places += _structure(whole, nominal, sets, energy) + _camera(whole, nominal, sets, energy)
     return Localisation(_shared(places, evidence or {}), merged_stages(whole), bool(groups))
 
@@ -262,7 +265,9 @@ def _axes(stage: str, regime: str, error: Array, floor: Array) -> list[Place]:
 
 
 def _shared(places: list[Place], evidence: Mapping[str, float]) -> tuple[Place, ...]:
-    """Shares of the sum over stages of their tcp motion (root sum of squares within a stage), largest first."""
+    """Shares of the sum over stages of their tcp motion (root sum of squares within a stage), largest first; those of
+    all places, without the regimes inside "all", sum to one.
+    """
     whole = [place for place in places if place.regime not in PARTS]
     moved = {p.stage: math.hypot(*(q.tcp_mm for q in whole if q.stage == p.stage)) for p in whole}
     weight = {stage: evidence.get(stage, 0.0) for stage in moved} if any(map(evidence.get, moved)) else moved
@@ -277,9 +282,28 @@ def _part(
     """A place's share: its stage's, by its part of the stage's motion; in equal parts where nothing stands out."""
     if total <= 0.0 or place.stage not in moved:
         return 0.0
-    if moved[place.stage] > 0.0:
-        return weight[place.stage] / total * place.tcp_mm / moved[place.stage]
+    of_stage = sum(one.tcp_mm for one in whole if one.stage == place.stage)
+    if of_stage > 0.0:
+        return weight[place.stage] / total * place.tcp_mm / of_stage
     return weight[place.stage] / total / sum(one.stage == place.stage for one in whole)
+
+
+def totals_of(places: tuple[Place, ...]) -> tuple[Place, ...]:
+    """One place a stage, of all of its joints or axes and motions together, largest share first.
+
+    Model: gap and floor are RMS over joints; of axes, those in m, the root of their sum of squares, RMS over "at rest",
+           "tracked", "tool marker" and "ooi".
+    """
+    out = []
+    for stage in dict.fromkeys(place.stage for place in places):
+        all_of = [one for one in places if one.stage == stage and one.regime not in PARTS]
+        same = [one for one in all_of if one.unit == all_of[0].unit]
+        count = len(same) if same[0].axis is None else len({one.regime for one in same})
+        gap = math.sqrt(sum(one.gap**2 for one in same) / count)
+        floor = math.sqrt(sum(one.floor**2 for one in same) / count)
+        tcp_mm, share = math.hypot(*(one.tcp_mm for one in all_of)), sum(one.share_frac for one in all_of)
+        out.append(Place(stage, None, None, "all", gap, floor, same[0].unit, tcp_mm, share))
+    return tuple(sorted(out, key=lambda place: -place.share_frac))
 
 
 def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:

@@ -16,7 +16,9 @@ def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
         return []
     groups = repeat_groups(stretches)
     if not groups:
-        text = "no command was repeated: the noise floor is not known, and every probability is widened"
+        claimed = any(one.repeat_of for one in stretches)
+        why = "repeats are named, but none is one unbroken stretch" if claimed else "no command was repeated"
+        text = f"{why}: the noise floor is not known, and every probability is widened"
         return [
             Finding("no_repeats", "problem", "segments", f"{text}; repeat one command at least {REPEATS_GOOD} times")
         ]

@@ -98,9 +98,12 @@ def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
     segments = tables.run.segments or _whole(plc, findings)
     clock, lost = sent_clock(tables, findings), never_received(tables)
     enc_step = np.array([encoder_step(column) for column in plc.enc.T])
+    cut = [list(_pieces(plc, segment, GAP_STEPS)) for segment in segments]
+    if not any(cut):
+        cut = [list(_pieces(plc, segment, MEND_ROWS_MAX + GAP_STEPS)) for segment in segments]
+        findings += _bridged(cut)
     found: list[Stretch] = []
-    for number, segment in enumerate(segments, start=1):
-        pieces = list(_pieces(plc, segment))
+    for number, (segment, pieces) in enumerate(zip(segments, cut, strict=True), start=1):
         if not pieces:
             text = f"segment {number} ({segment.name or segment.kind}) holds no usable stretch of {DURATION_MIN_S:g} s"
             findings.append(Finding("empty_segment", "problem", "run.toml", text))
@@ -151,8 +154,15 @@ def _apparent_delays(tables: Tables) -> Array:
     return plc.t_s[first[at_plc[keep]]] - sent.t_s[at_pc[keep]]
 
 
-def _pieces(plc: PlcTable, segment: Segment) -> Iterator[NDArray[np.int64]]:
-    """Row numbers of the unbroken pieces of a segment that are long enough."""
+def _bridged(cut: list[list[NDArray[np.int64]]]) -> list[Finding]:
+    if not any(cut):
+        return []
+    text = f"rows are missing so often that no stretch is whole; up to {MEND_ROWS_MAX} at a time are filled by lines"
+    return [Finding("bridged", "problem", "plc.csv", f"{text}: look at the logger")]
+
+
+def _pieces(plc: PlcTable, segment: Segment, longest: float) -> Iterator[NDArray[np.int64]]:
+    """Row numbers of the pieces of a segment that are long enough, without a step of more than so many usual ones."""
     margin = 1e-6
     inside = (plc.t_s >= segment.t_start_plc_s - margin) & (plc.t_s <= segment.t_end_plc_s + margin)
     rows = np.nonzero(inside)[0]
@@ -161,7 +171,7 @@ def _pieces(plc: PlcTable, segment: Segment) -> Iterator[NDArray[np.int64]]:
     broken = _broken(plc)
     steps = np.diff(plc.t_s[rows])
     median = float(np.median(np.abs(steps)))
-    cut = (steps > GAP_STEPS * median) | (steps <= 0.0) | (np.diff(rows) > 1)
+    cut = (steps > longest * median) | (steps <= 0.0) | (np.diff(rows) > 1)
     for piece in np.split(rows, np.nonzero(cut)[0] + 1):
         for part in np.split(piece, np.nonzero(np.diff(broken[piece].astype(int)))[0] + 1):
             if len(part) >= ROWS_MIN and not broken[part[0]] and np.ptp(plc.t_s[part]) >= DURATION_MIN_S:

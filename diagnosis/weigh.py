@@ -23,6 +23,7 @@ SHARE_MIN = 1e-3
 COMBINATIONS_MAX = 40
 SEEN_TOGETHER = {"structure": ("joint", "structure")}
 EQUAL_NATS = 0.5
+NOTHING = 1e-6  # of an effect's range
 BY_VERDICT = ("outside_probability", "unseen_probability")
 Key = tuple[str, int | None]
 
@@ -79,20 +80,38 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     T = numbers.temperature if found.cell.floor_known else numbers.temperature_without_floor
     gained = max(one.total for one in found.scored) - found.none.total
     share = max(found.cell.form_share * gained / found.spread, found.cell.least_nats)
+    scored = [one for one in found.scored if one is found.chosen or _moves(one)]
     logs = np.array(
         [
             min(one.total, found.chosen.total + MARGIN_NATS * found.spread) / found.spread
             - _price(found.cell, one)
             - _paid(found, one)
             - share * _count(one)
-            for one in found.scored
+            for one in scored
         ]
     )
     logs /= T
     p = np.exp(logs - logs.max())
     p /= p.sum()
     order = np.argsort(-p, kind="stable")
-    return tuple(Weighed(found.scored[k], float(p[k])) for k in order)
+    return tuple(Weighed(scored[k], float(p[k])) for k in order)
+
+
+def _moves(one: Score) -> bool:
+    """Whether each of its effects does anything: one that is fitted as nothing is no hypothesis of its own."""
+    at = 0
+    for effect in one.fit.hypothesis:
+        sizes = one.fit.theta[at : at + len(effect.slots)]
+        at += len(effect.slots)
+        same = [slot.parameter == effect.slots[0].parameter for slot in effect.slots]
+        away = [
+            abs(x - slot.neutral) / (slot.high - slot.low)
+            for slot, x, own in zip(effect.slots, sizes, same, strict=True)
+            if own
+        ]
+        if all(share < NOTHING for share in away):
+            return False
+    return True
 
 
 def _count(one: Score) -> int:
@@ -157,6 +176,7 @@ def _alike(found: Search, chosen: Score, allowed: float) -> list[Score]:
         for one in found.scored
         if _count(one) == _count(chosen)
         and one is not chosen
+        and _moves(one)
         and chosen.total - one.total < allowed
         and _cosine(one.fit.residual - none, chosen.fit.residual - none) > SAME_DIRECTION
     ]

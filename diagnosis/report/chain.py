@@ -36,12 +36,13 @@ def chain(result: dict[str, Any]) -> str:
 
 
 def stage_shares(result: dict[str, Any]) -> dict[str, float]:
-    """Share of the gap on each judged stage: of its places that hold the whole recording."""
-    out: dict[str, float] = {}
-    for one in result["localisation"]:
-        if one["regime"] == "all" or one["joint"] is None:
-            out[one["stage"]] = out.get(one["stage"], 0.0) + float(one["share_frac"] or 0.0) ** 2
-    return {stage: value**0.5 for stage, value in out.items()}
+    """Share of the gap on each judged stage, of which the first rows tell."""
+    return {one["stage"]: float(one["share_frac"] or 0.0) for one in result["localisation"] if is_total(one)}
+
+
+def is_total(one: dict[str, Any]) -> bool:
+    """Whether a row of the localisation is of a stage as a whole."""
+    return one["joint"] is None and one["axis"] is None
 
 
 def _named(result: dict[str, Any]) -> dict[str, list[str]]:
