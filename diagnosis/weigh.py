@@ -223,11 +223,11 @@ def same_here(found: Search, chosen: Score) -> tuple[tuple[Key, ...], ...]:
         theta = chosen.fit.theta[at : at + len(effect.slots)]
         at += len(effect.slots)
         own = evaluated(found.cell, (effect,), theta[None])[0] - none
-        rivals = [effect.key]
+        rivals = [effect.key, *_exchanged(found, chosen, effect.key)]
         for scan in found.scans:
             key = scan.candidate.key
             other = _column(found, key)
-            if key == effect.key or other is None:
+            if key in rivals or other is None:
                 continue
             cosine = _cosine(own, other)
             left = float(own @ own) * (1.0 - cosine**2)
@@ -236,6 +236,25 @@ def same_here(found: Search, chosen: Score) -> tuple[tuple[Key, ...], ...]:
         if len(rivals) > 1:
             classes.append(tuple(rivals))
     return tuple(classes)
+
+
+def _exchanged(found: Search, chosen: Score, key: Key) -> list[Key]:
+    """Effects that leave the same as this one beside the other names, both fitted: |W (f_i - f_j)|^2 below 9.
+
+    Why besides one linear step: a zero that is off by two degrees and the next axis' tilt are not the same to first
+    order in either.
+    """
+    rest = {effect.key for effect in chosen.fit.hypothesis if effect.key != key}
+    out = []
+    for one in found.scored:
+        keys = {effect.key for effect in one.fit.hypothesis}
+        other = keys - rest
+        if len(keys) != len(rest) + 1 or not rest < keys or key in other:
+            continue
+        apart = one.fit.residual - chosen.fit.residual
+        if float(apart @ apart) / found.spread < SEPARATED_NATS:
+            out += list(other)
+    return list(dict.fromkeys(out))
 
 
 def _column(found: Search, key: Key) -> Array | None:

@@ -1,0 +1,61 @@
+"""Logs of other machines: encoders behind linkages, rows that are missing everywhere, joints without valve commands."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnosis_cases import changed, recording
+from one_joint_cases import Machine, recorded
+from test_diagnosis_localise import entry
+
+from diagnosis.answer import answer
+from diagnosis.diagnose import diagnose
+from diagnosis.floor import encoder_step
+from diagnosis.localise import totals_of
+from diagnosis.reading import examine, read
+from recording.rows import PlcState
+
+
+def test_an_encoders_step_is_seen_behind_a_linkage() -> None:
+    """A stroke whose length goes with the angle: its steps are 0.9 to 1.1 of the usual one."""
+    t = np.linspace(0.0, 40.0, 24000)
+    angle = np.round((0.4 * np.sin(0.5 * t) + 0.2 * np.sin(0.13 * t)) / 1e-3)
+    stroke = 1e-3 * angle + 0.05 * np.sin(2e-3 * angle)
+    assert 0.9e-3 < encoder_step(stroke) < 1.1e-3
+    smooth = 0.4 * np.sin(0.5 * t) + 0.2 * np.sin(0.13 * t)
+    assert encoder_step(smooth) == 0.0
+    assert encoder_step(1e-3 * angle) == pytest.approx(1e-3)
+
+
+def test_rows_that_are_missing_everywhere_are_filled(tmp_path: Path) -> None:
+    place = recorded(tmp_path, Machine(gain=lambda _t: 1.1))
+    header, *rows = (place / "plc.csv").read_text(encoding="utf-8").splitlines()
+    kept = np.random.default_rng(1).uniform(size=len(rows)) > 0.05
+    text = "\n".join([header, *(row for row, keep in zip(rows, kept, strict=True) if keep)])
+    (place / "plc.csv").write_text(text + "\n", encoding="utf-8")
+    whole = read(place)
+    assert whole.usable
+    assert "bridged" in {one.code for one in whole.findings}
+    found = answer(diagnose(whole))
+    assert ("flow_gain_error", 1) in [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+
+
+def test_shares_of_the_gap_sum_to_one() -> None:
+    found = answer(diagnose(examine(recording(effects=(entry("valve_deadband", 3, half_width_frac=0.05),)), Path("x"))))
+    totals = [one for one in found["localisation"] if one["joint"] is None and one["axis"] is None]
+    parts = [one for one in found["localisation"] if one["joint"] is not None and one["regime"] == "all"]
+    assert totals[0]["stage"] == "actuator"
+    assert sum(one["share_frac"] for one in totals) == pytest.approx(1.0, abs=1e-5)
+    assert sum(one["share_frac"] for one in parts) == pytest.approx(1.0, abs=1e-5)
+    assert totals_of(()) == ()
+
+
+def test_joints_without_valve_commands_are_judged_one_by_one() -> None:
+    made = recording(effects=(entry("flow_gain_error", 2, gain_frac=-0.2),))
+    blind = changed(made, PlcState, lambda _number, row: replace(row, u_frac=()))
+    found = diagnose(examine(blind, Path("x")))
+    assert {one.search.cell.joint for one in found.cells} >= {1, 2, 3}
+    named = [effect.key for one in found.cells for effect in one.chosen.fit.hypothesis]
+    assert named in ([("flow_gain_error", 2)], [("controller_gain_error", 2)])
+    assert next(one.joint for one in found.localisation.places if one.stage == "actuator") == 2
