@@ -273,10 +273,10 @@ def _missing(found: Diagnosis) -> list[dict[str, str]]:
     out += [{"signal": part, "costs": text} for part, text in nominal.absent] if nominal is not None else []
     if any(not one.search.cell.floor_known for one in found.cells):
         out.append({"signal": "repeats", "costs": "no usable repeats: noise floor estimated, probabilities widened"})
+    known = nominal is not None and bool(nominal.remainders)
+    unlike = "the undisturbed recordings" if known else "its model's commands ask"
     for joint in sorted({joint for one in found.cells for joint in one.search.cell.moved_unlike}):
-        text = (
-            f"joint {joint} moved unlike the undisturbed recordings: what is left there is a lead and refuses nothing"
-        )
+        text = f"joint {joint} moved unlike {unlike}: what is left there is a lead and refuses nothing"
         out.append({"signal": f"undisturbed motions like these of joint {joint}", "costs": text})
     if any(one.search.cell.same_kind for one in found.cells):
         text = "one kind of trajectory only: held-out data are of the same kind, which lag and delay can fool"

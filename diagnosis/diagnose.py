@@ -115,7 +115,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         cells = fitting(with_known(stage_cells(stage, replayer, whole.stretches, base, course), nominal), nominal)
         cells = without(cells, unseen)
         cells = [marked(replace(one, least_nats=_least(one, searches)), unlike) for one in cells]
-        unlike = (*unlike, *far_off(cells)) if nominal.remainders else ()
+        unlike = (*unlike, *far_off(cells))
         found = _searched(cells, progress)
         if stage == "actuator" and found:
             found = told_who_sticks(_beside_each_other(found))
