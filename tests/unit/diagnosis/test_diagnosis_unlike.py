@@ -36,7 +36,7 @@ def test_a_command_that_is_cut_marks_its_joint_and_all_that_hangs_on_it(tmp_path
     cells = [one.search.cell for one in found.cells]
     assert {cell.unlike for cell in cells if cell.label == "controller 2"} == {()}  # judged by its own model
     assert {cell.unlike for cell in cells if cell.stage == "actuator"} == {(2,)}
-    assert "joint 2 moved unlike the undisturbed recordings" in str(answer(found)["missing"])
+    assert "joint 2 moved unlike its model's commands ask" in str(answer(found)["missing"])
 
 
 def test_a_gain_that_is_a_little_off_moves_the_joint_alike(little_off: Diagnosis) -> None:
