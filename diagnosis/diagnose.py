@@ -284,7 +284,8 @@ def _less_likely(one: Weighed) -> float:
 
 
 def _hypotheses(answers: tuple[CellAnswer, ...]) -> tuple[Whole, ...]:
-    return combined([one.weighed for one in answers])
+    """Over all cells; none where nothing could be replayed, since then "no effect" is no answer either."""
+    return combined([one.weighed for one in answers]) if answers else ()
 
 
 def _numbers(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -> dict[int, tuple[Interval, ...]]:

@@ -15,8 +15,9 @@ def lines(result: dict[str, Any]) -> list[str]:
         out.append(_likely(hypothesis["probability"], effects_text(hypothesis["effects"])))
     if result["hypotheses"] and (together := probability_with_equals(result)) > result["hypotheses"][0]["probability"]:
         out.append(_likely(together, "the first of these, or what this recording cannot tell from it"))
-    out.append(_likely(result["unseen_probability"], "one more effect, below its detection limit here"))
-    out.append(_likely(result["outside_probability"], "a cause outside the catalogue"))
+    if result["hypotheses"]:
+        out.append(_likely(result["unseen_probability"], "one more effect, below its detection limit here"))
+        out.append(_likely(result["outside_probability"], "a cause outside the catalogue"))
     for members in result["indistinguishable"]:
         out.append("this recording cannot tell apart: " + ", ".join(place_text(one) for one in members))
     closed = result["shrink"].get("overall", {}).get("closed_frac")

@@ -11,6 +11,7 @@ from test_diagnosis_points import examined, packed, static_recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
+from diagnosis.report.text import lines
 from diagnosis.unweighed import unweighed
 from machine.effects.arm_urdf import arm_from_urdf
 from recording.content import Recording
@@ -91,3 +92,13 @@ def test_without_masses_a_sag_may_stand_behind_an_encoders_error() -> None:
     assert unweighed(nominal, keys) == [(("encoder_scale", 2), ("gravity_sag", 2))]  # pyright: ignore[reportArgumentType]
     heavy = SimpleNamespace(arm=replace(arm, mass=np.ones(3)), n=3)
     assert unweighed(heavy, keys) == []  # pyright: ignore[reportArgumentType]
+
+
+def test_where_nothing_can_be_replayed_no_effect_is_no_answer() -> None:
+    """Every point has a name that the machine file does not know."""
+    elsewhere = MACHINE_TOML + "\n[points]\nwrist = { joint = 6 }\n"
+    whole = examined(static_recording(packed("link_length_error", 4, error_m=0.0, of="d"), elsewhere))
+    assert any("xyz_m where it is known" in str(one) for one in whole.findings)
+    found = answer(diagnose(whole))
+    assert (found["verdict"], found["hypotheses"]) == ("undecided", [])
+    assert not [one for one in lines(found) if "no effect" in one]
