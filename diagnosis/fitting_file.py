@@ -67,7 +67,8 @@ def _points(tables: Tables, nominal: Nominal) -> list[Finding]:
     for subject, table in (("tracker.csv", tables.tracker), ("static.csv", tables.static)):
         strange = sorted(set(table.names) - known) if table is not None else []
         if strange:
-            text = f"points {strange[:6]} are not in [points] of machine.toml: not used; give joint, and xyz_m where it is known"
+            remedy = "give joint, and xyz_m where it is known"
+            text = f"points {strange[:6]} are not in [points] of machine.toml and are not used; {remedy}"
             findings.append(Finding("machine_mismatch", "problem", subject, text, len(strange)))
         findings += _duplicates(subject, table) if table is not None else []
     return findings
