@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from diagnosis.candidates import DROOP, SEEN_BY_ENCODER, Candidate, candidates_of, named
 from diagnosis.cells import FORM_SHARE, Cell, Rows, blocks_of, folds_of
 from diagnosis.floor import BLOCK_S, Floor, Whitener
-from diagnosis.read_off import read_off
+from diagnosis.read_off import reached, read_off
 from diagnosis.regressors import regressors_of
 from diagnosis.replay import Prepared, Replayer, measured_output
 from diagnosis.stage_floor import at_noise, stage_floor
@@ -163,6 +163,8 @@ def _candidates(
         plant = replayer.plant
         cycles = (plant.cycle_s, plant.transport_delay_s)
         found = tuple(replace(one, cycles=cycles) if one.name == "transport_delay" else one for one in found)
+    if stage == "controller":
+        found = reached(found, tuple(one.stretch for one in prepared))
     if stage == "actuator":
         found = tuple(one for one in found if one.name != DROOP) + named(SEEN_BY_ENCODER, joints)
     loaded = replayer.torque_reference

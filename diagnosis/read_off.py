@@ -1,4 +1,4 @@
-"""What the log of the link shows by itself, and no fit would find: the step of a rounded reference, lost datagrams.
+"""What a log shows by itself, and no fit would find: the step of a rounded reference, lost datagrams, limits passed.
 
 With a step s and a range of 1 rad, a size wrong by s^2 / 1 rad already rounds differently at the far end; and which
 datagrams were lost is in their numbers, not in how many they were.
@@ -17,6 +17,7 @@ VALUES_MIN = 12  # different values, before any comb is believed
 SMALLEST_RAD = 1e-8  # below it two values are the same one, written twice
 OFF_MAX = 0.05  # of the step, RMS: how far values may lie off the comb (the log's own rounding)
 DIVISORS = (1, 2, 3, 4)
+REACHED = 0.98  # of the largest command in the log: no limit lies below it
 NARROW = 1e-7  # of the size: what a fit may still move
 
 
@@ -33,6 +34,23 @@ def read_off(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) 
         elif loss.any():
             fixed = _fixed(one, float(loss.mean()))
             out.append(one if fixed is one else replace(fixed, counted=len(loss)))
+    return tuple(out)
+
+
+def reached(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -> tuple[Candidate, ...]:
+    """Candidates of controllers, without limits of the command that the log itself goes beyond."""
+    out = []
+    for one in candidates:
+        if one.name != "controller_saturation" or one.joint is None:
+            out.append(one)
+            continue
+        slot = one.slots[0]
+        logged = [np.abs(part.u[:, one.joint - 1]) for part in stretches if part.u is not None]
+        known = [float(u[np.isfinite(u)].max(initial=0.0)) for u in logged]
+        least = REACHED * max(known, default=0.0)
+        if least < slot.highest:
+            low = max(slot.low, least)
+            out.append(replace(one, slots=(replace(slot, low=low, start=max(slot.start, low)),)))
     return tuple(out)
 
 

@@ -7,7 +7,7 @@ import pytest
 from diagnosis_cases import PLANT
 
 from diagnosis.candidates import candidates_of
-from diagnosis.read_off import comb_of, read_off
+from diagnosis.read_off import comb_of, reached, read_off
 from diagnosis.stretches import Sent, Stretch, never_received
 from machine.effects.dynamics import drive_by_sent, simulate
 from machine.effects.entries import make_entry, pack
@@ -78,3 +78,13 @@ def test_a_gap_in_the_numbers_tells_only_where_every_datagram_would_be_logged(lo
         assert np.nonzero(lost)[0].tolist() == [40]
     else:
         assert lost is None
+
+
+def test_a_limit_of_the_command_lies_above_all_that_was_commanded() -> None:
+    (limit,) = (one for one in candidates_of("controller", (1,), False) if one.name == "controller_saturation")
+    part = SimpleNamespace(u=np.array([[0.1], [-0.6], [0.3]]))
+    (narrowed,) = reached((limit,), (part,))  # pyright: ignore[reportArgumentType]
+    assert narrowed.slots[0].low == pytest.approx(0.588)
+    assert narrowed.slots[0].start >= narrowed.slots[0].low
+    full = SimpleNamespace(u=np.array([[1.0]]))
+    assert not [one for one in reached((limit,), (full,)) if one.slots[0].low < 0.97]  # pyright: ignore[reportArgumentType]
