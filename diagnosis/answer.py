@@ -125,12 +125,8 @@ def _vector(name: str, unit: str, direction: Direction, numbers: tuple[Interval,
 def _classes(found: Diagnosis) -> list[list[dict[str, Any]]]:
     """Effects that this recording cannot tell apart, and those that this machine file cannot."""
     classes = [members for one in found.cells for members in one.same]
-    classes += unweighed(found.whole.nominal, [key for one in found.cells for key in _names(one)])
+    classes += unweighed(found.whole.nominal, _keys(found.hypotheses[0]) if found.hypotheses else ())
     return [[{"name": name, "joint": joint} for name, joint in members] for members in classes]
-
-
-def _names(one: CellAnswer) -> list[Key]:
-    return [effect.key for effect in one.chosen.fit.hypothesis]
 
 
 def _credible(found: Diagnosis) -> list[dict[str, Any]]:

@@ -39,27 +39,26 @@ def merge_of(stretches: tuple[Stretch, ...]) -> Merge | None:
     return None
 
 
-def merged_cells(replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> list[Cell]:
-    """The joints one by one; as one cell where the link is among what merges: a late link moves them all."""
+def merged_cells(
+    replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets
+) -> tuple[list[Cell], Cell | None]:
+    """The joints one by one, and all of them as one for what couples them, if there are several; one cell alone where
+    the link is among what merges: a late link moves them all.
+    """
     merge, prepared = merge_of(stretches), merged_drives(replayer, stretches)
     if merge is None or not prepared:
-        return []
-    everything = tuple(range(replayer.nominal.n))
-    groups = [everything] if "link" in merge.stages else [(j,) for j in everything]
+        return [], None
     floor = stage_floor(replayer, "actuator", prepared, base)
-    cells = [(joints, cell_of("actuator", joints, prepared, floor, base, replayer)) for joints in groups]
-    droop = named((DROOP,), ()) if "link" in merge.stages else ()
-    return [replace(cell, candidates=(*_candidates(merge, joints, replayer), *droop)) for joints, cell in cells]
 
+    def cell(joints: tuple[int, ...], candidates: tuple[Candidate, ...]) -> Cell:
+        made = cell_of("actuator", joints, prepared, floor, base, replayer)
+        return replace(made, candidates=candidates)
 
-def coupled_merged_cell(replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> Cell | None:
-    """All joints at once, for what couples them, where they are judged one by one; else None."""
-    merge, prepared = merge_of(stretches), merged_drives(replayer, stretches)
-    if merge is None or not prepared or "link" in merge.stages or replayer.nominal.n < 2:
-        return None
-    floor = stage_floor(replayer, "actuator", prepared, base)
-    cell = cell_of("actuator", tuple(range(replayer.nominal.n)), prepared, floor, base, replayer)
-    return replace(cell, candidates=named((DROOP,), ()))
+    everything, droop = tuple(range(replayer.nominal.n)), named((DROOP,), ())
+    if "link" in merge.stages:
+        return [cell(everything, (*_candidates(merge, everything, replayer), *droop))], None
+    found = [cell((j,), _candidates(merge, (j,), replayer)) for j in everything]
+    return found, cell(everything, droop) if len(everything) > 1 else None
 
 
 def merged_drives(replayer: Replayer, stretches: tuple[Stretch, ...]) -> list[Prepared]:

@@ -7,7 +7,7 @@ from diagnosis.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put
 from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, fitting, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
-from diagnosis.cells_merged import coupled_merged_cell, merged_cells
+from diagnosis.cells_merged import merged_cells
 from diagnosis.gear import gears
 from diagnosis.guessed_noise import searched
 from diagnosis.known import with_known
@@ -126,9 +126,9 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
         searches += found
-    merged = _searched(without(fitting(merged_cells(replayer, whole.stretches, base), nominal), unseen), progress)
-    together = coupled_merged_cell(replayer, whole.stretches, base) if DROOP not in lacking else None
-    return searches + _with_coupling([_worth_a_name(one) for one in merged], together)
+    one_by_one, together = merged_cells(replayer, whole.stretches, base)
+    merged = [_worth_a_name(one) for one in _searched(without(fitting(one_by_one, nominal), unseen), progress)]
+    return searches + _with_coupling(merged, together if DROOP not in lacking else None)
 
 
 def _beside_each_other(found: list[Search]) -> list[Search]:
@@ -162,10 +162,7 @@ def _least(cell: Cell, before: list[Search]) -> float:
 def _with_encoders(base: ParameterSets, behind: list[Search]) -> ParameterSets:
     """The baseline with the encoders' scale and waves as they were found from behind them."""
     for one in behind:
-        at = 0
-        for effect in one.chosen.fit.hypothesis:
-            theta = one.chosen.fit.theta[at : at + len(effect.slots)]
-            at += len(effect.slots)
+        for effect, theta in one.chosen.fit.by_effect:
             if effect.name in SEEN_BY_ENCODER:
                 base = put(base, (effect,), theta)
     return base
@@ -276,11 +273,9 @@ def _first(all_of: tuple[Weighed, ...], chosen: Score) -> tuple[Weighed, ...]:
     rest = [Weighed(one.score, min(one.probability, most)) for one in all_of if one is not own and one is not top]
     listed = (Weighed(chosen, most), Weighed(top.score, min((1.0 - share) * both, most)), *rest)
     total = sum(one.probability for one in listed)
-    return tuple(sorted((replace(one, probability=one.probability / total) for one in listed), key=_less_likely))
-
-
-def _less_likely(one: Weighed) -> float:
-    return -one.probability
+    return tuple(
+        sorted((replace(one, probability=one.probability / total) for one in listed), key=lambda one: -one.probability)
+    )
 
 
 def _hypotheses(answers: tuple[CellAnswer, ...]) -> tuple[Whole, ...]:

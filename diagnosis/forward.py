@@ -91,11 +91,9 @@ def _pruned(cell: Cell, chosen: Score) -> Score:
 
 def entries_of(found: Fit) -> list[EffectEntry]:
     """A fit as `[[effect]]` entries; sizes that ended at a bound lie on it."""
-    out, at = [], 0
-    for one in found.hypothesis:
+    out = []
+    for one, values in found.by_effect:
         effect = effect_named(one.name)
-        values = found.theta[at : at + len(one.slots)]
-        at += len(one.slots)
         if effect is None:
             continue
         parameters: dict[str, object] = {slot.parameter: value for slot, value in one.fixed}

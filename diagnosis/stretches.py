@@ -98,9 +98,10 @@ def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
     segments = tables.run.segments or _whole(plc, findings)
     clock, lost = sent_clock(tables, findings), never_received(tables)
     enc_step = np.array([encoder_step(column) for column in plc.enc.T])
-    cut = [list(_pieces(plc, segment, GAP_STEPS)) for segment in segments]
+    broken = _broken(plc)
+    cut = [list(_pieces(plc, broken, segment, GAP_STEPS)) for segment in segments]
     if not any(cut):
-        cut = [list(_pieces(plc, segment, MEND_ROWS_MAX + GAP_STEPS)) for segment in segments]
+        cut = [list(_pieces(plc, broken, segment, MEND_ROWS_MAX + GAP_STEPS)) for segment in segments]
         findings += _bridged(cut)
     found: list[Stretch] = []
     for number, (segment, pieces) in enumerate(zip(segments, cut, strict=True), start=1):
@@ -112,7 +113,7 @@ def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
             name = f"{label}/{part}" if len(pieces) > 1 else label
             one = _stretch(plc, segment, name, rows, _sent(tables, clock, lost, plc.t_s[rows]))
             found.append(replace(one, enc_step=enc_step))
-    findings += _mended(plc)
+    findings += _mended(plc, broken)
     return tuple(found), findings
 
 
@@ -161,14 +162,13 @@ def _bridged(cut: list[list[NDArray[np.int64]]]) -> list[Finding]:
     return [Finding("bridged", "problem", "plc.csv", f"{text}: look at the logger")]
 
 
-def _pieces(plc: PlcTable, segment: Segment, longest: float) -> Iterator[NDArray[np.int64]]:
+def _pieces(plc: PlcTable, broken: NDArray[np.bool_], segment: Segment, longest: float) -> Iterator[NDArray[np.int64]]:
     """Row numbers of the pieces of a segment that are long enough, without a step of more than so many usual ones."""
     margin = 1e-6
     inside = (plc.t_s >= segment.t_start_plc_s - margin) & (plc.t_s <= segment.t_end_plc_s + margin)
     rows = np.nonzero(inside)[0]
     if len(rows) < 2:
         return
-    broken = _broken(plc)
     steps = np.diff(plc.t_s[rows])
     median = float(np.median(np.abs(steps)))
     cut = (steps > longest * median) | (steps <= 0.0) | (np.diff(rows) > 1)
@@ -193,8 +193,8 @@ def _broken(plc: PlcTable) -> NDArray[np.bool_]:
     return broken
 
 
-def _mended(plc: PlcTable) -> list[Finding]:
-    broken, count = _broken(plc), 0
+def _mended(plc: PlcTable, broken: NDArray[np.bool_]) -> list[Finding]:
+    count = 0
     for values in (plc.ref, plc.enc, plc.u):
         if values is not None:
             count += int((~np.isfinite(values) & ~broken[:, None] & ~np.isnan(values).all(axis=0)).sum())

@@ -1,16 +1,18 @@
 """Where nobody says what the links weigh: what bends under its weight, and the encoder's error that it is told as."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from diagnosis.nominal import Nominal
+from diagnosis.weigh import Key
 
 SAG = "gravity_sag"
 SEEN_AS = ("encoder_scale", "encoder_eccentricity")  # a torque that goes with the sine of the joint's own angle
 LEVEL_MIN = 0.1  # sine between an axis and the upright: below it nothing that hangs on the joint turns it
-Key = tuple[str, int | None]
 
 
-def unweighed(nominal: Nominal | None, names: list[Key]) -> list[tuple[Key, Key]]:
+def unweighed(nominal: Nominal | None, names: Sequence[Key]) -> list[tuple[Key, Key]]:
     """Names that a sag of the same joint may stand behind, each with that sag; none where masses are known.
 
     Why: without masses a sag is not in the library, and of an industrial robot it is the likelier of the two.

@@ -80,7 +80,7 @@ def verdict_of(
     unclear = [one for one in answers if _above_a_guess(one)]
     if not named and unclear:
         cell = unclear[0].search.cell
-        text = f"{cell.label}: {_energy(unclear[0]):.2g} times the noise that was estimated, and no name foretells it"
+        text = f"{cell.label}: {_over_noise(unclear[0])}, and no name foretells it"
         return Verdict("undecided", f"{text}; repeat a motion or a pose, so that the noise is known")
     scattered = max((guessed_scatter_m(one.search.cell) for one in answers), default=0.0)
     if not named and scattered > SCATTER_MAX_M:
@@ -96,10 +96,8 @@ def verdict_of(
     loud = [one for one in unclear if one.chosen.fit.hypothesis and _energy(one) > LOUD]
     if loud:
         one = loud[0]
-        left = f"{_energy(one):.2g} times the noise that was estimated"
-        return Verdict(
-            "undecided", f"{one.search.cell.label}: the best names leave {left}: more is wrong than they say"
-        )
+        text = f"{one.search.cell.label}: the best names leave {_over_noise(one)}"
+        return Verdict("undecided", f"{text}: more is wrong than they say")
     little = [one for one in answers if _closed_at_most(one) < LEFT_LARGE]
     if little:
         one = little[0]
@@ -125,8 +123,11 @@ def _partly(one: CellAnswer) -> str:
     """What the names explain where the noise was never measured."""
     closed, _, _ = by_noise(together(one.squares))
     share = "" if closed is None else f" {100 * closed:.3g} % of"
-    left = f"{_energy(one):.2g} times the noise that was estimated"
-    return f"catalogue effects explain{share} the gap; what is left is {left}: repeats would tell it"
+    return f"catalogue effects explain{share} the gap; what is left is {_over_noise(one)}: repeats would tell it"
+
+
+def _over_noise(one: CellAnswer) -> str:
+    return f"{_energy(one):.2g} times the noise that was estimated"
 
 
 def _drifts(one: CellAnswer, shape: Shape) -> bool:

@@ -99,10 +99,7 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
 
 def _moves(one: Score) -> bool:
     """Whether each of its effects does anything: one that is fitted as nothing is no hypothesis of its own."""
-    at = 0
-    for effect in one.fit.hypothesis:
-        sizes = one.fit.theta[at : at + len(effect.slots)]
-        at += len(effect.slots)
+    for effect, sizes in one.fit.by_effect:
         same = [slot.parameter == effect.slots[0].parameter for slot in effect.slots]
         away = [
             abs(x - slot.neutral) / (slot.high - slot.low)
@@ -218,10 +215,8 @@ def same_here(found: Search, chosen: Score) -> tuple[tuple[Key, ...], ...]:
     Why at that size: as the only name, beside five others, it may fit best at next to nothing, which is like all else.
     """
     classes: list[tuple[Key, ...]] = []
-    none, at = found.none.fit.residual, 0
-    for effect in chosen.fit.hypothesis:
-        theta = chosen.fit.theta[at : at + len(effect.slots)]
-        at += len(effect.slots)
+    none = found.none.fit.residual
+    for effect, theta in chosen.fit.by_effect:
         own = evaluated(found.cell, (effect,), theta[None])[0] - none
         rivals = [effect.key, *_exchanged(found, chosen, effect.key)]
         for scan in found.scans:

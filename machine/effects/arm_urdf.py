@@ -129,8 +129,8 @@ def _apart(last: Array | None, part: _Part) -> Array:
     offset = part.T_last_joint[:3, 3]
     axis = part.T_last_joint[:3, :3] @ part.joint.axis / np.linalg.norm(part.joint.axis)
     normal = offset - (offset @ axis) * axis
-    if last is not None and float(np.linalg.norm(np.cross(last, axis))) > SKEW_MIN:
-        both = np.cross(last, axis)
+    both = np.zeros(3) if last is None else np.cross(last, axis)
+    if float(np.linalg.norm(both)) > SKEW_MIN:
         normal = both if offset @ both >= 0.0 else -both
     length = float(np.linalg.norm(normal))
     return normal / length if length > LENGTH_MIN_M else np.zeros(3)
