@@ -63,7 +63,8 @@ def test_without_reference_and_command_link_controller_and_actuator_are_one_cell
     assert merge.stages == ("link", "controller", "actuator")
     replayer = replayer_of(whole.nominal)
     assert replayer is not None
-    (cell,) = merged_cells(replayer, whole.stretches, neutral_sets(2))
+    (cell,), coupled = merged_cells(replayer, whole.stretches, neutral_sets(2))
+    assert coupled is None  # the one cell holds all joints already
     assert {("transport_delay", None), ("valve_lag", 2)} <= {one.key for one in cell.candidates}
     assert cell.floor_known
 
