@@ -10,7 +10,7 @@ from diagnosis.cells import Cell, Rows
 from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.point_noise import PointNoise, instants_of
-from diagnosis.points import PointData, PointFit, fit_points, static_data, tracked_data
+from diagnosis.points import PointData, PointFit, fit_points, numbers_fitted, static_data, tracked_data
 from diagnosis.reading import Read
 from diagnosis.saturated import saturated_noise
 from machine.effects.encoders import true_angles
@@ -120,7 +120,8 @@ def _cell(
     rough = PointResidual(nominal, data, paths, at, plain, t_start_s=start_s)
     known = _floor(rough, base)
     by_instant = 3 * np.repeat(rough.noise.instants, 3) + np.tile(np.arange(3), m)
-    own, common = saturated_noise(rough, base, candidates, by_instant) if known is None else (known, 0.0)
+    taken = numbers_fitted(nominal, data)
+    own, common = saturated_noise(rough, base, candidates, by_instant, taken) if known is None else (known, 0.0)
     record = nominal.remainder("structure", on="tracker" if paths else "static")
     sigma = np.hypot(np.maximum(own, SIGMA_MIN_M) * np.ones(3), axes_of(record, 3))
     left = float(np.mean(axes_of(record, 3) ** 2 / sigma**2))

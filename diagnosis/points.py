@@ -50,21 +50,35 @@ def static_data(nominal: Nominal, table: PointTable) -> PointData | None:
 
 def tracked_data(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, ...]) -> PointData | None:
     """Usable rows of tracker.csv with the encoders' angles of the same time; None without any."""
+    return _data(nominal, table, tracked_angles(nominal, table, stretches))
+
+
+def tracked_angles(nominal: Nominal, table: PointTable, stretches: tuple[Stretch, ...]) -> Array:
+    """The encoders' angles (m, n) when each point was measured; NaN where they were not logged."""
     q = np.full((len(table.t_s), nominal.n), np.nan)
     for one in stretches:
         if one.enc is None:
             continue
         inside = (table.t_s >= one.t_s[0]) & (table.t_s <= one.t_s[-1])
         q[inside] = np.stack([np.interp(table.t_s[inside], one.t_s, column) for column in one.enc.T], axis=1)
-    return _data(nominal, table, q)
+    return q
 
 
 def _data(nominal: Nominal, table: PointTable, q: Array) -> PointData | None:
-    index = {point.name: k for k, point in enumerate(nominal.points)}
-    which = np.array([index.get(name, -1) for name in table.names], dtype=np.int64)
-    good = (which >= 0) & np.isfinite(q).all(axis=1) & np.isfinite(table.xyz).all(axis=1)
-    good &= _first_of_each(table.t_s, table.xyz)
+    which = _which(nominal, table)
+    good = usable_rows(nominal, table, q)
     return PointData(q[good], which[good], table.xyz[good], table.t_s[good]) if good.any() else None
+
+
+def usable_rows(nominal: Nominal, table: PointTable, q: Array) -> NDArray[np.bool_]:
+    """Rows (m,) of a point that the machine file knows, with all their numbers, said once."""
+    good = (_which(nominal, table) >= 0) & np.isfinite(q).all(axis=1) & np.isfinite(table.xyz).all(axis=1)
+    return good & _first_of_each(table.t_s, table.xyz)
+
+
+def _which(nominal: Nominal, table: PointTable) -> NDArray[np.int64]:
+    index = {point.name: k for k, point in enumerate(nominal.points)}
+    return np.array([index.get(name, -1) for name in table.names], dtype=np.int64)
 
 
 def _first_of_each(when: Array, xyz: Array) -> NDArray[np.bool_]:
@@ -106,6 +120,12 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
             break
         before = error
     return PointFit(residual, T, places, nominal.T_base_tracker is not None)
+
+
+def numbers_fitted(nominal: Nominal, data: PointData) -> int:
+    """How many numbers `fit_points` takes from the data: an unknown frame's six, three a point of unknown place."""
+    places = sum(3 for k in np.unique(data.which) if nominal.points[k].xyz_m is None)
+    return places + (0 if nominal.T_base_tracker is not None else 6)
 
 
 def _places(

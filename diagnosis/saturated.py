@@ -10,6 +10,7 @@ from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 DISTINCT = 1e-4  # of the strongest direction: a weaker one is rounding
+MIXED_SHARE = 0.5  # of the degrees of freedom, that a mixture may explain
 
 
 def saturated_noise(
@@ -17,16 +18,17 @@ def saturated_noise(
     base: ParameterSets,
     candidates: tuple[Candidate, ...],
     groups: NDArray[np.int64],
+    taken: int = 0,
 ) -> tuple[float, float]:
     """Standard deviations of each row's own noise, and of what the rows of one group share.
 
-    Args:  groups: (N,) of the rows: one instant, one axis.
+    Args:  groups: (N,) of the rows: one instant, one axis; taken: numbers that the residual's own fit took from them.
     Model: what is left by one linear step in all effects at once, its degrees of freedom counted; the mean product of
            two rows of a group is what they share.
     Why:   not the residual of a model under test: that would hide the gap. And a hand that stands 3 mm beside its
            model takes all its markers with it: counted one by one such a pose would speak as often as it has markers.
     """
-    left, dof = unexplained(residual, base, candidates)
+    left, dof = unexplained(residual, base, candidates, taken)
     S, Q, n = np.bincount(groups, weights=left), np.bincount(groups, weights=left**2), np.bincount(groups)
     pairs = float((n * (n - 1)).sum())
     variance = float(left @ left) / dof
@@ -36,9 +38,26 @@ def saturated_noise(
 
 
 def unexplained(
-    residual: Callable[[ParameterSets], Array], base: ParameterSets, candidates: tuple[Candidate, ...]
+    residual: Callable[[ParameterSets], Array],
+    base: ParameterSets,
+    candidates: tuple[Candidate, ...],
+    taken: int = 0,
 ) -> tuple[Array, int]:
-    """What no mixture explains (N,), and how many degrees of freedom it has."""
+    """What no mixture explains (N,), and how many degrees of freedom it has. `taken`: see `saturated_noise`.
+
+    Why: at most half of what is free is explained, by what effects show most: of twenty points at rest a mixture of all
+         explains each number, and what it left was called a noise of a tenth of the true one.
+    """
+    r0, u = mixtures(residual, base, candidates)
+    free = max(len(r0) - taken, 1)
+    u = u[:, : int(MIXED_SHARE * free)]
+    return r0 - u @ (u.T @ r0), max(free - u.shape[1], 1)
+
+
+def mixtures(
+    residual: Callable[[ParameterSets], Array], base: ParameterSets, candidates: tuple[Candidate, ...]
+) -> tuple[Array, Array]:
+    """The residual (N,) without effects, and orthonormal directions (N, k), strongest first, that small ones span."""
     r0 = residual(base)[0]
     columns = []
     for one in candidates:
@@ -50,5 +69,4 @@ def unexplained(
     A = np.array(columns).T
     A = A / np.maximum(np.linalg.norm(A, axis=0), 1e-15)
     u, s, _ = np.linalg.svd(A, full_matrices=False)
-    u = u[:, s > DISTINCT * s[0]] if len(s) else u
-    return r0 - u @ (u.T @ r0), max(len(r0) - u.shape[1], max(3, len(r0) // 10))
+    return r0, u[:, s > DISTINCT * s[0]] if len(s) else u

@@ -67,6 +67,21 @@ def test_points_that_no_arm_explains_are_no_noise() -> None:
     assert "scatter by" in found["why"]
 
 
+@pytest.mark.parametrize("place", ["tip = { joint = 6, xyz_m = [0.0, -0.3, 0.1] }", "tip = { joint = 6 }"])
+def test_six_poses_name_what_six_poses_show(place: str) -> None:
+    """A mixture of all effects explains each of eighteen numbers: the noise was guessed a tenth of the true one."""
+    toml = MACHINE_TOML + "\n[points]\n" + place + "\n"
+    for error_m, wanted in ((0.0, "none"), (0.02, "effects")):
+        made = static_recording(packed("link_length_error", 2, error_m=error_m, of="a"), toml, seed=101)
+        tip = tuple(row for row in made.rows if isinstance(row, StaticPoint) and row.point == "tip")
+        found = told(replace(made, rows=tip[:6]))
+        assert found["verdict"] == wanted, found["why"]
+        if wanted == "effects":
+            (effect,) = found["hypotheses"][0]["effects"]
+            assert (effect["name"], effect["joint"]) == ("link_length_error", 2)
+            assert effect["parameters"]["error_m"]["low"] < error_m < effect["parameters"]["error_m"]["high"]
+
+
 URDF = """<robot name="two"><link name="base"/><link name="a"/><link name="b"/><link name="c"/>
 <joint name="first" type="revolute"><origin xyz="0 0 0.1"/><axis xyz="0 0 1"/>
   <parent link="base"/><child link="a"/></joint>
