@@ -36,6 +36,8 @@ CODES: dict[str, str] = {
     "swapped_columns": "two joints' columns are exchanged",
     "reversed_column": "a column runs against the one that it should follow",
     "duplicate_points": "two points with the same coordinates throughout",
+    "outlying_points": "measured points that no model of the arm comes near",
+    "lost_points": "measured points of a tracker that had lost its prism",
     "corner_order": "marker corners are not in OpenCV's order",
     "no_run_file": "run.toml is not there",
     "no_segments": "run.toml names no segments",

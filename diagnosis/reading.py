@@ -1,7 +1,7 @@
 """A recording as the diagnosis takes it: arrays by stage, the nominal machine, and all that is wrong with either."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,9 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.findings import Finding, fatal
 from diagnosis.fitting_file import corner_findings, machine_findings
 from diagnosis.headers import header_findings, metre_findings
+from diagnosis.lost_points import without_spikes, without_zeros
 from diagnosis.nominal import Nominal, nominal_of
+from diagnosis.outlying import without_outlying
 from diagnosis.pairing import pairing_findings
 from diagnosis.quality import plc_findings, time_findings
 from diagnosis.repeats import repeat_findings
@@ -77,10 +79,30 @@ def examine(recording: Recording, path: Path, machine_file: Path | None = None, 
     if not fatal(findings):
         stretches, left_out = stretches_of(tables)
         findings += left_out + repeat_findings(stretches)
+        tables, outside = _without_wild_points(tables, nominal, stretches)
+        findings += outside
     whole = Read(path, tables, nominal, stretches, tuple(findings))
     if fatal(findings) or stages_present(whole):
         return whole
     return Read(path, tables, nominal, stretches, (*findings, _nothing(whole)))
+
+
+def _without_wild_points(
+    tables: Tables, nominal: Nominal | None, stretches: tuple[Stretch, ...]
+) -> tuple[Tables, list[Finding]]:
+    """Measured points that are none are named and left out, so that they do not widen the noise of the others."""
+    static, tracker, findings = tables.static, tables.tracker, list[Finding]()
+    if static is not None:
+        static, zeros = without_zeros(static, "static.csv")
+        static, outside = without_outlying(nominal, static) if nominal is not None else (static, [])
+        findings += zeros + outside
+    if tracker is not None:
+        tracker, zeros = without_zeros(tracker, "tracker.csv")
+        spikes: list[Finding] = []
+        if nominal is not None and nominal.arm is not None:
+            tracker, spikes = without_spikes(nominal, tracker, stretches)
+        findings += zeros + spikes
+    return replace(tables, static=static, tracker=tracker), findings
 
 
 def _unreadable(path: Path, error: RecordingError) -> Finding:

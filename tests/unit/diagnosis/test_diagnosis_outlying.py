@@ -1,0 +1,65 @@
+"""Points that no model of the arm comes near are named and left out; what a model explains never is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from diagnosis_cases import MACHINE_TOML
+from test_diagnosis_points import POINTS, examined, packed, static_recording
+
+from diagnosis.answer import answer
+from diagnosis.diagnose import diagnose
+from machine.effects.layout import ParameterSets, neutral_sets
+from recording.content import Recording
+from recording.rows import StaticPoint
+
+FREE = MACHINE_TOML + "\n[points]\ntip = { joint = 6 }\nelbow = { joint = 2 }\n"
+LONG = packed("link_length_error", 2, error_m=0.02, of="a")
+
+
+def moved(made: Recording, by_row: dict[int, tuple[float, float, float]]) -> Recording:
+    """The recording with some of its points elsewhere."""
+    rows = list(made.rows)
+    for row, (dx, dy, dz) in by_row.items():
+        one = rows[row]
+        assert isinstance(one, StaticPoint)
+        rows[row] = replace(one, x_m=one.x_m + dx, y_m=one.y_m + dy, z_m=one.z_m + dz)
+    return replace(made, rows=tuple(rows))
+
+
+@pytest.mark.parametrize("toml", [MACHINE_TOML + POINTS, FREE], ids=["known", "free"])
+def test_two_wrong_rows_are_named_and_the_rest_tells_what_it_told(toml: str) -> None:
+    made = static_recording(LONG, toml)
+    whole = examined(moved(made, {11: (0.0, 0.0, 0.5), 50: (0.06, 0.0, 0.0)}))
+    (finding,) = [one for one in whole.findings if one.code == "outlying_points"]
+    assert finding.count == 2
+    assert "elbow in pose 5 by 0." in finding.text
+    assert "tip in pose 25 by 0." in finding.text
+    found = answer(diagnose(whole))
+    assert found["verdict"] == "effects", found["why"]
+    (effect,) = found["hypotheses"][0]["effects"]
+    assert (effect["name"], effect["joint"]) == ("link_length_error", 2)
+    assert effect["parameters"]["error_m"]["value"] == pytest.approx(0.02, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    "sets",
+    [
+        neutral_sets(6),
+        LONG,
+        packed("encoder_bias", 3, bias_rad=0.1),
+        packed("backlash", 2, width_rad=0.02),
+        packed("gravity_sag", 2, compliance_rad_nm=1e-5),
+        packed("encoder_eccentricity", 4, amplitude_rad=0.03, order=2, phase_rad=0.3),
+        packed("joint_axis_tilt", 3, tilt_rad=0.05, about="x"),
+    ],
+)
+@pytest.mark.parametrize("toml", [MACHINE_TOML + POINTS, FREE], ids=["known", "free"])
+def test_what_an_effect_does_is_never_left_out(sets: ParameterSets, toml: str) -> None:
+    assert not examined(static_recording(sets, toml)).findings
+
+
+def test_a_model_that_is_wrong_in_many_places_leaves_all_its_points() -> None:
+    rng = np.random.default_rng(2)
+    many = {int(row): tuple(rng.normal(0.0, 0.3, 3)) for row in rng.choice(80, 12, replace=False)}
+    assert not examined(moved(static_recording(neutral_sets(6)), many)).findings
