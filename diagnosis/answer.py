@@ -6,7 +6,6 @@ import numpy as np
 
 from diagnosis.diagnose import CellAnswer, Diagnosis
 from diagnosis.experiments.choice import next_experiment
-from diagnosis.fit import Fit
 from diagnosis.limits import Interval
 from diagnosis.localise import totals_of
 from diagnosis.rivals import rivals
@@ -18,6 +17,7 @@ from diagnosis.unweighed import unweighed
 from diagnosis.weigh import Key, Whole, calibration
 from machine.effects.registry import effect_named
 from machine.effects.spec import Direction
+from machine.rotations import Array
 
 FORMAT = 1
 MASS_90 = 0.9
@@ -79,10 +79,8 @@ def _hypothesis(found: Diagnosis, number: int) -> dict[str, Any]:
 
 def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
-    at = 0
-    for one in score.fit.hypothesis:
-        mine = numbers[at : at + len(one.slots)] if numbers else _plain(score.fit, at, len(one.slots))
-        at += len(one.slots)
+    for one, own in score.fit.slices:
+        mine = numbers[own] if numbers else _plain(score.fit.theta[own])
         effect = effect_named(one.name)
         parameters: dict[str, Any] = {}
         vector = len({slot.parameter for slot in one.slots}) < len(one.slots)
@@ -100,8 +98,8 @@ def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]
     return out
 
 
-def _plain(fit: Fit, at: int, count: int) -> tuple[Interval, ...]:
-    return tuple(Interval(float(x), float(x), float(x)) for x in fit.theta[at : at + count])
+def _plain(theta: Array) -> tuple[Interval, ...]:
+    return tuple(Interval(float(x), float(x), float(x)) for x in theta)
 
 
 def _number(number: Interval, unit: str) -> dict[str, Any]:

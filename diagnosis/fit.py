@@ -38,8 +38,13 @@ class Fit:
     @property
     def by_effect(self) -> tuple[tuple[Candidate, Array], ...]:
         """Each effect with its own numbers (slots,)."""
-        cuts = np.cumsum([len(one.slots) for one in self.hypothesis])[:-1]
-        return tuple(zip(self.hypothesis, np.split(self.theta, cuts), strict=True)) if self.hypothesis else ()
+        return tuple((one, self.theta[own]) for one, own in self.slices)
+
+    @property
+    def slices(self) -> tuple[tuple[Candidate, slice], ...]:
+        """Each effect with where its numbers stand among all."""
+        ends = np.cumsum([len(one.slots) for one in self.hypothesis]).tolist()
+        return tuple((one, slice(end - len(one.slots), end)) for one, end in zip(self.hypothesis, ends, strict=True))
 
 
 def costs(residual: Array) -> Array:

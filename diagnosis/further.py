@@ -77,18 +77,16 @@ def swapped(scored: Scored, changes: list[Change], best: Score) -> Score:
 
 def swaps(scored: Scored, changes: list[Change], best: Score, of: str = "") -> list[Score]:
     """The most promising exchanges of one name, fitted. `of`: only of this name."""
-    fit, at = best.fit, 0
+    fit = best.fit
     names = {effect.key for effect in fit.hypothesis}
     ranked: list[tuple[float, Candidate, Array, Candidate, Mask]] = []
-    for out in fit.hypothesis:
+    for out, own in fit.slices:
         if of not in ("", out.name):
-            at += len(out.slots)
             continue
         mine = np.zeros(fit.k, dtype=bool)
-        mine[at : at + len(out.slots)] = True
+        mine[own] = True
         sizes = np.array([slot.parameter == out.slots[0].parameter and slot.neutral == 0.0 for slot in out.slots])
         alone = fit.J[:, mine] @ np.where(sizes, fit.theta[mine], 0.0)  # its own change, linear in its size
-        at += len(out.slots)
         others = [one for one in changes if one[0].variant != out.variant]
         found = _screened(fit, ~mine, fit.residual - alone, others, names - {out.key})
         ranked += [(left, candidate, start, out, ~mine) for left, candidate, start in found]

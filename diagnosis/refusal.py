@@ -91,10 +91,8 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
 
 def at_edge(cell: Cell, chosen: Score) -> tuple[Fired, ...]:
     """Names that fit only at the end of what is believed of their size: a foreign cause bends them that far."""
-    found, at = [], 0
-    for effect in chosen.fit.hypothesis:
-        here = slice(at, at + len(effect.slots))
-        at += len(effect.slots)
+    found = []
+    for effect, here in chosen.fit.slices:
         sizes = [slot.parameter == effect.slots[0].parameter for slot in effect.slots]
         for slot, size, is_size, ends in zip(
             effect.slots, chosen.fit.theta[here], sizes, chosen.fit.at_bound[here], strict=True

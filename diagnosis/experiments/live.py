@@ -69,12 +69,8 @@ def _swapped(one: CellAnswer, out: Key, into: Key) -> Fit | None:
     if scan is None:
         return None
     rest: tuple[Candidate, ...] = tuple(c for c in first.hypothesis if c.key != out)
-    start, at = [], 0
-    for candidate in first.hypothesis:
-        theta = first.theta[at : at + len(candidate.slots)]
-        at += len(candidate.slots)
-        start += list(theta) if candidate.key != out else []
-    return fit(one.search.cell, (*rest, scan.candidate), np.array([*start, *scan.thetas[scan.best]]), ROUNDS)
+    kept = [theta for candidate, theta in first.by_effect if candidate.key != out]
+    return fit(one.search.cell, (*rest, scan.candidate), np.concatenate([*kept, scan.thetas[scan.best]]), ROUNDS)
 
 
 def _scored(one: CellAnswer) -> tuple[Score, ...]:
