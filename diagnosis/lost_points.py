@@ -1,7 +1,5 @@
 """Rows of a tracker that lost its prism: the origin itself, or a place far from where the rows before and after lie."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +23,7 @@ def without_zeros(table: PointTable, subject: str) -> tuple[PointTable, list[Fin
     if not zero.any():
         return table, []
     text = f"{int(zero.sum())} points are at exactly 0, 0, 0, as a tracker writes that sees nothing; they are left out"
-    return _without(table, zero), [Finding("lost_points", "problem", subject, text, int(zero.sum()))]
+    return table.without(zero), [Finding("lost_points", "problem", subject, text, int(zero.sum()))]
 
 
 def without_spikes(
@@ -42,7 +40,7 @@ def without_spikes(
         if not found.any():
             break
         spikes |= found
-        left = _without(left, found)
+        left = left.without(found)
     if not spikes.any():
         return table, []
     first = int(np.argmax(spikes))
@@ -80,9 +78,3 @@ def _running_median(values: Array) -> Array:
     half = NEIGHBOURS // 2
     padded = np.pad(values, ((half, half), (0, 0)), mode="reflect")
     return np.median(np.stack([padded[k : k + len(values)] for k in range(NEIGHBOURS)]), axis=0)
-
-
-def _without(table: PointTable, rows: NDArray[np.bool_]) -> PointTable:
-    xyz = table.xyz.copy()
-    xyz[rows] = np.nan
-    return replace(table, xyz=xyz)

@@ -66,9 +66,7 @@ def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, l
         away[rows] = off.away[off.outside]
         if (away > 0.0).sum() > SHARE_MAX * len(off.away):
             return table, []
-        xyz = left.xyz.copy()
-        xyz[rows] = np.nan
-        left = replace(left, xyz=xyz)
+        left = left.without(rows)
     return left, [_finding(table, away)] if left is not table else []
 
 

@@ -4,7 +4,8 @@ Numbers beyond 1e9, which no angle, length or pressure reaches, count as infinit
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,6 +79,12 @@ class PointTable:
     names: tuple[str, ...]
     xyz: Array
     q: Array | None
+
+    def without(self, rows: NDArray[np.bool_] | NDArray[np.int64]) -> Self:
+        """The table with rows left out, by a mask (m,) or their numbers: they hold no place."""
+        xyz = self.xyz.copy()
+        xyz[rows] = np.nan
+        return replace(self, xyz=xyz)
 
 
 @dataclass(frozen=True, slots=True)
