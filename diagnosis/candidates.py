@@ -24,7 +24,7 @@ SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
 SEEN_BEHIND_ENCODER = ("encoder_bias", "encoder_scale", "encoder_eccentricity", "backlash")
 #: Entered as a number at every mounting; lengths and axes come from a machine tool, and are the rarer fault.
 SET_BY_HAND = ("encoder_bias",)
-#: Effects that need the encoders' course in time, and the actuators' cycle to follow it.
+#: Effects that need the encoders' course in time.
 SEEN_IN_MOTION = ("backlash", "link_flexibility")
 
 Variant = tuple[str, int | None, str, tuple[float, ...]]

@@ -45,7 +45,7 @@ def behind_cells(whole: Read, base: ParameterSets, with_odometry: bool = False) 
     `with_odometry`: what it usually leaves is in no baseline, so that beside one it is left alone.
     """
     nominal = whole.nominal
-    paths = paths_of(whole.stretches, nominal is not None and nominal.actuators is not None)
+    paths = paths_of(whole.stretches)
     points = point_cells(whole, base, paths)
     parts = (with_form(points, nominal) if nominal is not None else points) + camera_cells(whole, base, paths)
     parts += odometry_cells(whole, base, paths) if with_odometry else []

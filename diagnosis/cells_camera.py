@@ -6,11 +6,11 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import arm_candidates, candidates_of
+from diagnosis.candidates import candidates_of
 from diagnosis.cells import Cell, Rows
 from diagnosis.cells_points import rows_of
 from diagnosis.corner_noise import AXES, PLAIN, CornerNoise, groups_of, noise_of_visits
-from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
+from diagnosis.link_angles import Path, candidates_behind, inside, link_angles, paths_of, without_encoders
 from diagnosis.loose_marker import loose_marker
 from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
@@ -136,7 +136,7 @@ def camera_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | Non
         return []
     if nominal.camera is None or nominal.T_tcp_cam_left is None:
         return []
-    paths = paths_of(whole.stretches, nominal.actuators is not None) if paths is None else paths
+    paths = paths_of(whole.stretches) if paths is None else paths
     to_plc_s = tables.run.camera_to_plc_offset_s
     table = replace(tables.markers, t_s=tables.markers.t_s + to_plc_s)
     cells = []
@@ -187,7 +187,7 @@ def _cell(
     joints = tuple(range(1, nominal.n + 1))
     candidates = candidates_of("camera", joints, True)
     if on == "ooi":
-        candidates = arm_candidates(joints, nominal.actuators is not None) + candidates
+        candidates = candidates_behind(joints, paths) + candidates
         candidates += candidates_of("time", joints, True)
     else:
         candidates = tuple(one for one in candidates if one.name not in TIMED)

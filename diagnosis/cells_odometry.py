@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from diagnosis.candidates import Candidate, arm_candidates, candidates_of, named
 from diagnosis.cells import Cell
 from diagnosis.cells_points import rows_of
-from diagnosis.link_angles import Path, inside, link_angles, without_encoders
+from diagnosis.link_angles import Path, followed, inside, link_angles, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
 from diagnosis.saturated import saturated_noise
@@ -84,7 +84,7 @@ def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) ->
         return []
     cut = {name: getattr(rough, name)[long] for name in ("at", "start_s", "end_s", "length_m")}
     rough = replace(rough, **cut)
-    candidates = _candidates(tuple(range(1, nominal.n + 1)), nominal.actuators is not None)
+    candidates = _candidates(tuple(range(1, nominal.n + 1)), followed(paths))
     count = len(rough.at)
     # the noise across a chord makes it longer by sigma^2 / length on the average: taken off below
     sigma = max(saturated_noise(rough, base, candidates, np.arange(count))[0], SIGMA_MIN_M)

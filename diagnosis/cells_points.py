@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import arm_candidates, candidates_of
+from diagnosis.candidates import candidates_of
 from diagnosis.cells import Cell, Rows
-from diagnosis.link_angles import Path, inside, link_angles, paths_of, without_encoders
+from diagnosis.link_angles import Path, candidates_behind, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.point_noise import PointNoise, instants_of
 from diagnosis.points import PointData, PointFit, fit_points, numbers_fitted, static_data, tracked_data
@@ -92,7 +92,7 @@ def point_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None
         cells.append(_cell(nominal, _thinned(static), (), base))
     tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
     if tracked is not None and len(tracked.xyz) >= POINT_ROWS_MIN:
-        courses = paths_of(whole.stretches, nominal.actuators is not None) if paths is None else paths
+        courses = paths_of(whole.stretches) if paths is None else paths
         cells.append(_cell(nominal, _thinned(tracked), courses, base, clocked=tables.markers is None))
     return cells
 
@@ -112,8 +112,7 @@ def _cell(
         data = PointData(data.q[kept], data.which[kept], data.xyz[kept], data.when[kept])
         at = at[kept]
     joints = tuple(range(1, nominal.n + 1))
-    moving = bool(paths) and all(path.step_s is not None for path in paths)
-    candidates = arm_candidates(joints, moving) + (candidates_of("time", joints, True) if clocked else ())
+    candidates = candidates_behind(joints, paths) + (candidates_of("time", joints, True) if clocked else ())
     m = len(data.xyz)
     plain = PointNoise(np.ones(3), 0.0, np.zeros(m), instants_of(data.when))
     start_s = float(paths[0].t_s[0]) if clocked else None

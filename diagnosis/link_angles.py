@@ -6,7 +6,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from diagnosis.candidates import SWINGS, Candidate, arm_candidates
 from diagnosis.quiet_encoders import quieted
+from diagnosis.stairs import coarse_joints, unstepped
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
 from machine.effects import kernel
@@ -22,31 +24,53 @@ COURSE_COLUMNS = [
 ]
 REMEMBERED = 12
 COURSE_S = 0.01  # between two angles of a course: between them 0.01 mm of the tip at 0.2 rad/s^2
+FOLLOWED_S = 0.1  # between logged rows: of a longer one neither play's turns nor a swing are seen
 ENCODER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
     """The encoders' course through one stretch: t_s (m,), enc (m, n). `step_s`: between its rows, for play and swing;
-    None where no actuators are known: neither is modelled then.
+    None where rows are too rare to follow them: neither is modelled then. `coarse`: joints (1-based) whose encoder's
+    own steps are seen behind them.
     """
 
     t_s: Array
     enc: Array
     step_s: float | None
+    coarse: tuple[int, ...] = ()
     courses: dict[tuple[int, bytes], Array] = field(default_factory=dict, compare=False)  # behind play and swing
 
 
-def paths_of(stretches: tuple[Stretch, ...], has_actuators: bool) -> tuple[Path, ...]:
+def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
     """The course of every stretch that has encoders throughout."""
     out = []
     for one in stretches:
         if one.enc is None or not np.isfinite(one.enc).any(axis=0).all():
             continue
         skip = max(1, int(COURSE_S / one.dt_s + 1e-9))
-        step_s = one.dt_s * skip if has_actuators else None
-        out.append(Path(one.t_s[::skip], np.ascontiguousarray(quieted(filled(one.enc), one.dt_s)[::skip]), step_s))
+        step_s = one.dt_s * skip if one.dt_s <= FOLLOWED_S else None
+        enc = filled(one.enc)
+        coarse = coarse_joints(enc)
+        quiet = np.ascontiguousarray(quieted(unstepped(enc, coarse, one.dt_s), one.dt_s)[::skip])
+        out.append(Path(one.t_s[::skip], quiet, step_s, coarse))
     return tuple(out)
+
+
+def followed(paths: tuple[Path, ...]) -> bool:
+    """Whether the courses are logged often enough for play and swing."""
+    return bool(paths) and all(path.step_s is not None for path in paths)
+
+
+def candidates_behind(joints: tuple[int, ...], paths: tuple[Path, ...]) -> tuple[Candidate, ...]:
+    """The arm's effects that points and corners along these courses can show.
+
+    Why: a swing behind a coarse encoder smooths its stairs, and would be named for that.
+    """
+    coarse = {joint for path in paths for joint in path.coarse}
+    return tuple(
+        one for one in arm_candidates(joints, followed(paths)) if one.name not in SWINGS or one.joint not in coarse
+    )
 
 
 def inside(paths: tuple[Path, ...], t_s: Array, margin_s: float = 0.0) -> NDArray[np.int64]:

@@ -9,6 +9,7 @@ from diagnosis.weigh import Key
 
 SAG = "gravity_sag"
 SEEN_AS = ("encoder_scale", "encoder_eccentricity")  # a torque that goes with the sine of the joint's own angle
+BESIDE = "encoder_bias"  # the mean of such a torque; alone it is a zero that is off
 LEVEL_MIN = 0.1  # sine between an axis and the upright: below it nothing that hangs on the joint turns it
 
 
@@ -24,4 +25,6 @@ def unweighed(nominal: Nominal | None, names: Sequence[Key]) -> list[tuple[Key, 
     upright = arm.gravity / max(float(np.linalg.norm(arm.gravity)), 1e-9)
     level = float(np.linalg.norm(np.cross(first, upright))) > LEVEL_MIN
     carrying = range(1 if level else 2, nominal.n + 1)
-    return [((name, joint), (SAG, joint)) for name, joint in names if name in SEEN_AS and joint in carrying]
+    bent = {joint for name, joint in names if name in SEEN_AS and joint in carrying}
+    seen = (*SEEN_AS, BESIDE)
+    return [((name, joint), (SAG, joint)) for name, joint in names if name in seen and joint in bent]

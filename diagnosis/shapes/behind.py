@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from diagnosis.candidates import SWINGS, named, put
 from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_points import PointResidual
-from diagnosis.link_angles import Path, link_angles
+from diagnosis.link_angles import Path, followed, link_angles
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.rotations import Array
 
@@ -45,7 +45,7 @@ def swing_columns(measured: PointResidual, base: ParameterSets) -> dict[str, Arr
 
     Why: measured points are too rare for the autocorrelation that tells of a swing in a driven stage.
     """
-    if not measured.paths or any(path.step_s is None for path in measured.paths):
+    if not followed(measured.paths):
         return {}
     out, plain = {}, measured(base)[0]
     for joint in range(1, measured.nominal.n + 1):

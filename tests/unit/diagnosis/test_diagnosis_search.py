@@ -112,6 +112,7 @@ def test_doubt_where_nothing_is_named_takes_no_name_back_but_doubt_of_the_name_d
     assert verdict_of((named_one, doubtful, doubtful)).word == "effects"
     unsure = replace(named_one, weighed=(Weighed(first.score, 0.4), Weighed(other.score, 0.6)), same=())
     assert "0.4 among others" in verdict_of((unsure, quiet)).why
+    assert "certain" not in verdict_of((unsure, quiet)).why
     beside = next(one for one in named_one.weighed if names < {effect.key for effect in one.score.fit.hypothesis})
     sure = replace(unsure, weighed=(Weighed(first.score, 0.4), Weighed(beside.score, 0.6)))
     assert verdict_of((sure, quiet)).word == "effects"  # whatever is beside it, the name is at work

@@ -105,6 +105,8 @@ def test_without_masses_a_sag_may_stand_behind_an_encoders_error() -> None:
     nominal = SimpleNamespace(arm=arm, n=3)
     keys = [("encoder_scale", 1), ("encoder_scale", 2), ("encoder_bias", 3)]
     assert unweighed(nominal, keys) == [(("encoder_scale", 2), ("gravity_sag", 2))]  # pyright: ignore[reportArgumentType]
+    both = [("encoder_bias", 2), ("encoder_scale", 2)]
+    assert [key for key, _ in unweighed(nominal, both)] == both  # pyright: ignore[reportArgumentType]
     heavy = SimpleNamespace(arm=replace(arm, mass=np.ones(3)), n=3)
     assert unweighed(heavy, keys) == []  # pyright: ignore[reportArgumentType]
 

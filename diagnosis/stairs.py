@@ -1,0 +1,45 @@
+"""A coarse encoder's stairs as the ramp that they stand for: what points behind the joint are held against.
+
+Why: 0.8 mrad are 2 mm of a boom's tip, ten times a tracker's noise; a damped swing smooths them, and was named for it.
+"""
+
+import numpy as np
+
+from diagnosis.floor import encoder_step
+from machine.rotations import Array
+
+COARSE_RAD = 2e-4  # a finer one is next to nothing at any tip
+STANDS_S = 0.5  # between two changes: of a longer one nobody knows when the joint went on
+
+
+def unstepped(enc: Array, coarse: tuple[int, ...], dt_s: float) -> Array:
+    """Encoders (m, n) [rad]; of `coarse` joints (1-based) by straight lines through the middles of their changes.
+
+    Model: where the reading goes from one stair to the next the angle is between the two, within a row; a change back
+           to the stair before says no more than that, and a joint that stands for long is somewhere on its stair.
+    """
+    out = enc.copy()
+    for joint in coarse:
+        out[:, joint - 1] = _ramp(enc[:, joint - 1], dt_s)
+    return out
+
+
+def coarse_joints(enc: Array) -> tuple[int, ...]:
+    """Joints (1-based) whose encoder steps are seen at the tip, of encoders (m, n) [rad]."""
+    return tuple(j for j, raw in enumerate(enc.T, start=1) if encoder_step(raw) >= COARSE_RAD)
+
+
+def _ramp(raw: Array, dt_s: float) -> Array:
+    change = np.diff(raw)
+    at = np.nonzero(change != 0.0)[0]
+    if len(at) < 2:
+        return raw
+    row, edge, way = at + 0.5, raw[at] + 0.5 * change[at], np.sign(change[at])
+    out = raw.copy()
+    for k in range(len(at) - 1):
+        between = slice(at[k] + 1, at[k + 1] + 1)
+        if (row[k + 1] - row[k]) * dt_s > STANDS_S or way[k] != way[k + 1]:
+            continue
+        share = (np.arange(between.start, between.stop) - row[k]) / (row[k + 1] - row[k])
+        out[between] = edge[k] + share * (edge[k + 1] - edge[k])
+    return out

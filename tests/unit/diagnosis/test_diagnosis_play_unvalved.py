@@ -1,0 +1,38 @@
+"""Play behind encoders is told where a tracker and a log of angles are all there is: no valve, no command, no gain."""
+
+import csv
+from pathlib import Path
+
+import pytest
+from foreign_plant import Fault, write
+
+from diagnosis.answer import answer
+from diagnosis.diagnose import diagnose
+from diagnosis.reading import read
+
+OF_VALVES = ("velocity_gain", "valve_", "kp_frac", "pt1_tau")
+
+
+def angles_only(place: Path) -> Path:
+    """The folder without what a machine does not tell whose encoders alone are read."""
+    toml = place / "machine.toml"
+    kept = [line for line in toml.read_text(encoding="utf-8").splitlines() if not line.startswith(OF_VALVES)]
+    toml.write_text("\n".join(kept) + "\n", encoding="utf-8")
+    (place / "sent.csv").unlink()
+    with (place / "plc.csv").open(encoding="utf-8", newline="") as file:
+        rows = [[row[name] for name in ("t_plc_s", "q_1_rad", "q_2_rad")] for row in csv.DictReader(file)]
+    with (place / "plc.csv").open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows([["t_plc_s", "q_1_rad", "q_2_rad"], *rows])
+    return place
+
+
+@pytest.mark.parametrize(("play_rad", "wanted"), [(0.0, set()), (0.004, {("backlash", 2)})])
+def test_play_needs_no_valve(tmp_path: Path, play_rad: float, wanted: set[tuple[str, int]]) -> None:
+    place = write(tmp_path / "run", Fault(backlash=(0.0, play_rad)), seconds=10.0, tracker_m=2e-4)
+    found = answer(diagnose(read(angles_only(place))))
+    first = found["hypotheses"][0]["effects"]
+    assert {(one["name"], one["joint"]) for one in first} == wanted, found["why"]
+    assert found["verdict"] == ("effects" if wanted else "none"), found["why"]
+    for one in first:
+        (width,) = one["parameters"].values()
+        assert width["low"] < play_rad < width["high"]

@@ -1,0 +1,58 @@
+"""What the verdict makes of a trace beside a clear finding, and of names of which only some are certain."""
+
+from dataclasses import replace
+
+import pytest
+from test_diagnosis_search import made_up
+
+from diagnosis.diagnose import CellAnswer, _answer
+from diagnosis.refusal import Fired
+from diagnosis.search import search
+from diagnosis.shapes.found import TEST
+from diagnosis.verdict import verdict_of
+from diagnosis.weigh import Weighed
+
+
+@pytest.fixture(scope="module")
+def clear() -> CellAnswer:
+    """A structure in which an effect of some 40 000 nats is named."""
+    return _answer(search(replace(made_up((0.4, 0.0, 0.0)), stage="structure")), 1)
+
+
+@pytest.mark.parametrize(
+    ("known", "nats", "usual", "word"),
+    [
+        (False, 20.0, (), "effects"),
+        (False, 400.0, (), "outside"),
+        (True, 20.0, (), "outside"),
+        (False, 20.0, (("peak", 0.0),), "outside"),
+    ],
+)
+def test_a_trace_where_the_noise_was_guessed_takes_no_clear_finding_back(
+    clear: CellAnswer, known: bool, nats: float, usual: tuple[tuple[str, float], ...], word: str
+) -> None:
+    """A thousandth of what the name explains; not where repeats or a baseline say that it does not belong there."""
+    quiet = _answer(search(replace(made_up((0.0, 0.0, 0.0)), floor_known=known, usual=usual)), 1)
+    swings = Fired(TEST, "actuator", 1, nats, 0.0, "goes with time")
+    verdict = verdict_of((clear, replace(quiet, fired=(swings,))))
+    assert verdict.word == word, verdict.why
+    assert "goes with time" in verdict.why
+    assert verdict.why.endswith("a trace") == (word == "effects")
+
+
+def test_the_same_alone_is_a_gap() -> None:
+    quiet = _answer(search(replace(made_up((0.0, 0.0, 0.0)), floor_known=False)), 1)
+    swings = Fired(TEST, "actuator", 1, 20.0, 0.0, "goes with time")
+    assert verdict_of((replace(quiet, fired=(swings,)),)).word == "outside"
+
+
+def test_names_that_nearly_every_hypothesis_holds_are_told_beside_doubtful_ones() -> None:
+    found = _answer(search(made_up((0.3, 0.3, 0.0))), 1)
+    keys = {effect.key for effect in found.chosen.fit.hypothesis}
+    assert keys == {("flow_gain_error", 1), ("valve_asymmetry", 1)}
+    both = next(one for one in found.weighed if {key.key for key in one.score.fit.hypothesis} == keys)
+    gain = next(one for one in found.weighed if [key.key[0] for key in one.score.fit.hypothesis] == ["flow_gain_error"])
+    unsure = replace(found, weighed=(Weighed(both.score, 0.4), Weighed(gain.score, 0.6)), same=())
+    verdict = verdict_of((unsure,))
+    assert verdict.word == "undecided"
+    assert "probability of 0.4 among others; of them certain: flow_gain_error 1 (1)" in verdict.why
