@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.errors import DiagnosisError
+from diagnosis.frame_fit import frame_and_places
 from diagnosis.nominal import Nominal
 from diagnosis.stretches import Stretch
 from diagnosis.tables import PointTable
@@ -14,9 +15,6 @@ from machine.effects.layout import ParameterSets
 from machine.effects.structure import link_poses
 from machine.poses import pose
 from machine.rotations import Array
-
-ROUNDS = 100
-SETTLED_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +90,7 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
     """Residual of measured points under one parameter set.
 
     Model:   p_base = T_base_link(q) x_point; measured p_tracker. A frame and places that the machine file does not give
-             are found by least squares, in turn, until they settle: they take up what they can of any effect.
+             are found by least squares (`frame_fit.py`): they take up what they can of any effect.
     Raises:  DiagnosisError: no arm, or too few points for an unknown frame.
     """
     if nominal.arm is None:
@@ -105,21 +103,12 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
     T = np.eye(4) if nominal.T_base_tracker is None else nominal.T_base_tracker
     if nominal.T_base_tracker is None and len(data.xyz) < 4:
         raise DiagnosisError(f"{len(data.xyz)} measured points and no T_base_tracker; give 4 or more, or the frame")
-    before, residual = np.inf, np.zeros_like(data.xyz)
-    for _ in range(ROUNDS):
-        measured = data.xyz @ T[:3, :3].T + T[:3, 3]
-        places = _places(T_base_link, measured, data.which, places, known)
-        modelled = np.einsum("mij,mj->mi", T_base_link[:, :3, :3], places[data.which]) + T_base_link[:, :3, 3]
-        if nominal.T_base_tracker is None:
-            T = rigid_fit(data.xyz, modelled)
-        residual = data.xyz @ T[:3, :3].T + T[:3, 3] - modelled
-        if nominal.T_base_tracker is not None:
-            break  # nothing depends on the frame: places are settled, too
-        error = float(np.sqrt(np.mean(residual**2)))
-        if abs(before - error) < SETTLED_M:
-            break
-        before = error
-    return PointFit(residual, T, places, nominal.T_base_tracker is not None)
+    if nominal.T_base_tracker is None:
+        T, places = frame_and_places(T_base_link[:, :3, :3], T_base_link[:, :3, 3], data.xyz, data.which, places, known)
+    measured = data.xyz @ T[:3, :3].T + T[:3, 3]
+    places = _places(T_base_link, measured, data.which, places, known)
+    modelled = np.einsum("mij,mj->mi", T_base_link[:, :3, :3], places[data.which]) + T_base_link[:, :3, 3]
+    return PointFit(measured - modelled, T, places, nominal.T_base_tracker is not None)
 
 
 def numbers_fitted(nominal: Nominal, data: PointData) -> int:
