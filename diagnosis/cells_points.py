@@ -10,9 +10,10 @@ from diagnosis.cells import Cell, Rows
 from diagnosis.link_angles import Path, candidates_behind, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.point_noise import PointNoise, instants_of
-from diagnosis.points import PointData, PointFit, fit_points, numbers_fitted, static_data, tracked_data
+from diagnosis.points import PointData, PointFit, fit_points, modelled, numbers_fitted, static_data, tracked_data
 from diagnosis.reading import Read
 from diagnosis.saturated import saturated_noise
+from diagnosis.stairs import LEFT
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
 from machine.effects.seen import true_times
@@ -64,6 +65,16 @@ class PointResidual:
         T = fit_points(self.nominal, without_encoders(sets), data, 0).T_base_tracker
         p = data.xyz @ T[:3, :3].T + T[:3, 3]
         return np.hypot(p[:, 0], p[:, 1])
+
+    def moved_by(self, sets: ParameterSets, joint: int, angle_rad: float) -> Array:
+        """How far an angle more at a joint (0-based) takes each point (m, 3) [m]: radial, tangential, up."""
+        plain, data = without_encoders(sets), replace(self.data, q=self._angles(sets, 0))
+        found = fit_points(self.nominal, plain, data)
+        turned = data.q.copy()
+        turned[:, joint] += angle_rad
+        there = modelled(self.nominal, plain, replace(data, q=turned), found.places)
+        here = modelled(self.nominal, plain, data, found.places)
+        return _about_upright(replace(found, residual=there - here), self.data.xyz)
 
     def _angles(self, sets: ParameterSets, which: int) -> Array:
         if not self.paths:
@@ -122,6 +133,8 @@ def _cell(
     taken = numbers_fitted(nominal, data)
     own, common = saturated_noise(rough, base, candidates, by_instant, taken) if known is None else (known, 0.0)
     record = nominal.remainder("structure", on="tracker" if paths else "static")
+    if known is not None:  # the same stairs in the same pose: repeats do not show them
+        own = np.hypot(own, _stairs_m(rough, base))
     sigma = np.hypot(np.maximum(own, SIGMA_MIN_M) * np.ones(3), axes_of(record, 3))
     left = float(np.mean(axes_of(record, 3) ** 2 / sigma**2))
     swing_rad = record.swing_rad if record is not None else 0.0
@@ -146,6 +159,16 @@ def _cell(
         usual=record.usual_at(left) if record is not None else (),
         left_share=left,
     )
+
+
+def _stairs_m(rough: PointResidual, base: ParameterSets) -> Array:
+    """RMS (3,) [m] of what coarse encoders leave of their stairs, radial, tangential and up."""
+    steps = np.array([path.coarse_rad for path in rough.paths])
+    squares = np.zeros(3)
+    for j in np.nonzero(steps.any(axis=0))[0] if len(steps) else ():
+        off = LEFT * float(steps[:, j].max())
+        squares += (rough.moved_by(base, int(j), off) ** 2).mean(axis=0)
+    return np.sqrt(squares)
 
 
 def axes_of(record: Remainder | None, axes: int) -> Array:

@@ -15,6 +15,7 @@ STEP_SHARE = 2e-3  # of the range: large against rounding and kinks
 ROUNDS = 10
 SETTLED_NATS = 0.02
 SETTLED_SHARE = 1e-5
+CURVED = 0.5  # of what a straight valley would have gained: below it the valley is curved, and followed
 DAMPINGS = (1e-6, 1e-2, 1.0)
 Hypothesis = tuple[Candidate, ...]
 
@@ -97,7 +98,8 @@ def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) 
     """Gauss-Newton with damping inside bounds from one start.
 
     Model:  min sum rho(r(theta)); each round solves (J'WJ + d diag) step = -J'Wr for three dampings d and takes the
-            best of them; it ends when a round gains less than 0.02 nats.
+            best of them, where they gain little also those bent back into the valley; it ends when a round gains
+            less than 0.02 nats.
     Raises: DiagnosisError: the start has another length than the hypothesis.
     """
     low, high = bounds(hypothesis)
@@ -111,6 +113,11 @@ def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) 
         trials = np.clip(theta + _steps(J, residual, spans(hypothesis)), low, high)
         tried = evaluated(cell, hypothesis, trials)
         totals = costs(tried).sum(axis=1)
+        promised = -0.5 * float((trials[0] - theta) @ (J.T @ (weights(residual) * residual)))
+        if len(theta) > 1 and cost - float(totals.min()) < CURVED * promised:
+            bent = np.clip(trials + _bends(J, residual, theta, trials, tried), low, high)
+            trials, tried = np.concatenate([trials, bent]), np.concatenate([tried, evaluated(cell, hypothesis, bent)])
+            totals = costs(tried).sum(axis=1)
         best = int(np.argmin(totals))
         gained = cost - float(totals[best])
         if gained <= 0.0:
@@ -145,4 +152,11 @@ def _steps(J: Array, residual: Array, span: Array) -> Array:
     H, g = (scaled * w[:, None]).T @ scaled, (scaled * w[:, None]).T @ residual
     diagonal = np.diag(np.diag(H)) + 1e-9 * np.eye(len(g)) * max(1.0, float(np.trace(H)))
     found = [np.linalg.lstsq(H + d * diagonal, -g, rcond=None)[0] * span for d in DAMPINGS]
-    return np.array([*found, 0.3 * found[0]])
+    return np.array([*found, 0.3 * found[0], 0.1 * found[0]])
+
+
+def _bends(J: Array, residual: Array, theta: Array, trials: Array, tried: Array) -> Array:
+    """What takes trials (m, k) with residuals (m, N) back into a curved valley, to second order."""
+    w = weights(residual)[:, None]
+    off = tried - residual - (trials - theta) @ J.T
+    return -off @ (np.linalg.pinv((J * w).T @ J, hermitian=True) @ (J * w).T).T

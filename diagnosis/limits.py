@@ -17,8 +17,11 @@ SHOWN_ENERGY = SCATTER**2 * WHITE_ENERGY
 QUANTILE_95 = 1.645  # of a normal: 5 % on either side
 CHANCE_90 = 1.35  # nats below the best: 90 % limits of one number
 FLAT_NATS = 1e-3
-WIDEST = 0.1  # of the range: how far from the fit limits are looked for
-OFFSETS = np.concatenate([-np.geomspace(30.0, 0.3, 8), np.geomspace(0.3, 30.0, 8)])  # in standard deviations
+NEAR = 0.1  # of the range: within it limits are looked for more closely
+FAR = 30.0  # standard deviations
+REFITS = 2
+WAIT_90 = 0.68  # of a PLC cycle: the difference of two waits for the next one, with this delay and the nominal one
+OFFSETS = np.concatenate([-np.geomspace(FAR, 0.3, 8), np.geomspace(0.3, FAR, 8)])  # in standard deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +36,11 @@ class Interval:
 def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -> tuple[Interval, ...]:
     """Limits of each number, by the cost's own course: flat valleys and kinks are seen.
 
-    Model: cost / spread rises by 1.35 nats, the other numbers held; tried out to 30 standard deviations, and to 10 % of
-           the range; then as much wider as the number's standard deviation is with the others free. Beside a baseline
-           that left something, the form of a name may be wrong by a share of all it gains, and so may its size. A
-           counted share has chance's limits.
+    Model: cost / spread rises by 1.35 nats, the other numbers fitted again by two steps at each size: a gain and a
+           frequency that trade off lie along a curve. Tried out to the ends of the range.
+           With the others held it is as much narrower as the number's standard deviation is: the wider of the two.
+           Beside a baseline that left something, the form of a name may be wrong by a share of all it gains, and so may
+           its size. A counted share has chance's limits; a delay is known to the wait for the PLC's next cycle.
     """
     if found.k == 0:
         return ()
@@ -46,17 +50,20 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
     wider = np.sqrt(np.maximum(variances / alone, 1.0))
     form_share = cell.form_share if cell.left_share > 0.0 else 0.0
     allowed = CHANCE_90 + form_share * max(gained_nats, 0.0) / spread
-    counted = [one.counted for one in found.hypothesis for _ in one.slots]
+    owners = [one for one in found.hypothesis for _ in one.slots]
     out = []
-    for k, of in enumerate(counted):
-        one = _interval(cell, found, k, float(np.sqrt(variances[k] * spread)), allowed, spread)
-        out.append(_of_share(one.value, of) if of else _widened(one, float(wider[k]), float(low[k]), float(high[k])))
+    for k, owner in enumerate(owners):
+        held, free = _intervals(cell, found, k, float(np.sqrt(variances[k] * spread)), allowed, spread)
+        if owner.counted:
+            out.append(_of_share(held.value, owner.counted))
+            continue
+        wait = WAIT_90 * owner.cycles[0] if owner.cycles is not None else 0.0
+        below = max(float(wider[k]) * (held.value - held.low), free.value - free.low, wait)
+        above = max(float(wider[k]) * (held.high - held.value), free.high - free.value, wait)
+        out.append(
+            Interval(held.value, max(float(low[k]), held.value - below), min(float(high[k]), held.value + above))
+        )
     return tuple(out)
-
-
-def _widened(one: Interval, times: float, low: float, high: float) -> Interval:
-    below, above = times * (one.value - one.low), times * (one.high - one.value)
-    return Interval(one.value, max(low, one.value - below), min(high, one.value + above))
 
 
 def _of_share(share: float, count: int) -> Interval:
@@ -67,22 +74,51 @@ def _of_share(share: float, count: int) -> Interval:
     return Interval(share, float(centre - half), float(centre + half))
 
 
-def _interval(cell: Cell, found: Fit, k: int, sd: float, allowed: float, spread: float) -> Interval:
-    """Limits of number k, the others held, where cost / spread rises by what is allowed [nats]."""
+def _intervals(cell: Cell, found: Fit, k: int, sd: float, allowed: float, spread: float) -> tuple[Interval, Interval]:
+    """Limits of number k where cost / spread rises by what is allowed [nats]: the others held, and fitted again."""
     low, high = (float(edge[k]) for edge in bounds(found.hypothesis))
-    value, widest = float(found.theta[k]), WIDEST * float(spans(found.hypothesis)[k])
-    local = np.concatenate([[0.0], OFFSETS * min(sd, widest), OFFSETS * widest / OFFSETS[-1]])
+    value, whole = float(found.theta[k]), float(spans(found.hypothesis)[k])
+    widest = NEAR * whole
+    local = np.concatenate([[0.0], *(OFFSETS * one for one in (min(sd, widest), widest / FAR, whole / FAR))])
     tried = np.unique(np.clip(value + local, low, high))
     thetas = np.tile(found.theta, (len(tried), 1))
     thetas[:, k] = tried
-    rise = (costs(evaluated(cell, found.hypothesis, thetas)).sum(axis=1) - found.cost) / spread
+    residuals = evaluated(cell, found.hypothesis, thetas)
+    rise = (costs(residuals).sum(axis=1) - found.cost) / spread
     at = int(np.searchsorted(tried, value))
     flat = tried[_run(np.abs(rise) < FLAT_NATS, at)]
     if len(flat) > 2:  # nothing between them can be told apart: the middle stands for all
         value = 0.5 * (float(flat[0]) + float(flat[-1]))
+    held = _within(value, tried, rise, at, allowed)
+    if found.k == 1:
+        return held, held
+    again = (_refitted(cell, found, k, thetas, residuals) - found.cost) / spread
+    return held, _within(value, tried, np.minimum(rise, again), at, allowed)
+
+
+def _within(value: float, tried: Array, rise: Array, at: int, allowed: float) -> Interval:
     inside = _run(rise < allowed, at)
     first, last = inside.start, inside.stop - 1
     return Interval(value, _crossing(tried, rise, first, -1, allowed), _crossing(tried, rise, last, 1, allowed))
+
+
+def _refitted(cell: Cell, found: Fit, k: int, thetas: Array, residuals: Array) -> Array:
+    """Least cost (m,) of the sets `thetas` (m, k) with residuals (m, N), all numbers but the k-th moved by the steps
+    that found's own Jacobian says.
+    """
+    others = np.arange(found.k) != k
+    low, high = bounds(found.hypothesis)
+    J, w = found.J[:, others], weights(found.residual)[:, None]
+    H = (J * w).T @ J + np.diag(1.0 / spans(found.hypothesis)[others] ** 2)
+    back = np.linalg.pinv(H) @ (J * w).T
+    least = costs(residuals).sum(axis=1)
+    for _ in range(REFITS):
+        thetas = thetas.copy()
+        thetas[:, others] -= residuals @ back.T - found.residual @ back.T
+        thetas = np.clip(thetas, low, high)
+        residuals = evaluated(cell, found.hypothesis, thetas)
+        least = np.minimum(least, costs(residuals).sum(axis=1))
+    return least
 
 
 def _run(mask: NDArray[np.bool_], at: int) -> slice:
@@ -96,12 +132,12 @@ def _run(mask: NDArray[np.bool_], at: int) -> slice:
 
 
 def _crossing(tried: Array, rise: Array, edge: int, side: int, allowed: float) -> float:
-    """Where the cost crosses the limit between the last size inside and the next one."""
+    """Where the cost crosses the limit between the last size inside and the next one: its root goes on a line there."""
     following = edge + side
     if not 0 <= following < len(tried):
         return float(tried[edge])
-    span = rise[following] - rise[edge]
-    share = (allowed - rise[edge]) / span if span > 0.0 else 1.0
+    inner, outer = np.sqrt(max(float(rise[edge]), 0.0)), np.sqrt(max(float(rise[following]), 0.0))
+    share = (np.sqrt(allowed) - inner) / (outer - inner) if outer > inner else 1.0
     return float(tried[edge] + np.clip(share, 0.0, 1.0) * (tried[following] - tried[edge]))
 
 

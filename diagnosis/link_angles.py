@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import SWINGS, Candidate, arm_candidates
 from diagnosis.quiet_encoders import quieted
-from diagnosis.stairs import coarse_joints, unstepped
+from diagnosis.stairs import coarse_steps, unstepped
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
 from machine.effects import kernel
@@ -31,14 +31,14 @@ ENCODER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
 @dataclass(frozen=True, slots=True)
 class Path:
     """The encoders' course through one stretch: t_s (m,), enc (m, n). `step_s`: between its rows, for play and swing;
-    None where rows are too rare to follow them: neither is modelled then. `coarse`: joints (1-based) whose encoder's
-    own steps are seen behind them.
+    None where rows are too rare to follow them: neither is modelled then. `coarse_rad`: steps of the encoders that are
+    seen behind them, 0 of finer ones.
     """
 
     t_s: Array
     enc: Array
     step_s: float | None
-    coarse: tuple[int, ...] = ()
+    coarse_rad: tuple[float, ...] = ()
     courses: dict[tuple[int, bytes], Array] = field(default_factory=dict, compare=False)  # behind play and swing
 
 
@@ -51,9 +51,9 @@ def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
         skip = max(1, int(COURSE_S / one.dt_s + 1e-9))
         step_s = one.dt_s * skip if one.dt_s <= FOLLOWED_S else None
         enc = filled(one.enc)
-        coarse = coarse_joints(enc)
+        coarse = coarse_steps(enc)
         quiet = np.ascontiguousarray(quieted(unstepped(enc, coarse, one.dt_s), one.dt_s)[::skip])
-        out.append(Path(one.t_s[::skip], quiet, step_s, coarse))
+        out.append(Path(one.t_s[::skip], quiet, step_s, tuple(coarse.tolist())))
     return tuple(out)
 
 
@@ -67,7 +67,7 @@ def candidates_behind(joints: tuple[int, ...], paths: tuple[Path, ...]) -> tuple
 
     Why: a swing behind a coarse encoder smooths its stairs, and would be named for that.
     """
-    coarse = {joint for path in paths for joint in path.coarse}
+    coarse = {joint for path in paths for joint, step in enumerate(path.coarse_rad, start=1) if step > 0.0}
     return tuple(
         one for one in arm_candidates(joints, followed(paths)) if one.name not in SWINGS or one.joint not in coarse
     )

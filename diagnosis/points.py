@@ -93,11 +93,7 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
              are found by least squares (`frame_fit.py`): they take up what they can of any effect.
     Raises:  DiagnosisError: no arm, or too few points for an unknown frame.
     """
-    if nominal.arm is None:
-        raise DiagnosisError(f"points need the arm's geometry; {nominal.why_absent('structure')}")
-    links = link_poses(nominal.arm, sets, true_angles(sets, data.q, set_number), set_number)
-    joints = np.array([point.joint for point in nominal.points])[data.which]
-    T_base_link = links[np.arange(len(links)), joints]
+    T_base_link = _links(nominal, sets, data, set_number)
     known = np.array([point.xyz_m is not None for point in nominal.points])
     places = np.array([point.xyz_m or (0.0, 0.0, 0.0) for point in nominal.points])
     T = np.eye(4) if nominal.T_base_tracker is None else nominal.T_base_tracker
@@ -107,8 +103,25 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
         T, places = frame_and_places(T_base_link[:, :3, :3], T_base_link[:, :3, 3], data.xyz, data.which, places, known)
     measured = data.xyz @ T[:3, :3].T + T[:3, 3]
     places = _places(T_base_link, measured, data.which, places, known)
-    modelled = np.einsum("mij,mj->mi", T_base_link[:, :3, :3], places[data.which]) + T_base_link[:, :3, 3]
-    return PointFit(measured - modelled, T, places, nominal.T_base_tracker is not None)
+    return PointFit(measured - _put(T_base_link, places[data.which]), T, places, nominal.T_base_tracker is not None)
+
+
+def modelled(nominal: Nominal, sets: ParameterSets, data: PointData, places: Array) -> Array:
+    """Where the model puts points (m, 3) [m, base axes] at the first of the sets, by their places (k, 3) on links."""
+    return _put(_links(nominal, sets, data, 0), places[data.which])
+
+
+def _links(nominal: Nominal, sets: ParameterSets, data: PointData, set_number: int) -> Array:
+    """T_base_link (m, 4, 4) of the link that each point is on."""
+    if nominal.arm is None:
+        raise DiagnosisError(f"points need the arm's geometry; {nominal.why_absent('structure')}")
+    links = link_poses(nominal.arm, sets, true_angles(sets, data.q, set_number), set_number)
+    joints = np.array([point.joint for point in nominal.points])[data.which]
+    return links[np.arange(len(links)), joints]
+
+
+def _put(T_base_link: Array, on_link: Array) -> Array:
+    return np.einsum("mij,mj->mi", T_base_link[:, :3, :3], on_link) + T_base_link[:, :3, 3]
 
 
 def numbers_fitted(nominal: Nominal, data: PointData) -> int:

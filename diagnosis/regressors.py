@@ -7,6 +7,8 @@ from diagnosis.stage_replay import Part
 from diagnosis.tables import filled
 from machine.rotations import Array
 
+MOVES_RAD = 1e-4
+
 
 def regressors_of(
     parts: tuple[Part, ...], joints: list[int], order: int, skipped: int, rows_of: list[int]
@@ -22,23 +24,26 @@ def regressors_of(
         t = one.t_s[0] + max(BLOCK_S, dt) * np.arange(len(q))
         skip = 1 + order + skipped
         for j in joints:
-            for name, values in _signals(q, u, t - one.t_s[0], j).items():
+            moves = MOVES_RAD if one.enc_step is None else max(MOVES_RAD, float(one.enc_step[j]))
+            for name, values in _signals(q, u, t - one.t_s[0], j, moves).items():
                 by_name.setdefault(name, []).append(values[skip : skip + rows])
             times.append(t[skip : skip + rows])
     return tuple((name, np.concatenate(values)) for name, values in by_name.items()), np.concatenate(times)
 
 
-def _signals(q: Array, u: Array, t: Array, j: int) -> dict[str, Array]:
+def _signals(q: Array, u: Array, t: Array, j: int, moves: float) -> dict[str, Array]:
+    """`moves`: change within a block [rad] from which a joint moves: a step of its encoder is in the residual, too."""
     v, du = np.gradient(q[:, j]), np.gradient(u[:, j])
     others = np.delete(np.abs(u), j, axis=1).sum(axis=1)
-    turning = np.abs(np.gradient(np.sign(np.where(np.abs(v) > 1e-4, v, 0.0))))
+    way = np.sign(np.where(np.abs(v) > moves, v, 0.0))
+    turning = np.abs(np.gradient(way))
     return {
         "command": u[:, j],
         "size of the command": np.abs(u[:, j]),
         "change of the command": du,
         "fast change of the command": du * np.abs(du),
         "cube of the command": u[:, j] ** 3,
-        "sign of motion": np.sign(np.where(np.abs(v) > 1e-4, v, 0.0)),
+        "sign of motion": way,
         "reversals": turning * np.sign(np.gradient(v)),
         "position": q[:, j],
         "speed times position": v * (q[:, j] - q[:, j].mean()),

@@ -91,7 +91,7 @@ class Replayer:
         """The received reference at every PLC cycle; the link's drive goes to `out` where what was sent is known."""
         plant, sent = out.plant, out.stretch.sent
         if sent is None:
-            return _through(plant, ref, None)
+            return smooth(plant, ref)
         cycles = (out.stretch.rows - 1) * plant.decimate + 1
         drive = drive_by_sent(plant, sent.t_s, sent.q, float(out.stretch.t_s[0]), cycles, lost=sent.lost)
         out.drives["link"] = drive

@@ -9,24 +9,28 @@ from diagnosis.floor import encoder_step
 from machine.rotations import Array
 
 COARSE_RAD = 2e-4  # a finer one is next to nothing at any tip
+LEFT = (
+    0.06  # of a step: RMS of a ramp's error that repeats do not show, since they meet the same stairs; a stair has 0.29
+)
 STANDS_S = 0.5  # between two changes: of a longer one nobody knows when the joint went on
 
 
-def unstepped(enc: Array, coarse: tuple[int, ...], dt_s: float) -> Array:
-    """Encoders (m, n) [rad]; of `coarse` joints (1-based) by straight lines through the middles of their changes.
+def unstepped(enc: Array, steps_rad: Array, dt_s: float) -> Array:
+    """Encoders (m, n) [rad]; those with steps (n,) by straight lines through the middles of their changes.
 
     Model: where the reading goes from one stair to the next the angle is between the two, within a row; a change back
            to the stair before says no more than that, and a joint that stands for long is somewhere on its stair.
     """
     out = enc.copy()
-    for joint in coarse:
-        out[:, joint - 1] = _ramp(enc[:, joint - 1], dt_s)
+    for j in np.nonzero(steps_rad)[0]:
+        out[:, j] = _ramp(enc[:, j], dt_s)
     return out
 
 
-def coarse_joints(enc: Array) -> tuple[int, ...]:
-    """Joints (1-based) whose encoder steps are seen at the tip, of encoders (m, n) [rad]."""
-    return tuple(j for j, raw in enumerate(enc.T, start=1) if encoder_step(raw) >= COARSE_RAD)
+def coarse_steps(enc: Array) -> Array:
+    """Steps (n,) [rad] of encoders (m, n) that are seen at the tip; 0 of finer ones."""
+    steps = np.array([encoder_step(raw) for raw in enc.T])
+    return np.where(steps >= COARSE_RAD, steps, 0.0)
 
 
 def _ramp(raw: Array, dt_s: float) -> Array:

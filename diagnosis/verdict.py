@@ -10,6 +10,7 @@ import numpy as np
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import guessed_scatter_m
 from diagnosis.certain import certain_in_words, probability_of_names
+from diagnosis.late_log import late_log
 from diagnosis.refusal import EDGE, ENERGY_MIN, Fired
 from diagnosis.score import STICKS
 from diagnosis.shapes.found import TEST as SHAPE
@@ -62,6 +63,10 @@ def verdict_of(
     outside = [one for one in speaking if _left(one) > LEFT_LARGE]
     partly = [one for one in speaking if _allowed(one) < _left(one) <= LEFT_LARGE]
     named = [effect for one in answers for effect in one.chosen.fit.hypothesis]
+    late = late_log(answers)
+    if late is not None and late.seen_by_clock:
+        return Verdict("outside", late.words)
+    one_cause = f"; {late.words}" if late is not None else ""
     scattered = max((guessed_scatter_m(one.search.cell) for one in answers), default=0.0)
     if scattered > SCATTER_MAX_M and (outside or partly or not named):
         text = f"the points scatter by {1e3 * scattered:.3g} mm about every model of this arm: that is no noise"
@@ -72,7 +77,7 @@ def verdict_of(
     if partly:
         one = partly[0]
         text = f"{_where(one)}: the best names leave {100 * _left(one):.3g} % of the gap{_lead(one)}"
-        return Verdict("undecided", text)
+        return Verdict("undecided", text + one_cause)
     if stood_still:
         text = "no joint moved, and at one posture a mount, a lens, a zero and a print look alike"
         return Verdict("undecided", f"{text}; record a motion of all joints, or a whole job from look to accept")
@@ -118,7 +123,9 @@ def verdict_of(
         left = f"; what is left is {_over_noise(unclear[0])}: repeats would tell it" if unclear else ""
         return Verdict("undecided", text + left)
     beside = "".join(f"; beside it {_where(one)} {_leading(one).lead}, a trace" for one in traces[:1])
-    return Verdict("effects", f"{'catalogue effects explain the gap' if not unclear else _partly(unclear[0])}{beside}")
+    return Verdict(
+        "effects", f"{'catalogue effects explain the gap' if not unclear else _partly(unclear[0])}{beside}{one_cause}"
+    )
 
 
 def _gained_nats(one: CellAnswer) -> float:

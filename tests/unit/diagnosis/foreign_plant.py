@@ -93,8 +93,8 @@ def reference(kind: str, t: np.ndarray, seed: int = 0) -> np.ndarray:
     return START + fade * (0.1 * np.sin(x) + 0.05 * np.sin(2.7 * x + 1.0) + 0.02 * np.sin(6.1 * x))
 
 
-def run(kind: str, fault: Fault, rng: np.random.Generator, seconds: float, t0: float, noise: float) -> dict:
-    """One segment: PLC rows and sent rows."""
+def run(kind: str, fault: Fault, rng: np.random.Generator, seconds: float, t0: float, noise: float, log: tuple) -> dict:
+    """One segment: PLC rows and sent rows. `log`: seconds between rows, and the encoders' counts in a turn."""
     per, cycles = round(CYCLE_S / STEP_S), round(seconds / CYCLE_S)
     t_sent = np.arange(0.0, seconds, SENT_S)
     sent = reference(kind, t_sent)
@@ -103,15 +103,17 @@ def run(kind: str, fault: Fault, rng: np.random.Generator, seconds: float, t0: f
     gain = GAIN * (1.0 + np.array(fault.gain))
     faults = np.array([dead, lag, hyst, rate, up, limit, KP * (1.0 + np.array(fault.kp)), gain, np.array(fault.gear)])
     shock = rng.normal(0.0, noise, (cycles, 2))
-    rows = _stepped(cycles, per, sent, DELAY_S + fault.delay_s, fault.quantum, faults, fault.warming / 60.0, t0, shock)
+    rows = _stepped(
+        cycles, per, sent, DELAY_S + fault.delay_s, fault.quantum, faults, fault.warming / 60.0, t0, shock, *log
+    )
     return {"plc": rows.tolist(), "sent": [(t0 + t + OFFSET_S, *row) for t, row in zip(t_sent, sent, strict=True)]}
 
 
 @njit
-def _stepped(cycles, per, sent, delay, quantum, faults, warming, t0, shock):
+def _stepped(cycles, per, sent, delay, quantum, faults, warming, t0, shock, log_s, counts):
     """Rows time, ref (2,), encoder (2,), command (2,), number of the reference."""
     dead, lag, hyst, rate, up, limit, kp, gain, gear = faults
-    every, step = round(LOG_S / CYCLE_S), 2.0 * np.pi / COUNTS
+    every, step = round(log_s / CYCLE_S), 2.0 * np.pi / counts
     rows = np.zeros(((cycles - 1) // every + 1, 8))
     q, x, xd, slow, play, wind, u = np.concatenate((START, np.zeros(12))).reshape(7, 2)
     for k in range(cycles):
@@ -215,16 +217,18 @@ def write(
     tracker_m: float = 0.0,
     static: int = 0,
     camera_px: float = 0.0,
+    log_s: float = LOG_S,
+    counts: int = COUNTS,
 ) -> Path:
     """A recording folder as the format says. `tracker_m`: noise of a tracker, 0 without; `static`: poses
-    at rest; `camera_px`: noise of marker corners, 0 without."""
+    at rest; `camera_px`: noise of marker corners, 0 without; `log_s`: between logged rows; `counts`: encoders'."""
     rng = np.random.default_rng(seed)
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "machine.toml").write_text(MACHINE + "\n", encoding="utf-8")
+    (folder / "machine.toml").write_text(_machine(log_s, counts) + "\n", encoding="utf-8")
     plc, sent, places, corners, segments, first = [], [], [], [], [], 0
     for number, kind in enumerate(kinds):
         t0 = number * (seconds + 1.0)
-        made = run(kind, fault, rng, seconds, t0, noise)
+        made = run(kind, fault, rng, seconds, t0, noise, (log_s, counts))
         plc += [(*row[:-1], first + int(row[-1])) for row in made["plc"]]
         sent += [(row[0], first + k, *row[1:]) for k, row in enumerate(made["sent"])]
         first += len(made["sent"])
@@ -253,6 +257,11 @@ def write(
     _csv(folder / "plc.csv", [*names, "seq_received"], plc)
     _csv(folder / "sent.csv", ["t_pc_s", "seq", "q_sent_1_rad", "q_sent_2_rad"], sent)
     return folder
+
+
+def _machine(log_s: float, counts: int) -> str:
+    text = MACHINE.replace(f"log_cycle_s = {LOG_S}", f"log_cycle_s = {log_s}")
+    return text.replace(f"encoder_counts_rev = {COUNTS}", f"encoder_counts_rev = {counts}")
 
 
 def _csv(path: Path, names: list, rows: list) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis_cases import changed, recording
+from foreign_plant import Fault, write
 from one_joint_cases import Machine, recorded
 from test_diagnosis_localise import entry
 
@@ -59,3 +60,14 @@ def test_joints_without_valve_commands_are_judged_one_by_one() -> None:
     named = [effect.key for one in found.cells for effect in one.chosen.fit.hypothesis]
     assert named in ([("flow_gain_error", 2)], [("controller_gain_error", 2)])
     assert next(one.joint for one in found.localisation.places if one.stage == "actuator") == 2
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.03])
+def test_a_reference_between_rare_rows_is_a_curve(tmp_path: Path, lag_s: float) -> None:
+    """Straight lines through its rows cut a healthy machine's corners: a lag of 1.4 ms, and refused for the rest."""
+    place = write(tmp_path / "run", Fault(lag_s=(0.0, lag_s)), log_s=0.05)
+    (place / "sent.csv").unlink()
+    found = answer(diagnose(read(place)))
+    assert found["verdict"] == ("effects" if lag_s else "none"), found["why"]
+    named = [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+    assert named == ([("valve_lag", 2)] if lag_s else [])

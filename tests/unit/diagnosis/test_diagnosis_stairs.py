@@ -1,8 +1,15 @@
 """A coarse encoder's stairs, for points behind the joint."""
 
-import numpy as np
+from pathlib import Path
 
-from diagnosis.stairs import coarse_joints, unstepped
+import numpy as np
+import pytest
+from foreign_plant import Fault, write
+
+from diagnosis.answer import answer
+from diagnosis.diagnose import diagnose
+from diagnosis.reading import read
+from diagnosis.stairs import coarse_steps, unstepped
 
 
 def test_a_coarse_encoders_stairs_are_a_ramp_and_a_fine_ones_stay() -> None:
@@ -10,8 +17,20 @@ def test_a_coarse_encoders_stairs_are_a_ramp_and_a_fine_ones_stay() -> None:
     q = np.stack([0.5 * np.sin(0.3 * t), 0.5 * np.sin(0.3 * t)], axis=1)
     step = np.array([8e-4, 2e-5])
     enc = np.round(q / step) * step
-    assert coarse_joints(enc) == (1,)
-    out = unstepped(enc, (1,), 0.01)
+    steps = coarse_steps(enc)
+    assert steps == pytest.approx([8e-4, 0.0])
+    out = unstepped(enc, steps, 0.01)
     assert np.array_equal(out[:, 1], enc[:, 1])
     before, after = (float(np.median(np.abs(of[:, 0] - q[:, 0]))) for of in (enc, out))
     assert after < 0.5 * before, after / before
+
+
+@pytest.mark.parametrize("deadband", [0.0, 0.08])
+def test_a_machine_with_twelve_bits_in_its_loop_is_judged_by_its_faults(tmp_path: Path, deadband: float) -> None:
+    """Encoders that step back and forth were its reversals, and what a tracker saw of their steps a gap."""
+    fault = Fault(deadband=(deadband, 0.0))
+    place = write(tmp_path / "run", fault, seconds=20.0, tracker_m=2e-4, log_s=0.02, counts=4096)
+    found = answer(diagnose(read(place)))
+    assert found["verdict"] == ("effects" if deadband else "none"), found["why"]
+    named = [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+    assert named == ([("valve_deadband", 1)] if deadband else [])
