@@ -27,6 +27,7 @@ CODES: dict[str, str] = {
     "clock_jump": "the clock jumps while the signals go on",
     "time_backwards": "time runs backwards",
     "uneven_rate": "rows do not come at the rate of the machine file",
+    "uneven_stamps": "stamps jitter about rows that were taken evenly",
     "degrees": "angles in degrees where radians belong",
     "percent": "commands in percent where fractions belong",
     "metres": "a position in metres of a joint that turns",

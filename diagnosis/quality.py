@@ -13,6 +13,7 @@ from machine.rotations import Array
 from recording.run import Segment
 
 GAP_STEPS = 1.5  # a step in time above this many median steps: rows are missing
+GAP_MORE = 0.6  # median steps that the three steps about it are too long together: else it is a late stamp
 ROWS_MIN = 50
 EDGE_S = 1e-6  # rounding of a segment's ends
 DURATION_MIN_S = 2.0
@@ -41,9 +42,9 @@ def time_findings(
 ) -> list[Finding]:
     """Gaps, jumps of the clock, time that runs backwards.
 
-    Model: a forward step above 1.5 median steps is a jump of the clock where the signals moved on by one row's motion
-           only, though they were moving (below 0.3 of speed times step); else rows are missing. Where there are
-           segments, nothing is asked of the time between them.
+    Model: a forward step above 1.5 median steps, which those beside it do not make up for, is a jump of the clock
+           where the signals moved on by one row's motion only, though they were moving (below 0.3 of speed times
+           step); else rows are missing. Where there are segments, nothing is asked of the time between them.
     """
     if not np.isfinite(t_s).all():
         bad = int((~np.isfinite(t_s)).sum())
@@ -63,7 +64,7 @@ def time_findings(
         )
         findings.append(Finding("time_backwards", "problem", subject, text, len(back)))
     jumps, gaps = [], []
-    for k in np.nonzero((steps > GAP_STEPS * median) & _inside(t_s, segments))[0]:
+    for k in np.nonzero(too_long(steps, median, GAP_STEPS) & _inside(t_s, segments))[0]:
         (jumps if _is_jump(signals, int(k), float(steps[k]), median) else gaps).append(int(k))
     if jumps:
         k = jumps[0]
@@ -80,6 +81,16 @@ def time_findings(
         )
         findings.append(Finding("gap", "problem", subject, text, len(gaps)))
     return findings
+
+
+def too_long(steps: Array, median: float, most: float) -> NDArray[np.bool_]:
+    """Steps (m,) of more than so many median ones that the steps beside them do not make up for.
+
+    Why: a row that was stamped late comes after a long step and before a short one, and none is missing.
+    """
+    beside = np.concatenate([[median], steps, [median]])
+    three = beside[:-2] + beside[1:-1] + beside[2:]
+    return (steps > most * median) & (three > (3.0 + GAP_MORE) * median)
 
 
 def _inside(t_s: Array, segments: Sequence[Segment]) -> NDArray[np.bool_]:

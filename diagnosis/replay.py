@@ -8,6 +8,7 @@ from diagnosis.course import held_rows, late, late_jumps, smooth
 from diagnosis.nominal import Nominal
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
+from machine.effects import kernel
 from machine.effects.dynamics import (
     Actuators,
     Drive,
@@ -22,20 +23,24 @@ from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import loads_along, reference_torques
 from machine.rotations import Array
 
+SENT_S = 0.01  # between two references, where nobody logged them: what this project's links and most others use
+
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
     """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows.
 
     `other`: (cycles, n), another course that the valve commands may as well have taken between logged rows; None where
-    each cycle was logged. `late`: the drives of stages whose input jumps, with each jump at the end of its logged row:
-    what was sent is not known, so that it may be anywhere in it.
+    each cycle was logged. `fuller`: (cycles, n), commands as much larger as their mean between rows may be than the
+    rows show; None where a reference tells. `late`: the drives of stages whose input jumps, with each jump at the end
+    of its logged row: what was sent is not known, so that it may be anywhere in it.
     """
 
     plant: Actuators
     drives: dict[str, Drive]
     stretch: Stretch
     other: Array | None = None
+    fuller: Array | None = None
     late: dict[str, Drive] = field(default_factory=dict)
 
 
@@ -125,10 +130,13 @@ class Replayer:
             return drive_actuator(plant, course, enc[0], loads, fine=True)
 
         if commands.own is None:
-            out.drives["actuator"] = driven(smooth(plant, u))
+            course = smooth(plant, u)
+            out.drives["actuator"] = driven(course)
             if plant.decimate == 1:
                 return out
             other = u_late = late(plant, u)
+            if self.nominal.has_controller:
+                out = replace(out, fuller=course * (1.0 + self._teeth()))
         else:
             out.drives["actuator"] = driven(_through(plant, u, commands.own))
             other = _through(plant, u, commands.held)
@@ -136,6 +144,13 @@ class Replayer:
         if u_late is not None:
             out.late["actuator"] = driven(u_late)
         return replace(out, other=other)
+
+    def _teeth(self) -> Array:
+        """Share (n,) by which a command may be beside its mean wherever it is sampled.
+
+        Model: a reference that steps every T makes teeth of kp v T, v = Kv u: half of one is kp Kv T / 2 of u.
+        """
+        return 0.5 * SENT_S * self.plant.joints[:, kernel.KP] * self.plant.joints[:, kernel.KV]
 
     def outputs(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
         """What every set gives for a stage's output (sets, rows, n); None where the stretch lacks input or output."""

@@ -30,6 +30,7 @@ class Part:
     """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
 
     `between`: (m, joints), how far two guesses of the input's course between logged rows drive the increments apart;
+    `fuller`: (m, joints), the same of commands that are as much larger as rows between teeth may hide, or None;
     `unsure`: (m, joints), the same of jumps that each may be anywhere in its row; None where no row hides a jump.
     `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
     course (m,); empty, or None, where nothing is.
@@ -41,6 +42,7 @@ class Part:
     stretch: Stretch
     between: Array
     unsure: Array | None = None
+    fuller: Array | None = None
     moved: tuple[Callable[[Array], Array] | None, ...] = ()
 
 
@@ -68,7 +70,9 @@ class Replay:
         weight = trust(part, self.whitener)
         white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
         if self.stage == "actuator":
-            columns = [whiten_sets(self.whitener, one)[:, SKIPPED:] * weight for one in (part.between[None], shift)]
+            guesses = [(part.between[None], 1.0), (shift, TIMING_S)]
+            guesses += [(part.fuller[None], 1.0)] if part.fuller is not None else []
+            columns = [(whiten_sets(self.whitener, one)[:, SKIPPED:] * weight, most) for one, most in guesses]
             white = _excused(white, columns)
         return white.transpose(0, 2, 1).reshape(len(white), -1)
 
@@ -84,18 +88,18 @@ def trust(part: Part, whitener: Whitener) -> Array | float:
     return 1.0 / (1.0 + (UNIFORM * whiten_sets(whitener, part.unsure[None])[:, SKIPPED:]) ** 2)
 
 
-def _excused(white: Array, columns: list[Array]) -> Array:
+def _excused(white: Array, columns: list[tuple[Array, float]]) -> Array:
     """Residuals without what the log's own coarseness can explain, per set and joint.
 
     Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
-    the command's course is a guess. At most once the difference of two guesses, and a shift of at most TIMING_S, are
-    no effects. Solved in turn (Gauss-Seidel), the courses first, since each has its own limit: what both can explain
-    is theirs.
+    the command's course is a guess. At most once the difference of two guesses, a shift of at most TIMING_S, and where
+    no reference was logged what its steps may hide, are no effects: each column with its most. Solved in turn
+    (Gauss-Seidel), the courses first: what both can explain is theirs.
     """
     amounts = [np.zeros_like(white[:, :1]) for _ in columns]
     left = white
     for _ in range(PASSES):
-        for k, (column, most) in enumerate(zip(columns, (1.0, TIMING_S), strict=True)):
+        for k, (column, most) in enumerate(columns):
             wanted = np.clip(amounts[k] - _share(left, column), -most, most)
             left = left + (wanted - amounts[k]) * column
             amounts[k] = wanted
@@ -162,7 +166,8 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
     unsure = None if jumped is None else apart(u=jumped.u) if stage == "actuator" else apart(ref=jumped.ref)
     if stage != "actuator" or one.other is None:
         return replace(part, between=np.zeros_like(own), unsure=unsure)
-    return replace(part, between=apart(u=one.other), unsure=unsure)
+    fuller = None if one.fuller is None else apart(u=one.fuller)
+    return replace(part, between=apart(u=one.other), unsure=unsure, fuller=fuller)
 
 
 def by_steps(part: Part) -> Array:

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from diagnosis.findings import Finding
 from diagnosis.floor import encoder_step
-from diagnosis.quality import DURATION_MIN_S, GAP_STEPS, ROWS_MIN
+from diagnosis.quality import DURATION_MIN_S, GAP_STEPS, ROWS_MIN, too_long
+from diagnosis.stamps import even_grid, taken_evenly
 from diagnosis.tables import PlcTable, Tables
 from machine.rotations import Array
 from recording.run import Segment
@@ -16,7 +17,7 @@ from recording.run import Segment
 MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
 LOGGED_OFTEN = 0.7  # of a sending period: a log row that comes later may have skipped a datagram
 STOOD_RAD = 2e-3  # no joint went further than this from where it was: one posture
-JITTER_MAX = 1e-3  # of a step: stamps closer to the even grid than this are taken as they are
+JITTER_MAX = 0.02  # of a step: rows whose stamps are closer to the even grid than this are taken as even
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +114,7 @@ def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
             name = f"{label}/{part}" if len(pieces) > 1 else label
             one = _stretch(plc, segment, name, rows, _sent(tables, clock, lost, plc.t_s[rows]))
             found.append(replace(one, enc_step=enc_step))
-    findings += _mended(plc, broken)
+    findings += [*_mended(plc, broken), *_uneven_stamps(plc, cut, found)]
     return tuple(found), findings
 
 
@@ -155,6 +156,20 @@ def _apparent_delays(tables: Tables) -> Array:
     return plc.t_s[first[at_plc[keep]]] - sent.t_s[at_pc[keep]]
 
 
+def _uneven_stamps(plc: PlcTable, cut: list[list[NDArray[np.int64]]], found: list[Stretch]) -> list[Finding]:
+    """Where the rows are taken as even although their stamps are not."""
+    pieces = [rows for pieces in cut for rows in pieces]
+    off = [
+        float(np.abs(plc.t_s[rows] - one.t_s).max())
+        for rows, one in zip(pieces, found, strict=True)
+        if one.t_s[0] != plc.t_s[rows[0]]
+    ]
+    if not off:
+        return []
+    text = f"stamps are up to {1e3 * max(off):.2g} ms beside an even rate, and the encoders moved at an even one"
+    return [Finding("uneven_stamps", "note", "plc.csv", f"{text}: rows are taken as even", len(off))]
+
+
 def _bridged(cut: list[list[NDArray[np.int64]]]) -> list[Finding]:
     if not any(cut):
         return []
@@ -171,7 +186,7 @@ def _pieces(plc: PlcTable, broken: NDArray[np.bool_], segment: Segment, longest:
         return
     steps = np.diff(plc.t_s[rows])
     median = float(np.median(np.abs(steps)))
-    cut = (steps > longest * median) | (steps <= 0.0) | (np.diff(rows) > 1)
+    cut = too_long(steps, median, longest) | (steps <= 0.0) | (np.diff(rows) > 1)
     for piece in np.split(rows, np.nonzero(cut)[0] + 1):
         for part in np.split(piece, np.nonzero(np.diff(broken[piece].astype(int)))[0] + 1):
             if len(part) >= ROWS_MIN and not broken[part[0]] and np.ptp(plc.t_s[part]) >= DURATION_MIN_S:
@@ -209,6 +224,10 @@ def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64]
     dt = float((t[-1] - t[0]) / (len(t) - 1))
     grid = t[0] + dt * np.arange(len(t))
     even = bool(np.abs(t - grid).max() <= JITTER_MAX * dt)
+    between = even_grid(t)
+    if not even and taken_evenly(None if plc.enc is None else plc.enc[rows], t, between):
+        grid, even = between, True
+        dt = float(grid[1] - grid[0])
     signals = {
         field.name: _even(getattr(plc, field.name), rows, t, grid, even)
         for field in fields(PlcTable)

@@ -1,0 +1,49 @@
+"""Whether a log's rows were taken as evenly as a machine runs, and only their stamps are uneven: the encoders tell.
+
+Why: a PC that stamps the rows of a PLC does it a millisecond early or late. Signals brought to an even rate by such
+     stamps are wrong by as much, where the machine goes fast; a healthy one was refused for it.
+"""
+
+import numpy as np
+
+from machine.rotations import Array
+
+NEXT_ROW = 0.45  # of a step: a stamp farther from the even rate may be of a row that came after a missing one
+HALF = 0.5  # of the unevenness: rows that follow their stamps show all of it, even ones nothing
+SURE = 4.0  # standard errors between the two
+BESIDE = (1.0 / 6.0, -4.0 / 6.0, 1.0, -4.0 / 6.0, 1.0 / 6.0)  # a row less the cubic through the two on either side
+
+
+def even_grid(t_s: Array) -> Array:
+    """The even times (m,) nearest to stamps (m,)."""
+    k = np.arange(len(t_s)) - 0.5 * (len(t_s) - 1)
+    return t_s.mean() + k * float(k @ t_s) / float(k @ k)
+
+
+def taken_evenly(enc: Array | None, t_s: Array, grid_s: Array) -> bool:
+    """Whether encoders (m, n) stamped t_s (m,) moved as if their rows were at grid_s (m,); False where none can tell.
+
+    Model: beside the cubic through its four neighbours a row stands off by speed times its stamp's unevenness beside
+           theirs, if the stamps are true, and by nothing of that if the rows were even: the share of it by least
+           squares.
+    """
+    off = t_s - grid_s
+    if enc is None or len(t_s) <= len(BESIDE) or np.abs(off).max() > NEXT_ROW * float(grid_s[1] - grid_s[0]):
+        return False
+    step_s = float(grid_s[1] - grid_s[0])
+    expected = _beside(off[:, None]) * (enc[3:-1] - enc[1:-3]) / (2.0 * step_s)
+    stands = _beside(enc)
+    good = np.isfinite(expected) & np.isfinite(stands)
+    x, y = expected[good], stands[good]
+    power = float(x @ x)
+    if power == 0.0:
+        return False
+    share = float(x @ y) / power
+    error = float(np.sqrt(np.mean((y - share * x) ** 2) / power))
+    return share < HALF and SURE * error < 1.0
+
+
+def _beside(values: Array) -> Array:
+    """Each row (m - 4, n) beside the cubic through its neighbours."""
+    rows = len(values) - len(BESIDE) + 1
+    return np.sum([share * values[k : k + rows] for k, share in enumerate(BESIDE)], axis=0)
