@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import candidates_of
 from diagnosis.cells import Cell, Rows
-from diagnosis.link_angles import Path, candidates_behind, inside, link_angles, paths_of, without_encoders
+from diagnosis.link_angles import Path, candidates_behind, coarsest, inside, link_angles, paths_of, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.point_noise import PointNoise, instants_of
 from diagnosis.points import PointData, PointFit, fit_points, modelled, numbers_fitted, static_data, tracked_data
@@ -163,11 +163,9 @@ def _cell(
 
 def _stairs_m(rough: PointResidual, base: ParameterSets) -> Array:
     """RMS (3,) [m] of what coarse encoders leave of their stairs, radial, tangential and up."""
-    steps = np.array([path.coarse_rad for path in rough.paths])
-    squares = np.zeros(3)
-    for j in np.nonzero(steps.any(axis=0))[0] if len(steps) else ():
-        off = LEFT * float(steps[:, j].max())
-        squares += (rough.moved_by(base, int(j), off) ** 2).mean(axis=0)
+    steps, squares = coarsest(rough.paths, rough.nominal.n), np.zeros(3)
+    for j in np.nonzero(steps)[0]:
+        squares += (rough.moved_by(base, int(j), LEFT * float(steps[j])) ** 2).mean(axis=0)
     return np.sqrt(squares)
 
 

@@ -13,15 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.poses import pose
-from machine.rotations import Array
+from machine.rotations import Array, skew
 
 TRIED, SETTLED = 8, 40  # steps from every start, and from the best of them
 POLISHED = 3
 ENOUGH_RAD = 1e-11
 FLAT = 1e-10  # of the largest curvature: along less than that nothing is known, and nothing is changed
-GENERATORS = np.array(
-    [[[0, 0, 0], [0, 0, -1], [0, 1, 0]], [[0, 0, 1], [0, 0, 0], [-1, 0, 0]], [[0, -1, 0], [1, 0, 0], [0, 0, 0]]]
-)
+GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
 
 
 @dataclass(frozen=True, slots=True)

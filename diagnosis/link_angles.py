@@ -50,9 +50,8 @@ def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
             continue
         skip = max(1, int(COURSE_S / one.dt_s + 1e-9))
         step_s = one.dt_s * skip if one.dt_s <= FOLLOWED_S else None
-        enc = filled(one.enc)
-        coarse = coarse_steps(enc)
-        quiet = np.ascontiguousarray(quieted(unstepped(enc, coarse, one.dt_s), one.dt_s)[::skip])
+        coarse = coarse_steps(np.zeros(one.enc.shape[1]) if one.enc_step is None else one.enc_step)
+        quiet = np.ascontiguousarray(quieted(unstepped(filled(one.enc), coarse, one.dt_s), one.dt_s)[::skip])
         out.append(Path(one.t_s[::skip], quiet, step_s, tuple(coarse.tolist())))
     return tuple(out)
 
@@ -62,12 +61,18 @@ def followed(paths: tuple[Path, ...]) -> bool:
     return bool(paths) and all(path.step_s is not None for path in paths)
 
 
+def coarsest(paths: tuple[Path, ...], n: int) -> Array:
+    """The largest step (n,) [rad] of each joint's encoder along any course; 0 of fine ones."""
+    steps = [np.array(path.coarse_rad) for path in paths if path.coarse_rad]
+    return np.max([np.zeros(n), *steps], axis=0)
+
+
 def candidates_behind(joints: tuple[int, ...], paths: tuple[Path, ...]) -> tuple[Candidate, ...]:
     """The arm's effects that points and corners along these courses can show.
 
     Why: a swing behind a coarse encoder smooths its stairs, and would be named for that.
     """
-    coarse = {joint for path in paths for joint, step in enumerate(path.coarse_rad, start=1) if step > 0.0}
+    coarse = np.nonzero(coarsest(paths, max(joints, default=0)))[0] + 1
     return tuple(
         one for one in arm_candidates(joints, followed(paths)) if one.name not in SWINGS or one.joint not in coarse
     )

@@ -102,7 +102,8 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
     if nominal.T_base_tracker is None:
         T, places = frame_and_places(T_base_link[:, :3, :3], T_base_link[:, :3, 3], data.xyz, data.which, places, known)
     measured = data.xyz @ T[:3, :3].T + T[:3, 3]
-    places = _places(T_base_link, measured, data.which, places, known)
+    if nominal.T_base_tracker is not None:
+        places = _places(T_base_link, measured, data.which, places, known)
     return PointFit(measured - _put(T_base_link, places[data.which]), T, places, nominal.T_base_tracker is not None)
 
 

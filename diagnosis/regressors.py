@@ -7,7 +7,7 @@ from diagnosis.stage_replay import Part
 from diagnosis.tables import filled
 from machine.rotations import Array
 
-MOVES_RAD = 1e-4
+MOVES_RAD = 1e-4  # within a block
 
 
 def regressors_of(

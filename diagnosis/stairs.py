@@ -5,13 +5,10 @@ Why: 0.8 mrad are 2 mm of a boom's tip, ten times a tracker's noise; a damped sw
 
 import numpy as np
 
-from diagnosis.floor import encoder_step
 from machine.rotations import Array
 
 COARSE_RAD = 2e-4  # a finer one is next to nothing at any tip
-LEFT = (
-    0.06  # of a step: RMS of a ramp's error that repeats do not show, since they meet the same stairs; a stair has 0.29
-)
+LEFT = 0.06  # of a step: RMS error of a ramp that repeats, which meet the same stairs, do not show; a stair has 0.29
 STANDS_S = 0.5  # between two changes: of a longer one nobody knows when the joint went on
 
 
@@ -27,10 +24,9 @@ def unstepped(enc: Array, steps_rad: Array, dt_s: float) -> Array:
     return out
 
 
-def coarse_steps(enc: Array) -> Array:
-    """Steps (n,) [rad] of encoders (m, n) that are seen at the tip; 0 of finer ones."""
-    steps = np.array([encoder_step(raw) for raw in enc.T])
-    return np.where(steps >= COARSE_RAD, steps, 0.0)
+def coarse_steps(steps_rad: Array) -> Array:
+    """Those of the encoders' steps (n,) [rad] that are seen at the tip; 0 of finer ones."""
+    return np.where(steps_rad >= COARSE_RAD, steps_rad, 0.0)
 
 
 def _ramp(raw: Array, dt_s: float) -> Array:

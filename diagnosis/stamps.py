@@ -27,10 +27,9 @@ def taken_evenly(enc: Array | None, t_s: Array, grid_s: Array) -> bool:
            theirs, if the stamps are true, and by nothing of that if the rows were even: the share of it by least
            squares.
     """
-    off = t_s - grid_s
-    if enc is None or len(t_s) <= len(BESIDE) or np.abs(off).max() > NEXT_ROW * float(grid_s[1] - grid_s[0]):
+    off, step_s = t_s - grid_s, float(grid_s[1] - grid_s[0])
+    if enc is None or len(t_s) <= len(BESIDE) or np.abs(off).max() > NEXT_ROW * step_s:
         return False
-    step_s = float(grid_s[1] - grid_s[0])
     expected = _beside(off[:, None]) * (enc[3:-1] - enc[1:-3]) / (2.0 * step_s)
     stands = _beside(enc)
     good = np.isfinite(expected) & np.isfinite(stands)

@@ -224,10 +224,8 @@ def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64]
     dt = float((t[-1] - t[0]) / (len(t) - 1))
     grid = t[0] + dt * np.arange(len(t))
     even = bool(np.abs(t - grid).max() <= JITTER_MAX * dt)
-    between = even_grid(t)
-    if not even and taken_evenly(None if plc.enc is None else plc.enc[rows], t, between):
-        grid, even = between, True
-        dt = float(grid[1] - grid[0])
+    if not even and taken_evenly(None if plc.enc is None else plc.enc[rows], t, nearest := even_grid(t)):
+        grid, even, dt = nearest, True, float(nearest[1] - nearest[0])
     signals = {
         field.name: _even(getattr(plc, field.name), rows, t, grid, even)
         for field in fields(PlcTable)

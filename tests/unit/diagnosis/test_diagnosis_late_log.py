@@ -1,11 +1,10 @@
 """Encoders whose log was filtered: not lags of every valve, and not a tracker's clock."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_plant import Fault, write
+from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
@@ -14,10 +13,8 @@ from diagnosis.reading import read
 FILTER_S = 0.04
 
 
-def filtered(place: Path) -> Path:
-    """The folder as a logger writes it that smooths the encoders, by a pole at FILTER_S."""
-    with (place / "plc.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+def filtered(rows: list) -> None:
+    """A log as one writes it that smooths the encoders, by a pole at FILTER_S."""
     t = np.array([float(row["t_plc_s"]) for row in rows])
     share = np.where(np.diff(t) < 0.5, 1.0 - np.exp(-np.diff(t) / FILTER_S), 1.0)
     for name in ("q_1_rad", "q_2_rad"):
@@ -25,17 +22,12 @@ def filtered(place: Path) -> Path:
         for row, part in zip(rows[1:], share, strict=True):
             q += part * (float(row[name]) - q)
             row[name] = f"{q!s}"
-    with (place / "plc.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, rows[0].keys())
-        writer.writeheader()
-        writer.writerows(rows)
-    return place
 
 
 @pytest.mark.parametrize("tracker_m", [2e-4, 0.0])
 def test_a_filtered_log_is_told_as_one_cause(tmp_path: Path, tracker_m: float) -> None:
     place = write(tmp_path / "run", Fault(), seconds=10.0, tracker_m=tracker_m)
-    found = answer(diagnose(read(filtered(place))))
+    found = answer(diagnose(read(rewritten(place, filtered))))
     assert found["verdict"] == ("outside" if tracker_m else "undecided"), found["why"]
     assert "joints 1, 2 all lag by 3" in found["why"]
     assert ("as much earlier: the encoders' log is filtered or late" in found["why"]) == (tracker_m > 0.0)

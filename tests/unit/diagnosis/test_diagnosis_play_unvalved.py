@@ -1,10 +1,9 @@
 """Play behind encoders is told where a tracker and a log of angles are all there is: no valve, no command, no gain."""
 
-import csv
 from pathlib import Path
 
 import pytest
-from foreign_plant import Fault, write
+from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
@@ -19,11 +18,7 @@ def angles_only(place: Path) -> Path:
     kept = [line for line in toml.read_text(encoding="utf-8").splitlines() if not line.startswith(OF_VALVES)]
     toml.write_text("\n".join(kept) + "\n", encoding="utf-8")
     (place / "sent.csv").unlink()
-    with (place / "plc.csv").open(encoding="utf-8", newline="") as file:
-        rows = [[row[name] for name in ("t_plc_s", "q_1_rad", "q_2_rad")] for row in csv.DictReader(file)]
-    with (place / "plc.csv").open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([["t_plc_s", "q_1_rad", "q_2_rad"], *rows])
-    return place
+    return rewritten(place, without=("q_ref", "u_", "seq"))
 
 
 @pytest.mark.parametrize(("play_rad", "wanted"), [(0.0, set()), (0.004, {("backlash", 2)})])

@@ -8,6 +8,7 @@ from foreign_plant import Fault, write
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
+from diagnosis.floor import encoder_step
 from diagnosis.reading import read
 from diagnosis.stairs import coarse_steps, unstepped
 
@@ -17,7 +18,7 @@ def test_a_coarse_encoders_stairs_are_a_ramp_and_a_fine_ones_stay() -> None:
     q = np.stack([0.5 * np.sin(0.3 * t), 0.5 * np.sin(0.3 * t)], axis=1)
     step = np.array([8e-4, 2e-5])
     enc = np.round(q / step) * step
-    steps = coarse_steps(enc)
+    steps = coarse_steps(np.array([encoder_step(raw) for raw in enc.T]))
     assert steps == pytest.approx([8e-4, 0.0])
     out = unstepped(enc, steps, 0.01)
     assert np.array_equal(out[:, 1], enc[:, 1])

@@ -1,11 +1,10 @@
 """Stamps that jitter: about rows that were taken evenly, or as the rows did."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
-from foreign_plant import Fault, write
+from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
@@ -46,18 +45,16 @@ def test_a_late_stamp_is_no_missing_row() -> None:
     assert np.nonzero(too_long(np.diff(np.delete(t, [98])), STEP_S, GAP_STEPS))[0].tolist() == [97]
 
 
-def rewritten(place: Path, without: tuple[str, ...] = (), late_s: float = 0.0) -> Path:
-    """The folder's log without columns that begin so, and stamped up to so much early or late."""
+def jittered(rows: list) -> None:
+    """A log as a PC stamps it, each row up to 3 ms early or late."""
     rng = np.random.default_rng(3)
-    with (place / "plc.csv").open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
     for row in rows:
-        row["t_plc_s"] = f"{float(row['t_plc_s']) + rng.uniform(-late_s, late_s):.7f}"
-    kept = [name for name in rows[0] if not name.startswith(without)] if without else list(rows[0])
-    with (place / "plc.csv").open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, kept, extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(rows)
+        row["t_plc_s"] = f"{float(row['t_plc_s']) + rng.uniform(-0.003, 0.003):.7f}"
+
+
+def logged(place: Path, fault: Fault, seconds: float = 20.0) -> Path:
+    """A recording without what was sent."""
+    write(place, fault, seconds=seconds)
     (place / "sent.csv").unlink()
     return place
 
@@ -65,7 +62,7 @@ def rewritten(place: Path, without: tuple[str, ...] = (), late_s: float = 0.0) -
 @pytest.mark.parametrize("gain", [0.0, -0.2])
 def test_a_log_stamped_by_a_pc_is_judged_by_its_machine(tmp_path: Path, gain: float) -> None:
     """Its stamps moved a command's jumps: a healthy machine was refused for what its controller seemed to do."""
-    whole = read(rewritten(write(tmp_path / "run", Fault(gain=(gain, 0.0)), seconds=10.0), late_s=0.003))
+    whole = read(rewritten(logged(tmp_path / "run", Fault(gain=(gain, 0.0)), 10.0), jittered))
     assert [one.code for one in whole.findings if one.code in ("uneven_stamps", "gap")] == ["uneven_stamps"]
     found = answer(diagnose(whole))
     assert found["verdict"] == ("effects" if gain else "none"), found["why"]
@@ -75,5 +72,5 @@ def test_a_log_stamped_by_a_pc_is_judged_by_its_machine(tmp_path: Path, gain: fl
 
 def test_where_no_reference_was_logged_its_steps_are_no_gain(tmp_path: Path) -> None:
     """A row shows a command some way up the tooth that each new reference makes: 0.45 % of gain on every joint."""
-    found = answer(diagnose(read(rewritten(write(tmp_path / "run", Fault()), without=("q_ref", "seq")))))
+    found = answer(diagnose(read(rewritten(logged(tmp_path / "run", Fault()), without=("q_ref", "seq")))))
     assert (found["verdict"], found["hypotheses"][0]["effects"]) == ("none", []), found["why"]
