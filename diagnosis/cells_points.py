@@ -26,7 +26,8 @@ SIGMA_MIN_M = 2e-5
 SAME_POSE_RAD = 2e-3
 DIRECTION_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is no noise
 POINT_ROWS_MIN = 6
-FEW, ENOUGH = 8, 12  # repeated points for a floor at all, and for one of each axis
+FEW_AT_REST, FEW_IN_MOTION = 4, 8  # points measured again for a floor at all: in motion some are so by chance
+ENOUGH = 12  # for one of each axis
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +206,7 @@ def _floor(rough: PointResidual, base: ParameterSets) -> Array | None:
         group = residual[[first, *same]]
         squares += ((group - group.mean(axis=0)) ** 2).sum(axis=0)
         dof += len(same)
-    if dof < FEW:
+    if dof < (FEW_IN_MOTION if rough.paths else FEW_AT_REST):
         return None
     return np.sqrt(squares / dof if dof >= ENOUGH else np.full(3, squares.mean() / dof))
 

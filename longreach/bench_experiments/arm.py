@@ -39,7 +39,9 @@ TELESCOPE_ARM = (
     Link("pitch", 0.06, 0.0, 90.0, 0.0, -60.0, 60.0, 10.0, (0.0, 0.0, 0.0)),
     Link("roll", 0.0, 0.3, 0.0, 0.0, -150.0, 150.0, 8.0, (0.0, 0.0, 0.0)),
 )
+JIB = Link("jib", 1.6, 0.0, 0.0, 0.0, -110.0, 0.0, 80.0, (-0.8, 0.0, 0.0))
 BOOM_ARM = (SLEW, BOOM)
+CRANE_ARM = (SLEW, BOOM, JIB)
 
 
 @dataclass(frozen=True)

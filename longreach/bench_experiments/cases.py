@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from longreach.bench_experiments import arm
-from longreach.bench_experiments.arm import BOOM_ARM, TELESCOPE_ARM, Truth
+from longreach.bench_experiments.arm import BOOM_ARM, CRANE_ARM, TELESCOPE_ARM, Truth
 from longreach.bench_experiments.recorded import SAMPLE_S, Rig, Run, of_points, of_runs, of_tour
 from machine.rotations import Array
 from recording.content import Recording
@@ -78,12 +78,16 @@ def _slow(home: Array, w: float, seconds: float) -> Array:
 
 
 def _bent(which: int, rng: Generator) -> Case:
-    """The tip measured in postures near each other."""
+    """The tip measured in postures near each other.
+
+    Why a crane with a jib: with one boom, gravity's torque is a cosine of its angle, and no posture tells what yields to
+    it from a wave of the encoder.
+    """
     size = float(rng.uniform(2e-6, 6e-6)), float(rng.uniform(4e-3, 12e-3) * rng.choice([-1.0, 1.0]))
     truth = Truth(("gravity_sag", "encoder_bias")[which], 2, size[which])
-    rig = Rig(BOOM_ARM, truth, np.eye(4), point_m=3e-4)
-    home = np.array([rng.uniform(-0.5, 0.5), rng.uniform(0.0, 0.4)])
-    postures = home + rng.uniform(-0.06, 0.06, (16, 2)) * np.array([4.0, 1.0])
+    rig = Rig(CRANE_ARM, truth, np.eye(4), point_m=3e-4)
+    home = np.array([rng.uniform(-0.5, 0.5), rng.uniform(0.2, 0.6), rng.uniform(-1.2, -0.6)])
+    postures = home + rng.uniform(-0.03, 0.03, (16, 3)) * np.array([8.0, 1.0, 1.0])
     return Case(rig, of_points(rig, postures, 6, rng))
 
 
