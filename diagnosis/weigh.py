@@ -9,12 +9,13 @@ from itertools import count
 
 import numpy as np
 
-from diagnosis.candidates import SET_BY_HAND
+from diagnosis.candidates import SET_BY_HAND, Candidate
 from diagnosis.cells import Cell
 from diagnosis.fit import evaluated
 from diagnosis.margin import MARGIN_NATS
 from diagnosis.score import Score, chosen_nats, usual_nats
 from diagnosis.search import Search
+from machine.effects.registry import effect_named
 from machine.rotations import Array
 
 SAME_DIRECTION = 0.95
@@ -24,6 +25,7 @@ COMBINATIONS_MAX = 40
 SEEN_TOGETHER = {"structure": ("joint", "structure")}
 EQUAL_NATS = 0.5
 NOTHING = 1e-6  # of an effect's range
+UNHEARD_NATS = 4.0  # at most, that a size beyond what machines have costs a name of another stage
 BY_VERDICT = ("outside_probability", "unseen_probability")
 Key = tuple[str, int | None]
 
@@ -128,9 +130,25 @@ def _paid(found: Search, one: Score) -> float:
 def _price(cell: Cell, one: Score) -> float:
     """Nats that a hypothesis pays for its effects and their numbers."""
     numbers = calibration()
-    foreign = sum(_foreign(cell, effect.stage) for effect in one.fit.hypothesis)
-    of_names = numbers.penalty_nats_per_effect * len(one.fit.hypothesis)
-    return of_names + chosen_nats(one.fit) + numbers.foreign_stage_penalty_nats * foreign
+    foreign = sum(
+        numbers.foreign_stage_penalty_nats + _unheard_nats(effect, theta)
+        for effect, theta in one.fit.by_effect
+        if _foreign(cell, effect.stage)
+    )
+    return numbers.penalty_nats_per_effect * _count(one) + chosen_nats(one.fit) + foreign
+
+
+def _unheard_nats(effect: Candidate, theta: Array) -> float:
+    """What a size (slots,) beyond an effect's prior costs its name [nats].
+
+    Why of other stages only: a gain of nine parts in a hundred is a valve; an encoder that reads nine in a hundred too
+    little would have been seen by eye, and where nothing behind it was measured nothing else speaks of it.
+    """
+    spec = effect_named(effect.name)
+    parameter = spec.parameter(effect.slots[0].parameter) if spec is not None else None
+    if parameter is None or not parameter.prior.kind.endswith("normal"):
+        return 0.0
+    return min(0.5 * float(theta[0] / parameter.prior.scale) ** 2, UNHEARD_NATS)
 
 
 def _foreign(cell: Cell, stage: str) -> bool:

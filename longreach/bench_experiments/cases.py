@@ -80,8 +80,8 @@ def _slow(home: Array, w: float, seconds: float) -> Array:
 def _bent(which: int, rng: Generator) -> Case:
     """The tip measured in postures near each other.
 
-    Why a crane with a jib: with one boom, gravity's torque is a cosine of its angle, and no posture tells what yields to
-    it from a wave of the encoder.
+    Why a crane with a jib: with one boom, gravity's torque is a cosine of its angle, and no posture tells what yields
+    to it from a wave of the encoder.
     """
     size = float(rng.uniform(2e-6, 6e-6)), float(rng.uniform(4e-3, 12e-3) * rng.choice([-1.0, 1.0]))
     truth = Truth(("gravity_sag", "encoder_bias")[which], 2, size[which])
