@@ -53,10 +53,10 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
     owners = [one for one in found.hypothesis for _ in one.slots]
     out = []
     for k, owner in enumerate(owners):
-        held, free = _intervals(cell, found, k, float(np.sqrt(variances[k] * spread)), allowed, spread)
         if owner.counted:
-            out.append(_of_share(held.value, owner.counted))
+            out.append(_of_share(float(found.theta[k]), owner.counted))
             continue
+        held, free = _intervals(cell, found, k, float(np.sqrt(variances[k] * spread)), allowed, spread)
         wait = WAIT_90 * owner.cycles[0] if owner.cycles is not None else 0.0
         below = max(float(wider[k]) * (held.value - held.low), free.value - free.low, wait)
         above = max(float(wider[k]) * (held.high - held.value), free.high - free.value, wait)

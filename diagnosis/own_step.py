@@ -68,7 +68,7 @@ def share_of(cell: Cell) -> Share | None:
         steps, shift = part_increments("actuator", part, sets)
         column = increments(by_steps(part), part.stretch.dt_s)[None]
         rows = min(steps.shape[1], column.shape[1])
-        signals = [one[:, :rows] for one in (steps, column, shift, part.between[None])]
+        signals = [one[:, :rows] for one in (steps, column, shift, *(one[None] for one in part.between))]
         white = [whiten_sets(replay.whitener, one)[:, SKIPPED:] for one in signals]
         left, along, *beside = ((one * trust(part, replay.whitener))[0, :, 0] for one in white)
         if len(left) <= len(beside):

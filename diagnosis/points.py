@@ -96,13 +96,14 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
     T_base_link = _links(nominal, sets, data, set_number)
     known = np.array([point.xyz_m is not None for point in nominal.points])
     places = np.array([point.xyz_m or (0.0, 0.0, 0.0) for point in nominal.points])
-    T = np.eye(4) if nominal.T_base_tracker is None else nominal.T_base_tracker
-    if nominal.T_base_tracker is None and len(data.xyz) < 4:
-        raise DiagnosisError(f"{len(data.xyz)} measured points and no T_base_tracker; give 4 or more, or the frame")
-    if nominal.T_base_tracker is None:
+    T = nominal.T_base_tracker
+    if T is None:
+        if len(data.xyz) < 4:
+            raise DiagnosisError(f"{len(data.xyz)} measured points and no T_base_tracker; give 4 or more, or the frame")
         T, places = frame_and_places(T_base_link[:, :3, :3], T_base_link[:, :3, 3], data.xyz, data.which, places, known)
-    measured = data.xyz @ T[:3, :3].T + T[:3, 3]
-    if nominal.T_base_tracker is not None:
+        measured = data.xyz @ T[:3, :3].T + T[:3, 3]
+    else:
+        measured = data.xyz @ T[:3, :3].T + T[:3, 3]
         places = _places(T_base_link, measured, data.which, places, known)
     return PointFit(measured - _put(T_base_link, places[data.which]), T, places, nominal.T_base_tracker is not None)
 

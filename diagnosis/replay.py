@@ -30,17 +30,15 @@ SENT_S = 0.01  # between two references, where nobody logged them: what this pro
 class Prepared:
     """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows.
 
-    `other`: (cycles, n), another course that the valve commands may as well have taken between logged rows; None where
-    each cycle was logged. `fuller`: (cycles, n), commands as much larger as their mean between rows may be than the
-    rows show; None where a reference tells. `late`: the drives of stages whose input jumps, with each jump at the end
-    of its logged row: what was sent is not known, so that it may be anywhere in it.
+    `others`: (cycles, n) each, courses that the valve commands may as well have taken between logged rows; none where
+    each cycle was logged. `late`: the drives of stages whose input jumps, with each jump at the end of its logged row:
+    what was sent is not known, so that it may be anywhere in it.
     """
 
     plant: Actuators
     drives: dict[str, Drive]
     stretch: Stretch
-    other: Array | None = None
-    fuller: Array | None = None
+    others: tuple[Array, ...] = ()
     late: dict[str, Drive] = field(default_factory=dict)
 
 
@@ -134,16 +132,17 @@ class Replayer:
             out.drives["actuator"] = driven(course)
             if plant.decimate == 1:
                 return out
-            other = u_late = late(plant, u)
-            if self.nominal.has_controller:
-                out = replace(out, fuller=course * (1.0 + self._teeth()))
+            jumped = late(plant, u)
+            others = [jumped]
+            if self.nominal.has_controller:  # the mean between rows may be larger than the rows show
+                others.append(course * (1.0 + self._teeth()))
         else:
             out.drives["actuator"] = driven(_through(plant, u, commands.own))
-            other = _through(plant, u, commands.held)
-            u_late = None if commands.jumped is None else _through(plant, u, commands.jumped)
-        if u_late is not None:
-            out.late["actuator"] = driven(u_late)
-        return replace(out, other=other)
+            others = [_through(plant, u, commands.held)]
+            jumped = None if commands.jumped is None else _through(plant, u, commands.jumped)
+        if jumped is not None:
+            out.late["actuator"] = driven(jumped)
+        return replace(out, others=tuple(others))
 
     def _teeth(self) -> Array:
         """Share (n,) by which a command may be beside its mean wherever it is sampled.

@@ -29,9 +29,8 @@ UNIFORM = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
 class Part:
     """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
 
-    `between`: (m, joints), how far two guesses of the input's course between logged rows drive the increments apart;
-    `fuller`: (m, joints), the same of commands that are as much larger as rows between teeth may hide, or None;
-    `unsure`: (m, joints), the same of jumps that each may be anywhere in its row; None where no row hides a jump.
+    `between`: (m, joints) each, how far another guess of the input's course between logged rows drives the increments
+    apart; `unsure`: (m, joints), the same of jumps that each may be anywhere in its row; None where no row hides one.
     `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
     course (m,); empty, or None, where nothing is.
     """
@@ -40,9 +39,8 @@ class Part:
     drive: Drive
     measured: Array
     stretch: Stretch
-    between: Array
+    between: tuple[Array, ...] = ()
     unsure: Array | None = None
-    fuller: Array | None = None
     moved: tuple[Callable[[Array], Array] | None, ...] = ()
 
 
@@ -70,8 +68,7 @@ class Replay:
         weight = trust(part, self.whitener)
         white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
         if self.stage == "actuator":
-            guesses = [(part.between[None], 1.0), (shift, TIMING_S)]
-            guesses += [(part.fuller[None], 1.0)] if part.fuller is not None else []
+            guesses = [*((one[None], 1.0) for one in part.between), (shift, TIMING_S)]
             columns = [(whiten_sets(self.whitener, one)[:, SKIPPED:] * weight, most) for one, most in guesses]
             white = _excused(white, columns)
         return white.transpose(0, 2, 1).reshape(len(white), -1)
@@ -92,9 +89,9 @@ def _excused(white: Array, columns: list[tuple[Array, float]]) -> Array:
     """Residuals without what the log's own coarseness can explain, per set and joint.
 
     Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
-    the command's course is a guess. At most once the difference of two guesses, a shift of at most TIMING_S, and where
-    no reference was logged what its steps may hide, are no effects: each column with its most. Solved in turn
-    (Gauss-Seidel), the courses first: what both can explain is theirs.
+    the command's course is a guess. At most once the difference of two guesses, and a shift of at most TIMING_S, are
+    no effects: each column with its most. Solved in turn (Gauss-Seidel), the courses first: what both can explain is
+    theirs.
     """
     amounts = [np.zeros_like(white[:, :1]) for _ in columns]
     left = white
@@ -150,7 +147,7 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
     if output is None:
         raise DiagnosisError(f"{one.stretch.name}: the output of stage {stage} was not recorded")
     measured = filled(output)[:, joints]
-    part = Part(plant, narrowed, measured, one.stretch, np.zeros((0, len(joints))))
+    part = Part(plant, narrowed, measured, one.stretch)
     finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
     if stage == "actuator" and finer.any():
         part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
@@ -164,10 +161,8 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
 
     jumped = one.late.get(stage)
     unsure = None if jumped is None else apart(u=jumped.u) if stage == "actuator" else apart(ref=jumped.ref)
-    if stage != "actuator" or one.other is None:
-        return replace(part, between=np.zeros_like(own), unsure=unsure)
-    fuller = None if one.fuller is None else apart(u=one.fuller)
-    return replace(part, between=apart(u=one.other), unsure=unsure, fuller=fuller)
+    between = tuple(apart(u=course) for course in one.others) if stage == "actuator" else ()
+    return replace(part, between=between, unsure=unsure)
 
 
 def by_steps(part: Part) -> Array:

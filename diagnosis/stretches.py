@@ -223,11 +223,14 @@ def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64]
     t = plc.t_s[rows]
     dt = float((t[-1] - t[0]) / (len(t) - 1))
     grid = t[0] + dt * np.arange(len(t))
-    even = bool(np.abs(t - grid).max() <= JITTER_MAX * dt)
-    if not even and taken_evenly(None if plc.enc is None else plc.enc[rows], t, nearest := even_grid(t)):
-        grid, even, dt = nearest, True, float(nearest[1] - nearest[0])
+    when = t
+    if np.abs(t - grid).max() <= JITTER_MAX * dt:
+        when = grid
+    elif taken_evenly(None if plc.enc is None else plc.enc[rows], t, nearest := even_grid(t)):
+        when = grid = nearest
+        dt = float(nearest[1] - nearest[0])
     signals = {
-        field.name: _even(getattr(plc, field.name), rows, t, grid, even)
+        field.name: _even(getattr(plc, field.name), rows, when, grid)
         for field in fields(PlcTable)
         if field.name in ("ref", "enc", "u", "p_a", "p_b", "p_supply")
     }
@@ -235,13 +238,14 @@ def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64]
     return Stretch(name, segment.kind, repeat, segment.t_start_plc_s, dt, grid, **signals, sent=sent)
 
 
-def _even(values: Array | None, rows: NDArray[np.int64], t: Array, grid: Array, even: bool) -> Array | None:
+def _even(values: Array | None, rows: NDArray[np.int64], when: Array, grid: Array) -> Array | None:
+    """A signal's rows, taken at `when` (m,), on the grid."""
     if values is None:
         return None
     cut = values[rows]
     table = cut if cut.ndim == 2 else cut[:, None]
-    if not even or not np.isfinite(table).all():
-        table = np.stack([_line(column, t, grid) for column in table.T], axis=1)
+    if when is not grid or not np.isfinite(table).all():
+        table = np.stack([_line(column, when, grid) for column in table.T], axis=1)
     table = np.ascontiguousarray(table)
     return table if cut.ndim == 2 else table[:, 0]
 
