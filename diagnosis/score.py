@@ -39,14 +39,10 @@ class Score:
 
 def score(cell: Cell, found: Fit) -> Score:
     """Leave each fold (kind of trajectory) out: refit on the rest (`fold_thetas`), then replay it, not linearly."""
-    held_out = found.residual if found.k == 0 else _held_out(cell, found)
+    folds, _, residuals = _refitted(cell, found)
+    held_out = residuals[np.searchsorted(folds, cell.rows.fold), np.arange(cell.rows.count)]
     by_block = -np.asarray(np.bincount(cell.rows.block, weights=costs(held_out)), dtype=float)
     return Score(found, held_out, by_block, log_evidence(found))
-
-
-def _held_out(cell: Cell, found: Fit) -> Array:
-    folds, _, residuals = _refitted(cell, found)
-    return residuals[np.searchsorted(folds, cell.rows.fold), np.arange(cell.rows.count)]
 
 
 def fold_thetas(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array]:
@@ -63,6 +59,8 @@ def fold_thetas(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array]:
 def _refitted(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array, Array]:
     """Fold numbers (m,), theta without each (m, k) and the residuals there (m, N)."""
     folds = np.unique(cell.rows.fold)
+    if found.k == 0:
+        return folds, np.zeros((len(folds), 0)), np.tile(found.residual, (len(folds), 1))
     kept = cell.rows.fold != folds[:, None]
     thetas = np.array([_stepped(found, keep, 0.0) for keep in kept])
     residuals = evaluated(cell, found.hypothesis, thetas)

@@ -34,13 +34,13 @@ def draw(pair: str, seed: int) -> Case:
     return PAIRS[pair](seed % 2, rng)
 
 
-def _one_way(names: tuple[tuple[str, float, float], tuple[str, float, float]], joint: int):
+def _one_way(names: tuple[tuple[str, float, float], tuple[str, float, float]], joint: int, wind: float = WIND):
     """Lifts only: motion one way from rest, in one posture."""
 
     def drawn(which: int, rng: Generator) -> Case:
         name, low, high = names[which]
         truth = Truth(name, joint, float(rng.uniform(low, high)))
-        rig = Rig(BOOM_ARM, truth, np.eye(4), WIND)
+        rig = Rig(BOOM_ARM, truth, np.eye(4), wind)
         home = np.array([rng.uniform(-0.5, 0.5), rng.uniform(0.0, 0.5)])
         lift = _lift(home, joint, 0.02, 6.0)
         runs = [Run("repeat", lift, True) for _ in range(4)]
@@ -60,11 +60,14 @@ def _lift(home: Array, joint: int, speed: float, seconds: float) -> Array:
 
 
 def _late(which: int, rng: Generator) -> Case:
-    """Slow sweeps of both joints, with neither the received reference nor the valve command in the log."""
+    """Slow sweeps of the boom alone, with neither the received reference nor the valve command in the log.
+
+    Why alone: a delay of the link is every joint's, and a second one that moved would tell it from a valve's lag.
+    """
     drawn = Truth("valve_lag", 2, float(rng.uniform(0.03, 0.08))) if which == 0 else Truth(
         "transport_delay", None, float(rng.uniform(0.01, 0.03))
     )  # fmt: skip
-    rig = Rig(BOOM_ARM, drawn, np.eye(4), 2.5 * WIND, logged=())
+    rig = Rig(BOOM_ARM, drawn, np.eye(4), 12 * WIND, logged=())
     home = np.array([rng.uniform(-0.5, 0.5), rng.uniform(0.0, 0.5)])
     runs = [Run("repeat", _slow(home, 0.5, 10.0), True) for _ in range(4)]
     runs += [Run("workcycle", _slow(home, 0.35, 12.0)), Run("sweep", _slow(home, 0.7, 10.0))]
@@ -74,7 +77,7 @@ def _late(which: int, rng: Generator) -> Case:
 def _slow(home: Array, w: float, seconds: float) -> Array:
     t = np.arange(0.0, seconds, SAMPLE_S)
     fade = np.clip(np.minimum(t, t[-1] - t) / 2.0, 0.0, 1.0)
-    return home + 0.05 * (fade * np.sin(w * t))[:, None] * np.array([0.3, 1.0])
+    return home + 0.05 * (fade * np.sin(w * t))[:, None] * np.array([0.0, 1.0])
 
 
 def _bent(which: int, rng: Generator) -> Case:
@@ -127,7 +130,7 @@ def _held_wrist(which: int, rng: Generator) -> Case:
 PAIRS: dict[str, Callable[[int, Generator], Case]] = {
     "gain-droop": _one_way((("flow_gain_error", -0.25, -0.06), ("load_droop", 0.06, 0.25)), 2),
     "lag-delay": _late,
-    "deadband-hysteresis": _one_way((("valve_deadband", 0.01, 0.04), ("valve_hysteresis", 0.01, 0.04)), 1),
+    "deadband-hysteresis": _one_way((("valve_deadband", 0.01, 0.04), ("valve_hysteresis", 0.01, 0.04)), 1, 2 * WIND),
     "sag-bias": _bent,
     "print-focal": _straight,
     "bias-mount": _held_wrist,

@@ -25,8 +25,8 @@ EXECUTED_STREAM = 77
 class Outcome:
     """One case, after the first recording and after both.
 
-    `apart_*`: probability that it is the true effect and neither the other one of the pair nor any that the experiment
-    was to tell apart, whatever else may be at work; `p_*`: of the true effect and nothing else.
+    `apart_*`: probability that it is the true effect and neither the other one of the pair nor any that a proposed
+    experiment was to tell apart, whatever else may be at work; `p_*`: of the true effect and nothing else.
     """
 
     pair: str
@@ -72,10 +72,11 @@ def run_case(pair: str, seed: int) -> Outcome:
     truth = case.rig.truth
     first = _answered(case.first)
     proposal = json.loads(json.dumps(first["next_experiment"]))
-    separates = {(one["name"], one["joint"]) for one in proposal["separates"]}
+    proposed = proposal.get("execute") is not None
+    separates = {(one["name"], one["joint"]) for one in proposal["separates"]} if proposed else set()
     rivals = {*NAMES[pair], *separates} - {(truth.name, truth.joint)}
     both, second = first, None
-    if proposal.get("execute") is not None:
+    if proposed:
         rng = np.random.default_rng([seed, EXECUTED_STREAM])
         second = executed(case.rig, experiment_of(proposal["execute"]), rng)
         both = _answered(together([case.first, second]))

@@ -1,0 +1,55 @@
+"""What a fit would have been without one kind of trajectory: refitted for the rest, however its cost is bent."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_diagnosis_search import COLUMNS, GAIN, LAG, N, made_up
+
+from diagnosis.fit import costs, fit, neutral_fit
+from diagnosis.score import fold_thetas, score
+from machine.effects.layout import ParameterSets
+
+
+def test_without_names_nothing_is_refitted() -> None:
+    cell = made_up((0.2, 0.0, 0.0))
+    folds, thetas = fold_thetas(cell, neutral_fit(cell))
+    assert thetas.shape == (len(folds), 0)
+    assert score(cell, neutral_fit(cell)).held_out == pytest.approx(neutral_fit(cell).residual)
+
+
+def test_a_second_name_that_is_nothing_leaves_the_first_one_to_be_refitted() -> None:
+    """A lag cannot be below nothing, where its fit wants to go: what the gain is without a fold is no lag's concern."""
+    plain = made_up((0.2, 0.0, -0.05))
+
+    def whitened(sets: ParameterSets) -> np.ndarray:
+        return plain.whitened(sets) - np.outer(sets.joint[:, 0, LAG.column], 40.0 * COLUMNS[0])
+
+    cell = replace(plain, whitened=whitened)
+    gain, _, lag = cell.candidates
+    alone = fit(cell, (gain,), np.array([0.01]))
+    both = fit(cell, (gain, lag), np.append(alone.theta, 0.0))
+    assert both.theta[1] == 0.0
+    assert fold_thetas(cell, both)[1][:, 0] == pytest.approx(fold_thetas(cell, alone)[1][:, 0], abs=1e-6)
+    assert score(cell, both).total == pytest.approx(score(cell, alone).total, abs=1e-3)
+
+
+def test_a_step_that_leads_astray_is_damped() -> None:
+    """A gain that saturates: where it does, a straight step on the rest goes far beyond what serves the rest."""
+    plain = made_up((0.0, 0.0, 0.0))
+    half = np.arange(N) < N // 2
+
+    def whitened(sets: ParameterSets) -> np.ndarray:
+        moved = plain.whitened(sets) - plain.whitened(plain.base)
+        size = np.abs(moved) @ np.abs(COLUMNS[0]) / N
+        bent = np.where(half, moved, moved * np.exp(-size)[:, None])
+        return plain.whitened(plain.base) + bent + np.where(half, 8.0 * COLUMNS[0], 3.0 * COLUMNS[0])
+
+    cell = replace(plain, whitened=whitened)
+    found = fit(cell, cell.candidates[:1], np.array([0.2]))
+    folds, thetas = fold_thetas(cell, found)
+    for fold, theta in zip(folds, thetas, strict=True):
+        keep = cell.rows.fold != fold
+        sets = ParameterSets(plain.base.joint.copy(), plain.base.machine.copy())
+        sets.joint[:, 0, GAIN.column] = theta[0]
+        assert costs(whitened(sets)[0][keep]).sum() <= costs(found.residual[keep]).sum() + 1e-9
