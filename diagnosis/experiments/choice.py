@@ -20,6 +20,7 @@ from machine.rotations import Array
 
 ENOUGH_NATS = 30.0  # beyond it two hypotheses are told apart; more is not better, sooner is
 POOL_SEED = 5
+CELLS_MAX = 3  # asked about
 MINUTES_COST = 0.01  # nats a minute: of equals the shorter one
 SEEN_BEHIND = ("encoder_scale", "encoder_eccentricity")
 SIGNALS = {
@@ -30,13 +31,24 @@ SIGNALS = {
 
 
 def next_experiment(found: Diagnosis) -> dict[str, Any]:
-    """What to drive or look at, how long, which pair it separates, the nats it should give; how to execute it."""
-    pairs = live_pairs(found)
+    """What to drive or look at, how long, which pair it separates, the nats it should give; how to execute it.
+
+    Of the cells with open pairs the weightiest that an experiment can do something about: a lag that is too small to be
+    seen on one joint is no reason to leave another one's names apart.
+    """
+    cells = live_pairs(found)
     nominal = found.whole.nominal
-    if not pairs or nominal is None:
+    if not cells or nominal is None:
         settled = found.verdict.word in ("none", "effects")
         why = "nothing is left to separate" if settled else "no pair of names is live"
         return {"what": None, "minutes": None, "separates": [], "expected_nats": None, "why": why}
+    proposals = (_proposed(found, nominal, pairs) for pairs in cells[:CELLS_MAX])
+    first = next(proposals)
+    return first if first["what"] is not None else next((one for one in proposals if one["what"] is not None), first)
+
+
+def _proposed(found: Diagnosis, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any]:
+    """The experiment that best separates one cell's open pairs."""
     library = _library(found, nominal, pairs)
     table = {one.name: [_nats(found, pair, one) for pair in pairs] for one in library}
     best = max(library, key=lambda one: _worth(pairs, table[one.name], one), default=None)
@@ -57,7 +69,7 @@ def next_experiment(found: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _library(found: Diagnosis, nominal: Nominal, pairs: tuple[Pair, ...]) -> tuple[Experiment, ...]:
+def _library(found: Diagnosis, nominal: Nominal, pairs: list[Pair]) -> tuple[Experiment, ...]:
     """Everything that this machine can do about these pairs."""
     cell = pairs[0].answer.search.cell
     centre = middle(found)
@@ -84,7 +96,7 @@ def middle(found: Diagnosis) -> Array:
     return np.nan_to_num(np.nanmedian(np.concatenate(recorded), axis=0)) if recorded else np.zeros(n)
 
 
-def _joints(pairs: tuple[Pair, ...], n: int) -> tuple[int, ...]:
+def _joints(pairs: list[Pair], n: int) -> tuple[int, ...]:
     """The joints (0-based) that the open names are about; all where one is the machine's own."""
     names = [name for pair in pairs for name in pair.names if name is not None]
     if any(joint is None for _, joint in names):
@@ -108,7 +120,7 @@ def _nats(found: Diagnosis, pair: Pair, experiment: Experiment) -> float:
     return min(both)
 
 
-def _worth(pairs: tuple[Pair, ...], nats: list[float], experiment: Experiment) -> float:
+def _worth(pairs: list[Pair], nats: list[float], experiment: Experiment) -> float:
     """Nats that count, weighed over the pairs, less what the machine's time costs."""
     gained = sum(pair.weight * min(one, ENOUGH_NATS) for pair, one in zip(pairs, nats, strict=True))
     return gained / sum(pair.weight for pair in pairs) - MINUTES_COST * experiment.minutes

@@ -28,10 +28,10 @@ class Pair:
     names: tuple[Key | None, Key | None]
 
 
-def live_pairs(found: Diagnosis) -> tuple[Pair, ...]:
-    """The open pairs of the cell with the weightiest one, in this order; none where nothing is open."""
+def live_pairs(found: Diagnosis) -> list[list[Pair]]:
+    """The open pairs by cell, the weightiest first; none where nothing is open."""
     cells = [pairs for one in found.cells if (pairs := _of_cell(one))]
-    return tuple(max(cells, key=lambda pairs: pairs[0].weight, default=[]))
+    return sorted(cells, key=lambda pairs: -pairs[0].weight)
 
 
 def _of_cell(one: CellAnswer) -> list[Pair]:
