@@ -1,72 +1,33 @@
-"""The PLC program in virtual time: playback, stops, silence, arming, faults, local panel."""
+"""The PLC program in virtual time: playback, stops, silence, what it refuses, controllers."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from plc_runs import (
+    CYCLE_S,
+    Q_END,
+    QDD_MAX,
+    STEP,
+    armed,
+    assert_no_step,
+    end_of_ramp,
+    last_command,
+    started,
+    stopping_s,
+)
 from virtual_plc import MACHINE, MS, Q_START, VirtualPlc, quintic_knots
 
 from protocol.client_events import TrajectoryEnded
 from protocol.codec import decode_state, encode_command
-from protocol.codes import AxisBit, CommandFlag, FaultBit, HeaderFlag, Interp, Mode, PlcState, RejectCode, WarnBit
+from protocol.codes import AxisBit, CommandFlag, HeaderFlag, Interp, Mode, PlcState, RejectCode, WarnBit
 from protocol.errors import LocalProtocolError
 from protocol.framing import RawFraming
-from protocol.messages import Command, Knot, axes8
+from protocol.messages import Knot, axes8
 from protocol.playback import Playback
 from sim_plc.plc.joint_control import JointControl
-from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.reference import Motion
 from sim_plc.plc.settings import plc_settings
-
-STEP = np.deg2rad([6.0, -4.0, 5.0, 8.0, -6.0, 9.0])
-Q_END = tuple((np.array(Q_START) + STEP).tolist())
-QD_MAX = np.array([joint.qd_max_rad_s for joint in MACHINE.joints])
-QDD_MAX = np.array([joint.qdd_max_rad_s2 for joint in MACHINE.joints])
-CYCLE_S = 1e-3
-BENDING = 1.002  # of the limit: where the path bends, the guess of where a cycle ends is a little off
-
-
-def armed(**kwargs):
-    virtual = VirtualPlc(**kwargs)
-    virtual.arm()
-    return virtual
-
-
-def started(q_end=Q_END, duration_s=2.0, **kwargs):
-    virtual = armed(**kwargs)
-    assert virtual.run(quintic_knots(virtual.plc.q_ref, q_end, duration_s)) == ()
-    return virtual
-
-
-def references(virtual, since_ns=0):
-    rows = [row for row in virtual.trace if row[0] >= since_ns]
-    return np.array([row[2] for row in rows]), np.array([row[3] for row in rows])
-
-
-def assert_no_step(virtual):
-    q, qd = references(virtual)
-    first = next(i for i, row in enumerate(virtual.trace) if row[1] is PlcState.HOLD)
-    q, qd = q[first:], qd[first:]
-    assert (np.abs(qd) <= QD_MAX).all()
-    assert (np.abs(np.diff(qd, axis=0)) <= BENDING * QDD_MAX * CYCLE_S).all()
-    # q_ref is the integral of qd_ref: trapezoid, to third order in the cycle; but for the end of a ramp, where it is
-    # set to where the joints have come to rest
-    states = [row[1] for row in virtual.trace[first:]]
-    ramp_ends = [a is not PlcState.HOLD and b is PlcState.HOLD for a, b in pairwise(states)]
-    off = np.abs(np.diff(q, axis=0) - 0.5 * (qd[1:] + qd[:-1]) * CYCLE_S)
-    assert off[~np.array(ramp_ends)].max() < 1e-7
-
-
-def end_of_ramp(virtual):
-    """q_ref of the last cycle of the newest ramp."""
-    return np.array([row for row in virtual.trace if row[1] is PlcState.STOPPING][-1][2])
-
-
-def stopping_s(virtual, since_ns):
-    """Delay from `since_ns` to the ramp's first cycle, and its length [s]."""
-    rows = [row for row in virtual.trace if row[0] > since_ns and row[1] is PlcState.STOPPING]
-    return (rows[0][0] - since_ns) * 1e-9, (rows[-1][0] - rows[0][0] + MS) * 1e-9, np.abs(rows[0][3])
 
 
 def test_playback_is_the_quintic_of_the_trajectory_to_1e_12():
@@ -183,21 +144,6 @@ def test_quick_stop_brakes_every_joint_by_its_own_limit():
         cycles += np.abs(virtual.plc.qd_ref) > 0.0
     assert cycles * CYCLE_S == pytest.approx(speed / QDD_MAX, abs=1.1e-3)
     assert_no_step(virtual)
-
-
-def last_command(virtual):
-    """A heartbeat that the PLC would accept next."""
-    client = virtual.client
-    return Command(
-        session=7,
-        seq=client._seq + 1,
-        t_send_ns=virtual.t_ns,
-        ack_plc_seq=client.state.seq,
-        t_plc_echo_ns=client.state.t_send_ns,
-        axis_mask=63,
-        cfg_id=client.state.cfg_id,
-        arm_nonce=client.state.nonce,
-    )
 
 
 class CutShort(Playback):
@@ -320,112 +266,6 @@ def test_a_new_session_may_number_its_trajectories_from_one_again():
     assert virtual.run(quintic_knots(virtual.plc.q_ref, Q_START, 2.0), traj_id=1) == ()
     virtual.step(2600)
     assert virtual.plc.q_ref == pytest.approx(Q_START, abs=1e-12)
-
-
-# --- faults and the panel ---------------------------------------------------------------------------------------------
-
-
-def test_a_joint_that_does_not_follow_latches_a_fault():
-    virtual = started(q_end=tuple(np.array(Q_START) + np.deg2rad([55.0, 0, 0, 0, 0, 0])), duration_s=8.0)
-    frozen = virtual.q.copy()
-    for _ in range(9000):
-        virtual.q = frozen.copy()
-        virtual.step()
-    assert virtual.plc.state is PlcState.FAULT
-    assert max(map(abs, virtual.trace[-1][4])) == 0.0
-    assert FaultBit(virtual.client.state.fault_bits) == FaultBit.LAG
-    assert_no_step_until_fault(virtual)
-    virtual.client.request_reset()
-    virtual.step(200)
-    assert virtual.plc.state is PlcState.DISARMED
-    assert virtual.plc.monitor.latched == FaultBit(0)
-
-
-def assert_no_step_until_fault(virtual):
-    rows = [row for row in virtual.trace if row[1] in (PlcState.RUN, PlcState.FAULT)]
-    qd = np.array([row[3] for row in rows])
-    assert (np.abs(np.diff(qd, axis=0)) <= BENDING * QDD_MAX * CYCLE_S).all()
-
-
-def test_hot_oil_ramps_down_and_cannot_be_reset_while_it_is_hot():
-    virtual = started()
-    virtual.step(900)
-    virtual.t_oil_c = 90.0
-    virtual.step(700)
-    assert virtual.plc.state is PlcState.FAULT
-    assert_no_step_until_fault(virtual)
-    assert FaultBit(virtual.client.state.fault_bits) == FaultBit.OIL_TEMPERATURE
-    virtual.client.request_reset()
-    virtual.step(200)
-    assert virtual.plc.state is PlcState.FAULT
-    assert virtual.client.state.reject_code == RejectCode.FAULT_PRESENT
-    virtual.t_oil_c = 60.0
-    virtual.step(400)
-    assert virtual.plc.state is PlcState.DISARMED
-
-
-def test_an_encoder_that_reads_nan_closes_the_valves_at_once_and_still_tells():
-    virtual = started()
-    virtual.step(900)
-    virtual.q[2] = np.nan
-    virtual.step(1)
-    assert virtual.plc.state is PlcState.FAULT
-    assert max(map(abs, virtual.trace[-1][4])) == 0.0
-    virtual.step(50)
-    state = virtual.client.state
-    assert FaultBit.SENSOR in FaultBit(state.fault_bits)
-    assert AxisBit.ENCODER_FAULT in AxisBit(state.axis_status[2])
-    assert np.isfinite(state.q).all()
-
-
-def test_panel_enable_must_be_pressed_after_each_disarming():
-    panel = LocalPanel("panel")
-    virtual = VirtualPlc(panel=panel)
-    panel.press_enable()  # before the PLC is up: an enable left on
-    virtual.step(200)
-    virtual.client.request_arm()
-    virtual.step(900)
-    assert virtual.plc.state in (PlcState.LINKED, PlcState.DISARMED)
-    assert virtual.client.last_reject.startswith("ENABLE")
-    virtual.silent = True
-    virtual.step(1100)  # the session is void
-    panel.press_enable()
-    virtual.reconnect(9)
-    virtual.arm()
-    assert virtual.run(quintic_knots(virtual.plc.q_ref, Q_END, 2.0)) == ()
-    virtual.step(900)
-    panel.release_enable()
-    virtual.step(500)
-    assert virtual.plc.state is PlcState.FAULT
-    assert FaultBit(virtual.client.state.fault_bits) == FaultBit.LOCAL_ENABLE_LOST
-    assert_no_step_until_fault(virtual)
-
-
-def test_local_lever_ramps_down_and_ignores_the_network():
-    virtual = started()
-    virtual.step(900)
-    virtual.panel.lever_taken = True
-    virtual.step(1)
-    assert virtual.plc.state is PlcState.LOCAL
-    assert max(map(abs, virtual.plc.qd_ref)) > 0.0  # not snapped shut
-    virtual.step(600)
-    assert max(map(abs, virtual.trace[-1][4])) == 0.0
-    virtual.panel.lever_taken = False
-    virtual.step(10)
-    assert virtual.plc.state is PlcState.DISARMED
-
-
-def test_arming_beyond_the_joint_range_or_while_moving_is_refused():
-    for change, code in ((np.deg2rad([0, 45, 0, 0, 0, 0]), "LIMIT_Q"), (None, "LAG")):
-        virtual = VirtualPlc()
-        if change is not None:
-            virtual.q = virtual.q + change
-        virtual.qd = np.full(6, 0.1) if change is None else np.zeros(6)
-        virtual.step(200)
-        virtual.client.request_arm()
-        virtual.step(700)
-        assert virtual.plc.state is PlcState.LINKED
-        assert virtual.client.last_reject.startswith(code)
 
 
 # --- controllers ------------------------------------------------------------------------------------------------------
