@@ -65,9 +65,9 @@ def _late(which: int, rng: Generator) -> Case:
     Why alone: a delay of the link is every joint's, and a second one that moved would tell it from a valve's lag.
     """
     drawn = Truth("valve_lag", 2, float(rng.uniform(0.03, 0.08))) if which == 0 else Truth(
-        "transport_delay", None, float(rng.uniform(0.01, 0.03))
+        "transport_delay", None, float(rng.uniform(0.02, 0.04))
     )  # fmt: skip
-    rig = Rig(BOOM_ARM, drawn, np.eye(4), 12 * WIND, logged=())
+    rig = Rig(BOOM_ARM, drawn, np.eye(4), 10 * WIND, logged=())
     home = np.array([rng.uniform(-0.5, 0.5), rng.uniform(0.0, 0.5)])
     runs = [Run("repeat", _slow(home, 0.5, 10.0), True) for _ in range(4)]
     runs += [Run("workcycle", _slow(home, 0.35, 12.0)), Run("sweep", _slow(home, 0.7, 10.0))]
