@@ -17,6 +17,7 @@ from diagnosis.stairs import LEFT
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
 from machine.effects.seen import true_times
+from machine.poses import transform_points
 from machine.remainder import Remainder
 from machine.rotations import Array
 
@@ -64,7 +65,7 @@ class PointResidual:
         """How far each point is from the base's upright (m,)."""
         data = replace(self.data, q=self._angles(sets, 0))
         T = fit_points(self.nominal, without_encoders(sets), data, 0).T_base_tracker
-        p = data.xyz @ T[:3, :3].T + T[:3, 3]
+        p = transform_points(T, data.xyz)
         return np.hypot(p[:, 0], p[:, 1])
 
     def moved_by(self, sets: ParameterSets, joint: int, angle_rad: float) -> Array:
@@ -87,7 +88,7 @@ class PointResidual:
 def _about_upright(found: PointFit, xyz: Array) -> Array:
     """The residual (m, 3) of points measured at xyz (m, 3) as radial, tangential, up."""
     T, r = found.T_base_tracker, found.residual
-    p = xyz @ T[:3, :3].T + T[:3, 3]
+    p = transform_points(T, xyz)
     azimuth = np.arctan2(p[:, 1], p[:, 0])
     c, s = np.cos(azimuth), np.sin(azimuth)
     return np.stack([c * r[:, 0] + s * r[:, 1], c * r[:, 1] - s * r[:, 0], r[:, 2]], axis=1)

@@ -110,7 +110,8 @@ def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) 
     cost = float(costs(residual).sum())
     J = jacobian(cell, hypothesis, theta, residual)
     for _ in range(rounds):
-        trials = np.clip(theta + _steps(J, residual, spans(hypothesis)), low, high)
+        steps = damped_steps(J, residual, spans(hypothesis))
+        trials = np.clip(theta + np.array([*steps, 0.3 * steps[0], 0.1 * steps[0]]), low, high)
         tried = evaluated(cell, hypothesis, trials)
         totals = costs(tried).sum(axis=1)
         promised = -0.5 * float((trials[0] - theta) @ (J.T @ (weights(residual) * residual)))
@@ -145,14 +146,18 @@ def _at_kinks(hypothesis: Hypothesis, theta: Array) -> Array:
     return np.concatenate([one.settled(own) for one, own in zip(hypothesis, np.split(theta, cuts), strict=True)])
 
 
-def _steps(J: Array, residual: Array, span: Array) -> Array:
-    """Steps (dampings, k)."""
-    w = weights(residual)
+def normal_equations(J: Array, residual: Array, span: Array) -> tuple[Array, Array]:
+    """H (k, k) and g (k,) of a Gauss-Newton step H step = -g on the soft-L1 cost, numbers counted in their ranges."""
     scaled = J * span
-    H, g = (scaled * w[:, None]).T @ scaled, (scaled * w[:, None]).T @ residual
+    weighed = scaled * weights(residual)[:, None]
+    return weighed.T @ scaled, weighed.T @ residual
+
+
+def damped_steps(J: Array, residual: Array, span: Array) -> Array:
+    """Steps (dampings, k), the least damped first."""
+    H, g = normal_equations(J, residual, span)
     diagonal = np.diag(np.diag(H)) + 1e-9 * np.eye(len(g)) * max(1.0, float(np.trace(H)))
-    found = [np.linalg.lstsq(H + d * diagonal, -g, rcond=None)[0] * span for d in DAMPINGS]
-    return np.array([*found, 0.3 * found[0], 0.1 * found[0]])
+    return np.array([np.linalg.lstsq(H + d * diagonal, -g, rcond=None)[0] * span for d in DAMPINGS])
 
 
 def _bends(J: Array, residual: Array, theta: Array, trials: Array, tried: Array) -> Array:

@@ -13,7 +13,7 @@ from diagnosis.tables import PointTable
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
 from machine.effects.structure import link_poses
-from machine.poses import pose
+from machine.poses import pose, transform_points
 from machine.rotations import Array
 
 
@@ -101,9 +101,8 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
         if len(data.xyz) < 4:
             raise DiagnosisError(f"{len(data.xyz)} measured points and no T_base_tracker; give 4 or more, or the frame")
         T, places = frame_and_places(T_base_link[:, :3, :3], T_base_link[:, :3, 3], data.xyz, data.which, places, known)
-        measured = data.xyz @ T[:3, :3].T + T[:3, 3]
-    else:
-        measured = data.xyz @ T[:3, :3].T + T[:3, 3]
+    measured = transform_points(T, data.xyz)
+    if nominal.T_base_tracker is not None:
         places = _places(T_base_link, measured, data.which, places, known)
     return PointFit(measured - _put(T_base_link, places[data.which]), T, places, nominal.T_base_tracker is not None)
 

@@ -3,17 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.cells import FORM_SHARE, Cell
-from diagnosis.fit import Fit, bounds, costs, evaluated, spans, weights
+from diagnosis.fit import Fit, costs, spans, weights
+from diagnosis.folds import Folds, refitted
 from diagnosis.margin import MARGIN_MORE_NATS, MARGIN_NATS
 from machine.effects.registry import effect_named
 from machine.rotations import Array
 
 MARGIN_SE = 1.5
 MARGIN_SE_SMALL = 2.0  # below CLEAR_NATS: a swing of one motion gains as much as a small effect, but not everywhere
-DAMPINGS = (0.1, 1.0, 10.0, 100.0)  # of a step that leads astray, over each number's own curvature
 STICKS = "stiction"
 FORM_SHARE_STUCK = 0.15  # what oil and boom do after each jump of a joint that sticks is in no form
 TOUCHED_MIN = 2  # blocks
@@ -24,9 +23,12 @@ CLEAR_NATS = 30.0  # a command limited in a few blocks gains more than that in e
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """A fit with its held-out residuals (N,), score by block (blocks,) [nats] and log evidence [nats]."""
+    """A fit, where it would have ended without each fold, the held-out residuals (N,), score by block (blocks,) [nats]
+    and log evidence [nats].
+    """
 
     fit: Fit
+    folds: Folds
     held_out: Array
     by_block: Array
     evidence: float
@@ -38,66 +40,11 @@ class Score:
 
 
 def score(cell: Cell, found: Fit) -> Score:
-    """Leave each fold (kind of trajectory) out: refit on the rest (`fold_thetas`), then replay it, not linearly."""
-    folds, _, residuals = _refitted(cell, found)
-    held_out = residuals[np.searchsorted(folds, cell.rows.fold), np.arange(cell.rows.count)]
+    """Leave each fold (kind of trajectory) out: refit on the rest (`folds.py`), then replay it, not linearly."""
+    folds, residuals = refitted(cell, found)
+    held_out = residuals[np.searchsorted(folds.numbers, cell.rows.fold), np.arange(cell.rows.count)]
     by_block = -np.asarray(np.bincount(cell.rows.block, weights=costs(held_out)), dtype=float)
-    return Score(found, held_out, by_block, log_evidence(found))
-
-
-def fold_thetas(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array]:
-    """Fold numbers (m,), and where the fit would have ended without each of them (m, k).
-
-    Model: one Gauss-Newton step, theta_f = theta - (J'WJ + R)^-1 J'Wr inside the bounds, rows of fold f left out, R =
-           1 / range^2; a damped one where that serves the rest better, or none.
-    Why damped: at a kink (a limit just reached, a whole cycle of delay) or where the rest hardly tells a number, the
-           step goes far astray, and what the fold then costs is no fault of its name.
-    """
-    return _refitted(cell, found)[:2]
-
-
-def _refitted(cell: Cell, found: Fit) -> tuple[NDArray[np.int64], Array, Array]:
-    """Fold numbers (m,), theta without each (m, k) and the residuals there (m, N)."""
-    folds = np.unique(cell.rows.fold)
-    if found.k == 0:
-        return folds, np.zeros((len(folds), 0)), np.tile(found.residual, (len(folds), 1))
-    kept = cell.rows.fold != folds[:, None]
-    thetas = np.array([_stepped(found, keep, 0.0) for keep in kept])
-    residuals = evaluated(cell, found.hypothesis, thetas)
-    before = kept @ costs(found.residual)
-    worse = np.nonzero((costs(residuals) * kept).sum(axis=1) > before)[0]
-    if len(worse):
-        damped = np.array([[_stepped(found, kept[k], one) for k in worse] for one in DAMPINGS])
-        there = evaluated(cell, found.hypothesis, damped.reshape(-1, found.k)).reshape(len(DAMPINGS), len(worse), -1)
-        damped = np.concatenate([damped, np.tile(found.theta, (1, len(worse), 1))])
-        there = np.concatenate([there, np.tile(found.residual, (1, len(worse), 1))])
-        best = np.argmin((costs(there) * kept[worse]).sum(axis=2), axis=0), np.arange(len(worse))
-        thetas[worse], residuals[worse] = damped[best], there[best]
-    return folds, thetas, residuals
-
-
-def _stepped(found: Fit, keep: NDArray[np.bool_], damping: float) -> Array:
-    """Theta (k,) after a step on some rows; a number that would leave its range stays at the end, the others go on.
-
-    Why go on: a second name that is nothing here would else keep its neighbours where they are.
-    """
-    low, high = bounds(found.hypothesis)
-    span = spans(found.hypothesis)
-    J, w = found.J[keep] * span, weights(found.residual[keep])[:, None]
-    H, g = (J * w).T @ J, (J * w).T @ found.residual[keep]
-    H = H + damping * np.diag(np.diag(H)) + np.eye(found.k)
-    least, most = (low - found.theta) / span, (high - found.theta) / span
-    step, free = np.zeros(found.k), np.ones(found.k, dtype=bool)
-    while free.any():
-        step[free] = np.linalg.lstsq(
-            H[np.ix_(free, free)], -g[free] - H[np.ix_(free, ~free)] @ step[~free], rcond=None
-        )[0]
-        beyond = free & ((step < least) | (step > most))
-        if not beyond.any():
-            break
-        step[beyond] = np.clip(step, least, most)[beyond]
-        free &= ~beyond
-    return np.clip(found.theta + step * span, low, high)
+    return Score(found, folds, held_out, by_block, log_evidence(found))
 
 
 def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cell | None = None) -> bool:

@@ -42,9 +42,13 @@ def next_experiment(found: Diagnosis) -> dict[str, Any]:
         settled = found.verdict.word in ("none", "effects")
         why = "nothing is left to separate" if settled else "no pair of names is live"
         return {"what": None, "minutes": None, "separates": [], "expected_nats": None, "why": why}
-    proposals = (_proposed(found, nominal, pairs) for pairs in cells[:CELLS_MAX])
-    first = next(proposals)
-    return first if first["what"] is not None else next((one for one in proposals if one["what"] is not None), first)
+    nothing: list[dict[str, Any]] = []
+    for pairs in cells[:CELLS_MAX]:
+        proposal = _proposed(found, nominal, pairs)
+        if proposal["what"] is not None:
+            return proposal
+        nothing.append(proposal)
+    return nothing[0]
 
 
 def _proposed(found: Diagnosis, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets
 from machine.effects.seen import points_on_links, seen_corners
 from machine.effects.structure import link_poses
+from machine.poses import transform_points
 from machine.rotations import Array
 
 Rows = Callable[[ParameterSets], Array]  # (sets, N) whitened
@@ -165,8 +166,8 @@ def _more_points(measured: PointResidual, postures: Postures, truth: ParameterSe
     joints = np.array([nominal.points[k].joint for k in known])
     places = np.array([nominal.points[k].xyz_m for k in known], dtype=float)
     base = points_on_links(links, joints, places).reshape(-1, 3)
-    T = np.linalg.inv(nominal.T_base_tracker)
-    xyz = base @ T[:3, :3].T + T[:3, 3]
+    T = np.asarray(np.linalg.inv(nominal.T_base_tracker), dtype=float)
+    xyz = transform_points(T, base)
     looked, course = _dwelling(postures.q, max((float(path.t_s[-1]) for path in measured.paths), default=0.0))
     when = np.repeat(looked, len(known))
     more = PointData(

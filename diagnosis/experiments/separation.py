@@ -7,7 +7,7 @@ import numpy as np
 
 from diagnosis.cells import Cell
 from diagnosis.experiments.prediction import Hypothesis, Rows
-from diagnosis.fit import SOFT, bounds, costs, evaluated
+from diagnosis.fit import bounds, costs, damped_steps, evaluated
 from diagnosis.search import Search
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
@@ -15,7 +15,6 @@ from machine.rotations import Array
 ROUNDS = 5
 STEP_SHARE = 2e-3
 SETTLED_NATS = 0.05
-DAMPINGS = (1e-6, 1e-2, 1.0)
 
 
 def separation_nats(search: Search, rows: Rows, truth: ParameterSets, other: Hypothesis, holds: bool) -> float:
@@ -35,7 +34,7 @@ def separation_nats(search: Search, rows: Rows, truth: ParameterSets, other: Hyp
     best = residual(theta[None])[0]
     for _ in range(ROUNDS):
         J = _jacobian(residual, theta, best, low, high)
-        trials = np.clip(theta + _steps(J, best, high - low), low, high)
+        trials = np.clip(theta + damped_steps(J, best, high - low), low, high)
         tried = residual(trials)
         totals = costs(tried).sum(axis=1)
         k = int(np.argmin(totals))
@@ -73,12 +72,3 @@ def _jacobian(residual: Callable[[Array], Array], theta: Array, at: Array, low: 
     steps = STEP_SHARE * (high - low)
     signs = np.where(theta + steps > high, -1.0, 1.0)
     return ((residual(theta + np.diag(signs * steps)) - at) / (signs * steps)[:, None]).T
-
-
-def _steps(J: Array, r: Array, span: Array) -> Array:
-    """Steps (dampings, k) of a Gauss-Newton round on the soft-L1 cost."""
-    w = 1.0 / np.sqrt(1.0 + (r / SOFT) ** 2)
-    scaled = J * span
-    H, g = (scaled * w[:, None]).T @ scaled, (scaled * w[:, None]).T @ r
-    diagonal = np.diag(np.diag(H)) + 1e-9 * np.eye(len(g)) * max(1.0, float(np.trace(H)))
-    return np.array([np.linalg.lstsq(H + d * diagonal, -g, rcond=None)[0] * span for d in DAMPINGS])

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from diagnosis.candidates import put
 from diagnosis.diagnose import CellAnswer, Diagnosis
-from diagnosis.score import Score, fold_thetas
+from diagnosis.score import Score
 from diagnosis.stage_replay import LAST, OUTPUT, Part, Replay
 from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets
@@ -86,9 +86,8 @@ def _replayed(one: CellAnswer) -> Replayed | None:
     wanted = before - after if one.chosen.fit.hypothesis else before
     at, channel = np.unravel_index(int(np.argmax(wanted)), wanted.shape)
     part = replay.parts[int(at)]
-    folds, thetas = fold_thetas(one.search.cell, one.chosen.fit)
     fold = _fold_of(one, int(at) * len(replay.joints) + int(channel))
-    theta = thetas[int(np.searchsorted(folds, fold))]
+    theta = one.chosen.folds.theta_without(fold)
     base = one.search.cell.base
     traces = [_output(replay, part, sets, int(channel)) for sets in (base, put(base, one.chosen.fit.hypothesis, theta))]
     rows = len(traces[0])

@@ -6,7 +6,6 @@ import numpy as np
 
 from diagnosis.diagnose import CellAnswer, Diagnosis
 from diagnosis.forward import entries_of
-from diagnosis.score import fold_thetas
 from diagnosis.stage_replay import Replay
 from diagnosis.stretches import Stretch
 from machine.effects.entries import EffectEntry
@@ -35,8 +34,7 @@ def effects_without(found: Diagnosis, stretch: Stretch) -> HeldOut:
         if fold is None:
             told = told and not isinstance(one.search.cell.whitened, Replay)
         else:
-            folds, thetas = fold_thetas(one.search.cell, fit)
-            fit = replace(fit, theta=thetas[int(np.searchsorted(folds, fold))])
+            fit = replace(fit, theta=one.chosen.folds.theta_without(fold))
         entries += entries_of(fit)
     return HeldOut(tuple(entries), told)
 

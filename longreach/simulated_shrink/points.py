@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from diagnosis.nominal import Nominal
 from diagnosis.stretches import Stretch
 from diagnosis.tables import PointTable
-from machine.poses import inverse_pose
+from machine.poses import inverse_pose, transform_points
 from machine.rotations import Array
 
 
@@ -36,7 +36,7 @@ def places_of(nominal: Nominal, T_flange_tcp: Array) -> Places | None:
 def measured_in_base(places: Places, table: PointTable, rows: NDArray[np.int64]) -> tuple[Array, Array]:
     """Points of some rows of a table in base (m, 3) [m] and in the tcp's frame (m, 3)."""
     T, which = places.T_base_tracker, [places.names.index(table.names[k]) for k in rows]
-    return table.xyz[rows] @ T[:3, :3].T + T[:3, 3], places.p_tcp[which]
+    return transform_points(T, table.xyz[rows]), places.p_tcp[which]
 
 
 def rows_during(places: Places, table: PointTable, stretch: Stretch, skipped_s: float) -> NDArray[np.int64]:

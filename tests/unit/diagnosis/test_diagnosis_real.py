@@ -119,12 +119,12 @@ def test_one_cylinder_with_its_valve_signal_is_enough_for_the_actuator() -> None
 def test_what_a_differential_cylinder_and_its_oil_do_is_told_in_part() -> None:
     """Its two chambers differ, which is an asymmetry; that it swings in its oil (1.4 to 2.5 Hz) has no name here.
 
-    How much of the gap that leaves, hangs on a noise that nobody measured: refused it is by either word.
+    Of what is above a noise that nobody measured, it is more than the asymmetry explains.
     """
     mat = loadmat(DATA / "patu_lift_boom" / "lift_1dof.mat")
     t, u, stroke = (mat[name].ravel()[::10] for name in ("t", "U1", "s1"))
     found = answer(diagnose(examine(one_joint(t, stroke, u / np.abs(u).max(), "prismatic"), Path("patu"))))
-    assert found["verdict"] in ("outside", "undecided")
+    assert found["verdict"] == "outside"
     names = {one["name"] for hypothesis in found["hypotheses"] for one in hypothesis["effects"]}
     assert "valve_asymmetry" in names
     assert "encoder_eccentricity" not in names  # a cylinder does not turn

@@ -28,13 +28,8 @@ def started(q_end=Q_END, duration_s=2.0, **kwargs):
     return virtual
 
 
-def references(virtual, since_ns=0):
-    rows = [row for row in virtual.trace if row[0] >= since_ns]
-    return np.array([row[2] for row in rows]), np.array([row[3] for row in rows])
-
-
 def assert_no_step(virtual):
-    q, qd = references(virtual)
+    q, qd = (np.array([row[k] for row in virtual.trace]) for k in (2, 3))
     first = next(i for i, row in enumerate(virtual.trace) if row[1] is PlcState.HOLD)
     q, qd = q[first:], qd[first:]
     assert (np.abs(qd) <= QD_MAX).all()
