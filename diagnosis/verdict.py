@@ -16,6 +16,7 @@ from diagnosis.score import STICKS
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape
 from diagnosis.shrink import by_noise, closing, together
+from diagnosis.undoing import undoing
 
 if TYPE_CHECKING:
     from diagnosis.diagnose import CellAnswer
@@ -117,6 +118,11 @@ def verdict_of(
     if len(named) >= CROWD and all(known_well(one.search.cell) for one in answers):
         names = ", ".join(dict.fromkeys(effect.name for effect in named))
         return Verdict("undecided", f"{len(named)} faults at once ({names}): look for one cause of all of them first")
+    pairs = (undoing(one.search, one.chosen) for one in answers if known_well(one.search.cell))
+    undone = next((pair for pair in pairs if pair is not None), None)
+    if undone is not None:
+        text = f"{undone.names[0]} and {undone.names[1]} undo {100.0 * undone.share:.2g} % of each other"
+        return Verdict("undecided", f"{text}: one cause that the catalogue lacks is likelier than both at once")
     sure = probability_of_names(answers)
     if sure < SURE:
         text = f"the names found have a probability of {sure:.2g} among others{certain_in_words(answers)}"

@@ -25,6 +25,7 @@ FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by:
 TEST = "shape"
 STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
+FIXED = ("which point", "which marker", "place in the image")  # what goes with these stays: no swing does
 LATER = (SWINGS_OF, SINCE)  # a baseline fitted before these were sought refuses nothing by them
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
@@ -101,8 +102,8 @@ def instead(cell: Cell, nothing: Array, gained_nats: float) -> tuple[Fired, ...]
 def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     """Its own usual size, or any course's that is larger there; single moments are no course, and rarer.
 
-    Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, and
-    of time since the start, which no motion goes with.
+    Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, of
+    time since the start, which no motion goes with, and of what stays with a point, a marker or a place in the image.
     """
     if (shape.measurement in STILL and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(LATER):
         return REFUSED_NATS + EXCEEDED_TIMES * usual.get(usual_shape(shape.goes_with), 0.0)
@@ -111,6 +112,8 @@ def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     most = max([usual.get(usual_shape(shape.goes_with), 0.0), *courses])
     if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most
+    if shape.goes_with in FIXED:
+        most = usual.get(usual_shape(shape.goes_with), 0.0)
     if shape.stage not in DRIVEN_STAGES:
         return BEHIND_NATS + BEHIND_TIMES * most
     return REFUSED_NATS + EXCEEDED_TIMES * most

@@ -181,7 +181,7 @@ def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
     Model: sizes with neutral 0 add, limits (neutral 1 or inf) take the smaller one, shapes take the last one given. A
            second swing of a joint goes on beside the first one, at its own frequency.
 
-    Raises: MachineFileError: a joint has a third swing.
+    Raises: MachineFileError: a joint has a third swing; a parameter that the effect does not have.
     """
     packed = neutral_sets(n_joints)
     for entry in entries:
@@ -190,8 +190,10 @@ def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
             _step_aside(packed, entry.joint)
         for name, value in entry.values:
             parameter = effect.parameter(name)
-            if parameter is not None:
-                _put(packed, entry, effect, parameter, value)
+            if parameter is None:
+                known = [one.name for one in effect.parameters]
+                raise MachineFileError(f"effect {entry.name!r}: unknown parameter {name!r}{_nearest(name, known)}")
+            _put(packed, entry, effect, parameter, value)
     return packed
 
 

@@ -101,6 +101,20 @@ def test_three_faults_at_once_on_a_machine_known_well_are_rather_one_that_has_no
     assert ("3 faults at once" in verdict.why) == known_well
 
 
+@pytest.mark.parametrize(
+    ("asymmetry", "known_well", "word"), [(0.4, True, "effects"), (-0.4, True, "undecided"), (-0.4, False, "effects")]
+)
+def test_two_names_that_undo_each_other_on_a_machine_known_well_are_rather_one_that_has_no_name(
+    asymmetry: float, known_well: bool, word: str
+) -> None:
+    cell = replace(made_up((0.4, asymmetry, 0.0)), usual=(("peak", 0.0),) if known_well else ())
+    answer = _answer(search(cell), 1)
+    assert {one.name for one in answer.chosen.fit.hypothesis} == {"flow_gain_error", "valve_asymmetry"}
+    verdict = verdict_of((answer,))
+    assert verdict.word == word
+    assert ("of each other: one cause" in verdict.why) == (word == "undecided")
+
+
 def test_doubt_where_nothing_is_named_takes_no_name_back_but_doubt_of_the_name_does() -> None:
     named_one = _answer(search(made_up((0.3, 0.0, 0.0))), 1)
     quiet = _answer(search(made_up((0.0, 0.0, 0.0))), 1)

@@ -181,3 +181,13 @@ def test_where_nothing_swings_a_shape_is_held_to_its_own_usual_size(measurement:
     assert moments.nats < _refused_from(usual, moments)
     often = {**usual, usual_shape("posture"): 7.0}
     assert shape.nats < _refused_from(often, shape)
+
+
+@pytest.mark.parametrize(("goes_with", "speaks"), [("which point", True), ("which marker", True), ("posture", False)])
+def test_what_stays_with_a_point_or_a_marker_is_no_swing_and_held_to_its_own_usual_size(
+    goes_with: str, speaks: bool
+) -> None:
+    usual = {usual_shape(goes_with): 1.0, usual_shape("motion"): 60.0}
+    shape = Shape("structure", None, "tracker", goes_with, 56.0)
+    assert (shape.nats > _refused_from(usual, shape)) == speaks
+    assert shape.nats < _refused_from({**usual, usual_shape(goes_with): 6.0}, shape)

@@ -149,3 +149,9 @@ def test_what_a_hypothesis_is_put_on_leaves_it_a_swing_of_its_own() -> None:
     assert under[FLEX_HZ] == neutral_sets(1).joint[0, 0, FLEX_HZ]
     full = [known, entry("link_flexibility", 1, gain=0.2, frequency_hz=2.1)]
     assert np.array_equal(pack_under(full, 2).joint, pack(full, 2).joint)
+
+
+def test_a_parameter_that_an_effect_does_not_have_is_refused_where_entries_are_packed() -> None:
+    wrong = EffectEntry("encoder_bias", 1, (("bias_deg", 0.1),))
+    with pytest.raises(MachineFileError, match="'encoder_bias': unknown parameter 'bias_deg'; nearest: bias_rad"):
+        pack((wrong,), 3)
