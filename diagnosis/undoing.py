@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from itertools import combinations
 
-from diagnosis.fit import evaluated
-from diagnosis.score import Score
-from diagnosis.search import Search
+from diagnosis.cells import Cell
+from diagnosis.fit import Fit, evaluated
+from machine.rotations import Array
 
 UNDONE_MIN = 0.35  # of nine wrong pairs on judged machines six undo 0.41 to 0.98, of 16 right ones none above 0.1
 CAMERA = "camera"
@@ -19,16 +19,16 @@ class Undoing:
     share: float
 
 
-def undoing(found: Search, chosen: Score) -> Undoing | None:
-    """The two of a cell's names that undo most of each other, if it is much.
+def undoing(cell: Cell, found: Fit, nothing: Array) -> Undoing | None:
+    """The two of a fit's names that undo most of each other, if it is much.
 
     Model: share = 1 - |f_1 + f_2|^2 / (|f_1|^2 + |f_2|^2) of what each name alone changes of the whitened residual. Two
            causes that know nothing of each other add up as often as not, and few point along one line at all; two names
            that stand in for a third have to, and most of either is there to take back the other's. But two numbers of
            one camera: they come from one calibration, whose errors undo each other in what it was made from.
+    Args:  nothing: (N,) the residual without any of them.
     """
-    nothing = found.none.fit.residual
-    alone = [(one, evaluated(found.cell, (one,), theta[None])[0] - nothing) for one, theta in chosen.fit.by_effect]
+    alone = [(one, evaluated(cell, (one,), theta[None])[0] - nothing) for one, theta in found.by_effect]
     pairs = []
     for (one, f_1), (other, f_2) in combinations(alone, 2):
         both = float(f_1 @ f_1 + f_2 @ f_2)

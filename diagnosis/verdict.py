@@ -16,7 +16,7 @@ from diagnosis.score import STICKS
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape
 from diagnosis.shrink import by_noise, closing, together
-from diagnosis.undoing import undoing
+from diagnosis.undoing import Undoing, undoing
 
 if TYPE_CHECKING:
     from diagnosis.diagnose import CellAnswer
@@ -118,8 +118,7 @@ def verdict_of(
     if len(named) >= CROWD and all(known_well(one.search.cell) for one in answers):
         names = ", ".join(dict.fromkeys(effect.name for effect in named))
         return Verdict("undecided", f"{len(named)} faults at once ({names}): look for one cause of all of them first")
-    pairs = (undoing(one.search, one.chosen) for one in answers if known_well(one.search.cell))
-    undone = next((pair for pair in pairs if pair is not None), None)
+    undone = next((pair for one in answers if known_well(one.search.cell) and (pair := _undone(one)) is not None), None)
     if undone is not None:
         text = f"{undone.names[0]} and {undone.names[1]} undo {100.0 * undone.share:.2g} % of each other"
         return Verdict("undecided", f"{text}: one cause that the catalogue lacks is likelier than both at once")
@@ -132,6 +131,10 @@ def verdict_of(
     return Verdict(
         "effects", f"{'catalogue effects explain the gap' if not unclear else _partly(unclear[0])}{beside}{one_cause}"
     )
+
+
+def _undone(one: CellAnswer) -> Undoing | None:
+    return undoing(one.search.cell, one.chosen.fit, one.search.none.fit.residual)
 
 
 def _gained_nats(one: CellAnswer) -> float:
