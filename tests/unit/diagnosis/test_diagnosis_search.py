@@ -10,6 +10,7 @@ from diagnosis.cells import Cell, Rows, blocks_of, folds_of
 from diagnosis.diagnose import _answer
 from diagnosis.errors import DiagnosisError
 from diagnosis.fit import evaluated, fit, jacobian, neutral_fit
+from diagnosis.forward import forward
 from diagnosis.limits import detection_limit, intervals
 from diagnosis.refusal import Fired, at_edge, remainder
 from diagnosis.scan import scan
@@ -113,6 +114,13 @@ def test_two_names_that_undo_each_other_on_a_machine_known_well_are_rather_one_t
     verdict = verdict_of((answer,))
     assert verdict.word == word
     assert ("of each other: one cause" in verdict.why) == (word == "undecided")
+
+
+@pytest.mark.parametrize(("asymmetry", "both"), [(0.2, True), (-0.2, False)])
+def test_a_usual_state_holds_no_names_that_undo_each_other(asymmetry: float, both: bool) -> None:
+    found = {one.name for one in forward(made_up((0.2, asymmetry, 0.0))).fit.hypothesis}
+    assert found
+    assert ({"flow_gain_error", "valve_asymmetry"} <= found) == both
 
 
 def test_doubt_where_nothing_is_named_takes_no_name_back_but_doubt_of_the_name_does() -> None:
