@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.candidates import SWINGS
+from diagnosis.candidates import SEEN_IN_MOTION, SWINGS
 from diagnosis.cells import Cell
 from diagnosis.floor import increments
 from diagnosis.score import STICKS
@@ -58,13 +58,26 @@ def nothing_sticks(found: Search) -> Search:
 def told_beyond(behind: list[Search], dynamic: list[Search]) -> list[Search]:
     """What was searched behind the joints, told of all joints that moved unlike.
 
-    A swing is no news where a joint sticks: its jumps set booms swinging as no undisturbed recording shows.
+    A swing is no news where a joint sticks: its jumps set booms swinging as no undisturbed recording shows. Where one
+    moved unlike, a baseline knows of other motions only how the booms follow: a name of that has to gain as much there
+    as one of the actuator (beside a command cut to a square wave a play gained 21 nats).
     """
     joints, stuck = tuple({joint for one in dynamic for joint in one.cell.unlike}), _stuck(dynamic)
     if stuck:
         for name in SWINGS:
             behind = [searched_without(one, name) if _names(one, name) else one for one in behind]
+    if joints:
+        for name in SEEN_IN_MOTION:
+            behind = [_unless_clear(one, name) if _names(one, name) else one for one in behind]
     return [replace(one, cell=replace(marked(one.cell, joints), stuck=stuck)) for one in behind]
+
+
+def _unless_clear(found: Search, name: str) -> Search:
+    """The search without a name, unless it gains what is asked of a name where a joint moved unlike a known day."""
+    if not any(part.usual for part in found.cell.parts or (found.cell,)):
+        return found
+    rest = searched_without(found, name)
+    return rest if found.chosen.total - rest.chosen.total < UNLIKE_NATS * found.spread else found
 
 
 def _stuck(found: list[Search]) -> tuple[int, ...]:

@@ -8,10 +8,14 @@ import pytest
 from diagnosis_cases import folder, recording
 
 from diagnosis.answer import answer
+from diagnosis.candidates import named
 from diagnosis.diagnose import Diagnosis, diagnose
 from diagnosis.reading import read
 from diagnosis.refusal import tests_of as fired_tests
+from diagnosis.search import search
+from diagnosis.unlike import told_beyond
 from machine.effects.entries import make_entry
+from machine.effects.layout import ParameterSets
 from machine.effects.registry import effect_named
 from machine.remainder import USUAL_ENERGY
 
@@ -50,6 +54,32 @@ def test_behind_joints_that_moved_unlike_energy_alone_is_no_test(little_off: Dia
     assert "energy" in {one.test for one in fired_tests(behind, loud, 1)}
     assert "energy" not in {one.test for one in fired_tests(replace(behind, unlike=(2,)), loud, 1)}
     assert "energy" in {one.test for one in fired_tests(replace(cell, unlike=(2,)), loud, 1)}
+
+
+@pytest.mark.parametrize(
+    ("width_rad", "usual", "told"),
+    [(0.001, True, False), (0.001, False, True), (0.004, True, True)],
+)
+def test_behind_joints_that_moved_unlike_a_play_has_to_be_large(
+    little_off: Diagnosis, width_rad: float, usual: bool, told: bool
+) -> None:
+    at = next(one.search.cell for one in little_off.cells if one.search.cell.stage == "actuator")
+    rng = np.random.default_rng(3)
+    noise, course = rng.normal(size=at.rows.count), np.sin(0.1 * np.arange(at.rows.count))
+    play = named(("backlash",), (2,))
+    column, per_rad = play[0].slots[0].column, 8e3 / np.linalg.norm(course)
+
+    def left(sets: ParameterSets) -> np.ndarray:
+        return noise + per_rad * np.outer(width_rad - sets.joint[:, 1, column], course)
+
+    known = ((USUAL_ENERGY, 1.0),) if usual else ()
+    cell = replace(at, stage="structure", joint=None, candidates=play, whitened=left, usual=known)
+    behind = search(cell)
+    assert [one.name for one in behind.chosen.fit.hypothesis] == ["backlash"]
+    assert told_beyond([behind], [replace(behind, cell=at)])[0].chosen is behind.chosen
+    (after,) = told_beyond([behind], [replace(behind, cell=replace(at, unlike=(1,)))])
+    assert after.cell.unlike == (1,)
+    assert [one.name for one in after.chosen.fit.hypothesis] == (["backlash"] if told else [])
 
 
 def test_behind_the_joints_twice_what_any_day_left_is_asked_for(little_off: Diagnosis) -> None:
