@@ -79,6 +79,11 @@ class Candidate:
         return np.array(list(product(*grids)))
 
 
+def in_words(name: str, joint: int | None) -> str:
+    """An effect as it is read: its name, and the joint that it is on."""
+    return name if joint is None else f"{name} {joint}"
+
+
 def candidates_of(stage: Stage, joints: tuple[int, ...], machine: bool) -> tuple[Candidate, ...]:
     """Every candidate of a stage on these joints; with the machine's own where `machine`."""
     return tuple(one for effect in effects_of(stage) for one in _of_effect(effect, joints, machine))

@@ -102,6 +102,11 @@ class Cell:
         """An actuator beside a joint that sticks, whose jumps move what it holds: what it leaves says nothing."""
         return self.stage == "actuator" and bool(self.stuck) and self.joint not in (None, *self.stuck)
 
+    @property
+    def usual_known(self) -> bool:
+        """Whether a baseline says of any part what it shows on the undisturbed machine."""
+        return any(part.usual for part in self.parts or (self,))
+
     def usual_nats(self, effect: Candidate, numbers: Array) -> float:
         """What an effect of these numbers (slots,) may gain on the undisturbed machine, beyond the margin that every
         name is asked for [nats, not divided].

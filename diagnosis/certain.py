@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING
 
+from diagnosis.candidates import in_words
 from diagnosis.score import Score
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def certain_in_words(answers: tuple[CellAnswer, ...]) -> str:
             share = _share(answer, Counter([_class(answer, effect.key)]))
             if share >= CERTAIN:
                 names = next((members for members in answer.same if effect.key in members), (effect.key,))
-                told.append(f"{' or '.join(_words(*key) for key in names)} ({share:.2g})")
+                told.append(f"{' or '.join(in_words(*key) for key in names)} ({share:.2g})")
     return f"; of them certain: {', '.join(told)}" if told else ""
 
 
@@ -53,7 +54,3 @@ def _class(answer: CellAnswer, key: tuple[str, int | None]) -> str:
         if key in members:
             return str(members[0])
     return str(key)
-
-
-def _words(name: str, joint: int | None) -> str:
-    return name if joint is None else f"{name} {joint}"

@@ -30,7 +30,7 @@ def steps_further(cell: Cell) -> bool:
 
     Why not where one is: three faults on one day are one cause that the catalogue lacks.
     """
-    return not any(part.usual for part in cell.parts or (cell,))
+    return not cell.usual_known
 
 
 def asked_more(cell: Cell, one: Score) -> Cell:

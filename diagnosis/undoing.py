@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from itertools import combinations
 
+from diagnosis.candidates import in_words
 from diagnosis.cells import Cell
 from diagnosis.fit import Fit, evaluated
 from machine.rotations import Array
@@ -33,7 +34,6 @@ def undoing(cell: Cell, found: Fit, nothing: Array) -> Undoing | None:
     for (one, f_1), (other, f_2) in combinations(alone, 2):
         both = float(f_1 @ f_1 + f_2 @ f_2)
         if both > 0.0 and not one.stage == other.stage == CAMERA:
-            words = [f"{effect.name} {effect.joint or ''}".strip() for effect in (one, other)]
-            pairs.append(Undoing((words[0], words[1]), -2.0 * float(f_1 @ f_2) / both))
+            pairs.append(Undoing((in_words(*one.key), in_words(*other.key)), -2.0 * float(f_1 @ f_2) / both))
     most = max(pairs, key=lambda pair: pair.share, default=None)
     return most if most is not None and most.share > UNDONE_MIN else None

@@ -64,27 +64,22 @@ def told_beyond(behind: list[Search], dynamic: list[Search]) -> list[Search]:
     """
     joints, stuck = tuple({joint for one in dynamic for joint in one.cell.unlike}), _stuck(dynamic)
     if stuck:
-        for name in SWINGS:
-            behind = [searched_without(one, name) if _names(one, name) else one for one in behind]
+        behind = [_unless_clear(one, SWINGS, np.inf) for one in behind]
     if joints:
-        for name in SEEN_IN_MOTION:
-            behind = [_unless_clear(one, name) if _names(one, name) else one for one in behind]
+        behind = [_unless_clear(one, SEEN_IN_MOTION, UNLIKE_NATS) if one.cell.usual_known else one for one in behind]
     return [replace(one, cell=replace(marked(one.cell, joints), stuck=stuck)) for one in behind]
 
 
-def _unless_clear(found: Search, name: str) -> Search:
-    """The search without a name, unless it gains what is asked of a name where a joint moved unlike a known day."""
-    if not any(part.usual for part in found.cell.parts or (found.cell,)):
-        return found
-    rest = searched_without(found, name)
-    return rest if found.chosen.total - rest.chosen.total < UNLIKE_NATS * found.spread else found
+def _unless_clear(found: Search, names: tuple[str, ...], least_nats: float) -> Search:
+    """The search without those of these names that were chosen and gain less than so much."""
+    for name in names:
+        if any(effect.name == name for effect in found.chosen.fit.hypothesis):
+            rest = searched_without(found, name)
+            found = rest if found.chosen.total - rest.chosen.total < least_nats * found.spread else found
+    return found
 
 
 def _stuck(found: list[Search]) -> tuple[int, ...]:
     """Joints (1-based) that were found to stick."""
     named = (effect for one in found for effect in one.chosen.fit.hypothesis)
     return tuple(effect.joint for effect in named if effect.name == STICKS and effect.joint is not None)
-
-
-def _names(found: Search, name: str) -> bool:
-    return any(effect.name == name for effect in found.chosen.fit.hypothesis)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from diagnosis.candidates import in_words
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import measurement_of
 from diagnosis.left_over import cells_of
@@ -44,7 +45,7 @@ def wrong_gains(checked: list[Read], progress: Progress) -> tuple[dict[str, floa
         for cell in cells_of(whole):
             found = search(cell, further=False)
             best = max(found.scored, key=lambda one: _beyond_chance(one, found.none))
-            told = " + ".join(f"{one.name} {one.joint or ''}".strip() for one in best.fit.hypothesis)
+            told = " + ".join(in_words(*one.key) for one in best.fit.hypothesis)
             progress(f"  {cell.label}: {told or 'nothing'} gains {best.total - found.none.total:.3g} nats")
             best_of.setdefault(cell.label, []).append(_beyond_chance(best, found.none))
             _note_names(found, names.setdefault(cell.stage, {}))

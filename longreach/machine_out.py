@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from diagnosis.candidates import in_words
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
 from diagnosis.forward import entries_of
@@ -56,5 +57,5 @@ def write_machine(text: str, found: Diagnosis, path: Path) -> str:
         path.write_text(machine_with_effects(text, found), encoding="utf-8")
     except OSError as error:
         raise MachineOutError(f"{path} cannot be written: {error.strerror}") from error
-    names = ", ".join(f"{one.name} {one.joint or ''}".strip() for one in effects_found(found)) or "no effect"
+    names = ", ".join(in_words(one.name, one.joint) for one in effects_found(found)) or "no effect"
     return f"{path}: the machine with {names}"

@@ -15,6 +15,7 @@ SMOOTH_ROWS = 11
 ORDERS = 4  # of waves over an angle, a turn
 MINUTE_S = 60.0
 SWINGS_OF = "swings of joint"
+FIXED = WHICH_POINT, WHICH_MARKER, PLACE = "which point", "which marker", "place in the image"  # no swing goes with it
 SWINGS_HZ = np.geomspace(0.6, 6.0, 14)
 SWUNG, DAMPING = 0.05, 0.1  # of a unit swing, and wide enough that one between two frequencies is a sum of both
 
@@ -25,7 +26,7 @@ def point_columns(measured: PointResidual) -> dict[str, Array]:
     out = {
         "posture": _each(_powers(data.q), 3),
         "waves over the angles": _each(_waves(data.q), 3),
-        "which point": _each(np.eye(int(data.which.max()) + 1)[data.which], 3),
+        WHICH_POINT: _each(np.eye(int(data.which.max()) + 1)[data.which], 3),
     }
     if measured.paths:
         v, _ = _motion(measured.paths, measured.at, data.when)
@@ -70,8 +71,8 @@ def corner_columns(seen: CornerResidual) -> dict[str, Array]:
     of_axis, of_marker = np.eye(2)[axis], np.eye(pixels.shape[2])[marker]
     own = _times(of_marker, of_axis)
     out = {
-        "place in the image": _times(smooth, np.eye(4)[2 * eye + axis]),
-        "which marker": own,
+        PLACE: _times(smooth, np.eye(4)[2 * eye + axis]),
+        WHICH_MARKER: own,
         "time": _times(_time(seen.frames.t_s)[frame], own),
     }
     if seen.on == "ooi":

@@ -11,7 +11,7 @@ from diagnosis.cells_camera import CornerResidual
 from diagnosis.cells_points import PointResidual
 from diagnosis.fit import costs
 from diagnosis.refusal import BEHIND_NATS, BEHIND_TIMES, Fired
-from diagnosis.shapes.behind import SWINGS_OF, corner_columns, point_columns, swing_columns
+from diagnosis.shapes.behind import FIXED, SWINGS_OF, corner_columns, point_columns, swing_columns
 from diagnosis.shapes.driven import SINCE, driven_columns
 from diagnosis.shapes.gain import held_out_nats
 from machine.remainder import USUAL_SHAPE, usual_shape
@@ -25,7 +25,6 @@ FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by:
 TEST = "shape"
 STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
-FIXED = ("which point", "which marker", "place in the image")  # what goes with these stays: no swing does
 LATER = (SWINGS_OF, SINCE)  # a baseline fitted before these were sought refuses nothing by them
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
@@ -105,15 +104,14 @@ def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, of
     time since the start, which no motion goes with, and of what stays with a point, a marker or a place in the image.
     """
+    own = usual.get(usual_shape(shape.goes_with), 0.0)
     if (shape.measurement in STILL and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(LATER):
-        return REFUSED_NATS + EXCEEDED_TIMES * usual.get(usual_shape(shape.goes_with), 0.0)
+        return REFUSED_NATS + EXCEEDED_TIMES * own
     moments = usual_shape(SINGLE_MOMENTS)
     courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != moments]
-    most = max([usual.get(usual_shape(shape.goes_with), 0.0), *courses])
+    most = own if shape.goes_with in FIXED else max([own, *courses])
     if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most
-    if shape.goes_with in FIXED:
-        most = usual.get(usual_shape(shape.goes_with), 0.0)
     if shape.stage not in DRIVEN_STAGES:
         return BEHIND_NATS + BEHIND_TIMES * most
     return REFUSED_NATS + EXCEEDED_TIMES * most
