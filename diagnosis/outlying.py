@@ -28,6 +28,7 @@ SCATTER_MIN_M = 1e-6
 POINTS_MIN = 20
 SHARE_MAX = 0.05  # of the points: if more are outside, it is the model that is wrong
 AT_ONCE = 0.5  # of the farthest: what is nearer may only have been moved by it
+ALONE = 2.0  # times the farthest that stays: nearer ones are the tail of what all poses share, play say
 ROUNDS = 12
 REWEIGHED = 12
 MEDIAN_OF_THREE = 1.538  # median length of three normal numbers
@@ -48,26 +49,38 @@ class _Off:
         least = max(TIMES * self.scatter, TIMES_TYPICAL * self.typical, LEAST_M)
         return self.away > max(least, AT_ONCE * float(self.away.max()))
 
+    def alone(self, rest: "_Off") -> bool:
+        """Whether the outside points are far from all that stay, of which `rest` tells."""
+        return float(self.away[self.outside].min()) > ALONE * float(rest.away.max())
+
 
 def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, list[Finding]]:
     """Points at rest without those that lie outside, which are named.
 
     Model: one linear step in all effects at once, points weighed by 1 / (1 + (distance / scatter)^2) in turn; outside
            is what lies twenty scatters away. The farthest are taken out and the rest is looked at again, since a frame
-           that was fitted through them moves all others. If more than a twentieth would go, none goes.
+           that was fitted through them moves all others, until a twentieth of all would be out. Those that were taken
+           out last come back while they are not twice as far as what stays.
     """
-    left, away = table, np.zeros(len(table.xyz))
-    for _ in range(ROUNDS):
-        data = None if nominal.arm is None else static_data(nominal, left)
-        off = None if data is None else _off(nominal, data)
-        if left.q is None or off is None or not off.outside.any():
-            break
+    rounds, left, away = [], table, np.zeros(len(table.xyz))
+    off = _seen(nominal, left)
+    while left.q is not None and off is not None and off.outside.any() and len(rounds) < ROUNDS:
         rows = np.nonzero(usable_rows(nominal, left, left.q))[0][off.outside]
-        away[rows] = off.away[off.outside]
-        if (away > 0.0).sum() > SHARE_MAX * len(off.away):
-            return table, []
-        left = left.without(rows)
-    return left, [_finding(table, away)] if left is not table else []
+        further = away.copy()
+        further[rows] = off.away[off.outside]
+        if (further > 0.0).sum() > SHARE_MAX * len(off.away):
+            break
+        rounds.append((left, away, off))
+        left, away = left.without(rows), further
+        off = _seen(nominal, left)
+    while rounds and off is not None and not rounds[-1][2].alone(off):
+        left, away, off = rounds.pop()
+    return left, [_finding(table, away)] if rounds else []
+
+
+def _seen(nominal: Nominal, table: PointTable) -> _Off | None:
+    data = None if nominal.arm is None else static_data(nominal, table)
+    return None if data is None else _off(nominal, data)
 
 
 def _off(nominal: Nominal, data: PointData) -> _Off | None:

@@ -63,3 +63,12 @@ def test_a_model_that_is_wrong_in_many_places_leaves_all_its_points() -> None:
     rng = np.random.default_rng(2)
     many = {int(row): tuple(rng.normal(0.0, 0.3, 3)) for row in rng.choice(80, 12, replace=False)}
     assert not examined(moved(static_recording(neutral_sets(6)), many)).findings
+
+
+def test_the_tail_of_what_all_poses_share_stays() -> None:
+    """Play at the hand puts a few poses off, each by a little less than the one before: none of them is wild."""
+    tail = {7 * k: (0.006 * 0.85**k, 0.0, 0.0) for k in range(9)}
+    made = moved(static_recording(neutral_sets(6)), tail)
+    assert not examined(made).findings
+    (finding,) = examined(moved(made, {33: (0.0, 0.2, 0.0)})).findings  # that one is
+    assert finding.count == 1
