@@ -34,8 +34,9 @@ Variant = tuple[str, int | None, str, tuple[float, ...]]
 class Candidate:
     """One effect on one joint (1-based; None: the machine), in one variant: `fixed` numbers do not move in a fit.
 
-    `counted`: its size is a share seen among so many; 0: it is fitted. `cycles`: of a delay, a PLC's cycle and what the
-    nominal machine has of it [s]: whole cycles are where its cost has a kink that no gradient finds.
+    `read_off`: the log itself shows its size, and nothing of it is fitted. `counted`: that size is a share seen among
+    so many; 0: it is none. `cycles`: of a delay, a PLC's cycle and what the nominal machine has of it [s]: whole cycles
+    are where its cost has a kink that no gradient finds.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Candidate:
     slots: tuple[Slot, ...]
     fixed: tuple[tuple[Slot, float], ...] = ()
     counted: int = 0
+    read_off: bool = False
     cycles: tuple[float, float] | None = None
 
     def settled(self, theta: Array) -> Array:

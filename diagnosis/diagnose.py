@@ -13,6 +13,7 @@ from diagnosis.guessed_noise import searched
 from diagnosis.known import with_known
 from diagnosis.limits import Interval, Limit, detection_limit, intervals
 from diagnosis.localise import Localisation, localise
+from diagnosis.own_cycle import at_its_cycle
 from diagnosis.own_step import at_its_step
 from diagnosis.reading import Read
 from diagnosis.refusal import Fired, at_edge, remainder
@@ -117,6 +118,8 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         cells = [marked(replace(one, least_nats=_least(one, searches)), unlike) for one in cells]
         unlike = (*unlike, *far_off(cells))
         found = _searched(cells, progress)
+        if stage == "link":
+            found = [at_its_cycle(one, replayer, whole.stretches, base) for one in found]
         if stage == "actuator" and found:
             found = told_who_sticks(_beside_each_other(found))
             progress("what couples the joints", 0, 1)

@@ -66,7 +66,7 @@ def _fixed(one: Candidate, size: float | None) -> Candidate:
     if size is None or not slot.low < size < slot.highest:
         return one
     low, high = size * (1.0 - NARROW), size * (1.0 + NARROW)
-    return replace(one, slots=(replace(slot, low=low, high=high, highest=high, start=size),))
+    return replace(one, slots=(replace(slot, low=low, high=high, highest=high, start=size),), read_off=True)
 
 
 def comb_of(values: Array) -> float | None:

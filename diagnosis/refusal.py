@@ -98,7 +98,7 @@ def at_edge(cell: Cell, chosen: Score) -> tuple[Fired, ...]:
             effect.slots, chosen.fit.theta[here], sizes, chosen.fit.at_bound[here], strict=True
         ):
             nothing = abs(size - np.clip(slot.neutral, slot.low, slot.highest)) <= 1e-3 * (slot.high - slot.low)
-            if is_size and ends and not nothing and not effect.counted:
+            if is_size and ends and not nothing and not effect.read_off:
                 lead = f"is small only if {effect.name} is {size:.3g}, the most that is believed of it"
                 found.append(Fired(EDGE, cell.stage, effect.joint, 1.0, 0.0, lead))
     return tuple(found)

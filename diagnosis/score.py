@@ -52,9 +52,9 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
     from 30 nats on).
 
     Where its further names gain more than that on the undisturbed machine, half as much again as they ever did is
-    asked for. Blocks are not asked about what was counted in the log: nothing of it was fitted, and three packets may
-    well have been lost in one block. Nor does their spread count where names touch half of them or fewer and gain in
-    each: of three fast moves the fastest is cut most.
+    asked for. Neither blocks nor the share are asked about what was read off the log: nothing of it was fitted, and
+    three packets may well have been lost in one block. Nor does their spread count where names touch half of them or
+    fewer and gain in each: of three fast moves the fastest is cut most.
 
     `spread`: by how much scores are to be divided first (chi2/n of the best model, where the floor is too low);
     `cell`: where its input is not known well enough for 6 nats, or its model's form, it asks for more.
@@ -67,12 +67,12 @@ def better(one: Score, other: Score, none: Score, spread: float = 1.0, cell: Cel
         least, form_share = max(least + max(usual, 0.0) / spread, cell.least_nats), cell.form_share
         if any(effect.name == STICKS for effect in other.fit.hypothesis):
             form_share = max(form_share, FORM_SHARE_STUCK)
-    if float(gains.sum()) <= max(least, form_share * (one.total - none.total) / spread):
-        return False
     before = {effect.key for effect in other.fit.hypothesis}
     further = [effect for effect in one.fit.hypothesis if effect.key not in before]
-    if further and all(effect.counted for effect in further):
-        return True
+    if further and all(effect.read_off for effect in further):
+        return float(gains.sum()) > least
+    if float(gains.sum()) <= max(least, form_share * (one.total - none.total) / spread):
+        return False
     limits = bool(further) and all(one.slots[0].neutral != 0.0 for one in further) and float(gains.sum()) >= CLEAR_NATS
     touched = gains[np.abs(gains) > (FAINT_NATS if limits else 0.0)]
     if TOUCHED_MIN <= len(touched) <= TOUCHED_SHARE * len(gains) and touched.min() > 0.0:

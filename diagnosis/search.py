@@ -13,7 +13,7 @@ from diagnosis.margin import MARGIN_NATS
 from diagnosis.rare import with_the_event_cut
 from diagnosis.scan import Scan, orders_settled, refined, scan, variants_settled
 from diagnosis.score import Score, better, chosen_nats, score
-from diagnosis.several import ROUNDS_PAIR, Book, burdened, pairs_of, triples_of
+from diagnosis.several import ROUNDS_PAIR, Book, burdened, pairs_of, read_off_beside, triples_of
 
 SCAN_GAIN_NATS = 1.0  # a candidate whose best scanned size gains less is not fitted: it cannot reach the margin
 SINGLES_MAX = 16  # fitted, the best of the scan
@@ -74,7 +74,8 @@ def _searched(
     book = Book(cell, {**known, frozenset(): none})
     scans, changes = variants_settled(variants), _changes(variants)
     singles = _singles(book, scans, none)
-    pairs = sorted(pairs_of(book, singles, none) + burdened(book, singles), key=lambda one: -one.total)
+    pairs = [*pairs_of(book, singles, none), *burdened(book, singles), *read_off_beside(book, singles)]
+    pairs.sort(key=lambda one: -one.total)
     triples = triples_of(book, singles, pairs)
     levels = [_with_siblings(book, changes, level) for level in (singles, pairs, triples) if level]
     chosen, spread = _best_that_passes(book, levels)

@@ -17,6 +17,7 @@ TRIPLES_REFINED = 2
 PAYLOAD = "payload_error"
 YIELDING = ("gravity_sag", "base_compliance")  # to gravity
 PAIRS_BURDENED = 2
+PAIRS_READ_OFF = 3
 SOFTER = (0.4, 0.6, 0.8, 1.2, 1.6)  # of the compliance that explains most without another weight
 ROUNDS_BURDENED = 30  # compliance times weight is known far better than either
 ROUNDS_PAIR = 6
@@ -59,6 +60,17 @@ def pairs_of(book: Book, singles: list[Score], none: Score) -> list[Score]:
         start = _best_start(book.cell, r0, (a, b), amounts)
         found.append(book.scored((*a.fit.hypothesis, *b.fit.hypothesis), start, ROUNDS_PAIR))
     return sorted(found, key=lambda one: -one.total)
+
+
+def read_off_beside(book: Book, singles: list[Score]) -> list[Score]:
+    """What the log shows, beside the best names: what lost packets do to a late command, they do not do alone."""
+    found = []
+    for shown in (one for one in book.cell.candidates if one.read_off):
+        others = [one for one in singles if one.fit.hypothesis[0].key != shown.key]
+        for one in others[:PAIRS_READ_OFF]:
+            start = np.append(one.fit.theta, shown.starts()[0])
+            found.append(book.scored((*one.fit.hypothesis, shown), start, ROUNDS_PAIR))
+    return found
 
 
 def burdened(book: Book, singles: list[Score]) -> list[Score]:

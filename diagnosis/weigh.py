@@ -73,10 +73,10 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     """The cell's hypotheses, best first.
 
     Model: p ~ exp((held-out score - penalty of each effect) / (T spread)); T larger where the floor is not known. An
-           effect also pays a share of all that is gained: no model is right to better than this. As many names as were
-           chosen pay no more than those for what they gain on the undisturbed machine: that told whether anything is
-           there, and says nothing of which of them it is. What scored more than was chosen and failed the margin counts
-           by the margin at most: a gain in one motion only is luck.
+           effect also pays a share of all that is gained: no model is right to better than this, but what was read
+           off the log is. As many names as were chosen pay no more than those for what they gain on the undisturbed
+           machine: that told whether anything is there, and says nothing of which of them it is. What scored more than
+           was chosen and failed the margin counts by the margin at most: a gain in one motion only is luck.
     """
     numbers = calibration()
     T = numbers.temperature if found.cell.floor_known else numbers.temperature_without_floor
@@ -88,7 +88,8 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
             min(one.total, found.chosen.total + MARGIN_NATS * found.spread) / found.spread
             - _price(found.cell, one)
             - _paid(found, one)
-            - share * _count(one)
+            - share * _fitted(one)
+            - found.cell.least_nats * (_count(one) - _fitted(one))
             for one in scored
         ]
     )
@@ -115,6 +116,10 @@ def _moves(one: Score) -> bool:
 
 def _count(one: Score) -> int:
     return len(one.fit.hypothesis)
+
+
+def _fitted(one: Score) -> int:
+    return sum(not effect.read_off for effect in one.fit.hypothesis)
 
 
 def _usual_nats(found: Search, one: Score) -> float:
