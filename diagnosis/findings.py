@@ -47,6 +47,7 @@ CODES: dict[str, str] = {
     "few_repeats": "too few repeats for a sound noise floor",
     "repeats_differ": "repeats of one command that were not driven by one command",
     "clock_offset_unknown": "the offset between two clocks is not given",
+    "clock_offset_wrong": "by the offset between two clocks that is given, datagrams arrive before they were sent",
 }
 
 

@@ -15,6 +15,8 @@ from machine.rotations import Array
 from recording.run import Segment
 
 MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
+EARLY_MIN_S = 1e-6  # a datagram arrives before it was sent, by more than rounding: the offset given is wrong
+EARLY_MAX_S = 0.02  # beyond it the numbers are wrong, not the clocks
 LOGGED_OFTEN = 0.7  # of a sending period: a log row that comes later may have skipped a datagram
 STOOD_RAD = 2e-3  # no joint went further than this from where it was: one posture
 JITTER_MAX = 0.02  # of a step: rows whose stamps are closer to the even grid than this are taken as even
@@ -128,12 +130,22 @@ def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
     """The offset between the PC's and the PLC's clock; estimated from sequence numbers where not given.
 
     Model: without an offset the fastest datagram is taken to have arrived at once: delays are known but for a constant.
+           So it is with one by which datagrams arrive a little before they were sent.
     """
     if tables.sent is None:
         return None
-    if tables.run.plc_to_pc_offset_s is not None:
-        return SentClock(tables.run.plc_to_pc_offset_s, True)
+    given = tables.run.plc_to_pc_offset_s
     delays = _apparent_delays(tables)
+    if given is not None:
+        early_s = -(float(delays.min()) + given) if len(delays) else 0.0
+        if not EARLY_MIN_S < early_s < EARLY_MAX_S:
+            return SentClock(given, True)
+        text = (
+            f"clocks.plc_to_pc_offset_s = {given:g}: datagrams arrive up to {1e3 * early_s:.2g} ms before they were sent; "
+            "the link's delay is known but for a constant (the fastest datagram counts as 0): measure it again"
+        )
+        findings.append(Finding("clock_offset_wrong", "note", "run.toml", text))
+        return SentClock(given + early_s, False)
     if len(delays) == 0:
         text = "no clocks.plc_to_pc_offset_s and no sequence numbers: sent and received reference cannot be compared"
         findings.append(Finding("clock_offset_unknown", "problem", "run.toml", text))

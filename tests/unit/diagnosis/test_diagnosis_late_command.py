@@ -1,16 +1,18 @@
-"""Commands that arrive late, in a log whose rows come less often than the PLC's cycles."""
+"""Commands that arrive late, or before they were sent, in a log whose rows come less often than the PLC's cycles."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnosis_cases import recording
+from diagnosis_cases import changed, recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
 from diagnosis.reading import examine
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
+from recording.rows import Sent
 
 
 def entry(name: str, joint: int | None, **parameters: object) -> EffectEntry:
@@ -40,3 +42,13 @@ def test_a_rounded_reference_is_seen_beside_a_long_delay() -> None:
     found = named(entry("transport_delay", None, delay_s=0.03), entry("reference_quantisation", 2, step_rad=2e-5))
     assert set(found) == {("transport_delay", None), ("reference_quantisation", 2)}
     assert abs(found["reference_quantisation", 2]["step_rad"]["value"] / 2e-5 - 1.0) < 1e-6
+
+
+@pytest.mark.parametrize("off_s", [0.0002, 0.003])
+def test_an_offset_by_which_commands_arrive_before_they_were_sent_is_told_and_no_fault(off_s: float) -> None:
+    """A fifth of a millisecond puts each reference a cycle late: a healthy machine was `outside`, with four names."""
+    made = changed(recording(), Sent, lambda _number, row: replace(row, t_pc_s=row.t_pc_s + off_s))
+    found = answer(diagnose(examine(made, Path("early"))))
+    assert found["verdict"] == "none", found["why"]
+    (told,) = [one for one in found["findings"] if one["code"] == "clock_offset_wrong"]
+    assert f"{1e3 * off_s:.2g} ms before they were sent" in told["text"]
