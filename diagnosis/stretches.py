@@ -141,8 +141,8 @@ def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
         if not EARLY_MIN_S < early_s < EARLY_MAX_S:
             return SentClock(given, True)
         text = (
-            f"clocks.plc_to_pc_offset_s = {given:g}: datagrams arrive up to {1e3 * early_s:.2g} ms before they were sent; "
-            "the link's delay is known but for a constant (the fastest datagram counts as 0): measure it again"
+            f"clocks.plc_to_pc_offset_s = {given:g}: datagrams arrive up to {1e3 * early_s:.2g} ms before they were "
+            "sent; the link's delay is known but for a constant (the fastest datagram counts as 0): measure it again"
         )
         findings.append(Finding("clock_offset_wrong", "note", "run.toml", text))
         return SentClock(given + early_s, False)
