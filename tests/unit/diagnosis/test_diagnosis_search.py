@@ -205,9 +205,9 @@ def test_blocks_judge_what_was_fitted_and_not_what_the_log_shows() -> None:
     found = score(cell, fit(cell, cell.candidates[:1], np.array([0.01])))
     once = replace(found, by_block=none.by_block + 40.0 * np.eye(1, len(none.by_block))[0])  # all of it in one block
     assert not better(once, none, none)
-    counted = replace(once, fit=replace(once.fit, hypothesis=(replace(cell.candidates[0], read_off=True),)))
-    assert better(counted, none, none)
-    few = replace(counted, by_block=none.by_block + 4.0 * np.eye(1, len(none.by_block))[0])
+    shown = replace(once, fit=replace(once.fit, hypothesis=(replace(cell.candidates[0], read_off=True),)))
+    assert better(shown, none, none)
+    few = replace(shown, by_block=none.by_block + 4.0 * np.eye(1, len(none.by_block))[0])
     assert not better(few, none, none)
 
 
