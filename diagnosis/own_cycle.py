@@ -22,6 +22,7 @@ from machine.rotations import Array
 AROUND = np.arange(-2.0, 2.25, 0.5)  # cycles
 SETTLED = 0.01  # cycles
 EQUAL_NATS = 1.0
+UNEQUAL = 1e9  # more than any sum of logarithms
 COST_MIN = 1.0
 
 
@@ -40,7 +41,7 @@ def at_its_cycle(found: Search, replayer: Replayer, stretches: tuple[Stretch, ..
         theta = _shifted(fit, at, shift * cycle_s)
         worse = float(costs(evaluated(found.cell, fit.hypothesis, theta[None]))[0].sum()) - fit.cost
         if worse > EQUAL_NATS:
-            return np.inf
+            return UNEQUAL
         course = put(base, fit.hypothesis, theta)
         cells = stage_cells("actuator", replayer, stretches, base, course)
         return float(sum(np.log(max(neutral_fit(one).cost, COST_MIN)) for one in cells))
@@ -53,12 +54,7 @@ def at_its_cycle(found: Search, replayer: Replayer, stretches: tuple[Stretch, ..
 
 def _delay(fit: Fit) -> tuple[int | None, float]:
     """Where in theta a delay stands, and the PLC's cycle [s]; None if none was chosen."""
-    at = 0
-    for one in fit.hypothesis:
-        if one.cycles is not None:
-            return at, one.cycles[0]
-        at += len(one.slots)
-    return None, 0.0
+    return next(((here.start, one.cycles[0]) for one, here in fit.slices if one.cycles is not None), (None, 0.0))
 
 
 def _shifted(fit: Fit, at: int, shift_s: float) -> Array:
@@ -72,7 +68,5 @@ def _least(left: Callable[[float], float]) -> float:
     tried = np.array([left(shift) for shift in AROUND])
     best = int(np.argmin(tried))
     low, high = AROUND[max(best - 1, 0)], AROUND[min(best + 1, len(AROUND) - 1)]
-    finer = minimize_scalar(
-        lambda shift: min(left(shift), 1e9), bounds=(low, high), method="bounded", options={"xatol": SETTLED}
-    )
+    finer = minimize_scalar(left, bounds=(low, high), method="bounded", options={"xatol": SETTLED})
     return float(finer.x) if finer.fun < tried[best] else float(AROUND[best])

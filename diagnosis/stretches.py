@@ -145,7 +145,7 @@ def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
             "sent; the link's delay is known but for a constant (the fastest datagram counts as 0): measure it again"
         )
         findings.append(Finding("clock_offset_wrong", "note", "run.toml", text))
-        return SentClock(given + early_s, False)
+        return SentClock(-float(delays.min()), False)
     if len(delays) == 0:
         text = "no clocks.plc_to_pc_offset_s and no sequence numbers: sent and received reference cannot be compared"
         findings.append(Finding("clock_offset_unknown", "problem", "run.toml", text))
