@@ -13,7 +13,7 @@ from diagnosis.guessed_noise import searched
 from diagnosis.known import with_known
 from diagnosis.limits import Interval, Limit, detection_limit, intervals
 from diagnosis.localise import Localisation, localise
-from diagnosis.own_cycle import at_its_cycle
+from diagnosis.own_cycle import at_its_cycle, unseen_wait
 from diagnosis.own_step import at_its_step
 from diagnosis.reading import Read
 from diagnosis.refusal import Fired, at_edge, remainder
@@ -120,6 +120,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         found = _searched(cells, progress)
         if stage == "link":
             found = [at_its_cycle(one, replayer, whole.stretches, base) for one in found]
+            course = next((unseen_wait(one, replayer, whole.stretches, base) for one in found), course)
         if stage == "actuator" and found:
             found = told_who_sticks(_beside_each_other(found))
             progress("what couples the joints", 0, 1)

@@ -48,6 +48,7 @@ CODES: dict[str, str] = {
     "repeats_differ": "repeats of one command that were not driven by one command",
     "clock_offset_unknown": "the offset between two clocks is not given",
     "clock_offset_wrong": "by the offset between two clocks that is given, datagrams arrive before they were sent",
+    "uneven_arrivals": "datagrams take longer at one time than at another, or two clocks drift apart",
 }
 
 

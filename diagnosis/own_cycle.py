@@ -1,4 +1,4 @@
-"""When within the PLC's cycles a late datagram took effect: rows that come less often leave a delay a cycle or two.
+"""When within the PLC's cycles a datagram took effect: rows that come less often leave a cycle or ten.
 
 The link's own cost is flat there, but a course of the reference between rows that is a cycle early makes commands of
 all joints a little too large: what is left would be called a flow gain of half a percent on each quiet joint.
@@ -8,9 +8,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
-from diagnosis.candidates import put
+from diagnosis.candidates import Candidate, put
 from diagnosis.cells_dynamic import stage_cells
 from diagnosis.fit import Fit, costs, evaluated, neutral_fit
 from diagnosis.replay import Replayer
@@ -19,15 +18,14 @@ from diagnosis.stretches import Stretch
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
-AROUND = np.arange(-2.0, 2.25, 0.5)  # cycles
-SETTLED = 0.01  # cycles
+FED = ("controller", "actuator")  # stages whose input is the reference, or what comes of it
 EQUAL_NATS = 1.0
 UNEQUAL = 1e9  # more than any sum of logarithms
 COST_MIN = 1.0
 
 
 def at_its_cycle(found: Search, replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> Search:
-    """The link's search with the chosen delay where it leaves least of all actuators.
+    """The link's search with the chosen delay where it leaves least of controllers and actuators.
 
     Model: within what the link's rows cannot tell from the delay found, the smallest sum over joints of the logarithm
            of what stays with no name: a joint with a fault of its own says no more than any other.
@@ -36,20 +34,51 @@ def at_its_cycle(found: Search, replayer: Replayer, stretches: tuple[Stretch, ..
     at, cycle_s = _delay(fit)
     if at is None or not found.cell.coarse:
         return found
-
-    def left(shift: float) -> float:
-        theta = _shifted(fit, at, shift * cycle_s)
-        worse = float(costs(evaluated(found.cell, fit.hypothesis, theta[None]))[0].sum()) - fit.cost
-        if worse > EQUAL_NATS:
-            return UNEQUAL
-        course = put(base, fit.hypothesis, theta)
-        cells = stage_cells("actuator", replayer, stretches, base, course)
-        return float(sum(np.log(max(neutral_fit(one).cost, COST_MIN)) for one in cells))
-
-    theta = _shifted(fit, at, _least(left) * cycle_s)
-    chosen = replace(found.chosen, fit=replace(fit, theta=theta))
+    left = _left_by(found, fit.hypothesis, fit.cost, replayer, stretches, base)
+    row = _cycles_a_row(stretches, cycle_s)
+    tried = [fit.theta, *(_shifted(fit, at, shift * cycle_s) for shift in range(-row, row + 1))]
+    chosen = replace(found.chosen, fit=replace(fit, theta=min(tried, key=left)))
     scored = tuple(chosen if one is found.chosen else one for one in found.scored)
     return replace(found, chosen=chosen, scored=scored)
+
+
+def unseen_wait(
+    found: Search, replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets
+) -> ParameterSets:
+    """The base with a delay that no row shows, where controllers and actuators are left with less by it.
+
+    Why: sent at 100 Hz and logged at 100 Hz, three milliseconds are in no row. No name comes of it: joints may say when
+    a command came, but not why.
+    """
+    delay = next((one for one in found.cell.candidates if one.cycles is not None), None)
+    fit = found.chosen.fit
+    if delay is None or delay.cycles is None or _delay(fit)[0] is not None or not found.cell.coarse:
+        return base
+    cycle_s = delay.cycles[0]
+    left = _left_by(found, (*fit.hypothesis, delay), fit.cost, replayer, stretches, base)
+    waits = [np.array([k * cycle_s]) for k in range(_cycles_a_row(stretches, cycle_s) + 1)]
+    return put(base, (delay,), min(waits, key=lambda wait: left(np.append(fit.theta, wait))))
+
+
+def _left_by(
+    found: Search,
+    hypothesis: tuple[Candidate, ...],
+    cost: float,
+    replayer: Replayer,
+    stretches: tuple[Stretch, ...],
+    base: ParameterSets,
+) -> Callable[[Array], float]:
+    """What the stages it feeds are left with after numbers (k,) of the link; UNEQUAL where its own rows tell them."""
+
+    def left(theta: Array) -> float:
+        worse = float(costs(evaluated(found.cell, hypothesis, theta[None]))[0].sum()) - cost
+        if worse > EQUAL_NATS:
+            return UNEQUAL
+        course = put(base, hypothesis, theta)
+        cells = [one for stage in FED for one in stage_cells(stage, replayer, stretches, base, course)]
+        return float(sum(np.log(max(neutral_fit(one).cost, COST_MIN)) for one in cells))
+
+    return left
 
 
 def _delay(fit: Fit) -> tuple[int | None, float]:
@@ -58,15 +87,12 @@ def _delay(fit: Fit) -> tuple[int | None, float]:
 
 
 def _shifted(fit: Fit, at: int, shift_s: float) -> Array:
-    theta = fit.theta.copy()
-    theta[at] = max(theta[at] + shift_s, 0.0)
-    return theta
+    """The fit's numbers with the delay at the whole cycle that is so far away: no PLC takes a datagram within one."""
+    settled = np.concatenate([one.settled(fit.theta[here]) for one, here in fit.slices])
+    settled[at] = max(settled[at] + shift_s, 0.0)
+    return settled
 
 
-def _least(left: Callable[[float], float]) -> float:
-    """The shift [cycles] that leaves least: on a grid, then between its neighbours."""
-    tried = np.array([left(shift) for shift in AROUND])
-    best = int(np.argmin(tried))
-    low, high = AROUND[max(best - 1, 0)], AROUND[min(best + 1, len(AROUND) - 1)]
-    finer = minimize_scalar(left, bounds=(low, high), method="bounded", options={"xatol": SETTLED})
-    return float(finer.x) if finer.fun < tried[best] else float(AROUND[best])
+def _cycles_a_row(stretches: tuple[Stretch, ...], cycle_s: float) -> int:
+    """PLC cycles from one log row to the next."""
+    return int(np.ceil(max(one.dt_s for one in stretches) / cycle_s - 1e-6))

@@ -55,9 +55,9 @@ def reached(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -
 
 
 def _loss(stretches: tuple[Stretch, ...]) -> NDArray[np.bool_] | None:
-    """Of every datagram whether it never arrived; None where some stretch cannot tell."""
-    seen = [one.sent.lost for one in stretches if one.sent is not None]
-    known = [one for one in seen if one is not None]
+    """Of every datagram that can be judged whether it never arrived; None where some stretch cannot tell."""
+    seen = [one.sent for one in stretches if one.sent is not None]
+    known = [one.lost if one.judged is None else one.lost[one.judged] for one in seen if one.lost is not None]
     return np.concatenate(known) if known and len(known) == len(seen) else None
 
 

@@ -77,7 +77,7 @@ def examine(recording: Recording, path: Path, machine_file: Path | None = None, 
         findings += _guarded(lambda: metre_findings(path, nominal.sliding), path.name)
     stretches: tuple[Stretch, ...] = ()
     if not fatal(findings):
-        stretches, left_out = stretches_of(tables)
+        stretches, left_out = stretches_of(tables, None if nominal is None else nominal.actuators)
         findings += left_out + repeat_findings(stretches)
         tables, outside = _without_wild_points(tables, nominal, stretches)
         findings += outside

@@ -23,6 +23,7 @@ from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import loads_along, reference_torques
 from machine.rotations import Array
 
+EVENLY = 3.0**0.5  # half the width, in deviations, of what lies anywhere in a range
 SENT_S = 0.01  # between two references, where nobody logged them: what this project's links and most others use
 
 
@@ -30,15 +31,15 @@ SENT_S = 0.01  # between two references, where nobody logged them: what this pro
 class Prepared:
     """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows.
 
-    `others`: (cycles, n) each, courses that the valve commands may as well have taken between logged rows; none where
-    each cycle was logged. `late`: the drives of stages whose input jumps, with each jump at the end of its logged row:
-    what was sent is not known, so that it may be anywhere in it.
+    `others`: (cycles, n) each, courses that a stage's input may as well have taken between logged rows; none where each
+    cycle was logged. `late`: the drives of stages whose input jumps, with each jump as late as it may be: at the end of
+    its logged row, where what was sent is not known.
     """
 
     plant: Actuators
     drives: dict[str, Drive]
     stretch: Stretch
-    others: tuple[Array, ...] = ()
+    others: dict[str, tuple[Array, ...]] = field(default_factory=dict)
     late: dict[str, Drive] = field(default_factory=dict)
 
 
@@ -46,12 +47,12 @@ class Prepared:
 class _Commands:
     """What a controller would do at every PLC cycle (cycles, n); None where each cycle is logged, or nothing is known.
 
-    `own`: to the reference as it is taken to be. `held`: to one that stood still between logged rows; `jumped`: to one
-    that jumps at the end of its rows. The last two are None, too, where what was sent tells the reference's course.
+    `own`: to the reference as it is taken to be. `others`: to one that stood still between logged rows; where what was
+    sent is known, to one a cycle later, and one a cycle earlier. `jumped`: to one whose jumps come as late as they may.
     """
 
     own: Array | None
-    held: Array | None = None
+    others: tuple[Array | None, ...] = ()
     jumped: Array | None = None
 
 
@@ -100,6 +101,20 @@ class Replayer:
         out.drives["link"] = drive
         return _through(plant, ref, self._fine("link", plant, drive, known))
 
+    def _shifted(self, out: Prepared, ref: Array, known: ParameterSets, by_s: float) -> Array:
+        """The received reference (cycles, n), had each datagram come so much later, as far as its log rows allow it."""
+        sent, plant = out.stretch.sent, out.plant
+        drive = out.drives["link"]
+        if sent is not None:
+            moved = sent.t_s + by_s
+            if sent.within_s is not None:
+                earliest, latest = sent.within_s - plant.transport_delay_s - float(known.machine[0, kernel.DELAY])
+                moved = np.minimum(moved, np.maximum(latest, sent.t_s))
+                moved = np.maximum(moved, np.minimum(earliest, sent.t_s))
+            t_s, t_start = np.maximum.accumulate(moved), float(out.stretch.t_s[0])
+            drive = drive_by_sent(plant, t_s, sent.q, t_start, drive.cycles, lost=sent.lost)
+        return _through(plant, ref, self._fine("link", plant, drive, known))
+
     def _commands(self, out: Prepared, signals: tuple[Array, Array, Array, Array], known: ParameterSets) -> _Commands:
         """The controller's courses from reference (logged, fine), encoders and commands; its drives go to `out`."""
         plant = out.plant
@@ -111,14 +126,23 @@ class Replayer:
             return drive, self._fine("controller", plant, drive, known)
 
         out.drives["controller"], own = driven(ref_fine)
-        if out.stretch.sent is not None or plant.decimate == 1:
+        if plant.decimate == 1:
             return _Commands(own)
+        sent = out.stretch.sent
+        if sent is not None:
+            others = [self._shifted(out, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
+            out.others["controller"] = tuple(others)
+            jumped = None
+            if sent.unsure_s > 0.0:
+                by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
+                out.late["controller"], jumped = driven(self._shifted(out, ref, known, by_s))
+            return _Commands(own, tuple(driven(one)[1] for one in others), jumped)
         _, held = driven(held_rows(plant, ref))
         ref_late = late_jumps(plant, ref, ref_fine)
         if ref_late is None:
-            return _Commands(own, held)
+            return _Commands(own, (held,))
         out.late["controller"], jumped = driven(ref_late)
-        return _Commands(own, held, jumped)
+        return _Commands(own, (held,), jumped)
 
     def _valves(self, out: Prepared, enc: Array, u: Array, commands: _Commands) -> Prepared:
         """With the actuators' drive, and with the other courses that the commands may have taken."""
@@ -138,11 +162,12 @@ class Replayer:
                 others.append(course * (1.0 + self._teeth()))
         else:
             out.drives["actuator"] = driven(_through(plant, u, commands.own))
-            others = [_through(plant, u, commands.held)]
+            others = [_through(plant, u, one) for one in commands.others]
             jumped = None if commands.jumped is None else _through(plant, u, commands.jumped)
         if jumped is not None:
             out.late["actuator"] = driven(jumped)
-        return replace(out, others=tuple(others))
+        out.others["actuator"] = tuple(others)
+        return out
 
     def _teeth(self) -> Array:
         """Share (n,) by which a command may be beside its mean wherever it is sampled.

@@ -15,6 +15,7 @@ from machine.rotations import Array
 FORESEEN = 2  # sizes tried beyond the grid, where the grid's own changes point
 LIMITS_BETWEEN = 20  # sizes of a limit tried where it begins to be felt
 FELT = 100.0  # change of the residual, squared floors
+CYCLES_MAX = 300  # cycles tried one by one
 REFINED = 10  # sizes tried on either side of a scan's best
 
 
@@ -143,6 +144,9 @@ def refined(cell: Cell, one: Scan) -> Array:
         return best
     slot = one.candidate.slots[0]
     sizes, found = np.unique(np.append(one.thetas[:, 0], slot.highest)), float(best[0])
+    if cell.coarse and one.candidate.cycles is not None:
+        found = _best_cycle(cell, one.candidate, sizes, found)
+        sizes = np.unique(np.append(sizes, found))
     for _ in range(2):
         at = int(np.searchsorted(sizes, found))
         edges = [sizes[max(at - 1, 0)], found, sizes[min(at + 1, len(sizes) - 1)]]
@@ -150,3 +154,17 @@ def refined(cell: Cell, one: Scan) -> Array:
         total = costs(evaluated(cell, (one.candidate,), sizes[:, None])).sum(axis=1)
         found = float(sizes[int(np.argmin(total))])
     return np.array([found])
+
+
+def _best_cycle(cell: Cell, delay: Candidate, sizes: Array, found: float) -> float:
+    """The best whole cycle as far as two of a scan's sizes away: rows that come less often give the cost terraces, and
+    the end of one was taken for the best size.
+    """
+    at = int(np.searchsorted(sizes, found))
+    low, high = sizes[max(at - 2, 0)], sizes[min(at + 2, len(sizes) - 1)]
+    cycle_s = delay.cycles[0] if delay.cycles else high - low
+    tried = np.append(low + cycle_s * np.arange(min(int((high - low) / cycle_s), CYCLES_MAX) + 1), found)
+    settled = np.array([delay.settled(one) for one in tried[:-1, None]])
+    tried[:-1] = np.maximum(settled[:, 0], 0.0)
+    total = costs(evaluated(cell, (delay,), tried[:, None])).sum(axis=1)
+    return float(tried[int(np.argmin(total))])

@@ -67,9 +67,12 @@ class Replay:
         steps, shift = part_increments(self.stage, part, sets)
         weight = trust(part, self.whitener)
         white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
+        either = part.stretch.sent is None  # else a guess to either side
+        guesses: list[tuple[Array, float, float]] = [(one[None], -1.0, float(either)) for one in part.between]
         if self.stage == "actuator":
-            guesses = [*((one[None], 1.0) for one in part.between), (shift, TIMING_S)]
-            columns = [(whiten_sets(self.whitener, one)[:, SKIPPED:] * weight, most) for one, most in guesses]
+            guesses.append((shift, -TIMING_S, TIMING_S))
+        if guesses:
+            columns = [(whiten_sets(self.whitener, one)[:, SKIPPED:] * weight, a, b) for one, a, b in guesses]
             white = _excused(white, columns)
         return white.transpose(0, 2, 1).reshape(len(white), -1)
 
@@ -85,19 +88,19 @@ def trust(part: Part, whitener: Whitener) -> Array | float:
     return 1.0 / (1.0 + (UNIFORM * whiten_sets(whitener, part.unsure[None])[:, SKIPPED:]) ** 2)
 
 
-def _excused(white: Array, columns: list[tuple[Array, float]]) -> Array:
+def _excused(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
     """Residuals without what the log's own coarseness can explain, per set and joint.
 
     Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
     the command's course is a guess. At most once the difference of two guesses, and a shift of at most TIMING_S, are
-    no effects: each column with its most. Solved in turn (Gauss-Seidel), the courses first: what both can explain is
-    theirs.
+    no effects: each column with its least and its most amount. Solved in turn (Gauss-Seidel), the courses first: what
+    both can explain is theirs.
     """
     amounts = [np.zeros_like(white[:, :1]) for _ in columns]
     left = white
     for _ in range(PASSES):
-        for k, (column, most) in enumerate(columns):
-            wanted = np.clip(amounts[k] - _share(left, column), -most, most)
+        for k, (column, least, most) in enumerate(columns):
+            wanted = np.clip(amounts[k] - _share(left, column), least, most)
             left = left + (wanted - amounts[k]) * column
             amounts[k] = wanted
     return left
@@ -161,7 +164,8 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
 
     jumped = one.late.get(stage)
     unsure = None if jumped is None else apart(u=jumped.u) if stage == "actuator" else apart(ref=jumped.ref)
-    between = tuple(apart(u=course) for course in one.others) if stage == "actuator" else ()
+    others = one.others.get(stage, ())
+    between = tuple(apart(u=course) if stage == "actuator" else apart(ref=course) for course in others)
     return replace(part, between=between, unsure=unsure)
 
 

@@ -6,18 +6,22 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.arrivals import Arrivals, arrivals, on_the_dot
+from diagnosis.by_value import by_value
 from diagnosis.findings import Finding
 from diagnosis.floor import encoder_step
 from diagnosis.quality import DURATION_MIN_S, GAP_STEPS, ROWS_MIN, too_long
 from diagnosis.stamps import even_grid, taken_evenly
 from diagnosis.tables import PlcTable, Tables
+from machine.effects.dynamics import Actuators
 from machine.rotations import Array
 from recording.run import Segment
 
 MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
 EARLY_MIN_S = 1e-6  # a datagram arrives before it was sent, by more than rounding: the offset given is wrong
 EARLY_MAX_S = 0.02  # beyond it the numbers are wrong, not the clocks
-LOGGED_OFTEN = 0.7  # of a sending period: a log row that comes later may have skipped a datagram
+BESIDE_S = 1e-4  # arrivals that are further beside a steady delay, RMS, are told
+RATE_TOLD = 5e-6  # so is a drift of the clocks
 STOOD_RAD = 2e-3  # no joint went further than this from where it was: one posture
 JITTER_MAX = 0.02  # of a step: rows whose stamps are closer to the even grid than this are taken as even
 
@@ -76,12 +80,17 @@ def stood_still(stretches: tuple[Stretch, ...]) -> bool:
 class Sent:
     """The reference as sent, on the PLC's clock: t_s (k,), q (k, n); begins before the stretch does.
 
-    `lost` (k,): datagrams that never arrived; None where the log cannot tell.
+    `within_s` (2, k): between which times it came, by the log rows; None: nobody knows. `lost` (k,): datagrams that
+    never arrived; None where the log cannot tell. `judged` (k,): those of which it tells; None: all. `unsure_s`: by how
+    much those that no log row shows may have come at other times, a deviation.
     """
 
     t_s: Array
     q: Array
     lost: NDArray[np.bool_] | None = None
+    judged: NDArray[np.bool_] | None = None
+    within_s: Array | None = None
+    unsure_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,14 +101,17 @@ class SentClock:
     known: bool
 
 
-def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
-    """All usable stretches in the order of time, and what had to be left out."""
+def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[Stretch, ...], list[Finding]]:
+    """All usable stretches in the order of time, and what had to be left out.
+
+    Args: plant: the machine file's, for the PLC's cycle; without it datagrams are taken to come on the dot.
+    """
     plc = tables.plc
     if plc is None or plc.enc is None:
         return (), []
     findings: list[Finding] = []
     segments = tables.run.segments or _whole(plc, findings)
-    clock, lost = sent_clock(tables, findings), never_received(tables)
+    came = _arrivals(tables, plant, findings)
     enc_step = np.array([encoder_step(column) for column in plc.enc.T])
     broken = _broken(plc)
     cut = [list(_pieces(plc, broken, segment, GAP_STEPS)) for segment in segments]
@@ -114,7 +126,7 @@ def stretches_of(tables: Tables) -> tuple[tuple[Stretch, ...], list[Finding]]:
         for part, rows in enumerate(pieces, start=1):
             label = segment.name or f"{segment.kind}{number}"
             name = f"{label}/{part}" if len(pieces) > 1 else label
-            one = _stretch(plc, segment, name, rows, _sent(tables, clock, lost, plc.t_s[rows]))
+            one = _stretch(plc, segment, name, rows, _sent(tables, came, plc.t_s[rows]))
             found.append(replace(one, enc_step=enc_step))
     findings += [*_mended(plc, broken), *_uneven_stamps(plc, cut, found)]
     return tuple(found), findings
@@ -267,11 +279,33 @@ def _line(column: Array, t: Array, grid: Array) -> Array:
     return np.interp(grid, t[good], column[good]) if good.any() else np.full(len(grid), np.nan)
 
 
-def _sent(tables: Tables, clock: SentClock | None, lost: NDArray[np.bool_] | None, t_plc_s: Array) -> Sent | None:
-    """References from the last one before the stretch with log rows at t_plc_s (or 2 s before it) to its end."""
-    if clock is None or tables.sent is None:
+def _arrivals(tables: Tables, plant: Actuators | None, findings: list[Finding]) -> Arrivals | None:
+    """When each datagram took effect; None where sent and received cannot be compared."""
+    clock = sent_clock(tables, findings)
+    if clock is None or tables.sent is None or tables.plc is None:
         return None
-    t = tables.sent.t_s - clock.offset_s
+    sent, rows = (tables.sent.t_s - clock.offset_s, tables.sent.seq), (tables.plc.t_s, tables.plc.seq)
+    if (rows[1] < 0).all() and tables.plc.ref is not None:
+        number = by_value((rows[0], tables.plc.ref), (sent[0], tables.sent.q))
+        sent, rows = (sent[0], np.arange(len(sent[0]))), (rows[0], number)
+    if plant is None:
+        return on_the_dot(sent, rows)
+    came = arrivals(sent, rows, plant.cycle_s, plant.transport_delay_s, clock.known)
+    if came.beside_s > BESIDE_S or abs(came.rate) > RATE_TOLD:
+        drift = f", and the clocks drift by {1e6 * came.rate:.0f} ppm" if abs(came.rate) > RATE_TOLD else ""
+        text = (
+            f"datagrams reach the PLC {1e3 * came.beside_s:.2g} ms (RMS) beside a steady delay{drift}: each is "
+            "replayed as the rows show it; delays and lags that short cannot be told"
+        )
+        findings.append(Finding("uneven_arrivals", "note", "plc.csv", text))
+    return came
+
+
+def _sent(tables: Tables, came: Arrivals | None, t_plc_s: Array) -> Sent | None:
+    """References from the last one before the stretch with log rows at t_plc_s (or 2 s before it) to its end."""
+    if came is None or tables.sent is None:
+        return None
+    t = came.t_s
     good = np.isfinite(t) & np.isfinite(tables.sent.q).all(axis=1) & (t >= t_plc_s[0] - 2.0) & (t <= t_plc_s[-1])
     if int(good.sum()) < ROWS_MIN:
         return None
@@ -279,24 +313,11 @@ def _sent(tables: Tables, clock: SentClock | None, lost: NDArray[np.bool_] | Non
     return Sent(
         t[good][order],
         np.ascontiguousarray(tables.sent.q[good][order]),
-        None if lost is None else lost[good][order],
+        None if came.lost is None else came.lost[good][order],
+        None if came.judged is None else came.judged[good][order],
+        np.stack([came.earliest_s, came.latest_s])[:, good][:, order],
+        came.unsure_s,
     )
-
-
-def never_received(tables: Tables) -> NDArray[np.bool_] | None:
-    """Datagrams (k,) whose number the PLC never logged, between the first and the last that it did.
-
-    None where a log row comes less often than a datagram, or numbers are missing: then a gap in them tells nothing.
-    """
-    sent, plc = tables.sent, tables.plc
-    if sent is None or plc is None or len(sent.seq) < 2 or len(plc.seq) < 2:
-        return None
-    if (plc.seq < 0).any() or (np.diff(sent.seq) <= 0).any():
-        return None
-    if float(np.median(np.diff(plc.t_s))) > LOGGED_OFTEN * float(np.median(np.diff(sent.t_s))):
-        return None
-    within = (sent.seq > plc.seq.min()) & (sent.seq < plc.seq.max())
-    return within & ~np.isin(sent.seq, plc.seq)
 
 
 def repeat_groups(stretches: tuple[Stretch, ...]) -> dict[str, tuple[Stretch, ...]]:

@@ -7,8 +7,9 @@ import pytest
 from diagnosis_cases import PLANT
 
 from diagnosis.candidates import candidates_of
+from diagnosis.lost_datagrams import never_received
 from diagnosis.read_off import comb_of, reached, read_off
-from diagnosis.stretches import Sent, Stretch, never_received
+from diagnosis.stretches import Sent, Stretch
 from machine.effects.dynamics import drive_by_sent, simulate
 from machine.effects.entries import make_entry, pack
 from machine.effects.registry import effect_named
@@ -68,14 +69,15 @@ def test_known_losses_are_replayed_one_by_one() -> None:
 
 @pytest.mark.parametrize(("logged_s", "told"), [(0.005, True), (0.02, False)])
 def test_a_gap_in_the_numbers_tells_only_where_every_datagram_would_be_logged(logged_s: float, told: bool) -> None:
-    sent = SimpleNamespace(t_s=0.01 * np.arange(100), seq=np.arange(100))
     t_plc = np.arange(0.0, 0.9, logged_s)
     seq = np.round(t_plc / 0.01 - 0.25).astype(np.int64)
     seq[seq == 40] = 39
-    lost = never_received(SimpleNamespace(sent=sent, plc=SimpleNamespace(t_s=t_plc, seq=seq)))
+    lost, judged = never_received((0.01 * np.arange(100), np.arange(100)), (t_plc, seq))
     if told:
         assert lost is not None
+        assert judged is not None
         assert np.nonzero(lost)[0].tolist() == [40]
+        assert judged[1:89].all()
     else:
         assert lost is None
 

@@ -1,0 +1,75 @@
+"""Datagrams that never came: a number that no row has, or one that a row should have had."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.rotations import Array
+
+#: When [s], and the number of a datagram.
+Numbered = tuple[Array, NDArray[np.int64]]
+Mask = NDArray[np.bool_]
+
+EPS_S = 1e-6  # two times nearer than this are one, written twice
+LOGGED_OFTEN = 0.7  # of a sending period: a log row that comes later may have skipped a datagram
+JITTER_SHARE = 0.25  # of datagrams just due: fewer that are missing are lost, where nothing else tells
+LOST_MAX = 0.5  # of what was due: where more is missing, no steady delay holds
+ROWS_MIN = 50
+WIDER = 1.5
+DEVIATIONS = 3.0
+
+
+def never_received(sent: Numbered, rows: Numbered) -> tuple[Mask | None, Mask | None]:
+    """Datagrams (k,) whose number no row has, although rows come often enough, and all of which rows tell.
+
+    None where a row comes less often than a datagram, or numbers are missing: then a gap in them tells nothing.
+    """
+    (t_sent, number), (t_row, seq) = sent, rows
+    if len(number) < 2 or len(seq) < 2 or (seq < 0).any() or (np.diff(number) <= 0).any():
+        return None, None
+    steps = np.diff(t_row)
+    often = float(np.median(steps))
+    if often > LOGGED_OFTEN * float(np.median(np.diff(t_sent))):
+        return None, None
+    after = np.maximum.accumulate(seq).searchsorted(number)
+    inside = (after > 0) & (after < len(seq)) & (number != seq.min())
+    judged = inside.copy()
+    judged[inside] = steps[after[inside] - 1] < WIDER * often
+    return judged & ~np.isin(number, seq), judged
+
+
+def never_came(came: Array, rows: Numbered) -> tuple[Mask | None, Mask | None]:
+    """Datagrams (k,) that were due at a row and not there, and all that were due; none where they may have been late.
+
+    Args: came: when each should have come (k,) [s]. rows: when (m,) [s], and which datagram it shows, counted from 0.
+    """
+    t_row, seen = rows
+    due = np.searchsorted(came, t_row + 0.5 * EPS_S, side="right") - 1
+    inside = (due >= 0) & (due < len(came) - 1) & (seen > 0) & (seen <= due)
+    due, shown, t = due[inside], seen[inside], t_row[inside]
+    if len(due) < ROWS_MIN:
+        return None, None
+    missing = shown < due
+    waited = t - came[due]
+    lost, judged = np.zeros(len(came), dtype=bool), np.zeros(len(came), dtype=bool)
+    if np.mean(missing) > LOST_MAX or not _by_chance(missing, waited > np.median(waited) + EPS_S):
+        return lost, judged
+    judged[due] = True
+    for first, last in zip(shown[missing] + 1, due[missing] + 1, strict=True):
+        lost[first:last] = True
+    judged |= lost
+    lost[seen] = False
+    return lost, judged
+
+
+def _by_chance(missing: Mask, long: Mask) -> bool:
+    """Whether what is missing (m,) was lost rather than late.
+
+    Model: jitter delays those that were just due, and few that were due for `long` (m,); losses make no difference.
+    """
+    just, waited = int(missing[~long].sum()), int(missing[long].sum())
+    if just + waited == 0:
+        return True
+    if not long.any():
+        return just < JITTER_SHARE * len(missing)
+    expected = waited * float((~long).sum()) / float(long.sum())
+    return waited > 0 and just <= WIDER * expected + DEVIATIONS * float(np.sqrt(expected))

@@ -1,0 +1,148 @@
+"""When datagrams took effect, by the rows that show them: neither jitter nor a drift is a fault, a loss is one."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from link_cases import Link, arrived, over
+
+from diagnosis.answer import answer
+from diagnosis.arrivals import Arrivals, arrivals
+from diagnosis.by_value import by_value
+from diagnosis.diagnose import diagnose
+from diagnosis.lost_datagrams import never_received
+from diagnosis.reading import examine
+
+CYCLE_S = 1e-3
+NUMBER = np.arange(15000)
+ROWS_S = 0.01 * np.arange(1, 5990)
+
+
+def logged(link: Link, seed: int = 1) -> tuple[np.ndarray, Arrivals, np.ndarray]:
+    """When each was sent by the PLC's clock, what the rows say of it, and when it came (NaN: never)."""
+    rng = np.random.default_rng(seed)
+    t_s = 1e-3 * link.sent_ms * NUMBER
+    which, when = arrived(link, t_s, rng)
+    when = CYCLE_S * np.ceil(when / CYCLE_S - 1e-6)
+    seen = which[np.searchsorted(when, ROWS_S + 1e-9, side="right") - 1]
+    stamps = t_s * (1.0 + link.drift)
+    came = np.full(len(t_s), np.nan)
+    came[which] = when
+    return stamps, arrivals((stamps, NUMBER), (ROWS_S, seen), CYCLE_S, 0.0), came
+
+
+def diagnosed(link: Link) -> dict[str, Any]:
+    return answer(diagnose(examine(over(link), Path("link"))))
+
+
+def test_what_comes_on_the_dot_is_left_as_it_was_sent() -> None:
+    stamps, found, _ = logged(Link())
+    np.testing.assert_array_equal(found.t_s, stamps)
+    assert (found.beside_s, found.rate, found.unsure_s) == (0.0, 0.0, 0.0)
+    assert found.lost is not None
+    assert not found.lost.any()
+
+
+@pytest.mark.parametrize("delay_s", [0.003, 0.0234, 0.06])
+def test_a_steady_delay_stays_in_the_data(delay_s: float) -> None:
+    """It is the link's fault: the diagnosis names it."""
+    stamps, found, _ = logged(Link(delay_s=delay_s))
+    np.testing.assert_allclose(found.t_s, stamps, atol=1e-6)
+
+
+@pytest.mark.parametrize("jitter_s", [3e-4, 1e-3])
+def test_jitter_is_replayed_as_the_rows_show_it(jitter_s: float) -> None:
+    stamps, found, came = logged(Link(jitter_s=jitter_s))
+    bounded = (came < ROWS_S[-1]) & (came - stamps < 0.003)
+    as_shown = CYCLE_S * np.ceil(found.t_s / CYCLE_S - 1e-6)
+    rows = np.searchsorted(ROWS_S, np.stack([as_shown, came])[:, bounded] - 1e-9)
+    assert np.mean(rows[0] == rows[1]) > 0.995
+    assert found.lost is None or not found.lost.any()
+    assert found.unsure_s > 0.0
+
+
+@pytest.mark.parametrize("ppm", [-100, -20, 20, 100])
+def test_clocks_that_drift_are_brought_together(ppm: int) -> None:
+    stamps, found, came = logged(Link(drift=1e-6 * ppm))
+    off = found.t_s - came
+    assert np.ptp(off[:-20]) < 0.0035
+    assert abs(stamps[-1] - came[-1]) == pytest.approx(6e-5 * abs(ppm), rel=0.01)
+    assert found.rate == 0.0 if abs(ppm) < 50 else np.sign(found.rate) == -np.sign(ppm)
+
+
+@pytest.mark.parametrize("link", [Link(loss_frac=0.02), Link(loss_frac=0.02, jitter_s=3e-4), Link(loss_frac=0.2)])
+def test_losses_are_told_where_a_row_waited_for_one(link: Link) -> None:
+    _, found, came = logged(link)
+    assert found.lost is not None
+    assert found.judged is not None
+    assert found.lost[found.judged].mean() == pytest.approx(link.loss_frac, rel=0.25)
+    assert np.isnan(came[found.lost]).mean() > 0.95
+    assert found.judged.sum() > 5000
+
+
+def test_what_may_be_late_is_not_called_lost() -> None:
+    _, found, _ = logged(Link(jitter_s=1.5e-3))
+    assert found.judged is not None
+    assert not found.judged.any()
+
+
+@pytest.mark.parametrize("seq", [np.full(5989, -1), np.zeros(5989, dtype=int) + 10**9, np.arange(5989)[::-1]])
+def test_numbers_that_tell_nothing_change_nothing(seq: np.ndarray) -> None:
+    stamps = 0.004 * NUMBER
+    found = arrivals((stamps, NUMBER), (ROWS_S, seq), CYCLE_S, 0.0)
+    np.testing.assert_array_equal(found.t_s, stamps)
+    assert found.lost is None
+
+
+def test_without_numbers_a_row_is_known_by_its_values() -> None:
+    rng = np.random.default_rng(4)
+    t_s, q = 0.004 * NUMBER, np.cumsum(rng.normal(0.0, 1e-4, (len(NUMBER), 3)), axis=0)
+    q[2000:2100] = q[2000]
+    which, when = arrived(Link(jitter_s=1e-3, delay_s=0.03), t_s, rng)
+    seen = which[np.maximum(np.searchsorted(when, ROWS_S, side="right") - 1, 0)]
+    ref = q[seen].copy()
+    ref[:, 1] = np.nan
+    ref[4000] += 1e-6
+    found = by_value((ROWS_S, ref), (t_s, q))
+    known = found >= 0
+    np.testing.assert_array_equal(found[known], seen[known])
+    assert known.mean() > 0.98
+    assert not known[4000]
+    assert not known[(seen >= 2000) & (seen < 2099)].any()
+
+
+def test_a_pause_of_the_log_is_no_loss() -> None:
+    rows = np.concatenate([ROWS_S[:500], ROWS_S[600:]])
+    lost, judged = never_received((0.02 * NUMBER, NUMBER), (rows, np.floor(rows / 0.02 + 1e-9).astype(np.int64)))
+    assert lost is not None
+    assert judged is not None
+    assert not lost.any()
+    assert 40 < (~judged[:2990]).sum() < 60
+
+
+@pytest.mark.parametrize("link", [Link(jitter_s=3e-4), Link(drift=-1e-4), Link(jitter_s=3e-4, log_cycles=1)])
+def test_a_healthy_machine_behind_such_a_link_has_no_fault(link: Link) -> None:
+    """All three were `outside`, or a delay of a millisecond."""
+    found = diagnosed(link)
+    assert found["verdict"] == "none", found["why"]
+    told = "uneven_arrivals" in {one["code"] for one in found["findings"]}
+    assert told == (link.drift != 0.0 or link.log_cycles == 1)  # 0.3 ms is in hardly any row of every tenth cycle
+
+
+def test_lost_datagrams_are_named_where_rows_are_rarer_than_they() -> None:
+    found = diagnosed(Link(loss_frac=0.03, jitter_s=2e-4))
+    (effect,) = found["hypotheses"][0]["effects"]
+    assert (found["verdict"], effect["name"]) == ("effects", "packet_loss"), found["why"]
+    share = effect["parameters"]["loss_frac"]
+    assert share["value"] == pytest.approx(0.03, rel=0.2)
+    assert share["low"] < share["value"] < share["high"]
+
+
+def test_a_short_delay_is_found_between_rare_rows() -> None:
+    """The cost has terraces there: the end of one, 0.8 ms, was taken for the best."""
+    found = diagnosed(Link(delay_s=0.003))
+    (effect,) = found["hypotheses"][0]["effects"]
+    assert (found["verdict"], effect["name"]) == ("effects", "transport_delay"), found["why"]
+    delay = effect["parameters"]["delay_s"]
+    assert delay["low"] <= 0.003 <= delay["high"]
