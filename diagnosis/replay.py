@@ -129,13 +129,13 @@ class Replayer:
         if plant.decimate == 1:
             return _Commands(own)
         sent = out.stretch.sent
+        if sent is not None and sent.unsure_s == 0.0:
+            return _Commands(own)
         if sent is not None:
             others = [self._shifted(out, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
             out.others["controller"] = tuple(others)
-            jumped = None
-            if sent.unsure_s > 0.0:
-                by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
-                out.late["controller"], jumped = driven(self._shifted(out, ref, known, by_s))
+            by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
+            out.late["controller"], jumped = driven(self._shifted(out, ref, known, by_s))
             return _Commands(own, tuple(driven(one)[1] for one in others), jumped)
         _, held = driven(held_rows(plant, ref))
         ref_late = late_jumps(plant, ref, ref_fine)

@@ -67,8 +67,9 @@ class Replay:
         steps, shift = part_increments(self.stage, part, sets)
         weight = trust(part, self.whitener)
         white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
-        either = part.stretch.sent is None  # else a guess to either side
-        guesses: list[tuple[Array, float, float]] = [(one[None], -1.0, float(either)) for one in part.between]
+        sent = part.stretch.sent
+        least, most = (-1.0, 1.0) if sent is None else (-min(1.0, sent.unsure_s / part.plant.cycle_s), 0.0)
+        guesses = [(one[None], least, most) for one in part.between]  # of what was sent: one to either side
         if self.stage == "actuator":
             guesses.append((shift, -TIMING_S, TIMING_S))
         if guesses:
