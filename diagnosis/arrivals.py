@@ -20,6 +20,7 @@ RATE_MAX = 2e-4  # by which two clocks may run apart
 MISSES = 0.01  # of the rows, that may contradict a line more than they contradict the best one
 ROWS_MIN = 50
 SEARCHED_ROWS = 4000
+RATES_MAX = 500  # tried to either side: one stamp a year away is no drift
 FINER = 8
 WIDER = 1.5
 
@@ -102,9 +103,9 @@ def arrivals(
              datagram received, negative where not logged. cycle_s: the PLC's. nominal_s: delay of the machine file.
              clock_known: whether the two clocks' offset is; without, a steady delay is whatever it may be at the least.
     Model:   the delay that contradicts the fewest rows, the one nearest to the machine file's; with clocks that run
-             apart only where a steady delay leaves more than a cycle and half a sending period. A delay below ALLOWED_S
-             is none. What stays is moved into the interval in which the rows saw the datagram appear, if that is no
-             further away than a cycle and half a sending period: beyond, it is a fault of the link.
+             apart only where that halves the contradictions. A delay below ALLOWED_S is none. What stays is moved into
+             the interval in which the rows saw the datagram appear, if that is no further away than a cycle and half a
+             sending period: beyond, it is a fault of the link.
     """
     known = on_the_dot(sent, rows)
     bounds = _bounds(sent, rows)
@@ -154,7 +155,9 @@ def _bounds(sent: Numbered, rows: Numbered) -> _Bounds | None:
     """What the rows say of the delay; None where numbers are missing, or not in order."""
     t_sent, number = sent
     t_row, seq = rows
-    if len(number) < 2 or (np.diff(number) <= 0).any() or not np.isfinite(t_sent).all():
+    if len(number) < 2 or (np.diff(number) <= 0).any() or not (np.diff(t_sent) >= 0.0).all():
+        return None
+    if not np.isfinite(t_sent[[0, -1]]).all():
         return None
     at = np.searchsorted(number, seq)
     there = np.isfinite(t_row) & (seq >= 0) & (at < len(number))
@@ -176,7 +179,7 @@ def _steady(bounds: _Bounds, nominal_s: float, most_s: float) -> _Delay:
         return steady
     some = bounds.fewer(SEARCHED_ROWS)
     step = min(0.5 * most_s / max(bounds.span_s, most_s), 0.25 * RATE_MAX)
-    steps = int(RATE_MAX / step)
+    steps = min(int(RATE_MAX / step), RATES_MAX)
     best = _least_rate(some, nominal_s, [step * k for k in range(-steps, steps + 1)])
     best = _least_rate(some, nominal_s, [best + step * k / FINER for k in range(-FINER, FINER + 1)])
     found = _least_missed(bounds.leaning(best), nominal_s)

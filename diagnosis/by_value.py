@@ -25,8 +25,9 @@ def by_value(rows: tuple[Array, Array], sent: tuple[Array, Array]) -> NDArray[np
     alone[1:] &= ~stays
     alone[:-1] &= ~stays
     last = np.searchsorted(t_sent, t_row, side="right") - 1
-    period_s = max(float(np.median(np.diff(t_sent))), LATEST_S / TRIED_MAX)
-    for back in range(-EARLY, int(LATEST_S / period_s) + 1):
+    period_s = float(np.nanmedian(np.abs(np.diff(t_sent)))) if np.isfinite(t_sent).sum() > 1 else 0.0
+    tried = int(LATEST_S / period_s) if period_s * TRIED_MAX > LATEST_S else TRIED_MAX
+    for back in range(-EARLY, tried + 1):
         at = last - back
         open_ = np.nonzero((found < 0) & (at >= 0) & (at < len(q)))[0]
         fits = alone[at[open_]] & _equal(ref[open_], q[at[open_]])

@@ -112,6 +112,26 @@ def test_without_numbers_a_row_is_known_by_its_values() -> None:
     assert not known[(seen >= 2000) & (seen < 2099)].any()
 
 
+@pytest.mark.filterwarnings("ignore:All-NaN")
+def test_stamps_that_make_no_sense_make_no_trouble() -> None:
+    stamps, number = 0.004 * NUMBER, NUMBER.copy()
+    seen = np.clip(np.floor(ROWS_S / 0.004).astype(np.int64), 0, NUMBER[-1])
+    jitter = np.random.default_rng(5).integers(0, 2, len(seen))
+    for t_sent, t_row in [
+        (stamps, np.append(ROWS_S[:-1], 3e7)),
+        (np.append(stamps[:-1], np.inf), ROWS_S),
+        (np.full(len(stamps), np.nan), ROWS_S),
+        (stamps[::-1], ROWS_S),
+        (np.zeros(len(stamps)), ROWS_S),
+        (stamps, ROWS_S[::-1]),
+        (stamps, np.full(len(ROWS_S), np.nan)),
+    ]:
+        found = arrivals((t_sent, number), (t_row, np.maximum(seen - jitter, 0)), CYCLE_S, 0.0)
+        assert found.t_s.shape == t_sent.shape
+        q = np.stack([stamps, np.full(len(stamps), np.nan)], axis=1)
+        assert by_value((t_row, q[seen]), (t_sent, q)).shape == t_row.shape
+
+
 def test_a_pause_of_the_log_is_no_loss() -> None:
     rows = np.concatenate([ROWS_S[:500], ROWS_S[600:]])
     lost, judged = never_received((0.02 * NUMBER, NUMBER), (rows, np.floor(rows / 0.02 + 1e-9).astype(np.int64)))
