@@ -138,7 +138,8 @@ def arrivals(
         named += float(np.median(moved))
     t_s = np.maximum.accumulate(came + moved - nominal_s - named)
     waited = _cycle_of(came + moved, bounds, cycle_s) - _cycle_of(came, bounds, cycle_s)
-    beside_s = cycle_s * float(np.sqrt(np.mean(waited**2)))
+    some = np.mean(waited != 0.0) > MISSES  # a segment's first datagram may have been there before
+    beside_s = cycle_s * float(np.sqrt(np.mean(waited**2))) if some else 0.0
     share = float(np.mean(lost[judged])) if lost is not None and judged is not None and judged.any() else 0.0
     wait_s = 0.0 if _with_cycles(came, bounds, cycle_s) else cycle_s  # a row shows it only where one was just due
     unsure_s = float(np.linalg.norm([beside_s, wait_s, np.sqrt(share * (1.0 - share)) * period_s]))

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from diagnosis.candidates import Candidate, put
 from diagnosis.cells_dynamic import stage_cells
@@ -19,6 +20,7 @@ from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 FED = ("controller", "actuator")  # stages whose input is the reference, or what comes of it
+SETTLED = 0.01  # cycles
 EQUAL_NATS = 1.0
 UNEQUAL = 1e9  # more than any sum of logarithms
 COST_MIN = 1.0
@@ -37,7 +39,8 @@ def at_its_cycle(found: Search, replayer: Replayer, stretches: tuple[Stretch, ..
     left = _left_by(found, fit.hypothesis, fit.cost, replayer, stretches, base)
     row = _cycles_a_row(stretches, cycle_s)
     tried = [fit.theta, *(_shifted(fit, at, shift * cycle_s) for shift in range(-row, row + 1))]
-    chosen = replace(found.chosen, fit=replace(fit, theta=min(tried, key=left)))
+    theta = _finer(left, min(tried, key=left), at, cycle_s)
+    chosen = replace(found.chosen, fit=replace(fit, theta=theta))
     scored = tuple(chosen if one is found.chosen else one for one in found.scored)
     return replace(found, chosen=chosen, scored=scored)
 
@@ -45,14 +48,16 @@ def at_its_cycle(found: Search, replayer: Replayer, stretches: tuple[Stretch, ..
 def unseen_wait(
     found: Search, replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets
 ) -> ParameterSets:
-    """The base with a delay that no row shows, where controllers and actuators are left with less by it.
+    """The base with a delay that no row shows, where controllers and actuators are left with less by it; none where
+    every datagram comes on the dot.
 
     Why: sent at 100 Hz and logged at 100 Hz, three milliseconds are in no row. No name comes of it: joints may say when
     a command came, but not why.
     """
     delay = next((one for one in found.cell.candidates if one.cycles is not None), None)
     fit = found.chosen.fit
-    if delay is None or delay.cycles is None or _delay(fit)[0] is not None or not found.cell.coarse:
+    unsure = any(one.sent is not None and one.sent.unsure_s > 0.0 for one in stretches)
+    if delay is None or delay.cycles is None or _delay(fit)[0] is not None or not (found.cell.coarse and unsure):
         return base
     cycle_s = delay.cycles[0]
     left = _left_by(found, (*fit.hypothesis, delay), fit.cost, replayer, stretches, base)
@@ -87,7 +92,7 @@ def _delay(fit: Fit) -> tuple[int | None, float]:
 
 
 def _shifted(fit: Fit, at: int, shift_s: float) -> Array:
-    """The fit's numbers with the delay at the whole cycle that is so far away: no PLC takes a datagram within one."""
+    """The fit's numbers with the delay at the whole cycle that is so far away: a PLC takes no datagram within one."""
     settled = np.concatenate([one.settled(fit.theta[here]) for one, here in fit.slices])
     settled[at] = max(settled[at] + shift_s, 0.0)
     return settled
@@ -96,3 +101,15 @@ def _shifted(fit: Fit, at: int, shift_s: float) -> Array:
 def _cycles_a_row(stretches: tuple[Stretch, ...], cycle_s: float) -> int:
     """PLC cycles from one log row to the next."""
     return int(np.ceil(max(one.dt_s for one in stretches) / cycle_s - 1e-6))
+
+
+def _finer(left: Callable[[Array], float], theta: Array, at: int, cycle_s: float) -> Array:
+    """Theta with the delay between two cycles where that leaves less: a mean over datagrams that wait unequally."""
+
+    def moved(cycles: float) -> Array:
+        out = theta.copy()
+        out[at] = max(theta[at] + cycles * cycle_s, 0.0)
+        return out
+
+    best = minimize_scalar(lambda x: left(moved(x)), bounds=(-1.0, 1.0), method="bounded", options={"xatol": SETTLED})
+    return moved(float(best.x)) if best.fun < left(theta) else theta
