@@ -130,7 +130,8 @@ def arrivals(
     lost, judged = known.lost, known.judged
     if lost is None:
         lost, judged = never_came(came, (bounds.t_s, bounds.shown))
-    moved = _into_rows(came, bounds, cycle_s)
+    earliest, latest = _rows_beside(bounds, len(came), cycle_s)
+    moved = _into(earliest, latest, came)
     moved[np.abs(moved) > most_s] = 0.0
     if lost is not None:
         moved[lost] = 0.0
@@ -143,7 +144,7 @@ def arrivals(
     share = float(np.mean(lost[judged])) if lost is not None and judged is not None and judged.any() else 0.0
     wait_s = 0.0 if _with_cycles(came, bounds, cycle_s) else cycle_s  # a row shows it only where one was just due
     unsure_s = float(np.linalg.norm([beside_s, wait_s, np.sqrt(share * (1.0 - share)) * period_s]))
-    return Arrivals(t_s, *_rows_beside(bounds, len(t_s), cycle_s), lost, judged, beside_s, delay.rate, unsure_s)
+    return Arrivals(t_s, earliest, latest, lost, judged, beside_s, delay.rate, unsure_s)
 
 
 def on_the_dot(sent: Numbered, rows: Numbered) -> Arrivals:
@@ -234,9 +235,8 @@ def _rows_beside(bounds: _Bounds, count: int, cycle_s: float) -> tuple[Array, Ar
     return np.minimum(lo, hi), hi
 
 
-def _into_rows(came: Array, bounds: _Bounds, cycle_s: float) -> Array:
+def _into(earliest: Array, latest: Array, came: Array) -> Array:
     """By how much each arrival (k,) lies beside the two rows between which the log saw it appear."""
-    lo, hi = _rows_beside(bounds, len(came), cycle_s)
-    moved = np.where(np.isfinite(lo + hi), np.clip(came, lo, hi) - came, 0.0)
+    moved = np.where(np.isfinite(earliest + latest), np.clip(came, earliest, latest) - came, 0.0)
     moved[np.abs(moved) < EPS_S] = 0.0
     return moved

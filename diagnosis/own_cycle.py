@@ -38,7 +38,8 @@ def at_its_cycle(found: Search, replayer: Replayer, stretches: tuple[Stretch, ..
         return found
     left = _left_by(found, fit.hypothesis, fit.cost, replayer, stretches, base)
     row = _cycles_a_row(stretches, cycle_s)
-    tried = [fit.theta, *(_shifted(fit, at, shift * cycle_s) for shift in range(-row, row + 1))]
+    settled = np.concatenate([one.settled(fit.theta[here]) for one, here in fit.slices])  # a PLC takes none within
+    tried = [fit.theta, *(_later(settled, at, shift * cycle_s) for shift in range(-row, row + 1))]
     theta = _finer(left, min(tried, key=left), at, cycle_s)
     chosen = replace(found.chosen, fit=replace(fit, theta=theta))
     scored = tuple(chosen if one is found.chosen else one for one in found.scored)
@@ -91,11 +92,11 @@ def _delay(fit: Fit) -> tuple[int | None, float]:
     return next(((here.start, one.cycles[0]) for one, here in fit.slices if one.cycles is not None), (None, 0.0))
 
 
-def _shifted(fit: Fit, at: int, shift_s: float) -> Array:
-    """The fit's numbers with the delay at the whole cycle that is so far away: a PLC takes no datagram within one."""
-    settled = np.concatenate([one.settled(fit.theta[here]) for one, here in fit.slices])
-    settled[at] = max(settled[at] + shift_s, 0.0)
-    return settled
+def _later(theta: Array, at: int, by_s: float) -> Array:
+    """Numbers (k,) with the delay so much longer, none below 0."""
+    out = theta.copy()
+    out[at] = max(theta[at] + by_s, 0.0)
+    return out
 
 
 def _cycles_a_row(stretches: tuple[Stretch, ...], cycle_s: float) -> int:
@@ -106,10 +107,8 @@ def _cycles_a_row(stretches: tuple[Stretch, ...], cycle_s: float) -> int:
 def _finer(left: Callable[[Array], float], theta: Array, at: int, cycle_s: float) -> Array:
     """Theta with the delay between two cycles where that leaves less: a mean over datagrams that wait unequally."""
 
-    def moved(cycles: float) -> Array:
-        out = theta.copy()
-        out[at] = max(theta[at] + cycles * cycle_s, 0.0)
-        return out
+    def by(cycles: float) -> float:
+        return left(_later(theta, at, cycles * cycle_s))
 
-    best = minimize_scalar(lambda x: left(moved(x)), bounds=(-1.0, 1.0), method="bounded", options={"xatol": SETTLED})
-    return moved(float(best.x)) if best.fun < left(theta) else theta
+    best = minimize_scalar(by, bounds=(-1.0, 1.0), method="bounded", options={"xatol": SETTLED})
+    return _later(theta, at, float(best.x) * cycle_s) if best.fun < left(theta) else theta

@@ -6,7 +6,7 @@ import numpy as np
 
 from diagnosis.course import held_rows, late, late_jumps, smooth
 from diagnosis.nominal import Nominal
-from diagnosis.stretches import Stretch
+from diagnosis.stretches import Sent, Stretch
 from diagnosis.tables import filled
 from machine.effects import kernel
 from machine.effects.dynamics import (
@@ -96,23 +96,17 @@ class Replayer:
         plant, sent = out.plant, out.stretch.sent
         if sent is None:
             return smooth(plant, ref)
-        cycles = (out.stretch.rows - 1) * plant.decimate + 1
-        drive = drive_by_sent(plant, sent.t_s, sent.q, float(out.stretch.t_s[0]), cycles, lost=sent.lost)
-        out.drives["link"] = drive
-        return _through(plant, ref, self._fine("link", plant, drive, known))
+        out.drives["link"] = _link_drive(out, sent, sent.t_s)
+        return _through(plant, ref, self._fine("link", plant, out.drives["link"], known))
 
-    def _shifted(self, out: Prepared, ref: Array, known: ParameterSets, by_s: float) -> Array:
+    def _shifted(self, out: Prepared, sent: Sent, ref: Array, known: ParameterSets, by_s: float) -> Array:
         """The received reference (cycles, n), had each datagram come so much later, as far as its log rows allow it."""
-        sent, plant = out.stretch.sent, out.plant
-        drive = out.drives["link"]
-        if sent is not None:
-            moved = sent.t_s + by_s
-            if sent.within_s is not None:
-                earliest, latest = sent.within_s - plant.transport_delay_s - float(known.machine[0, kernel.DELAY])
-                moved = np.minimum(moved, np.maximum(latest, sent.t_s))
-                moved = np.maximum(moved, np.minimum(earliest, sent.t_s))
-            t_s, t_start = np.maximum.accumulate(moved), float(out.stretch.t_s[0])
-            drive = drive_by_sent(plant, t_s, sent.q, t_start, drive.cycles, lost=sent.lost)
+        plant, moved = out.plant, sent.t_s + by_s
+        if sent.within_s is not None:
+            earliest, latest = sent.within_s - plant.transport_delay_s - float(known.machine[0, kernel.DELAY])
+            moved = np.minimum(moved, np.maximum(latest, sent.t_s))
+            moved = np.maximum(moved, np.minimum(earliest, sent.t_s))
+        drive = _link_drive(out, sent, np.maximum.accumulate(moved))
         return _through(plant, ref, self._fine("link", plant, drive, known))
 
     def _commands(self, out: Prepared, signals: tuple[Array, Array, Array, Array], known: ParameterSets) -> _Commands:
@@ -132,10 +126,10 @@ class Replayer:
         if sent is not None and sent.unsure_s == 0.0:
             return _Commands(own)
         if sent is not None:
-            others = [self._shifted(out, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
+            others = [self._shifted(out, sent, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
             out.others["controller"] = tuple(others)
             by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
-            out.late["controller"], jumped = driven(self._shifted(out, ref, known, by_s))
+            out.late["controller"], jumped = driven(self._shifted(out, sent, ref, known, by_s))
             return _Commands(own, tuple(driven(one)[1] for one in others), jumped)
         _, held = driven(held_rows(plant, ref))
         ref_late = late_jumps(plant, ref, ref_fine)
@@ -209,6 +203,13 @@ class Replayer:
         if self.torque_reference is None or self.nominal.arm is None:
             return None
         return loads_along(self.nominal.arm, neutral_sets(self.nominal.n), enc, self.torque_reference)
+
+
+def _link_drive(out: Prepared, sent: Sent, t_s: Array) -> Drive:
+    """What drives the link where the datagrams (k,) are taken at t_s (k,)."""
+    plant, stretch = out.plant, out.stretch
+    cycles = (stretch.rows - 1) * plant.decimate + 1
+    return drive_by_sent(plant, t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
 
 
 def _output(stage: str, plant: Actuators, sets: ParameterSets, drive: Drive) -> Array:

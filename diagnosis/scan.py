@@ -145,7 +145,7 @@ def refined(cell: Cell, one: Scan) -> Array:
     slot = one.candidate.slots[0]
     sizes, found = np.unique(np.append(one.thetas[:, 0], slot.highest)), float(best[0])
     if cell.coarse and one.candidate.cycles is not None:
-        found = _best_cycle(cell, one.candidate, sizes, found)
+        found = _best_cycle(cell, one.candidate, one.candidate.cycles[0], sizes, found)
         sizes = np.unique(np.append(sizes, found))
     for _ in range(2):
         at = int(np.searchsorted(sizes, found))
@@ -156,15 +156,13 @@ def refined(cell: Cell, one: Scan) -> Array:
     return np.array([found])
 
 
-def _best_cycle(cell: Cell, delay: Candidate, sizes: Array, found: float) -> float:
+def _best_cycle(cell: Cell, delay: Candidate, cycle_s: float, sizes: Array, found: float) -> float:
     """The best whole cycle as far as two of a scan's sizes away: rows that come less often give the cost terraces, and
     the end of one was taken for the best size.
     """
     at = int(np.searchsorted(sizes, found))
     low, high = sizes[max(at - 2, 0)], sizes[min(at + 2, len(sizes) - 1)]
-    cycle_s = delay.cycles[0] if delay.cycles else high - low
-    tried = np.append(low + cycle_s * np.arange(min(int((high - low) / cycle_s), CYCLES_MAX) + 1), found)
-    settled = np.array([delay.settled(one) for one in tried[:-1, None]])
-    tried[:-1] = np.maximum(settled[:, 0], 0.0)
+    cycles = np.arange(min(int((high - low) / cycle_s), CYCLES_MAX) + 1)
+    tried = np.append(np.maximum(delay.settled(low + cycle_s * cycles), 0.0), found)
     total = costs(evaluated(cell, (delay,), tried[:, None])).sum(axis=1)
     return float(tried[int(np.argmin(total))])
