@@ -21,8 +21,11 @@ $(VENV)/dev.stamp: pyproject.toml $(VENV)/run.stamp
 demo: $(VENV)/run.stamp  ## simulated machine, server and panel; prints the address
 	$(BIN)/longreach demo
 
+# One thread each: workers that share the cores wait for each other's BLAS threads.
+ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
+
 test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores, then those with real processes one by one
-	$(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile --ignore tests/loop --ignore tests/system
+	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile --ignore tests/loop --ignore tests/system
 	$(BIN)/python -m pytest -m "not slow" --durations 20 tests/loop tests/system
 
 test-slow: $(VENV)/dev.stamp  ## compose, long drills

@@ -12,13 +12,12 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.frame_descent import FLAT, descended
 from machine.poses import pose
 from machine.rotations import Array, skew
 
 TRIED, SETTLED = 8, 40  # steps from every start, and from the best of them
 POLISHED = 3
-ENOUGH_RAD = 1e-11
-FLAT = 1e-10  # of the largest curvature: along less than that nothing is known, and nothing is changed
 GENERATORS = np.array([skew(axis) for axis in np.eye(3)])
 
 
@@ -28,11 +27,6 @@ class Form:
 
     Q: Array
     g: Array
-
-    def of(self, R: Array) -> Array:
-        """Its value (s,) for rotations (s, 3, 3), without c."""
-        r = _columns(R)
-        return np.einsum("si,ij,sj->s", r, self.Q, r) - 2.0 * r @ self.g
 
 
 def frame_and_places(
@@ -76,9 +70,9 @@ def frame_and_places(
 
 def best_rotation(form: Form) -> Array:
     """The rotation (3, 3) of the least sum of squares: damped Gauss-Newton from the cube's 24, the best to its end."""
-    R = _descended(form, STARTS, TRIED)
-    best = R[np.argmin(form.of(R))][None]
-    return _polished(form, _descended(form, best, SETTLED))[0]
+    R, value = descended(form.Q, form.g, STARTS, TRIED)
+    best, _ = descended(form.Q, form.g, R[np.argmin(value)][None], SETTLED)
+    return _polished(form, best)[0]
 
 
 def _polished(form: Form, R: Array) -> Array:
@@ -97,27 +91,6 @@ def _polished(form: Form, R: Array) -> Array:
         if not known.all():
             break
         R = _turns(-np.linalg.solve(A, np.einsum("sia,si->sa", J, pull)[:, :, None])[:, :, 0]) @ R
-    return R
-
-
-def _descended(form: Form, R: Array, steps: int) -> Array:
-    """The starts (s, 3, 3) after so many steps downhill."""
-    value, damping = form.of(R), np.full(len(R), 1e-3)
-    for _ in range(steps):
-        r = _columns(R)
-        J = _turning(R)
-        A = np.einsum("sia,ij,sjb->sab", J, form.Q, J)
-        slope = np.einsum("sia,si->sa", J, r @ form.Q - form.g)
-        size = np.trace(A, axis1=1, axis2=2)[:, None, None] / 3.0 + 1e-300
-        step = -np.linalg.solve(A + np.maximum(damping[:, None, None], FLAT) * size * np.eye(3), slope[:, :, None])
-        step = step[:, :, 0]
-        moved = _turns(step) @ R
-        new = form.of(moved)
-        better = new <= value
-        R, value = np.where(better[:, None, None], moved, R), np.where(better, new, value)
-        damping = np.where(better, 0.1 * damping, 10.0 * damping)
-        if float(np.abs(step).max()) < ENOUGH_RAD:
-            break
     return R
 
 

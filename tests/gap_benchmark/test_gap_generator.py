@@ -205,6 +205,7 @@ def test_what_is_named_for_a_lacking_effect_is_false_and_told_apart_where_it_can
     effect = {"name": "valve_lag", "joint": 1, "values": {"time_constant_s": 0.1}, "option": "", "direction": []}
     drawn = {"effect": effect, "limit": 0.01, "factor": 10.0, "stage": "actuator"}
     truth = {"number": 0, "seed": 1, "mix": "lacking", "noise": 0, "effects": [drawn], "lacking": "valve_lag"}
+    monkeypatch.setattr(Equal, "strength", lambda _self, _true: 10.0)
     for T, twin in ((100.0, False), (1.0, True)):
         monkeypatch.setattr(Equal, "separation", lambda _self, _true, _named, T=T: T)
         found = judged(truth, answered("effects", ("flow_gain_error", 1)), ())
@@ -219,6 +220,7 @@ def test_what_is_named_for_the_true_name_left_out_is_told_apart_where_it_can_be(
     T: float, twin: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Equal, "separation", lambda _self, _true, _named: T)
+    monkeypatch.setattr(Equal, "strength", lambda _self, _true: 10.0)
     effect = {"name": "valve_lag", "joint": 1, "values": {"time_constant_s": 0.1}, "option": "", "direction": []}
     drawn = {"effect": effect, "limit": 0.01, "factor": 10.0, "stage": "actuator"}
     truth = {"number": 0, "seed": 1, "mix": "single", "noise": 0, "effects": [drawn], "lacking": ""}

@@ -81,7 +81,6 @@ def test_nothing_is_found_where_nothing_is_wrong(tmp_path: Path) -> None:
         (Fault(deadband=(0.02, 0.0)), "valve_deadband", 1, "half_width_frac", 0.02, 5e-4),
         (Fault(lag_s=(0.0, 0.03)), "valve_lag", 2, "time_constant_s", 0.03, 2e-3),
         (Fault(delay_s=0.02), "transport_delay", None, "delay_s", 0.02, 8e-3),
-        (Fault(delay_s=0.03), "transport_delay", None, "delay_s", 0.03, 8e-3),
     ],
 )
 def test_one_effect_is_named_with_its_joint_and_size(

@@ -141,7 +141,14 @@ def test_a_pause_of_the_log_is_no_loss() -> None:
     assert 40 < (~judged[:2990]).sum() < 60
 
 
-@pytest.mark.parametrize("link", [Link(jitter_s=3e-4), Link(drift=-1e-4), Link(jitter_s=3e-4, log_cycles=1)])
+@pytest.mark.parametrize(
+    "link",
+    [
+        Link(jitter_s=3e-4),
+        pytest.param(Link(drift=-1e-4), marks=pytest.mark.slow),
+        pytest.param(Link(jitter_s=3e-4, log_cycles=1), marks=pytest.mark.slow),
+    ],
+)
 def test_a_healthy_machine_behind_such_a_link_has_no_fault(link: Link) -> None:
     """All three were `outside`, or a delay of a millisecond."""
     found = diagnosed(link)

@@ -2,6 +2,7 @@
 
 import tomllib
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.fit import neutral_fit
 from diagnosis.form import form_of, with_form
 from diagnosis.left_over import cells_of, forms_of, with_baseline, with_mosts
-from diagnosis.reading import Read, read
+from diagnosis.reading import Read, examine
 from diagnosis.responses import DAMPING, RESPONSES, SWINGS_HZ, responses
 from diagnosis.shapes.driven import Course
 from longreach.cli import app
@@ -27,11 +28,9 @@ from machine.remainder import Remainder, parse_remainders, remainders_to_toml
 KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
 
 
-def day(tmp_path: Path, seed: int, *effects: EffectEntry) -> Read:
-    made = recording(KINDS, effects, seed)
-    place = tmp_path / str(seed)
-    place.mkdir()
-    return read(folder(place, made))
+@cache
+def day(seed: int, *effects: EffectEntry) -> Read:
+    return examine(recording(KINDS, effects, seed), Path(f"day {seed}"))
 
 
 def entry(name: str, joint: int, **sizes: float) -> EffectEntry:
@@ -48,24 +47,24 @@ def energy(cell: Cell) -> float:
     return float(np.mean(neutral_fit(cell).residual ** 2))
 
 
-def test_what_is_wrong_every_day_is_foretold_on_the_next_and_hides_no_fault(tmp_path: Path) -> None:
+def test_what_is_wrong_every_day_is_foretold_on_the_next_and_hides_no_fault() -> None:
     own = entry("valve_asymmetry", 2, gain_frac=0.005)  # what the model is wrong by, and nobody has named
-    days = [day(tmp_path, seed, own) for seed in (1, 2, 3)]
+    days = [day(seed, own) for seed in (1, 2, 3)]
     forms = forms_of(days)
     assert [one.joint for one in forms] == [2]
-    next_day = day(tmp_path, 4, own)
+    next_day = day(4, own)
     plain, known = actuator(next_day, 2), actuator(with_baseline(next_day, (), forms), 2)
     assert energy(plain) > 10.0
     assert energy(known) < 1.2
-    broken = day(tmp_path, 5, own, entry("valve_deadband", 2, half_width_frac=0.01))
+    broken = day(5, own, entry("valve_deadband", 2, half_width_frac=0.01))
     assert energy(actuator(with_baseline(broken, (), forms), 2)) > 1000.0
 
 
-def test_noise_has_no_form_and_two_recordings_tell_none(tmp_path: Path) -> None:
-    days = [day(tmp_path, seed) for seed in (1, 2, 3)]
+def test_noise_has_no_form_and_two_recordings_tell_none() -> None:
+    days = [day(seed) for seed in (1, 2, 3)]
     assert forms_of(days) == ()
     own = entry("valve_asymmetry", 2, gain_frac=0.02)
-    assert form_of([actuator(day(tmp_path, seed, own), 2) for seed in (4, 5)]) == ()
+    assert form_of([actuator(day(seed, own), 2) for seed in (4, 5)]) == ()
 
 
 def test_a_form_goes_through_the_machine_file() -> None:
@@ -81,8 +80,8 @@ def test_a_form_goes_through_the_machine_file() -> None:
         ((("the weather", (1.0,)),), "form.the weather has 1 numbers, no such family"),
     ],
 )
-def test_a_form_of_another_arm_is_named(tmp_path: Path, form: tuple, words: str) -> None:
-    whole = day(tmp_path, 1)
+def test_a_form_of_another_arm_is_named(form: tuple, words: str) -> None:
+    whole = day(1)
     cell, nominal = actuator(whole, 2), whole.nominal
     assert nominal is not None
     other = replace(nominal, remainders=(Remainder("actuator", 2, "", 0.0, 0.0, form=form),))
@@ -100,22 +99,22 @@ def test_the_command_says_it_without_a_traceback(tmp_path: Path) -> None:
     assert "form.the angle has 1 numbers, 10 wanted; fit the baseline again" in said.output
 
 
-def test_what_a_machine_answers_later_is_foretold_too(tmp_path: Path) -> None:
+def test_what_a_machine_answers_later_is_foretold_too() -> None:
     own = entry("valve_lag", 2, time_constant_s=0.06)
-    days = [day(tmp_path, seed, own) for seed in (1, 2, 3)]
+    days = [day(seed, own) for seed in (1, 2, 3)]
     (form,) = (dict(one.form) for one in forms_of(days) if one.joint == 2)
     assert set(form) & set(RESPONSES)
-    next_day = day(tmp_path, 4, own)
+    next_day = day(4, own)
     assert energy(actuator(with_baseline(next_day, (), forms_of(days)), 2)) < 0.1 * energy(actuator(next_day, 2))
 
 
-def test_a_form_asked_about_a_motion_unlike_any_is_left_out_and_said(tmp_path: Path) -> None:
+def test_a_form_asked_about_a_motion_unlike_any_is_left_out_and_said() -> None:
     own = entry("valve_asymmetry", 2, gain_frac=0.005)
-    days = [day(tmp_path, seed, own) for seed in (1, 2, 3)]
+    days = [day(seed, own) for seed in (1, 2, 3)]
     forms = forms_of(days)
     forms = with_mosts(forms, [with_baseline(one, (), forms) for one in days])
     calm = tuple(replace(one, form_most=1e-3 * one.form_most) for one in forms)
-    whole = day(tmp_path, 4, own)
+    whole = day(4, own)
     known, unlike = (actuator(with_baseline(whole, (), one), 2) for one in (forms, calm))
     assert known.unlike == ()
     assert unlike.unlike == (2,)

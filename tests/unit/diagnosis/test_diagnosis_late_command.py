@@ -27,7 +27,7 @@ def named(*effects: EffectEntry) -> dict[tuple[str, int | None], dict[str, Any]]
     return {(one["name"], one["joint"]): one["parameters"] for one in found["hypotheses"][0]["effects"]}
 
 
-@pytest.mark.parametrize("delay_s", [0.03, 0.0234])
+@pytest.mark.parametrize("delay_s", [0.0234, pytest.param(0.03, marks=pytest.mark.slow)])
 def test_a_delay_that_rows_leave_by_a_cycle_makes_no_gain_of_quiet_joints(delay_s: float) -> None:
     """Of 29 to 30 ms any is as good in the logged references; half a percent of flow on three joints had come of it."""
     found = named(entry("transport_delay", None, delay_s=delay_s))
@@ -44,7 +44,7 @@ def test_a_rounded_reference_is_seen_beside_a_long_delay() -> None:
     assert abs(found["reference_quantisation", 2]["step_rad"]["value"] / 2e-5 - 1.0) < 1e-6
 
 
-@pytest.mark.parametrize("off_s", [0.0002, 0.003])
+@pytest.mark.parametrize("off_s", [0.003, pytest.param(0.0002, marks=pytest.mark.slow)])
 def test_an_offset_by_which_commands_arrive_before_they_were_sent_is_told_and_no_fault(off_s: float) -> None:
     """A fifth of a millisecond puts each reference a cycle late: a healthy machine was `outside`, with four names."""
     made = changed(recording(), Sent, lambda _number, row: replace(row, t_pc_s=row.t_pc_s + off_s))

@@ -24,7 +24,7 @@ def filtered(rows: list) -> None:
             row[name] = f"{q!s}"
 
 
-@pytest.mark.parametrize("tracker_m", [2e-4, 0.0])
+@pytest.mark.parametrize("tracker_m", [2e-4, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_a_filtered_log_is_told_as_one_cause(tmp_path: Path, tracker_m: float) -> None:
     place = write(tmp_path / "run", Fault(), seconds=10.0, tracker_m=tracker_m)
     found = answer(diagnose(read(rewritten(place, filtered))))

@@ -62,7 +62,7 @@ def test_joints_without_valve_commands_are_judged_one_by_one() -> None:
     assert next(one.joint for one in found.localisation.places if one.stage == "actuator") == 2
 
 
-@pytest.mark.parametrize("lag_s", [0.0, 0.03])
+@pytest.mark.parametrize("lag_s", [0.03, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_a_reference_between_rare_rows_is_a_curve(tmp_path: Path, lag_s: float) -> None:
     """Straight lines through its rows cut a healthy machine's corners: a lag of 1.4 ms, and refused for the rest."""
     place = write(tmp_path / "run", Fault(lag_s=(0.0, lag_s)), log_s=0.05)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import folder, recording
+from diagnosis_cases import recording
 
 from diagnosis.candidates import NARROW, named
 from diagnosis.cells import Cell
@@ -14,7 +14,7 @@ from diagnosis.fit import costs, evaluated
 from diagnosis.form import Otherwise
 from diagnosis.leave_out import without_effect
 from diagnosis.left_over import cells_of, forms_of, with_baseline
-from diagnosis.reading import Read, read
+from diagnosis.reading import Read, examine
 from diagnosis.refusal import tests_of as fired_tests
 from diagnosis.shapes.driven import Course
 from diagnosis.stage_replay import Replay
@@ -32,10 +32,8 @@ def entry(name: str, joint: int, **sizes: float) -> EffectEntry:
     return make_entry(effect, joint, sizes)
 
 
-def day(place: Path, seed: int, *effects: EffectEntry) -> Read:
-    own = place / str(seed)
-    own.mkdir()
-    return read(folder(own, recording(KINDS, effects, seed)))
+def day(seed: int, *effects: EffectEntry) -> Read:
+    return examine(recording(KINDS, effects, seed), Path(f"day {seed}"))
 
 
 def actuator(whole: Read, joint: int) -> Cell:
@@ -43,8 +41,8 @@ def actuator(whole: Read, joint: int) -> Cell:
 
 
 @pytest.fixture(scope="module")
-def stuck(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
-    return diagnose(day(tmp_path_factory.mktemp("stuck"), 3, entry("stiction", 2, breakaway_frac=BREAKAWAY)))
+def stuck() -> Diagnosis:
+    return diagnose(day(3, entry("stiction", 2, breakaway_frac=BREAKAWAY)))
 
 
 def cell_of(found: Diagnosis, label: str) -> Cell:
@@ -78,8 +76,8 @@ def test_without_its_name_nobody_is_excused_by_it(stuck: Diagnosis) -> None:
     assert left.verdict.word in ("outside", "undecided")
 
 
-def test_where_nothing_sticks_nobody_is_told(tmp_path: Path) -> None:
-    found = diagnose(day(tmp_path, 3, entry("valve_deadband", 2, half_width_frac=0.02)))
+def test_where_nothing_sticks_nobody_is_told() -> None:
+    found = diagnose(day(3, entry("valve_deadband", 2, half_width_frac=0.02)))
     searches = [one.search for one in found.cells]
     assert told_who_sticks(searches) is searches
     assert not any(one.cell.moved_unlike for one in searches)
@@ -92,10 +90,10 @@ def test_names_where_a_joint_moved_unlike_are_asked_for_more(stuck: Diagnosis) -
     assert marked(replace(cell, stage="controller"), (3,)).least_nats == cell.least_nats
 
 
-def test_the_form_goes_with_how_a_stuck_joint_moves(tmp_path: Path) -> None:
+def test_the_form_goes_with_how_a_stuck_joint_moves() -> None:
     own = entry("valve_asymmetry", 2, gain_frac=0.02)  # what the model is wrong by every day, and nobody has named
-    forms = forms_of([day(tmp_path, seed, own) for seed in (1, 2, 3)])
-    sticking = day(tmp_path, 4, own, entry("stiction", 2, breakaway_frac=BREAKAWAY))
+    forms = forms_of([day(seed, own) for seed in (1, 2, 3)])
+    sticking = day(4, own, entry("stiction", 2, breakaway_frac=BREAKAWAY))
     cell = actuator(with_baseline(sticking, (), forms), 2)
     replay = cell.whitened
     assert isinstance(replay, Replay)

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import folder, recording
+from diagnosis_cases import recording
 
 from diagnosis.answer import answer
 from diagnosis.candidates import named
 from diagnosis.diagnose import Diagnosis, diagnose
-from diagnosis.reading import read
+from diagnosis.reading import examine
 from diagnosis.refusal import tests_of as fired_tests
 from diagnosis.search import search
 from diagnosis.unlike import told_beyond
@@ -22,21 +22,21 @@ from machine.remainder import USUAL_ENERGY
 KINDS = ("repeat", "repeat", "steps", "workcycle")
 
 
-def diagnosed(place: Path, name: str, **values: float) -> Diagnosis:
+def diagnosed(name: str, **values: float) -> Diagnosis:
     """A recording with one effect on joint 2."""
     effect = effect_named(name)
     assert effect is not None
-    return diagnose(read(folder(place, recording(KINDS, (make_entry(effect, 2, values),), 3))))
+    return diagnose(examine(recording(KINDS, (make_entry(effect, 2, values),), 3), Path(name)))
 
 
 @pytest.fixture(scope="module")
-def little_off(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+def little_off() -> Diagnosis:
     """A gain that is 3 % too high."""
-    return diagnosed(tmp_path_factory.mktemp("little"), "controller_gain_error", gain_frac=0.03)
+    return diagnosed("controller_gain_error", gain_frac=0.03)
 
 
-def test_a_command_that_is_cut_marks_its_joint_and_all_that_hangs_on_it(tmp_path: Path) -> None:
-    found = diagnosed(tmp_path, "controller_saturation", limit_frac=0.1)
+def test_a_command_that_is_cut_marks_its_joint_and_all_that_hangs_on_it() -> None:
+    found = diagnosed("controller_saturation", limit_frac=0.1)
     cells = [one.search.cell for one in found.cells]
     assert {cell.unlike for cell in cells if cell.label == "controller 2"} == {()}  # judged by its own model
     assert {cell.unlike for cell in cells if cell.stage == "actuator"} == {(2,)}

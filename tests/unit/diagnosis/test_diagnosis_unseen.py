@@ -4,21 +4,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from diagnosis_cases import folder, recording
+from diagnosis_cases import recording
 
 from diagnosis import unseen
 from diagnosis.answer import judgement
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import read
+from diagnosis.reading import examine
 from diagnosis.report.text import lines
 from diagnosis.unseen import one_more, unseen_share
 from diagnosis.weigh import calibration
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory):
-    where: Path = tmp_path_factory.mktemp("unseen")
-    return diagnose(read(folder(where, recording(("repeat", "repeat", "repeat", "steps", "workcycle")))))
+def found():
+    return diagnose(examine(recording(("repeat", "repeat", "repeat", "steps", "workcycle")), Path("unseen")))
 
 
 def counted(monkeypatch: pytest.MonkeyPatch, share: float) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import folder, recording
+from diagnosis_cases import recording
 
 from diagnosis.answer import answer
 from diagnosis.baseline import Baseline
@@ -14,7 +14,7 @@ from diagnosis.day_noise import day_noise
 from diagnosis.diagnose import diagnose
 from diagnosis.fit import neutral_fit
 from diagnosis.left_over import cells_of, remainders_of, with_baseline, with_wanders
-from diagnosis.reading import Read, read
+from diagnosis.reading import Read, examine
 from diagnosis.search import search
 from diagnosis.wander import wander_of
 from longreach.fit_baseline import told
@@ -33,12 +33,12 @@ def gain(size: float) -> EffectEntry:
 
 
 @pytest.fixture(scope="module")
-def days(tmp_path_factory: pytest.TempPathFactory) -> list[Read]:
+def days() -> list[Read]:
     """Eight undisturbed days of a machine whose second joint is a percent faster or slower on each."""
     rng, out = np.random.default_rng(5), []
     for seed in range(8):
-        place = tmp_path_factory.mktemp(f"day{seed}")
-        out.append(read(folder(place, recording(KINDS, (gain(WANDER * float(rng.normal())),), seed))))
+        made = recording(KINDS, (gain(WANDER * float(rng.normal())),), seed)
+        out.append(examine(made, Path(f"day {seed}")))
     return out
 
 
@@ -54,16 +54,14 @@ def test_the_number_that_wanders_is_named_with_its_size_and_its_neighbours_are_n
     assert wander_of([actuator(day, 2) for day in days[:5]]) == ()
 
 
-def test_a_day_within_the_wander_has_no_name_and_a_fault_beyond_it_has(days: list[Read], tmp_path: Path) -> None:
+def test_a_day_within_the_wander_has_no_name_and_a_fault_beyond_it_has(days: list[Read]) -> None:
     known = with_wanders(remainders_of(days), days)
     plain = tuple(Remainder(one.stage, one.joint, one.on, one.sigma, one.rms, one.ar) for one in known)
-    usual = read(folder(tmp_path, recording(KINDS, (gain(1.2 * WANDER),), 20)))
+    usual = examine(recording(KINDS, (gain(1.2 * WANDER),), 20), Path("usual"))
     named = search(actuator(with_baseline(usual, (), plain), 2)).chosen.fit.hypothesis
     assert [one.name for one in named] == ["flow_gain_error"]
     assert search(actuator(with_baseline(usual, (), known), 2)).chosen.fit.hypothesis == ()
-    place = tmp_path / "broken"
-    place.mkdir()
-    broken = read(folder(place, recording(KINDS, (gain(0.12),), 21)))
+    broken = examine(recording(KINDS, (gain(0.12),), 21), Path("broken"))
     named = search(actuator(with_baseline(broken, (), known), 2)).chosen.fit.hypothesis
     assert [one.name for one in named] == ["flow_gain_error"]
 
@@ -98,12 +96,12 @@ def test_a_set_is_made_white_alike_alone_and_among_others() -> None:
         np.testing.assert_array_equal(day.white(one[None])[0], white)
 
 
-def test_an_experiment_is_foretold_with_the_wander_along(days: list[Read], tmp_path: Path) -> None:
+def test_an_experiment_is_foretold_with_the_wander_along(days: list[Read]) -> None:
     known = with_wanders(remainders_of(days), days)
     effect = effect_named("valve_asymmetry")
     assert effect is not None
     small = make_entry(effect, 2, {"gain_frac": 0.04})
-    whole = read(folder(tmp_path, recording(KINDS, (small,), 22)))
+    whole = examine(recording(KINDS, (small,), 22), Path("small"))
     said = answer(diagnose(with_baseline(whole, (), known)))
     assert len(said["hypotheses"]) > 1
     assert said["next_experiment"] is not None
