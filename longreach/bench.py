@@ -18,6 +18,7 @@ from longreach.bench_experiments.command import experiments
 from longreach.bench_gap.command import gap
 from longreach.bench_hold.command import hold
 from longreach.bench_jobs_soak.command import jobs_soak
+from longreach.bench_links.command import links
 from longreach.bench_load.command import load
 from longreach.bench_machines.command import ablation, machines
 from longreach.bench_markers.command import markers
@@ -61,6 +62,7 @@ app.command("video")(video)
 app.command("gap")(gap)
 app.command("experiments")(experiments)
 app.command("compensation")(compensation)
+app.command("links")(links)
 
 
 @app.command()

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from link_cases import Link, arrived, over
 
 from diagnosis.answer import answer
 from diagnosis.arrivals import Arrivals, arrivals
@@ -13,6 +12,7 @@ from diagnosis.by_value import by_value
 from diagnosis.diagnose import diagnose
 from diagnosis.lost_datagrams import never_received
 from diagnosis.reading import examine
+from longreach.bench_links.recorded import Link, arrived, over
 
 CYCLE_S = 1e-3
 NUMBER = np.arange(15000)

@@ -1,18 +1,31 @@
-"""Recordings over a link as it is: datagrams that wait and get lost, clocks that drift; numbered as a PLC logs them."""
+"""Recordings over a link as it is: datagrams that wait and get lost, clocks that drift; numbered as a PLC logs them.
+
+The machine is the reduced model that the diagnosis replays: what it leaves is the link's and the encoders' noise.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from diagnosis_cases import MACHINE_TOML, NOISE_RAD, OFFSET_S, PLANT, SEGMENT_S, reference
+from numpy.typing import NDArray
 
-from machine.effects.dynamics import drive_by_sent, simulate
+from machine.effects.dynamics import actuators_of, drive_by_sent, simulate
 from machine.effects.entries import EffectEntry, pack
+from machine.rotations import Array
 from recording.content import Recording
 from recording.rows import PlcState, Row, Sent
 from recording.run import RunInfo, Segment
+from server.settings import read_machine, read_machine_text
 
+MACHINE_TOML = read_machine_text("hiab033")
+PLANT = actuators_of(read_machine("hiab033"))
+JOINTS = 6
+Q_START = np.array([0.3, 0.5, -1.0, 0.2, 0.8, -0.4])
+OFFSET_S = 5.0  # t_pc = t_plc + 5 s
+NOISE_RAD = 2e-5
+SEGMENT_S = 12.0
 BEFORE = 25  # datagrams sent before a segment's first row
 KINDS = ("repeat", "repeat", "repeat", "repeat", "steps")
+RATES = np.array([1.3, 0.9, 1.1, 1.9, 1.6, 2.2])
 
 
 @dataclass(frozen=True)
@@ -27,7 +40,7 @@ class Link:
     log_cycles: int = 10
 
 
-def arrived(link: Link, t_s: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def arrived(link: Link, t_s: Array, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
     """Which of the datagrams sent at t_s (k,) come, and when."""
     when = np.maximum.accumulate(t_s + link.delay_s + rng.exponential(link.jitter_s, len(t_s)))
     there = rng.random(len(t_s)) >= link.loss_frac
@@ -41,15 +54,15 @@ def over(link: Link, effects: tuple[EffectEntry, ...] = (), seed: int = 1) -> Re
     rng = np.random.default_rng(seed)
     plant = replace(PLANT, log_cycle_s=link.log_cycles * PLANT.cycle_s)
     cycles = round(SEGMENT_S / plant.cycle_s)
-    t_s = 1e-3 * link.sent_ms * np.arange(-BEFORE, round(1e3 * SEGMENT_S / link.sent_ms))
+    t_s = 1e-3 * link.sent_ms * np.arange(-BEFORE, round(1e3 * SEGMENT_S / link.sent_ms), dtype=np.float64)
     sent: list[Row] = []
     logged: list[Row] = []
     segments = []
     for number, kind in enumerate(KINDS):
         start, first = number * (SEGMENT_S + 1.0), 1 + 20000 * number
-        q = reference(kind, np.maximum(t_s, 0.0))
+        q = _command(kind, np.maximum(t_s, 0.0))
         which, when = arrived(link, t_s, rng)
-        traces = simulate(plant, pack(effects, 6), drive_by_sent(plant, when, q[which], 0.0, cycles))
+        traces = simulate(plant, pack(effects, JOINTS), drive_by_sent(plant, when, q[which], 0.0, cycles))
         enc = traces.enc[0] + rng.normal(0.0, NOISE_RAD, traces.enc[0].shape)
         t_log = plant.log_cycle_s * np.arange(len(enc))
         seen = which[np.searchsorted(when, t_log + 1e-9, side="right") - 1]
@@ -75,3 +88,11 @@ def over(link: Link, effects: tuple[EffectEntry, ...] = (), seed: int = 1) -> Re
     info = RunInfo("made up", "2026-01-01T00:00:00Z", seed, OFFSET_S, 0.0, None, tuple(segments))
     machine = MACHINE_TOML.replace("log_cycle_s = 0.01\n", f"log_cycle_s = {plant.log_cycle_s:g}\n")
     return Recording("folder", info, machine, (*sent, *logged))
+
+
+def _command(kind: str, t: Array) -> Array:
+    """A command (m, 6) [rad] that starts and ends at rest."""
+    fade = np.clip(np.minimum(t, SEGMENT_S - t) / 1.0, 0.0, 1.0)[:, None]
+    if kind == "steps":
+        return Q_START + fade * 0.05 * np.sign(np.sin(t[:, None] * RATES))
+    return Q_START + fade * 0.08 * (np.sin(t[:, None] * RATES) + 0.3 * np.sin(3.7 * t[:, None] * RATES))
