@@ -8,6 +8,7 @@ from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, fitting, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
 from diagnosis.cells_merged import merged_cells
+from diagnosis.common_wait import on_their_line
 from diagnosis.gear import gears
 from diagnosis.guessed_noise import searched
 from diagnosis.known import with_known
@@ -109,28 +110,31 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     if nominal is None or replayer is None or not whole.stretches:
         return []
     base = _with_encoders(pack_under(nominal.baseline, nominal.n), behind)
-    replayer = at_its_step(replayer, whole.stretches, base)
+    stretches = whole.stretches
+    replayer = at_its_step(replayer, stretches, base)
     course, searches, unlike = base, [], ()
     unseen = (*lacking, *told_behind([one.cell for one in behind]))
     for stage in DRIVEN_STAGES:
-        cells = fitting(with_known(stage_cells(stage, replayer, whole.stretches, base, course), nominal), nominal)
+        cells = fitting(with_known(stage_cells(stage, replayer, stretches, base, course), nominal), nominal)
         cells = without(cells, unseen)
         cells = [marked(replace(one, least_nats=_least(one, searches)), unlike) for one in cells]
         unlike = (*unlike, *far_off(cells))
         found = _searched(cells, progress)
         if stage == "link":
-            found = [at_its_cycle(one, replayer, whole.stretches, base) for one in found]
-            course = next((unseen_wait(one, replayer, whole.stretches, base) for one in found), course)
+            found = [at_its_cycle(one, replayer, stretches, base) for one in found]
+            course = next((unseen_wait(one, replayer, stretches, base) for one in found), course)
         if stage == "actuator" and found:
             found = told_who_sticks(_beside_each_other(found))
             progress("what couples the joints", 0, 1)
-            coupled = coupled_cell(replayer, whole.stretches, base, course)
+            coupled = coupled_cell(replayer, stretches, base, course)
             coupled = marked(with_known([coupled], nominal)[0], unlike) if coupled is not None else None
             found = _with_coupling(found, coupled if DROOP not in lacking else None)
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
+        if stage == "link":
+            stretches = on_their_line(stretches, replayer, base, course)
         searches += found
-    one_by_one, together = merged_cells(replayer, whole.stretches, base)
+    one_by_one, together = merged_cells(replayer, stretches, base)
     merged = [_worth_a_name(one) for one in _searched(without(fitting(one_by_one, nominal), unseen), progress)]
     return searches + _with_coupling(merged, together if DROOP not in lacking else None)
 

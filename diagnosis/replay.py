@@ -101,12 +101,9 @@ class Replayer:
 
     def _shifted(self, out: Prepared, sent: Sent, ref: Array, known: ParameterSets, by_s: float) -> Array:
         """The received reference (cycles, n), had each datagram come so much later, as far as its log rows allow it."""
-        plant, moved = out.plant, sent.t_s + by_s
-        if sent.within_s is not None:
-            earliest, latest = sent.within_s - plant.transport_delay_s - float(known.machine[0, kernel.DELAY])
-            moved = np.minimum(moved, np.maximum(latest, sent.t_s))
-            moved = np.maximum(moved, np.minimum(earliest, sent.t_s))
-        drive = _link_drive(out, sent, np.maximum.accumulate(moved))
+        plant = out.plant
+        moved = within_rows(sent, by_s, plant.transport_delay_s + float(known.machine[0, kernel.DELAY]))
+        drive = _link_drive(out, sent, moved)
         return _through(plant, ref, self._fine("link", plant, drive, known))
 
     def _commands(self, out: Prepared, signals: tuple[Array, Array, Array, Array], known: ParameterSets) -> _Commands:
@@ -203,6 +200,16 @@ class Replayer:
         if self.torque_reference is None or self.nominal.arm is None:
             return None
         return loads_along(self.nominal.arm, neutral_sets(self.nominal.n), enc, self.torque_reference)
+
+
+def within_rows(sent: Sent, by_s: float | Array, delay_s: float) -> Array:
+    """When each datagram (k,) was sent, moved by so much as its log rows allow of its arrival `delay_s` later."""
+    moved = sent.t_s + by_s
+    if sent.within_s is not None:
+        earliest, latest = sent.within_s - delay_s
+        moved = np.minimum(moved, np.maximum(latest, sent.t_s))
+        moved = np.maximum(moved, np.minimum(earliest, sent.t_s))
+    return np.maximum.accumulate(moved)
 
 
 def _link_drive(out: Prepared, sent: Sent, t_s: Array) -> Drive:

@@ -22,6 +22,8 @@ OUTPUT = {"link": "ref", "controller": "u", "actuator": "enc"}
 SKIPPED = 10  # increments at a stretch's start: the valve's state is not known there
 TIMING_S = 1.5e-3
 PASSES = 3
+SIDES = 2  # courses beside what was sent: a cycle later, and one earlier
+TINY = 1e-12
 UNIFORM = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
 
 
@@ -62,6 +64,25 @@ class Replay:
         chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(self.joints)]), sets.machine)
         out = np.concatenate(side_by_side(lambda part: self._white(part, chosen), self.parts), axis=1)
         return out if self.day is None else self.day.white(out)
+
+    def waits(self, sets: ParameterSets) -> list[tuple[float, float]]:
+        """Of each part, how many cycles later its input's course had come by the residual of the first set, and by how
+        much that is known [1 / cycle]; 0 where the course between rows is no guess of what was sent.
+        """
+        chosen = ParameterSets(np.ascontiguousarray(sets.joint[:1, list(self.joints)]), sets.machine[:1])
+        found = []
+        for part in self.parts:
+            if len(part.between) != SIDES:
+                found.append((0.0, 0.0))
+                continue
+            later, earlier = part.between
+            white, column = (
+                whiten_sets(self.whitener, one)[:, SKIPPED:] * trust(part, self.whitener)
+                for one in (part_increments(self.stage, part, chosen)[0], 0.5 * (later - earlier)[None])
+            )
+            power = float((column**2).sum())
+            found.append((float((column * white).sum()) / max(power, TINY), float(np.sqrt(power))))
+        return found
 
     def _white(self, part: Part, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)
@@ -110,7 +131,7 @@ def _excused(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
 def _share(white: Array, column: Array) -> Array:
     """Least-squares amount of a column in the residual, (sets, 1, joints)."""
     power = (column**2).sum(axis=1, keepdims=True)
-    return (column * white).sum(axis=1, keepdims=True) / np.where(power > 1e-12, power, np.inf)
+    return (column * white).sum(axis=1, keepdims=True) / np.where(power > TINY, power, np.inf)
 
 
 def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array, Array]:
