@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.lost_datagrams import EPS_S, Mask, Numbered, never_came, never_received
+from diagnosis.lost_datagrams import EPS_S, Mask, Numbered, late_enough, never_came, never_received
 from machine.rotations import Array
 
 ALLOWED_S = 5e-4  # a steady delay below it is no delay, but the wait for the next cycle
@@ -19,6 +19,7 @@ FINE_CYCLE_S = 1.5e-3  # where each cycle is logged and longer than this, rows t
 RATE_MAX = 2e-4  # by which two clocks may run apart
 DRIFT_USUAL = 1.5e-4  # of two crystals
 DRIFTS = 20
+LESS = 0.7
 MISSES = 0.01  # of the rows, that may contradict a line more than they contradict the best one
 ROWS_MIN = 50
 SEARCHED_ROWS = 4000
@@ -134,6 +135,8 @@ def arrivals(
     lost, judged = known.lost, known.judged
     if lost is None:
         lost, judged = never_came(came, (bounds.t_s, bounds.shown))
+    elif late_enough(lost, came, (bounds.t_s, bounds.shown)):
+        lost = np.zeros(len(came), dtype=bool)
     earliest, latest = _rows_beside(bounds, len(came), cycle_s)
     moved = _into(earliest, latest, came)
     moved[np.abs(moved) > most_s] = 0.0
@@ -194,8 +197,8 @@ def _steady(bounds: _Bounds, nominal_s: float, most_s: float) -> _Delay:
 
 
 def _drifting(bounds: _Bounds, nominal_s: float, steady: _Delay) -> _Delay:
-    """The least drift of the clocks from no delay at the first or the last row, where that contradicts no more rows
-    than a steady delay.
+    """The least drift of the clocks from no delay at the first or the last row that contradicts hardly any row, or
+    clearly fewer than a steady delay; else that delay.
 
     Why: two clocks that run apart by seventy millionths are five milliseconds apart after a minute, and every 20 ms a
          datagram tells no better: that was a delay.
@@ -206,7 +209,7 @@ def _drifting(bounds: _Bounds, nominal_s: float, steady: _Delay) -> _Delay:
         for near in (nominal_s + 0.5 * rate * bounds.span_s, nominal_s - 0.5 * rate * bounds.span_s):
             early, late = leaning.low + EPS_S - near, near - leaning.high - EPS_S
             misses = float(np.mean((early > 0.0) | (late > 0.0)))
-            if misses <= steady.misses + MISSES:
+            if misses <= max(MISSES, LESS * steady.misses):
                 return _Delay(near, near, misses, rate)
     return steady
 

@@ -16,6 +16,7 @@ LOST_MAX = 0.5  # of what was due: where more is missing, no steady delay holds
 ROWS_MIN = 50
 WIDER = 1.5
 DEVIATIONS = 3.0
+ROWS_A_DATAGRAM = 2  # fewer do not tell how late one was
 
 
 def never_received(sent: Numbered, rows: Numbered) -> tuple[Mask | None, Mask | None]:
@@ -35,6 +36,25 @@ def never_received(sent: Numbered, rows: Numbered) -> tuple[Mask | None, Mask | 
     judged = inside.copy()
     judged[inside] = steps[after[inside] - 1] < WIDER * often
     return judged & ~np.isin(number, seq), judged
+
+
+def late_enough(lost: Mask, came: Array, rows: Numbered) -> bool:
+    """Whether so few are missing (k,) that they may have come late, between the same two rows as the next one.
+
+    Args:  came: when each should have come (k,) [s]. rows: when (m,) [s], and which datagram it shows, counted from 0.
+    Model: lateness in rows beyond the usual falls off by the same share with each row, and what is as late as the next
+           datagram is in no row.
+    """
+    t_row, seen = rows
+    period = int((np.median(np.diff(came)) + EPS_S) // np.median(np.diff(t_row)))
+    if period < ROWS_A_DATAGRAM or not lost.any():
+        return False
+    shown, first = np.unique(seen, return_index=True)
+    late = first - np.searchsorted(t_row, came[shown] - EPS_S)
+    late = late - np.median(late)
+    last, before = (float(np.mean(late >= rows_late)) for rows_late in (period - 1, period - 2))
+    expected = len(shown) * last**2 / before if before > 0.0 else 0.0
+    return int(lost.sum()) <= expected + DEVIATIONS * float(np.sqrt(expected))
 
 
 def never_came(came: Array, rows: Numbered) -> tuple[Mask | None, Mask | None]:
