@@ -107,7 +107,7 @@ def arrivals(
              clock_known: whether the two clocks' offset is; without, a steady delay is whatever it may be at the least.
     Model:   the delay that contradicts the fewest rows, the one nearest to the machine file's; with clocks that run
              apart only where that halves the contradictions. A delay below ALLOWED_S is none. What stays is moved into
-             the interval in which the rows saw the datagram appear, if that is no further away than a cycle and half a
+             the interval in which the rows saw the datagram appear, if that is no further away than a cycle and a
              sending period: beyond, it is a fault of the link.
     """
     known = on_the_dot(sent, rows)
@@ -117,7 +117,7 @@ def arrivals(
     period_s = float(np.median(np.diff(sent[0])))
     if cycle_s > FINE_CYCLE_S and float(np.median(np.diff(rows[0]))) < WIDER * cycle_s:
         return known
-    most_s = cycle_s + 0.5 * period_s
+    most_s = cycle_s + period_s
     delay = _steady(bounds, nominal_s, most_s)
     if clock_known and delay.rate == 0.0 and abs(delay.nearest(nominal_s) - nominal_s) > ALLOWED_S:
         delay = _drifting(bounds, nominal_s, delay)
@@ -135,11 +135,12 @@ def arrivals(
     lost, judged = known.lost, known.judged
     if lost is None:
         lost, judged = never_came(came, (bounds.t_s, bounds.shown))
-    elif late_enough(lost, came, (bounds.t_s, bounds.shown)):
-        lost = np.zeros(len(came), dtype=bool)
+    with_next = np.zeros(len(came), dtype=bool)
+    if known.lost is not None and late_enough(known.lost, came, (bounds.t_s, bounds.shown)):
+        lost, with_next = with_next, known.lost
     earliest, latest = _rows_beside(bounds, len(came), cycle_s)
     moved = _into(earliest, latest, came)
-    moved[np.abs(moved) > most_s] = 0.0
+    moved[(np.abs(moved) > most_s) & ~with_next] = 0.0
     if lost is not None:
         moved[lost] = 0.0
     if named:

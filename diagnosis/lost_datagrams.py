@@ -42,8 +42,8 @@ def late_enough(lost: Mask, came: Array, rows: Numbered) -> bool:
     """Whether so few are missing (k,) that they may have come late, between the same two rows as the next one.
 
     Args:  came: when each should have come (k,) [s]. rows: when (m,) [s], and which datagram it shows, counted from 0.
-    Model: lateness in rows beyond the usual falls off by the same share with each row, and what is as late as the next
-           datagram is in no row.
+    Model: lateness in rows beyond the usual falls off by the same share q with each row, and what is as late as the
+           next datagram is in no row: of n that are a row less late, n q / (1 - q).
     """
     t_row, seen = rows
     period = int((np.median(np.diff(came)) + EPS_S) // np.median(np.diff(t_row)))
@@ -52,8 +52,8 @@ def late_enough(lost: Mask, came: Array, rows: Numbered) -> bool:
     shown, first = np.unique(seen, return_index=True)
     late = first - np.searchsorted(t_row, came[shown] - EPS_S)
     late = late - np.median(late)
-    last, before = (float(np.mean(late >= rows_late)) for rows_late in (period - 1, period - 2))
-    expected = len(shown) * last**2 / before if before > 0.0 else 0.0
+    last, before = (int((late == rows_late).sum()) for rows_late in (period - 1, period - 2))
+    expected = last**2 / max(before - last, 1)
     return int(lost.sum()) <= expected + DEVIATIONS * float(np.sqrt(expected))
 
 
