@@ -58,13 +58,13 @@ def on_their_line(
 
 def _waits(cells: list[Cell], stretches: tuple[Stretch, ...]) -> Array:
     """By how many cycles (stretches,) commands came later than they are taken to have, 0 where nothing tells."""
-    told: dict[str, list[tuple[float, float]]] = {one.name: [] for one in stretches}
+    told: dict[int, list[tuple[float, float]]] = {id(one): [] for one in stretches}
     for cell in cells:
         if not isinstance(cell.whitened, Replay):
             continue
         for part, wait in zip(cell.whitened.parts, cell.whitened.waits(cell.base), strict=True):
-            told[part.stretch.name].append(wait)
-    return np.array([_median(told[one.name]) for one in stretches])
+            told[id(part.stretch)].append(wait)
+    return np.array([_median(told[id(one)]) for one in stretches])
 
 
 def _median(told: list[tuple[float, float]]) -> float:
