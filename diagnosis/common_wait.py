@@ -11,7 +11,7 @@ import numpy as np
 from diagnosis.arrivals import RATE_MAX
 from diagnosis.cells import Cell
 from diagnosis.cells_dynamic import stage_cells
-from diagnosis.fit import neutral_fit
+from diagnosis.own_cycle import left_in
 from diagnosis.replay import Replayer, within_rows
 from diagnosis.stage_replay import Replay
 from diagnosis.stretches import Stretch
@@ -44,7 +44,7 @@ def on_their_line(
         cells = stage_cells("actuator", replayer, now, base, course)
         if len(cells) < JOINTS_MIN:
             return stretches
-        left = float(sum(np.log(max(neutral_fit(one).cost, 1.0)) for one in cells))
+        left = left_in(cells)
         if left >= least:
             break
         best, least = now, left

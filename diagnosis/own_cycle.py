@@ -4,13 +4,14 @@ The link's own cost is flat there, but a course of the reference between rows th
 all joints a little too large: what is left would be called a flow gain of half a percent on each quiet joint.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from diagnosis.candidates import Candidate, put
+from diagnosis.cells import Cell
 from diagnosis.cells_dynamic import stage_cells
 from diagnosis.fit import Fit, costs, evaluated, neutral_fit
 from diagnosis.replay import Replayer
@@ -82,9 +83,14 @@ def _left_by(
             return UNEQUAL
         course = put(base, hypothesis, theta)
         cells = [one for stage in FED for one in stage_cells(stage, replayer, stretches, base, course)]
-        return float(sum(np.log(max(neutral_fit(one).cost, COST_MIN)) for one in cells))
+        return left_in(cells)
 
     return left
+
+
+def left_in(cells: Sequence[Cell]) -> float:
+    """The sum over joints of the logarithm of what stays with no name: a joint with a fault weighs as any other."""
+    return float(sum(np.log(max(neutral_fit(one).cost, COST_MIN)) for one in cells))
 
 
 def _delay(fit: Fit) -> tuple[int | None, float]:

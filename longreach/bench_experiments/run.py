@@ -2,20 +2,16 @@
 
 import json
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
 from diagnosis.experiments.described import experiment_of
-from diagnosis.reading import examine
 from diagnosis.together import together
+from longreach.answered import answered
 from longreach.bench_experiments.arm import Truth
 from longreach.bench_experiments.cases import NAMES, Key, draw
 from longreach.bench_experiments.recorded import executed
-from recording.content import Recording
 
 SURE = 0.95
 EXECUTED_STREAM = 77
@@ -70,7 +66,7 @@ def run_case(pair: str, seed: int) -> Outcome:
     """One draw of a pair, through to the second diagnosis. The proposal passes through JSON, as a machine gets it."""
     case = draw(pair, seed)
     truth = case.rig.truth
-    first = _answered(case.first)
+    first = answered(case.first)
     proposal = json.loads(json.dumps(first["next_experiment"]))
     proposed = proposal.get("execute") is not None
     separates = {(one["name"], one["joint"]) for one in proposal["separates"]} if proposed else set()
@@ -79,7 +75,7 @@ def run_case(pair: str, seed: int) -> Outcome:
     if proposed:
         rng = np.random.default_rng([seed, EXECUTED_STREAM])
         second = executed(case.rig, experiment_of(proposal["execute"]), rng)
-        both = _answered(together([case.first, second]))
+        both = answered(together([case.first, second]))
     return Outcome(
         pair,
         seed,
@@ -101,13 +97,6 @@ def run_case(pair: str, seed: int) -> Outcome:
             for one in (both["hypotheses"] or [{"effects": []}])[0]["effects"]
         ],
     )
-
-
-def _answered(recording: Recording) -> dict[str, Any]:
-    whole = examine(recording, Path("bench"))
-    if not whole.usable:
-        raise RuntimeError("; ".join(str(one) for one in whole.findings))
-    return answer(diagnose(whole))
 
 
 def apart(result: dict[str, Any], truth: Truth, rivals: set[Key]) -> float:

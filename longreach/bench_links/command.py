@@ -1,6 +1,6 @@
 """`longreach bench links`."""
 
-import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +11,7 @@ from rich.table import Table
 from longreach.bench_links.cases import KINDS
 from longreach.bench_links.run import Outcome, run_case
 from longreach.reproduce.summary import share
-from longreach.saved_lines import open_to_add, whole_lines
+from longreach.saved_lines import Line, run_saved
 
 console = Console(width=150)
 HEADINGS = ("case", "N", "exact", "95 %", "refused", "something false", "sizes within their limits")
@@ -25,21 +25,16 @@ def links(
     ),
 ) -> None:
     """Six joints behind links that jitter, drift, lose and delay, logged every 1 to 10 ms: is only the fault named?"""
-    folder.mkdir(parents=True, exist_ok=True)
-    file = folder / "links.jsonl"
-    known = {one.seed: one for one in whole_lines(file, lambda text: Outcome(**json.loads(text)))}
-    out: list[Outcome] = []
-    with open_to_add(file) as lines:
-        for number in range(seed, seed + n):
-            one = known.get(number)
-            if one is None:
-                one = run_case(number)
-                lines.write(one.to_line() + "\n")
-                lines.flush()
-                result = "exact" if one.exact else f"{one.verdict}: {one.told} for {one.true}"
-                console.print(f"{len(out) + 1} of {n}, seed {number}, {one.kind}: {result}")
-            out.append(one)
-    tell(out)
+    lines = run_saved(folder / "links.jsonl", range(seed, seed + n), _told, console, "recordings")
+    tell([Outcome(**{name: value for name, value in line.items() if name != "key"}) for line in lines])
+
+
+def _told(seed: int) -> Line:
+    """One case, told as soon as it is there."""
+    one = run_case(seed)
+    result = "exact" if one.exact else f"{one.verdict}: {one.told} for {one.true}"
+    console.print(f"seed {seed}, {one.kind}: {result}")
+    return asdict(one)
 
 
 def tell(outcomes: list[Outcome]) -> None:

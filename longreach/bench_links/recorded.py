@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.effects.dynamics import actuators_of, drive_by_sent, simulate
+from machine.effects.dynamics import Traces, actuators_of, drive_by_sent, simulate
 from machine.effects.entries import EffectEntry, pack
 from machine.rotations import Array
 from recording.content import Recording
@@ -60,27 +60,13 @@ def over(link: Link, effects: tuple[EffectEntry, ...] = (), seed: int = 1) -> Re
     segments = []
     for number, kind in enumerate(KINDS):
         start, first = number * (SEGMENT_S + 1.0), 1 + 20000 * number
-        q = _command(kind, np.maximum(t_s, 0.0))
+        q = command(kind, np.maximum(t_s, 0.0))
         which, when = arrived(link, t_s, rng)
         traces = simulate(plant, pack(effects, JOINTS), drive_by_sent(plant, when, q[which], 0.0, cycles))
         enc = traces.enc[0] + rng.normal(0.0, NOISE_RAD, traces.enc[0].shape)
-        t_log = plant.log_cycle_s * np.arange(len(enc))
+        t_log = plant.log_cycle_s * np.arange(len(enc), dtype=np.float64)
         seen = which[np.searchsorted(when, t_log + 1e-9, side="right") - 1]
-        logged += [
-            PlcState(
-                t_plc_s=float(start + t),
-                seq_received=int(first + k),
-                q_ref_rad=tuple(ref.tolist()),
-                qd_ref_rad_s=(),
-                q_rad=tuple(q_enc.tolist()),
-                u_frac=tuple(u.tolist()),
-                p_a_pa=(),
-                p_b_pa=(),
-                p_supply_pa=float("nan"),
-                t_oil_c=float("nan"),
-            )
-            for t, k, ref, q_enc, u in zip(t_log, seen, traces.ref[0], enc, traces.u[0], strict=True)
-        ]
+        logged += logged_rows(start + t_log, first + seen, traces, enc)
         stamps = OFFSET_S + (start + t_s) * (1.0 + link.drift)
         sent += [Sent(float(t), first + k, tuple(q[k].tolist())) for k, t in enumerate(stamps)]
         end = start + SEGMENT_S - plant.log_cycle_s
@@ -90,7 +76,26 @@ def over(link: Link, effects: tuple[EffectEntry, ...] = (), seed: int = 1) -> Re
     return Recording("folder", info, machine, (*sent, *logged))
 
 
-def _command(kind: str, t: Array) -> Array:
+def logged_rows(t_plc_s: Array, seq: NDArray[np.int64], traces: Traces, enc: Array) -> list[Row]:
+    """The PLC's rows at t_plc_s (m,), with the last datagram's number (m,) and what the encoders showed (m, n)."""
+    return [
+        PlcState(
+            t_plc_s=float(t),
+            seq_received=int(number),
+            q_ref_rad=tuple(ref.tolist()),
+            qd_ref_rad_s=(),
+            q_rad=tuple(q_enc.tolist()),
+            u_frac=tuple(u.tolist()),
+            p_a_pa=(),
+            p_b_pa=(),
+            p_supply_pa=float("nan"),
+            t_oil_c=float("nan"),
+        )
+        for t, number, ref, q_enc, u in zip(t_plc_s, seq, traces.ref[0], enc, traces.u[0], strict=True)
+    ]
+
+
+def command(kind: str, t: Array) -> Array:
     """A command (m, 6) [rad] that starts and ends at rest."""
     fade = np.clip(np.minimum(t, SEGMENT_S - t) / 1.0, 0.0, 1.0)[:, None]
     if kind == "steps":

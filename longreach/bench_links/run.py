@@ -1,12 +1,8 @@
 """One case: made, diagnosed without its truth, and compared with it."""
 
-import json
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
-from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
-from diagnosis.reading import examine
+from longreach.answered import answered
 from longreach.bench_links.cases import draw
 from longreach.bench_links.recorded import over
 
@@ -43,18 +39,11 @@ class Outcome:
         """Whether something was claimed that is not there."""
         return self.verdict == "effects" and any(one not in self.true for one in self.told)
 
-    def to_line(self) -> str:
-        """For a JSON-lines file."""
-        return json.dumps(asdict(self))
-
 
 def run_case(seed: int) -> Outcome:
     """The case of a seed, through to its answer."""
     case = draw(seed)
-    whole = examine(over(case.link, case.effects, seed), Path("bench"))
-    if not whole.usable:
-        raise RuntimeError("; ".join(str(one) for one in whole.findings))
-    found = answer(diagnose(whole))
+    found = answered(over(case.link, case.effects, seed))
     top = found["hypotheses"][0]["effects"] if found["hypotheses"] else []
     sizes = {(one.name, one.joint): dict(one.values) for one in case.effects}
     sizes["transport_delay", None] = {"delay_s": case.link.delay_s}

@@ -5,30 +5,24 @@ from pathlib import Path
 
 import numpy as np
 
+from longreach.bench_links.recorded import (
+    MACHINE_TOML,
+    NOISE_RAD,
+    OFFSET_S,
+    PLANT,
+    SEGMENT_S,
+    command,
+    logged_rows,
+)
 from machine.description import parse_machine_toml
-from machine.effects.dynamics import Actuators, actuators_of, drive_by_sent, simulate
+from machine.effects.dynamics import Actuators, drive_by_sent, simulate
 from machine.effects.entries import EffectEntry, pack
 from recording.content import Recording
 from recording.folder import write_folder
-from recording.rows import PlcState, Row, Sent
+from recording.rows import Row, Sent
 from recording.run import RunInfo, Segment
 
-MACHINE_TOML = (Path(__file__).parents[3] / "machine" / "machines" / "hiab033.toml").read_text(encoding="utf-8")
 MACHINE = parse_machine_toml(MACHINE_TOML)
-PLANT = actuators_of(MACHINE)
-Q_START = np.array([0.3, 0.5, -1.0, 0.2, 0.8, -0.4])
-OFFSET_S = 5.0  # t_pc = t_plc + 5 s
-NOISE_RAD = 2e-5
-SEGMENT_S = 12.0
-
-
-def reference(kind: str, t: np.ndarray) -> np.ndarray:
-    """A command (m, 6) [rad] that starts and ends at rest."""
-    rates = np.array([1.3, 0.9, 1.1, 1.9, 1.6, 2.2])
-    fade = np.clip(np.minimum(t, SEGMENT_S - t) / 1.0, 0.0, 1.0)[:, None]
-    if kind == "steps":
-        return Q_START + fade * 0.05 * np.sign(np.sin(t[:, None] * rates))
-    return Q_START + fade * 0.08 * (np.sin(t[:, None] * rates) + 0.3 * np.sin(3.7 * t[:, None] * rates))
 
 
 def run_segment(
@@ -42,26 +36,12 @@ def run_segment(
     """Sent and logged rows of one segment on the PLC's clock from t_start."""
     cycles = round(SEGMENT_S / PLANT.cycle_s)
     t_cycle = PLANT.cycle_s * np.arange(cycles)
-    sent = reference(kind, t_cycle[::4])
+    sent = command(kind, t_cycle[::4])
     traces = simulate(plant, pack(effects, 6), drive_by_sent(plant, t_cycle[::4], sent, 0.0, cycles))
     enc = traces.enc[0] + rng.normal(0.0, noise_rad, traces.enc[0].shape)
     t_log = t_start + PLANT.log_cycle_s * np.arange(len(enc))
     first = 1 + round(t_start * 1000)
-    logged: list[Row] = [
-        PlcState(
-            t_plc_s=float(t_log[k]),
-            seq_received=first + (k * 10) // 4,
-            q_ref_rad=tuple(traces.ref[0, k].tolist()),
-            qd_ref_rad_s=(),
-            q_rad=tuple(enc[k].tolist()),
-            u_frac=tuple(traces.u[0, k].tolist()),
-            p_a_pa=(),
-            p_b_pa=(),
-            p_supply_pa=float("nan"),
-            t_oil_c=float("nan"),
-        )
-        for k in range(len(enc))
-    ]
+    logged = logged_rows(t_log, first + (10 * np.arange(len(enc))) // 4, traces, enc)
     posted: list[Row] = [
         Sent(float(t_start + 0.004 * i + OFFSET_S), first + i, tuple(sent[i].tolist())) for i in range(len(sent))
     ]

@@ -5,11 +5,12 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from diagnosis_cases import MACHINE, MACHINE_TOML, Q_START
+from diagnosis_cases import MACHINE, MACHINE_TOML
 
 from diagnosis.nominal import nominal_of
 from diagnosis.stretches import Stretch
 from diagnosis.tables import MarkerTable, Tables
+from longreach.bench_links.recorded import Q_START
 from longreach.simulated_shrink.seen import about_their_mean, eyes_of, object_places
 from machine.chain import chain_of
 from machine.effects.entries import EffectEntry
