@@ -162,7 +162,9 @@ def _candidates(
         found = read_off(found, tuple(one.stretch for one in prepared))
         plant = replayer.plant
         cycles = (plant.cycle_s, plant.transport_delay_s)
-        found = tuple(replace(one, cycles=cycles) if one.name == "transport_delay" else one for one in found)
+        drift_s = max(0.0 if one.stretch.sent is None else one.stretch.sent.drift_s for one in prepared)
+        delay = {"cycles": cycles, "drift_s": drift_s}
+        found = tuple(replace(one, **delay) if one.name == "transport_delay" else one for one in found)
     if stage == "controller":
         found = reached(found, tuple(one.stretch for one in prepared))
     if stage == "actuator":

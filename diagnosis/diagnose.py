@@ -134,7 +134,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         if stage == "link":
             stretches = on_their_line(stretches, replayer, base, course)
         searches += found
-    one_by_one, together = merged_cells(replayer, stretches, base)
+    one_by_one, together = merged_cells(replayer, stretches, base, course)
     merged = [_worth_a_name(one) for one in _searched(without(fitting(one_by_one, nominal), unseen), progress)]
     return searches + _with_coupling(merged, together if DROOP not in lacking else None)
 

@@ -21,6 +21,7 @@ NEAR = 0.1  # of the range: within it limits are looked for more closely
 FAR = 30.0  # standard deviations
 REFITS = 2
 WAIT_90 = 0.68  # of a PLC cycle: the difference of two waits for the next one, with this delay and the nominal one
+WAITED = 1.0  # of a PLC cycle: datagrams sent when a cycle begins wait for the next one after any part of one
 OFFSETS = np.concatenate([-np.geomspace(FAR, 0.3, 8), np.geomspace(0.3, FAR, 8)])  # in standard deviations
 
 
@@ -40,7 +41,8 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
            frequency that trade off lie along a curve. Tried out to the ends of the range.
            With the others held it is as much narrower as the number's standard deviation is: the wider of the two.
            Beside a baseline that left something, the form of a name may be wrong by a share of all it gains, and so may
-           its size. A counted share has chance's limits; a delay is known to the wait for the PLC's next cycle.
+           its size. A counted share has chance's limits. A delay is known to the wait for the PLC's next cycle, and
+           with clocks that run apart to what it is at the other end of the recording.
     """
     if found.k == 0:
         return ()
@@ -57,9 +59,12 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
             out.append(_of_share(float(found.theta[k]), owner.counted))
             continue
         held, free = _intervals(cell, found, k, float(np.sqrt(variances[k] * spread)), allowed, spread)
-        wait = WAIT_90 * owner.cycles[0] if owner.cycles is not None else 0.0
-        below = max(float(wider[k]) * (held.value - held.low), free.value - free.low, wait)
-        above = max(float(wider[k]) * (held.high - held.value), free.high - free.value, wait)
+        below = max(float(wider[k]) * (held.value - held.low), free.value - free.low)
+        above = max(float(wider[k]) * (held.high - held.value), free.high - free.value)
+        if owner.cycles is not None:
+            cycle_s = owner.cycles[0]
+            below, above = below + WAITED * cycle_s, max(above, WAIT_90 * cycle_s)
+            below, above = (below, above + owner.drift_s) if held.value > 0.0 else (below + owner.drift_s, above)
         out.append(
             Interval(held.value, max(float(low[k]), held.value - below), min(float(high[k]), held.value + above))
         )

@@ -44,11 +44,22 @@ class Prepared:
 
 
 @dataclass(frozen=True, slots=True)
-class _Commands:
-    """What a controller would do at every PLC cycle (cycles, n); None where each cycle is logged, or nothing is known.
+class References:
+    """The received reference at every PLC cycle (cycles, n), and what else it may have been between logged rows.
 
-    `own`: to the reference as it is taken to be. `others`: to one that stood still between logged rows; where what was
-    sent is known, to one a cycle later, and one a cycle earlier. `jumped`: to one whose jumps come as late as they may.
+    `others`: one that stood still from row to row; where what was sent is known, one a cycle later, and one a cycle
+    earlier. `jumped`: one whose jumps come as late as they may; None where nothing is in doubt.
+    """
+
+    own: Array
+    others: tuple[Array, ...] = ()
+    jumped: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Commands:
+    """What a controller would do of its `References` at every PLC cycle (cycles, n); None where each cycle is logged,
+    or nothing is known.
     """
 
     own: Array | None
@@ -88,8 +99,16 @@ class Replayer:
             return out
         commands = _Commands(None)
         if ref is not None and ref_fine is not None and self.nominal.has_controller:
-            commands = self._commands(out, (ref, ref_fine, enc, u), known)
+            commands = self._commands(out, self._references(out, ref, ref_fine, known), (enc, u), known)
         return self._valves(out, enc, u, commands)
+
+    def references(self, stretch: Stretch, course: ParameterSets | None = None) -> References | None:
+        """What the PLC received; None where it was not logged. `course`: see `prepare`."""
+        if stretch.ref is None:
+            return None
+        known = neutral_sets(self.nominal.n) if course is None else course
+        out, ref = Prepared(self.at_rate(stretch.dt_s), {}, stretch), filled(stretch.ref)
+        return self._references(out, ref, self._reference(out, ref, known), known)
 
     def _reference(self, out: Prepared, ref: Array, known: ParameterSets) -> Array:
         """The received reference at every PLC cycle; the link's drive goes to `out` where what was sent is known."""
@@ -106,34 +125,35 @@ class Replayer:
         drive = _link_drive(out, sent, moved)
         return _through(plant, ref, self._fine("link", plant, drive, known))
 
-    def _commands(self, out: Prepared, signals: tuple[Array, Array, Array, Array], known: ParameterSets) -> _Commands:
-        """The controller's courses from reference (logged, fine), encoders and commands; its drives go to `out`."""
-        plant = out.plant
-        ref, ref_fine, enc, u = signals
+    def _references(self, out: Prepared, ref: Array, fine: Array, known: ParameterSets) -> References:
+        """From the logged rows (rows, n) and their course (cycles, n)."""
+        plant, sent = out.plant, out.stretch.sent
+        if plant.decimate == 1 or (sent is not None and sent.unsure_s == 0.0):
+            return References(fine)
+        if sent is None:
+            return References(fine, (held_rows(plant, ref),), late_jumps(plant, ref, fine))
+        others = [self._shifted(out, sent, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
+        by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
+        return References(fine, tuple(others), self._shifted(out, sent, ref, known, by_s))
+
+    def _commands(
+        self, out: Prepared, references: References, signals: tuple[Array, Array], known: ParameterSets
+    ) -> _Commands:
+        """The controller's courses from references, encoders and commands; its drives go to `out`."""
+        plant, (enc, u) = out.plant, signals
         seen = smooth(plant, enc)
 
         def driven(course: Array) -> tuple[Drive, Array | None]:
             drive = drive_controller(plant, course, seen, u[0], fine=True)
             return drive, self._fine("controller", plant, drive, known)
 
-        out.drives["controller"], own = driven(ref_fine)
-        if plant.decimate == 1:
-            return _Commands(own)
-        sent = out.stretch.sent
-        if sent is not None and sent.unsure_s == 0.0:
-            return _Commands(own)
-        if sent is not None:
-            others = [self._shifted(out, sent, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
-            out.others["controller"] = tuple(others)
-            by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
-            out.late["controller"], jumped = driven(self._shifted(out, sent, ref, known, by_s))
-            return _Commands(own, tuple(driven(one)[1] for one in others), jumped)
-        _, held = driven(held_rows(plant, ref))
-        ref_late = late_jumps(plant, ref, ref_fine)
-        if ref_late is None:
-            return _Commands(own, (held,))
-        out.late["controller"], jumped = driven(ref_late)
-        return _Commands(own, (held,), jumped)
+        out.drives["controller"], own = driven(references.own)
+        if out.stretch.sent is not None and references.others:
+            out.others["controller"] = references.others
+        jumped = None
+        if references.jumped is not None:
+            out.late["controller"], jumped = driven(references.jumped)
+        return _Commands(own, tuple(driven(one)[1] for one in references.others), jumped)
 
     def _valves(self, out: Prepared, enc: Array, u: Array, commands: _Commands) -> Prepared:
         """With the actuators' drive, and with the other courses that the commands may have taken."""

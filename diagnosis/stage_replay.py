@@ -13,7 +13,7 @@ from diagnosis.side_by_side import side_by_side
 from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
 from machine.effects.dynamics import Actuators, Drive, DynamicStage, simulate
-from machine.effects.kernel import BREAKAWAY
+from machine.effects.kernel import BREAKAWAY, LAG
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.rotations import Array
 
@@ -33,6 +33,8 @@ class Part:
 
     `between`: (m, joints) each, how far another guess of the input's course between logged rows drives the increments
     apart; `unsure`: (m, joints), the same of jumps that each may be anywhere in its row; None where no row hides one.
+    `slower`: (m, joints), the same of valves that are TIMING_S slower, where the joints' loops run through them; None
+    where the valve commands are known: what is late there comes late, and no more.
     `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
     course (m,); empty, or None, where nothing is.
     """
@@ -43,6 +45,7 @@ class Part:
     stretch: Stretch
     between: tuple[Array, ...] = ()
     unsure: Array | None = None
+    slower: Array | None = None
     moved: tuple[Callable[[Array], Array] | None, ...] = ()
 
 
@@ -91,6 +94,8 @@ class Replay:
         sent = part.stretch.sent
         least, most = (-1.0, 1.0) if sent is None else (-min(1.0, sent.unsure_s / part.plant.cycle_s), 0.0)
         guesses = [(one[None], least, most) for one in part.between]  # of what was sent: one to either side
+        if part.slower is not None:
+            guesses.append((part.slower[None], -1.0, 1.0))
         if self.stage == "actuator":
             guesses.append((shift, -TIMING_S, TIMING_S))
         if guesses:
@@ -114,24 +119,22 @@ def _excused(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
     """Residuals without what the log's own coarseness can explain, per set and joint.
 
     Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
-    the command's course is a guess. At most once the difference of two guesses, and a shift of at most TIMING_S, are
-    no effects: each column with its least and its most amount. Solved in turn (Gauss-Seidel), the courses first: what
-    both can explain is theirs.
+    the command's course is a guess. At most once the difference of two guesses, and a shift of at most TIMING_S (of
+    the encoders, and in a loop that is run as a whole of the valve in it), are no effects: each column with its least
+    and its most amount. Solved in turn (Gauss-Seidel), the courses first: what both can explain is theirs.
     """
-    amounts = [np.zeros_like(white[:, :1]) for _ in columns]
-    left = white
+    products = [[(a * b).sum(axis=1) for b, _, _ in columns] for a, _, _ in columns]
+    wanted = [-(column * white).sum(axis=1) for column, _, _ in columns]
+    amounts = [np.zeros_like(one) for one in wanted]
     for _ in range(PASSES):
-        for k, (column, least, most) in enumerate(columns):
-            wanted = np.clip(amounts[k] - _share(left, column), least, most)
-            left = left + (wanted - amounts[k]) * column
-            amounts[k] = wanted
+        for k, (_, least, most) in enumerate(columns):
+            others = sum(products[k][i] * amounts[i] for i in range(len(columns)) if i != k)
+            power = np.where(products[k][k] > TINY, products[k][k], np.inf)
+            amounts[k] = np.clip((wanted[k] - others) / power, least, most)
+    left = white
+    for amount, (column, _, _) in zip(amounts, columns, strict=True):
+        left = left + amount[:, None] * column
     return left
-
-
-def _share(white: Array, column: Array) -> Array:
-    """Least-squares amount of a column in the residual, (sets, 1, joints)."""
-    power = (column**2).sum(axis=1, keepdims=True)
-    return (column * white).sum(axis=1, keepdims=True) / np.where(power > TINY, power, np.inf)
 
 
 def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array, Array]:
@@ -184,11 +187,20 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
         )
         return own - part_increments(stage, other, neutral_sets(len(joints)))[0][0]
 
+    signal = "u" if drive.first is DynamicStage.ACTUATOR else "ref"
     jumped = one.late.get(stage)
-    unsure = None if jumped is None else apart(u=jumped.u) if stage == "actuator" else apart(ref=jumped.ref)
-    others = one.others.get(stage, ())
-    between = tuple(apart(u=course) if stage == "actuator" else apart(ref=course) for course in others)
-    return replace(part, between=between, unsure=unsure)
+    unsure = None if jumped is None else apart(**{signal: getattr(jumped, signal)})
+    between = tuple(apart(**{signal: course}) for course in one.others.get(stage, ()))
+    slower = None
+    if stage == "actuator" and drive.first < DynamicStage.ACTUATOR:
+        slower = own - part_increments(stage, part, _late_valves(len(joints)))[0][0]
+    return replace(part, between=between, unsure=unsure, slower=slower)
+
+
+def _late_valves(joints: int) -> ParameterSets:
+    sets = neutral_sets(joints)
+    sets.joint[..., LAG] = TIMING_S
+    return sets
 
 
 def by_steps(part: Part) -> Array:

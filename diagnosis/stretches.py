@@ -91,6 +91,7 @@ class Sent:
     judged: NDArray[np.bool_] | None = None
     within_s: Array | None = None
     unsure_s: float = 0.0
+    drift_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,6 +318,7 @@ def _sent(tables: Tables, came: Arrivals | None, t_plc_s: Array) -> Sent | None:
         None if came.judged is None else came.judged[good][order],
         np.stack([came.earliest_s, came.latest_s])[:, good][:, order],
         came.unsure_s,
+        abs(came.rate) * float(np.ptp(t[np.isfinite(t)])),
     )
 
 

@@ -63,8 +63,8 @@ def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets
         return None
     stretch = _foretold(whole, replayer, motion, truth)
     merge = merge_of(whole.stretches)
-    if merge is not None and cell.joint is None and cell.stage == "actuator":
-        prepared = merged(replayer, stretch, merge)
+    if merge is not None and cell.stage == "actuator":
+        prepared = merged(replayer, stretch, merge, cell.base)
     else:
         prepared = replayer.prepare(stretch, cell.base)
     if prepared is None or replay.stage not in prepared.drives:

@@ -39,6 +39,11 @@ class Link:
     sent_ms: int = 4
     log_cycles: int = 10
 
+    @property
+    def usual_delay_s(self) -> float:
+        """What half of the datagrams take at most."""
+        return self.delay_s + float(np.log(2.0)) * self.jitter_s
+
 
 def arrived(link: Link, t_s: Array, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
     """Which of the datagrams sent at t_s (k,) come, and when."""

@@ -46,7 +46,7 @@ def run_case(seed: int) -> Outcome:
     found = answered(over(case.link, case.effects, seed))
     top = found["hypotheses"][0]["effects"] if found["hypotheses"] else []
     sizes = {(one.name, one.joint): dict(one.values) for one in case.effects}
-    sizes["transport_delay", None] = {"delay_s": case.link.delay_s}
+    sizes["transport_delay", None] = {"delay_s": case.link.usual_delay_s}
     held = [
         told["low"] <= sizes[one["name"], one["joint"]][name] <= told["high"]
         for one in top

@@ -9,6 +9,7 @@ from diagnosis_cases import changed, recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
+from diagnosis.limits import WAIT_90
 from diagnosis.reading import examine
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
@@ -29,12 +30,14 @@ def named(*effects: EffectEntry) -> dict[tuple[str, int | None], dict[str, Any]]
 
 @pytest.mark.parametrize("delay_s", [0.0234, pytest.param(0.03, marks=pytest.mark.slow)])
 def test_a_delay_that_rows_leave_by_a_cycle_makes_no_gain_of_quiet_joints(delay_s: float) -> None:
-    """Of 29 to 30 ms any is as good in the logged references; half a percent of flow on three joints had come of it."""
+    """Of 29 to 30 ms any is as good in the logged references, and each may be the end of a cycle's wait; half a percent
+    of flow on three joints had come of it.
+    """
     found = named(entry("transport_delay", None, delay_s=delay_s))
     assert list(found) == [("transport_delay", None)]
     delay = found["transport_delay", None]["delay_s"]
     assert delay["low"] <= delay_s <= delay["high"]
-    assert delay["high"] - delay["low"] < 0.002
+    assert delay["high"] - delay["low"] < 0.002 + WAIT_90 * 0.001
 
 
 def test_a_rounded_reference_is_seen_beside_a_long_delay() -> None:

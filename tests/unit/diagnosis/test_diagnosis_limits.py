@@ -49,8 +49,10 @@ def test_a_curved_valley_is_followed_to_its_end() -> None:
 def test_a_delay_is_known_to_the_wait_for_the_next_cycle() -> None:
     cell = made_up((0.0, 0.0, 0.2))
     (lag,) = named(("valve_lag",), (1,))
-    sharp, whole = (
-        intervals(cell, fit(cell, (one,), np.array([0.1])), 1.0)[0] for one in (lag, replace(lag, cycles=(0.05, 0.0)))
-    )
+    kinds = (lag, replace(lag, cycles=(0.05, 0.0)), replace(lag, cycles=(0.05, 0.0), drift_s=0.02))
+    sharp, whole, drifting = (intervals(cell, fit(cell, (one,), np.array([0.1])), 1.0)[0] for one in kinds)
     assert sharp.high - sharp.low < 0.05
-    assert whole.high - whole.low == pytest.approx(2.0 * WAIT_90 * 0.05)
+    assert whole.high - whole.value == pytest.approx(WAIT_90 * 0.05)
+    assert 0.05 < whole.value - whole.low < 0.1
+    assert drifting.high - drifting.value == pytest.approx(WAIT_90 * 0.05 + 0.02)
+    assert drifting.low == whole.low
