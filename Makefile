@@ -24,9 +24,12 @@ demo: $(VENV)/run.stamp  ## simulated machine, server and panel; prints the addr
 # One thread each: workers that share the cores wait for each other's BLAS threads.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
+# Real processes in real time; all else is pure or in virtual time.
+REAL := tests/system tests/loop/test_link_process.py tests/loop/test_relay_udp.py
+
 test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores, then those with real processes one by one
-	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile --ignore tests/loop --ignore tests/system
-	$(BIN)/python -m pytest -m "not slow" --durations 20 tests/loop tests/system
+	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile $(REAL:%=--ignore %)
+	$(BIN)/python -m pytest -m "not slow" --durations 20 $(REAL)
 
 test-slow: $(VENV)/dev.stamp  ## compose, long drills
 	$(BIN)/python -m pytest -m slow

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from diagnosis.frame_descent import FLAT, descended
 from machine.poses import pose
-from machine.rotations import Array, skew
+from machine.rotations import Array, rotation_from_rotvec, skew
 
 TRIED, SETTLED = 8, 40  # steps from every start, and from the best of them
 POLISHED = 3
@@ -59,7 +59,7 @@ def frame_and_places(
     tt = np.linalg.pinv(H[9:, 9:], rcond=FLAT, hermitian=True)
     form = Form(H[:9, :9] - H[:9, 9:] @ tt @ H[9:, :9], b[:9] - H[:9, 9:] @ tt @ b[9:])
     found = best_rotation(form)
-    r = _columns(found[None])[0]
+    r = found.T.ravel()
     t = tt @ (b[9:] - H[9:, :9] @ r)
     out = places.copy()
     for k, (D, e) in on_link.items():
@@ -72,43 +72,24 @@ def best_rotation(form: Form) -> Array:
     """The rotation (3, 3) of the least sum of squares: damped Gauss-Newton from the cube's 24, the best to its end."""
     R, value = descended(form.Q, form.g, STARTS, TRIED)
     best, _ = descended(form.Q, form.g, R[np.argmin(value)][None], SETTLED)
-    return _polished(form, best)[0]
+    return _polished(form, best[0])
 
 
 def _polished(form: Form, R: Array) -> Array:
-    """Rotations (s, 3, 3) by plain Newton steps: values of the form no longer tell which is better there.
+    """A rotation (3, 3) by plain Newton steps: values of the form no longer tell which is better there.
 
     Why: a residual that is left makes Gauss-Newton slow, and derivatives of the fit are taken by small differences.
     """
     twice = np.einsum("aij,bjk->abik", GENERATORS, GENERATORS)
     twice = 0.5 * (twice + twice.transpose(1, 0, 2, 3))
     for _ in range(POLISHED):
-        J = _turning(R)
-        pull = _columns(R) @ form.Q - form.g
-        M = pull.reshape(len(R), 3, 3).transpose(0, 2, 1)
-        A = np.einsum("sia,ij,sjb->sab", J, form.Q, J) + np.einsum("sik,abij,sjk->sab", M, twice, R)
-        known = np.linalg.eigvalsh(A)[:, 0] > FLAT * np.trace(A, axis1=1, axis2=2)
-        if not known.all():
+        J = np.einsum("aij,jk->kia", GENERATORS, R).reshape(9, 3)
+        pull = form.Q @ R.T.ravel() - form.g
+        A = J.T @ form.Q @ J + np.einsum("ik,abij,jk->ab", pull.reshape(3, 3).T, twice, R)
+        if np.linalg.eigvalsh(A)[0] <= FLAT * np.trace(A):
             break
-        R = _turns(-np.linalg.solve(A, np.einsum("sia,si->sa", J, pull)[:, :, None])[:, :, 0]) @ R
+        R = rotation_from_rotvec(-np.linalg.solve(A, J.T @ pull)) @ R
     return R
-
-
-def _turns(w: Array) -> Array:
-    """Rotations (s, 3, 3) by rotation vectors (s, 3) [rad] (Rodrigues)."""
-    angle = np.linalg.norm(w, axis=1)[:, None, None]
-    W = np.einsum("sa,aij->sij", w, GENERATORS)
-    return np.eye(3) + np.sinc(angle / np.pi) * W + 0.5 * np.sinc(0.5 * angle / np.pi) ** 2 * W @ W
-
-
-def _turning(R: Array) -> Array:
-    """How the entries (s, 9, 3) of rotations change with a small turn about each axis."""
-    return np.einsum("aij,sjk->skia", GENERATORS, R).reshape(len(R), 9, 3)
-
-
-def _columns(R: Array) -> Array:
-    """Entries (s, 9) of rotations (s, 3, 3), column by column."""
-    return R.transpose(0, 2, 1).reshape(len(R), 9)
 
 
 def _cube() -> Array:

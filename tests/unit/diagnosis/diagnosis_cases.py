@@ -16,13 +16,21 @@ from longreach.bench_links.recorded import (
 )
 from machine.description import parse_machine_toml
 from machine.effects.dynamics import Actuators, drive_by_sent, simulate
-from machine.effects.entries import EffectEntry, pack
+from machine.effects.entries import EffectEntry, make_entry, pack
+from machine.effects.registry import effect_named
 from recording.content import Recording
 from recording.folder import write_folder
 from recording.rows import Row, Sent
 from recording.run import RunInfo, Segment
 
 MACHINE = parse_machine_toml(MACHINE_TOML)
+
+
+def entry(name: str, joint: int | None, **parameters: object) -> EffectEntry:
+    """An effect of the catalogue with these numbers."""
+    effect = effect_named(name)
+    assert effect is not None
+    return make_entry(effect, joint, parameters)
 
 
 def run_segment(

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis_cases import MACHINE_TOML
+from diagnosis_cases import MACHINE_TOML, entry
 from scipy.signal import lfilter
 from test_diagnosis_search import made_up
 
@@ -19,21 +19,15 @@ from diagnosis.nominal import nominal_of
 from diagnosis.search import search
 from longreach.fit_baseline import with_baseline
 from machine.description import parse_machine_toml
-from machine.effects.entries import entries_to_toml, make_entry, pack, parse_entries
+from machine.effects.entries import entries_to_toml, pack, parse_entries
 from machine.effects.layout import neutral_sets
-from machine.effects.registry import EFFECTS, effect_named
+from machine.effects.registry import EFFECTS
 from machine.effects.spec import Effect
 from machine.errors import MachineFileError
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
 
 REMAINDER = Remainder("actuator", 2, "", 1.5e-5, 4e-5, (0.7, -0.1), 1.8)
 OF_POINTS = Remainder("structure", None, "tracker", 1e-4, 2e-4, by_axis=(1e-4, 2e-4, 3e-4), swing_rad=4e-4)
-
-
-def entry(name: str, joint: int | None, **parameters: object):
-    effect = effect_named(name)
-    assert effect is not None
-    return make_entry(effect, joint, parameters)
 
 
 def test_a_machine_file_carries_its_baseline() -> None:

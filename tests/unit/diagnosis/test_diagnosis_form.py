@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import folder, recording
+from diagnosis_cases import entry, folder, recording
 from typer.testing import CliRunner
 
 from diagnosis.answer import judgement
@@ -21,8 +21,7 @@ from diagnosis.reading import Read, examine
 from diagnosis.responses import DAMPING, RESPONSES, SWINGS_HZ, responses
 from diagnosis.shapes.driven import Course
 from longreach.cli import app
-from machine.effects.entries import EffectEntry, make_entry
-from machine.effects.registry import effect_named
+from machine.effects.entries import EffectEntry
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
 
 KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
@@ -31,12 +30,6 @@ KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
 @cache
 def day(seed: int, *effects: EffectEntry) -> Read:
     return examine(recording(KINDS, effects, seed), Path(f"day {seed}"))
-
-
-def entry(name: str, joint: int, **sizes: float) -> EffectEntry:
-    effect = effect_named(name)
-    assert effect is not None
-    return make_entry(effect, joint, sizes)
 
 
 def actuator(whole: Read, joint: int) -> Cell:

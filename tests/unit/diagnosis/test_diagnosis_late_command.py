@@ -5,21 +5,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnosis_cases import changed, recording
+from diagnosis_cases import changed, entry, recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
 from diagnosis.limits import WAIT_90
 from diagnosis.reading import examine
-from machine.effects.entries import EffectEntry, make_entry
-from machine.effects.registry import effect_named
+from machine.effects.entries import EffectEntry
 from recording.rows import Sent
-
-
-def entry(name: str, joint: int | None, **parameters: object) -> EffectEntry:
-    effect = effect_named(name)
-    assert effect is not None
-    return make_entry(effect, joint, parameters)
 
 
 def named(*effects: EffectEntry) -> dict[tuple[str, int | None], dict[str, Any]]:

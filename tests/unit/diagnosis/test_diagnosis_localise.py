@@ -4,21 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import recording
+from diagnosis_cases import entry, recording
 
 from diagnosis.localise import excess, localise, merged_stages
 from diagnosis.reading import examine
 from diagnosis.regimes import regimes_of
 from diagnosis.replay import replayer_of
-from machine.effects.entries import EffectEntry, make_entry
+from machine.effects.entries import EffectEntry
 from machine.effects.layout import neutral_sets
-from machine.effects.registry import effect_named
-
-
-def entry(name: str, joint: int | None, **parameters: object) -> EffectEntry:
-    effect = effect_named(name)
-    assert effect is not None
-    return make_entry(effect, joint, parameters)
 
 
 def places(*effects: EffectEntry):

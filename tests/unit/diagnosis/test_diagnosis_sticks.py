@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import recording
+from diagnosis_cases import entry, recording
 
 from diagnosis.candidates import NARROW, named
 from diagnosis.cells import Cell
@@ -19,17 +19,10 @@ from diagnosis.refusal import tests_of as fired_tests
 from diagnosis.shapes.driven import Course
 from diagnosis.stage_replay import Replay
 from diagnosis.unlike import UNLIKE_NATS, marked, told_who_sticks
-from machine.effects.entries import EffectEntry, make_entry
-from machine.effects.registry import effect_named
+from machine.effects.entries import EffectEntry
 
 KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
 BREAKAWAY = 0.0873  # between two of the coarse sizes, and a valley that none of them lies in
-
-
-def entry(name: str, joint: int, **sizes: float) -> EffectEntry:
-    effect = effect_named(name)
-    assert effect is not None
-    return make_entry(effect, joint, sizes)
 
 
 def day(seed: int, *effects: EffectEntry) -> Read:
