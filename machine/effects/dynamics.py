@@ -195,6 +195,8 @@ def simulate(plant: Actuators, sets: ParameterSets, drive: Drive, last: DynamicS
         raise MachineError(f"parameters have shapes {sets.joint.shape}, {sets.machine.shape}; the plant has {n} joints")
     if last < drive.first:
         raise MachineError(f"a run cannot begin at stage {drive.first.name} and end at {last.name}; swap them")
+    if drive.first is DynamicStage.LINK and last is DynamicStage.CONTROLLER:
+        raise MachineError("a controller behind the link needs the encoders; begin at CONTROLLER, or end at ACTUATOR")
     rows = (drive.cycles - 1) // plant.decimate + 1
     traces = Traces(*(np.empty((sets.sets, rows, n)) for _ in range(4)))
     kernel.run(

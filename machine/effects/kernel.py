@@ -32,6 +32,12 @@ FREE = 8  # numbers of two free swings over one cycle
 RESTICK_SHARE = 0.2  # of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
 LOSS_STREAM = 0x7061636B65745F6C  # "packet_l": the stream of packet_loss
 
+Late = tuple[int, float]  # by so many whole cycles, and part of one
+Gains = tuple[float, float, float]  # 1 / (1 - dead band), and the flow gain out and back [rad/s]
+Clock = tuple[float, int, int]  # cycle [s], steps in it, cycles in a logged row
+Signals = tuple[Array, NDArray[np.int64], Array, Array, Array]  # sent, latest, ref, enc, u
+Traced = tuple[Array, Array, Array, Array]  # ref, u, enc, link (rows, joints)
+
 
 @njit(cache=True, inline="always")
 def _uniform(i: int, seed: int) -> float:
@@ -103,13 +109,42 @@ def _swing(w: float, damping: float, dt: float, out: Array) -> None:
 
 
 @njit(cache=True, inline="always")
-def _flow(x: float, inverse_span: float, gain_up: float, gain_down: float, p: Array, load: float) -> float:
+def _between(later: float, earlier: float, part: float) -> float:
+    """A reference that is late by part of a cycle: on the way from the one of the cycle before."""
+    return (1.0 - part) * later + part * earlier if part > 0.0 else later
+
+
+@njit(cache=True, inline="always")
+def _received(target: float, ref: float, step: float, most: float) -> float:
+    """The reference after rounding to `step`, and no further than `most` from the one before."""
+    if step > 0.0:
+        target = np.round(target / step) * step
+    if target - ref > most:
+        return ref + most
+    if ref - target > most:
+        return ref - most
+    return target
+
+
+@njit(cache=True, inline="always")
+def _moving(moving: float, x: float, breakaway: float) -> float:
+    """Which way a joint moves that sticks until its spool is open by more than the breakaway command; 0: it sticks."""
+    if moving != 0.0 and (x * moving <= 0.0 or abs(x) <= RESTICK_SHARE * breakaway):
+        moving = 0.0
+    if moving == 0.0 and abs(x) > breakaway:
+        moving = 1.0 if x > 0.0 else -1.0
+    return moving
+
+
+@njit(cache=True, inline="always")
+def _flow(x: float, deadband: float, gains: Gains, droop: float, load: float) -> float:
     """Speed of a spool opening: dead band, flow gain by sign, droop by load."""
-    opening = abs(x) - p[DEADBAND]
+    inverse_span, gain_up, gain_down = gains
+    opening = abs(x) - deadband
     if opening <= 0.0:
         return 0.0
-    droop = max(1.0 + p[DROOP] * load, 0.0) if x > 0.0 else max(1.0 - p[DROOP] * load, 0.0)
-    return opening * inverse_span * gain_up * droop if x > 0.0 else -opening * inverse_span * gain_down * droop
+    share = max(1.0 + droop * load, 0.0) if x > 0.0 else max(1.0 - droop * load, 0.0)
+    return opening * inverse_span * gain_up * share if x > 0.0 else -opening * inverse_span * gain_down * share
 
 
 @njit(cache=True, inline="always")
@@ -167,105 +202,192 @@ def run(
     enc_out: Array,
     link_out: Array,
 ) -> None:
-    """Run stages `first`..`last` of every parameter set over the PLC's cycles; see `machine.effects.dynamics`."""
-    sets, n = joint.shape[0], joint.shape[1]
-    cycles = max(latest.shape[0], ref_in.shape[0], u_in.shape[0], enc_in.shape[0])
-    dt = cycle_s / substeps
-    ref, lagged, u = np.zeros(n), np.zeros(n), np.zeros(n)
-    play, slow, spool, spool_d, speed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
-    moving, q, enc = np.zeros(n), np.zeros(n), np.zeros(n)
-    behind = np.zeros((n, BEHIND))
-    pt1, slow_share, span = np.zeros(n), np.zeros(n), np.zeros(n)
-    up, down, swing = np.zeros(n), np.zeros(n), np.zeros((n, FREE))
-    for s in range(sets):
-        P, G = joint[s], machine[s]
-        whole, part = 0, 0.0
-        kept = np.zeros(0, np.int64)
+    """Run stages `first`..`last` of every parameter set over the PLC's cycles; see `machine.effects.dynamics`.
+
+    A joint of its own has all of its numbers in registers.
+    """
+    n = joint.shape[1]
+    stages, clock, logged = (first, last), (cycle_s, substeps, decimate), (load, load_kg)
+    signals = (sent, latest, ref_in, enc_in, u_in)
+    for s in range(joint.shape[0]):
+        G = machine[s]
+        late, kept = (0, 0.0), np.zeros(0, np.int64)
         if first == LINK:
             known = G[LOSS] > 0.0 and kept_in.shape[0] > 0
             kept = kept_in if known else _kept(sent.shape[0], G[LOSS], LOSS_STREAM)
             delay = (delay_s + G[DELAY]) / cycle_s
             whole = int(np.floor(delay + 1e-9))
-            part = delay - whole if delay - whole > 1e-9 else 0.0
+            late = (whole, delay - whole if delay - whole > 1e-9 else 0.0)
+        begin = (enc_start, u_start)
+        out = (ref_out[s], u_out[s], enc_out[s], link_out[s])
+        if n == 1 and G[FLOW_LIMIT] == np.inf:
+            _alone(stages, joint[s, 0], G[PAYLOAD], nominal[0], clock, signals, kept, late, logged, begin, out)
+        else:
+            _together(stages, joint[s], G, nominal, clock, signals, kept, late, logged, begin, out)
+
+
+@njit(cache=True, inline="always")
+def _gains(p: Array, velocity_gain: float) -> Gains:
+    down = velocity_gain * (1.0 + p[FLOW])
+    return 1.0 / (1.0 - p[DEADBAND]), down * (1.0 + p[ASYMMETRY]), down
+
+
+@njit(cache=True, nogil=True)
+def _alone(
+    stages: tuple[int, int],
+    p: Array,
+    payload: float,
+    nominal: Array,
+    clock: Clock,
+    signals: Signals,
+    kept: NDArray[np.int64],
+    late: Late,
+    loads: tuple[Array, Array],
+    begin: tuple[Array, Array],
+    out: Traced,
+) -> None:
+    """A joint of its own, by one set: p (JOINT_COLUMNS,), nominal (5,)."""
+    (first, last), (cycle_s, substeps, decimate), (whole, part) = stages, clock, late
+    sent, latest, ref_in, enc_in, u_in = signals
+    (load, load_kg), (enc_start, u_start) = loads, begin
+    ref_out, u_out, enc_out, link_out = out
+    dt = cycle_s / substeps
+    step, most, limit = p[STEP], p[RATE] * cycle_s, p[U_LIMIT]
+    kp = nominal[KP] * (1.0 + p[KP_GAIN])
+    pt1 = _share(cycle_s, nominal[TAU] * (1.0 + p[PT1_LAG]))
+    slow_share, hysteresis, wn, zeta = _share(dt, p[LAG]), p[HYSTERESIS], nominal[WN], nominal[ZETA]
+    deadband, droop, leak, breakaway = p[DEADBAND], p[DROOP], p[LEAK], p[BREAKAWAY]
+    gains = _gains(p, nominal[KV])
+    swing, behind = np.zeros(FREE), np.zeros(BEHIND)
+    _swings(p, cycle_s, swing)
+    ref = sent[kept[latest[0]], 0] if first == LINK else enc_start[0]
+    enc, q = enc_start[0], _true_angle(enc_start[0], p)
+    lagged = u = play = slow = spool = u_start[0]
+    spool_d = moving = 0.0
+    behind[SIDE] = q
+    row, until = -1, 0
+    for k in range(max(latest.shape[0], ref_in.shape[0], u_in.shape[0], enc_in.shape[0])):
+        logged = until == 0
+        if logged:
+            row, until = row + 1, decimate
+        until -= 1
+        if first == LINK:
+            a, b = kept[latest[max(k - whole, 0)]], kept[latest[max(k - whole - 1, 0)]]
+            ref = _received(_between(sent[a, 0], sent[b, 0], part), ref, step, most)
+        elif first == CONTROLLER:
+            ref = ref_in[k, 0]
+        if first <= CONTROLLER and last >= CONTROLLER:
+            enc = _encoder(q, p) if last >= ACTUATOR else enc_in[k, 0]
+            lagged += pt1 * (kp * (ref - enc) - lagged)
+            u = min(max(lagged, -limit), limit)
+        elif first == ACTUATOR:
+            u = min(max(u_in[k, 0], -1.0), 1.0)
+            enc = _encoder(q, p)
+        if last == JOINT:
+            if first == JOINT:
+                q = _true_angle(enc_in[k, 0], p)
+            _follow(behind, q, p, swing, cycle_s)
+        if logged:
+            ref_out[row, 0], u_out[row, 0], enc_out[row, 0] = ref, u, enc
+            link_out[row, 0] = behind[SIDE] + behind[BEND] + behind[KNOWN_BEND]
+        if first <= ACTUATOR and last >= ACTUATOR:
+            pull = load[row, 0] + payload * load_kg[row, 0]
+            for _ in range(substeps):
+                play = _play(u, play, hysteresis)
+                slow = play if slow_share == 1.0 else slow + slow_share * (play - slow)
+                spool_d += dt * (wn * wn * (slow - spool) - 2.0 * zeta * wn * spool_d)
+                spool += dt * spool_d
+                moving = _moving(moving, spool, breakaway)
+                speed = _flow(spool, deadband, gains, droop, pull) if moving != 0.0 else 0.0
+                q += dt * (speed + leak * pull)
+
+
+@njit(cache=True, nogil=True)
+def _together(
+    stages: tuple[int, int],
+    P: Array,
+    G: Array,
+    nominal: Array,
+    clock: Clock,
+    signals: Signals,
+    kept: NDArray[np.int64],
+    late: Late,
+    loads: tuple[Array, Array],
+    begin: tuple[Array, Array],
+    out: Traced,
+) -> None:
+    """All joints of one set, step by step, since they share what the pump gives: P (joints, JOINT_COLUMNS)."""
+    (first, last), (cycle_s, substeps, decimate), (whole, part) = stages, clock, late
+    sent, latest, ref_in, enc_in, u_in = signals
+    (load, load_kg), (enc_start, u_start) = loads, begin
+    ref_out, u_out, enc_out, link_out = out
+    n = P.shape[0]
+    dt = cycle_s / substeps
+    ref, lagged, u = np.zeros(n), np.zeros(n), np.zeros(n)
+    play, slow, spool, spool_d, speed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    moving, q, enc, pull = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    behind, swing = np.zeros((n, BEHIND)), np.zeros((n, FREE))
+    pt1, slow_share, gains = np.zeros(n), np.zeros(n), np.zeros((n, 3))
+    for j in range(n):
+        pt1[j] = _share(cycle_s, nominal[j, TAU] * (1.0 + P[j, PT1_LAG]))
+        slow_share[j] = _share(dt, P[j, LAG])
+        gains[j, 0], gains[j, 1], gains[j, 2] = _gains(P[j], nominal[j, KV])
+        _swings(P[j], cycle_s, swing[j])
+        ref[j] = sent[kept[latest[0]], j] if first == LINK else enc_start[j]
+        enc[j] = enc_start[j]
+        q[j] = _true_angle(enc_start[j], P[j])
+        lagged[j] = u[j] = play[j] = slow[j] = spool[j] = u_start[j]
+        behind[j, SIDE] = q[j]
+    row, until, a, b = -1, 0, 0, 0
+    for k in range(max(latest.shape[0], ref_in.shape[0], u_in.shape[0], enc_in.shape[0])):
+        logged = until == 0
+        if logged:
+            row, until = row + 1, decimate
+        until -= 1
+        if first == LINK:
+            a, b = kept[latest[max(k - whole, 0)]], kept[latest[max(k - whole - 1, 0)]]
+            for j in range(n):
+                ref[j] = _received(_between(sent[a, j], sent[b, j], part), ref[j], P[j, STEP], P[j, RATE] * cycle_s)
+        elif first == CONTROLLER:
+            for j in range(n):
+                ref[j] = ref_in[k, j]
+        if first <= CONTROLLER and last >= CONTROLLER:
+            for j in range(n):
+                enc[j] = _encoder(q[j], P[j]) if last >= ACTUATOR else enc_in[k, j]
+                wanted = nominal[j, KP] * (1.0 + P[j, KP_GAIN]) * (ref[j] - enc[j])
+                lagged[j] += pt1[j] * (wanted - lagged[j])
+                u[j] = min(max(lagged[j], -P[j, U_LIMIT]), P[j, U_LIMIT])
+        elif first == ACTUATOR:
+            for j in range(n):
+                u[j] = min(max(u_in[k, j], -1.0), 1.0)
+                enc[j] = _encoder(q[j], P[j])
+        if last == JOINT:
+            for j in range(n):
+                if first == JOINT:
+                    q[j] = _true_angle(enc_in[k, j], P[j])
+                _follow(behind[j], q[j], P[j], swing[j], cycle_s)
+        if logged:
+            for j in range(n):
+                ref_out[row, j], u_out[row, j], enc_out[row, j] = ref[j], u[j], enc[j]
+                link_out[row, j] = behind[j, SIDE] + behind[j, BEND] + behind[j, KNOWN_BEND]
+        if first > ACTUATOR or last < ACTUATOR:
+            continue
         for j in range(n):
-            tau = nominal[j, TAU] * (1.0 + P[j, PT1_LAG])
-            pt1[j] = _share(cycle_s, tau)
-            slow_share[j] = _share(dt, P[j, LAG])
-            span[j] = 1.0 / (1.0 - P[j, DEADBAND])
-            down[j] = nominal[j, KV] * (1.0 + P[j, FLOW])
-            up[j] = down[j] * (1.0 + P[j, ASYMMETRY])
-            _swings(P[j], cycle_s, swing[j])
-            ref[j] = sent[kept[latest[0]], j] if first == LINK else enc_start[j]
-            enc[j] = enc_start[j]
-            q[j] = _true_angle(enc_start[j], P[j])
-            lagged[j] = u[j] = play[j] = slow[j] = spool[j] = u_start[j]
-            spool_d[j] = moving[j] = 0.0
-            behind[j] = 0.0
-            behind[j, SIDE] = q[j]
-        for k in range(cycles):
-            row = k // decimate
-            logged = row * decimate == k
-            if first == LINK:
-                a = kept[latest[max(k - whole, 0)]]
-                b = kept[latest[max(k - whole - 1, 0)]]
-                for j in range(n):
-                    target = sent[a, j]
-                    if part > 0.0:
-                        target = (1.0 - part) * target + part * sent[b, j]
-                    if P[j, STEP] > 0.0:
-                        target = np.round(target / P[j, STEP]) * P[j, STEP]
-                    most = P[j, RATE] * cycle_s
-                    if target - ref[j] > most:
-                        ref[j] += most
-                    elif ref[j] - target > most:
-                        ref[j] -= most
-                    else:
-                        ref[j] = target
-            elif first == CONTROLLER:
-                for j in range(n):
-                    ref[j] = ref_in[k, j]
-            if first <= CONTROLLER and last >= CONTROLLER:
-                for j in range(n):
-                    enc[j] = _encoder(q[j], P[j]) if last >= ACTUATOR else enc_in[k, j]
-                    wanted = nominal[j, KP] * (1.0 + P[j, KP_GAIN]) * (ref[j] - enc[j])
-                    lagged[j] += pt1[j] * (wanted - lagged[j])
-                    u[j] = min(max(lagged[j], -P[j, U_LIMIT]), P[j, U_LIMIT])
-            elif first == ACTUATOR:
-                for j in range(n):
-                    u[j] = min(max(u_in[k, j], -1.0), 1.0)
-                    enc[j] = _encoder(q[j], P[j])
-            if last == JOINT:
-                for j in range(n):
-                    if first == JOINT:
-                        q[j] = _true_angle(enc_in[k, j], P[j])
-                    _follow(behind[j], q[j], P[j], swing[j], cycle_s)
-            if logged:
-                for j in range(n):
-                    ref_out[s, row, j] = ref[j]
-                    u_out[s, row, j] = u[j]
-                    enc_out[s, row, j] = enc[j]
-                    link_out[s, row, j] = behind[j, SIDE] + behind[j, BEND] + behind[j, KNOWN_BEND]
-            if first <= ACTUATOR and last >= ACTUATOR:
-                for _ in range(substeps):
-                    total = 0.0
-                    for j in range(n):
-                        play[j] = _play(u[j], play[j], P[j, HYSTERESIS])
-                        if slow_share[j] == 1.0:
-                            slow[j] = play[j]
-                        else:
-                            slow[j] += slow_share[j] * (play[j] - slow[j])
-                        wn = nominal[j, WN]
-                        spool_d[j] += dt * (wn * wn * (slow[j] - spool[j]) - 2.0 * nominal[j, ZETA] * wn * spool_d[j])
-                        spool[j] += dt * spool_d[j]
-                        x = spool[j]
-                        if moving[j] != 0.0 and (x * moving[j] <= 0.0 or abs(x) <= RESTICK_SHARE * P[j, BREAKAWAY]):
-                            moving[j] = 0.0
-                        if moving[j] == 0.0 and abs(x) > P[j, BREAKAWAY]:
-                            moving[j] = 1.0 if x > 0.0 else -1.0
-                        pull = load[row, j] + G[PAYLOAD] * load_kg[row, j]
-                        speed[j] = _flow(x, span[j], up[j], down[j], P[j], pull) if moving[j] != 0.0 else 0.0
-                        total += abs(speed[j]) / nominal[j, KV]
-                    served = G[FLOW_LIMIT] / total if total > G[FLOW_LIMIT] else 1.0
-                    for j in range(n):
-                        pull = load[row, j] + G[PAYLOAD] * load_kg[row, j]
-                        q[j] += dt * (speed[j] * served + P[j, LEAK] * pull)
+            pull[j] = load[row, j] + G[PAYLOAD] * load_kg[row, j]
+        for _ in range(substeps):
+            total = 0.0
+            for j in range(n):
+                wn, zeta = nominal[j, WN], nominal[j, ZETA]
+                play[j] = _play(u[j], play[j], P[j, HYSTERESIS])
+                slow[j] = play[j] if slow_share[j] == 1.0 else slow[j] + slow_share[j] * (play[j] - slow[j])
+                spool_d[j] += dt * (wn * wn * (slow[j] - spool[j]) - 2.0 * zeta * wn * spool_d[j])
+                spool[j] += dt * spool_d[j]
+                moving[j] = _moving(moving[j], spool[j], P[j, BREAKAWAY])
+                speed[j] = 0.0
+                if moving[j] != 0.0:
+                    of = (gains[j, 0], gains[j, 1], gains[j, 2])
+                    speed[j] = _flow(spool[j], P[j, DEADBAND], of, P[j, DROOP], pull[j])
+                total += abs(speed[j]) / nominal[j, KV]
+            served = G[FLOW_LIMIT] / total if total > G[FLOW_LIMIT] else 1.0
+            for j in range(n):
+                q[j] += dt * (speed[j] * served + P[j, LEAK] * pull[j])

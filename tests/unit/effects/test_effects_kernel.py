@@ -17,6 +17,7 @@ from machine.effects.dynamics import (
     simulate,
 )
 from machine.effects.entries import make_entry, pack
+from machine.effects.kernel import FLOW_LIMIT
 from machine.effects.layout import neutral_sets, slots_of
 from machine.effects.registry import EFFECTS, effect_named
 from machine.errors import MachineError
@@ -50,6 +51,18 @@ def test_a_slow_cycle_is_integrated_in_steps_of_a_millisecond_or_less() -> None:
     traces = simulate(plant, neutral_sets(6), run)
     assert np.array_equal(traces.u[0], np.array(us))
     assert np.array_equal(traces.enc[0], np.array(qs))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_joints_one_by_one_are_joints_beside_a_pump_that_never_lacks(seed: int) -> None:
+    plant = plant_of_hiab(delay_s=0.0035)
+    run, sets = drive(plant, 0.8, loads=True), random_sets(6, 2, seed, share=0.4)
+    found = []
+    for limit in (np.inf, 1e9):
+        sets.machine[:, FLOW_LIMIT] = limit
+        found.append(simulate(plant, sets, run))
+    for name in ("ref", "u", "enc", "link"):
+        assert np.array_equal(getattr(found[0], name), getattr(found[1], name)), name
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -284,5 +297,7 @@ def test_wrong_shapes_are_refused_with_the_shape_wanted() -> None:
         simulate(plant, neutral_sets(5), drive(plant, 0.1))
     with pytest.raises(MachineError, match="cannot begin"):
         simulate(plant, neutral_sets(6), drive_joint(plant, np.zeros((10, 6))), DynamicStage.LINK)
+    with pytest.raises(MachineError, match="needs the encoders"):
+        simulate(plant, neutral_sets(6), drive(plant, 0.1), DynamicStage.CONTROLLER)
     with pytest.raises(MachineError, match="multiple"):
         Actuators(plant.joints, 0.001, 0.0015, 0.0)
