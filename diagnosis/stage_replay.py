@@ -151,8 +151,18 @@ def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array,
     rows = error.shape[1] // size * size
     shape = (len(error), -1, size, error.shape[2])
     means = error[:, :rows].reshape(shape).mean(axis=2)
-    slopes = np.gradient(modelled[:, :rows], part.stretch.dt_s, axis=1).reshape(shape).mean(axis=2)
-    return np.diff(means, axis=1), np.diff(slopes, axis=1)
+    return np.diff(means, axis=1), np.diff(_slopes(modelled[:, :rows], size, part.stretch.dt_s), axis=1)
+
+
+def _slopes(x: Array, size: int, dt_s: float) -> Array:
+    """Means (sets, blocks, joints) of central differences (sets, rows, joints) over blocks of so many rows: of all rows
+    inside a block those at its two ends are left.
+    """
+    ends = x[:, ::size].copy()
+    ends[:, 1:] += x[:, size - 1 : -1 : size]
+    ends[:, 0] += 2.0 * x[:, 0] - x[:, 1]
+    last = 3.0 * x[:, -1:] - x[:, -2:-1]
+    return np.diff(np.concatenate([ends, last], axis=1), axis=1) / (2.0 * dt_s * size)
 
 
 def whiten_sets(whitener: Whitener, steps: Array) -> Array:

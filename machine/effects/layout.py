@@ -1,6 +1,7 @@
 """Where each effect's parameters stand in the arrays of the kernel and of the static maps."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,12 +131,19 @@ class ParameterSets:
 
 def neutral_sets(n_joints: int, sets: int = 1) -> ParameterSets:
     """Every effect at neutral."""
-    joint, machine = np.zeros((sets, n_joints, JOINT_COLUMNS)), np.zeros((sets, MACHINE_COLUMNS))
+    joint, machine = _neutral()
+    return ParameterSets(np.tile(joint, (sets, n_joints, 1)), np.tile(machine, (sets, 1)))
+
+
+@cache
+def _neutral() -> tuple[Array, Array]:
+    """A joint's numbers (JOINT_COLUMNS,) and the machine's (MACHINE_COLUMNS,)."""
+    joint, machine = np.zeros(JOINT_COLUMNS), np.zeros(MACHINE_COLUMNS)
     for effect in EFFECTS:
         for parameter in effect.parameters:
             for column in _columns(effect, parameter.name):
-                (machine if effect.scope == "machine" else joint)[..., column] = parameter.neutral
-    return ParameterSets(joint, machine)
+                (machine if effect.scope == "machine" else joint)[column] = parameter.neutral
+    return joint, machine
 
 
 def _columns(effect: Effect, parameter: str) -> list[int]:
