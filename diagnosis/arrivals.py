@@ -176,7 +176,15 @@ def _bounds(sent: Numbered, rows: Numbered) -> _Bounds | None:
     if len(t) < ROWS_MIN or (np.diff(t) <= 0.0).any() or (np.diff(shown) < 0).any():
         return None
     following = np.append(t_sent, np.inf)[shown + 1]
+    if float(np.median(np.diff(t))) <= float(np.median(np.diff(t_sent))) + EPS_S:
+        following = _next_shown(t_sent, shown)
     return _Bounds(t, shown, t - following, t - t_sent[shown])
+
+
+def _next_shown(t_sent: Array, shown: NDArray[np.int64]) -> Array:
+    """When (m,) the next datagram was sent that any row shows: where rows are as frequent, the others may be lost."""
+    seen = np.unique(shown)
+    return np.append(t_sent[seen], np.inf)[np.searchsorted(seen, shown, side="right")]
 
 
 def _steady(bounds: _Bounds, nominal_s: float, most_s: float) -> _Delay:

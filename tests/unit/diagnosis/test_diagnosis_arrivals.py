@@ -71,6 +71,13 @@ def test_clocks_that_drift_are_brought_together(ppm: int) -> None:
     assert (found.rate == 0.0 and abs(ppm) < 50) or found.rate == pytest.approx(-1e-6 * ppm, abs=1e-5)
 
 
+@pytest.mark.parametrize("ppm", [-60, -100])
+def test_clocks_are_brought_together_beside_losses(ppm: int) -> None:
+    """Rows contradict a datagram that never came, whatever the clocks do; a delay had been seen in it."""
+    _, found, _ = logged(Link(drift=1e-6 * ppm, jitter_s=3e-4, loss_frac=0.07, sent_ms=10))
+    assert found.rate == pytest.approx(-1e-6 * ppm, abs=1.5e-5)
+
+
 @pytest.mark.parametrize("link", [Link(loss_frac=0.02), Link(loss_frac=0.02, jitter_s=3e-4), Link(loss_frac=0.2)])
 def test_losses_are_told_where_a_row_waited_for_one(link: Link) -> None:
     _, found, came = logged(link)
