@@ -204,7 +204,7 @@ def run(
 ) -> None:
     """Run stages `first`..`last` of every parameter set over the PLC's cycles; see `machine.effects.dynamics`.
 
-    A joint of its own has all of its numbers in registers.
+    A joint that is run by itself has all of its numbers in registers: that is most of what a diagnosis runs.
     """
     n = joint.shape[1]
     stages, clock, logged = (first, last), (cycle_s, substeps, decimate), (load, load_kg)
@@ -246,7 +246,7 @@ def _alone(
     begin: tuple[Array, Array],
     out: Traced,
 ) -> None:
-    """A joint of its own, by one set: p (JOINT_COLUMNS,), nominal (5,)."""
+    """A joint run by itself, by one set: p (JOINT_COLUMNS,), nominal (5,). `_together` in scalars, for speed."""
     (first, last), (cycle_s, substeps, decimate), (whole, part) = stages, clock, late
     sent, latest, ref_in, enc_in, u_in = signals
     (load, load_kg), (enc_start, u_start) = loads, begin
@@ -316,7 +316,7 @@ def _together(
     begin: tuple[Array, Array],
     out: Traced,
 ) -> None:
-    """All joints of one set, step by step, since they share what the pump gives: P (joints, JOINT_COLUMNS)."""
+    """All joints of one set, step by step, since they may share what the pump gives: P (joints, JOINT_COLUMNS)."""
     (first, last), (cycle_s, substeps, decimate), (whole, part) = stages, clock, late
     sent, latest, ref_in, enc_in, u_in = signals
     (load, load_kg), (enc_start, u_start) = loads, begin
