@@ -175,9 +175,8 @@ def _bounds(sent: Numbered, rows: Numbered) -> _Bounds | None:
     t, shown = t_row[there], at[there].astype(np.int64)
     if len(t) < ROWS_MIN or (np.diff(t) <= 0.0).any() or (np.diff(shown) < 0).any():
         return None
-    following = np.append(t_sent, np.inf)[shown + 1]
-    if float(np.median(np.diff(t))) <= float(np.median(np.diff(t_sent))) + EPS_S:
-        following = _next_shown(t_sent, shown)
+    as_frequent = float(np.median(np.diff(t))) <= float(np.median(np.diff(t_sent))) + EPS_S
+    following = _next_shown(t_sent, shown) if as_frequent else np.append(t_sent, np.inf)[shown + 1]
     return _Bounds(t, shown, t - following, t - t_sent[shown])
 
 

@@ -36,6 +36,8 @@ Late = tuple[int, float]  # by so many whole cycles, and part of one
 Gains = tuple[float, float, float]  # 1 / (1 - dead band), and the flow gain out and back [rad/s]
 Clock = tuple[float, int, int]  # cycle [s], steps in it, cycles in a logged row
 Signals = tuple[Array, NDArray[np.int64], Array, Array, Array]  # sent, latest, ref, enc, u
+# Stages first and last, clock, signals, loads and loads per kg, encoders and commands at the start.
+Given = tuple[tuple[int, int], Clock, Signals, tuple[Array, Array], tuple[Array, Array]]
 Traced = tuple[Array, Array, Array, Array]  # ref, u, enc, link (rows, joints)
 
 
@@ -127,6 +129,18 @@ def _received(target: float, ref: float, step: float, most: float) -> float:
 
 
 @njit(cache=True, inline="always")
+def _lagged(x: float, slow: float, share: float) -> float:
+    """A first-order lag after one step; the input itself where there is none."""
+    return x if share == 1.0 else slow + share * (x - slow)
+
+
+@njit(cache=True, inline="always")
+def _spool_speed(speed: float, ahead: float, wn: float, zeta: float, dt: float) -> float:
+    """A spool's speed after one step, its command so far ahead of it."""
+    return speed + dt * (wn * wn * ahead - 2.0 * zeta * wn * speed)
+
+
+@njit(cache=True, inline="always")
 def _moving(moving: float, x: float, breakaway: float) -> float:
     """Which way a joint moves that sticks until its spool is open by more than the breakaway command; 0: it sticks."""
     if moving != 0.0 and (x * moving <= 0.0 or abs(x) <= RESTICK_SHARE * breakaway):
@@ -207,8 +221,8 @@ def run(
     A joint that is run by itself has all of its numbers in registers: that is most of what a diagnosis runs.
     """
     n = joint.shape[1]
-    stages, clock, logged = (first, last), (cycle_s, substeps, decimate), (load, load_kg)
     signals = (sent, latest, ref_in, enc_in, u_in)
+    given = ((first, last), (cycle_s, substeps, decimate), signals, (load, load_kg), (enc_start, u_start))
     for s in range(joint.shape[0]):
         G = machine[s]
         late, kept = (0, 0.0), np.zeros(0, np.int64)
@@ -218,12 +232,11 @@ def run(
             delay = (delay_s + G[DELAY]) / cycle_s
             whole = int(np.floor(delay + 1e-9))
             late = (whole, delay - whole if delay - whole > 1e-9 else 0.0)
-        begin = (enc_start, u_start)
         out = (ref_out[s], u_out[s], enc_out[s], link_out[s])
         if n == 1 and G[FLOW_LIMIT] == np.inf:
-            _alone(stages, joint[s, 0], G[PAYLOAD], nominal[0], clock, signals, kept, late, logged, begin, out)
+            _alone(joint[s, 0], G[PAYLOAD], nominal[0], given, kept, late, out)
         else:
-            _together(stages, joint[s], G, nominal, clock, signals, kept, late, logged, begin, out)
+            _together(joint[s], G, nominal, given, kept, late, out)
 
 
 @njit(cache=True, inline="always")
@@ -234,22 +247,17 @@ def _gains(p: Array, velocity_gain: float) -> Gains:
 
 @njit(cache=True, nogil=True)
 def _alone(
-    stages: tuple[int, int],
     p: Array,
     payload: float,
     nominal: Array,
-    clock: Clock,
-    signals: Signals,
+    given: Given,
     kept: NDArray[np.int64],
     late: Late,
-    loads: tuple[Array, Array],
-    begin: tuple[Array, Array],
     out: Traced,
 ) -> None:
     """A joint run by itself, by one set: p (JOINT_COLUMNS,), nominal (5,). `_together` in scalars, for speed."""
-    (first, last), (cycle_s, substeps, decimate), (whole, part) = stages, clock, late
-    sent, latest, ref_in, enc_in, u_in = signals
-    (load, load_kg), (enc_start, u_start) = loads, begin
+    (first, last), (cycle_s, substeps, decimate), (sent, latest, ref_in, enc_in, u_in), loads, begin = given
+    (load, load_kg), (enc_start, u_start), (whole, part) = loads, begin, late
     ref_out, u_out, enc_out, link_out = out
     dt = cycle_s / substeps
     step, most, limit = p[STEP], p[RATE] * cycle_s, p[U_LIMIT]
@@ -294,8 +302,8 @@ def _alone(
             pull = load[row, 0] + payload * load_kg[row, 0]
             for _ in range(substeps):
                 play = _play(u, play, hysteresis)
-                slow = play if slow_share == 1.0 else slow + slow_share * (play - slow)
-                spool_d += dt * (wn * wn * (slow - spool) - 2.0 * zeta * wn * spool_d)
+                slow = _lagged(play, slow, slow_share)
+                spool_d = _spool_speed(spool_d, slow - spool, wn, zeta, dt)
                 spool += dt * spool_d
                 moving = _moving(moving, spool, breakaway)
                 speed = _flow(spool, deadband, gains, droop, pull) if moving != 0.0 else 0.0
@@ -304,22 +312,17 @@ def _alone(
 
 @njit(cache=True, nogil=True)
 def _together(
-    stages: tuple[int, int],
     P: Array,
     G: Array,
     nominal: Array,
-    clock: Clock,
-    signals: Signals,
+    given: Given,
     kept: NDArray[np.int64],
     late: Late,
-    loads: tuple[Array, Array],
-    begin: tuple[Array, Array],
     out: Traced,
 ) -> None:
     """All joints of one set, step by step, since they may share what the pump gives: P (joints, JOINT_COLUMNS)."""
-    (first, last), (cycle_s, substeps, decimate), (whole, part) = stages, clock, late
-    sent, latest, ref_in, enc_in, u_in = signals
-    (load, load_kg), (enc_start, u_start) = loads, begin
+    (first, last), (cycle_s, substeps, decimate), (sent, latest, ref_in, enc_in, u_in), loads, begin = given
+    (load, load_kg), (enc_start, u_start), (whole, part) = loads, begin, late
     ref_out, u_out, enc_out, link_out = out
     n = P.shape[0]
     dt = cycle_s / substeps
@@ -379,8 +382,8 @@ def _together(
             for j in range(n):
                 wn, zeta = nominal[j, WN], nominal[j, ZETA]
                 play[j] = _play(u[j], play[j], P[j, HYSTERESIS])
-                slow[j] = play[j] if slow_share[j] == 1.0 else slow[j] + slow_share[j] * (play[j] - slow[j])
-                spool_d[j] += dt * (wn * wn * (slow[j] - spool[j]) - 2.0 * zeta * wn * spool_d[j])
+                slow[j] = _lagged(play[j], slow[j], slow_share[j])
+                spool_d[j] = _spool_speed(spool_d[j], slow[j] - spool[j], wn, zeta, dt)
                 spool[j] += dt * spool_d[j]
                 moving[j] = _moving(moving[j], spool[j], P[j, BREAKAWAY])
                 speed[j] = 0.0

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import recording
+from diagnosis_cases import entry, recording
 
 from diagnosis.answer import answer
 from diagnosis.candidates import named
@@ -16,9 +16,7 @@ from diagnosis.reading import examine
 from diagnosis.saturated import saturated_noise
 from diagnosis.sliding import in_metres
 from longreach.bench_experiments.arm import Link, frames, machine_toml
-from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.layout import ParameterSets, neutral_sets
-from machine.effects.registry import effect_named
 from recording.content import Recording
 from recording.rows import Row, StaticPoint
 from recording.run import RunInfo
@@ -79,7 +77,7 @@ def test_five_faults_of_one_valve_are_found() -> None:
         "flow_gain_error": ("gain_frac", -0.12),
         "valve_hysteresis": ("half_width_frac", 0.01),
     }
-    entries = tuple(_entry(name, 2, {parameter: size}) for name, (parameter, size) in faults.items())
+    entries = tuple(entry(name, 2, **{parameter: size}) for name, (parameter, size) in faults.items())
     kinds = ("repeat", "repeat", "repeat", "repeat", "steps", "steps", "sweep")
     found = told(recording(kinds, entries, seed=3))
     assert set(found) == {f"{name} 2" for name in faults}
@@ -131,9 +129,3 @@ def test_what_slides_is_told_in_metres() -> None:
     metres, radians = in_metres([effect, other], (False, True))
     assert metres["parameters"]["bias_rad"]["unit"] == "m"
     assert radians == other
-
-
-def _entry(name: str, joint: int, sizes: dict[str, float]) -> EffectEntry:
-    effect = effect_named(name)
-    assert effect is not None
-    return make_entry(effect, joint, sizes)
