@@ -20,6 +20,7 @@ FLAT_NATS = 1e-3
 NEAR = 0.1  # of the range: within it limits are looked for more closely
 FAR = 30.0  # standard deviations
 REFITS = 2
+AT_ONCE = 6  # sizes to either side, twice as many each further time
 WAIT_90 = 0.68  # of a PLC cycle: the difference of two waits for the next one, with this delay and the nominal one
 WAITED = 1.0  # of a PLC cycle: datagrams sent when a cycle begins wait for the next one after any part of one
 OFFSETS = np.concatenate([-np.geomspace(FAR, 0.3, 8), np.geomspace(0.3, FAR, 8)])  # in standard deviations
@@ -88,17 +89,33 @@ def _intervals(cell: Cell, found: Fit, k: int, sd: float, allowed: float, spread
     tried = np.unique(np.clip(value + local, low, high))
     thetas = np.tile(found.theta, (len(tried), 1))
     thetas[:, k] = tried
-    residuals = evaluated(cell, found.hypothesis, thetas)
-    rise = (costs(residuals).sum(axis=1) - found.cost) / spread
     at = int(np.searchsorted(tried, value))
+    rise, free = ((one - found.cost) / spread for one in _costs(cell, found, k, thetas, at, allowed * spread))
     flat = tried[_run(np.abs(rise) < FLAT_NATS, at)]
     if len(flat) > 2:  # nothing between them can be told apart: the middle stands for all
         value = 0.5 * (float(flat[0]) + float(flat[-1]))
-    held = _within(value, tried, rise, at, allowed)
-    if found.k == 1:
-        return held, held
-    again = (_refitted(cell, found, k, thetas, residuals) - found.cost) / spread
-    return held, _within(value, tried, np.minimum(rise, again), at, allowed)
+    return _within(value, tried, rise, at, allowed), _within(value, tried, free, at, allowed)
+
+
+def _costs(cell: Cell, found: Fit, k: int, thetas: Array, at: int, allowed: float) -> tuple[Array, Array]:
+    """Cost (m,) at each of the sets `thetas` (m, k), the other numbers held, and fitted again too.
+
+    Outwards from `at` until one to either side costs more than is allowed; beyond, where no limit lies, infinite.
+    """
+    held, free = np.full((2, len(thetas)), np.inf)
+    first, end, width = at, at + 1, AT_ONCE
+    new = np.array([at])
+    while len(new) > 0:
+        residuals = evaluated(cell, found.hypothesis, thetas[new])
+        held[new] = free[new] = costs(residuals).sum(axis=1)
+        if found.k > 1:
+            free[new] = np.minimum(held[new], _refitted(cell, found, k, thetas[new], residuals))
+        passed = free >= found.cost + allowed
+        below = first if passed[first:at].any() else max(0, first - width)
+        above = end if passed[at + 1 : end].any() else min(len(thetas), end + width)
+        new = np.concatenate([np.arange(below, first), np.arange(end, above)])
+        first, end, width = below, above, 2 * width
+    return held, free
 
 
 def _within(value: float, tried: Array, rise: Array, at: int, allowed: float) -> Interval:

@@ -14,6 +14,7 @@ from longreach.bench_bundle.command import bundle
 from longreach.bench_camera_faults.command import camera_faults
 from longreach.bench_compensation.command import compensation
 from longreach.bench_crashes import crashes
+from longreach.bench_diagnosis.command import diagnosis
 from longreach.bench_experiments.command import experiments
 from longreach.bench_gap.command import gap
 from longreach.bench_hold.command import hold
@@ -63,6 +64,7 @@ app.command("gap")(gap)
 app.command("experiments")(experiments)
 app.command("compensation")(compensation)
 app.command("links")(links)
+app.command("diagnosis")(diagnosis)
 
 
 @app.command()

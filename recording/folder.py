@@ -147,21 +147,20 @@ def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[
 
 def _quick(kind: object, columns: list[int]) -> Callable[[list[str]], object]:
     """A field of a row in which all is there, as in nearly every row. Raises: ValueError, IndexError: it is not."""
-    if kind is str or not columns:
-        return _not_quick
+    if not columns:
+        missing = _value(kind, [], "")
+        return lambda _cells: missing
     column = columns[0]
+    if kind is str:
+        return lambda cells: cells[column].strip()
     if kind is int:
         return lambda cells: int(cells[column])
     if kind != Floats:
-        return lambda cells: float(cells[column])
+        return lambda cells: float(cells[column] or NAN)
     if len(columns) == 1:
         return lambda cells: _there((float(cells[column]),))
     chosen = itemgetter(*columns)
     return lambda cells: _there(tuple(map(float, chosen(cells))))
-
-
-def _not_quick(_cells: list[str]) -> object:
-    raise ValueError
 
 
 def _there(numbers: Floats) -> Floats:

@@ -236,10 +236,9 @@ def at_cycles(plant: Actuators, logged: Array) -> Array:
     values = _table(logged, plant.n, "logged rows")
     if plant.decimate == 1:
         return values
-    cycles = np.arange((len(values) - 1) * plant.decimate + 1)
-    row, part = cycles // plant.decimate, (cycles % plant.decimate) / plant.decimate
-    following = values[np.minimum(row + 1, len(values) - 1)]
-    return np.ascontiguousarray(values[row] + part[:, None] * (following - values[row]))
+    part = (np.arange(plant.decimate) / plant.decimate)[:, None]
+    between = values[:-1, None] + part * np.diff(values, axis=0)[:, None]  # (rows - 1, cycles of a row, n)
+    return np.concatenate([between.reshape(-1, plant.n), values[-1:]])
 
 
 def _table(values: Array, n: int, subject: str) -> Array:

@@ -5,15 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from longreach.bench_links.recorded import (
-    MACHINE_TOML,
-    NOISE_RAD,
-    OFFSET_S,
-    PLANT,
-    SEGMENT_S,
-    command,
-    logged_rows,
-)
+from longreach.bench_links.recorded import FIVE, MACHINE_TOML, NOISE_RAD, OFFSET_S, PLANT, logged_rows
 from machine.description import parse_machine_toml
 from machine.effects.dynamics import Actuators, drive_by_sent, simulate
 from machine.effects.entries import EffectEntry, make_entry, pack
@@ -42,9 +34,9 @@ def run_segment(
     noise_rad: float = NOISE_RAD,
 ) -> tuple[list[Row], list[Row]]:
     """Sent and logged rows of one segment on the PLC's clock from t_start."""
-    cycles = round(SEGMENT_S / PLANT.cycle_s)
+    cycles = round(FIVE.segment_s / PLANT.cycle_s)
     t_cycle = PLANT.cycle_s * np.arange(cycles)
-    sent = command(kind, t_cycle[::4])
+    sent = FIVE.command(kind, t_cycle[::4])
     traces = simulate(plant, pack(effects, 6), drive_by_sent(plant, t_cycle[::4], sent, 0.0, cycles))
     enc = traces.enc[0] + rng.normal(0.0, noise_rad, traces.enc[0].shape)
     t_log = t_start + PLANT.log_cycle_s * np.arange(len(enc))
@@ -57,7 +49,7 @@ def run_segment(
 
 
 def recording(
-    kinds: tuple[str, ...] = ("repeat", "repeat", "repeat", "repeat", "steps"),
+    kinds: tuple[str, ...] = FIVE.kinds,
     effects: tuple[EffectEntry, ...] = (),
     seed: int = 1,
     plant: Actuators = PLANT,
@@ -69,11 +61,11 @@ def recording(
     logged: list[Row] = []
     segments = []
     for number, kind in enumerate(kinds):
-        start = number * (SEGMENT_S + 1.0)
+        start = number * (FIVE.segment_s + 1.0)
         posted, rows = run_segment(kind, rng, effects, start, plant, noise_rad)
         sent += posted
         logged += rows
-        name, end = f"{kind}{number}", start + SEGMENT_S - PLANT.log_cycle_s
+        name, end = f"{kind}{number}", start + FIVE.segment_s - PLANT.log_cycle_s
         segments.append(Segment(name, kind, start, end, "A" if kind == "repeat" else ""))
     info = RunInfo("made up", "2026-01-01T00:00:00Z", seed, OFFSET_S, 0.0, None, tuple(segments))
     return Recording("folder", info, MACHINE_TOML, (*sent, *logged))
