@@ -97,6 +97,7 @@ def merged(replayer: Replayer, stretch: Stretch, merge: Merge, course: Parameter
         drive = drive_controller(plant, ref, seen, np.full(plant.n, START_COMMAND), fine=True)
         return drive if loads is None else replace(drive, load=loads[0], load_kg=loads[1])
 
+    out = replace(out, sided=stretch.sent is not None)
     out.drives["actuator"], out.others["actuator"] = driven(references.own), references.others
     if references.jumped is not None:
         out.late["actuator"] = driven(references.jumped)

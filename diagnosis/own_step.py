@@ -19,6 +19,7 @@ from machine.rotations import Array
 
 CLEAN = 1.5  # mean square: what more is left has another cause, too
 GRID = np.linspace(0.0, 1.0, 1001)
+SURE = 0.1  # standard error, without a measured noise
 PAST = 0.3  # beyond the ends, by which chance may take a share
 
 
@@ -58,9 +59,13 @@ def believed(share: Share) -> float:
 
 
 def share_of(cell: Cell) -> Share | None:
-    """Least squares over a joint's stretches, beside a shift and another course of the command in each."""
+    """Least squares over a joint's stretches, beside a shift and another course of the command in each.
+
+    Where the noise was never measured, what is left is the noise, and only a share that it leaves sure is told: of a
+    joint with a fault such a share lies far from any way a machine can have gone.
+    """
     replay = cell.whitened
-    if not isinstance(replay, Replay) or not cell.floor_known:
+    if not isinstance(replay, Replay):
         return None
     sets = replace(cell.base, joint=np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]))
     both, own, energy, free = 0.0, 0.0, 0.0, -1
@@ -79,7 +84,10 @@ def share_of(cell: Cell) -> Share | None:
     if own <= 0.0 or free <= 0:
         return None
     rest = max(energy - both**2 / own, 0.0) / free
-    return Share(both / own, float(np.sqrt(rest / own)), rest)
+    share = Share(both / own, float(np.sqrt(rest / own)), rest)
+    if cell.floor_known:
+        return share
+    return replace(share, left=1.0) if share.sigma < SURE else None
 
 
 def _without(signals: Array, columns: Array) -> Array:

@@ -33,7 +33,8 @@ class Prepared:
 
     `others`: (cycles, n) each, courses that a stage's input may as well have taken between logged rows; none where each
     cycle was logged. `late`: the drives of stages whose input jumps, with each jump as late as it may be: at the end of
-    its logged row, where what was sent is not known.
+    its logged row, where what was sent is not known. `sided`: the others are of datagrams that came a cycle later, and
+    one earlier; not so where what was received was not logged, whoever sent it.
     """
 
     plant: Actuators
@@ -41,6 +42,7 @@ class Prepared:
     stretch: Stretch
     others: dict[str, tuple[Array, ...]] = field(default_factory=dict)
     late: dict[str, Drive] = field(default_factory=dict)
+    sided: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,9 +99,10 @@ class Replayer:
         ref_fine = None if ref is None else self._reference(out, ref, known)
         if u is None or enc is None:
             return out
-        commands = _Commands(None)
-        if ref is not None and ref_fine is not None and self.nominal.has_controller:
-            commands = self._commands(out, self._references(out, ref, ref_fine, known), (enc, u), known)
+        if ref is None or ref_fine is None or not self.nominal.has_controller:
+            return self._valves(out, enc, u, _Commands(None))
+        out = replace(out, sided=stretch.sent is not None)
+        commands = self._commands(out, self._references(out, ref, ref_fine, known), (enc, u), known)
         return self._valves(out, enc, u, commands)
 
     def references(self, stretch: Stretch, course: ParameterSets | None = None) -> References | None:
@@ -148,7 +151,7 @@ class Replayer:
             return drive, self._fine("controller", plant, drive, known)
 
         out.drives["controller"], own = driven(references.own)
-        if out.stretch.sent is not None and references.others:
+        if out.sided and references.others:
             out.others["controller"] = references.others
         jumped = None
         if references.jumped is not None:

@@ -16,6 +16,7 @@ FORESEEN = 2  # sizes tried beyond the grid, where the grid's own changes point
 LIMITS_BETWEEN = 20  # sizes of a limit tried where it begins to be felt
 FELT = 100.0  # change of the residual, squared floors
 CYCLES_MAX = 300  # cycles tried one by one
+TERRACE_CYCLES, TERRACES = 2, 25
 REFINED = 10  # sizes tried on either side of a scan's best
 
 
@@ -46,6 +47,8 @@ def scan(cell: Cell, candidate: Candidate, none: Fit) -> Scan:
     Why the second step: the range's smallest size may be ten times what the data show, and then costs more than none.
     """
     thetas = candidate.starts()
+    if cell.coarse and candidate.cycles is not None:
+        thetas = np.concatenate([thetas, _on_terraces(candidate.cycles[0])])
     residuals = evaluated(cell, (candidate,), thetas)
     further = foreseen(candidate, thetas, residuals - none.residual, none.residual)
     if len(further):
@@ -56,6 +59,13 @@ def scan(cell: Cell, candidate: Candidate, none: Fit) -> Scan:
     felt = int(strong[np.argmin(energy[strong])]) if len(strong) else None
     column = residuals[felt] - none.residual if felt is not None else None
     return Scan(candidate, thetas, costs(residuals).sum(axis=1), energy, felt, column)
+
+
+def _on_terraces(cycle_s: float) -> Array:
+    """Further sizes (m, 1) of a delay [s]: between rare rows its cost has terraces as wide as datagrams are apart, and
+    the right one may lie between two sizes of the range.
+    """
+    return TERRACE_CYCLES * cycle_s * np.arange(1.0, TERRACES + 1.0)[:, None]
 
 
 def foreseen(candidate: Candidate, thetas: Array, changes: Array, r0: Array) -> Array:

@@ -32,7 +32,8 @@ class Part:
     """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
 
     `between`: (m, joints) each, how far another guess of the input's course between logged rows drives the increments
-    apart; `unsure`: (m, joints), the same of jumps that each may be anywhere in its row; None where no row hides one.
+    apart; `sided`: there are two such guesses at most, one a cycle later and one earlier. `unsure`: (m, joints), the
+    same of jumps that each may be anywhere in its row; None where no row hides one.
     `slower`: (m, joints), the same of valves that are TIMING_S slower, where the joints' loops run through them; None
     where the valve commands are known: what is late there comes late, and no more.
     `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
@@ -44,6 +45,7 @@ class Part:
     measured: Array
     stretch: Stretch
     between: tuple[Array, ...] = ()
+    sided: bool = False
     unsure: Array | None = None
     slower: Array | None = None
     moved: tuple[Callable[[Array], Array] | None, ...] = ()
@@ -75,7 +77,7 @@ class Replay:
         chosen = ParameterSets(np.ascontiguousarray(sets.joint[:1, list(self.joints)]), sets.machine[:1])
         found = []
         for part in self.parts:
-            if len(part.between) != SIDES:
+            if not part.sided or len(part.between) != SIDES:
                 found.append((0.0, 0.0))
                 continue
             later, earlier = part.between
@@ -92,8 +94,10 @@ class Replay:
         weight = trust(part, self.whitener)
         white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
         sent = part.stretch.sent
-        least, most = (-1.0, 1.0) if sent is None else (-min(1.0, sent.unsure_s / part.plant.cycle_s), 0.0)
-        guesses = [(one[None], least, most) for one in part.between]  # of what was sent: one to either side
+        least, most = -1.0, 1.0
+        if part.sided and sent is not None:  # one to either side
+            least, most = -min(1.0, sent.unsure_s / part.plant.cycle_s), 0.0
+        guesses = [(one[None], least, most) for one in part.between]
         if part.slower is not None:
             guesses.append((part.slower[None], -1.0, 1.0))
         if self.stage == "actuator":
@@ -204,7 +208,7 @@ def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) ->
     slower = None
     if stage == "actuator" and drive.first < DynamicStage.ACTUATOR:
         slower = own - part_increments(stage, part, _late_valves(len(joints)))[0][0]
-    return replace(part, between=between, unsure=unsure, slower=slower)
+    return replace(part, between=between, sided=one.sided, unsure=unsure, slower=slower)
 
 
 def _late_valves(joints: int) -> ParameterSets:
