@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from diagnosis.candidates import candidates_of
 from diagnosis.cells import Cell, Rows
 from diagnosis.cells_points import rows_of
+from diagnosis.clocks import UNTOLD, camera_to_plc_s, guessed, late_by_motion_s
 from diagnosis.corner_noise import AXES, PLAIN, CornerNoise, groups_of, noise_of_visits
 from diagnosis.link_angles import Path, candidates_behind, inside, link_angles, paths_of, without_encoders
 from diagnosis.loose_marker import loose_marker
@@ -58,7 +59,10 @@ class Frames:
 
 @dataclass(frozen=True, slots=True)
 class CornerResidual:
-    """Whitened corners (sets, N): measured less foreseen, the OOI's place in the base fitted each time."""
+    """Whitened corners (sets, N): measured less foreseen, the OOI's place in the base fitted each time.
+
+    `untimed`: so is by how much the camera's stamps are late, since nobody gave its clock's offset.
+    """
 
     nominal: Nominal
     frames: Frames
@@ -69,6 +73,7 @@ class CornerResidual:
     T_base_ooi: Array
     nuisance: Array
     noise: CornerNoise
+    untimed: bool = False
 
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
@@ -78,18 +83,18 @@ class CornerResidual:
         return self.noise.white(np.array(rows), self.frames.groups)
 
     def _one(self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array) -> Array:
-        """Not yet whitened (N,); `white`: the whitened nuisance (N, 6), which the parameters do not change."""
+        """Not yet whitened (N,); `white`: the whitened nuisance (N, 6 or 7), which the parameters do not change."""
         later = bool(sets.machine[k, READOUT])
         T, T_later = self.poses(sets, plain, k, 0.0), self.poses(sets, plain, k, 0.01) if later else None
         residual = self.difference(plain, k, T, T_later, self.T_base_ooi)
         if self.on == "tool" or self.nuisance.shape[1] == 0:
             return residual
-        moved = self.T_base_ooi @ _small(-self._place(white, residual))
+        moved = self.T_base_ooi @ _small(-self._place(white, residual)[:6])
         residual = self.difference(plain, k, T, T_later, moved)
         return np.asarray(residual - self.nuisance @ self._place(white, residual), dtype=float)
 
     def _place(self, white: Array, residual: Array) -> Array:
-        """Change of the OOI's place (6,) that explains most of a residual (N,) [px]."""
+        """Change of the OOI's place, and of the clock (6 or 7,), that explains most of a residual (N,) [px]."""
         return _solved(white, self.noise.white(residual[None], self.frames.groups)[0])
 
     def poses(self, sets: ParameterSets, plain: ParameterSets, k: int, later_s: float) -> Array:
@@ -137,14 +142,21 @@ def camera_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | Non
     if nominal.camera is None or nominal.T_tcp_cam_left is None:
         return []
     paths = paths_of(whole.stretches) if paths is None else paths
-    to_plc_s = tables.run.camera_to_plc_offset_s
-    table = replace(tables.markers, t_s=tables.markers.t_s + to_plc_s)
-    cells = []
-    for on in ("ooi", "tool"):
+    markers, to_plc_s = tables.markers, camera_to_plc_s(tables)
+
+    def cells_of(on: Literal["tool", "ooi"], late_s: float | None = None) -> list[Cell]:
+        table = replace(markers, t_s=markers.t_s + to_plc_s - (late_s or 0.0))
         frames = frames_of(nominal, table, on, paths)
-        if frames is not None:
-            cells += _cell(whole, nominal, frames, on, paths, base, table)
-    return cells
+        return [] if frames is None else _cell(whole, nominal, frames, on, paths, base, table, late_s is not None)
+
+    seen = cells_of("ooi")
+    if seen and guessed(tables):
+        seen = [_without(one, UNTOLD) for one in cells_of("ooi", late_by_motion_s(seen[0]))]
+    return seen + cells_of("tool")
+
+
+def _without(cell: Cell, names: tuple[str, ...]) -> Cell:
+    return replace(cell, candidates=tuple(one for one in cell.candidates if one.name not in names))
 
 
 def frames_of(
@@ -177,10 +189,11 @@ def _cell(
     paths: tuple[Path, ...],
     base: ParameterSets,
     table: MarkerTable,
+    untimed: bool = False,
 ) -> list[Cell]:
     at = inside(paths, frames.t_s) if on == "ooi" else np.zeros(len(frames.t_s), dtype=np.int64)
     start_s = float(paths[0].t_s[0]) if paths else 0.0
-    rough = CornerResidual(nominal, frames, on, paths, at, start_s, np.eye(4), np.zeros((0, 0)), PLAIN)
+    rough = CornerResidual(nominal, frames, on, paths, at, start_s, np.eye(4), np.zeros((0, 0)), PLAIN, untimed)
     placed = _placed(rough, nominal, table, base)
     if placed is None:
         return []
@@ -254,16 +267,20 @@ def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: P
         nuisance = nuisance_of(placed, base)
         plain = without_encoders(base)
         residual = placed.difference(plain, 0, placed.poses(base, plain, 0, 0.0), None, placed.T_base_ooi)
-        placed = replace(placed, T_base_ooi=placed.T_base_ooi @ _small(-_solved(nuisance, residual)))
+        placed = replace(placed, T_base_ooi=placed.T_base_ooi @ _small(-_solved(nuisance, residual)[:6]))
     return replace(placed, nuisance=nuisance_of(placed, base))
 
 
 def nuisance_of(placed: CornerResidual, base: ParameterSets) -> Array:
-    """Change of the residual with the OOI's place (N, 6), per m and rad in its own axes."""
+    """Change of the residual with the OOI's place (N, 6), per m and rad in its own axes; where nobody knows its clock
+    (N, 7) with that, per s.
+    """
     plain = without_encoders(base)
     Ts = placed.poses(base, plain, 0, 0.0)
     at = placed.difference(plain, 0, Ts, None, placed.T_base_ooi)
     steps = [placed.difference(plain, 0, Ts, None, placed.T_base_ooi @ _small(NUDGE * row)) for row in np.eye(6)]
+    if placed.untimed:
+        steps.append(placed.difference(plain, 0, placed.poses(base, plain, 0, NUDGE), None, placed.T_base_ooi))
     return np.array([(one - at) / NUDGE for one in steps]).T
 
 

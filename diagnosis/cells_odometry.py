@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from diagnosis.candidates import Candidate, arm_candidates, candidates_of, named
 from diagnosis.cells import Cell
 from diagnosis.cells_points import rows_of
+from diagnosis.clocks import camera_to_plc_s
 from diagnosis.link_angles import Path, followed, inside, link_angles, without_encoders
 from diagnosis.nominal import Nominal
 from diagnosis.reading import Read
@@ -78,7 +79,7 @@ def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) ->
         return []
     if nominal.T_tcp_cam_left is None or not paths:
         return []
-    rough = _chords(nominal, tables.odometry, tables.run.camera_to_plc_offset_s, paths)
+    rough = _chords(nominal, tables.odometry, camera_to_plc_s(tables), paths)
     long = rough.length_m > LONG_M
     if int(long.sum()) < CHORDS_MIN:
         return []

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.cells_merged import merged_drives
+from diagnosis.clocks import camera_to_plc_s
 from diagnosis.floor import BLOCK_S, block_means, increments
 from diagnosis.nominal import Nominal
 from diagnosis.points import fit_points, static_data, tracked_data
@@ -218,7 +219,7 @@ def _camera(whole: Read, nominal: Nominal, sets: ParameterSets, energy: Mapping[
     if tool is not None:
         places += _axes("camera", "tool marker", tool, _floor_share(tool, energy.get("tool"), _scatter(tool)))
     views = views_of(nominal, tables.markers, "ooi")
-    shift_s = tables.run.camera_to_plc_offset_s
+    shift_s = camera_to_plc_s(tables)
     q, inside = _encoders_at(whole.stretches, views.t_s + shift_s, nominal.n)
     if inside.sum() > 1:
         seen = replace(views, t_s=views.t_s[inside], Ts_cam_object=views.Ts_cam_object[inside])

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis.cells_merged import merge_of
+from diagnosis.clocks import guessed, plc_to_pc_s
 from diagnosis.errors import DiagnosisError
 from diagnosis.findings import Finding, fatal
 from diagnosis.fitting_file import corner_findings, machine_findings
@@ -162,7 +163,7 @@ def _urdf(recording: Recording) -> str | None:
 
 def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     findings = plc_findings(tables, nominal) + unit_findings(tables, nominal)
-    to_plc_s = tables.run.plc_to_pc_offset_s or 0.0
+    to_plc_s = plc_to_pc_s(tables)
     offsets = (
         ("sent.csv", tables.sent, 0.0),
         ("odometry.csv", tables.odometry, tables.run.camera_to_pc_offset_s or 0.0),
@@ -177,6 +178,10 @@ def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     clocks = tables.run
     if tables.markers is not None and tables.plc is not None and clocks.camera_to_pc_offset_s is None:
         text = "no clocks.camera_to_pc_offset_s: the camera's offset is unknown and must be fitted with every effect"
+        findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
+    if tables.markers is not None and guessed(tables):
+        text = "no clocks.plc_to_pc_offset_s: pictures are placed by how they move with the joints, and a camera that "
+        text += "stamps late cannot be told; give the offset"
         findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
     return findings
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.clocks import camera_to_plc_s
 from diagnosis.nominal import Nominal
 from diagnosis.stretches import Stretch
 from diagnosis.tables import MarkerTable, Tables
@@ -44,7 +45,7 @@ def object_places(tables: Tables, eyes: Eyes, course: Course, stretch: Stretch) 
     table = tables.markers
     if table is None:
         return np.zeros((0, 3))
-    to_plc_s = tables.run.camera_to_plc_offset_s
+    to_plc_s = camera_to_plc_s(tables)
     # one window for both cameras, so that before and after see the same frames
     start, end = stretch.t_s[0] + SKIPPED_S, stretch.t_s[-1] - 0.5 * SKIPPED_S
     inside = (table.t_s + to_plc_s >= start) & (table.t_s + to_plc_s <= end)
