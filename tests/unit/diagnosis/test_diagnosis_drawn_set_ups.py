@@ -1,0 +1,62 @@
+"""The diagnosis on set-ups that nobody chose: other plant, other integrator, any rate, any noise, things not logged.
+
+LONGREACH_SET_UPS: how many (34); LONGREACH_SET_UPS_SEED: the first seed (1001).
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+from drawn_set_ups import Named, SetUp, drawn
+
+from diagnosis.answer import answer
+from diagnosis.diagnose import diagnose
+from diagnosis.reading import read
+
+COUNT = int(os.environ.get("LONGREACH_SET_UPS", "34"))
+FIRST = int(os.environ.get("LONGREACH_SET_UPS_SEED", "1001"))
+
+
+def test_a_seed_is_a_set_up() -> None:
+    some = [drawn(seed) for seed in range(170)]
+    assert some[7] == drawn(7)
+    assert len({one.kind for one in some}) == 17
+    assert {one.without for one in some} == {"", "u_", "q_ref", "seq", "sent", "offset", "segments"}
+    assert all("camera_px" in one.logged for one in some if one.kind in ("focal_length_error", "late"))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120 * COUNT)
+def test_what_is_named_is_there(tmp_path: Path) -> None:
+    """Nothing false, nine in ten exact; what a recording cannot tell apart counts as one name."""
+    exact, false = [], []
+    for seed in range(FIRST, FIRST + COUNT):
+        one = drawn(seed)
+        found = answer(diagnose(read(one.write(tmp_path / str(seed)))))
+        verdict, told = found["verdict"], _told(found)
+        right = _right(one, found, told)
+        exact.append(right)
+        if not right and verdict == "effects":
+            false.append((seed, one.kind, one.without, told))
+        print(f"seed {seed}, {one.kind}: {'right' if right else f'{verdict} {told}'}", flush=True)
+    assert false == []
+    assert sum(exact) >= 0.9 * len(exact)
+
+
+def _told(found: dict[str, Any]) -> Named:
+    best = found["hypotheses"][0]["effects"] if found["hypotheses"] else []
+    return [(effect["name"], effect["joint"]) for effect in best]
+
+
+def _right(one: SetUp, found: dict[str, Any], told: Named) -> bool:
+    if one.named is None:
+        return found["verdict"] in ("outside", "undecided")
+    if found["verdict"] != ("effects" if one.named else "none"):
+        return False
+    classes = [{(each["name"], each["joint"]) for each in group} for group in found["indistinguishable"]]
+
+    def same(a: tuple[str, int | None], b: tuple[str, int | None]) -> bool:
+        return a == b or any({a, b} <= group for group in classes)
+
+    return len(told) == len(one.named) and all(any(same(true, name) for name in told) for true in one.named)
