@@ -151,12 +151,8 @@ def camera_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | Non
 
     seen = cells_of("ooi")
     if seen and guessed(tables):
-        seen = [_without(one, UNTOLD) for one in cells_of("ooi", late_by_motion_s(seen[0]))]
+        seen = cells_of("ooi", late_by_motion_s(seen[0]))
     return seen + cells_of("tool")
-
-
-def _without(cell: Cell, names: tuple[str, ...]) -> Cell:
-    return replace(cell, candidates=tuple(one for one in cell.candidates if one.name not in names))
 
 
 def frames_of(
@@ -204,7 +200,8 @@ def _cell(
         candidates += candidates_of("time", joints, True)
     else:
         candidates = tuple(one for one in candidates if one.name not in TIMED)
-    candidates = tuple(one for one in candidates if one.name != "odometry_scale")
+    untold = ("odometry_scale", *(UNTOLD if untimed else ()))
+    candidates = tuple(one for one in candidates if one.name not in untold)
     visits = _visits(placed, base)
     known = noise_of_visits(visits, 1 if on == "tool" else VISITED_MIN)
     loose = loose_marker(visits, len(frames.markers))

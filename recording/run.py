@@ -39,11 +39,6 @@ class RunInfo:
     segments: tuple[Segment, ...] = ()
     format_version: int = FORMAT_VERSION
 
-    @property
-    def camera_to_plc_offset_s(self) -> float:
-        """t_plc = t_camera + offset; what is not known counts as 0."""
-        return (self.camera_to_pc_offset_s or 0.0) - (self.plc_to_pc_offset_s or 0.0)
-
 
 def _line(name: str, value: object) -> str:
     """One TOML line; JSON's strings and numbers are TOML's."""

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from longreach.bench_links.cases import entry
 from longreach.bench_links.recorded import Course, Link, over
-from machine.effects.entries import EffectEntry, make_entry
-from machine.effects.registry import effect_named
+from machine.effects.entries import EffectEntry
 from recording.folder import write_folder
 
 LONG = ("repeat", "repeat", "repeat", "repeat", "steps", "steps", "workcycle", "workcycle")
@@ -26,7 +26,7 @@ class Size:
     def effects(self) -> tuple[EffectEntry, ...]:
         """What is wrong in it."""
         places = (self.joints, max(1, self.joints - 1))
-        return tuple(_entry(name, joint, values) for (name, values), joint in zip(FAULTS, places, strict=True))
+        return tuple(entry(name, joint, values) for (name, values), joint in zip(FAULTS, places, strict=True))
 
     def write(self, folder: Path, seed: int) -> None:
         """Eight segments of a minute, as CSV files."""
@@ -37,10 +37,3 @@ def write_short(folder: Path, seed: int) -> None:
     """One joint for half a minute; of three, one is healthy, one has a fault, one has both."""
     effects = Size(1).effects[: seed % (1 + len(FAULTS))]
     write_folder(over(AS_LOGGED, effects, seed, Course(SHORT, SHORT_S, 1)), folder)
-
-
-def _entry(name: str, joint: int, values: dict[str, float]) -> EffectEntry:
-    effect = effect_named(name)
-    if effect is None:
-        raise LookupError(f"no effect {name} in the catalogue")
-    return make_entry(effect, joint, dict(values))

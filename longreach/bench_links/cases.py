@@ -1,5 +1,6 @@
 """Links and faults as they are drawn: every fourth case healthy, losing datagrams, late, or with a fault of a joint."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,9 +54,14 @@ def _spread(rng: np.random.Generator, between: tuple[float, float]) -> float:
 
 def _fault(rng: np.random.Generator) -> EffectEntry:
     name, parameter, low, high = FAULTS[int(rng.integers(len(FAULTS)))]
+    size = float(rng.uniform(low, high))
+    sign = rng.choice([-1.0, 1.0]) if name == "flow_gain_error" else 1.0
+    return entry(name, int(rng.integers(1, JOINTS + 1)), {parameter: float(sign) * size})
+
+
+def entry(name: str, joint: int, values: Mapping[str, object]) -> EffectEntry:
+    """An effect of the catalogue with these numbers. Raises: LookupError: it has none of that name."""
     effect = effect_named(name)
     if effect is None:
         raise LookupError(f"no effect {name} in the catalogue")
-    size = float(rng.uniform(low, high))
-    sign = rng.choice([-1.0, 1.0]) if name == "flow_gain_error" else 1.0
-    return make_entry(effect, int(rng.integers(1, JOINTS + 1)), {parameter: float(sign) * size})
+    return make_entry(effect, joint, dict(values))

@@ -59,10 +59,8 @@ class Course:
     def command(self, kind: SegmentKind, t: Array) -> Array:
         """A command (m, joints) [rad] that starts and ends at rest."""
         fade = np.clip(np.minimum(t, self.segment_s - t) / 1.0, 0.0, 1.0)[:, None]
-        start, phase = (
-            Q_START[: self.joints],
-            t[:, None] * RATES[: self.joints] * (SLOWER if kind == "workcycle" else 1.0),
-        )
+        start = Q_START[: self.joints]
+        phase = t[:, None] * RATES[: self.joints] * (SLOWER if kind == "workcycle" else 1.0)
         if kind == "steps":
             return start + fade * 0.05 * np.sign(np.sin(phase))
         return start + fade * 0.08 * (np.sin(phase) + 0.3 * np.sin(3.7 * phase))
@@ -91,7 +89,7 @@ def arrived(link: Link, t_s: Array, rng: np.random.Generator) -> tuple[NDArray[n
 
 
 def over(link: Link, effects: tuple[EffectEntry, ...] = (), seed: int = 1, course: Course = FIVE) -> Recording:
-    """The course as it is logged: four repeats of one command, and its steps."""
+    """The course as it is logged; all segments called repeat share one command."""
     rng = np.random.default_rng(seed)
     plant = replace(PLANT, joints=PLANT.joints[: course.joints], log_cycle_s=link.log_cycles * PLANT.cycle_s)
     cycles = round(course.segment_s / plant.cycle_s)
