@@ -4,7 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.certain import share_of_first
 from diagnosis.diagnose import CellAnswer, Diagnosis
+from diagnosis.equals import probability_with_equals
 from diagnosis.experiments.choice import next_experiment
 from diagnosis.limits import Interval
 from diagnosis.localise import totals_of
@@ -12,9 +14,9 @@ from diagnosis.rivals import rivals
 from diagnosis.score import Score
 from diagnosis.shrink import closing, together
 from diagnosis.sliding import in_metres
-from diagnosis.unseen import one_more, unseen_share
+from diagnosis.unseen import counted_as, one_more, outside_share, unseen_share
 from diagnosis.unweighed import unweighed
-from diagnosis.weigh import Key, Whole, calibration
+from diagnosis.weigh import Key, Whole
 from machine.effects.registry import effect_named
 from machine.effects.spec import Direction
 from machine.rotations import Array
@@ -43,7 +45,7 @@ def judgement(found: Diagnosis) -> dict[str, Any]:
         "why": found.verdict.why,
         "hypotheses": hypotheses,
         "outside_probability": _outside(found),
-        "unseen_probability": _round((1.0 - _outside(found)) * unseen_share(found.verdict.word)),
+        "unseen_probability": _round((1.0 - _outside(found)) * _unseen(found)),
         "indistinguishable": _classes(found),
         "credible_set_90": _credible(found),
         "localisation": _localisation(found),
@@ -56,19 +58,29 @@ def judgement(found: Diagnosis) -> dict[str, Any]:
         "searched": [_searched(one) for one in found.cells],
         "rivals": rivals(found.cells),
     }
+    for number, one in enumerate(hypotheses):
+        one["probability_with_equals"] = _round(probability_with_equals(told, number))
     nominal = found.whole.nominal
     return in_metres(told, nominal.sliding) if nominal is not None and any(nominal.sliding) else told
 
 
 def _outside(found: Diagnosis) -> float:
     """Probability that a cause outside the catalogue is at work."""
-    by_word = dict(calibration().outside_probability)
-    return float(by_word[found.verdict.word])
+    return outside_share(_counted_as(found))
+
+
+def _unseen(found: Diagnosis) -> float:
+    """Probability, if it is none, that a further name of the catalogue is too small to be seen."""
+    return unseen_share(_counted_as(found))
+
+
+def _counted_as(found: Diagnosis) -> str:
+    return counted_as(found.verdict.word, share_of_first(found.cells, found.hypotheses))
 
 
 def _inside(found: Diagnosis) -> float:
     """Probability that the names printed are all that is at work."""
-    return (1.0 - _outside(found)) * (1.0 - unseen_share(found.verdict.word))
+    return (1.0 - _outside(found)) * (1.0 - _unseen(found))
 
 
 def _hypothesis(found: Diagnosis, number: int) -> dict[str, Any]:
@@ -131,7 +143,7 @@ def _credible(found: Diagnosis) -> list[dict[str, Any]]:
     """The fewest hypotheses that hold 90 % of what the catalogue can explain: those weighed, and the first one with one
     more name that is too small to be seen.
     """
-    unseen = unseen_share(found.verdict.word)
+    unseen = _unseen(found)
     first = _keys(found.hypotheses[0]) if found.hypotheses else ()
     weighed = [(_keys(whole), (1.0 - unseen) * whole.probability) for whole in found.hypotheses]
     others = one_more(found.cells, frozenset(first)) if unseen > 0.0 else ()

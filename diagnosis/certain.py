@@ -10,6 +10,7 @@ from diagnosis.score import Score
 
 if TYPE_CHECKING:
     from diagnosis.diagnose import CellAnswer
+    from diagnosis.weigh import Whole
 
 CERTAIN = 0.9  # probability of one name, with its equals, from which it is told beside doubtful ones
 
@@ -26,6 +27,12 @@ def probability_of_names(answers: tuple[CellAnswer, ...]) -> float:
         if answer.chosen.fit.hypothesis:
             total *= _share(answer, Counter(_class(answer, one.key) for one in answer.chosen.fit.hypothesis))
     return total
+
+
+def share_of_first(answers: tuple[CellAnswer, ...], hypotheses: tuple[Whole, ...]) -> float:
+    """Probability of the first hypothesis and of all that only put equal names in the place of its own."""
+    named = [[_names(answer, score) for answer, score in zip(answers, one.scores, strict=True)] for one in hypotheses]
+    return sum(one.probability for one, names in zip(hypotheses, named, strict=True) if names == named[0])
 
 
 def certain_in_words(answers: tuple[CellAnswer, ...]) -> str:

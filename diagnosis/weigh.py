@@ -26,14 +26,14 @@ SEEN_TOGETHER = {"structure": ("joint", "structure")}
 EQUAL_NATS = 0.5
 NOTHING = 1e-6  # of an effect's range
 UNHEARD_NATS = 4.0  # at most, that a size beyond what machines have costs a name of another stage
-BY_VERDICT = ("outside_probability", "unseen_probability")
+BY_HEADING = ("outside_probability", "unseen_probability")
 Key = tuple[str, int | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Frozen numbers that turn scores into probabilities. By verdict: `outside_probability` of a foreign cause,
-    `unseen_probability` (if it is none) of a further effect that is too small to be seen.
+    """Frozen numbers that turn scores into probabilities. By verdict (and `sure` names): `outside_probability` of a
+    foreign cause, `unseen_probability` (if it is none) of a further effect that is too small to be seen.
     """
 
     temperature: float
@@ -48,8 +48,8 @@ class Calibration:
 def calibration() -> Calibration:
     """As the package carries them."""
     data = json.loads(files("diagnosis").joinpath("calibration.json").read_text(encoding="utf-8"))
-    plain = {name: float(data[name]) for name in Calibration.__dataclass_fields__ if name not in BY_VERDICT}
-    outside, unseen = (tuple(data[name].items()) for name in BY_VERDICT)
+    plain = {name: float(data[name]) for name in Calibration.__dataclass_fields__ if name not in BY_HEADING}
+    outside, unseen = (tuple(data[name].items()) for name in BY_HEADING)
     return Calibration(**plain, outside_probability=outside, unseen_probability=unseen)
 
 

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from diagnosis.report.equals import probability_with_equals
+from diagnosis.equals import probability_with_equals
 
 SHAPES_MAX = 6
 NAMES_MAX = 5

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from diagnosis.report.equals import equals_of, probability_with_equals
+from diagnosis.equals import equals_of, probability_with_equals
 from diagnosis.report.text import effects_text, place_text
 from machine.effects.registry import effect_named
 

@@ -8,11 +8,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from diagnosis.unseen import counted_as
+from diagnosis.weigh import calibration
+from longreach.bench_gap.reliability import Bin, share_of_first
 from machine.rotations import Array
 
 Cases = Sequence[dict[str, Any]]
 Ladder = list[tuple[int, float, bool]]  # effects, probability among the catalogue's, whether it is the truth
-WORDS = ("none", "effects", "undecided", "outside")
+HEADINGS = ("none", "effects", "sure", "undecided", "outside")
 INSIDE = ("none", "single", "double")  # kinds of cases that the catalogue explains
 MISSING = 1e-3  # of the truth where none of the hypotheses that were printed is it
 FADE = 0.02  # prior on the two numbers: few cases must not sharpen anything
@@ -29,12 +32,13 @@ class Fitted:
     cases: int
 
 
-def fit(cases: Cases) -> Fitted:
-    """Maximum likelihood of the truths.
+def fit(cases: Cases, keep_temperature: bool = False) -> Fitted:
+    """Maximum likelihood of the truths; `keep_temperature` counts the shares only and leaves s = 1, d = 0.
 
     Model: p' ~ (p e^(-d k))^s over a case's hypotheses, k effects each; s and d over cases of the catalogue;
-           P(outside | verdict), and of the others P(truth not among the hypotheses | verdict), by counting, half a
-           case of each kind added.
+           P(outside | heading) by counting, half a case of each kind added; of the others P(unseen | heading), which
+           is what makes the mean of what is stated the share that was right.
+    Why not the share whose truth is not printed: a truth that was printed with a hundredth is as good as unseen.
     """
     inside = [_ladder(one) for one in cases if one["mix"] in INSIDE and one["ladder"]]
 
@@ -42,8 +46,9 @@ def fit(cases: Cases) -> Fitted:
         total = sum(-np.log(max(_right(ladder, np.exp(x[0]), x[1]), MISSING)) for ladder in inside)
         return float(total / max(len(inside), 1) + FADE * (x[0] ** 2 + 0.1 * x[1] ** 2))
 
-    found = minimize(cost, np.zeros(2), method="Nelder-Mead").x if inside else np.zeros(2)
-    outside, unseen = ({word: share(cases, word) for word in WORDS} for share in (_outside, _unseen))
+    fitted = bool(inside) and not keep_temperature
+    found = minimize(cost, np.zeros(2), method="Nelder-Mead").x if fitted else np.zeros(2)
+    outside, unseen = ({word: share(cases, word) for word in HEADINGS} for share in (_outside, _unseen))
     return Fitted(float(np.exp(found[0])), float(found[1]), outside, unseen, len(cases))
 
 
@@ -57,28 +62,49 @@ def _right(ladder: Ladder, sharper: float, per_effect: float) -> float:
 
 
 def _outside(cases: Cases, word: str) -> float:
-    said = [one["mix"] in ("foreign", "lacking") for one in cases if one["verdict"] == word]
+    said = [one["mix"] in ("foreign", "lacking") for one in cases if heading(one) == word]
     return round((sum(said) + 0.5) / (len(said) + 1.0), 4)
 
 
 def _unseen(cases: Cases, word: str) -> float:
-    said = [one for one in cases if one["verdict"] == word and one["mix"] in INSIDE and one["ladder"]]
-    missing = [not any(right for _, _, right in one["ladder"]) for one in said]
-    return round((sum(missing) + 0.5) / (len(said) + 1.0), 4)
+    """What has to be unseen for the first hypothesis (or its equals) to be right as often as stated on the average."""
+    said = [one for one in with_equals_known(cases) if heading(one) == word and one["mix"] in INSIDE]
+    said = [one for one in said if one["ladder"]]
+    right = sum(any(one["ladder"][k][2] for k in one.get("equals", [0])) for one in said)
+    stated = sum(share_of_first(one) for one in said)
+    return round(max(1.0 - (right + 0.5) / (stated + 1.0), 0.0), 4)
+
+
+def heading(one: dict[str, Any]) -> str:
+    """Under which the diagnosis looks its shares up."""
+    return counted_as(one["verdict"], share_of_first(one))
+
+
+def with_equals_known(cases: Cases) -> list[dict[str, Any]]:
+    """Without those of older packed scores that named what has equals, and do not say which hypotheses these are."""
+    return [one for one in cases if "equals" in one or max(one["classes"], default=1) == 1]
+
+
+def shares_of_today() -> Fitted:
+    """What this tree's calibration.json says is outside or unseen, for answers of the same temperature."""
+    now = calibration()
+    return Fitted(1.0, 0.0, dict(now.outside_probability), dict(now.unseen_probability), 0)
 
 
 def restated(cases: Cases, found: Fitted) -> list[dict[str, Any]]:
-    """The cases with the probability that the first hypothesis would have been given."""
+    """The cases with the probability that the first hypothesis would have been given, its equals beside it."""
     out = []
     for one in cases:
-        ladder, word = _ladder(one), one["verdict"]
+        ladder, word = _ladder(one), heading(one)
         weights = [max(p, 1e-12) ** found.sharper * np.exp(-found.sharper * found.per_effect * k) for k, p, _ in ladder]
-        share = float(weights[0] / np.sum(weights)) if ladder else 0.0
-        out.append({**one, "probability": share * (1.0 - found.outside[word]) * (1.0 - found.unseen[word])})
+        p = [float(weight / np.sum(weights)) for weight in weights]
+        inside = (1.0 - found.outside[word]) * (1.0 - found.unseen[word])
+        again = [[k, share, right] for (k, _, right), share in zip(ladder, p, strict=True)]
+        out.append({**one, "ladder": again, "probability": p[0] * inside if p else 0.0})
     return out
 
 
-def calibrated(text: str, found: Fitted, reliability: list[tuple[str, int, float, float]], told: str) -> str:
+def calibrated(text: str, found: Fitted, reliability: list[Bin], told: str) -> str:
     """The package's calibration.json (as `text`) with the fitted numbers and the curve they were checked by."""
     data = json.loads(text)
     T = float(data["temperature"])

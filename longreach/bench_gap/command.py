@@ -9,8 +9,8 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from longreach.bench_gap import figures
-from longreach.bench_gap.calibrate import calibrated, fit, restated
+from longreach.bench_gap import figures, reliability
+from longreach.bench_gap.calibrate import calibrated, fit, restated, shares_of_today, with_equals_known
 from longreach.bench_gap.runner import PLANTS, ROOT, Campaign, CampaignError, pack, run_campaign, scores
 from longreach.bench_machines.command import told
 
@@ -32,6 +32,12 @@ def gap(
     with_seed: Annotated[
         list[int] | None, typer.Option(help="a further campaign on file that --calibrate counts; may be given again")
     ] = None,
+    keep_temperature: Annotated[
+        bool, typer.Option("--keep-temperature", help="--calibrate only counts the shares of what is outside or unseen")
+    ] = False,
+    spent: Annotated[
+        bool, typer.Option("--spent", help="the judgement seeds of --calibrate are spent: later code answers to them")
+    ] = False,
     only_tell: Annotated[bool, typer.Option("--tell", help="run nothing, tell what is on file")] = False,
     packed: Annotated[
         bool, typer.Option("--pack", help="write the scores on file as one, which another computer goes on from")
@@ -42,9 +48,10 @@ def gap(
     if plant not in PLANTS:
         raise typer.BadParameter(f"--plant {plant}; there are {', '.join(PLANTS)}")
     seeds = [seed, *(with_seed or ())]
-    if calibrate and max(seeds) >= JUDGEMENT:
+    if calibrate and max(seeds) >= JUDGEMENT and not spent:
         raise typer.BadParameter(
-            f"--calibrate with --seed {max(seeds)}: seeds of {JUDGEMENT} and above judge, and fit nothing"
+            f"--calibrate with --seed {max(seeds)}: seeds of {JUDGEMENT} and above judge, and fit nothing "
+            "before they are spent (--spent)"
         )
     asked, numbers = Campaign(plant, seed, folder.resolve(), factor), range(first, first + n)
     try:
@@ -62,7 +69,7 @@ def gap(
             one for number in seeds for one in scores(Campaign(plant, number, folder.resolve(), factor), numbers)
         ]
         told_seeds = f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
-        _calibrate(counted, f"{len(counted)} cases of plant {plant}, {told_seeds}")
+        _calibrate(counted, f"{len(counted)} cases of plant {plant}, {told_seeds}", keep_temperature)
 
 
 def _run(asked: Campaign, numbers: range, workers: int) -> int:
@@ -76,9 +83,9 @@ def _run(asked: Campaign, numbers: range, workers: int) -> int:
         return run_campaign(asked, numbers, advance, workers)
 
 
-def _calibrate(cases: figures.Cases, told_on: str) -> None:
-    found = fit(cases)
-    curve = figures.reliability(restated(cases, found))
+def _calibrate(cases: figures.Cases, told_on: str, keep_temperature: bool) -> None:
+    found = fit(cases, keep_temperature)
+    curve = reliability.by_width(restated(with_equals_known(cases), found))
     CALIBRATION.write_text(calibrated(CALIBRATION.read_text(encoding="utf-8"), found, curve, told_on), encoding="utf-8")
     console.print(f"sharper {found.sharper:.3g}, {found.per_effect:+.3g} nats an effect, outside {found.outside}")
     for name, count, mean, right in curve:
@@ -96,12 +103,8 @@ def tell(cases: figures.Cases, title: str) -> None:
     )
     console.print(_table("the true name left out of the library", figures.left_out(cases)))
     console.print(_table("simpler methods, same cases", figures.rivals(cases)))
-    table = Table(title="reliability of the best answer's probability", title_justify="left")
-    for heading in ("stated", "cases", "mean stated", "share right"):
-        table.add_column(heading)
-    for bin_name, count, stated, right in figures.reliability(cases):
-        table.add_row(bin_name, str(count), f"{stated:.2f}", f"{right:.2f}")
-    console.print(table)
+    _tell_reliability(cases, "as the answers stated it")
+    _tell_reliability(restated(cases, shares_of_today()), "with the shares of this tree's calibration.json")
     sizes = [one["credible_size"] for one in cases]
     classes = [size for one in cases for size in one["classes"]]
     console.print(
@@ -117,6 +120,16 @@ def tell(cases: figures.Cases, title: str) -> None:
     console.print(_table("limits", [figures.closed_limits(cases), figures.inside_limits(cases)]))
     for line in figures.failures(cases):
         console.print(f"  {escape(line)}")
+
+
+def _tell_reliability(cases: figures.Cases, how: str) -> None:
+    table = Table(title=f"probability of the best answer or its equals, {how}", title_justify="left")
+    for heading in ("stated", "cases", "mean stated", "share right"):
+        table.add_column(heading)
+    widths, fifths = reliability.by_width(cases), reliability.by_fifths(cases)
+    for k, (bin_name, count, stated, right) in enumerate((*widths, *fifths)):
+        table.add_row(bin_name, str(count), f"{stated:.2f}", f"{right:.2f}", end_section=k == len(widths) - 1)
+    console.print(table)
 
 
 def _table(title: str, lines: list[figures.Line]) -> Table:

@@ -10,7 +10,6 @@ from longreach.reproduce.summary import Share, share
 
 Cases = Sequence[dict[str, Any]]
 LARGE = 2.0  # times the detection limit: from there on names are expected
-BINS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,27 +108,6 @@ def rivals(cases: Cases) -> list[Line]:
         wrong = [one["rivals"][name]["false"] > 0 for one in of(big, "none", "single", "double") if one["rivals"]]
         lines.append(_line(f"{words}: false names", "", wrong))
     return lines
-
-
-def reliability(cases: Cases) -> list[tuple[str, int, float, float]]:
-    """Stated probability of the best answer against the share right: bin, cases, mean stated, share right."""
-    rows = []
-    for k in range(BINS):
-        low, high = k / BINS, (k + 1) / BINS
-        inside = [
-            one for one in cases if low <= one["probability"] < high or (k == BINS - 1 and one["probability"] == 1)
-        ]
-        if inside:
-            right = [_right(one) for one in inside]
-            stated = sum(one["probability"] for one in inside) / len(inside)
-            rows.append((f"{low:.1f} to {high:.1f}", len(inside), stated, sum(right) / len(right)))
-    return rows  # fmt: skip
-
-
-def _right(one: dict[str, Any]) -> bool:
-    if one["mix"] in ("foreign", "lacking"):
-        return False
-    return not one["named"] if one["mix"] == "none" else bool(one["exact_named"])
 
 
 def limit_ratios(cases: Cases) -> list[float]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from diagnosis.equals import rows_alike
 from longreach.bench_gap.code_mark import code_mark
 from longreach.bench_gap.packed import Packed, PackedError, read_packed, write_packed
 from longreach.bench_gap.warm import Warm
@@ -218,12 +219,22 @@ def scores(asked: Campaign, numbers: range) -> list[dict[str, Any]]:
     """
     found, packed = [], _packed(asked).scores
     for number in numbers:
-        file = asked.place / f"case{number:05d}" / "score.json"
-        if file.is_file():
-            found.append(json.loads(file.read_text(encoding="utf-8")))
+        folder = asked.place / f"case{number:05d}"
+        if (folder / "score.json").is_file():
+            found.append(_score_in(folder))
         elif number in packed:
             found.append(packed[number])
     return found
+
+
+def _score_in(folder: Path) -> dict[str, Any]:
+    """A case's score, and which of the answer's hypotheses are the first one's equals: the judge, who knows nothing of
+    the diagnosis, counts these as one by a rule of its own.
+    """
+    score: dict[str, Any] = json.loads((folder / "score.json").read_text(encoding="utf-8"))
+    file = folder / "answer.json"
+    answer = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    return {**score, "equals": rows_alike(answer) if answer.get("hypotheses") else [0]}
 
 
 def pack(asked: Campaign, numbers: range) -> Path:

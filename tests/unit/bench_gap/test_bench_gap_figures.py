@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from longreach.bench_gap import calibrate, figures
+from longreach.bench_gap import calibrate, figures, reliability
 from longreach.bench_gap.command import tell
 from longreach.bench_gap.runner import Campaign, scores
 
@@ -88,17 +88,17 @@ def test_probabilities_are_fitted_to_what_turned_out_right() -> None:
     again = calibrate.restated(cases, found)
     assert again[0]["probability"] == pytest.approx(0.95, abs=0.03)
     text = json.dumps({"temperature": 1.0, "temperature_without_floor": 3.0, "penalty_nats_per_effect": 8.0})
-    data = json.loads(calibrate.calibrated(text, found, figures.reliability(again), "62 made-up cases"))
+    data = json.loads(calibrate.calibrated(text, found, reliability.by_width(again), "62 made-up cases"))
     assert data["temperature"] <= 1.0
     assert data["penalty_nats_per_effect"] > 8.0
     assert data["fitted_on"] == "62 made-up cases"
 
 
-def test_a_truth_that_no_hypothesis_was_is_counted_as_unseen_by_verdict() -> None:
+def test_what_is_unseen_makes_the_mean_of_what_is_stated_the_share_that_was_right() -> None:
     seen = case("none", verdict="none", ladder=[[0, 0.9, True]], named=[])
-    small = case("single", 0.6, verdict="none", ladder=[[0, 0.9, False]], exact_named=False)
+    small = case("single", 0.6, verdict="none", ladder=[[0, 0.9, False], [1, 0.1, True]], exact_named=False)
     found = calibrate.fit([seen, seen, small])
-    assert found.unseen["none"] == pytest.approx(1.5 / 4.0)
+    assert found.unseen["none"] == pytest.approx(1.0 - 2.5 / 3.7, abs=1e-4)
     assert calibrate.restated([seen], found)[0]["probability"] < 1.0 - found.unseen["none"]
     text = json.dumps({"temperature": 1.0, "temperature_without_floor": 3.0, "penalty_nats_per_effect": 8.0})
     assert json.loads(calibrate.calibrated(text, found, [], ""))["unseen_probability"] == found.unseen
@@ -106,8 +106,35 @@ def test_a_truth_that_no_hypothesis_was_is_counted_as_unseen_by_verdict() -> Non
 
 def test_reliability_puts_a_whole_probability_into_the_last_bin() -> None:
     cases = [case("single", 3.0, probability=1.0), case("single", 3.0, probability=0.5, exact_named=False)]
-    rows = {name: (count, right) for name, count, _, right in figures.reliability(cases)}
-    assert rows == {"0.4 to 0.6": (1, 0.0), "0.8 to 1.0": (1, 1.0)}
+    rows = {name: (count, right) for name, count, _, right in reliability.by_width(cases)}
+    assert rows == {"0.4 to 0.6": (1, 0.0), "0.8 to 1": (1, 1.0)}
+
+
+def test_equals_are_stated_as_one_since_they_count_as_right() -> None:
+    ladder = [[1, 0.4, True], [1, 0.3, False], [1, 0.2, False]]
+    one = case("single", 3.0, probability=0.2, ladder=ladder, equals=[0, 2])  # half of all is outside or unseen
+    assert reliability.stated(one) == pytest.approx(0.3)
+    assert reliability.stated(case("single", 3.0, probability=0.2, ladder=ladder)) == pytest.approx(0.2)
+
+
+def test_fifths_hold_as_many_cases_each_however_probabilities_crowd() -> None:
+    cases = [case("single", 3.0, probability=0.7 + 0.001 * k, exact_named=k >= 6) for k in range(10)]
+    rows = reliability.by_fifths(cases)
+    assert [count for _, count, _, _ in rows] == [2] * 5
+    assert [right for *_, right in rows] == [0.0, 0.0, 0.0, 1.0, 1.0]
+    assert reliability.by_fifths(cases[:2]) != []
+
+
+def test_names_with_hardly_a_rival_are_counted_apart() -> None:
+    sure = case("single", 3.0, ladder=[[1, 0.7, True], [1, 0.26, False]], equals=[0, 1])
+    assert calibrate.heading(sure) == "sure"
+    assert calibrate.heading({**sure, "equals": [0]}) == "effects"
+    assert calibrate.heading({**sure, "verdict": "none"}) == "none"
+
+
+def test_packed_scores_that_do_not_say_what_the_equals_are_count_only_where_there_are_none() -> None:
+    told, alone, unknown = case("single", equals=[0], classes=[3]), case("single"), case("single", classes=[1, 3])
+    assert calibrate.with_equals_known([told, alone, unknown]) == [told, alone]
 
 
 def test_leave_out_needs_the_refusal_and_the_stage() -> None:

@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 from diagnosis.answer import _number, _vector, answer
 from diagnosis.candidates import named
 from diagnosis.diagnose import Diagnosis, diagnose
+from diagnosis.equals import equals_of, probability_with_equals
 from diagnosis.limits import Interval
 from diagnosis.reading import read
-from diagnosis.report.equals import equals_of, probability_with_equals
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
 from longreach.cli import app

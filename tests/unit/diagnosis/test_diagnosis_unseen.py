@@ -11,7 +11,7 @@ from diagnosis.answer import judgement
 from diagnosis.diagnose import diagnose
 from diagnosis.reading import examine
 from diagnosis.report.text import lines
-from diagnosis.unseen import one_more, unseen_share
+from diagnosis.unseen import counted_as, one_more, outside_share, unseen_share
 from diagnosis.weigh import calibration
 
 
@@ -43,6 +43,8 @@ def test_all_probabilities_sum_to_one_and_the_set_holds_ninety_percent(found, mo
     assert result["unseen_probability"] == pytest.approx(0.4 * (1.0 - outside), rel=1e-4)
     listed = sum(one["probability"] for one in result["hypotheses"])
     assert listed + result["unseen_probability"] + outside == pytest.approx(1.0, abs=0.01)
+    first = result["hypotheses"][0]
+    assert first["probability_with_equals"] >= first["probability"]
     rows = result["credible_set_90"]
     held = sum(one["probability"] for one in rows)
     assert 0.9 * (1.0 - outside) <= held <= 0.9 * (1.0 - outside) + max(one["probability"] for one in rows)
@@ -65,3 +67,11 @@ def test_one_more_is_any_other_name_each_once(found) -> None:
 
 def test_a_verdict_that_was_never_counted_has_none_unseen() -> None:
     assert unseen_share("no such word") == 0.0
+
+
+def test_names_with_hardly_a_rival_have_shares_of_their_own() -> None:
+    assert counted_as("effects", 0.95) == "sure"
+    assert counted_as("effects", 0.94) == "effects"
+    assert counted_as("none", 1.0) == "none"
+    assert outside_share("sure") < outside_share("effects") < outside_share("outside")
+    assert unseen_share("sure") < unseen_share("effects")

@@ -12,11 +12,15 @@ def equals_of(result: dict[str, Any], effect: dict[str, Any]) -> list[dict[str, 
     return [one for members in classes for one in members if _key(one) != own]
 
 
-def probability_with_equals(result: dict[str, Any]) -> float:
-    """Of the first hypothesis, with all that only put an equal name in the place of one of its own."""
-    first = _classes(result, result["hypotheses"][0]["effects"])
-    alike = (one for one in result["hypotheses"] if _classes(result, one["effects"]) == first)
-    return float(sum(one["probability"] for one in alike))
+def rows_alike(result: dict[str, Any], number: int = 0) -> list[int]:
+    """Numbers of the hypotheses that only put equal names in the place of this one's, its own with them."""
+    classes = [_classes(result, one["effects"]) for one in result["hypotheses"]]
+    return [k for k, names in enumerate(classes) if names == classes[number]]
+
+
+def probability_with_equals(result: dict[str, Any], number: int = 0) -> float:
+    """Of a hypothesis, with all of those printed that are its equals."""
+    return float(sum(result["hypotheses"][k]["probability"] for k in rows_alike(result, number)))
 
 
 def _classes(result: dict[str, Any], effects: list[dict[str, Any]]) -> list[str]:
