@@ -28,7 +28,7 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 REAL := tests/system tests/loop/test_link_process.py tests/loop/test_relay_udp.py
 
 test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores, then those with real processes one by one
-	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile $(REAL:%=--ignore %)
+	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile --durations 20 $(REAL:%=--ignore %)
 	$(BIN)/python -m pytest -m "not slow" --durations 20 $(REAL)
 
 test-slow: $(VENV)/dev.stamp  ## compose, long drills

@@ -1,10 +1,6 @@
 """`longreach bench scale`: what one machine makes, measured, and what a thousand would (docs/scale.md)."""
 
 import json
-import os
-import resource
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -18,6 +14,7 @@ from mcap.reader import make_reader
 from rich.console import Console
 from rich.table import Table
 
+from longreach.diagnose_child import diagnosed_in_a_child
 from longreach.fleet_client import read_key
 from recording.writer import IMAGE_TOPIC
 
@@ -125,14 +122,9 @@ def weigh(recording: Path, diagnose: bool) -> Weight:
 
 
 def _diagnosed(recording: Path) -> tuple[float, float]:
-    before, started_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
     with tempfile.TemporaryDirectory() as scratch:
-        answer = Path(scratch) / "answer.json"
-        command = [sys.executable, "-m", "longreach.cli", "diagnose", str(recording), "--json", str(answer)]
-        subprocess.run(command, stdout=subprocess.DEVNULL, check=True, preexec_fn=lambda: os.nice(5))
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return cpu_s, time.monotonic() - started_s
+        used = diagnosed_in_a_child(recording, Path(scratch) / "answer.json", niceness=5)
+    return used.cpu_s, used.wall_s
 
 
 def rows_of(stream: Stream | None, weight: Weight | None, fleet: Fleet) -> Iterator[tuple[str, str, str]]:

@@ -55,7 +55,7 @@ def test_the_command_tells_the_slowest_and_what_differs(tmp_path: Path, monkeypa
 
     def made_up(size: Size, recording: Path) -> Timed:
         asked.append(recording)
-        return Timed(size.joints, 10.0 * len(asked), 5.0, 300.0, len(asked) != 2)
+        return Timed(10.0 * len(asked), 5.0, 300.0, joints=size.joints, exact=len(asked) != 2)
 
     monkeypatch.setattr(command, "timed", made_up)
     monkeypatch.setattr(command, "everywhere", lambda _recordings, _out: iter([Way("two processes", 1, 7.0, 1)]))
