@@ -5,14 +5,20 @@ import shutil
 import sys
 import time
 import webbrowser
+from collections.abc import Mapping
 from pathlib import Path
+from subprocess import Popen
 from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
+from rich.status import Status
 
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
+
+START_S = 1800.0  # a busy computer of two cores takes minutes to compile; what ends is told at once
 
 
 def demo(
@@ -30,8 +36,8 @@ def demo(
     console.print("starting simulator, server and camera; the first time their numerics are compiled, for some minutes")
     with Stack(ports, preset=preset, seed=seed, log_folder=Path("runs") / "demo-logs", runs=Path("runs")) as stack:
         try:
-            with console.status("starting"), JobClient(stack.url) as client:
-                client.wait_ready(180.0)
+            with console.status("starting") as status, JobClient(stack.url) as client:
+                client.wait_ready(START_S, lambda waited_s, why: _starting(stack.processes, status, waited_s, why))
         except JobRefusedError as error:
             console.print(f"[bold red]not started:[/] {error}; see runs/demo-logs")
             raise typer.Exit(1) from error
@@ -41,6 +47,14 @@ def demo(
         if browser:
             webbrowser.open(stack.url)
         _wait(stack, seconds)
+
+
+def _starting(processes: Mapping[str, Popen[bytes]], status: Status, waited_s: float, why: str) -> None:
+    """How far it is; what has ended will never be ready."""
+    for name, process in processes.items():
+        if process.poll() is not None:
+            raise JobRefusedError(f"{name} ended with code {process.returncode}")
+    status.update(f"starting, {waited_s:.0f} s: {escape(why)}")
 
 
 def _command() -> str:

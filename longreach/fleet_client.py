@@ -62,13 +62,14 @@ class JobClient:
         """Close the connection."""
         self._http.close()
 
-    def wait_ready(self, timeout_s: float) -> None:
-        """Wait until a job could start.
+    def wait_ready(self, timeout_s: float, told: Callable[[float, str], None] = lambda _s, _why: None) -> None:
+        """Wait until a job could start; `told` hears how long it has been [s] and why it goes on, and may raise.
 
         Raises: JobRefusedError with the server's last reasons when that takes longer.
         """
-        deadline, reasons = time.monotonic() + timeout_s, "server does not answer"
-        while time.monotonic() < deadline:
+        began, reasons = time.monotonic(), "server does not answer"
+        while (waited_s := time.monotonic() - began) < timeout_s:
+            told(waited_s, reasons)
             try:
                 answer = self._http.get("/readyz")
                 if answer.status_code == 200:

@@ -1,0 +1,43 @@
+"""`longreach demo` waits as long as it takes, tells why, and gives up at once where something has ended."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from rich.console import Console
+from rich.status import Status
+from typer.testing import CliRunner
+
+from longreach import demo
+from longreach.cli import app
+from longreach.fleet_client import JobClient, JobRefusedError
+
+
+class Started:
+    """A stack that is started by nothing."""
+
+    url = "http://127.0.0.1:1"
+    ended: int | None = None
+
+    def __init__(self, *_: Any, **__: Any) -> None:
+        self.processes: dict[str, Any] = {"sim": SimpleNamespace(poll=lambda: self.ended, returncode=self.ended)}
+
+    def __enter__(self) -> "Started":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_what_has_ended_will_never_be_ready_and_is_told_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(demo, "Stack", type("Ended", (Started,), {"ended": 3}))
+    done = CliRunner().invoke(app, ["demo", "--no-browser"])
+    assert done.exit_code == 1
+    assert "not started: sim ended with code 3; see runs/demo-logs" in " ".join(done.output.split())
+
+
+def test_while_it_waits_it_says_for_what() -> None:
+    status = Status("starting", console=Console(quiet=True))
+    with JobClient(Started.url) as client, pytest.raises(JobRefusedError, match="not ready after 1 s"):
+        client.wait_ready(1.0, lambda waited_s, why: demo._starting(Started().processes, status, waited_s, why))
+    assert "server does not answer" in str(status.status)
