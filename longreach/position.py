@@ -57,12 +57,13 @@ def _show(console: Console, status: Any, event: dict[str, Any]) -> None:
 
 def error_table(result: dict[str, Any]) -> Table:
     """Errors before and after each step, image-based."""
-    table = Table(title="error of the tool against its goal, by the camera, ± one sigma", title_justify="left")
-    for heading in ("step", "x mm", "y mm", "z mm", "rotation deg", "path mm", "s", "trims"):
+    title = "error of the tool against its goal, by the camera, ± one sigma"
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1, 0, 0))  # whole in 80 columns
+    for heading in ("step", "x mm", "y mm", "z mm", "turned deg", "path mm", "s", "trims"):
         table.add_column(heading, justify="right" if heading != "step" else "left", no_wrap=True)
     _row(table, "start", result["start"], "", "", "")
     for move in result["moves"]:
-        name = "orientation" if move["kind"] == "orientation" else f"move {move['number']}"
+        name = "orient" if move["kind"] == "orientation" else f"move {move['number']}"
         _row(table, name, move["after"], f"{move['length_mm']:.0f}", f"{move['duration_s']:.1f}", str(move["trims"]))
     return table
 
