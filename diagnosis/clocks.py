@@ -8,7 +8,7 @@ import numpy as np
 
 from diagnosis.cells import Cell
 from diagnosis.fit import costs, evaluated
-from diagnosis.stretches import sent_clock
+from diagnosis.sent import sent_clock
 from diagnosis.tables import Tables
 
 CLOCK = "clock_offset"

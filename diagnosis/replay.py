@@ -6,7 +6,8 @@ import numpy as np
 
 from diagnosis.course import held_rows, late, late_jumps, smooth
 from diagnosis.nominal import Nominal
-from diagnosis.stretches import Sent, Stretch
+from diagnosis.sent import Sent
+from diagnosis.stretches import Stretch
 from diagnosis.tables import filled
 from machine.effects import kernel
 from machine.effects.dynamics import (

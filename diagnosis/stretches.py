@@ -6,11 +6,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.arrivals import Arrivals, arrivals, on_the_dot
-from diagnosis.by_value import by_value
 from diagnosis.findings import Finding
 from diagnosis.floor import encoder_step
 from diagnosis.quality import DURATION_MIN_S, GAP_STEPS, ROWS_MIN, too_long
+from diagnosis.sent import Sent, arrivals_of, sent_within
 from diagnosis.stamps import even_grid, taken_evenly
 from diagnosis.tables import PlcTable, Tables
 from machine.effects.dynamics import Actuators
@@ -18,10 +17,6 @@ from machine.rotations import Array
 from recording.run import Segment
 
 MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
-EARLY_MIN_S = 1e-6  # a datagram arrives before it was sent, by more than rounding: the offset given is wrong
-EARLY_MAX_S = 0.02  # beyond it the numbers are wrong, not the clocks
-BESIDE_S = 1e-4  # arrivals that are further beside a steady delay, RMS, are told
-RATE_TOLD = 5e-6  # so is a drift of the clocks
 STOOD_RAD = 2e-3  # no joint went further than this from where it was: one posture
 JITTER_MAX = 0.02  # of a step: rows whose stamps are closer to the even grid than this are taken as even
 
@@ -47,7 +42,7 @@ class Stretch:
     p_a: Array | None
     p_b: Array | None
     p_supply: Array | None
-    sent: "Sent | None" = None
+    sent: Sent | None = None
     enc_step: Array | None = None
 
     @property
@@ -76,32 +71,6 @@ def stood_still(stretches: tuple[Stretch, ...]) -> bool:
     return bool(stretches)
 
 
-@dataclass(frozen=True, slots=True)
-class Sent:
-    """The reference as sent, on the PLC's clock: t_s (k,), q (k, n); begins before the stretch does.
-
-    `within_s` (2, k): between which times it came, by the log rows; None: nobody knows. `lost` (k,): datagrams that
-    never arrived; None where the log cannot tell. `judged` (k,): those of which it tells; None: all. `unsure_s`: by how
-    much those that no log row shows may have come at other times, a deviation.
-    """
-
-    t_s: Array
-    q: Array
-    lost: NDArray[np.bool_] | None = None
-    judged: NDArray[np.bool_] | None = None
-    within_s: Array | None = None
-    unsure_s: float = 0.0
-    drift_s: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class SentClock:
-    """How sent times become the PLC's: t_plc = t_pc - offset. `known`: given, not estimated from the data."""
-
-    offset_s: float
-    known: bool
-
-
 def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[Stretch, ...], list[Finding]]:
     """All usable stretches in the order of time, and what had to be left out.
 
@@ -112,7 +81,7 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
         return (), []
     findings: list[Finding] = []
     segments = tables.run.segments or _whole(plc, findings)
-    came = _arrivals(tables, plant, findings)
+    came = arrivals_of(tables, plant, findings)
     enc_step = np.array([encoder_step(column) for column in plc.enc.T])
     broken = _broken(plc)
     cut = [list(_pieces(plc, broken, segment, GAP_STEPS)) for segment in segments]
@@ -127,7 +96,7 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
         for part, rows in enumerate(pieces, start=1):
             label = segment.name or f"{segment.kind}{number}"
             name = f"{label}/{part}" if len(pieces) > 1 else label
-            one = _stretch(plc, segment, name, rows, _sent(tables, came, plc.t_s[rows]))
+            one = _stretch(plc, segment, name, rows, sent_within(tables, came, plc.t_s[rows]))
             found.append(replace(one, enc_step=enc_step))
     findings += [*_mended(plc, broken), *_uneven_stamps(plc, cut, found)]
     return tuple(found), findings
@@ -137,48 +106,6 @@ def _whole(plc: PlcTable, findings: list[Finding]) -> tuple[Segment, ...]:
     text = "there are no segments: the whole recording is taken as one, of unknown kind; name them to use repeats"
     findings.append(Finding("no_segments", "note", "run.toml", text))
     return (Segment("whole", "workcycle", float(np.nanmin(plc.t_s)), float(np.nanmax(plc.t_s))),)
-
-
-def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
-    """The offset between the PC's and the PLC's clock; estimated from sequence numbers where not given.
-
-    Model: without an offset the fastest datagram is taken to have arrived at once: delays are known but for a constant.
-           So it is with one by which datagrams arrive a little before they were sent.
-    """
-    if tables.sent is None:
-        return None
-    given = tables.run.plc_to_pc_offset_s
-    delays = _apparent_delays(tables)
-    if given is not None:
-        early_s = -(float(delays.min()) + given) if len(delays) else 0.0
-        if not EARLY_MIN_S < early_s < EARLY_MAX_S:
-            return SentClock(given, True)
-        text = (
-            f"clocks.plc_to_pc_offset_s = {given:g}: datagrams arrive up to {1e3 * early_s:.2g} ms before they were "
-            "sent; the link's delay is known but for a constant (the fastest datagram counts as 0): measure it again"
-        )
-        findings.append(Finding("clock_offset_wrong", "note", "run.toml", text))
-        return SentClock(-float(delays.min()), False)
-    if len(delays) == 0:
-        text = "no clocks.plc_to_pc_offset_s and no sequence numbers: sent and received reference cannot be compared"
-        findings.append(Finding("clock_offset_unknown", "problem", "run.toml", text))
-        return None
-    text = (
-        "no clocks.plc_to_pc_offset_s: the link's delay is known but for a constant (the fastest datagram counts as 0)"
-    )
-    findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
-    return SentClock(-float(delays.min()), False)
-
-
-def _apparent_delays(tables: Tables) -> Array:
-    """t_plc - t_pc of each datagram at the first log row that has it."""
-    sent, plc = tables.sent, tables.plc
-    if sent is None or plc is None or (plc.seq < 0).all():
-        return np.zeros(0)
-    number, first = np.unique(plc.seq, return_index=True)
-    both, at_plc, at_pc = np.intersect1d(number, sent.seq, return_indices=True)
-    keep = both >= 0
-    return plc.t_s[first[at_plc[keep]]] - sent.t_s[at_pc[keep]]
 
 
 def _uneven_stamps(plc: PlcTable, cut: list[list[NDArray[np.int64]]], found: list[Stretch]) -> list[Finding]:
@@ -278,48 +205,6 @@ def _even(values: Array | None, rows: NDArray[np.int64], when: Array, grid: Arra
 def _line(column: Array, t: Array, grid: Array) -> Array:
     good = np.isfinite(column)
     return np.interp(grid, t[good], column[good]) if good.any() else np.full(len(grid), np.nan)
-
-
-def _arrivals(tables: Tables, plant: Actuators | None, findings: list[Finding]) -> Arrivals | None:
-    """When each datagram took effect; None where sent and received cannot be compared."""
-    clock = sent_clock(tables, findings)
-    if clock is None or tables.sent is None or tables.plc is None:
-        return None
-    sent, rows = (tables.sent.t_s - clock.offset_s, tables.sent.seq), (tables.plc.t_s, tables.plc.seq)
-    if (rows[1] < 0).all() and tables.plc.ref is not None:
-        number = by_value((rows[0], tables.plc.ref), (sent[0], tables.sent.q))
-        sent, rows = (sent[0], np.arange(len(sent[0]))), (rows[0], number)
-    if plant is None:
-        return on_the_dot(sent, rows)
-    came = arrivals(sent, rows, plant.cycle_s, plant.transport_delay_s, clock.known)
-    if came.beside_s > BESIDE_S or abs(came.rate) > RATE_TOLD:
-        drift = f", and the clocks drift by {1e6 * came.rate:.0f} ppm" if abs(came.rate) > RATE_TOLD else ""
-        text = (
-            f"datagrams reach the PLC {1e3 * came.beside_s:.2g} ms (RMS) beside a steady delay{drift}: each is "
-            "replayed as the rows show it; delays and lags that short cannot be told"
-        )
-        findings.append(Finding("uneven_arrivals", "note", "plc.csv", text))
-    return came
-
-
-def _sent(tables: Tables, came: Arrivals | None, t_plc_s: Array) -> Sent | None:
-    """References from the last one before the stretch with log rows at t_plc_s (or 2 s before it) to its end."""
-    if came is None or tables.sent is None:
-        return None
-    t = came.t_s
-    good = np.isfinite(t) & np.isfinite(tables.sent.q).all(axis=1) & (t >= t_plc_s[0] - 2.0) & (t <= t_plc_s[-1])
-    if int(good.sum()) < ROWS_MIN:
-        return None
-    order = np.argsort(t[good], kind="stable")
-    return Sent(
-        t[good][order],
-        np.ascontiguousarray(tables.sent.q[good][order]),
-        None if came.lost is None else came.lost[good][order],
-        None if came.judged is None else came.judged[good][order],
-        np.stack([came.earliest_s, came.latest_s])[:, good][:, order],
-        came.unsure_s,
-        abs(came.rate) * float(np.ptp(t[np.isfinite(t)])),
-    )
 
 
 def repeat_groups(stretches: tuple[Stretch, ...]) -> dict[str, tuple[Stretch, ...]]:

@@ -16,8 +16,9 @@ from diagnosis.link_angles import Path, without_encoders
 from diagnosis.points import PointData
 from diagnosis.reading import Read
 from diagnosis.replay import Replayer, replayer_of
+from diagnosis.sent import Sent
 from diagnosis.stage_replay import Replay, part_of
-from diagnosis.stretches import Sent, Stretch
+from diagnosis.stretches import Stretch
 from diagnosis.wander import with_wander
 from machine.effects.dynamics import DynamicStage, drive_by_sent, simulate
 from machine.effects.encoders import true_angles

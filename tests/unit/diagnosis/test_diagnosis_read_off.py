@@ -9,7 +9,8 @@ from diagnosis_cases import PLANT
 from diagnosis.candidates import candidates_of
 from diagnosis.lost_datagrams import never_received
 from diagnosis.read_off import comb_of, reached, read_off
-from diagnosis.stretches import Sent, Stretch
+from diagnosis.sent import Sent
+from diagnosis.stretches import Stretch
 from machine.effects.dynamics import drive_by_sent, simulate
 from machine.effects.entries import make_entry, pack
 from machine.effects.registry import effect_named
