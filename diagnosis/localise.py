@@ -319,7 +319,10 @@ def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:
         merged.append((("time", "link"), "no sent.csv: the link is not seen"))
     if some and not has_ref:
         merged.append((("link", "controller", "actuator"), "no q_ref in plc.csv: the received reference is not known"))
-    elif some and not has_u:
+    elif some and not all(one.ref_logged for one in some):
+        text = "no q_ref in plc.csv: what the PLC makes of a datagram's numbers looks like its controller"
+        merged.append((("link", "controller"), text))
+    if has_ref and not has_u:
         merged.append((("controller", "actuator"), "no u in plc.csv: the valve command is not known"))
     outside = tables.static is not None or tables.tracker is not None
     if tables.markers is None and not outside:

@@ -13,6 +13,7 @@ from diagnosis.candidates import Candidate
 from diagnosis.stretches import Stretch
 from machine.rotations import Array
 
+OF_THE_NUMBERS = ("reference_quantisation", "reference_rate_limit")  # not seen where q_ref was not logged
 VALUES_MIN = 12  # different values, before any comb is believed
 SMALLEST_RAD = 1e-8  # below it two values are the same one, written twice
 OFF_MAX = 0.05  # of the step, RMS: how far values may lie off the comb (the log's own rounding)
@@ -23,6 +24,8 @@ NARROW = 1e-7  # of the size: what a fit may still move
 
 def read_off(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -> tuple[Candidate, ...]:
     """Candidates of the link, with the size fixed where the log shows it; no loss where it shows that there is none."""
+    if not all(one.ref_logged for one in stretches):
+        candidates = tuple(one for one in candidates if one.name not in OF_THE_NUMBERS)
     values = np.concatenate([one.ref for one in stretches if one.ref is not None])
     loss = _loss(stretches)
     out = []

@@ -16,6 +16,7 @@ from diagnosis.nominal import Nominal, nominal_of
 from diagnosis.outlying import without_outlying
 from diagnosis.pairing import pairing_findings
 from diagnosis.quality import plc_findings, time_findings
+from diagnosis.ref_by_number import with_reference
 from diagnosis.repeats import repeat_findings
 from diagnosis.stretches import Stretch, stretches_of
 from diagnosis.tables import Tables, tables_of
@@ -71,7 +72,8 @@ def read(path: Path, machine_file: Path | None = None) -> Read:
 def examine(recording: Recording, path: Path, machine_file: Path | None = None, before: Sequence[Finding] = ()) -> Read:
     """What a recording in memory gives. `path`: what it is called; `before`: what its form already showed."""
     findings = [*before, *_form_findings(recording, path)]
-    tables = tables_of(recording)
+    tables, by_number = with_reference(tables_of(recording))
+    findings += by_number
     nominal = _nominal(path, recording, tables, machine_file, findings)
     findings += _checks(tables, nominal)
     if path.is_dir() and nominal is not None:

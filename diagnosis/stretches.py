@@ -27,7 +27,8 @@ class Stretch:
 
     `t_s`: (m,), a step of `dt_s`; `t_segment_s`: of the segment's start, so that repeats can be laid over each other.
     Signals (m, n), `p_supply` (m,); None where not recorded. `sent`: see `Sent`; None where the link cannot be judged.
-    `enc_step`: (n,) resolution of the encoders as they were logged, 0 where they show none.
+    `enc_step`: (n,) resolution of the encoders as they were logged, 0 where they show none. `ref_logged`: False where
+    `ref` is what was sent.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Stretch:
     p_supply: Array | None
     sent: Sent | None = None
     enc_step: Array | None = None
+    ref_logged: bool = True
 
     @property
     def rows(self) -> int:
@@ -187,7 +189,9 @@ def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64]
         if field.name in ("ref", "enc", "u", "p_a", "p_b", "p_supply")
     }
     repeat = segment.repeat_of
-    return Stretch(name, segment.kind, repeat, segment.t_start_plc_s, dt, grid, **signals, sent=sent)
+    return Stretch(
+        name, segment.kind, repeat, segment.t_start_plc_s, dt, grid, **signals, sent=sent, ref_logged=plc.ref_logged
+    )
 
 
 def _even(values: Array | None, rows: NDArray[np.int64], when: Array, grid: Array) -> Array | None:

@@ -31,7 +31,10 @@ COUNT_MAX = 2**62
 
 @dataclass(frozen=True, slots=True)
 class PlcTable:
-    """The PLC's log: t_s (m,); signals (m, n) or None where never written; missing numbers are NaN."""
+    """The PLC's log: t_s (m,); signals (m, n) or None where never written; missing numbers are NaN.
+
+    `ref_logged`: False where `ref` is what was sent in the datagram that each row names.
+    """
 
     t_s: Array
     ref: Array | None
@@ -41,6 +44,7 @@ class PlcTable:
     p_b: Array | None
     p_supply: Array | None
     seq: NDArray[np.int64]
+    ref_logged: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +170,7 @@ def _plc(rows: Sequence[PlcState], n: int) -> PlcTable:
         t_s=_numbers(rows, "t_plc_s"),
         p_supply=supply if np.isfinite(supply).any() else None,
         seq=_counts(rows, "seq_received"),
+        ref_logged=True,
         **kept,
     )
 

@@ -356,7 +356,14 @@ def test_parts_of_the_chain_are_enough() -> None:
             changed(MADE, PlcState, lambda _, row: replace(row, u_frac=())),
             ("link", "actuator"),
         ),  # the loop as one
-        "no ref": (changed(MADE, PlcState, lambda _, row: replace(row, q_ref_rad=())), ("actuator",)),
+        "no ref": (
+            changed(MADE, PlcState, lambda _, row: replace(row, q_ref_rad=())),
+            ("link", "controller", "actuator"),
+        ),
+        "no ref, no numbers": (
+            changed(MADE, PlcState, lambda _, row: replace(row, q_ref_rad=(), seq_received=-1)),
+            ("actuator",),
+        ),
     }
     for name, (made, stages) in cases.items():
         result = examined(made)
