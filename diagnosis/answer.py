@@ -1,5 +1,6 @@
 """The answer as JSON: names, units and meanings are the contract's and never change."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,16 +39,18 @@ def answer(found: Diagnosis) -> dict[str, Any]:
 
 def judgement(found: Diagnosis) -> dict[str, Any]:
     """What the recording says, without what to do next."""
-    hypotheses = [_hypothesis(found, number) for number in range(min(len(found.hypotheses), HYPOTHESES_MAX))]
+    shares = _shares(found)
+    count = min(len(found.hypotheses), HYPOTHESES_MAX)
+    hypotheses = [_hypothesis(found, number, shares) for number in range(count)]
     told: dict[str, Any] = {
         "format_version": FORMAT,
         "verdict": found.verdict.word,
         "why": found.verdict.why,
         "hypotheses": hypotheses,
-        "outside_probability": _outside(found),
-        "unseen_probability": _round((1.0 - _outside(found)) * _unseen(found)),
+        "outside_probability": shares.outside,
+        "unseen_probability": _round((1.0 - shares.outside) * shares.unseen),
         "indistinguishable": _classes(found),
-        "credible_set_90": _credible(found),
+        "credible_set_90": _credible(found, shares),
         "localisation": _localisation(found),
         "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in found.localisation.merged],
         "shrink": _shrink(found),
@@ -64,29 +67,30 @@ def judgement(found: Diagnosis) -> dict[str, Any]:
     return in_metres(told, nominal.sliding) if nominal is not None and any(nominal.sliding) else told
 
 
-def _outside(found: Diagnosis) -> float:
-    """Probability that a cause outside the catalogue is at work."""
-    return outside_share(_counted_as(found))
+@dataclass(frozen=True, slots=True)
+class _Shares:
+    """Probability that a cause outside the catalogue is at work; if it is none, that a further name is too small to be
+    seen.
+    """
+
+    outside: float
+    unseen: float
+
+    @property
+    def inside(self) -> float:
+        """Probability that the names printed are all that is at work."""
+        return (1.0 - self.outside) * (1.0 - self.unseen)
 
 
-def _unseen(found: Diagnosis) -> float:
-    """Probability, if it is none, that a further name of the catalogue is too small to be seen."""
-    return unseen_share(_counted_as(found))
+def _shares(found: Diagnosis) -> _Shares:
+    heading = counted_as(found.verdict.word, share_of_first(found.cells, found.hypotheses))
+    return _Shares(outside_share(heading), unseen_share(heading))
 
 
-def _counted_as(found: Diagnosis) -> str:
-    return counted_as(found.verdict.word, share_of_first(found.cells, found.hypotheses))
-
-
-def _inside(found: Diagnosis) -> float:
-    """Probability that the names printed are all that is at work."""
-    return (1.0 - _outside(found)) * (1.0 - _unseen(found))
-
-
-def _hypothesis(found: Diagnosis, number: int) -> dict[str, Any]:
+def _hypothesis(found: Diagnosis, number: int, shares: _Shares) -> dict[str, Any]:
     whole = found.hypotheses[number]
     effects = [effect for score in whole.scores for effect in _effects(score, found.numbers.get(id(score), ()))]
-    return {"effects": effects, "probability": _round(whole.probability * _inside(found))}
+    return {"effects": effects, "probability": _round(whole.probability * shares.inside)}
 
 
 def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]]:
@@ -139,11 +143,11 @@ def _classes(found: Diagnosis) -> list[list[dict[str, Any]]]:
     return [[{"name": name, "joint": joint} for name, joint in members] for members in classes]
 
 
-def _credible(found: Diagnosis) -> list[dict[str, Any]]:
+def _credible(found: Diagnosis, shares: _Shares) -> list[dict[str, Any]]:
     """The fewest hypotheses that hold 90 % of what the catalogue can explain: those weighed, and the first one with one
     more name that is too small to be seen.
     """
-    unseen = _unseen(found)
+    unseen = shares.unseen
     first = _keys(found.hypotheses[0]) if found.hypotheses else ()
     weighed = [(_keys(whole), (1.0 - unseen) * whole.probability) for whole in found.hypotheses]
     others = one_more(found.cells, frozenset(first)) if unseen > 0.0 else ()
@@ -155,7 +159,7 @@ def _credible(found: Diagnosis) -> list[dict[str, Any]]:
     out, mass = [], 0.0
     for keys, probability in rows:
         named = [{"name": name, "joint": joint} for name, joint in sorted(keys, key=str)]
-        out.append({"effects": named, "probability": _round(probability * (1.0 - _outside(found)))})
+        out.append({"effects": named, "probability": _round(probability * (1.0 - shares.outside))})
         mass += probability
         if mass >= MASS_90:
             break

@@ -51,10 +51,15 @@ def demo(
 
 def _starting(processes: Mapping[str, Popen[bytes]], status: Status, waited_s: float, why: str) -> None:
     """How far it is; what has ended will never be ready."""
-    for name, process in processes.items():
-        if process.poll() is not None:
-            raise JobRefusedError(f"{name} ended with code {process.returncode}")
+    if ended := _ended(processes):
+        raise JobRefusedError(ended)
     status.update(f"starting, {waited_s:.0f} s: {escape(why)}")
+
+
+def _ended(processes: Mapping[str, Popen[bytes]]) -> str:
+    """What has ended, and how; empty while all run."""
+    ended = (f"{name} ended with code {one.returncode}" for name, one in processes.items() if one.poll() is not None)
+    return next(ended, "")
 
 
 def _command() -> str:
@@ -66,10 +71,9 @@ def _wait(stack: Stack, seconds: float) -> None:
     deadline = time.monotonic() + seconds if seconds > 0.0 else float("inf")
     try:
         while time.monotonic() < deadline:
-            for name, process in stack.processes.items():
-                if process.poll() is not None:
-                    Console(stderr=True).print(f"{name} ended with code {process.returncode}; see runs/demo-logs")
-                    raise typer.Exit(1)
+            if ended := _ended(stack.processes):
+                Console(stderr=True).print(f"{ended}; see runs/demo-logs")
+                raise typer.Exit(1)
             time.sleep(0.3)
     except KeyboardInterrupt:
         return

@@ -2,8 +2,6 @@
 
 from typing import Any
 
-from diagnosis.equals import probability_with_equals
-
 SHAPES_MAX = 6
 NAMES_MAX = 5
 
@@ -13,9 +11,10 @@ def lines(result: dict[str, Any]) -> list[str]:
     out = [f"verdict: {result['verdict']} ({result['why']})"]
     for hypothesis in result["hypotheses"][:NAMES_MAX]:
         out.append(_likely(hypothesis["probability"], effects_text(hypothesis["effects"])))
-    if result["hypotheses"] and (together := probability_with_equals(result)) > result["hypotheses"][0]["probability"]:
-        out.append(_likely(together, "the first of these, or what this recording cannot tell from it"))
     if result["hypotheses"]:
+        first = result["hypotheses"][0]
+        if (together := first["probability_with_equals"]) > first["probability"]:
+            out.append(_likely(together, "the first of these, or what this recording cannot tell from it"))
         out.append(_likely(result["unseen_probability"], "one more effect, below its detection limit here"))
         out.append(_likely(result["outside_probability"], "a cause outside the catalogue"))
     for members in result["indistinguishable"]:

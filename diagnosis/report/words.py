@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from diagnosis.equals import equals_of, probability_with_equals
+from diagnosis.equals import equals_of
 from diagnosis.report.text import effects_text, place_text
 from machine.effects.registry import effect_named
 
@@ -63,7 +63,8 @@ def _facts(result: dict[str, Any]) -> list[str]:
 
 
 def _probability(result: dict[str, Any]) -> str:
-    alone, together = result["hypotheses"][0]["probability"], probability_with_equals(result)
+    first = result["hypotheses"][0]
+    alone, together = first["probability"], first["probability_with_equals"]
     equal = " with its equals" if together > alone else ""
     return f"probability {100 * together:.0f} %{equal}"
 

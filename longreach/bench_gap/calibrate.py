@@ -1,7 +1,6 @@
 """Probabilities fitted on a campaign that judges nothing: how sharp they are, what an effect costs, what is outside."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +9,10 @@ from scipy.optimize import minimize
 
 from diagnosis.unseen import counted_as
 from diagnosis.weigh import calibration
+from longreach.bench_gap.figures import Cases
 from longreach.bench_gap.reliability import Bin, share_of_first
 from machine.rotations import Array
 
-Cases = Sequence[dict[str, Any]]
 Ladder = list[tuple[int, float, bool]]  # effects, probability among the catalogue's, whether it is the truth
 HEADINGS = ("none", "effects", "sure", "undecided", "outside")
 INSIDE = ("none", "single", "double")  # kinds of cases that the catalogue explains
@@ -56,9 +55,14 @@ def _ladder(one: dict[str, Any]) -> Ladder:
     return [(int(k), float(p), bool(right)) for k, p, right in one["ladder"]]
 
 
-def _right(ladder: Ladder, sharper: float, per_effect: float) -> float:
+def _weighed(ladder: Ladder, sharper: float, per_effect: float) -> Array:
+    """The hypotheses' probabilities (k,), had they been fitted so."""
     weights = np.array([max(p, 1e-12) ** sharper * np.exp(-sharper * per_effect * k) for k, p, _ in ladder])
-    return float(weights[[right for _, _, right in ladder]].sum() / weights.sum())
+    return weights / weights.sum()
+
+
+def _right(ladder: Ladder, sharper: float, per_effect: float) -> float:
+    return float(_weighed(ladder, sharper, per_effect)[[right for _, _, right in ladder]].sum())
 
 
 def _outside(cases: Cases, word: str) -> float:
@@ -68,8 +72,8 @@ def _outside(cases: Cases, word: str) -> float:
 
 def _unseen(cases: Cases, word: str) -> float:
     """What has to be unseen for the first hypothesis (or its equals) to be right as often as stated on the average."""
-    said = [one for one in with_equals_known(cases) if heading(one) == word and one["mix"] in INSIDE]
-    said = [one for one in said if one["ladder"]]
+    inside = [one for one in with_equals_known(cases) if one["mix"] in INSIDE and one["ladder"]]
+    said = [one for one in inside if heading(one) == word]
     right = sum(any(one["ladder"][k][2] for k in one.get("equals", [0])) for one in said)
     stated = sum(share_of_first(one) for one in said)
     return round(max(1.0 - (right + 0.5) / (stated + 1.0), 0.0), 4)
@@ -96,8 +100,7 @@ def restated(cases: Cases, found: Fitted) -> list[dict[str, Any]]:
     out = []
     for one in cases:
         ladder, word = _ladder(one), heading(one)
-        weights = [max(p, 1e-12) ** found.sharper * np.exp(-found.sharper * found.per_effect * k) for k, p, _ in ladder]
-        p = [float(weight / np.sum(weights)) for weight in weights]
+        p = [float(share) for share in _weighed(ladder, found.sharper, found.per_effect)] if ladder else []
         inside = (1.0 - found.outside[word]) * (1.0 - found.unseen[word])
         again = [[k, share, right] for (k, _, right), share in zip(ladder, p, strict=True)]
         out.append({**one, "ladder": again, "probability": p[0] * inside if p else 0.0})

@@ -1,10 +1,10 @@
 """Whether probabilities were as often right as they said: what was stated, in five bins, against the share right."""
 
-from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-Cases = Sequence[dict[str, Any]]
+from longreach.bench_gap.figures import Cases
+
 Bin = tuple[str, int, float, float]  # what was stated, cases, mean stated, share right
 BINS = 5
 
