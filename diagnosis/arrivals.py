@@ -5,7 +5,7 @@ apart by twenty millionths: none of it is a fault. A link that is replayed as if
 leaves that in the link, and through it in controllers and actuators.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -116,7 +116,7 @@ def arrivals(
         return known
     period_s = float(np.median(np.diff(sent[0])))
     if cycle_s > FINE_CYCLE_S and float(np.median(np.diff(rows[0]))) < WIDER * cycle_s:
-        return known
+        return _now_and_then(known, bounds, cycle_s, nominal_s)
     most_s = cycle_s + period_s
     delay = _steady(bounds, nominal_s, most_s)
     if clock_known and delay.rate == 0.0 and abs(delay.nearest(nominal_s) - nominal_s) > ALLOWED_S:
@@ -159,6 +159,18 @@ def on_the_dot(sent: Numbered, rows: Numbered) -> Arrivals:
     """Datagrams that came when they were sent, as far as anybody knows."""
     nowhere = np.full(len(sent[0]), np.inf)
     return Arrivals(sent[0], -nowhere, nowhere, *never_received(sent, rows))
+
+
+def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: float) -> Arrivals:
+    """Where every cycle has a row: all on the dot but for the few that came a cycle late, which jitter does."""
+    came = known.t_s + _least_missed(bounds, nominal_s).nearest(nominal_s)
+    moved = _into(*_rows_beside(bounds, len(came), cycle_s), came)
+    late = _cycle_of(came + moved, bounds, cycle_s) - _cycle_of(came, bounds, cycle_s) == 1.0
+    if known.lost is not None:
+        late &= ~known.lost
+    if np.mean(late) > MISSES:
+        return known
+    return replace(known, t_s=np.maximum.accumulate(known.t_s + cycle_s * late))
 
 
 def _bounds(sent: Numbered, rows: Numbered) -> _Bounds | None:

@@ -16,7 +16,7 @@ LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral
 NARROW = {"stiction": 50}  # sizes of effects whose cost has a valley far narrower than the way there
 PHASES = (-2.0, -0.4, 1.2, 2.7)
 SWINGS = ("link_flexibility",)  # effects with a frequency of their own
-FREQUENCIES_HZ = (1.2, 1.8, 2.5, 3.5, 5.0)  # a swing's cost has a valley for each
+FREQUENCIES_HZ = tuple(np.geomspace(0.8, 6.0, 24))  # a swing's cost has a valley a tenth of its frequency wide
 DROOP = "supply_droop"  # couples all joints
 #: Effects of the joint stage that the encoder shows against the valve command.
 SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")

@@ -97,8 +97,18 @@ class CornerResidual:
         """Change of the OOI's place, and of the clock (6 or 7,), that explains most of a residual (N,) [px]."""
         return _solved(white, self.noise.white(residual[None], self.frames.groups)[0])
 
-    def poses(self, sets: ParameterSets, plain: ParameterSets, k: int, later_s: float) -> Array:
-        """Ts_cam_base (m, 4, 4), or Ts_cam_tcp where the tool is looked at."""
+    def placeless(self, columns: Array) -> Array:
+        """Columns (N, k) [px, by any number], white as the residual, without what a change of the OOI's place does."""
+        white = self.noise.white(columns.T, self.frames.groups).T
+        if self.on == "tool" or self.nuisance.shape[1] == 0:
+            return white
+        own = self.noise.white(self.nuisance.T, self.frames.groups).T
+        return np.asarray(white - own @ np.linalg.lstsq(own, white, rcond=None)[0], dtype=float)
+
+    def poses(
+        self, sets: ParameterSets, plain: ParameterSets, k: int, later_s: float, more_rad: Array | float = 0.0
+    ) -> Array:
+        """Ts_cam_base (m, 4, 4), or Ts_cam_tcp where the tool is looked at. `more_rad`: on top of the angles (n,)."""
         mount = self.nominal.T_tcp_cam_left
         if mount is None or self.nominal.arm is None:
             return np.tile(np.eye(4), (len(self.frames.t_s), 1, 1))
@@ -106,7 +116,7 @@ class CornerResidual:
         if self.on == "tool":
             return np.tile(T_cam_tcp, (len(self.frames.t_s), 1, 1))
         t = true_times(sets, self.frames.t_s, self.t_start_s, k) + later_s
-        q = link_angles(self.paths, sets, k, self.at, t)
+        q = link_angles(self.paths, sets, k, self.at, t) + more_rad
         return np.asarray(T_cam_tcp @ np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k)), dtype=float)
 
     def difference(self, plain: ParameterSets, k: int, Ts: Array, later: Array | None, T_object: Array) -> Array:

@@ -3,12 +3,13 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from diagnosis.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put
+from diagnosis.candidates import DROOP, SEEN_BY_ENCODER, put
 from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.cells_behind import behind_cells, energies, fitting, told_behind, without
 from diagnosis.cells_dynamic import coupled_cell, stage_cells
 from diagnosis.cells_merged import merged_cells
 from diagnosis.common_wait import on_their_line
+from diagnosis.coupling import with_coupling
 from diagnosis.gear import gears
 from diagnosis.guessed_noise import searched
 from diagnosis.known import with_known
@@ -33,7 +34,6 @@ from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
 Progress = Callable[[str, int, int], None]
-SINGLES_COUPLED = 2  # of each joint, besides what was chosen there, that are searched again beside supply_droop
 SHARED = 0.15  # of what a joint's actuator gains: the next joint's has to gain more to have a cause of its own
 SHARED_UNKNOWN = 0.02  # the same where no baseline is known: there every joint has its own faults
 UNEXPLAINED_SHARE = 0.05  # of the residual beyond the floor, that a name has to explain of a joint's whole loop
@@ -128,7 +128,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
             progress("what couples the joints", 0, 1)
             coupled = coupled_cell(replayer, stretches, base, course)
             coupled = marked(with_known([coupled], nominal)[0], unlike) if coupled is not None else None
-            found = _with_coupling(found, coupled if DROOP not in lacking else None)
+            found = with_coupling(found, coupled if DROOP not in lacking else None)
         for one in found:
             course = put(course, one.chosen.fit.hypothesis, one.chosen.fit.theta)
         if stage == "link":
@@ -136,7 +136,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         searches += found
     one_by_one, together = merged_cells(replayer, stretches, base, course)
     merged = [_worth_a_name(one) for one in _searched(without(fitting(one_by_one, nominal), unseen), progress)]
-    return searches + _with_coupling(merged, together if DROOP not in lacking else None)
+    return searches + with_coupling(merged, together if DROOP not in lacking else None)
 
 
 def _beside_each_other(found: list[Search]) -> list[Search]:
@@ -191,29 +191,6 @@ def _searched(cells: list[Cell], progress: Progress) -> list[Search]:
         progress(f"searching {cell.label}", number, len(cells))
         out.append(searched(cell))
     return out
-
-
-def _with_coupling(searches: list[Search], coupled: Cell | None) -> list[Search]:
-    """The actuators, searched together where the pump's sharing explains what single joints do not."""
-    if coupled is None:
-        return searches
-    alone = searched(coupled)
-    if not alone.chosen.fit.hypothesis:
-        return searches
-    others = {one.key: one for found in searches for one in _likely(found)}
-    together = searched(replace(coupled, candidates=(*coupled.candidates, *others.values())))
-    if not any(one.name == DROOP for one in together.chosen.fit.hypothesis):
-        return searches
-    if together.chosen.total <= sum(one.chosen.total for one in searches):
-        return searches
-    return [together]
-
-
-def _likely(found: Search) -> list[Candidate]:
-    singles = [one for one in found.scored if len(one.fit.hypothesis) == 1]
-    singles.sort(key=lambda one: -one.total)
-    best = [effect for one in singles[:SINGLES_COUPLED] for effect in one.fit.hypothesis]
-    return [*found.chosen.fit.hypothesis, *best]
 
 
 def _answer(found: Search, cells: int) -> CellAnswer:

@@ -66,7 +66,7 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
     """The tests of one residual (N,) that fire beyond what is usual on the undisturbed machine."""
     if cell.restless:  # it made the noise, too: no residual is large beside it
         return (Fired(BY_ITSELF, cell.stage, cell.joint, 1.0, 0.0, cell.restless),)
-    if cell.knocked or 0.5 * (float(r @ r) - cell.quiet * len(r)) < cell.least_nats:
+    if cell.knocked or 0.5 * (float(r @ r) - _noise(cell) * len(r)) < cell.least_nats:
         return ()
     n_tests = cells * (4 + len(cell.regressors))
     level = LEVEL / max(n_tests, 1)
@@ -145,15 +145,26 @@ def _unrest(cell: Cell, r: Array) -> list[Fired]:
     Why: what a PLC's program does repeats to a rounding, day by day. A floor there says what moves the tip, not what is
     usual; a command in steps of a tenth of a millimetre is a fault all the same.
     """
-    most = dict(cell.usual).get(USUAL_ENERGY)
-    if most is None or most > QUIET_MAX or not cell.floor_known:
+    if not _is_quiet(cell) or not cell.floor_known:
         return []
-    ratio, least = steady_energy(cell, r), QUIET_TIMES * most + cell.quiet
+    ratio, least = steady_energy(cell, r), QUIET_TIMES * dict(cell.usual)[USUAL_ENERGY] + _noise(cell)
     if ratio <= least:
         return []
     p_value = float(chdtrc(len(r), ratio * len(r) / least)) if least > 0.0 else 0.0
     lead = "is more than the undisturbed machine ever left there"
     return [Fired(UNREST, cell.stage, cell.joint, ratio, p_value, lead, 1.0 - least / ratio)]
+
+
+def _is_quiet(cell: Cell) -> bool:
+    """Whether the undisturbed machine leaves hardly anything here."""
+    return dict(cell.usual).get(USUAL_ENERGY, 1.0) <= QUIET_MAX
+
+
+def _noise(cell: Cell) -> float:
+    """The noise's own energy. None of a link that repeats to a rounding undisturbed: what differs from one repeat to
+    the next is no noise there, as when it loses a packet in each.
+    """
+    return 0.0 if cell.stage == "link" and _is_quiet(cell) else cell.quiet
 
 
 def steady_energy(cell: Cell, r: Array) -> float:

@@ -14,7 +14,7 @@ from machine.rotations import Array
 MARGIN_SE = 1.5
 MARGIN_SE_SMALL = 2.0  # below CLEAR_NATS: a swing of one motion gains as much as a small effect, but not everywhere
 STICKS = "stiction"
-FORM_SHARE_STUCK = 0.15  # what oil and boom do after each jump of a joint that sticks is in no form
+FORM_SHARE_STUCK = 0.3  # what oil and boom do after each jump of a joint that sticks is in no form: up to 0.25
 TOUCHED_MIN = 2  # blocks
 TOUCHED_SHARE = 0.5
 FAINT_NATS = 0.5  # of a block after which a loop has nearly forgotten that its command was limited

@@ -12,7 +12,7 @@ from diagnosis.cells_behind import guessed_scatter_m
 from diagnosis.certain import certain_in_words, probability_of_names
 from diagnosis.late_log import late_log
 from diagnosis.refusal import EDGE, ENERGY_MIN, Fired
-from diagnosis.score import STICKS
+from diagnosis.score import FORM_SHARE_STUCK, STICKS
 from diagnosis.shapes.found import TEST as SHAPE
 from diagnosis.shapes.found import Shape
 from diagnosis.shrink import by_noise, closing, together
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Word = Literal["none", "effects", "outside", "undecided"]
 LEFT_SMALL = 0.02  # share of the gap: a remainder below it does not take back a name
 TRACE = 0.005  # share of what the names explain: what fired in a cell of guessed noise without one
-LEFT_STUCK = 0.3  # the same where a joint sticks: what rings after each of its jumps has no model
+LEFT_STUCK = FORM_SHARE_STUCK  # the same where a joint sticks: what rings after each of its jumps has no model
 LEFT_LARGE = 0.5  # share of the gap: a remainder above it says that no name fits
 HOLES_MANY = 10  # a cable pulled once is no fault of the log; samples that go missing all the time are
 CROWD = 3  # names at once on a machine whose usual state is known: one cause that the catalogue lacks is likelier

@@ -14,6 +14,7 @@ from diagnosis.refusal import BEHIND_NATS, BEHIND_TIMES, Fired
 from diagnosis.shapes.behind import FIXED, SWINGS_OF, corner_columns, point_columns, swing_columns
 from diagnosis.shapes.driven import SINCE, driven_columns
 from diagnosis.shapes.gain import held_out_nats
+from diagnosis.shapes.narrow import ANGLE_OF, NARROW, narrow_corner_columns, narrow_point_columns
 from machine.remainder import USUAL_SHAPE, usual_shape
 from machine.rotations import Array
 
@@ -25,7 +26,7 @@ FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by:
 TEST = "shape"
 STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
-LATER = (SWINGS_OF, SINCE)  # a baseline fitted before these were sought refuses nothing by them
+LATER = (SWINGS_OF, SINCE, *NARROW)  # a baseline fitted before these were sought refuses nothing by them
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
 Place = tuple[str, int | None, str]
@@ -72,12 +73,12 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
     out = []
     for one in left:
         known = usual[_at(one)]
-        swings = one.goes_with.startswith(SWINGS_OF)
-        if cell.knocked or one.joint in cell.moved_unlike or (swings and cell.moved_unlike):
+        of_motion = one.goes_with.startswith((SWINGS_OF, *NARROW)) and one.measurement not in STILL
+        if cell.knocked or one.joint in cell.moved_unlike or (of_motion and cell.moved_unlike):
             continue
         if one.goes_with.startswith(LATER) and usual_shape(one.goes_with) not in known:
             continue
-        if _known(known) and one.nats > _refused_from(known, one) + form:
+        if _known(known) and one.nats > _refused_from(known, one, bool(cell.moved_unlike)) + form:
             share = one.nats / (one.nats + max(gained_nats, 0.0))
             lead = f"goes with {one.goes_with}"
             out.append(Fired(TEST, one.stage, one.joint, one.nats, math.exp(-one.nats), lead, share))
@@ -98,15 +99,21 @@ def instead(cell: Cell, nothing: Array, gained_nats: float) -> tuple[Fired, ...]
     return refusing(cell, tuple(more), gained_nats)
 
 
-def _refused_from(usual: dict[str, float], shape: Shape) -> float:
+def _refused_from(usual: dict[str, float], shape: Shape, unlike: bool = False) -> float:
     """Its own usual size, or any course's that is larger there; single moments are no course, and rarer.
 
     Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, of
-    time since the start, which no motion goes with, and of what stays with a point, a marker or a place in the image.
+    time since the start, which no motion goes with, of families of few numbers, and of what stays with a point, a
+    marker or a place in the image. So of a camera, unless joints moved `unlike` any undisturbed recording: in
+    thirty-three of those place, marker, posture and time foretold nothing, and motion 15 nats.
     """
-    own = usual.get(usual_shape(shape.goes_with), 0.0)
-    if (shape.measurement in STILL and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(LATER):
+    own, still = usual.get(usual_shape(shape.goes_with), 0.0), shape.measurement in STILL
+    if shape.goes_with.startswith(ANGLE_OF) and not still:  # booms follow a large fault of the actuators, too
+        return BEHIND_NATS + BEHIND_TIMES * own
+    if (still and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(LATER):
         return REFUSED_NATS + EXCEEDED_TIMES * own
+    if shape.stage == "camera" and shape.goes_with != SINGLE_MOMENTS and not unlike:
+        return REFUSED_NATS + BEHIND_TIMES * own
     moments = usual_shape(SINGLE_MOMENTS)
     courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != moments]
     most = own if shape.goes_with in FIXED else max([own, *courses])
@@ -147,9 +154,10 @@ def _of_part(part: Cell, residual: Array) -> list[Shape]:
 
 def _columns(part: Cell) -> dict[str, Array]:
     if isinstance(part.whitened, PointResidual):
-        return {**point_columns(part.whitened), **swing_columns(part.whitened, part.base)}
+        wide = {**point_columns(part.whitened), **swing_columns(part.whitened, part.base)}
+        return wide | narrow_point_columns(part.whitened, part.base)
     if isinstance(part.whitened, CornerResidual):
-        return corner_columns(part.whitened)
+        return corner_columns(part.whitened) | narrow_corner_columns(part.whitened, part.base)
     return driven_columns(part)
 
 

@@ -48,12 +48,19 @@ def test_more_than_a_quiet_stage_has_ever_left_is_a_gap() -> None:
         cell_of(),  # nobody knows what it leaves
         cell_of((USUAL_ENERGY, 0.03)),  # as much as once before
         cell_of((USUAL_ENERGY, 0.4)),  # no quiet stage: patterns tell there
-        cell_of((USUAL_ENERGY, 1e-3), quiet=0.05),  # this recording's repeats show that noise
+        replace(
+            cell_of((USUAL_ENERGY, 1e-3), quiet=0.05), stage="controller"
+        ),  # this recording's repeats show that noise
         replace(cell_of((USUAL_ENERGY, 1e-3)), floor_known=False),
     ],
 )
 def test_what_is_usual_or_noise_or_not_known_is_none(cell: Cell) -> None:
     assert names(cell) == set()
+
+
+def test_what_differs_between_repeats_of_a_link_is_no_noise() -> None:
+    """Six packets lost in as many repeats made the noise that hid them."""
+    assert names(cell_of((USUAL_ENERGY, 1e-3), quiet=0.05)) == {"unrest"}
 
 
 def test_what_happens_once_or_twice_is_no_unrest() -> None:

@@ -1,0 +1,97 @@
+"""Families of few numbers behind the encoders: what a name leaves of a kindred one shows in five, not in thirty."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from foreign_plant import Fault, write
+
+from diagnosis.cells import Cell
+from diagnosis.cells_behind import measurement_of
+from diagnosis.cells_camera import CornerResidual
+from diagnosis.left_over import cells_of
+from diagnosis.reading import read
+from diagnosis.shapes.found import REFUSED_NATS, Shape, _refused_from, refusing, shapes_of
+from diagnosis.shapes.narrow import ANGLE_OF, LATE, LENS, narrow_corner_columns, narrow_point_columns
+from machine.remainder import usual_shape
+
+
+@pytest.fixture(scope="module")
+def parts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Cell]:
+    """What was measured behind the encoders of one sound recording, by measurement."""
+    folder = tmp_path_factory.mktemp("narrow") / "run"
+    whole = read(write(folder, Fault(), 3, static=40, seconds=10.0, tracker_m=2e-4, camera_px=0.1))
+    cells = [part for cell in cells_of(whole) for part in cell.parts or (cell,)]
+    return {measurement_of(part): part for part in cells if measurement_of(part)}
+
+
+def columns_of(part: Cell) -> dict[str, np.ndarray]:
+    narrow = narrow_corner_columns if isinstance(part.whitened, CornerResidual) else narrow_point_columns
+    return narrow(part.whitened, part.base)
+
+
+def bent(part: Cell, column: np.ndarray, energy: float) -> np.ndarray:
+    """Noise, with a course of so much |s|^2."""
+    noise = np.random.default_rng(5).normal(size=part.rows.count)
+    return noise + column * np.sqrt(energy / (column @ column))
+
+
+@pytest.mark.parametrize(
+    ("measurement", "family"),
+    [("static", f"{ANGLE_OF} 2"), ("tracker", f"{ANGLE_OF} 2"), ("ooi", f"{ANGLE_OF} 2"), ("ooi", LATE), ("ooi", LENS)],
+)
+def test_a_small_course_of_a_family_is_found_by_that_family(
+    parts: dict[str, Cell], measurement: str, family: str
+) -> None:
+    part = parts[measurement]
+    column = columns_of(part)[family]
+    found = {one.goes_with: one.nats for one in shapes_of(part, bent(part, column[:, -1], 80.0))}
+    assert found[family] > 20.0
+    wide = [nats for name, nats in found.items() if not name.startswith((ANGLE_OF, LATE, LENS))]
+    assert found[family] >= max(wide, default=0.0)
+
+
+def test_noise_alone_goes_with_no_family(parts: dict[str, Cell]) -> None:
+    for measurement, part in parts.items():
+        told = shapes_of(part, np.random.default_rng(7).normal(size=part.rows.count), REFUSED_NATS)
+        assert told == (), measurement
+
+
+def test_what_the_objects_place_does_is_no_course(parts: dict[str, Cell]) -> None:
+    seen = parts["ooi"].whitened
+    assert isinstance(seen, CornerResidual)
+    own = seen.noise.white(seen.nuisance.T, seen.frames.groups).T
+    for name, columns in columns_of(parts["ooi"]).items():
+        assert np.abs(own.T @ columns).max() < 1e-6 * np.linalg.norm(own) * np.linalg.norm(columns), name
+
+
+def test_a_family_refuses_beyond_its_own_usual_size_and_only_where_that_is_known() -> None:
+    shape = Shape("camera", None, "ooi", LATE, 40.0)
+    usual = {usual_shape("motion"): 60.0, usual_shape(LATE): 10.0}
+    assert shape.nats > _refused_from(usual, shape)
+    assert shape.nats < _refused_from({**usual, usual_shape(LATE): 20.0}, shape)
+
+
+def test_an_angles_error_of_what_moves_is_held_to_what_booms_may_do() -> None:
+    shape = Shape("structure", None, "static", f"{ANGLE_OF} 2", 20.0)
+    moving = Shape("structure", None, "tracker", f"{ANGLE_OF} 2", 45.0)
+    usual = {usual_shape("motion"): 60.0, usual_shape(shape.goes_with): 0.0}
+    assert shape.nats > _refused_from(usual, shape)
+    assert moving.nats > _refused_from(usual, moving)
+    assert moving.nats < _refused_from({**usual, usual_shape(shape.goes_with): 2.0}, moving)
+
+
+def test_beside_a_joint_that_moved_unlike_any_other_day_no_family_refuses(parts: dict[str, Cell]) -> None:
+    part = replace(parts["tracker"], usual=((usual_shape(f"{ANGLE_OF} 1"), 0.0),))
+    left = (Shape("structure", None, "tracker", f"{ANGLE_OF} 1", 60.0),)
+    assert refusing(part, left, 0.0)
+    assert refusing(replace(part, stuck=(2,)), left, 0.0) == ()
+    assert refusing(replace(part, usual=((usual_shape("motion"), 0.0),)), left, 0.0) == ()  # an older baseline
+
+
+def test_a_camera_is_held_to_what_it_showed_itself_unless_joints_moved_unlike_any_other_day() -> None:
+    shape = Shape("camera", None, "ooi", "motion", 60.0)
+    usual = {usual_shape("motion"): 11.0, usual_shape("motion by row"): 15.0}
+    assert shape.nats > _refused_from(usual, shape)
+    assert shape.nats < _refused_from(usual, shape, unlike=True)
+    assert shape.nats < _refused_from({**usual, usual_shape("motion"): 15.0}, shape)
