@@ -27,7 +27,7 @@ def with_coupling(searches: list[Search], coupled: Cell | None) -> list[Search]:
         return searches
     if together.chosen.total <= sum(one.chosen.total for one in searches):
         return searches
-    return [_with_more(together, searches)]
+    return [with_more(together, searches)]
 
 
 def _likely(found: Search) -> list[Candidate]:
@@ -37,8 +37,8 @@ def _likely(found: Search) -> list[Candidate]:
     return [*found.chosen.fit.hypothesis, *best]
 
 
-def _with_more(together: Search, searches: list[Search]) -> Search:
-    """With what gains the margin beside the names chosen so far, of all that any joint could have.
+def with_more(together: Search, searches: list[Search]) -> Search:
+    """All actuators' search, with what gains the margin beside the names chosen there, of all that joints could have.
 
     Why: a dead band behind a pump that gives a quarter of what is asked gains nothing as the only name.
     """

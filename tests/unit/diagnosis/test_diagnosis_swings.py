@@ -12,6 +12,7 @@ from diagnosis.cells_behind import behind_cells
 from diagnosis.cells_points import PointResidual
 from diagnosis.fit import evaluated
 from diagnosis.reading import read
+from diagnosis.search import search
 from diagnosis.shapes.behind import swing_columns
 from diagnosis.shapes.found import left_shapes, refusing, shapes_of
 from machine.effects.entries import pack_under
@@ -72,3 +73,14 @@ def test_poses_at_rest_swing_nowhere(tracked: Cell) -> None:
     assert isinstance(seen, PointResidual)
     assert set(swing_columns(seen, tracked.base)) == {"swings of joint 1", SEEN}
     assert swing_columns(replace(seen, paths=()), tracked.base) == {}
+
+
+def test_a_swing_between_two_frequencies_has_its_name(tracked: Cell) -> None:
+    """Of five frequencies none had been in the valley of one of 1.5 Hz, which is a tenth of that wide."""
+    swing = named(("link_flexibility",), (2,))
+    plain = evaluated(tracked, (), np.zeros((1, 0)))[0]
+    more = plain - evaluated(tracked, swing, np.array([[0.1, 1.47, 0.03]]))[0]
+    moved = replace(tracked, whitened=lambda sets: tracked.whitened(sets) + more)
+    (found,) = search(moved).chosen.fit.by_effect
+    assert found[0].key == ("link_flexibility", 2)
+    np.testing.assert_allclose(found[1], [0.1, 1.47, 0.03], rtol=0.25)
