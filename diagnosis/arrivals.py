@@ -20,6 +20,7 @@ RATE_MAX = 2e-4  # by which two clocks may run apart
 DRIFT_USUAL = 1.5e-4  # of two crystals
 DRIFTS = 20  # tried to either side
 LESS = 0.78  # of the rows that a steady delay contradicts
+NOW_AND_THEN = 2e-3  # of the datagrams: what is late more often is a fault, or a drift of the clocks
 MISSES = 0.01  # of the rows, that may contradict a line more than they contradict the best one
 ROWS_MIN = 50
 SEARCHED_ROWS = 4000
@@ -162,13 +163,17 @@ def on_the_dot(sent: Numbered, rows: Numbered) -> Arrivals:
 
 
 def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: float) -> Arrivals:
-    """Where every cycle has a row: all on the dot but for the few that came a cycle late, which jitter does."""
-    came = known.t_s + _least_missed(bounds, nominal_s).nearest(nominal_s)
-    moved = _into(*_rows_beside(bounds, len(came), cycle_s), came)
-    late = _cycle_of(came + moved, bounds, cycle_s) - _cycle_of(came, bounds, cycle_s) == 1.0
-    if known.lost is not None:
-        late &= ~known.lost
-    if np.mean(late) > MISSES:
+    """Where every cycle has a row: all on the dot but for the few that a row showed one later than they were due.
+
+    Counted in rows, whatever their stamps are. One that no row shows is lost, or came with the next one: not late.
+    """
+    delay = _least_missed(bounds, nominal_s)
+    inside = delay.least_s <= nominal_s <= delay.most_s
+    came = known.t_s + (nominal_s if inside else 0.5 * (delay.least_s + delay.most_s))
+    shown, first = np.unique(bounds.shown, return_index=True)
+    late = np.zeros(len(came), dtype=bool)
+    late[shown] = first - np.searchsorted(bounds.t_s, came[shown] - EPS_S) == 1
+    if np.mean(late) > NOW_AND_THEN:
         return known
     return replace(known, t_s=np.maximum.accumulate(known.t_s + cycle_s * late))
 

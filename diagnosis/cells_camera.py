@@ -35,6 +35,7 @@ VISITS_S = 3.0
 VISITED_MIN = 20  # corners seen again
 NUDGE = 1e-4
 FAR_PX = 1e3
+OF_PLACE = 1e-3  # of a column: what is left of one below it is what a step of the object's place is wrong by
 VIEWS_MIN = 4  # poses of the object to place it by
 TIMED = ("clock_offset", "clock_drift", "camera_latency", "rolling_shutter")
 
@@ -103,7 +104,8 @@ class CornerResidual:
         if self.on == "tool" or self.nuisance.shape[1] == 0:
             return white
         own = self.noise.white(self.nuisance.T, self.frames.groups).T
-        return np.asarray(white - own @ np.linalg.lstsq(own, white, rcond=None)[0], dtype=float)
+        left = white - own @ np.linalg.lstsq(own, white, rcond=None)[0]
+        return left * (np.linalg.norm(left, axis=0) > OF_PLACE * np.linalg.norm(white, axis=0))
 
     def poses(
         self, sets: ParameterSets, plain: ParameterSets, k: int, later_s: float, more_rad: Array | float = 0.0
@@ -184,6 +186,7 @@ def frames_of(
     for k, group in enumerate(chosen):
         for row in groups[group]:
             pixels[k, table.eye[row], number[int(table.ids[row])]] = table.corners[row]
+    pixels[np.isnan(pixels).any(axis=-1)] = np.nan  # half of a corner is no place in the image
     return Frames.of(np.array([table.t_s[groups[k][0]] for k in chosen]), pixels, markers)
 
 

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 from diagnosis.candidates import DROOP, Candidate
 from diagnosis.cells import Cell
-from diagnosis.fit import evaluated
-from diagnosis.further import ENUMERATED, Change, one_more
+from diagnosis.fit import costs, evaluated
+from diagnosis.further import ENUMERATED, one_more
 from diagnosis.guessed_noise import searched
+from diagnosis.scan import Scan
 from diagnosis.score import better
-from diagnosis.search import Search
+from diagnosis.search import Search, backward, known_of
 from diagnosis.several import Book
 
 SINGLES = 2  # of each joint, besides what was chosen there, that are searched again beside supply_droop
@@ -42,18 +43,28 @@ def with_more(together: Search, searches: list[Search]) -> Search:
 
     Why: a dead band behind a pump that gives a quarter of what is asked gains nothing as the only name.
     """
-    cell, book = together.cell, Book(together.cell)
-    changes, chosen = _changes(together, searches), together.chosen
+    least = max([together.cell.least_nats, *(one.cell.least_nats for one in searches)])
+    cell = replace(together.cell, least_nats=least)
+    book, beside = Book(cell, known_of(together.scored)), _beside(together, searches)
+    changes = [(one.candidate, one.thetas[0], one.column) for one in beside if one.column is not None]
+    chosen = together.chosen
     while len(chosen.fit.hypothesis) < ENUMERATED:
         found = one_more(book.scored, changes, chosen)
         if not found or not better(found[0], chosen, together.none, together.spread, cell):
             break
         chosen = found[0]
-    return replace(together, scored=(*together.scored, *book.known.values()), chosen=chosen)
+    chosen = backward(book, chosen, together.spread)
+    known = {one.candidate.key for one in together.scans}
+    scans = (*together.scans, *(one for one in beside if one.candidate.key not in known))
+    return replace(together, scans=scans, scored=tuple(book.known.values()), chosen=chosen)
 
 
-def _changes(together: Search, searches: list[Search]) -> list[Change]:
-    """What each joint's effects do to the whole cell, by the size that is felt."""
-    at = [(scan.candidate, scan.thetas[scan.felt]) for one in searches for scan in one.scans if scan.felt is not None]
-    nothing = together.none.fit.residual
-    return [(one, theta, evaluated(together.cell, (one,), theta[None])[0] - nothing) for one, theta in at]
+def _beside(together: Search, searches: list[Search]) -> list[Scan]:
+    """What each joint's effects do to the whole cell, at the size that is felt."""
+    none, out = together.none.fit.residual, []
+    for own in (scan for one in searches for scan in one.scans if scan.felt is not None):
+        theta = own.thetas[own.felt]
+        residual = evaluated(together.cell, (own.candidate,), theta[None])[0]
+        change = residual - none
+        out.append(Scan(own.candidate, theta[None], costs(residual).sum()[None], (change @ change)[None], 0, change))
+    return out

@@ -9,6 +9,7 @@ from scipy.special import chdtrc, erfc  # scipy.stats takes a second to import
 from diagnosis.cells import DRIVEN_STAGES, Cell
 from diagnosis.cells_behind import independent
 from diagnosis.score import Score
+from diagnosis.stage_replay import Replay
 from machine.remainder import USUAL_ENERGY, USUAL_NATS
 from machine.rotations import Array
 
@@ -161,10 +162,17 @@ def _is_quiet(cell: Cell) -> bool:
 
 
 def _noise(cell: Cell) -> float:
-    """The noise's own energy. None of a link that repeats to a rounding undisturbed: what differs from one repeat to
-    the next is no noise there, as when it loses a packet in each.
+    """The noise's own energy. None of a link that repeats to a rounding undisturbed and has lost datagrams: these are
+    what differs from one repeat to the next, and would hide themselves.
     """
-    return 0.0 if cell.stage == "link" and _is_quiet(cell) else cell.quiet
+    return 0.0 if cell.stage == "link" and _is_quiet(cell) and _lost_some(cell) else cell.quiet
+
+
+def _lost_some(cell: Cell) -> bool:
+    """Whether the log's own numbers show that datagrams never came."""
+    parts = cell.whitened.parts if isinstance(cell.whitened, Replay) else ()
+    sent = [part.stretch.sent for part in parts]
+    return any(one is not None and one.lost is not None and bool(one.lost.any()) for one in sent)
 
 
 def steady_energy(cell: Cell, r: Array) -> float:

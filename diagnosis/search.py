@@ -53,7 +53,9 @@ def search(cell: Cell, further: bool = True) -> Search:
 
 def searched_again(found: Search, least_nats: float) -> Search:
     """The same search by a higher margin: nothing is fitted twice."""
-    return _searched(replace(found.cell, least_nats=least_nats), found.none, list(found.variants), _known(found.scored))
+    return _searched(
+        replace(found.cell, least_nats=least_nats), found.none, list(found.variants), known_of(found.scored)
+    )
 
 
 def searched_without(found: Search, name: str) -> Search:
@@ -61,10 +63,11 @@ def searched_without(found: Search, name: str) -> Search:
     cell = replace(found.cell, candidates=tuple(one for one in found.cell.candidates if one.name != name))
     variants = [one for one in found.variants if one.candidate.name != name]
     kept = [score for score in found.scored if all(one.name != name for one in score.fit.hypothesis)]
-    return _searched(cell, found.none, variants, _known(kept))
+    return _searched(cell, found.none, variants, known_of(kept))
 
 
-def _known(scored: Iterable[Score]) -> dict[frozenset[Variant], Score]:
+def known_of(scored: Iterable[Score]) -> dict[frozenset[Variant], Score]:
+    """Scores by hypothesis, as a `Book` keeps them."""
     return {frozenset(one.variant for one in score.fit.hypothesis): score for score in scored}
 
 
@@ -82,7 +85,7 @@ def _searched(
     if further and chosen is not none and steps_further(cell):
         levels += _further(book, changes, levels)
         chosen, spread = _best_that_passes(book, levels)
-    chosen = _backward(book, chosen, spread)
+    chosen = backward(book, chosen, spread)
     if not better(chosen, none, none, spread, cell):  # what is left of a pair has to stand on its own
         chosen = none
     if len(chosen.fit.hypothesis) > 1:  # a zero that is off looks like the next axis' tilt, and is the likelier one
@@ -153,7 +156,7 @@ def _singles(book: Book, scans: list[Scan], none: Score) -> list[Score]:
     return sorted(found, key=lambda one: -one.total)
 
 
-def _backward(book: Book, chosen: Score, spread: float) -> Score:
+def backward(book: Book, chosen: Score, spread: float) -> Score:
     """Drop each effect that the rest does not need by the margin."""
     hypothesis = chosen.fit.hypothesis
     if len(hypothesis) < 2:
@@ -163,7 +166,7 @@ def _backward(book: Book, chosen: Score, spread: float) -> Score:
         keep = np.concatenate([np.full(len(one.slots), one is not out) for one in hypothesis])
         smaller = book.scored(rest, chosen.fit.theta[keep], ROUNDS_PAIR)
         if not better(chosen, smaller, book.known[frozenset()], spread, book.cell):
-            return _backward(book, smaller, spread)
+            return backward(book, smaller, spread)
     return chosen
 
 

@@ -15,7 +15,7 @@ from diagnosis.shapes.behind import FIXED, SWINGS_OF, corner_columns, point_colu
 from diagnosis.shapes.driven import SINCE, driven_columns
 from diagnosis.shapes.gain import held_out_nats
 from diagnosis.shapes.narrow import ANGLE_OF, NARROW, narrow_corner_columns, narrow_point_columns
-from machine.remainder import USUAL_SHAPE, usual_shape
+from machine.remainder import USUAL_ENERGY, USUAL_SHAPE, usual_shape
 from machine.rotations import Array
 
 LEAST_NATS = 12.0  # twice the margin of a name
@@ -73,12 +73,18 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
     out = []
     for one in left:
         known = usual[_at(one)]
-        of_motion = one.goes_with.startswith((SWINGS_OF, *NARROW)) and one.measurement not in STILL
-        if cell.knocked or one.joint in cell.moved_unlike or (of_motion and cell.moved_unlike):
+        shaken = bool(cell.moved_unlike) and one.measurement not in STILL
+        if (
+            cell.knocked
+            or one.joint in cell.moved_unlike
+            or (shaken and one.goes_with.startswith((SWINGS_OF, *NARROW)))
+        ):
             continue
         if one.goes_with.startswith(LATER) and usual_shape(one.goes_with) not in known:
             continue
-        if _known(known) and one.nats > _refused_from(known, one, bool(cell.moved_unlike)) + form:
+        if one.goes_with.startswith(NARROW) and USUAL_ENERGY not in known:  # few days do not tell what the most is
+            continue
+        if _known(known) and one.nats > _refused_from(known, one) + form:
             share = one.nats / (one.nats + max(gained_nats, 0.0))
             lead = f"goes with {one.goes_with}"
             out.append(Fired(TEST, one.stage, one.joint, one.nats, math.exp(-one.nats), lead, share))
@@ -99,23 +105,20 @@ def instead(cell: Cell, nothing: Array, gained_nats: float) -> tuple[Fired, ...]
     return refusing(cell, tuple(more), gained_nats)
 
 
-def _refused_from(usual: dict[str, float], shape: Shape, unlike: bool = False) -> float:
+def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     """Its own usual size, or any course's that is larger there; single moments are no course, and rarer.
 
     Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, of
     time since the start, which no motion goes with, of families of few numbers, and of what stays with a point, a
-    marker or a place in the image. So of a camera, unless joints moved `unlike` any undisturbed recording: in
-    thirty-three of those place, marker, posture and time foretold nothing, and motion 15 nats.
+    marker or a place in the image.
     """
     own, still = usual.get(usual_shape(shape.goes_with), 0.0), shape.measurement in STILL
     if shape.goes_with.startswith(ANGLE_OF) and not still:  # booms follow a large fault of the actuators, too
         return BEHIND_NATS + BEHIND_TIMES * own
     if (still and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(LATER):
         return REFUSED_NATS + EXCEEDED_TIMES * own
-    if shape.stage == "camera" and shape.goes_with != SINGLE_MOMENTS and not unlike:
-        return REFUSED_NATS + BEHIND_TIMES * own
-    moments = usual_shape(SINGLE_MOMENTS)
-    courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and name != moments]
+    narrow = tuple(usual_shape(name) for name in (SINGLE_MOMENTS, *NARROW))
+    courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and not name.startswith(narrow)]
     most = own if shape.goes_with in FIXED else max([own, *courses])
     if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most

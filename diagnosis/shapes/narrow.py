@@ -1,7 +1,8 @@
 """Families of a few numbers each behind the encoders: an error of one joint's angle, a camera's clock, a lens.
 
 Why beside the wide ones: a name that stands in for a kindred one takes most of it along, and what it leaves drowns in
-thirty numbers where it shows in five. All of them are functions that no effect of the catalogue is asked for.
+thirty numbers where it shows in five. Each holds effects of the catalogue (a zero and a scale are functions of the
+angle, too) and whatever else is such a function.
 """
 
 import numpy as np
@@ -19,10 +20,14 @@ LENS = "the distance from the image's middle"
 NARROW = (ANGLE_OF, LATE, LENS)
 ANGLE_ORDER, LATE_ORDER = 5, 1
 NUDGE_RAD, NUDGE_S = 1e-4, 1e-3
+STILL_RAD = 2e-3  # within it an angle shows its encoder's noise, and no course; of time, in seconds, far less than any
 
 
 def narrow_point_columns(measured: PointResidual, base: ParameterSets) -> dict[str, Array]:
-    """(3 m, k) by what they are functions of, as white as the residual of measured points."""
+    """(3 m, k) by what they are functions of, as white as the residual of measured points.
+
+    What a tracker's frame or points' places that nobody knows would take up is not taken off: there they foretell less.
+    """
     out = {}
     for j in range(measured.nominal.n):
         moved = measured.moved_by(base, j, NUDGE_RAD) / NUDGE_RAD
@@ -57,8 +62,10 @@ def narrow_corner_columns(seen: CornerResidual, base: ParameterSets) -> dict[str
 
 
 def _smooth(x: Array, order: int) -> Array:
-    """Legendre's polynomials of values (m,) over their range (m, order + 1)."""
-    middle, half = 0.5 * (x.max() + x.min()), max(0.5 * float(np.ptp(x)), 1e-9)
+    """Legendre's polynomials of values (m,) over their range (m, order + 1); of what stood still the constant alone."""
+    if float(np.ptp(x)) < STILL_RAD:
+        return np.ones((len(x), 1))
+    middle, half = 0.5 * (x.max() + x.min()), 0.5 * float(np.ptp(x))
     return np.asarray(legvander((x - middle) / half, order), dtype=float)
 
 

@@ -129,25 +129,37 @@ def test_without_numbers_a_row_is_known_by_its_values() -> None:
     assert not known[(seen >= 2000) & (seen < 2099)].any()
 
 
-def every_cycle(late: list[int], delay_s: float = 0.0) -> tuple[np.ndarray, Arrivals]:
-    """Datagrams every 10 ms, the PLC's cycle of 5 ms in every row; these came a cycle late."""
-    t_s, rows_s = 0.01 * NUMBER[:3000], 0.005 * np.arange(1, 5990)
+def every_cycle(
+    late: list[int], delay_s: float = 0.0, lost: tuple[int, ...] = (), sent_s: float = 0.01, stamps_s: float = 0.0
+) -> tuple[np.ndarray, Arrivals]:
+    """The PLC's cycle of 5 ms in every row; some datagrams came a cycle late, some never. `stamps_s`: noise of rows."""
+    t_s, rows_s = sent_s * NUMBER[:3000], 0.005 * np.arange(1, 5990)
     came = t_s + 0.002 + delay_s
     came[late] += 0.005
-    seen = np.searchsorted(came, rows_s, side="right") - 1
-    return t_s, arrivals((t_s, NUMBER[:3000]), (rows_s, seen), 0.005, 0.002)
+    there = np.isin(NUMBER[:3000], lost, invert=True)
+    last = np.searchsorted(came[there], rows_s, side="right") - 1
+    seen = np.where(last >= 0, NUMBER[:3000][there][last], -1)
+    stamps = rows_s + stamps_s * np.random.default_rng(3).normal(size=len(rows_s))
+    return t_s, arrivals((t_s, NUMBER[:3000]), (stamps, seen), 0.005, 0.002)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.03])
-def test_where_every_cycle_has_a_row_a_few_late_ones_are_replayed_late(delay_s: float) -> None:
+@pytest.mark.parametrize("stamps_s", [0.0, 3e-6])
+def test_where_every_cycle_has_a_row_a_few_late_ones_are_replayed_late(delay_s: float, stamps_s: float) -> None:
     late = [400, 1200, 2400]
-    t_s, found = every_cycle(late, delay_s)
+    t_s, found = every_cycle(late, delay_s, stamps_s=stamps_s)
     expected = t_s.copy()
     expected[late] += 0.005
     np.testing.assert_allclose(found.t_s, expected, atol=1e-9)
 
 
-def test_where_every_cycle_has_a_row_what_is_late_all_the_time_is_a_delay() -> None:
+@pytest.mark.parametrize("sent_s", [0.01, 0.005])
+def test_where_every_cycle_has_a_row_what_never_came_is_not_late(sent_s: float) -> None:
+    t_s, found = every_cycle([], lost=(300, 900, 901, 2000), sent_s=sent_s)
+    np.testing.assert_array_equal(found.t_s, t_s)
+
+
+def test_where_every_cycle_has_a_row_what_is_late_now_and_again_is_a_delay() -> None:
     t_s, found = every_cycle(list(range(0, 3000, 2)))
     np.testing.assert_array_equal(found.t_s, t_s)
 

@@ -9,11 +9,12 @@ from foreign_plant import Fault, write
 from diagnosis.cells import Cell
 from diagnosis.cells_behind import measurement_of
 from diagnosis.cells_camera import CornerResidual
+from diagnosis.cells_points import PointResidual
 from diagnosis.left_over import cells_of
 from diagnosis.reading import read
 from diagnosis.shapes.found import REFUSED_NATS, Shape, _refused_from, refusing, shapes_of
 from diagnosis.shapes.narrow import ANGLE_OF, LATE, LENS, narrow_corner_columns, narrow_point_columns
-from machine.remainder import usual_shape
+from machine.remainder import USUAL_ENERGY, usual_shape
 
 
 @pytest.fixture(scope="module")
@@ -81,17 +82,36 @@ def test_an_angles_error_of_what_moves_is_held_to_what_booms_may_do() -> None:
     assert moving.nats < _refused_from({**usual, usual_shape(shape.goes_with): 2.0}, moving)
 
 
-def test_beside_a_joint_that_moved_unlike_any_other_day_no_family_refuses(parts: dict[str, Cell]) -> None:
-    part = replace(parts["tracker"], usual=((usual_shape(f"{ANGLE_OF} 1"), 0.0),))
+KNOWN = ((USUAL_ENERGY, 1.0), (usual_shape(f"{ANGLE_OF} 1"), 0.0))
+
+
+def test_beside_a_joint_that_moved_unlike_any_other_day_no_family_of_what_moves_refuses(parts: dict[str, Cell]) -> None:
     left = (Shape("structure", None, "tracker", f"{ANGLE_OF} 1", 60.0),)
-    assert refusing(part, left, 0.0)
-    assert refusing(replace(part, stuck=(2,)), left, 0.0) == ()
-    assert refusing(replace(part, usual=((usual_shape("motion"), 0.0),)), left, 0.0) == ()  # an older baseline
+    assert refusing(replace(parts["tracker"], usual=KNOWN), left, 0.0)
+    assert refusing(replace(parts["tracker"], usual=KNOWN, stuck=(2,)), left, 0.0) == ()
+    still = (replace(left[0], measurement="static"),)
+    assert refusing(replace(parts["static"], usual=KNOWN, stuck=(2,)), still, 0.0)
 
 
-def test_a_camera_is_held_to_what_it_showed_itself_unless_joints_moved_unlike_any_other_day() -> None:
-    shape = Shape("camera", None, "ooi", "motion", 60.0)
-    usual = {usual_shape("motion"): 11.0, usual_shape("motion by row"): 15.0}
+@pytest.mark.parametrize("usual", [((USUAL_ENERGY, 1.0), (usual_shape("motion"), 0.0)), KNOWN[1:]])
+def test_an_older_baseline_and_one_of_few_days_refuse_nothing_by_a_family(
+    parts: dict[str, Cell], usual: tuple[tuple[str, float], ...]
+) -> None:
+    left = (Shape("structure", None, "tracker", f"{ANGLE_OF} 1", 60.0),)
+    assert refusing(replace(parts["tracker"], usual=usual), left, 0.0) == ()
+
+
+def test_what_a_family_shows_every_day_holds_no_other_course_back() -> None:
+    shape = Shape("structure", None, "tracker", "posture", 60.0)
+    usual = {usual_shape("motion"): 5.0, usual_shape(f"{ANGLE_OF} 1"): 50.0}
     assert shape.nats > _refused_from(usual, shape)
-    assert shape.nats < _refused_from(usual, shape, unlike=True)
-    assert shape.nats < _refused_from({**usual, usual_shape("motion"): 15.0}, shape)
+
+
+def test_of_a_joint_that_stood_still_only_its_zero_is_asked(parts: dict[str, Cell]) -> None:
+    measured = parts["static"].whitened
+    assert isinstance(measured, PointResidual)
+    q = measured.data.q.copy()
+    q[:, 0] = 0.3 + 1e-4 * np.random.default_rng(2).normal(size=len(q))
+    found = narrow_point_columns(replace(measured, data=replace(measured.data, q=q)), parts["static"].base)
+    assert found[f"{ANGLE_OF} 1"].shape[1] == 1
+    assert found[f"{ANGLE_OF} 2"].shape[1] > 1

@@ -58,9 +58,23 @@ def test_what_is_usual_or_noise_or_not_known_is_none(cell: Cell) -> None:
     assert names(cell) == set()
 
 
-def test_what_differs_between_repeats_of_a_link_is_no_noise() -> None:
-    """Six packets lost in as many repeats made the noise that hid them."""
-    assert names(cell_of((USUAL_ENERGY, 1e-3), quiet=0.05)) == {"unrest"}
+@pytest.mark.parametrize(("lost", "told"), [(True, {"unrest"}), (False, set())])
+def test_what_differs_between_repeats_of_a_link_that_lost_datagrams_is_no_noise(
+    tmp_path: Path, lost: bool, told: set[str]
+) -> None:
+    """Six lost in as many repeats made the noise that hid them; late ones are noise, and no fault."""
+    whole = read(folder(tmp_path, recording(("repeat", "repeat", "steps"), (), 3)))
+    link = next(cell for cell in cells_of(whole) if cell.stage == "link")
+    assert isinstance(link.whitened, Replay)
+    (first, *others) = link.whitened.parts
+    sent = first.stretch.sent
+    assert sent is not None
+    gone = np.zeros(len(sent.t_s), dtype=bool)
+    gone[7] = lost
+    first = replace(first, stretch=replace(first.stretch, sent=replace(sent, lost=gone)))
+    whitened = replace(link.whitened, parts=(first, *others))
+    cell = replace(cell_of((USUAL_ENERGY, 1e-3), quiet=0.05), whitened=whitened)
+    assert names(cell) == told
 
 
 def test_what_happens_once_or_twice_is_no_unrest() -> None:
