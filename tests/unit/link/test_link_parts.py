@@ -1,6 +1,7 @@
 """The small parts of the server's link: figures, sample ring, conversion, queue to the server."""
 
 import multiprocessing
+import time
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from protocol.codes import HeaderFlag, PlcState
 from protocol.errors import LocalProtocolError
 from protocol.framing import EapFraming, RawFraming
 from protocol.messages import State
+from server.link import udp_end
 from server.link.contracts import MotionEnded, PlcSample, SamplesReport
 from server.link.errors import LinkRefusedError
 from server.link.knots import knots_of
@@ -100,6 +102,22 @@ def test_a_server_that_does_not_read_costs_samples_not_reports() -> None:
         reader.close()
         outbox.report(ended)  # wakes the thread, which sees the broken pipe and ends
         outbox.report(ended)
+
+
+def test_a_process_held_up_between_two_clocks_stamps_nothing_late(monkeypatch: pytest.MonkeyPatch) -> None:
+    real_ns, calls = time.monotonic_ns, iter(range(10_000))
+    monkeypatch.setattr(udp_end.time, "monotonic_ns", lambda: real_ns() + (10_000_000 if next(calls) % 6 == 1 else 0))
+    a, b = UdpEnd(("127.0.0.1", 0)), UdpEnd(("127.0.0.1", 0))
+    try:
+        for i in range(6):
+            before_ns = real_ns()
+            assert a.send(bytes([i]), b.local_address)
+            time.sleep(0.002)
+            ((_, received_ns, _),) = b.drain()
+            assert before_ns - 1_000_000 < received_ns < real_ns()
+    finally:
+        a.close()
+        b.close()
 
 
 def test_udp_end_stamps_and_drains() -> None:
