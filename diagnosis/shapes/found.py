@@ -26,7 +26,9 @@ FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by:
 TEST = "shape"
 STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
-LATER = (SWINGS_OF, SINCE, *NARROW)  # a baseline fitted before these were sought refuses nothing by them
+SHAKEN = (SWINGS_OF, *NARROW)  # no test where a joint's unusual motion shakes what is seen
+LATER = (SINCE, *SHAKEN)  # a baseline fitted before these were sought refuses nothing by them
+APART = tuple(usual_shape(name) for name in (SINGLE_MOMENTS, *NARROW))  # hold no other course back
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
 Place = tuple[str, int | None, str]
@@ -73,22 +75,24 @@ def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[F
     out = []
     for one in left:
         known = usual[_at(one)]
-        shaken = bool(cell.moved_unlike) and one.measurement not in STILL
-        if (
-            cell.knocked
-            or one.joint in cell.moved_unlike
-            or (shaken and one.goes_with.startswith((SWINGS_OF, *NARROW)))
-        ):
-            continue
-        if one.goes_with.startswith(LATER) and usual_shape(one.goes_with) not in known:
-            continue
-        if one.goes_with.startswith(NARROW) and USUAL_ENERGY not in known:  # few days do not tell what the most is
+        if not _is_test(cell, one, known):
             continue
         if _known(known) and one.nats > _refused_from(known, one) + form:
             share = one.nats / (one.nats + max(gained_nats, 0.0))
             lead = f"goes with {one.goes_with}"
             out.append(Fired(TEST, one.stage, one.joint, one.nats, math.exp(-one.nats), lead, share))
     return tuple(out)
+
+
+def _is_test(cell: Cell, shape: Shape, known: dict[str, float]) -> bool:
+    """Whether a shape can speak against a model at all, by what is known of its place and of how the joints moved."""
+    if cell.knocked or shape.joint in cell.moved_unlike:
+        return False
+    if cell.moved_unlike and shape.goes_with.startswith(SHAKEN) and shape.measurement not in STILL:
+        return False
+    if shape.goes_with.startswith(NARROW) and USUAL_ENERGY not in known:  # few days do not tell what the most is
+        return False
+    return not shape.goes_with.startswith(LATER) or usual_shape(shape.goes_with) in known
 
 
 def instead(cell: Cell, nothing: Array, gained_nats: float) -> tuple[Fired, ...]:
@@ -117,8 +121,7 @@ def _refused_from(usual: dict[str, float], shape: Shape) -> float:
         return BEHIND_NATS + BEHIND_TIMES * own
     if (still and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(LATER):
         return REFUSED_NATS + EXCEEDED_TIMES * own
-    narrow = tuple(usual_shape(name) for name in (SINGLE_MOMENTS, *NARROW))
-    courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and not name.startswith(narrow)]
+    courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and not name.startswith(APART)]
     most = own if shape.goes_with in FIXED else max([own, *courses])
     if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most

@@ -47,16 +47,15 @@ def narrow_corner_columns(seen: CornerResidual, base: ParameterSets) -> dict[str
         frame = np.nonzero(np.isfinite(seen.frames.pixels))[0]
         plain, n = without_encoders(base), seen.nominal.n
         q = link_angles(seen.paths, base, 0, seen.at, seen.frames.t_s)
-        here = seen.poses(base, plain, 0, 0.0)
 
-        def moved(there: Array) -> Array:
-            first, then = (seen.difference(plain, 0, Ts, None, seen.T_base_ooi) for Ts in (here, there))
-            return then - first
+        def at(later_s: float, more_rad: Array | float = 0.0) -> Array:
+            return seen.difference(plain, 0, seen.poses(base, plain, 0, later_s, more_rad), None, seen.T_base_ooi)
 
-        late = moved(seen.poses(base, plain, 0, NUDGE_S)) / NUDGE_S
+        here = at(0.0)
+        late = (at(NUDGE_S) - here) / NUDGE_S
         out[LATE] = late[:, None] * _smooth(seen.frames.t_s, LATE_ORDER)[frame]
         for j, nudge in enumerate(NUDGE_RAD * np.eye(n)):
-            turned = moved(seen.poses(base, plain, 0, 0.0, nudge)) / NUDGE_RAD
+            turned = (at(0.0, nudge) - here) / NUDGE_RAD
             out[f"{ANGLE_OF} {j + 1}"] = turned[:, None] * _smooth(q[:, j], ANGLE_ORDER)[frame]
     return {name: seen.placeless(columns) for name, columns in out.items()}
 

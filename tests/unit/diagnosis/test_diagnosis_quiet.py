@@ -48,9 +48,7 @@ def test_more_than_a_quiet_stage_has_ever_left_is_a_gap() -> None:
         cell_of(),  # nobody knows what it leaves
         cell_of((USUAL_ENERGY, 0.03)),  # as much as once before
         cell_of((USUAL_ENERGY, 0.4)),  # no quiet stage: patterns tell there
-        replace(
-            cell_of((USUAL_ENERGY, 1e-3), quiet=0.05), stage="controller"
-        ),  # this recording's repeats show that noise
+        cell_of((USUAL_ENERGY, 1e-3), quiet=0.05),  # this recording's repeats show that noise
         replace(cell_of((USUAL_ENERGY, 1e-3)), floor_known=False),
     ],
 )
