@@ -5,19 +5,20 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.certain import share_of_first
-from diagnosis.diagnose import CellAnswer, Diagnosis
-from diagnosis.equals import probability_with_equals
+from diagnosis.diagnose import Diagnosis
 from diagnosis.experiments.choice import next_experiment
-from diagnosis.limits import Interval
 from diagnosis.localise import totals_of
 from diagnosis.rivals import rivals
-from diagnosis.score import Score
-from diagnosis.shrink import closing, together
+from diagnosis.search.limits import Interval
+from diagnosis.search.score import Score
 from diagnosis.sliding import in_metres
-from diagnosis.unseen import counted_as, one_more, outside_share, unseen_share
-from diagnosis.unweighed import unweighed
-from diagnosis.weigh import Key, Whole
+from diagnosis.verdict.cell_answer import CellAnswer
+from diagnosis.verdict.certain import share_of_first
+from diagnosis.verdict.equals import probability_with_equals
+from diagnosis.verdict.shrink import closing, together
+from diagnosis.verdict.unseen import counted_as, one_more, outside_share, unseen_share
+from diagnosis.verdict.unweighed import unweighed
+from diagnosis.verdict.weigh import Key, Whole
 from machine.effects.registry import effect_named
 from machine.effects.spec import Direction
 from machine.rotations import Array

@@ -3,33 +3,34 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from diagnosis.candidates import DROOP, SEEN_BY_ENCODER, put
-from diagnosis.cells import DRIVEN_STAGES, FORM_SHARE, Cell
-from diagnosis.cells_behind import behind_cells, energies, fitting, told_behind, without
-from diagnosis.cells_dynamic import coupled_cell, stage_cells
-from diagnosis.cells_merged import merged_cells
-from diagnosis.common_wait import on_their_line
-from diagnosis.coupling import with_coupling
-from diagnosis.gear import gears
-from diagnosis.guessed_noise import searched
-from diagnosis.known import with_known
-from diagnosis.limits import Interval, Limit, detection_limit, intervals
+from diagnosis.cells.behind import behind_cells, energies, fitting, told_behind, without
+from diagnosis.cells.dynamic import coupled_cell, stage_cells
+from diagnosis.cells.merged import merged_cells
+from diagnosis.chain.common_wait import on_their_line
+from diagnosis.chain.coupling import with_coupling
+from diagnosis.chain.guessed_noise import searched
+from diagnosis.chain.own_cycle import at_its_cycle, unseen_wait
+from diagnosis.chain.own_step import at_its_step
+from diagnosis.chain.unlike import far_off, marked, told_beyond, told_who_sticks
+from diagnosis.known.known import with_known
 from diagnosis.localise import Localisation, localise
-from diagnosis.own_cycle import at_its_cycle, unseen_wait
-from diagnosis.own_step import at_its_step
-from diagnosis.reading import Read
-from diagnosis.refusal import Fired, at_edge, remainder
-from diagnosis.replay import replayer_of
-from diagnosis.score import Score
-from diagnosis.search import Search, searched_again
-from diagnosis.shapes.found import Shape, instead, left_shapes, refusing
-from diagnosis.shapes.oil import swinging
-from diagnosis.shrink import Shrink, Squares, shrinks, squares
-from diagnosis.stage_evidence import nats_by_stage
-from diagnosis.stretches import stood_still
-from diagnosis.unlike import far_off, marked, told_beyond, told_who_sticks
-from diagnosis.verdict import Verdict, verdict_of
-from diagnosis.weigh import Key, Weighed, Whole, combined, same_here, settled, weighed
+from diagnosis.reading.read import Read
+from diagnosis.refusal.gear import gears
+from diagnosis.refusal.oil import swinging
+from diagnosis.refusal.remainder import Fired, at_edge, remainder
+from diagnosis.refusal.shapes import instead, left_shapes, refusing
+from diagnosis.replay.replayer import replayer_of
+from diagnosis.replay.stretches import stood_still
+from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, put
+from diagnosis.search.cell import DRIVEN_STAGES, FORM_SHARE, Cell
+from diagnosis.search.limits import Interval, detection_limit, intervals
+from diagnosis.search.score import Score
+from diagnosis.search.search import Search, searched_again
+from diagnosis.verdict.cell_answer import CellAnswer
+from diagnosis.verdict.shrink import shrinks, squares
+from diagnosis.verdict.stage_evidence import nats_by_stage
+from diagnosis.verdict.verdict import Verdict, verdict_of
+from diagnosis.verdict.weigh import Weighed, Whole, combined, same_here, settled, weighed
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
@@ -39,24 +40,6 @@ SHARED_UNKNOWN = 0.02  # the same where no baseline is known: there every joint 
 UNEXPLAINED_SHARE = 0.05  # of the residual beyond the floor, that a name has to explain of a joint's whole loop
 TOLD_ODDS = 3.0  # of the names told against fewer of them
 CHOSEN_SHARE = 0.6  # of the two's probability, for a hypothesis that passed the margin against one that scored more
-
-
-@dataclass(frozen=True, slots=True)
-class CellAnswer:
-    """One cell's answer. `fired`: tests of the remainder; `same`: effects this recording cannot tell apart.
-
-    `squares`, `shrinks`: by part of a joined cell; `shapes`: what the remainder goes with.
-    """
-
-    search: Search
-    chosen: Score
-    weighed: tuple[Weighed, ...]
-    fired: tuple[Fired, ...]
-    squares: tuple[Squares, ...]
-    shrinks: tuple[Shrink, ...]
-    limits: tuple[Limit, ...]
-    same: tuple[tuple[Key, ...], ...]
-    shapes: tuple[Shape, ...]
 
 
 @dataclass(frozen=True, slots=True)

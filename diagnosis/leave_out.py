@@ -3,10 +3,10 @@
 from typing import Any
 
 from diagnosis.answer import judgement
+from diagnosis.chain.unlike import nothing_sticks
 from diagnosis.diagnose import Diagnosis, concluded
-from diagnosis.score import STICKS
-from diagnosis.search import searched_without
-from diagnosis.unlike import nothing_sticks
+from diagnosis.search.score import STICKS
+from diagnosis.search.search import searched_without
 
 
 def leave_named_out(found: Diagnosis) -> list[dict[str, Any]]:

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.cells_merged import merged_drives
-from diagnosis.clocks import camera_to_plc_s
-from diagnosis.floor import BLOCK_S, block_means, increments
-from diagnosis.nominal import Nominal
-from diagnosis.points import fit_points, static_data, tracked_data
-from diagnosis.reading import Read
+from diagnosis.behind.points import fit_points, static_data, tracked_data
+from diagnosis.behind.views import ooi_residual, tool_residual, views_of
+from diagnosis.datagrams.clocks import camera_to_plc_s
+from diagnosis.log.nominal import Nominal
+from diagnosis.noise.floor import BLOCK_S, block_means, increments
+from diagnosis.reading.read import Read
 from diagnosis.regimes import regimes_of
-from diagnosis.repeats import overlaid
-from diagnosis.replay import Prepared, Replayer, replayer_of
-from diagnosis.stretches import Stretch, repeat_groups
-from diagnosis.views import ooi_residual, tool_residual, views_of
+from diagnosis.replay.merge import merged_drives
+from diagnosis.replay.repeats import overlaid
+from diagnosis.replay.replayer import Prepared, Replayer, replayer_of
+from diagnosis.replay.stretches import Stretch, repeat_groups
 from machine.effects.entries import pack
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import tcp_poses

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diagnosis.fit import evaluated
-from diagnosis.search import Search
+from diagnosis.search.fit import evaluated
+from diagnosis.search.search import Search
 from machine.rotations import Array
 
 if TYPE_CHECKING:
-    from diagnosis.diagnose import CellAnswer
+    from diagnosis.verdict.cell_answer import CellAnswer
 
 CLEAR = 2.0  # standard errors: "the interval does not hold neutral"
 

@@ -5,7 +5,7 @@ from typing import Any
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import examine
+from diagnosis.reading.read import examine
 from recording.content import Recording
 
 

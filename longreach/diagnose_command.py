@@ -14,11 +14,11 @@ from diagnosis.diagnose import Diagnosis
 from diagnosis.diagnose import diagnose as run_diagnosis
 from diagnosis.errors import DiagnosisError
 from diagnosis.leave_out import leave_named_out
-from diagnosis.reading import Read
+from diagnosis.reading.read import Read
+from diagnosis.reading.together import read_together
 from diagnosis.report.curves import CellCurves, curves_of
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
-from diagnosis.together import read_together
 from longreach.fit_baseline import BaselineError, make_baseline
 from longreach.machine_out import MachineOutError, machine_text, write_machine
 from machine.effects.registry import NAMES

@@ -6,9 +6,9 @@ from pathlib import Path
 from rich.console import Console
 from rich.markup import escape
 
-from diagnosis.baseline import Baseline, fit_baseline
+from diagnosis.baseline.baseline import Baseline, fit_baseline
 from diagnosis.errors import DiagnosisError
-from diagnosis.reading import Read, read
+from diagnosis.reading.read import Read, read
 from longreach.machine_out import machine_text
 from machine.effects.entries import entries_to_toml
 from machine.effects.registry import effect_named

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from diagnosis.candidates import in_words
+from diagnosis.baseline.forward import entries_of
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
-from diagnosis.forward import entries_of
+from diagnosis.search.candidates import in_words
 from machine.effects.entries import EffectEntry, entries_to_toml
 from recording.opening import read_run
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.cells_camera import CornerResidual
+from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.diagnose import Diagnosis
 from diagnosis.experiments.described import described
 from diagnosis.experiments.library import Experiment, Motion, motions
@@ -12,9 +12,9 @@ from diagnosis.experiments.live import Pair, live_pairs
 from diagnosis.experiments.postures import extremes, looks, pool, visible
 from diagnosis.experiments.prediction import rows_of_motion, rows_of_postures, sets_of
 from diagnosis.experiments.separation import separation_nats
-from diagnosis.nominal import Nominal
-from diagnosis.stage_replay import Replay
-from diagnosis.weigh import SEPARATED_NATS, Key
+from diagnosis.log.nominal import Nominal
+from diagnosis.replay.stage_replay import Replay
+from diagnosis.verdict.weigh import SEPARATED_NATS, Key
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.nominal import Nominal
+from diagnosis.log.nominal import Nominal
 from machine.rotations import Array
 from recording.run import SegmentKind
 

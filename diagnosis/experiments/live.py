@@ -4,12 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.candidates import Candidate
-from diagnosis.diagnose import CellAnswer, Diagnosis
+from diagnosis.diagnose import Diagnosis
 from diagnosis.experiments.prediction import Hypothesis, held
-from diagnosis.fit import Fit, fit
-from diagnosis.score import Score
-from diagnosis.weigh import Key
+from diagnosis.search.candidates import Candidate
+from diagnosis.search.fit import Fit, fit
+from diagnosis.search.score import Score
+from diagnosis.verdict.cell_answer import CellAnswer
+from diagnosis.verdict.weigh import Key
 
 LIVE_MIN = 0.01  # probability of the less likely of two
 RIVALS_MAX = 3  # of one hypothesis

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.experiments.library import MARGIN_RAD, Postures
-from diagnosis.nominal import Nominal
+from diagnosis.log.nominal import Nominal
 from machine.effects.layout import ParameterSets
 from machine.effects.seen import seen_corners
 from machine.effects.structure import gravity_torques, tcp_poses

@@ -5,21 +5,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.candidates import put
-from diagnosis.cells import Cell
-from diagnosis.cells_camera import CornerResidual, Frames, nuisance_of
-from diagnosis.cells_merged import merge_of, merged
-from diagnosis.cells_points import PointResidual
+from diagnosis.behind.corner_residual import CornerResidual, Frames, nuisance_of
+from diagnosis.behind.link_angles import Path, without_encoders
+from diagnosis.behind.point_residual import PointResidual
+from diagnosis.behind.points import PointData
+from diagnosis.datagrams.sent import Sent
 from diagnosis.experiments.library import LOOK_S, SAMPLE_S, Motion, Postures
-from diagnosis.fit import Fit
-from diagnosis.link_angles import Path, without_encoders
-from diagnosis.points import PointData
-from diagnosis.reading import Read
-from diagnosis.replay import Replayer, replayer_of
-from diagnosis.sent import Sent
-from diagnosis.stage_replay import Replay, part_of
-from diagnosis.stretches import Stretch
-from diagnosis.wander import with_wander
+from diagnosis.known.wander import with_wander
+from diagnosis.reading.read import Read
+from diagnosis.replay.merge import merge_of, merged
+from diagnosis.replay.replayer import Replayer, replayer_of
+from diagnosis.replay.stage_replay import Replay, part_of
+from diagnosis.replay.stretches import Stretch
+from diagnosis.search.candidates import put
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import Fit
 from machine.effects.dynamics import DynamicStage, drive_by_sent, simulate
 from machine.effects.encoders import true_angles
 from machine.effects.layout import ParameterSets

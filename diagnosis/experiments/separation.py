@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.cells import Cell
 from diagnosis.experiments.prediction import Hypothesis, Rows
-from diagnosis.fit import bounds, costs, damped_steps, evaluated
-from diagnosis.search import Search
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import bounds, costs, damped_steps, evaluated
+from diagnosis.search.search import Search
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 

@@ -10,7 +10,7 @@ from typing import Any
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
 from diagnosis.errors import DiagnosisError
-from diagnosis.reading import Read, read
+from diagnosis.reading.read import Read, read
 
 FORMAT = 1
 

@@ -4,7 +4,7 @@ from html import escape
 from typing import Any
 
 from diagnosis.report.html import wide
-from diagnosis.verdict import Word
+from diagnosis.verdict.verdict import Word
 from machine.effects.spec import STAGES
 
 BOX_W, BOX_H, STEP = 92, 112, 104

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.candidates import put
-from diagnosis.diagnose import CellAnswer, Diagnosis
-from diagnosis.score import Score
-from diagnosis.stage_replay import LAST, OUTPUT, Part, Replay
+from diagnosis.diagnose import Diagnosis
+from diagnosis.replay.stage_replay import LAST, OUTPUT, Part, Replay
+from diagnosis.search.candidates import put
+from diagnosis.search.score import Score
+from diagnosis.verdict.cell_answer import CellAnswer
 from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array

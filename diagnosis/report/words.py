@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
-from diagnosis.equals import equals_of
 from diagnosis.report.text import effects_text, place_text
+from diagnosis.verdict.equals import equals_of
 from machine.effects.registry import effect_named
 
 MOST = 0.8  # of the gap: below it the names are a part of the cause

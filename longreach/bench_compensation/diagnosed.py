@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from diagnosis.baseline.forward import entries_of, forward
+from diagnosis.baseline.left_over import cells_of, remainders_of, with_baseline
 from diagnosis.diagnose import diagnose
-from diagnosis.forward import entries_of, forward
-from diagnosis.left_over import cells_of, remainders_of, with_baseline
-from diagnosis.reading import Read, examine
+from diagnosis.reading.read import Read, examine
 from machine.effects.entries import EffectEntry
 from recording.content import Recording
 

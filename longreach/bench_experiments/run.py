@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from diagnosis.experiments.described import experiment_of
-from diagnosis.together import together
+from diagnosis.reading.together import together
 from longreach.answered import answered
 from longreach.bench_experiments.arm import Truth
 from longreach.bench_experiments.cases import NAMES, Key, draw

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from diagnosis.unseen import counted_as
-from diagnosis.weigh import calibration
+from diagnosis.verdict.unseen import counted_as
+from diagnosis.verdict.weigh import calibration
 from longreach.bench_gap.figures import Cases
 from longreach.bench_gap.reliability import Bin, share_of_first
 from machine.rotations import Array

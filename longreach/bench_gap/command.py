@@ -16,7 +16,7 @@ from longreach.bench_machines.command import told
 
 console = Console(width=170)
 JUDGEMENT = 100  # seeds from here on judge
-CALIBRATION = ROOT / "diagnosis" / "calibration.json"
+CALIBRATION = ROOT / "diagnosis" / "verdict" / "calibration.json"
 
 
 def gap(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from diagnosis.equals import rows_alike
+from diagnosis.verdict.equals import rows_alike
 from longreach.bench_gap.code_mark import code_mark
 from longreach.bench_gap.packed import Packed, PackedError, read_packed, write_packed
 from longreach.bench_gap.warm import Warm

@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.diagnose import CellAnswer, Diagnosis
-from diagnosis.forward import entries_of
-from diagnosis.stage_replay import Replay
-from diagnosis.stretches import Stretch
+from diagnosis.baseline.forward import entries_of
+from diagnosis.diagnose import Diagnosis
+from diagnosis.replay.stage_replay import Replay
+from diagnosis.replay.stretches import Stretch
+from diagnosis.verdict.cell_answer import CellAnswer
 from machine.effects.entries import EffectEntry
 
 

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.nominal import Nominal
-from diagnosis.stretches import Stretch
-from diagnosis.tables import PointTable
+from diagnosis.log.nominal import Nominal
+from diagnosis.log.tables import PointTable
+from diagnosis.replay.stretches import Stretch
 from machine.poses import inverse_pose, transform_points
 from machine.rotations import Array
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from diagnosis.baseline.forward import entries_of
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
-from diagnosis.forward import entries_of
-from diagnosis.stretches import Stretch
-from diagnosis.tables import filled
+from diagnosis.log.tables import filled
+from diagnosis.replay.stretches import Stretch
 from longreach.simulated_shrink.compare import SKIPPED_S, Errors, positions, speeds
 from longreach.simulated_shrink.held_out import HeldOut, effects_without
 from longreach.simulated_shrink.points import (

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.clocks import camera_to_plc_s
-from diagnosis.nominal import Nominal
-from diagnosis.stretches import Stretch
-from diagnosis.tables import MarkerTable, Tables
-from diagnosis.views import views_of
+from diagnosis.behind.views import views_of
+from diagnosis.datagrams.clocks import camera_to_plc_s
+from diagnosis.log.nominal import Nominal
+from diagnosis.log.tables import MarkerTable, Tables
+from diagnosis.replay.stretches import Stretch
 from longreach.simulated_shrink.compare import SKIPPED_S
 from machine.effects.entries import EffectEntry
 from machine.rotations import Array

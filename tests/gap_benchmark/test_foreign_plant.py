@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("exudyn", reason="the foreign plant is simulated by Exudyn: pip install -e '.[bench]'")
 
-from diagnosis.nominal import nominal_of
+from diagnosis.log.nominal import nominal_of
 from machine.effects.entries import make_entry, pack
 from machine.effects.registry import effect_named
 from machine.effects.structure import link_poses, reference_torques, tcp_poses

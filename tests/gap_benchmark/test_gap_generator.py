@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.nominal import nominal_of
+from diagnosis.log.nominal import nominal_of
 from machine.effects.entries import make_entry, pack
 from machine.effects.registry import NAMES, effect_named
 from machine.effects.structure import link_poses, tcp_poses

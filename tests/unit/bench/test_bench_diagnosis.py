@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from diagnosis.reading import read
+from diagnosis.reading.read import read
 from longreach.bench_diagnosis import command
 from longreach.bench_diagnosis.everywhere import Way, written
 from longreach.bench_diagnosis.made import Size, write_short

@@ -6,9 +6,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from diagnosis.candidates import named
 from diagnosis.diagnose import Diagnosis
-from diagnosis.fit import Fit
+from diagnosis.search.candidates import named
+from diagnosis.search.fit import Fit
 from longreach.machine_out import MachineOutError, machine_with_effects
 from machine.description import parse_machine_toml
 from server.settings import read_machine_text

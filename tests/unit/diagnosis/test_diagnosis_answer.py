@@ -9,13 +9,13 @@ from foreign_plant import Fault, write
 from typer.testing import CliRunner
 
 from diagnosis.answer import _number, _vector, answer
-from diagnosis.candidates import named
 from diagnosis.diagnose import Diagnosis, diagnose
-from diagnosis.equals import equals_of, probability_with_equals
-from diagnosis.limits import Interval
-from diagnosis.reading import read
+from diagnosis.reading.read import read
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
+from diagnosis.search.candidates import named
+from diagnosis.search.limits import Interval
+from diagnosis.verdict.equals import equals_of, probability_with_equals
 from longreach.cli import app
 from machine.effects.registry import NAMES, effect_named
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from diagnosis.answer import answer
-from diagnosis.arrivals import Arrivals, arrivals
-from diagnosis.by_value import by_value
+from diagnosis.datagrams.arrivals import Arrivals, arrivals
+from diagnosis.datagrams.by_value import by_value
+from diagnosis.datagrams.lost import never_received
 from diagnosis.diagnose import diagnose
-from diagnosis.lost_datagrams import never_received
-from diagnosis.reading import examine
+from diagnosis.reading.read import examine
 from longreach.bench_links.recorded import Link, arrived, over
 
 CYCLE_S = 1e-3

@@ -10,13 +10,13 @@ from diagnosis_cases import MACHINE_TOML, entry
 from scipy.signal import lfilter
 from test_diagnosis_search import made_up
 
-from diagnosis.candidates import named, put
-from diagnosis.cells_behind import joined, told_behind, without
-from diagnosis.fit import Fit, neutral_fit
-from diagnosis.floor import Floor, Whitener, with_remainder
-from diagnosis.forward import entries_of, forward
-from diagnosis.nominal import nominal_of
-from diagnosis.search import search
+from diagnosis.baseline.forward import entries_of, forward
+from diagnosis.cells.behind import joined, told_behind, without
+from diagnosis.log.nominal import nominal_of
+from diagnosis.noise.floor import Floor, Whitener, with_remainder
+from diagnosis.search.candidates import named, put
+from diagnosis.search.fit import Fit, neutral_fit
+from diagnosis.search.search import search
 from longreach.fit_baseline import with_baseline
 from machine.description import parse_machine_toml
 from machine.effects.entries import entries_to_toml, pack, parse_entries

@@ -8,7 +8,7 @@ import pytest
 from diagnosis_cases import MACHINE_TOML, folder, recording
 from rich.console import Console
 
-from diagnosis.baseline import Baseline
+from diagnosis.baseline.baseline import Baseline
 from longreach import fit_baseline
 from recording.convert import convert
 from recording.folder import write_folder

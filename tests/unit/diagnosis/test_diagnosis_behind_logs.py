@@ -9,7 +9,7 @@ from test_diagnosis_points import ARM, POINTS, TRACKER, static_recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import examine
+from diagnosis.reading.read import examine
 from machine.effects.entries import make_entry, pack
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.registry import effect_named

@@ -7,9 +7,9 @@ import pytest
 from foreign_plant import OFFSET_S, Fault, write
 
 from diagnosis.answer import answer
-from diagnosis.clocks import camera_to_plc_s, plc_to_pc_s
+from diagnosis.datagrams.clocks import camera_to_plc_s, plc_to_pc_s
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import Read, read
+from diagnosis.reading.read import Read, read
 
 
 def without_offset(place: Path, fault: Fault) -> Read:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from diagnosis.answer import answer
-from diagnosis.common_wait import on_their_line
+from diagnosis.chain.common_wait import on_their_line
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import Read, examine
-from diagnosis.replay import replayer_of
-from diagnosis.stretches import Stretch
+from diagnosis.reading.read import Read, examine
+from diagnosis.replay.replayer import replayer_of
+from diagnosis.replay.stretches import Stretch
 from longreach.bench_links.recorded import Link, over
 from machine.effects.entries import make_entry
 from machine.effects.layout import neutral_sets

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.corner_noise import PLAIN, CornerNoise, groups_of, noise_of_visits, variances_of
+from diagnosis.noise.of_corners import PLAIN, CornerNoise, groups_of, noise_of_visits, variances_of
 from machine.remainder import Remainder
 
 FRAMES, CORNERS = 400, 12

@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 from diagnosis_cases import entry, folder, recording
 
-from diagnosis.cells import Cell
-from diagnosis.cells_dynamic import coupled_cell, stage_cells
-from diagnosis.coupling import with_coupling, with_more
-from diagnosis.reading import read
-from diagnosis.replay import replayer_of
-from diagnosis.search import Search, search
+from diagnosis.cells.dynamic import coupled_cell, stage_cells
+from diagnosis.chain.coupling import with_coupling, with_more
+from diagnosis.reading.read import read
+from diagnosis.replay.replayer import replayer_of
+from diagnosis.search.cell import Cell
+from diagnosis.search.search import Search, search
 from machine.effects.entries import EffectEntry, pack_under
 
 DROOP = entry("supply_droop", None, flow_limit_frac=0.5)

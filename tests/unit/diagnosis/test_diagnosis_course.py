@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from diagnosis_cases import PLANT
 
-from diagnosis.course import jumping, late, smooth
+from diagnosis.replay.course import jumping, late, smooth
 from machine.effects.dynamics import at_cycles
 
 TENTH = replace(PLANT, log_cycle_s=10 * PLANT.cycle_s)

@@ -12,7 +12,7 @@ from drawn_set_ups import Named, SetUp, drawn
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import read
+from diagnosis.reading.read import read
 
 COUNT = int(os.environ.get("LONGREACH_SET_UPS", "34"))
 FIRST = int(os.environ.get("LONGREACH_SET_UPS_SEED", "1001"))

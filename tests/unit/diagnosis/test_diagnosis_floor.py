@@ -5,7 +5,7 @@ import pytest
 from diagnosis_cases import NOISE_RAD, folder, recording
 
 from diagnosis.errors import DiagnosisError
-from diagnosis.floor import (
+from diagnosis.noise.floor import (
     block_means,
     effective_count,
     fit_whitener,
@@ -13,8 +13,8 @@ from diagnosis.floor import (
     floor_without_repeats,
     increments,
 )
-from diagnosis.reading import read
-from diagnosis.repeats import laid_over, repeat_groups
+from diagnosis.reading.read import read
+from diagnosis.replay.repeats import laid_over, repeat_groups
 
 
 def autoregression(rng: np.random.Generator, a: tuple[float, ...], sigma: float, m: int, n: int = 2) -> np.ndarray:

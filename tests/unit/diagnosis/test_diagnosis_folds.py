@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from test_diagnosis_search import COLUMNS, GAIN, LAG, N, made_up
 
-from diagnosis.fit import costs, fit, neutral_fit
-from diagnosis.folds import refitted
-from diagnosis.score import score
+from diagnosis.search.fit import costs, fit, neutral_fit
+from diagnosis.search.folds import refitted
+from diagnosis.search.score import score
 from machine.effects.layout import ParameterSets
 
 

@@ -11,15 +11,15 @@ from diagnosis_cases import entry, folder, recording
 from typer.testing import CliRunner
 
 from diagnosis.answer import judgement
-from diagnosis.cells import Cell
+from diagnosis.baseline.left_over import cells_of, forms_of, with_baseline, with_mosts
 from diagnosis.diagnose import diagnose
 from diagnosis.errors import DiagnosisError
-from diagnosis.fit import neutral_fit
-from diagnosis.form import form_of, with_form
-from diagnosis.left_over import cells_of, forms_of, with_baseline, with_mosts
-from diagnosis.reading import Read, examine
-from diagnosis.responses import DAMPING, RESPONSES, SWINGS_HZ, responses
-from diagnosis.shapes.driven import Course
+from diagnosis.families.driven import Course
+from diagnosis.families.responses import DAMPING, RESPONSES, SWINGS_HZ, responses
+from diagnosis.known.form import form_of, with_form
+from diagnosis.reading.read import Read, examine
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import neutral_fit
 from longreach.cli import app
 from machine.effects.entries import EffectEntry
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.frame_fit import frame_and_places
+from diagnosis.behind.frame_fit import frame_and_places
 from machine.poses import pose
 from machine.rotations import rotation_about, rotation_from_rotvec
 

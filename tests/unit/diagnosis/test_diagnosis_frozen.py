@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.frozen import frozen_findings, frozen_runs
+from diagnosis.log.frozen import frozen_findings, frozen_runs
 
 
 def moving(noise_rad: float = 0.0, step_rad: float = 0.0) -> np.ndarray:

@@ -9,11 +9,11 @@ import pytest
 from diagnosis_cases import entry, recording
 
 from diagnosis.answer import answer
-from diagnosis.candidates import named
+from diagnosis.behind.points import static_data
+from diagnosis.behind.saturated import saturated_noise
 from diagnosis.diagnose import diagnose
-from diagnosis.points import static_data
-from diagnosis.reading import examine
-from diagnosis.saturated import saturated_noise
+from diagnosis.reading.read import examine
+from diagnosis.search.candidates import named
 from diagnosis.sliding import in_metres
 from longreach.bench_experiments.arm import Link, frames, machine_toml
 from machine.effects.layout import ParameterSets, neutral_sets

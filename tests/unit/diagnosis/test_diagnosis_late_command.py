@@ -9,8 +9,8 @@ from diagnosis_cases import changed, entry, recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.limits import WAIT_90
-from diagnosis.reading import examine
+from diagnosis.reading.read import examine
+from diagnosis.search.limits import WAIT_90
 from machine.effects.entries import EffectEntry
 from recording.rows import Sent
 

@@ -8,7 +8,7 @@ from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import read
+from diagnosis.reading.read import read
 
 FILTER_S = 0.04
 

@@ -2,9 +2,9 @@
 
 from test_diagnosis_search import made_up
 
-from diagnosis.fit import Fit
-from diagnosis.score import score
-from diagnosis.search import search, searched_without
+from diagnosis.search.fit import Fit
+from diagnosis.search.score import score
+from diagnosis.search.search import search, searched_without
 
 
 def test_a_name_left_out_is_gone_and_nothing_else_is_fitted_again(monkeypatch) -> None:
@@ -17,7 +17,7 @@ def test_a_name_left_out_is_gone_and_nothing_else_is_fitted_again(monkeypatch) -
         fitted.append(tuple(one.name for one in fit.hypothesis))
         return score(cell, fit)
 
-    monkeypatch.setattr("diagnosis.several.score", counted)
+    monkeypatch.setattr("diagnosis.search.several.score", counted)
     left = searched_without(found, chosen.name)
     assert all(one.name != chosen.name for s in left.scored for one in s.fit.hypothesis)
     assert all(one.candidate.name != chosen.name for one in left.scans)

@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
-from diagnosis.excess import common_excess
-from diagnosis.left_over import common_process, moments
+from diagnosis.baseline.left_over import common_process, moments
+from diagnosis.noise.excess import common_excess
 
 DOF = 60
 

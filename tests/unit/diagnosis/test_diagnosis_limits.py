@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from test_diagnosis_search import COLUMNS, GAIN, LAG, N, made_up
 
-from diagnosis.candidates import named
-from diagnosis.cells import Cell
-from diagnosis.fit import fit
-from diagnosis.limits import WAIT_90, intervals
+from diagnosis.search.candidates import named
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import fit
+from diagnosis.search.limits import WAIT_90, intervals
 from machine.effects.layout import ParameterSets
 
 TRUTH = np.array([0.2, 0.25])  # gain, lag

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML
 
-from diagnosis.link_angles import Path, link_angles
+from diagnosis.behind.link_angles import Path, link_angles
 from machine.description import parse_machine_toml
 from machine.effects import kernel
 from machine.effects.dynamics import actuators_of, drive_joint, simulate

@@ -7,9 +7,9 @@ import pytest
 from diagnosis_cases import entry, recording
 
 from diagnosis.localise import excess, localise, merged_stages
-from diagnosis.reading import examine
+from diagnosis.reading.read import examine
 from diagnosis.regimes import regimes_of
-from diagnosis.replay import replayer_of
+from diagnosis.replay.replayer import replayer_of
 from machine.effects.entries import EffectEntry
 from machine.effects.layout import neutral_sets
 

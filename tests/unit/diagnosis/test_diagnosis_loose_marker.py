@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.loose_marker import loose_marker
+from diagnosis.behind.loose_marker import loose_marker
 
 MARKERS, OWN_PX = 4, 0.1
 

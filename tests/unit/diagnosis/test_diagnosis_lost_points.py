@@ -12,8 +12,8 @@ from test_diagnosis_points import examined, static_recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.findings import Finding
-from diagnosis.reading import Read, read
+from diagnosis.log.findings import Finding
+from diagnosis.reading.read import Read, read
 from machine.effects.layout import neutral_sets
 from recording.rows import StaticPoint
 

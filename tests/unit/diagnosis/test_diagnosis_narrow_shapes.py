@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from foreign_plant import Fault, write
 
-from diagnosis.cells import Cell
-from diagnosis.cells_behind import measurement_of
-from diagnosis.cells_camera import CornerResidual
-from diagnosis.cells_points import PointResidual
-from diagnosis.left_over import cells_of
-from diagnosis.reading import read
-from diagnosis.shapes.found import REFUSED_NATS, Shape, _refused_from, refusing, shapes_of
-from diagnosis.shapes.narrow import ANGLE_OF, LATE, LENS, narrow_corner_columns, narrow_point_columns
+from diagnosis.baseline.left_over import cells_of
+from diagnosis.behind.corner_residual import CornerResidual
+from diagnosis.behind.point_residual import PointResidual
+from diagnosis.cells.behind import measurement_of
+from diagnosis.families.narrow import ANGLE_OF, LATE, LENS, narrow_corner_columns, narrow_point_columns
+from diagnosis.reading.read import read
+from diagnosis.refusal.shapes import REFUSED_NATS, Shape, _refused_from, refusing, shapes_of
+from diagnosis.search.cell import Cell
 from machine.remainder import USUAL_ENERGY, usual_shape
 
 

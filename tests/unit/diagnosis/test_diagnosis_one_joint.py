@@ -10,7 +10,7 @@ from one_joint_cases import Machine, recorded
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import read
+from diagnosis.reading.read import read
 
 UNREPEATED = ("multisine", "steps", "sweep")
 

@@ -12,9 +12,9 @@ from test_diagnosis_localise import entry
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.floor import encoder_step
 from diagnosis.localise import totals_of
-from diagnosis.reading import examine, read
+from diagnosis.noise.floor import encoder_step
+from diagnosis.reading.read import examine, read
 from recording.rows import PlcState
 
 

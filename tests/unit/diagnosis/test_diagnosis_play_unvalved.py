@@ -7,7 +7,7 @@ from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import read
+from diagnosis.reading.read import read
 
 OF_VALVES = ("velocity_gain", "valve_", "kp_frac", "pt1_tau")
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.point_noise import ACROSS, PointNoise, instants_of, variances_of
+from diagnosis.noise.of_points import ACROSS, PointNoise, instants_of, variances_of
 from tests.gap_benchmark.sensitivity import _less_swing
 
 OWN = np.array([2e-4, 1e-4, 3e-4])

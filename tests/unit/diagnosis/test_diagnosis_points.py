@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from diagnosis_cases import MACHINE, MACHINE_TOML
 
+from diagnosis.behind.points import fit_points, rigid_fit, static_data
+from diagnosis.behind.views import triangulated, views_of
 from diagnosis.diagnose import diagnose
 from diagnosis.errors import DiagnosisError
 from diagnosis.localise import localise, merged_stages
-from diagnosis.nominal import nominal_of
-from diagnosis.points import fit_points, rigid_fit, static_data
-from diagnosis.reading import Read, examine, stages_present
-from diagnosis.views import triangulated, views_of
+from diagnosis.log.nominal import nominal_of
+from diagnosis.reading.read import Read, examine, stages_present
 from machine.camera import project_stereo
 from machine.effects.arm import arm_of
 from machine.effects.entries import make_entry, pack

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from diagnosis_cases import folder, recording
 
-from diagnosis.cells import Cell, Rows
-from diagnosis.floor import Whitener
-from diagnosis.left_over import cells_of, with_baseline
-from diagnosis.reading import read
-from diagnosis.refusal import QUIET_TIMES
-from diagnosis.refusal import tests_of as fired_tests
-from diagnosis.stage_floor import SILENT_SHARE
-from diagnosis.stage_replay import Replay
+from diagnosis.baseline.left_over import cells_of, with_baseline
+from diagnosis.noise.floor import Whitener
+from diagnosis.reading.read import read
+from diagnosis.refusal.remainder import QUIET_TIMES
+from diagnosis.refusal.remainder import tests_of as fired_tests
+from diagnosis.replay.stage_floor import SILENT_SHARE
+from diagnosis.replay.stage_replay import Replay
+from diagnosis.search.cell import Cell, Rows
 from machine.effects.layout import neutral_sets
 from machine.remainder import USUAL_ENERGY, Remainder
 

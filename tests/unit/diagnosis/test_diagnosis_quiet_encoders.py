@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.quiet_encoders import quieted
+from diagnosis.behind.quiet_encoders import quieted
 
 SIGMA_RAD = 5e-5
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.cells import Cell, Rows, blocks_of
-from diagnosis.rare import FOLDS, with_the_event_cut
-from diagnosis.refusal import steady_energy
+from diagnosis.refusal.remainder import steady_energy
+from diagnosis.search.cell import Cell, Rows, blocks_of
+from diagnosis.search.rare import FOLDS, with_the_event_cut
 from machine.effects.layout import neutral_sets
 
 ROWS = 1200

@@ -7,7 +7,7 @@ from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import read
+from diagnosis.reading.read import read
 
 ROWS_S, FINE = 0.02, 2**20  # seconds between rows; counts of a quiet encoder
 ONCE = ("steps", "workcycle", "sweep")

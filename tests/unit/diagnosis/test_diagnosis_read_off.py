@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from diagnosis_cases import PLANT
 
-from diagnosis.candidates import candidates_of
-from diagnosis.lost_datagrams import never_received
-from diagnosis.read_off import comb_of, reached, read_off
-from diagnosis.sent import Sent
-from diagnosis.stretches import Stretch
+from diagnosis.datagrams.lost import never_received
+from diagnosis.datagrams.sent import Sent
+from diagnosis.replay.read_off import comb_of, reached, read_off
+from diagnosis.replay.stretches import Stretch
+from diagnosis.search.candidates import candidates_of
 from machine.effects.dynamics import drive_by_sent, simulate
 from machine.effects.entries import make_entry, pack
 from machine.effects.registry import effect_named

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML, OFFSET_S, PLANT, changed, folder, permuted, recording
 
-from diagnosis.findings import CODES
-from diagnosis.reading import Read, examine, read, stages_present
+from diagnosis.log.findings import CODES
+from diagnosis.reading.read import Read, examine, read, stages_present
 from recording.content import Recording
 from recording.convert import write_mcap
 from recording.rows import NAN, MarkerCorners, PlcState, Row, Sent, StaticPoint

@@ -8,11 +8,11 @@ import pytest
 from scipy.io import loadmat
 
 from diagnosis.answer import answer
+from diagnosis.behind.points import fit_points, static_data
 from diagnosis.diagnose import diagnose
 from diagnosis.localise import localise, merged_stages
-from diagnosis.points import fit_points, static_data
-from diagnosis.reading import examine, stages_present
-from diagnosis.units import measured_gains
+from diagnosis.log.units import measured_gains
+from diagnosis.reading.read import examine, stages_present
 from machine.effects.layout import neutral_sets
 from recording.content import Attachment, Recording
 from recording.rows import PlcState, Row, StaticPoint

@@ -9,10 +9,10 @@ import pytest
 from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
+from diagnosis.datagrams.ref_by_number import with_reference
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import read
-from diagnosis.ref_by_number import with_reference
-from diagnosis.tables import Tables
+from diagnosis.log.tables import Tables
+from diagnosis.reading.read import read
 
 KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from diagnosis.candidates import named
-from diagnosis.scan import foreseen
+from diagnosis.search.candidates import named
+from diagnosis.search.scan import foreseen
 
 ANGLE = np.linspace(-1.0, 1.3, 400)
 

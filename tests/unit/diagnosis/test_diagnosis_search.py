@@ -5,20 +5,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.candidates import candidates_of, named, put
-from diagnosis.cells import Cell, Rows, blocks_of, folds_of
+from diagnosis.baseline.forward import forward
 from diagnosis.diagnose import _answer
 from diagnosis.errors import DiagnosisError
-from diagnosis.fit import evaluated, fit, jacobian, neutral_fit
-from diagnosis.forward import forward
-from diagnosis.limits import detection_limit, intervals
-from diagnosis.refusal import Fired, at_edge, remainder
-from diagnosis.scan import scan
-from diagnosis.score import better, covariance, log_evidence, score
-from diagnosis.search import search
-from diagnosis.shrink import closed_share, shrinks, squares
-from diagnosis.verdict import verdict_of
-from diagnosis.weigh import Weighed, calibration, combined, same_here, weighed
+from diagnosis.refusal.remainder import Fired, at_edge, remainder
+from diagnosis.search.candidates import candidates_of, named, put
+from diagnosis.search.cell import Cell, Rows, blocks_of, folds_of
+from diagnosis.search.fit import evaluated, fit, jacobian, neutral_fit
+from diagnosis.search.limits import detection_limit, intervals
+from diagnosis.search.scan import scan
+from diagnosis.search.score import better, covariance, log_evidence, score
+from diagnosis.search.search import search
+from diagnosis.verdict.shrink import closed_share, shrinks, squares
+from diagnosis.verdict.verdict import verdict_of
+from diagnosis.verdict.weigh import Weighed, calibration, combined, same_here, weighed
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.remainder import usual_name
 
@@ -152,7 +152,7 @@ def test_a_joint_that_sticks_may_ring_after_its_jumps(
     chosen = replace(found.chosen, fit=replace(found.chosen.fit, hypothesis=(replace(lag, name=name),)))
     rings = Fired("autocorrelation", "actuator", 1, 0.2, 0.0, "goes on over 0.15 s")
     answer = replace(found, chosen=chosen, weighed=(Weighed(chosen, 1.0),), fired=(rings,))
-    monkeypatch.setattr("diagnosis.verdict._left", lambda _one: left)
+    monkeypatch.setattr("diagnosis.verdict.verdict._left", lambda _one: left)
     assert verdict_of((answer,)).word == word
 
 

@@ -8,14 +8,13 @@ import pytest
 from diagnosis_cases import folder, recording
 from foreign_plant import Fault, write
 
-from diagnosis.cells import Cell, Rows, blocks_of, folds_of
-from diagnosis.cells_points import PointResidual
-from diagnosis.fit import neutral_fit
-from diagnosis.left_over import cells_of
-from diagnosis.reading import read
-from diagnosis.shapes.behind import point_columns
-from diagnosis.shapes.driven import SINCE, driven_columns
-from diagnosis.shapes.found import (
+from diagnosis.baseline.left_over import cells_of
+from diagnosis.behind.point_residual import PointResidual
+from diagnosis.families.behind import point_columns
+from diagnosis.families.driven import SINCE, driven_columns
+from diagnosis.families.gain import held_out_nats
+from diagnosis.reading.read import read
+from diagnosis.refusal.shapes import (
     LEAST_NATS,
     REFUSED_NATS,
     Shape,
@@ -25,7 +24,8 @@ from diagnosis.shapes.found import (
     refusing,
     shapes_of,
 )
-from diagnosis.shapes.gain import held_out_nats
+from diagnosis.search.cell import Cell, Rows, blocks_of, folds_of
+from diagnosis.search.fit import neutral_fit
 from machine.effects.entries import make_entry
 from machine.effects.registry import effect_named
 from machine.remainder import usual_shape

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.shrink import UNKNOWN, Squares, closing
+from diagnosis.verdict.shrink import UNKNOWN, Squares, closing
 
 BLOCKS, ROWS = 40, 4000
 

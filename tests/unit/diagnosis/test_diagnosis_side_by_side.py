@@ -5,8 +5,8 @@ import threading
 
 import pytest
 
-from diagnosis import side_by_side as module
-from diagnosis.side_by_side import side_by_side
+from diagnosis.replay import side_by_side as module
+from diagnosis.replay.side_by_side import side_by_side
 
 
 @pytest.fixture(params=["1", "2"])

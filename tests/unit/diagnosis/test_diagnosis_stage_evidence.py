@@ -5,8 +5,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from diagnosis.diagnose import CellAnswer
-from diagnosis.stage_evidence import nats_by_stage
+from diagnosis.verdict.cell_answer import CellAnswer
+from diagnosis.verdict.stage_evidence import nats_by_stage
 
 
 class TwoParts:

@@ -7,10 +7,10 @@ import pytest
 from foreign_plant import Fault, write
 
 from diagnosis.answer import answer
+from diagnosis.behind.stairs import coarse_steps, unstepped
 from diagnosis.diagnose import diagnose
-from diagnosis.floor import encoder_step
-from diagnosis.reading import read
-from diagnosis.stairs import coarse_steps, unstepped
+from diagnosis.noise.floor import encoder_step
+from diagnosis.reading.read import read
 
 
 def test_a_coarse_encoders_stairs_are_a_ramp_and_a_fine_ones_stay() -> None:

@@ -8,9 +8,9 @@ from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.quality import GAP_STEPS, too_long
-from diagnosis.reading import read
-from diagnosis.stamps import even_grid, taken_evenly
+from diagnosis.log.quality import GAP_STEPS, too_long
+from diagnosis.log.stamps import even_grid, taken_evenly
+from diagnosis.reading.read import read
 
 STEP_S = 0.01
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from diagnosis_cases import PLANT, folder, recording
 
-from diagnosis.fit import neutral_fit
-from diagnosis.left_over import cells_of
-from diagnosis.own_step import Share, agreed
-from diagnosis.reading import read
+from diagnosis.baseline.left_over import cells_of
+from diagnosis.chain.own_step import Share, agreed
+from diagnosis.reading.read import read
+from diagnosis.search.fit import neutral_fit
 
 KINDS = ("repeat", "repeat", "repeat", "repeat", "steps")
 QUIET_RAD = 2e-6  # an encoder far better than most, which shows the steps

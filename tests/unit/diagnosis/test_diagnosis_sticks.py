@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 from diagnosis_cases import entry, recording
 
-from diagnosis.candidates import NARROW, named
-from diagnosis.cells import Cell
+from diagnosis.baseline.left_over import cells_of, forms_of, with_baseline
+from diagnosis.chain.unlike import UNLIKE_NATS, marked, told_who_sticks
 from diagnosis.diagnose import Diagnosis, diagnose
-from diagnosis.fit import costs, evaluated
-from diagnosis.form import Otherwise
+from diagnosis.families.driven import Course
+from diagnosis.known.form import Otherwise
 from diagnosis.leave_out import without_effect
-from diagnosis.left_over import cells_of, forms_of, with_baseline
-from diagnosis.reading import Read, examine
-from diagnosis.refusal import tests_of as fired_tests
-from diagnosis.shapes.driven import Course
-from diagnosis.stage_replay import Replay
-from diagnosis.unlike import UNLIKE_NATS, marked, told_who_sticks
+from diagnosis.reading.read import Read, examine
+from diagnosis.refusal.remainder import tests_of as fired_tests
+from diagnosis.replay.stage_replay import Replay
+from diagnosis.search.candidates import NARROW, named
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import costs, evaluated
 from machine.effects.entries import EffectEntry
 
 KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")

@@ -9,8 +9,8 @@ import pytest
 from diagnosis_cases import recording
 
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import examine
-from diagnosis.stretches import Stretch, stood_still
+from diagnosis.reading.read import examine
+from diagnosis.replay.stretches import Stretch, stood_still
 
 T_S = 0.01 * np.arange(400)
 

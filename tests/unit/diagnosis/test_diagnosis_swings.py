@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from foreign_plant import Fault, write
 
-from diagnosis.candidates import named
-from diagnosis.cells import Cell
-from diagnosis.cells_behind import behind_cells
-from diagnosis.cells_points import PointResidual
-from diagnosis.fit import evaluated
-from diagnosis.reading import read
-from diagnosis.search import search
-from diagnosis.shapes.behind import swing_columns
-from diagnosis.shapes.found import left_shapes, refusing, shapes_of
+from diagnosis.behind.point_residual import PointResidual
+from diagnosis.cells.behind import behind_cells
+from diagnosis.families.behind import swing_columns
+from diagnosis.reading.read import read
+from diagnosis.refusal.shapes import left_shapes, refusing, shapes_of
+from diagnosis.search.candidates import named
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import evaluated
+from diagnosis.search.search import search
 from machine.effects.entries import pack_under
 
 SEEN = "swings of joint 2"

@@ -12,7 +12,7 @@ from test_diagnosis_points import examined, packed, static_recording
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
 from diagnosis.report.text import lines
-from diagnosis.unweighed import unweighed
+from diagnosis.verdict.unweighed import unweighed
 from machine.effects.arm_urdf import arm_from_urdf
 from recording.content import Recording
 from recording.rows import StaticPoint

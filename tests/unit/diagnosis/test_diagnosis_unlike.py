@@ -8,12 +8,12 @@ import pytest
 from diagnosis_cases import recording
 
 from diagnosis.answer import answer
-from diagnosis.candidates import named
+from diagnosis.chain.unlike import told_beyond
 from diagnosis.diagnose import Diagnosis, diagnose
-from diagnosis.reading import examine
-from diagnosis.refusal import tests_of as fired_tests
-from diagnosis.search import search
-from diagnosis.unlike import told_beyond
+from diagnosis.reading.read import examine
+from diagnosis.refusal.remainder import tests_of as fired_tests
+from diagnosis.search.candidates import named
+from diagnosis.search.search import search
 from machine.effects.entries import make_entry
 from machine.effects.layout import ParameterSets
 from machine.effects.registry import effect_named

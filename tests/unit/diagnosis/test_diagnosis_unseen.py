@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 from diagnosis_cases import recording
 
-from diagnosis import unseen
 from diagnosis.answer import judgement
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import examine
+from diagnosis.reading.read import examine
 from diagnosis.report.text import lines
-from diagnosis.unseen import counted_as, one_more, outside_share, unseen_share
-from diagnosis.weigh import calibration
+from diagnosis.verdict import unseen
+from diagnosis.verdict.unseen import counted_as, one_more, outside_share, unseen_share
+from diagnosis.verdict.weigh import calibration
 
 
 @pytest.fixture(scope="module")

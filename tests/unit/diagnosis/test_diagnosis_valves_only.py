@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
-from diagnosis.reading import read
+from diagnosis.reading.read import read
 
 SPEED, OMEGA, DAMPING = 0.5, 2.0 * np.pi * 8.0, 0.8
 CYCLE_S, EVERY, SECONDS, NOISE_RAD = 1e-3, 10, 20.0, 1e-5

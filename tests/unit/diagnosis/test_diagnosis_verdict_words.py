@@ -5,12 +5,13 @@ from dataclasses import replace
 import pytest
 from test_diagnosis_search import made_up
 
-from diagnosis.diagnose import CellAnswer, _answer
-from diagnosis.refusal import Fired
-from diagnosis.search import search
-from diagnosis.shapes.found import TEST
-from diagnosis.verdict import verdict_of
-from diagnosis.weigh import Weighed
+from diagnosis.diagnose import _answer
+from diagnosis.refusal.remainder import Fired
+from diagnosis.refusal.shapes import TEST
+from diagnosis.search.search import search
+from diagnosis.verdict.cell_answer import CellAnswer
+from diagnosis.verdict.verdict import verdict_of
+from diagnosis.verdict.weigh import Weighed
 
 
 @pytest.fixture(scope="module")

@@ -8,15 +8,15 @@ import pytest
 from diagnosis_cases import recording
 
 from diagnosis.answer import answer
-from diagnosis.baseline import Baseline
-from diagnosis.cells import Cell
-from diagnosis.day_noise import day_noise
+from diagnosis.baseline.baseline import Baseline
+from diagnosis.baseline.left_over import cells_of, remainders_of, with_baseline, with_wanders
 from diagnosis.diagnose import diagnose
-from diagnosis.fit import neutral_fit
-from diagnosis.left_over import cells_of, remainders_of, with_baseline, with_wanders
-from diagnosis.reading import Read, examine
-from diagnosis.search import search
-from diagnosis.wander import wander_of
+from diagnosis.known.wander import wander_of
+from diagnosis.noise.of_a_day import day_noise
+from diagnosis.reading.read import Read, examine
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import neutral_fit
+from diagnosis.search.search import search
 from longreach.fit_baseline import told
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from diagnosis_cases import MACHINE, MACHINE_TOML
 
-from diagnosis.nominal import nominal_of
-from diagnosis.stretches import Stretch
-from diagnosis.tables import MarkerTable, Tables
+from diagnosis.log.nominal import nominal_of
+from diagnosis.log.tables import MarkerTable, Tables
+from diagnosis.replay.stretches import Stretch
 from longreach.bench_links.recorded import Q_START
 from longreach.simulated_shrink.seen import about_their_mean, eyes_of, object_places
 from machine.chain import chain_of

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML, recording
 
-from diagnosis.candidates import named
-from diagnosis.cells_dynamic import stage_cells
+from diagnosis.cells.dynamic import stage_cells
 from diagnosis.diagnose import Diagnosis
-from diagnosis.fit import Fit
-from diagnosis.reading import examine
-from diagnosis.replay import replayer_of
+from diagnosis.reading.read import examine
+from diagnosis.replay.replayer import replayer_of
 from diagnosis.report.simulated import simulated_section
-from diagnosis.search import search
+from diagnosis.search.candidates import named
+from diagnosis.search.fit import Fit
+from diagnosis.search.search import search
 from longreach.simulated_shrink import compare, told
 from longreach.simulated_shrink.held_out import effects_without
 from longreach.simulated_shrink.run import COMMANDS, JOINTS, SimulatedShrinkError, simulated_runs

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.cells_merged import merge_of, merged_cells
+from diagnosis.behind.views_one_eye import planar_pose
+from diagnosis.cells.merged import merged_cells
 from diagnosis.errors import DiagnosisError
-from diagnosis.reading import examine
-from diagnosis.replay import replayer_of
-from diagnosis.together import together
-from diagnosis.views_one_eye import planar_pose
+from diagnosis.reading.read import examine
+from diagnosis.reading.together import together
+from diagnosis.replay.merge import merge_of
+from diagnosis.replay.replayer import replayer_of
 from longreach.bench_experiments.arm import Truth
 from longreach.bench_experiments.cases import NAMES, PAIRS, draw
 from longreach.bench_experiments.run import alone, apart, run_case

@@ -10,7 +10,7 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.experiments.described import described, experiment_of, splined
 from diagnosis.experiments.library import MARGIN_RAD, PER_S, SAMPLE_S, SPEED_SHARE, Motion, Postures, motions
 from diagnosis.experiments.postures import extremes, looks, pool
-from diagnosis.nominal import nominal_of
+from diagnosis.log.nominal import nominal_of
 from machine.effects.layout import neutral_sets
 
 MACHINE = (Path(__file__).parents[3] / "machine" / "machines" / "hiab033.toml").read_text(encoding="utf-8")

@@ -1,0 +1,177 @@
+"""The baseline of a machine: effects that belong to it undisturbed, and what they leave of the model's form.
+
+Fitted on some recordings, judged on others. Why a remainder at all: docs/decisions/0011-baseline.md.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.baseline.forward import ROUNDS, entries_of, forward
+from diagnosis.baseline.left_over import cells_of, forms_of, remainders_of, with_baseline, with_mosts, with_wanders
+from diagnosis.baseline.usual import Progress, with_spread, with_usual, wrong_gains
+from diagnosis.cells.behind import joined
+from diagnosis.errors import DiagnosisError
+from diagnosis.known.form import TOGETHER_MIN
+from diagnosis.reading.read import Read
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import Fit, fit
+from machine.effects.entries import EffectEntry
+from machine.remainder import USUAL_NAME, Remainder
+
+PASSES = 3  # at most, each by the floor that the one before it left
+CHECKED_MIN = 2  # recordings that the baseline is judged on
+FOLDS = 3  # of the recordings, each judged by the form of the others
+
+
+@dataclass(frozen=True, slots=True)
+class CellBaseline:
+    """What was found for one cell: RMS in floors before and with the effects, on recordings not used for the fit."""
+
+    label: str
+    effects: tuple[EffectEntry, ...]
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """Effects and remainders for the machine file. `best_wrong`: by cell, what the best wrong name usually gains, over
+    chance; `usual_names`: those that gain more than that, and what [nats].
+    """
+
+    effects: tuple[EffectEntry, ...]
+    remainders: tuple[Remainder, ...]
+    cells: tuple[CellBaseline, ...]
+    best_wrong: tuple[tuple[str, float], ...]
+    usual_names: tuple[tuple[str, float], ...] = ()
+
+
+def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = lambda _text: None) -> Baseline:
+    """A baseline from undisturbed recordings of one machine.
+
+    Raises: DiagnosisError: fewer than one recording to fit or two to judge, or nothing in them to replay.
+    """
+    if not fitted or len(checked) < CHECKED_MIN:
+        raise DiagnosisError(
+            f"{len(fitted)} recordings to fit and {len(checked)} to judge; give at least 1 and {CHECKED_MIN}"
+        )
+    wholes = [*fitted, *checked]
+    entries = _sized(wholes, _settled(fitted, progress), progress)
+    progress("what the model is wrong by on all recordings alike")
+    forms = _forms(wholes, entries)
+    foretold = _foretold(wholes, entries, forms)[len(fitted) :]
+    progress("what is left on the other recordings")
+    seen = _beside(checked, entries, foretold)
+    left = remainders_of(seen)
+    progress("what its numbers wander by from day to day")
+    left = with_wanders(left, _beside(checked, entries, foretold, left))
+    remainders = _with_forms(left, forms)
+    remainders = with_mosts(remainders, [with_baseline(one, entries, remainders) for one in wholes])
+    spreads, usual, names = wrong_gains(_beside(checked, entries, foretold, left), progress)
+    finished = with_spread(tuple(with_usual(one, usual, len(checked)) for one in remainders), spreads, names)
+    return Baseline(entries, finished, _judged(checked, seen, entries), tuple(spreads.items()), _told(names))
+
+
+def _forms(wholes: list[Read], entries: tuple[EffectEntry, ...]) -> tuple[Remainder, ...]:
+    """What the effects leave of all recordings alike, each weighed by what it is left with."""
+    left = remainders_of([with_baseline(one, entries, ()) for one in wholes])
+    return forms_of([with_baseline(one, entries, left) for one in wholes])
+
+
+def _foretold(
+    wholes: list[Read], entries: tuple[EffectEntry, ...], forms: tuple[Remainder, ...]
+) -> list[tuple[Remainder, ...]]:
+    """For each recording the form that the others have; with few of them the form of all.
+
+    Why: a form has some hundred numbers, and what it leaves of the recordings that it was fitted to is less than of
+    the next one.
+    """
+    if len(wholes) < FOLDS * TOGETHER_MIN:
+        return [forms for _ in wholes]
+    apart = [_forms([one for k, one in enumerate(wholes) if k % FOLDS != fold], entries) for fold in range(FOLDS)]
+    return [apart[k % FOLDS] for k in range(len(wholes))]
+
+
+def _beside(
+    wholes: list[Read],
+    entries: tuple[EffectEntry, ...],
+    foretold: list[tuple[Remainder, ...]],
+    left: tuple[Remainder, ...] | None = None,
+) -> list[Read]:
+    """Recordings with these effects, each with the form that is foretold of it, and with what that leaves if known."""
+    own = [forms if left is None else _with_forms(left, forms) for forms in foretold]
+    return [with_baseline(one, entries, remainders) for one, remainders in zip(wholes, own, strict=True)]
+
+
+def _with_forms(remainders: tuple[Remainder, ...], forms: tuple[Remainder, ...]) -> tuple[Remainder, ...]:
+    known = {(one.stage, one.joint, one.on): one.form for one in forms}
+    return tuple(replace(one, form=known.get((one.stage, one.joint, one.on), ())) for one in remainders)
+
+
+def _told(names: dict[str, dict[str, float]]) -> tuple[tuple[str, float], ...]:
+    return tuple((name.removeprefix(USUAL_NAME), nats) for found in names.values() for name, nats in found.items())
+
+
+def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
+    """Effects of each cell by the floor that they leave themselves, fitted again until their names stay.
+
+    Why: the oil swings by several floors. Weighed by the noise alone, that swing decides what is worth fitting; by the
+    filter that whitens it, and by what each kind of measurement is left with, small effects beside it are seen.
+    """
+    entries: tuple[EffectEntry, ...] = ()
+    remainders: tuple[Remainder, ...] = ()
+    found: dict[str, Fit] = {}
+    for number in range(1, PASSES + 1):
+        before = [(one.name, one.joint) for one in entries]
+        groups = _grouped([with_baseline(one, (), remainders) for one in fitted])
+        if not groups:
+            raise DiagnosisError("no stage of these recordings can be replayed; see `longreach recording check`")
+        for label, cell in groups.items():
+            progress(f"fitting {label}, pass {number} of at most {PASSES}")
+            found[label] = forward(cell).fit
+        entries = tuple(entry for one in found.values() for entry in entries_of(one))
+        if [(one.name, one.joint) for one in entries] == before:
+            break
+        remainders = remainders_of([with_baseline(one, entries, ()) for one in fitted])
+    return found
+
+
+def _sized(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tuple[EffectEntry, ...]:
+    """The sizes of the effects that were found, by cell, fitted again on all recordings.
+
+    Why on those, too, that judge: three recordings know a flow gain to half a percent, and every later one would show
+    the rest as a name. Two dozen numbers gain a nat each by it; it is the names that have to stand the test.
+    """
+    first = tuple(entry for one in fits.values() for entry in entries_of(one))
+    remainders = remainders_of([with_baseline(one, first, ()) for one in wholes])
+    found: list[EffectEntry] = []
+    for label, cell in _grouped([with_baseline(one, (), remainders) for one in wholes]).items():
+        if label in fits and fits[label].hypothesis:
+            progress(f"sizes of {label} on {len(wholes)} recordings")
+            found += entries_of(fit(cell, fits[label].hypothesis, fits[label].theta, ROUNDS))
+    return tuple(found)
+
+
+def _grouped(wholes: list[Read]) -> dict[str, Cell]:
+    """The same cell of all recordings as one, by its label."""
+    found: dict[str, list[Cell]] = {}
+    for whole in wholes:
+        for cell in cells_of(whole):
+            found.setdefault(cell.label, []).append(cell)
+    return {label: joined(cells) if len(cells) > 1 else cells[0] for label, cells in found.items()}
+
+
+def _judged(checked: list[Read], seen: list[Read], effects: tuple[EffectEntry, ...]) -> tuple[CellBaseline, ...]:
+    """RMS in units of the noise floor, before and with the baseline, on recordings whose names were not fitted.
+
+    Args: seen: the same recordings, with the effects and with the form that the others have.
+    """
+    before, after = _grouped([with_baseline(one, (), ()) for one in checked]), _grouped(seen)
+    return tuple(
+        CellBaseline(label, effects, _rms(before[label]), _rms(after[label])) for label in before if label in after
+    )
+
+
+def _rms(cell: Cell) -> float:
+    return float(np.sqrt(np.mean(cell.whitened(cell.base)[0] ** 2)))

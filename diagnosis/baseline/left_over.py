@@ -1,0 +1,207 @@
+"""What a baseline leaves of the model's form on recordings that it was not fitted to, cell by cell."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from diagnosis.behind.corner_residual import CornerResidual
+from diagnosis.behind.point_residual import PointResidual
+from diagnosis.cells.behind import behind_cells, fitting, measurement_of, told_behind, without
+from diagnosis.cells.dynamic import stage_cells
+from diagnosis.chain.own_step import at_its_step
+from diagnosis.errors import DiagnosisError
+from diagnosis.known.form import form_of, most_of
+from diagnosis.known.known import with_known
+from diagnosis.known.wander import wander_of
+from diagnosis.noise.excess import common_excess
+from diagnosis.noise.floor import ORDER_LEFT, ORDER_MAX, deviations
+from diagnosis.noise.of_corners import PLAIN, variances_of
+from diagnosis.noise.of_points import variances_of as variances_of_points
+from diagnosis.reading.read import Read
+from diagnosis.replay.replayer import replayer_of
+from diagnosis.replay.stage_replay import SKIPPED, Replay, part_increments
+from diagnosis.replay.stretches import repeat_groups
+from diagnosis.search.cell import DRIVEN_STAGES, Cell
+from machine.effects.entries import EffectEntry, pack_under
+from machine.effects.layout import ParameterSets
+from machine.remainder import Remainder
+from machine.rotations import Array
+
+AXES = 3  # radial, tangential, up
+NOTHING = 1e-6  # share of the mean square
+WHITE = 1e-3  # of the variance: the least eigenvalue of the moments
+
+
+def cells_of(whole: Read) -> list[Cell]:
+    """Every cell of a recording, with its machine's baseline, link first."""
+    nominal = whole.nominal
+    if nominal is None:
+        return []
+    base, cells = pack_under(nominal.baseline, nominal.n), []
+    replayer, behind = replayer_of(nominal), behind_cells(whole, base)
+    if replayer is not None and whole.stretches:
+        replayer = at_its_step(replayer, whole.stretches, base)
+        for stage in DRIVEN_STAGES:
+            cells += with_known(stage_cells(stage, replayer, whole.stretches, base, base), nominal)
+    return fitting(without(cells, told_behind(behind)) + behind, nominal)
+
+
+def with_baseline(whole: Read, effects: tuple[EffectEntry, ...], remainders: tuple[Remainder, ...]) -> Read:
+    """A recording read with another baseline than its machine file's.
+
+    Raises: DiagnosisError: there is no machine file.
+    """
+    if whole.nominal is None:
+        raise DiagnosisError(f"{whole.path.name}: there is no machine file")
+    return replace(whole, nominal=replace(whole.nominal, baseline=effects, remainders=remainders))
+
+
+def forms_of(wholes: list[Read]) -> tuple[Remainder, ...]:
+    """What the model is wrong by on all these recordings alike, as remainders that say nothing else."""
+    places = _by_place(wholes)
+    return tuple(
+        Remainder(stage, joint, on, 0.0, 0.0, form=form)
+        for (stage, joint, on), cells in places.items()
+        if (form := form_of(cells))
+    )
+
+
+def with_wanders(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
+    """Remainders with what their joints' numbers wander by over recordings that these remainders belong to."""
+    found = {place: wander_of(cells) for place, cells in _by_place(wholes).items()}
+    return tuple(replace(one, wander=found.get((one.stage, one.joint, one.on), ())) for one in remainders)
+
+
+def with_mosts(remainders: tuple[Remainder, ...], wholes: list[Read]) -> tuple[Remainder, ...]:
+    """Remainders with the most that their forms say of any of these recordings, which these remainders belong to."""
+    cells = _by_place(wholes)
+    places = [(one, cells.get((one.stage, one.joint, one.on), [])) for one in remainders]
+    return tuple(replace(one, form_most=most_of(own, one.form)) if one.form else one for one, own in places)
+
+
+def remainders_of(checked: list[Read]) -> tuple[Remainder, ...]:
+    """What the baseline leaves on these recordings, without the noise, cell by cell."""
+    out: list[Remainder] = []
+    for (stage, joint, on), cells in _by_place(checked).items():
+        if stage in DRIVEN_STAGES:
+            out += _dynamic(stage, cells)
+        else:
+            out.append(_plain(cells, Remainder(stage, joint, on, 0.0, 0.0)))
+    return tuple(out)
+
+
+def _by_place(wholes: list[Read]) -> dict[tuple[str, int | None, str], list[Cell]]:
+    found: dict[tuple[str, int | None, str], list[Cell]] = {}
+    for whole in wholes:
+        for cell in cells_of(whole):
+            for part in cell.parts or (cell,):
+                found.setdefault((part.stage, part.joint, measurement_of(part)), []).append(part)
+    return found
+
+
+def _plain(cells: list[Cell], where: Remainder) -> Remainder:
+    """Remainder [m or px] of points or corners, in all and by axis: nothing is whitened there."""
+    if where.stage == "camera":
+        return _of_corners(cells, where)
+    found, noise, swings = [], [], []
+    for cell in cells:
+        seen = cell.whitened
+        if isinstance(seen, PointResidual):
+            own, swing = variances_of_points(seen.metres(cell.base)[0].reshape(-1, AXES), seen.noise)
+            found.append(own)
+            noise.append(seen.noise.own**2)
+            swings.append([max(swing, 0.0)])
+    if not found:
+        return where
+    by_axis = np.sqrt(common_excess(np.array(found), np.array(noise)))
+    left = float(np.sqrt(np.mean(by_axis**2)))
+    swing_rad = float(np.sqrt(common_excess(np.array(swings), np.zeros((len(swings), 1)))[0]))
+    return replace(where, sigma=left, rms=left, by_axis=tuple(float(x) for x in by_axis), swing_rad=swing_rad)
+
+
+def _of_corners(cells: list[Cell], where: Remainder) -> Remainder:
+    """What is left of each corner, and what all corners of a frame share."""
+    found, noise = [], []
+    for cell in cells:
+        seen = cell.whitened
+        if isinstance(seen, CornerResidual):
+            raw = replace(seen, noise=PLAIN)(cell.base)[0]
+            found.append(np.concatenate(variances_of(raw, seen.frames.groups)))
+            noise.append(np.concatenate([seen.noise.own**2, seen.noise.shared**2]))
+    if not found:
+        return where
+    own, shared = np.split(common_excess(np.array(found), np.array(noise)), 2)
+    left = float(np.sqrt(np.mean(own)))
+    both = float(np.sqrt(np.mean(own + shared)))
+    return replace(where, sigma=left, rms=both, by_axis=tuple(float(x) for x in np.sqrt(shared)))
+
+
+def _dynamic(stage: str, cells: list[Cell]) -> list[Remainder]:
+    """Remainders of one stage, joint by joint: the autoregression of what all recordings have beyond their noise."""
+    replays = [cell.whitened for cell in cells if isinstance(cell.whitened, Replay)]
+    out = []
+    for column, joint in enumerate(replays[0].joints if replays else ()):
+        totals, noises = [], []
+        for cell, replay in zip(cells, replays, strict=True):
+            sets = _own_joints(cell, replay)
+            runs = [part_increments(stage, part, sets)[0][0][SKIPPED:, column] for part in replay.parts]
+            noise = [one[:, 0] for one in _noise(stage, cell, replay, column)]
+            totals.append(moments(runs))
+            noises.append(moments(noise) if noise else np.zeros_like(totals[-1]))
+        ar, sigma, rms = common_process(np.array(totals), np.array(noises))
+        out.append(Remainder(stage, joint + 1, "", sigma, rms, tuple(float(a) for a in ar)))
+    return out
+
+
+def moments(runs: list[Array]) -> Array:
+    """Mean products (p + 1, p + 1) of a sample and the p before it, over runs (m,) without a mean."""
+    long = [sliding_window_view(run, ORDER_LEFT + 1) for run in runs if len(run) > ORDER_LEFT]
+    if not long:
+        return np.zeros((ORDER_LEFT + 1, ORDER_LEFT + 1))
+    rows = np.concatenate(long)[:, ::-1]
+    return rows.T @ rows / len(rows)
+
+
+def common_process(totals: Array, noises: Array) -> tuple[Array, float, float]:
+    """Autoregression (p,), its innovation's sigma, and RMS of what recordings have in common beyond their noise.
+
+    Model: remainder and noise are independent, so that their moments add; recordings weigh as in `common_excess`. What
+           chance leaves that no process has is made one by a little white noise; where it is much, the moments are not
+           read over many lags. Least squares, not the autocovariances: stretches are short, and a slow swing would
+           come out as damped by their ends.
+    Args:  totals, noises: (recordings, p + 1, p + 1), moments in all and of noise alone.
+    """
+    order = totals.shape[1] - 1
+    excess = float(common_excess(totals[:, :1, 0], noises[:, :1, 0])[0])
+    if excess <= NOTHING * float(totals[:, 0, 0].mean()):
+        return np.zeros(order), 0.0, 0.0
+    weights = (noises[:, 0, 0] + excess) ** -2
+    left = np.einsum("k,kij->ij", weights / weights.sum(), totals - noises)
+    least = float(np.linalg.eigvalsh(left)[0])
+    if least < -WHITE * left[0, 0] and order > ORDER_MAX:  # noisy moments: many lags would fit what chance left
+        few = ORDER_MAX + 1
+        ar, sigma, rms = common_process(totals[:, :few, :few], noises[:, :few, :few])
+        return np.concatenate([ar, np.zeros(order - ORDER_MAX)]), sigma, rms
+    left += max(0.0, WHITE * left[0, 0] - least) * np.eye(order + 1)
+    ar = np.linalg.solve(left[1:, 1:], left[1:, 0])
+    return ar, float(np.sqrt(left[0, 0] - ar @ left[1:, 0])), float(np.sqrt(left[0, 0]))
+
+
+def _own_joints(cell: Cell, replay: Replay) -> ParameterSets:
+    """The baseline's parameters of the joints that a replay holds."""
+    joints = list(replay.joints)
+    return replace(cell.base, joint=np.ascontiguousarray(cell.base.joint[:, joints]))
+
+
+def _noise(stage: str, cell: Cell, replay: Replay, column: int) -> list[Array]:
+    """Increments (m, 1) of the repeats' deviations from their mean."""
+    by_name = {part.stretch.name: part for part in replay.parts}
+    groups = repeat_groups(tuple(part.stretch for part in replay.parts))
+    members = max(groups.values(), key=len, default=())
+    if len(members) < 2:
+        return []
+    sets = _own_joints(cell, replay)
+    steps = [part_increments(stage, by_name[one.name], sets)[0][0][SKIPPED:, [column]] for one in members]
+    rows = min(len(one) for one in steps)
+    return deviations(np.stack([one[:rows] for one in steps])) if rows > ORDER_LEFT + 20 else []

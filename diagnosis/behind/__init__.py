@@ -1,0 +1,1 @@
+"""What was measured behind the encoders (points, marker corners, odometry) against the arm."""

@@ -1,0 +1,138 @@
+"""What arm, camera and markers leave of the corners that were seen, in units of their noise: the residual of a cell."""
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.behind.link_angles import Path, link_angles, without_encoders
+from diagnosis.log.nominal import Nominal
+from diagnosis.noise.of_corners import CornerNoise, groups_of
+from machine.effects.layout import READOUT, ParameterSets
+from machine.effects.seen import camera_mount, seen_corners, true_times
+from machine.effects.structure import tcp_poses
+from machine.rotations import Array, rotation_from_rotvec
+from machine.targets import Marker
+
+NUDGE = 1e-4
+FAR_PX = 1e3
+OF_PLACE = 1e-3  # of a column: what is left of one below it is what a step of the object's place is wrong by
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Corners by frame: t_s (m,) on the PLC's clock as best known, pixels (m, 2 eyes, markers, 4, 2), NaN unseen.
+
+    `groups` (N,): frame and axis of each number that was seen, by `groups_of`.
+    """
+
+    t_s: Array
+    pixels: Array
+    markers: tuple[Marker, ...]
+    groups: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, t_s: Array, pixels: Array, markers: tuple[Marker, ...]) -> Self:
+        """With its groups."""
+        return cls(t_s, pixels, markers, groups_of(pixels))
+
+
+@dataclass(frozen=True, slots=True)
+class CornerResidual:
+    """Whitened corners (sets, N): measured less foreseen, the OOI's place in the base fitted each time.
+
+    `untimed`: so is by how much the camera's stamps are late, since nobody gave its clock's offset.
+    """
+
+    nominal: Nominal
+    frames: Frames
+    on: Literal["tool", "ooi"]
+    paths: tuple[Path, ...]
+    at: NDArray[np.int64]
+    t_start_s: float
+    T_base_ooi: Array
+    nuisance: Array
+    noise: CornerNoise
+    untimed: bool = False
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        """One row per set."""
+        plain = without_encoders(sets)
+        white = self.noise.white(self.nuisance.T, self.frames.groups).T
+        rows = [self._one(sets, plain, k, white) for k in range(sets.sets)]
+        return self.noise.white(np.array(rows), self.frames.groups)
+
+    def _one(self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array) -> Array:
+        """Not yet whitened (N,); `white`: the whitened nuisance (N, 6 or 7), which the parameters do not change."""
+        later = bool(sets.machine[k, READOUT])
+        T, T_later = self.poses(sets, plain, k, 0.0), self.poses(sets, plain, k, 0.01) if later else None
+        residual = self.difference(plain, k, T, T_later, self.T_base_ooi)
+        if self.on == "tool" or self.nuisance.shape[1] == 0:
+            return residual
+        moved = self.T_base_ooi @ small_motion(-self._place(white, residual)[:6])
+        residual = self.difference(plain, k, T, T_later, moved)
+        return np.asarray(residual - self.nuisance @ self._place(white, residual), dtype=float)
+
+    def _place(self, white: Array, residual: Array) -> Array:
+        """Change of the OOI's place, and of the clock (6 or 7,), that explains most of a residual (N,) [px]."""
+        return solved(white, self.noise.white(residual[None], self.frames.groups)[0])
+
+    def placeless(self, columns: Array) -> Array:
+        """Columns (N, k) [px, by any number], white as the residual, without what a change of the OOI's place does."""
+        white = self.noise.white(columns.T, self.frames.groups).T
+        if self.on == "tool" or self.nuisance.shape[1] == 0:
+            return white
+        own = self.noise.white(self.nuisance.T, self.frames.groups).T
+        left = white - own @ np.linalg.lstsq(own, white, rcond=None)[0]
+        return left * (np.linalg.norm(left, axis=0) > OF_PLACE * np.linalg.norm(white, axis=0))
+
+    def poses(
+        self, sets: ParameterSets, plain: ParameterSets, k: int, later_s: float, more_rad: Array | float = 0.0
+    ) -> Array:
+        """Ts_cam_base (m, 4, 4), or Ts_cam_tcp where the tool is looked at. `more_rad`: on top of the angles (n,)."""
+        mount = self.nominal.T_tcp_cam_left
+        if mount is None or self.nominal.arm is None:
+            return np.tile(np.eye(4), (len(self.frames.t_s), 1, 1))
+        T_cam_tcp = np.asarray(np.linalg.inv(camera_mount(sets, mount, k)), dtype=float)
+        if self.on == "tool":
+            return np.tile(T_cam_tcp, (len(self.frames.t_s), 1, 1))
+        t = true_times(sets, self.frames.t_s, self.t_start_s, k) + later_s
+        q = link_angles(self.paths, sets, k, self.at, t) + more_rad
+        return np.asarray(T_cam_tcp @ np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k)), dtype=float)
+
+    def difference(self, plain: ParameterSets, k: int, Ts: Array, later: Array | None, T_object: Array) -> Array:
+        """Measured less foreseen of the corners that were seen (N,) [px]."""
+        camera = self.nominal.camera
+        if camera is None:
+            return np.zeros(0)
+        after = None if later is None else later @ T_object
+        corners = seen_corners(plain, camera, self.frames.markers, Ts @ T_object, after, 0.01, k)
+        foreseen = np.stack([corners.left, corners.right], axis=1)
+        seen = np.isfinite(self.frames.pixels)
+        return np.clip(np.nan_to_num((self.frames.pixels - foreseen)[seen], nan=FAR_PX), -FAR_PX, FAR_PX)
+
+
+def solved(A: Array, r: Array) -> Array:
+    """Least squares of r (N,) by the columns of A (N, k), (k,)."""
+    return np.asarray(np.linalg.solve(A.T @ A + 1e-9 * np.eye(A.shape[1]), A.T @ r), dtype=float)
+
+
+def small_motion(x: Array) -> Array:
+    """A step (6,) [m, rad] as a transform (4, 4)."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation_from_rotvec(x[3:]), x[:3]
+    return T
+
+
+def nuisance_of(placed: CornerResidual, base: ParameterSets) -> Array:
+    """Change of the residual with the OOI's place (N, 6), per m and rad in its own axes; where nobody knows its clock
+    (N, 7) with that, per s.
+    """
+    plain = without_encoders(base)
+    Ts = placed.poses(base, plain, 0, 0.0)
+    at = placed.difference(plain, 0, Ts, None, placed.T_base_ooi)
+    steps = [placed.difference(plain, 0, Ts, None, placed.T_base_ooi @ small_motion(NUDGE * row)) for row in np.eye(6)]
+    if placed.untimed:
+        steps.append(placed.difference(plain, 0, placed.poses(base, plain, 0, NUDGE), None, placed.T_base_ooi))
+    return np.array([(one - at) / NUDGE for one in steps]).T

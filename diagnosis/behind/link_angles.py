@@ -1,0 +1,147 @@
+"""Link-side angles at the times of measurements behind the encoders, for many parameter sets."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from diagnosis.behind.quiet_encoders import quieted
+from diagnosis.behind.stairs import coarse_steps, unstepped
+from diagnosis.log.tables import filled
+from diagnosis.replay.stretches import Stretch
+from diagnosis.search.candidates import SWINGS, Candidate, arm_candidates
+from machine.effects import kernel
+from machine.effects.encoders import true_angles
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+COURSE_COLUMNS = [
+    kernel.BACKLASH,
+    *(kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE, kernel.ECC_ORDER, kernel.ECC_PHASE),
+    *(kernel.FLEX_GAIN, kernel.FLEX_HZ, kernel.FLEX_DAMPING),
+    *(kernel.KNOWN_GAIN, kernel.KNOWN_HZ, kernel.KNOWN_DAMPING),
+]
+REMEMBERED = 12
+COURSE_S = 0.01  # between two angles of a course: between them 0.01 mm of the tip at 0.2 rad/s^2
+FOLLOWED_S = 0.1  # between logged rows: of a longer one neither play's turns nor a swing are seen
+ENCODER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """The encoders' course through one stretch: t_s (m,), enc (m, n). `step_s`: between its rows, for play and swing;
+    None where rows are too rare to follow them: neither is modelled then. `coarse_rad`: steps of the encoders that are
+    seen behind them, 0 of finer ones.
+    """
+
+    t_s: Array
+    enc: Array
+    step_s: float | None
+    coarse_rad: tuple[float, ...] = ()
+    courses: dict[tuple[int, bytes], Array] = field(default_factory=dict, compare=False)  # behind play and swing
+
+
+def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
+    """The course of every stretch that has encoders throughout."""
+    out = []
+    for one in stretches:
+        if one.enc is None or not np.isfinite(one.enc).any(axis=0).all():
+            continue
+        skip = max(1, int(COURSE_S / one.dt_s + 1e-9))
+        step_s = one.dt_s * skip if one.dt_s <= FOLLOWED_S else None
+        coarse = coarse_steps(np.zeros(one.enc.shape[1]) if one.enc_step is None else one.enc_step)
+        quiet = np.ascontiguousarray(quieted(unstepped(filled(one.enc), coarse, one.dt_s), one.dt_s)[::skip])
+        out.append(Path(one.t_s[::skip], quiet, step_s, tuple(coarse.tolist())))
+    return tuple(out)
+
+
+def followed(paths: tuple[Path, ...]) -> bool:
+    """Whether the courses are logged often enough for play and swing."""
+    return bool(paths) and all(path.step_s is not None for path in paths)
+
+
+def coarsest(paths: tuple[Path, ...], n: int) -> Array:
+    """The largest step (n,) [rad] of each joint's encoder along any course; 0 of fine ones."""
+    steps = [np.array(path.coarse_rad) for path in paths if path.coarse_rad]
+    return np.max([np.zeros(n), *steps], axis=0)
+
+
+def candidates_behind(joints: tuple[int, ...], paths: tuple[Path, ...]) -> tuple[Candidate, ...]:
+    """The arm's effects that points and corners along these courses can show.
+
+    Why: a swing behind a coarse encoder smooths its stairs, and would be named for that.
+    """
+    coarse = np.nonzero(coarsest(paths, max(joints, default=0)))[0] + 1
+    return tuple(
+        one for one in arm_candidates(joints, followed(paths)) if one.name not in SWINGS or one.joint not in coarse
+    )
+
+
+def inside(paths: tuple[Path, ...], t_s: Array, margin_s: float = 0.0) -> NDArray[np.int64]:
+    """Which path each time (m,) falls into, -1 for none."""
+    which = np.full(len(t_s), -1, dtype=np.int64)
+    for k, path in enumerate(paths):
+        which[(t_s >= path.t_s[0] + margin_s) & (t_s <= path.t_s[-1] - margin_s)] = k
+    return which
+
+
+def link_angles(paths: tuple[Path, ...], sets: ParameterSets, which: int, at: NDArray[np.int64], t_s: Array) -> Array:
+    """Link-side angles (m, n) of one set at times (m,) that lie in paths `at` (m,)."""
+    n = sets.joint.shape[1]
+    out, times = np.zeros((len(t_s), n)), np.ascontiguousarray(t_s, dtype=float)
+    encoders = np.ones((len(paths), n), dtype=bool)
+    loose = np.any(sets.joint[which][:, [kernel.BACKLASH, kernel.FLEX_GAIN, kernel.KNOWN_GAIN]], axis=1)
+    keys = [sets.joint[which, j, COURSE_COLUMNS].tobytes() if loose[j] else b"" for j in range(n)]
+    for k in np.unique(at):
+        path = paths[k]
+        for j in range(n):
+            encoders[k, j] = path.step_s is None or not loose[j]
+            values = path.enc[:, j]
+            if path.step_s is not None and loose[j]:
+                values = _behind_joint(path, path.step_s, sets.joint[which, j], j, keys[j])
+            _interpolate(path.t_s, values, at, k, times, out[:, j])
+    rows = encoders[at]
+    # the encoders' map is smooth: after the interpolation it costs a tenth
+    return np.where(rows, true_angles(sets, out, which), out) if rows.any() else out
+
+
+@njit(cache=True)
+def _interpolate(at_s: Array, values: Array, path_of: NDArray[np.int64], path: int, times_s: Array, out: Array) -> None:
+    """Those of `out` (m,) that lie in `path`: values (k,) at at_s (k,), evenly apart, by the cubic through the four
+    nearest; straight at the ends, held beyond them.
+
+    Why no lines: a joint that starts at 2 rad/s^2 is 0.1 mm of the tip away from them, as much as a tracker's noise.
+    """
+    last = len(at_s) - 1
+    for i in range(len(times_s)):
+        if path_of[i] != path:
+            continue
+        right = np.searchsorted(at_s, times_s[i], side="right")
+        if right == 0 or right > last:
+            out[i] = values[0 if right == 0 else last]
+            continue
+        s = (times_s[i] - at_s[right - 1]) / (at_s[right] - at_s[right - 1])
+        a, b = values[right - 1], values[right]
+        out[i] = a + s * (b - a)
+        if 1 < right < last:
+            before, after = b - 2.0 * a + values[right - 2], values[right + 1] - 2.0 * b + a
+            out[i] -= s * (1.0 - s) / 6.0 * ((2.0 - s) * before + (1.0 + s) * after)
+
+
+def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes) -> Array:
+    """Link-side angles of joint j (0-based), which has play or swing, at the path's rows (m,); joint by joint, since
+    most sets differ in one.
+    """
+    if (j, key) not in path.courses:
+        if len(path.courses) >= REMEMBERED * path.enc.shape[1]:
+            path.courses.pop(next(iter(path.courses)))
+        path.courses[j, key] = kernel.course(effects, np.ascontiguousarray(path.enc[:, j]), step_s)
+    return path.courses[j, key]
+
+
+def without_encoders(sets: ParameterSets) -> ParameterSets:
+    """The sets with true encoders, for angles that are the link's already."""
+    joint = sets.joint.copy()
+    joint[..., list(ENCODER_COLUMNS)] = 0.0
+    return ParameterSets(joint, sets.machine)

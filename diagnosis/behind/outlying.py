@@ -1,0 +1,117 @@
+"""Points at rest that no model of the arm comes near: a wrong row, a prism that was hit, a pose not yet reached.
+
+Why: one of them half a metre off widens the noise of all others, and what they would have told is lost in it.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.behind.link_angles import without_encoders
+from diagnosis.behind.points import PointData, fit_points, static_data, usable_rows
+from diagnosis.behind.saturated import mixtures
+from diagnosis.log.findings import Finding
+from diagnosis.log.nominal import Nominal
+from diagnosis.log.tables import PointTable
+from diagnosis.search.candidates import arm_candidates
+from machine.effects.encoders import true_angles
+from machine.effects.entries import pack_under
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+MIXED_SHARE = 0.25  # of the numbers: a mixture of more directions may follow any point
+TIMES = 20.0  # the others' own scatter about the mixture
+TIMES_TYPICAL = 0.3  # the others' distance from the nominal model: what is small beside it may be a mixture's curvature
+LEAST_M = 2e-4
+SCATTER_MIN_M = 1e-6
+POINTS_MIN = 20
+SHARE_MAX = 0.05  # of the points: if more are outside, it is the model that is wrong
+AT_ONCE = 0.5  # of the farthest: what is nearer may only have been moved by it
+ALONE = 2.0  # times the farthest that stays: nearer ones are the tail of what all poses share, play say
+ROUNDS = 12
+REWEIGHED = 12
+MEDIAN_OF_THREE = 1.538  # median length of three normal numbers
+TOLD = 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Off:
+    """How far each point (m,) is from the nearest mixture, the scatter of the others, and their distance [m]."""
+
+    away: Array
+    scatter: float
+    typical: float
+
+    @property
+    def outside(self) -> NDArray[np.bool_]:
+        """Which points are no scatter (m,), the farthest ones first."""
+        least = max(TIMES * self.scatter, TIMES_TYPICAL * self.typical, LEAST_M)
+        return self.away > max(least, AT_ONCE * float(self.away.max()))
+
+    def alone(self, rest: "_Off") -> bool:
+        """Whether the outside points are far from all that stay, of which `rest` tells."""
+        return float(self.away[self.outside].min()) > ALONE * float(rest.away.max())
+
+
+def without_outlying(nominal: Nominal, table: PointTable) -> tuple[PointTable, list[Finding]]:
+    """Points at rest without those that lie outside, which are named.
+
+    Model: one linear step in all effects at once, points weighed by 1 / (1 + (distance / scatter)^2) in turn; outside
+           is what lies twenty scatters away. The farthest are taken out and the rest is looked at again, since a frame
+           that was fitted through them moves all others, until a twentieth of all would be out. Those that were taken
+           out last come back while they are not twice as far as what stays.
+    """
+    rounds, left, away = [], table, np.zeros(len(table.xyz))
+    off = _seen(nominal, left)
+    while left.q is not None and off is not None and off.outside.any() and len(rounds) < ROUNDS:
+        rows = np.nonzero(usable_rows(nominal, left, left.q))[0][off.outside]
+        further = away.copy()
+        further[rows] = off.away[off.outside]
+        if (further > 0.0).sum() > SHARE_MAX * len(off.away):
+            break
+        rounds.append((left, away, off))
+        left, away = left.without(rows), further
+        off = _seen(nominal, left)
+    while rounds and off is not None and not rounds[-1][2].alone(off):
+        left, away, off = rounds.pop()
+    return left, [_finding(table, away)] if rounds else []
+
+
+def _seen(nominal: Nominal, table: PointTable) -> _Off | None:
+    data = None if nominal.arm is None else static_data(nominal, table)
+    return None if data is None else _off(nominal, data)
+
+
+def _off(nominal: Nominal, data: PointData) -> _Off | None:
+    """None where too few points were measured, or the frame cannot be fitted."""
+    if len(data.xyz) < POINTS_MIN:
+        return None
+
+    def residual(sets: ParameterSets) -> Array:
+        turned = (replace(data, q=true_angles(sets, data.q, k)) for k in range(sets.sets))
+        plain = without_encoders(sets)
+        return np.array([fit_points(nominal, plain, one, k).residual.ravel() for k, one in enumerate(turned)])
+
+    joints = tuple(range(1, nominal.n + 1))
+    r0, u = mixtures(residual, pack_under(nominal.baseline, nominal.n), arm_candidates(joints, moving=False))
+    u = u[:, : int(MIXED_SHARE * len(r0))]
+    weight, away, scatter = np.ones(len(data.xyz)), np.zeros(len(data.xyz)), 0.0
+    for _ in range(REWEIGHED):
+        w = np.repeat(np.sqrt(weight), 3)
+        step = np.linalg.lstsq(u * w[:, None], r0 * w, rcond=None)[0]
+        away = np.linalg.norm((r0 - u @ step).reshape(-1, 3), axis=1)
+        scatter = float(np.median(away)) / MEDIAN_OF_THREE
+        weight = 1.0 / (1.0 + (away / max(scatter, SCATTER_MIN_M)) ** 2)
+    return _Off(away, scatter, float(np.median(np.linalg.norm(r0.reshape(-1, 3), axis=1))))
+
+
+def _finding(table: PointTable, away: Array) -> Finding:
+    worst = [k for k in np.argsort(-away, kind="stable") if away[k] > 0.0]
+    told = ", ".join(f"{table.names[k]} in pose {table.t_s[k]:.0f} by {away[k]:.3g} m" for k in worst[:TOLD])
+    more = f" and {len(worst) - TOLD} more" if len(worst) > TOLD else ""
+    text = (
+        f"{len(worst)} of {len(away)} points lie where no model of this arm puts them, beside the others' scatter: "
+        f"{told}{more}; they are left out: measure those poses again"
+    )
+    return Finding("outlying_points", "problem", "static.csv", text, len(worst))

@@ -1,0 +1,79 @@
+"""What the arm leaves of measured points, in units of their noise: the residual that a cell is searched by."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.behind.link_angles import Path, link_angles, without_encoders
+from diagnosis.behind.points import PointData, PointFit, fit_points, modelled
+from diagnosis.log.nominal import Nominal
+from diagnosis.noise.of_points import PointNoise
+from machine.effects.encoders import true_angles
+from machine.effects.layout import ParameterSets
+from machine.effects.seen import true_times
+from machine.poses import transform_points
+from machine.rotations import Array
+
+
+@dataclass(frozen=True, slots=True)
+class PointResidual:
+    """Residuals (sets, 3 m) of measured points in units of the floor; unknown frame and places are fitted each time.
+
+    Axes: radial, tangential and up about the base's upright, since a slewing arm swings across far more than it bends.
+    `known`: (3 m,) [m], what the machine's model is known to be wrong by. `t_start_s`: of the recording, where the
+    tracker's clock may be off (see `true_times`); None where that is the camera's.
+    """
+
+    nominal: Nominal
+    data: PointData
+    paths: tuple[Path, ...]
+    at: NDArray[np.int64]
+    noise: PointNoise
+    known: Array | None = None
+    t_start_s: float | None = None
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        """One row per set."""
+        return self.noise.white(self.metres(sets))
+
+    def metres(self, sets: ParameterSets) -> Array:
+        """The same (sets, 3 m) before it is weighed [m]."""
+        plain = without_encoders(sets)
+        rows = []
+        for k in range(sets.sets):
+            data = replace(self.data, q=self._angles(sets, k))
+            rows.append(_about_upright(fit_points(self.nominal, plain, data, k), data.xyz).ravel())
+        return np.array(rows) - (0.0 if self.known is None else self.known)
+
+    def reach_m(self, sets: ParameterSets) -> Array:
+        """How far each point is from the base's upright (m,)."""
+        data = replace(self.data, q=self._angles(sets, 0))
+        T = fit_points(self.nominal, without_encoders(sets), data, 0).T_base_tracker
+        p = transform_points(T, data.xyz)
+        return np.hypot(p[:, 0], p[:, 1])
+
+    def moved_by(self, sets: ParameterSets, joint: int, angle_rad: float) -> Array:
+        """How far an angle more at a joint (0-based) takes each point (m, 3) [m]: radial, tangential, up."""
+        plain, data = without_encoders(sets), replace(self.data, q=self._angles(sets, 0))
+        found = fit_points(self.nominal, plain, data)
+        turned = data.q.copy()
+        turned[:, joint] += angle_rad
+        there = modelled(self.nominal, plain, replace(data, q=turned), found.places)
+        here = modelled(self.nominal, plain, data, found.places)
+        return _about_upright(replace(found, residual=there - here), self.data.xyz)
+
+    def _angles(self, sets: ParameterSets, which: int) -> Array:
+        if not self.paths:
+            return true_angles(sets, self.data.q, which)
+        when = self.data.when if self.t_start_s is None else true_times(sets, self.data.when, self.t_start_s, which)
+        return link_angles(self.paths, sets, which, self.at, when)
+
+
+def _about_upright(found: PointFit, xyz: Array) -> Array:
+    """The residual (m, 3) of points measured at xyz (m, 3) as radial, tangential, up."""
+    T, r = found.T_base_tracker, found.residual
+    p = transform_points(T, xyz)
+    azimuth = np.arctan2(p[:, 1], p[:, 0])
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    return np.stack([c * r[:, 0] + s * r[:, 1], c * r[:, 1] - s * r[:, 0], r[:, 2]], axis=1)

@@ -1,0 +1,211 @@
+"""One cell for all that was measured behind the encoders: static points, tracked points and corners share the arm.
+
+A long link moves tracked points and marker corners alike. Searched apart it would be named twice, or by two names.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.behind.chord_residual import ChordResidual
+from diagnosis.behind.corner_residual import CornerResidual
+from diagnosis.behind.link_angles import paths_of
+from diagnosis.behind.point_residual import PointResidual
+from diagnosis.cells.camera import camera_cells
+from diagnosis.cells.odometry import odometry_cells
+from diagnosis.cells.points import point_cells
+from diagnosis.known.form import with_form
+from diagnosis.log.nominal import Nominal
+from diagnosis.reading.read import Read
+from diagnosis.search.candidates import SEEN_BY_ENCODER, Candidate
+from diagnosis.search.cell import Cell, Rows
+from machine.effects.kernel import PAYLOAD
+from machine.effects.layout import (
+    BASE_COMPLIANCE,
+    BASE_TILT,
+    CLOCK_OFFSET,
+    CLOCK_RATE_PPM,
+    CLOCK_ZERO,
+    FOCAL,
+    STEREO,
+    ParameterSets,
+)
+from machine.rotations import Array
+
+REMEMBERED = 400  # residuals of one part
+OF_CLOCK = [CLOCK_OFFSET, CLOCK_RATE_PPM, CLOCK_ZERO]
+OF_ARM = [PAYLOAD, *range(BASE_TILT.start, BASE_TILT.stop), BASE_COMPLIANCE, *OF_CLOCK]
+OF_MOUNT = list(range(FOCAL, STEREO.stop))
+JOINED_UNIT = "floors"
+OF_A_TURN = ("encoder_eccentricity",)
+
+
+def behind_cells(whole: Read, base: ParameterSets, with_odometry: bool = False) -> list[Cell]:
+    """What was measured behind the encoders: one cell, or none.
+
+    `with_odometry`: what it usually leaves is in no baseline, so that beside one it is left alone.
+    """
+    nominal = whole.nominal
+    paths = paths_of(whole.stretches)
+    points = point_cells(whole, base, paths)
+    parts = (with_form(points, nominal) if nominal is not None else points) + camera_cells(whole, base, paths)
+    parts += odometry_cells(whole, base, paths) if with_odometry else []
+    if len(parts) < 2:
+        return parts
+    known = nominal.remainder("structure") if nominal is not None else None
+    if known is None:
+        return [joined(parts)]
+    return [replace(joined(parts, known.spread), usual_names=known.usual_names)]
+
+
+def independent(cell: Cell, count: int) -> int:
+    """How many of so many residuals speak for themselves: where the noise was never measured, what an arm's model is
+    wrong by in one pose takes all of that pose's points with it.
+    """
+    if cell.floor_known or not isinstance(cell.whitened, PointResidual):
+        return count
+    return min(count, 3 * len(np.unique(cell.whitened.noise.instants)))
+
+
+def guessed_scatter_m(cell: Cell) -> float:
+    """The noise of measured points where it was guessed from what no mixture of effects explains; else 0."""
+    own = [
+        float(part.whitened.noise.own.max())
+        for part in cell.parts or (cell,)
+        if not part.floor_known and isinstance(part.whitened, PointResidual)
+    ]
+    return max(own, default=0.0)
+
+
+def joined(parts: list[Cell], spread: float = 1.0) -> Cell:
+    """Several cells as one: candidates of all, residuals end to end.
+
+    Folds keep their numbers (a quarter of every part is left out together), blocks and series do not.
+    """
+    candidates: dict[tuple[object, ...], Candidate] = {}
+    for part in parts:
+        for one in part.candidates:
+            candidates.setdefault((one.key, one.option, one.fixed), one)
+    pieces = [_Remembered(part.whitened, *_columns(part)) for part in parts]
+
+    def whitened(sets: ParameterSets) -> Array:
+        return np.concatenate([piece(sets) for piece in pieces], axis=1)
+
+    stages = {part.stage for part in parts}
+    return Cell(
+        stage="structure" if "structure" in stages else parts[0].stage,
+        joint=parts[0].joint if len({part.joint for part in parts}) == 1 else None,
+        unit=parts[0].unit if len({part.unit for part in parts}) == 1 else JOINED_UNIT,
+        candidates=tuple(candidates.values()),
+        base=parts[0].base,
+        whitened=whitened,
+        rows=_rows([part.rows for part in parts]),
+        scale=np.concatenate([part.scale for part in parts]),
+        quiet=float(np.average([part.quiet for part in parts], weights=[part.rows.count for part in parts])),
+        floor_known=2 * sum(part.rows.count for part in parts if part.floor_known) >= sum(p.rows.count for p in parts),
+        same_kind=all(part.same_kind for part in parts),
+        regressors=(),
+        t_s=np.concatenate([part.t_s for part in parts]),
+        coarse=any(part.coarse for part in parts),
+        least_nats=max(part.least_nats for part in parts),
+        spread_least=max(spread, *(part.spread_least for part in parts)),
+        parts=tuple(parts),
+    )
+
+
+def _rows(rows: list[Rows]) -> Rows:
+    def shifted(name: str) -> NDArray[np.int64]:
+        out, first = [], 0
+        for one in rows:
+            numbers = getattr(one, name)
+            out.append(numbers + first)
+            first += int(numbers.max(initial=-1)) + 1
+        return np.concatenate(out).astype(np.int64)
+
+    fold = np.concatenate([one.fold for one in rows]).astype(np.int64)
+    return Rows(fold, shifted("block"), shifted("series"), shifted("channel"))
+
+
+def _columns(part: Cell) -> tuple[bool, list[int] | None]:
+    """Whether a part feels the joints' parameters, and which of the machine's; None: all."""
+    if part.parts or isinstance(part.whitened, ChordResidual):
+        return True, None
+    if not isinstance(part.whitened, CornerResidual):
+        return True, OF_ARM if part.stage == "structure" else None
+    return (True, None) if part.whitened.on == "ooi" else (False, OF_MOUNT)
+
+
+@dataclass(slots=True)
+class _Remembered:
+    """A part's residual, run only for sets that differ in what the part feels: a lens moves no tracked point."""
+
+    whitened: Callable[[ParameterSets], Array]
+    joints: bool
+    machine: list[int] | None
+    known: dict[bytes, Array] = field(default_factory=dict)
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        keys = [self._key(sets, k) for k in range(sets.sets)]
+        found = {key: self.known[key] for key in keys if key in self.known}
+        fresh = {key: k for k, key in enumerate(keys) if key not in found}
+        if fresh:
+            chosen = np.array(list(fresh.values()))
+            rows = self.whitened(ParameterSets(sets.joint[chosen].copy(), sets.machine[chosen].copy()))
+            found.update(zip(fresh, rows, strict=True))
+            self._keep(found, fresh)
+        return np.stack([found[key] for key in keys])
+
+    def _keep(self, found: dict[bytes, Array], fresh: dict[bytes, int]) -> None:
+        for key in fresh:
+            self.known[key] = found[key]
+        while len(self.known) > REMEMBERED:
+            self.known.pop(next(iter(self.known)))
+
+    def _key(self, sets: ParameterSets, k: int) -> bytes:
+        machine = sets.machine[k] if self.machine is None else sets.machine[k, self.machine]
+        return machine.tobytes() + (sets.joint[k].tobytes() if self.joints else b"")
+
+
+def measurement_of(part: Cell) -> str:
+    """Which measurement behind the encoders a part is: static, tracker, ooi, tool, odometry; empty for other stages."""
+    if isinstance(part.whitened, ChordResidual):
+        return "odometry"
+    if isinstance(part.whitened, CornerResidual):
+        return part.whitened.on
+    if isinstance(part.whitened, PointResidual):
+        return "tracker" if part.whitened.paths else "static"
+    return ""
+
+
+def energies(cells: list[tuple[Cell, Array]]) -> dict[str, float]:
+    """Mean squared residual in floors by measurement, of cells with their residuals (N,)."""
+    out: dict[str, float] = {}
+    for cell, residual in cells:
+        for part, own in cell.by_part(residual):
+            out[measurement_of(part)] = float(np.mean(own**2))
+    return out
+
+
+def told_behind(cells: list[Cell]) -> tuple[str, ...]:
+    """The encoders' effects that these cells show: actuators leave them to what was measured behind."""
+    seen = {one.name for cell in cells for one in cell.candidates}
+    return tuple(name for name in SEEN_BY_ENCODER if name in seen)
+
+
+def without(cells: list[Cell], names: tuple[str, ...]) -> list[Cell]:
+    """Cells whose library lacks these effects."""
+    return _kept(cells, lambda one: one.name not in names) if names else cells
+
+
+def fitting(cells: list[Cell], nominal: Nominal) -> list[Cell]:
+    """Cells without effects that such a joint cannot have: what slides has no turn that a wave could go with."""
+    if not any(nominal.sliding):
+        return cells
+    slides = [False, *nominal.sliding]  # by joint; the machine's own are at 0
+    return _kept(cells, lambda one: one.name not in OF_A_TURN or not slides[one.joint or 0])
+
+
+def _kept(cells: list[Cell], wanted: Callable[[Candidate], bool]) -> list[Cell]:
+    return [replace(cell, candidates=tuple(one for one in cell.candidates if wanted(one))) for cell in cells]

@@ -1,0 +1,208 @@
+"""The cell of marker corners [px]: arm, mount, lens, markers and the camera's clock against the encoders."""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from diagnosis.behind.corner_residual import CornerResidual, Frames, nuisance_of, small_motion, solved
+from diagnosis.behind.link_angles import Path, candidates_behind, inside, link_angles, paths_of, without_encoders
+from diagnosis.behind.loose_marker import loose_marker
+from diagnosis.behind.saturated import saturated_noise
+from diagnosis.behind.views import mean_pose, views_of
+from diagnosis.behind.views_one_eye import one_eye_views
+from diagnosis.cells.camera_clock import UNTOLD, late_by_motion_s
+from diagnosis.cells.points import rows_of
+from diagnosis.datagrams.clocks import camera_to_plc_s, guessed
+from diagnosis.log.nominal import Nominal
+from diagnosis.log.tables import MarkerTable
+from diagnosis.noise.of_corners import AXES, PLAIN, CornerNoise, noise_of_visits
+from diagnosis.reading.read import Read
+from diagnosis.search.candidates import candidates_of
+from diagnosis.search.cell import Cell, Rows
+from machine.effects.layout import ParameterSets
+from machine.effects.structure import tcp_poses
+from machine.remainder import Remainder
+from machine.rotations import Array
+
+FRAMES_MAX = 160
+TIME_TOLERANCE_S = 1e-6
+MARGIN_S = 0.6  # a stretch's ends: the clock's offset may lie this far off
+SIGMA_MIN_PX = 0.03
+STILL_RAD = 3e-3
+VISITS_S = 3.0
+VISITED_MIN = 20  # corners seen again
+VIEWS_MIN = 4  # poses of the object to place it by
+TIMED = ("clock_offset", "clock_drift", "camera_latency", "rolling_shutter")
+
+
+def camera_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None = None) -> list[Cell]:
+    """Cells for the object of interest, seen while the arm moves, and for the tool.
+
+    `paths`: the encoders' courses, if they are known.
+    """
+    nominal, tables = whole.nominal, whole.tables
+    if nominal is None or tables is None or tables.markers is None or nominal.arm is None:
+        return []
+    if nominal.camera is None or nominal.T_tcp_cam_left is None:
+        return []
+    paths = paths_of(whole.stretches) if paths is None else paths
+    markers, to_plc_s = tables.markers, camera_to_plc_s(tables)
+
+    def cells_of(on: Literal["tool", "ooi"], late_s: float | None = None) -> list[Cell]:
+        table = replace(markers, t_s=markers.t_s + to_plc_s - (late_s or 0.0))
+        frames = frames_of(nominal, table, on, paths)
+        return [] if frames is None else _cell(whole, nominal, frames, on, paths, base, table, late_s is not None)
+
+    seen = cells_of("ooi")
+    if seen and guessed(tables):
+        seen = cells_of("ooi", late_by_motion_s(seen[0]))
+    return seen + cells_of("tool")
+
+
+def frames_of(
+    nominal: Nominal, table: MarkerTable, on: Literal["tool", "ooi"], paths: tuple[Path, ...]
+) -> Frames | None:
+    """At most 160 frames, spread evenly over those that lie within stretches."""
+    markers = tuple(one for one in nominal.markers if one.on == on)
+    number = {one.marker_id: k for k, one in enumerate(markers)}
+    usable = np.array([int(i) in number for i in table.ids]) & (table.eye >= 0) & np.isfinite(table.t_s)
+    if on == "ooi":
+        usable &= inside(paths, table.t_s, MARGIN_S) >= 0
+    if not markers or int(usable.sum()) < 8:
+        return None
+    rows = np.nonzero(usable)[0]
+    rows = rows[np.argsort(table.t_s[rows], kind="stable")]
+    groups = np.split(rows, np.nonzero(np.diff(table.t_s[rows]) > TIME_TOLERANCE_S)[0] + 1)
+    chosen = np.unique(np.linspace(0, len(groups) - 1, FRAMES_MAX).astype(int))
+    pixels = np.full((len(chosen), 2, len(markers), 4, 2), np.nan)
+    for k, group in enumerate(chosen):
+        for row in groups[group]:
+            pixels[k, table.eye[row], number[int(table.ids[row])]] = table.corners[row]
+    pixels[np.isnan(pixels).any(axis=-1)] = np.nan  # half of a corner is no place in the image
+    return Frames.of(np.array([table.t_s[groups[k][0]] for k in chosen]), pixels, markers)
+
+
+def _cell(
+    whole: Read,
+    nominal: Nominal,
+    frames: Frames,
+    on: Literal["tool", "ooi"],
+    paths: tuple[Path, ...],
+    base: ParameterSets,
+    table: MarkerTable,
+    untimed: bool = False,
+) -> list[Cell]:
+    at = inside(paths, frames.t_s) if on == "ooi" else np.zeros(len(frames.t_s), dtype=np.int64)
+    start_s = float(paths[0].t_s[0]) if paths else 0.0
+    rough = CornerResidual(nominal, frames, on, paths, at, start_s, np.eye(4), np.zeros((0, 0)), PLAIN, untimed)
+    placed = _placed(rough, nominal, table, base)
+    if placed is None:
+        return []
+    joints = tuple(range(1, nominal.n + 1))
+    candidates = candidates_of("camera", joints, True)
+    if on == "ooi":
+        candidates = candidates_behind(joints, paths) + candidates
+        candidates += candidates_of("time", joints, True)
+    else:
+        candidates = tuple(one for one in candidates if one.name not in TIMED)
+    untold = ("odometry_scale", *(UNTOLD if untimed else ()))
+    candidates = tuple(one for one in candidates if one.name not in untold)
+    visits = _visits(placed, base)
+    known = noise_of_visits(visits, 1 if on == "tool" else VISITED_MIN)
+    loose = loose_marker(visits, len(frames.markers))
+    noise = known if known is not None else _of_two(saturated_noise(placed, base, candidates, frames.groups))
+    noise = replace(noise, own=np.maximum(noise.own, SIGMA_MIN_PX))
+    record = nominal.remainder("camera", on=on)
+    rows, t_s = _rows(frames)
+    noise = noise.with_remainder(record)
+    left = _share_left(record, noise) if record is not None else 0.0
+    return [
+        Cell(
+            stage="camera",
+            joint=None,
+            unit="px",
+            candidates=candidates,
+            base=base,
+            whitened=replace(placed, noise=noise),
+            rows=rows,
+            scale=np.hypot(noise.own, noise.shared)[rows.channel % 2],
+            quiet=1.0,
+            floor_known=known is not None,
+            same_kind=False,
+            regressors=(("time", t_s),),
+            t_s=t_s,
+            usual=record.usual_at(left) if record is not None else (),
+            left_share=left,
+            restless="" if loose is None else loose.told(frames.markers[loose.number].marker_id),
+        )
+    ]
+
+
+def _of_two(own_and_shared: tuple[float, float]) -> CornerNoise:
+    own, shared = own_and_shared
+    return CornerNoise(np.full(AXES, own), np.full(AXES, shared))
+
+
+def _share_left(record: Remainder, noise: CornerNoise) -> float:
+    """Of the corners' floor, in squares: what the baseline leaves."""
+    left = record.sigma**2 + float(np.mean(np.square(record.by_axis or (0.0,))))
+    return min(1.0, left / float(np.mean(noise.own**2 + noise.shared**2)))
+
+
+def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: ParameterSets) -> CornerResidual | None:
+    """With the object's nominal place: the tool's by the machine file, the OOI's by what was seen."""
+    if rough.on == "tool":
+        T = nominal.T_tcp_tool
+        return None if T is None else replace(rough, T_base_ooi=T)
+    views = views_of(nominal, table, "ooi")
+    if len(views.t_s) < VIEWS_MIN:
+        views = one_eye_views(nominal, table, "ooi")
+    at = inside(rough.paths, views.t_s, MARGIN_S)
+    kept = at >= 0
+    if int(kept.sum()) < VIEWS_MIN or nominal.arm is None or nominal.T_tcp_cam_left is None:
+        return None
+    some = np.nonzero(kept)[0][np.unique(np.linspace(0, int(kept.sum()) - 1, FRAMES_MAX).astype(int))]
+    q = link_angles(rough.paths, base, 0, at[some], views.t_s[some])
+    Ts = tcp_poses(nominal.arm, without_encoders(base), q) @ nominal.T_tcp_cam_left @ views.Ts_cam_object[some]
+    placed = replace(rough, T_base_ooi=mean_pose(Ts))
+    for _ in range(3):  # the mean of single poses is coarse: settle on the corners themselves
+        nuisance = nuisance_of(placed, base)
+        plain = without_encoders(base)
+        residual = placed.difference(plain, 0, placed.poses(base, plain, 0, 0.0), None, placed.T_base_ooi)
+        placed = replace(placed, T_base_ooi=placed.T_base_ooi @ small_motion(-solved(nuisance, residual)[:6]))
+    return replace(placed, nuisance=nuisance_of(placed, base))
+
+
+def _rows(frames: Frames) -> tuple[Rows, Array]:
+    """Rows by frame; the residual holds only what was seen."""
+    seen = np.isfinite(frames.pixels).reshape(len(frames.t_s), -1)
+    whole = rows_of(len(frames.t_s), seen.shape[1])
+    kept = seen.ravel()
+    cut = replace(
+        whole, fold=whole.fold[kept], block=whole.block[kept], series=whole.series[kept], channel=whole.channel[kept]
+    )
+    return cut, np.repeat(frames.t_s, seen.shape[1])[kept]
+
+
+def _visits(placed: CornerResidual, base: ParameterSets) -> list[Array]:
+    """Corners (k, C, 2) [px] of each pose that was looked at again, seconds apart.
+
+    Residuals, not corners: a pose that repeats to a millimetre only would look like noise of pixels.
+    """
+    pixels = placed.frames.pixels
+    if placed.on == "tool":
+        return [pixels.reshape(len(pixels), -1, 2)]
+    flat = pixels.copy()
+    flat[np.isfinite(flat)] = placed(base)[0]
+    flat = flat.reshape(len(pixels), -1, 2)
+    q = link_angles(placed.paths, base, 0, placed.at, placed.frames.t_s)
+    visits: list[Array] = []
+    left = list(range(len(q)))
+    while left:
+        first = left.pop(0)
+        same = [k for k in left if np.abs(q[k] - q[first]).max() < STILL_RAD]
+        if any(placed.frames.t_s[k] - placed.frames.t_s[first] > VISITS_S for k in same):
+            visits.append(flat[[first, *same]])
+        left = [k for k in left if k not in set(same)]
+    return visits

@@ -1,0 +1,182 @@
+"""Cells of link, controller and actuator: 20 Hz increments of measured less replayed, white by the repeats' noise."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.noise.floor import BLOCK_S, Floor, Whitener
+from diagnosis.replay.read_off import reached, read_off
+from diagnosis.replay.regressors import regressors_of
+from diagnosis.replay.replayer import Prepared, Replayer, measured_output
+from diagnosis.replay.stage_floor import at_noise, stage_floor
+from diagnosis.replay.stage_replay import SKIPPED, Replay, part_of, white_rows
+from diagnosis.replay.stretches import Stretch
+from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, candidates_of, named
+from diagnosis.search.cell import FORM_SHARE, Cell, Rows, blocks_of, folds_of
+from machine.effects.layout import ParameterSets
+from machine.remainder import Remainder
+from machine.rotations import Array
+
+UNIT = {"link": "rad", "controller": "1", "actuator": "rad/s"}
+FORM_SHARE_OIL = 0.03  # friction and dead bands of real valves are no single number
+
+
+def stage_cells(
+    stage: str, replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets, course: ParameterSets
+) -> list[Cell]:
+    """The cells of one stage that the stretches allow: the link as one, controller and actuator joint by joint.
+
+    Args: course: what is known of the stages before, for the inputs' course between logged rows.
+    """
+    prepared = [replayer.prepare(one, course) for one in stretches]
+    some = [one for one in prepared if stage in one.drives and measured_output(stage, one.stretch) is not None]
+    if not some:
+        return []
+    floor = stage_floor(replayer, stage, some, base)
+    seen = [j for j in range(replayer.nominal.n) if all(_recorded(stage, one, j) for one in some)]
+    groups = [tuple(seen)] if stage == "link" else [(j,) for j in seen]
+    return [cell_of(stage, joints, some, floor, base, replayer) for joints in groups if joints]
+
+
+def coupled_cell(
+    replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets, course: ParameterSets
+) -> Cell | None:
+    """All joints' actuators at once, for what couples them: the pump's sharing."""
+    some = [one for one in (replayer.prepare(s, course) for s in stretches) if "actuator" in one.drives]
+    n = replayer.nominal.n
+    if not some or n < 2 or not all(_recorded("actuator", one, j) for one in some for j in range(n)):
+        return None
+    floor = stage_floor(replayer, "actuator", some, base)
+    cell = cell_of("actuator", tuple(range(n)), some, floor, base, replayer)
+    return replace(cell, candidates=named((DROOP,), ()))
+
+
+def _recorded(stage: str, one: Prepared, j: int) -> bool:
+    """Whether everything that a joint's replay needs was recorded."""
+    needed = {
+        "link": (one.stretch.ref,),
+        "controller": (one.stretch.ref, one.stretch.enc, one.stretch.u),
+        "actuator": (one.stretch.u, one.stretch.enc),
+    }[stage]
+    return all(signal is not None and bool(np.isfinite(signal[:, j]).all()) for signal in needed)
+
+
+def cell_of(
+    stage: str, joints: tuple[int, ...], prepared: list[Prepared], floor: Floor, base: ParameterSets, replayer: Replayer
+) -> Cell:
+    """One cell of a stage: these joints (0-based) over all prepared stretches."""
+    chosen = list(joints)
+    white = floor.whitener.only(chosen)
+    parts = tuple(part_of(stage, one, chosen, replayer) for one in prepared)
+    replay = Replay(stage, joints, parts, white)
+    kinds = [part.stretch.kind for part in parts]
+    per_channel = [white_rows(part, white.order) for part in parts]
+    blocks_by_part, folds_by_part, same = layout_of(kinds, per_channel)
+    spread = [np.tile(one, len(chosen)) for one in blocks_by_part]
+    folds = [np.tile(one, len(chosen)) for one in folds_by_part]
+    channel = [np.repeat(np.arange(len(chosen)), rows) for rows in per_channel]
+    series = [k * len(chosen) + one for k, one in enumerate(channel)]
+    rows = Rows(*(np.concatenate(one).astype(np.int64) for one in (folds, spread, series, channel)))
+    per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
+    scale = (floor.increment_rms[chosen] * per_second)[rows.channel]
+    regressors, t_s = regressors_of(parts, chosen, white.order, SKIPPED, per_channel)
+    one_based = tuple(j + 1 for j in joints)
+    whole = stage == "link" or len(joints) > 1
+    left = _records(replayer, stage, joints, white.sigma)
+
+    def again(noise: Whitener) -> Cell:
+        return cell_of(stage, joints, prepared, at_noise(floor, chosen, noise), base, replayer)
+
+    return Cell(
+        stage=stage,
+        joint=None if whole else one_based[0],
+        unit=UNIT[stage],
+        candidates=_candidates(stage, one_based, prepared, replayer),
+        base=base,
+        whitened=replay,
+        rows=rows,
+        scale=scale,
+        quiet=float(np.mean(floor.rms[chosen] ** 2)),
+        floor_known=floor.known,
+        same_kind=same,
+        regressors=regressors,
+        t_s=t_s,
+        coarse=any(part.plant.decimate > 1 for part in parts),
+        spread_least=left.spread,
+        form_share=FORM_SHARE_OIL if stage == "actuator" else FORM_SHARE,
+        usual=left.usual,
+        left_share=float(np.mean(left.shares)),
+        usual_names=left.usual_names,
+        at_noise=None if floor.known or stage != "actuator" or any(left.known) else again,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Records:
+    """What the machine file's baseline leaves of a cell's joints: a record each (None: nothing known), and its share of
+    that joint's floor, in squares."""
+
+    known: tuple[Remainder | None, ...]
+    shares: tuple[float, ...]
+
+    @property
+    def usual(self) -> tuple[tuple[str, float], ...]:
+        """Tests that fire on the undisturbed machine, the largest size of any joint."""
+        pairs = zip(self.known, self.shares, strict=True)
+        rows = [row for one, share in pairs if one is not None for row in one.usual_at(share)]
+        return tuple({name: max(size for n, size in rows if n == name) for name, _ in rows}.items())
+
+    @property
+    def usual_names(self) -> tuple[tuple[str, float], ...]:
+        """Names that gain much there, and what [nats]."""
+        return tuple({name: nats for one in self.known if one is not None for name, nats in one.usual_names}.items())
+
+    @property
+    def spread(self) -> float:
+        """By how much scores are divided at least: the most that a joint asks for."""
+        return max((one.spread for one in self.known if one is not None), default=1.0)
+
+
+def _records(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array) -> _Records:
+    """Of joints (0-based) with floors `sigma` (joints,)."""
+    known = tuple(replayer.nominal.remainder(stage, j + 1) for j in joints)
+    shares = (0.0 if one is None else min(1.0, (one.sigma / s) ** 2) for one, s in zip(known, sigma, strict=True))
+    return _Records(known, tuple(shares))
+
+
+def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]], bool]:
+    """Blocks and folds of each piece, and whether the folds are of one kind."""
+    blocks, _ = blocks_of(lengths)
+    folds, same = folds_of(kinds, lengths, blocks)
+    cuts = np.cumsum(lengths)[:-1]
+    return np.split(blocks, cuts), np.split(folds, cuts), same
+
+
+def _candidates(
+    stage: str, joints: tuple[int, ...], prepared: list[Prepared], replayer: Replayer
+) -> tuple[Candidate, ...]:
+    machine = stage == "link"
+    found = candidates_of(stage, joints, machine)  # pyright: ignore[reportArgumentType]
+    if stage == "link":
+        found = read_off(found, tuple(one.stretch for one in prepared))
+        plant = replayer.plant
+        cycles = (plant.cycle_s, plant.transport_delay_s)
+        drift_s = max(0.0 if one.stretch.sent is None else one.stretch.sent.drift_s for one in prepared)
+        delay = {"cycles": cycles, "drift_s": drift_s}
+        found = tuple(replace(one, **delay) if one.name == "transport_delay" else one for one in found)
+    if stage == "controller":
+        found = reached(found, tuple(one.stretch for one in prepared))
+    if stage == "actuator":
+        found = tuple(one for one in found if one.name != DROOP) + named(SEEN_BY_ENCODER, joints)
+    loaded = replayer.torque_reference
+    return tuple(one for one in found if possible(one, replayer, loaded))
+
+
+def possible(one: Candidate, replayer: Replayer, loaded: Array | None) -> bool:
+    """Whether a machine can have an effect at all: no droop without load, no lag error without a lag."""
+    if one.joint is None:
+        return True
+    if one.name in ("load_droop", "internal_leakage"):
+        return loaded is not None and bool(np.isfinite(loaded[one.joint - 1]))
+    return one.name != "controller_lag_error" or bool(replayer.plant.joints[one.joint - 1, 4] > 0.0)

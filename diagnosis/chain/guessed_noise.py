@@ -1,0 +1,75 @@
+"""The noise of actuators where no command was repeated: the process that no mixture of all effects explains.
+
+Why: a disturbance of the speed goes on over tenths of a second. Counted as white it makes every test fire, and a sound
+machine was called faulty. Not from the residual of the model under test: that would hide the gap.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from diagnosis.behind.saturated import unexplained
+from diagnosis.noise.floor import ORDER_MAX, Whitener, fit_whitener, increments
+from diagnosis.replay.stage_replay import Replay
+from diagnosis.search.candidates import put
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import Fit, evaluated_at, neutral_fit
+from diagnosis.search.search import Search, search
+from machine.rotations import Array
+
+ROUNDS = 3
+SETTLED = 0.05  # change of the noise's size
+SHARE_MAX = 0.2  # of the motion's own increments: what is more is no noise, but a model that does not fit
+TAKEN = ("whitened", "rows", "scale", "quiet", "regressors", "t_s")  # by the noise, of a cell
+
+
+def searched(cell: Cell) -> Search:
+    """Search a cell; where its noise was never measured, by what all effects together leave about the best model."""
+    noise = None if cell.at_noise is None else noise_about(cell, neutral_fit(cell))
+    if cell.at_noise is None or noise is None:
+        return search(cell)
+    found = search(_by(cell, cell.at_noise(noise)))
+    for _ in range(ROUNDS - 1):
+        again = noise_about(cell, max(found.scored, key=lambda one: one.total).fit)
+        if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
+            break
+        noise, found = again, search(_by(cell, cell.at_noise(again)))
+    return found
+
+
+def _by(cell: Cell, other: Cell) -> Cell:
+    """The cell with the other one's noise."""
+    return replace(cell, **{name: getattr(other, name) for name in TAKEN})
+
+
+def noise_about(cell: Cell, about: Fit) -> Whitener | None:
+    """The filter of a cell's joints; None where what is left is more than noise can be.
+
+    Args:  cell: by its first guess of the noise, which is white; about: the model that effects are added to.
+    Model: one linear step in all effects at once, its degrees of freedom counted; autoregression of what it leaves.
+    """
+    replay, at = cell.whitened, put(cell.base, about.hypothesis, about.theta)
+    if not isinstance(replay, Replay):
+        return None
+    left, dof = unexplained(lambda sets: evaluated_at(cell, sets), at, cell.candidates)
+    runs = [_runs(cell, left, channel) for channel in range(len(replay.joints))]
+    if not all(runs):
+        return None
+    found = [fit_whitener(own) for own in runs]
+    a = np.zeros((ORDER_MAX, len(found)))
+    for j, one in enumerate(found):
+        a[: one.order, j] = one.a[:, 0]
+    unit = replay.whitener.sigma * np.sqrt(len(left) / dof)
+    noise_rms = unit * np.array([np.sqrt(np.mean(np.concatenate(own) ** 2)) for own in runs])
+    moved = np.concatenate([increments(part.measured, part.stretch.dt_s) for part in replay.parts])
+    if (noise_rms > SHARE_MAX * np.sqrt(np.mean(moved**2, axis=0))).any():
+        return None
+    order = max(one.order for one in found)
+    return Whitener(a[:order], unit * np.array([float(one.sigma[0]) for one in found]))
+
+
+def _runs(cell: Cell, left: Array, channel: int) -> list[Array]:
+    """What is left of one joint (m, 1), stretch by stretch; those too short for a filter are left out."""
+    own = cell.rows.channel == channel
+    runs = [left[own & (cell.rows.series == number)][:, None] for number in np.unique(cell.rows.series[own])]
+    return [run for run in runs if len(run) > 2 * ORDER_MAX]

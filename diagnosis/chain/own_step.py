@@ -1,0 +1,97 @@
+"""How finely a machine, or its simulator, was stepped: no gap, since the nominal model allows any step up to 1 ms.
+
+Where encoders are quiet the model's own step shows, and would be named as a small gain or lag. Joints on which nothing
+else is wrong tell it, the same for all; where none does, the model's step is kept.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.cells.dynamic import stage_cells
+from diagnosis.noise.floor import increments
+from diagnosis.replay.replayer import Replayer
+from diagnosis.replay.stage_replay import SKIPPED, Replay, by_steps, part_increments, trust, whiten_sets
+from diagnosis.replay.stretches import Stretch
+from diagnosis.search.cell import Cell
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+CLEAN = 1.5  # mean square: what more is left has another cause, too
+GRID = np.linspace(0.0, 1.0, 1001)
+SURE = 0.1  # standard error, without a measured noise
+PAST = 0.3  # beyond the ends, by which chance may take a share
+
+
+@dataclass(frozen=True, slots=True)
+class Share:
+    """A joint's share of the way to endlessly many steps, its standard error, and the mean square that is left."""
+
+    value: float
+    sigma: float
+    left: float
+
+
+def at_its_step(replayer: Replayer, stretches: tuple[Stretch, ...], base: ParameterSets) -> Replayer:
+    """The replayer with the machine's own step, as far as its undisturbed joints tell it for sure."""
+    if all(replayer.learnt("actuator", j) for j in range(replayer.nominal.n)):
+        return replayer
+    cells = stage_cells("actuator", replayer, stretches, base, base)
+    shares = [share_of(one) for one in cells if one.joint and not replayer.learnt("actuator", one.joint - 1)]
+    return replace(replayer, finer=agreed([one for one in shares if one is not None]))
+
+
+def agreed(shares: list[Share]) -> float:
+    """What joints say together: the median by what each knows, as far as it is believed; 0 where none is clean."""
+    clean = [one for one in shares if one.left < CLEAN and -PAST <= one.value <= 1.0 + PAST]
+    if not clean:
+        return 0.0
+    clean.sort(key=lambda one: one.value)
+    known = np.cumsum([one.sigma**-2 for one in clean])
+    return believed(clean[int(np.searchsorted(known, known[-1] / 2.0))])
+
+
+def believed(share: Share) -> float:
+    """The mean of what a share may be; 0 where that is likelier: half of all simulators step as the model does."""
+    likely = np.exp(-0.5 * ((GRID - np.clip(share.value, 0.0, 1.0)) / share.sigma) ** 2)
+    none, finer = float(likely[0]), float(np.mean(likely))
+    return 0.0 if none >= finer else float(np.mean(GRID * likely)) / (none + finer)
+
+
+def share_of(cell: Cell) -> Share | None:
+    """Least squares over a joint's stretches, beside a shift and another course of the command in each.
+
+    Where the noise was never measured, what is left is the noise, and only a share that it leaves sure is told: of a
+    joint with a fault such a share lies far from any way a machine can have gone.
+    """
+    replay = cell.whitened
+    if not isinstance(replay, Replay):
+        return None
+    sets = replace(cell.base, joint=np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]))
+    both, own, energy, free = 0.0, 0.0, 0.0, -1
+    for part in replay.parts:
+        steps, shift = part_increments("actuator", part, sets)
+        column = increments(by_steps(part), part.stretch.dt_s)[None]
+        rows = min(steps.shape[1], column.shape[1])
+        signals = [one[:, :rows] for one in (steps, column, shift, *(one[None] for one in part.between))]
+        white = [whiten_sets(replay.whitener, one)[:, SKIPPED:] for one in signals]
+        left, along, *beside = ((one * trust(part, replay.whitener))[0, :, 0] for one in white)
+        if len(left) <= len(beside):
+            continue
+        left, along = _without(np.stack([left, along], axis=1), np.stack(beside, axis=1)).T
+        both, own = both + float(left @ along), own + float(along @ along)
+        energy, free = energy + float(left @ left), free + len(left) - len(beside)
+    if own <= 0.0 or free <= 0:
+        return None
+    rest = max(energy - both**2 / own, 0.0) / free
+    share = Share(both / own, float(np.sqrt(rest / own)), rest)
+    if cell.floor_known:
+        return share
+    return replace(share, left=1.0) if share.sigma < SURE else None
+
+
+def _without(signals: Array, columns: Array) -> Array:
+    """Signals (m, k) less what the columns (m, p) can explain of them."""
+    size = np.linalg.norm(columns, axis=0)
+    scaled = columns / np.where(size > 0.0, size, 1.0)
+    return signals - scaled @ np.linalg.lstsq(scaled, signals, rcond=1e-9)[0]

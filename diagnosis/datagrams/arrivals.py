@@ -1,0 +1,292 @@
+"""When each datagram took effect, as far as the log's rows bound it, and which of them never came.
+
+A datagram waits for the PLC's next cycle, the network takes a millisecond more or less, and two computers' clocks drift
+apart by twenty millionths: none of it is a fault. A link that is replayed as if every reference had come on the dot
+leaves that in the link, and through it in controllers and actuators.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.datagrams.lost import EPS_S, Mask, Numbered, late_enough, never_came, never_received
+from machine.rotations import Array
+
+ALLOWED_S = 5e-4  # a steady delay below it is no delay, but the wait for the next cycle
+FINE_CYCLE_S = 1.5e-3  # where each cycle is logged and longer than this, rows themselves show when a datagram came
+RATE_MAX = 2e-4  # by which two clocks may run apart
+DRIFT_USUAL = 1.5e-4  # of two crystals
+DRIFTS = 20  # tried to either side
+LESS = 0.78  # of the rows that a steady delay contradicts
+NOW_AND_THEN = 2e-3  # of the datagrams: what is late more often is a fault, or a drift of the clocks
+MISSES = 0.01  # of the rows, that may contradict a line more than they contradict the best one
+ROWS_MIN = 50
+SEARCHED_ROWS = 4000
+RATES_MAX = 500  # tried to either side: one stamp a year away is no drift
+FINER = 8
+WIDER = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Arrivals:
+    """Datagrams as they were sent, (k,) each, and as the rows show them.
+
+    `t_s`: when it was sent, on the PLC's clock, moved by what its arrival was beside the link's steady delay.
+    `earliest_s`, `latest_s`: between which two rows it came, infinite where none tell. `lost`: it never came; `judged`:
+    a row tells whether it did. None where no numbers were logged. `beside_s`: by how much they lie beside a steady
+    delay, RMS, and the clocks' drift `rate`. `unsure_s`: by how much arrivals that no row shows may lie beside `t_s`, a
+    deviation.
+    """
+
+    t_s: Array
+    earliest_s: Array
+    latest_s: Array
+    lost: Mask | None
+    judged: Mask | None
+    beside_s: float = 0.0
+    rate: float = 0.0
+    unsure_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Bounds:
+    """Rows that show a datagram: when (m,), which (m,), and between which delays that lies: low < delay <= high."""
+
+    t_s: Array
+    shown: NDArray[np.int64]
+    low: Array
+    high: Array
+
+    def leaning(self, rate: float) -> Self:
+        """As they would be, had the clocks run apart by `rate` from the middle of the rows on."""
+        off = rate * (self.t_s - self.middle_s)
+        return type(self)(self.t_s, self.shown, self.low - off, self.high - off)
+
+    @property
+    def middle_s(self) -> float:
+        """Half way through."""
+        return 0.5 * float(self.t_s[0] + self.t_s[-1])
+
+    @property
+    def span_s(self) -> float:
+        """From the first row to the last."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+    def fewer(self, most: int) -> Self:
+        """About so many of the rows, spread over all."""
+        every = slice(None, None, max(1, len(self.t_s) // most))
+        return type(self)(self.t_s[every], self.shown[every], self.low[every], self.high[every])
+
+
+@dataclass(frozen=True, slots=True)
+class _Delay:
+    """Delays [s] that contradict the fewest rows, `misses` of them [share], at a `rate` of the clocks."""
+
+    least_s: float
+    most_s: float
+    misses: float
+    rate: float = 0.0
+
+    def nearest(self, to_s: float) -> float:
+        """The one nearest to a given delay."""
+        return float(np.clip(to_s, self.least_s, self.most_s))
+
+
+def arrivals(
+    sent: Numbered,
+    rows: Numbered,
+    cycle_s: float,
+    nominal_s: float,
+    clock_known: bool = True,
+) -> Arrivals:
+    """When each datagram took effect beside a steady delay.
+
+    Args:    sent: when (k,) [s] on the PLC's clock, and number (k,). rows: when (m,) [s], and the number of the last
+             datagram received, negative where not logged. cycle_s: the PLC's. nominal_s: delay of the machine file.
+             clock_known: whether the two clocks' offset is; without, a steady delay is whatever it may be at the least.
+    Model:   the delay that contradicts the fewest rows, the one nearest to the machine file's; with clocks that run
+             apart only where that halves the contradictions. A delay below ALLOWED_S is none. What stays is moved into
+             the interval in which the rows saw the datagram appear, if that is no further away than a cycle and a
+             sending period: beyond, it is a fault of the link.
+    """
+    known = on_the_dot(sent, rows)
+    bounds = _bounds(sent, rows)
+    if bounds is None:
+        return known
+    period_s = float(np.median(np.diff(sent[0])))
+    if cycle_s > FINE_CYCLE_S and float(np.median(np.diff(rows[0]))) < WIDER * cycle_s:
+        return _now_and_then(known, bounds, cycle_s, nominal_s)
+    most_s = cycle_s + period_s
+    delay = _steady(bounds, nominal_s, most_s)
+    if clock_known and delay.rate == 0.0 and abs(delay.nearest(nominal_s) - nominal_s) > ALLOWED_S:
+        delay = _drifting(bounds, nominal_s, delay)
+    off = delay.rate * (sent[0] - bounds.middle_s)
+    ends = np.array([-0.5, 0.5]) * delay.rate * bounds.span_s
+    near = delay.nearest(nominal_s)
+    away = near - nominal_s + ends
+    named = 0.0
+    if not clock_known:
+        near = delay.least_s
+    elif away.min() > ALLOWED_S or away.max() < -ALLOWED_S:
+        near = 0.5 * (delay.least_s + delay.most_s)
+        named = float(near - nominal_s + ends[np.argmin(np.abs(near - nominal_s + ends))])
+    came = sent[0] + near + off
+    lost, judged = known.lost, known.judged
+    if lost is None:
+        lost, judged = never_came(came, (bounds.t_s, bounds.shown))
+    with_next = np.zeros(len(came), dtype=bool)
+    if known.lost is not None and late_enough(known.lost, came, (bounds.t_s, bounds.shown)):
+        lost, with_next = with_next, known.lost
+    earliest, latest = _rows_beside(bounds, len(came), cycle_s)
+    moved = _into(earliest, latest, came)
+    moved[(np.abs(moved) > most_s) & ~with_next] = 0.0
+    if lost is not None:
+        moved[lost] = 0.0
+    if named:
+        named += float(np.median(moved))
+    t_s = np.maximum.accumulate(came + moved - nominal_s - named)
+    waited = _cycle_of(came + moved, bounds, cycle_s) - _cycle_of(came, bounds, cycle_s)
+    some = np.mean(waited != 0.0) > MISSES  # a segment's first datagram may have been there before
+    beside_s = cycle_s * float(np.sqrt(np.mean(waited**2))) if some else 0.0
+    share = float(np.mean(lost[judged])) if lost is not None and judged is not None and judged.any() else 0.0
+    wait_s = 0.0 if _with_cycles(came, bounds, cycle_s) else cycle_s  # a row shows it only where one was just due
+    unsure_s = float(np.linalg.norm([beside_s, wait_s, np.sqrt(share * (1.0 - share)) * period_s]))
+    return Arrivals(t_s, earliest, latest, lost, judged, beside_s, delay.rate, unsure_s)
+
+
+def on_the_dot(sent: Numbered, rows: Numbered) -> Arrivals:
+    """Datagrams that came when they were sent, as far as anybody knows."""
+    nowhere = np.full(len(sent[0]), np.inf)
+    return Arrivals(sent[0], -nowhere, nowhere, *never_received(sent, rows))
+
+
+def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: float) -> Arrivals:
+    """Where every cycle has a row: all on the dot but for the few that a row showed one later than they were due.
+
+    Counted in rows, whatever their stamps are. One that no row shows is lost, or came with the next one: not late.
+    """
+    delay = _least_missed(bounds, nominal_s)
+    inside = delay.least_s <= nominal_s <= delay.most_s
+    came = known.t_s + (nominal_s if inside else 0.5 * (delay.least_s + delay.most_s))
+    shown, first = np.unique(bounds.shown, return_index=True)
+    late = np.zeros(len(came), dtype=bool)
+    late[shown] = first - np.searchsorted(bounds.t_s, came[shown] - EPS_S) == 1
+    if np.mean(late) > NOW_AND_THEN:
+        return known
+    return replace(known, t_s=np.maximum.accumulate(known.t_s + cycle_s * late))
+
+
+def _bounds(sent: Numbered, rows: Numbered) -> _Bounds | None:
+    """What the rows say of the delay; None where numbers are missing, or not in order."""
+    t_sent, number = sent
+    t_row, seq = rows
+    if len(number) < 2 or (np.diff(number) <= 0).any() or not (np.diff(t_sent) >= 0.0).all():
+        return None
+    if not np.isfinite(t_sent[[0, -1]]).all():
+        return None
+    at = np.searchsorted(number, seq)
+    there = np.isfinite(t_row) & (seq >= 0) & (at < len(number))
+    there[there] &= number[at[there]] == seq[there]
+    t, shown = t_row[there], at[there].astype(np.int64)
+    if len(t) < ROWS_MIN or (np.diff(t) <= 0.0).any() or (np.diff(shown) < 0).any():
+        return None
+    as_frequent = float(np.median(np.diff(t))) <= float(np.median(np.diff(t_sent))) + EPS_S
+    following = _next_shown(t_sent, shown) if as_frequent else np.append(t_sent, np.inf)[shown + 1]
+    return _Bounds(t, shown, t - following, t - t_sent[shown])
+
+
+def _next_shown(t_sent: Array, shown: NDArray[np.int64]) -> Array:
+    """When (m,) the next datagram was sent that any row shows: where rows are as frequent, the others may be lost."""
+    seen = np.unique(shown)
+    return np.append(t_sent[seen], np.inf)[np.searchsorted(seen, shown, side="right")]
+
+
+def _steady(bounds: _Bounds, nominal_s: float, most_s: float) -> _Delay:
+    """The delay, with a drift of the clocks only where that contradicts less than half as many rows as a steady one.
+
+    Rates are tried that lie half of most_s apart at the ends.
+    """
+    steady = _least_missed(bounds, nominal_s)
+    if steady.misses <= MISSES:
+        return steady
+    some = bounds.fewer(SEARCHED_ROWS)
+    step = min(0.5 * most_s / max(bounds.span_s, most_s), 0.25 * RATE_MAX)
+    steps = min(int(RATE_MAX / step), RATES_MAX)
+    best = _least_rate(some, nominal_s, [step * k for k in range(-steps, steps + 1)])
+    best = _least_rate(some, nominal_s, [best + step * k / FINER for k in range(-FINER, FINER + 1)])
+    found = _least_missed(bounds.leaning(best), nominal_s)
+    better = found.misses < 0.5 * steady.misses
+    return _Delay(found.least_s, found.most_s, found.misses, best) if better else steady
+
+
+def _drifting(bounds: _Bounds, nominal_s: float, steady: _Delay) -> _Delay:
+    """The least drift of the clocks from no delay at the first or the last row that contradicts hardly any row, or
+    clearly fewer than a steady delay; else that delay.
+
+    Why: two clocks that run apart by seventy millionths are five milliseconds apart after a minute, and every 20 ms a
+         datagram tells no better: that was a delay.
+    """
+    step = DRIFT_USUAL / DRIFTS
+    for rate in sorted((step * k for k in range(-DRIFTS, DRIFTS + 1) if k), key=abs):
+        leaning = bounds.leaning(rate)
+        for near in (nominal_s + 0.5 * rate * bounds.span_s, nominal_s - 0.5 * rate * bounds.span_s):
+            early, late = leaning.low + EPS_S - near, near - leaning.high - EPS_S
+            misses = float(np.mean((early > 0.0) | (late > 0.0)))
+            if misses <= max(MISSES, LESS * steady.misses):
+                return _Delay(near, near, misses, rate)
+    return steady
+
+
+def _least_rate(bounds: _Bounds, nominal_s: float, rates: list[float]) -> float:
+    """Of the rates that contradict about the fewest rows, the one in the middle."""
+    misses = np.array([_least_missed(bounds.leaning(rate), nominal_s).misses for rate in rates])
+    return float(np.mean(np.array(rates)[misses <= misses.min() + MISSES]))
+
+
+def _least_missed(bounds: _Bounds, nominal_s: float) -> _Delay:
+    """The range of steady delays that contradict about the fewest rows."""
+    low, high = np.sort(bounds.low + EPS_S), np.sort(bounds.high)
+    low_end = np.unique(np.round(np.concatenate([low, high, [nominal_s]]), 7))
+    tried = low_end[np.isfinite(low_end)]
+    too_early = len(low) - np.searchsorted(low - 0.5 * EPS_S, tried, side="right")
+    too_late = np.searchsorted(high + 0.5 * EPS_S, tried, side="left")
+    misses = (too_early + too_late) / len(low)
+    good = misses <= misses.min() + MISSES
+    best = int(np.argmin(np.where(good, np.abs(tried - nominal_s), np.inf)))
+    first, last = best, best
+    while first > 0 and good[first - 1]:
+        first -= 1
+    while last < len(tried) - 1 and good[last + 1]:
+        last += 1
+    return _Delay(float(tried[first]), float(tried[last]), float(misses[best]))
+
+
+def _cycle_of(t_s: Array, bounds: _Bounds, cycle_s: float) -> Array:
+    """The cycle (k,) that takes what comes at t_s (k,)."""
+    return np.ceil((t_s - bounds.t_s[0] - 0.1 * EPS_S) / cycle_s)
+
+
+def _with_cycles(came: Array, bounds: _Bounds, cycle_s: float) -> bool:
+    """Whether all come (k,) when a cycle begins: a plan, not a network's doing."""
+    cycles = (came - bounds.t_s[0]) / cycle_s
+    return float(np.abs(cycles - np.round(cycles)).max()) * cycle_s < 0.1 * EPS_S
+
+
+def _rows_beside(bounds: _Bounds, count: int, cycle_s: float) -> tuple[Array, Array]:
+    """The cycle after the last row that does not show a datagram yet (k,), and the first row that does, or a later one.
+
+    Infinite where there is none.
+    """
+    first = np.searchsorted(bounds.shown, np.arange(count), side="left")
+    hi = np.append(bounds.t_s, np.inf)[first]
+    lo = np.append(-np.inf, bounds.t_s)[first] + cycle_s
+    return np.minimum(lo, hi), hi
+
+
+def _into(earliest: Array, latest: Array, came: Array) -> Array:
+    """By how much each arrival (k,) lies beside the two rows between which the log saw it appear."""
+    moved = np.where(np.isfinite(earliest + latest), np.clip(came, earliest, latest) - came, 0.0)
+    moved[np.abs(moved) < EPS_S] = 0.0
+    return moved

@@ -1,0 +1,129 @@
+"""References as they were sent, on the PLC's clock: by which offset, and when each took effect."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.datagrams.arrivals import Arrivals, arrivals, on_the_dot
+from diagnosis.datagrams.by_value import by_value
+from diagnosis.log.findings import Finding
+from diagnosis.log.quality import ROWS_MIN
+from diagnosis.log.tables import Tables
+from machine.effects.dynamics import Actuators
+from machine.rotations import Array
+
+EARLY_MIN_S = 1e-6  # a datagram arrives before it was sent, by more than rounding: the offset given is wrong
+EARLY_MAX_S = 0.02  # beyond it the numbers are wrong, not the clocks
+BESIDE_S = 1e-4  # arrivals that are further beside a steady delay, RMS, are told
+RATE_TOLD = 5e-6  # so is a drift of the clocks
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """The reference as sent, on the PLC's clock: t_s (k,), q (k, n); begins before the stretch does.
+
+    `within_s` (2, k): between which times it came, by the log rows; None: nobody knows. `lost` (k,): datagrams that
+    never arrived; None where the log cannot tell. `judged` (k,): those of which it tells; None: all. `unsure_s`: by how
+    much those that no log row shows may have come at other times, a deviation.
+    """
+
+    t_s: Array
+    q: Array
+    lost: NDArray[np.bool_] | None = None
+    judged: NDArray[np.bool_] | None = None
+    within_s: Array | None = None
+    unsure_s: float = 0.0
+    drift_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class SentClock:
+    """How sent times become the PLC's: t_plc = t_pc - offset. `known`: given, not estimated from the data."""
+
+    offset_s: float
+    known: bool
+
+
+def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
+    """The offset between the PC's and the PLC's clock; estimated from sequence numbers where not given.
+
+    Model: without an offset the fastest datagram is taken to have arrived at once: delays are known but for a constant.
+           So it is with one by which datagrams arrive a little before they were sent.
+    """
+    if tables.sent is None:
+        return None
+    given = tables.run.plc_to_pc_offset_s
+    delays = _apparent_delays(tables)
+    if given is not None:
+        early_s = -(float(delays.min()) + given) if len(delays) else 0.0
+        if not EARLY_MIN_S < early_s < EARLY_MAX_S:
+            return SentClock(given, True)
+        text = (
+            f"clocks.plc_to_pc_offset_s = {given:g}: datagrams arrive up to {1e3 * early_s:.2g} ms before they were "
+            "sent; the link's delay is known but for a constant (the fastest datagram counts as 0): measure it again"
+        )
+        findings.append(Finding("clock_offset_wrong", "note", "run.toml", text))
+        return SentClock(-float(delays.min()), False)
+    if len(delays) == 0:
+        text = "no clocks.plc_to_pc_offset_s and no sequence numbers: sent and received reference cannot be compared"
+        findings.append(Finding("clock_offset_unknown", "problem", "run.toml", text))
+        return None
+    text = (
+        "no clocks.plc_to_pc_offset_s: the link's delay is known but for a constant (the fastest datagram counts as 0)"
+    )
+    findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
+    return SentClock(-float(delays.min()), False)
+
+
+def arrivals_of(tables: Tables, plant: Actuators | None, findings: list[Finding]) -> Arrivals | None:
+    """When each datagram took effect; None where sent and received cannot be compared."""
+    clock = sent_clock(tables, findings)
+    if clock is None or tables.sent is None or tables.plc is None:
+        return None
+    sent, rows = (tables.sent.t_s - clock.offset_s, tables.sent.seq), (tables.plc.t_s, tables.plc.seq)
+    if (rows[1] < 0).all() and tables.plc.ref is not None:
+        number = by_value((rows[0], tables.plc.ref), (sent[0], tables.sent.q))
+        sent, rows = (sent[0], np.arange(len(sent[0]))), (rows[0], number)
+    if plant is None:
+        return on_the_dot(sent, rows)
+    came = arrivals(sent, rows, plant.cycle_s, plant.transport_delay_s, clock.known)
+    if came.beside_s > BESIDE_S or abs(came.rate) > RATE_TOLD:
+        drift = f", and the clocks drift by {1e6 * came.rate:.0f} ppm" if abs(came.rate) > RATE_TOLD else ""
+        text = (
+            f"datagrams reach the PLC {1e3 * came.beside_s:.2g} ms (RMS) beside a steady delay{drift}: each is "
+            "replayed as the rows show it; delays and lags that short cannot be told"
+        )
+        findings.append(Finding("uneven_arrivals", "note", "plc.csv", text))
+    return came
+
+
+def sent_within(tables: Tables, came: Arrivals | None, t_plc_s: Array) -> Sent | None:
+    """References from the last one before the stretch with log rows at t_plc_s (or 2 s before it) to its end."""
+    if came is None or tables.sent is None:
+        return None
+    t = came.t_s
+    good = np.isfinite(t) & np.isfinite(tables.sent.q).all(axis=1) & (t >= t_plc_s[0] - 2.0) & (t <= t_plc_s[-1])
+    if int(good.sum()) < ROWS_MIN:
+        return None
+    order = np.argsort(t[good], kind="stable")
+    return Sent(
+        t[good][order],
+        np.ascontiguousarray(tables.sent.q[good][order]),
+        None if came.lost is None else came.lost[good][order],
+        None if came.judged is None else came.judged[good][order],
+        np.stack([came.earliest_s, came.latest_s])[:, good][:, order],
+        came.unsure_s,
+        abs(came.rate) * float(np.ptp(t[np.isfinite(t)])),
+    )
+
+
+def _apparent_delays(tables: Tables) -> Array:
+    """t_plc - t_pc of each datagram at the first log row that has it."""
+    sent, plc = tables.sent, tables.plc
+    if sent is None or plc is None or (plc.seq < 0).all():
+        return np.zeros(0)
+    number, first = np.unique(plc.seq, return_index=True)
+    both, at_plc, at_pc = np.intersect1d(number, sent.seq, return_indices=True)
+    keep = both >= 0
+    return plc.t_s[first[at_plc[keep]]] - sent.t_s[at_pc[keep]]

@@ -1,0 +1,265 @@
+"""What an undisturbed machine's model is wrong by, as a function of what drives it: the baseline's nameless part.
+
+A velocity actuator stands for oil, friction and bending booms. What that leaves is mostly the same every day: fitted on
+some recordings, functions of the command, its change, the angle and the load, and the responses that come later
+(`families/responses.py`), foretell most of what they explain of another one. Taken as known, it hides no fault and looks like
+none. It is fixed by the undisturbed recordings: a diagnosis fits nothing of it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.behind.point_residual import PointResidual
+from diagnosis.errors import DiagnosisError
+from diagnosis.families.behind import acceleration_columns
+from diagnosis.families.driven import Course, courses_of, families_of, modelled_of, moving_families, white_columns
+from diagnosis.families.responses import RESPONSES, responses
+from diagnosis.log.nominal import Nominal
+from diagnosis.replay.stage_replay import Replay
+from diagnosis.search.cell import EXCEEDED_TIMES, Cell
+from diagnosis.search.fit import costs, neutral_fit, weights
+from machine.remainder import Form
+from machine.rotations import Array
+
+AT_ONCE = ("the valve command", "the change of the command", "the load", "the angle", "other joints")
+DRIVEN = (*AT_ONCE, *RESPONSES)
+TRACKED = "acceleration"
+KNOTS = np.array([-1.0, -0.5, -0.25, -0.12, -0.06, -0.03, 0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0])  # of full command
+PIECE_S = 0.1  # of a course: a motion of shuffled pieces has all the frequencies that matter
+RIDGES = (10.0, 100.0, 1e3, 1e4)  # rows' worth of prior, of a motion unlike any and of each number
+NEARLY = 0.85  # of the best gain
+WORTH_NATS = 1.0  # a recording: a family that adds less is not worth its numbers
+LEAST_NATS = 12.0  # over all recordings: twice the margin of a name
+TOGETHER_MIN = 3  # recordings: one of two would be foretold by a single one
+
+
+def with_form(cells: list[Cell], nominal: Nominal) -> list[Cell]:
+    """Cells less what their machine's model is known to be wrong by; as they are where the machine file says nothing.
+
+    Raises: DiagnosisError: the machine file's numbers belong to an arm with other joints.
+    """
+    return [_less(cell, nominal) for cell in cells]
+
+
+def _less(cell: Cell, nominal: Nominal) -> Cell:
+    seen = cell.whitened
+    if isinstance(seen, PointResidual) and seen.paths:
+        form = _form_of(nominal, cell.stage, None, "tracker")
+        if form:
+            known = _fitting({TRACKED: acceleration_columns(seen)}, form, "structure")
+            return replace(cell, whitened=replace(seen, known=known))
+    if isinstance(seen, Replay) and cell.stage == "actuator":
+        known, unlike = _course_taken_off(cell, seen, nominal)
+        return replace(cell, whitened=known, unlike=unlike)
+    return cell
+
+
+def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> tuple[Replay, tuple[int, ...]]:
+    """The replay less its joints' forms, and the joints (1-based) whose form is of no use to a motion like this."""
+    records = [nominal.remainder(cell.stage, joint + 1) for joint in replay.joints]
+    forms = [() if one is None else one.form for one in records]
+    most = [0.0 if one is None else one.form_most for one in records]
+    if not any(forms):
+        return replay, ()
+    unlike = []
+    measured, modelled = [part.measured.copy() for part in replay.parts], modelled_of(cell, replay)
+    moved: list[list[Callable[[Array], Array] | None]] = [[None] * len(replay.joints) for _ in replay.parts]
+    for channel, (joint, form) in enumerate(zip(replay.joints, forms, strict=True)):
+        if not form:
+            continue
+        courses = courses_of(cell, replay, modelled, channel)
+        known = [_fitting(one, form, f"{cell.stage} {joint + 1}") for one in _families(cell, courses)]
+        if most[channel] and _power(replay, channel, known) > EXCEEDED_TIMES * most[channel]:
+            unlike.append(joint + 1)
+            continue
+        for own, said, otherwise, course in zip(measured, known, moved, courses, strict=True):
+            own[: len(said), channel] -= said
+            otherwise[channel] = Otherwise.of(course, form)
+    pieces = zip(replay.parts, measured, moved, strict=True)
+    parts = tuple(replace(part, measured=own, moved=tuple(one)) for part, own, one in pieces)
+    return replace(replay, parts=parts), tuple(unlike)
+
+
+@dataclass(frozen=True, slots=True)
+class Otherwise:
+    """What a joint's form says beyond what was taken off (`said`), of a joint that moves otherwise than modelled.
+
+    Why: a joint that sticks moves in jumps where its command is smooth. Taken from the undisturbed model, a form then
+    speaks of a motion that never was: three quarters of what stiction of 0.2 left was that.
+    """
+
+    course: Course
+    form: Form
+    said: Array
+
+    @classmethod
+    def of(cls, course: Course, form: Form) -> "Otherwise":
+        """Of a stretch whose undisturbed model runs along `course`."""
+        families = moving_families(course)
+        own = tuple(one for one in form if one[0] in families)
+        return cls(course, own, _fitting(families, own, "a joint"))
+
+    def __call__(self, q: Array) -> Array:
+        """For a modelled course q (m,), in its unit (m,)."""
+        return _fitting(moving_families(replace(self.course, q=q)), self.form, "a joint") - self.said
+
+
+def _families(cell: Cell, courses: list[Course]) -> list[dict[str, Array]]:
+    """Of one joint's actuator, for each stretch: what it answers at once, and what it still answers later (m, k)."""
+    at_once = families_of(cell.stage, courses, KNOTS)
+    return [
+        {**{name: own[name] for name in AT_ONCE}, **responses(course)}
+        for own, course in zip(at_once, courses, strict=True)
+    ]
+
+
+def _power(replay: Replay, channel: int, signals: list[Array]) -> float:
+    """Mean square of signals (m,) of one joint, as white as its residual.
+
+    Why: asked about motions unlike those that it was fitted to, a form says much more than of any of those.
+    """
+    pieces = zip(replay.parts, signals, strict=True)
+    white = [white_columns(replay.whitener, channel, part.stretch.dt_s, one[:, None]) for part, one in pieces]
+    return float(np.mean(np.concatenate(white) ** 2))
+
+
+def most_of(cells: list[Cell], form: Form) -> float:
+    """The most that a joint's form says of these recordings, as `Remainder.form_most`; 0 for other cells."""
+    found = [0.0]
+    for cell in cells:
+        replay = cell.whitened
+        if isinstance(replay, Replay):
+            families = _families(cell, courses_of(cell, replay, modelled_of(cell, replay), 0))
+            found.append(_power(replay, 0, [_fitting(one, form, cell.label) for one in families]))
+    return max(found)
+
+
+def _form_of(nominal: Nominal, stage: str, joint: int | None, on: str) -> Form:
+    record = nominal.remainder(stage, joint, on)
+    return () if record is None else record.form
+
+
+def _fitting(families: dict[str, Array], form: Form, where: str) -> Array:
+    """What the families come to (m,)."""
+    total = np.zeros(len(next(iter(families.values()))))
+    for name, numbers in form:
+        columns = families.get(name)
+        if columns is None or columns.shape[1] != len(numbers):
+            wanted = "no such family here" if columns is None else f"{columns.shape[1]} wanted"
+            raise DiagnosisError(
+                f"machine file, [[remainder]] of {where}: form.{name} has {len(numbers)} numbers, {wanted}; "
+                "fit the baseline again (`longreach diagnose --fit-baseline`)"
+            )
+        total += columns @ np.array(numbers)
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class _Pile:
+    """Recordings' columns of one size (N, k), residuals (N,) and normal equations; `family` (k,): which each is of.
+
+    `prior` (k, k): a row's worth of it.
+    """
+
+    rows: tuple[tuple[Array, Array], ...]
+    normal: tuple[tuple[Array, Array], ...]
+    family: NDArray[np.int64]
+    prior: Array
+
+    def only(self, families: tuple[int, ...]) -> "_Pile":
+        """The same with these families alone."""
+        kept = np.isin(self.family, families)
+        normal = tuple((H[np.ix_(kept, kept)], g[kept]) for H, g in self.normal)
+        rows = tuple((B[:, kept], r) for B, r in self.rows)
+        return _Pile(rows, normal, self.family[kept], self.prior[np.ix_(kept, kept)])
+
+    def solved(self, ridge: float, without: int | None = None) -> Array:
+        """The numbers (k,) of all recordings but one."""
+        used = [one for k, one in enumerate(self.normal) if k != without]
+        H, g = np.sum([one[0] for one in used], axis=0), np.sum([one[1] for one in used], axis=0)
+        return np.asarray(np.linalg.solve(H + ridge * self.prior, g))
+
+    def gain(self, ridge: float) -> float:
+        """What each recording is foretold by the others, over all [nats]."""
+        if len(self.family) == 0:
+            return 0.0
+        return sum(float((costs(r) - costs(r - B @ self.solved(ridge, k))).sum()) for k, (B, r) in enumerate(self.rows))
+
+
+def form_of(cells: list[Cell]) -> Form:
+    """The form that the same cell of several undisturbed recordings has in common; empty where none is foretold.
+
+    Model: min sum w (r - B x)^2 + ridge |x|^2 over all recordings, columns of one size. Families that add little to
+           what the others foretell of a recording are dropped by the ridge that foretells most, and then the largest
+           ridge is taken that foretells nearly as much: what data do not ask for would be wrong where they never were.
+    """
+    pairs = [(columns, neutral_fit(cell).residual) for cell in cells if (columns := _white(cell))]
+    if len(pairs) < TOGETHER_MIN:
+        return ()
+    names = list(pairs[0][0])
+    unlike = [columns for cell in cells[:TOGETHER_MIN] if (columns := _white(cell, jumbled=True))]
+    pile, size = _piled(pairs, unlike, names)
+    best, loose = max((pile.gain(ridge), ridge) for ridge in RIDGES)
+    kept = tuple(range(len(names)))
+    while len(kept) > 1:
+        fewer = [tuple(k for k in kept if k != out) for out in kept]
+        gain, rest = max((pile.only(one).gain(loose), one) for one in fewer)
+        if gain < best - WORTH_NATS * len(pairs):
+            break
+        best, kept = gain, rest
+    chosen = pile.only(kept)
+    gains = {ridge: chosen.gain(ridge) for ridge in RIDGES}
+    if max(gains.values()) <= LEAST_NATS:
+        return ()
+    ridge = max(ridge for ridge, gain in gains.items() if gain >= NEARLY * max(gains.values()))
+    x = chosen.solved(ridge) / size[np.isin(pile.family, kept)]
+    return tuple((names[k], tuple(map(float, x[chosen.family == k]))) for k in kept)
+
+
+def _piled(
+    pairs: list[tuple[dict[str, Array], Array]], unlike: list[dict[str, Array]], names: list[str]
+) -> tuple[_Pile, Array]:
+    """All recordings on one pile, and what each column (k,) was divided by; inf where one never moves."""
+    family = np.repeat(np.arange(len(names)), [pairs[0][0][name].shape[1] for name in names])
+    stacked = [(np.concatenate([columns[name] for name in names], axis=1), r) for columns, r in pairs]
+    power = np.mean([np.mean(B**2, axis=0) for B, _ in stacked], axis=0)
+    size = np.sqrt(np.where(power > 0.0, power, np.inf))
+    rows = tuple((B / size, r) for B, r in stacked)
+    normal = tuple(((B.T * weights(r)) @ B, (B.T * weights(r)) @ r) for B, r in rows)
+    prior = np.eye(len(family))
+    if unlike:
+        U = np.concatenate([np.concatenate([columns[name] for name in names], axis=1) for columns in unlike]) / size
+        prior += U.T @ U / len(U)
+    return _Pile(rows, normal, family, prior), size
+
+
+def _white(cell: Cell, jumbled: bool = False) -> dict[str, Array]:
+    """Families (N, k) of a cell of one joint, or of tracked points, as white as its residual.
+
+    `jumbled`: of a motion unlike any that was recorded; none of tracked points, whose form has no memory.
+    """
+    seen = cell.whitened
+    if isinstance(seen, PointResidual) and seen.paths:
+        return {} if jumbled else {TRACKED: seen.noise.white(acceleration_columns(seen).T).T}
+    if not isinstance(seen, Replay) or cell.stage != "actuator":
+        return {}
+    courses = courses_of(cell, seen, modelled_of(cell, seen), 0)
+    if jumbled:
+        courses = [_jumbled(one) for one in courses]
+    pieces = zip(courses, _families(cell, courses), strict=True)
+    white = [
+        {name: white_columns(seen.whitener, 0, one.dt_s, families[name]) for name in DRIVEN} for one, families in pieces
+    ]
+    return {name: np.concatenate([one[name] for one in white]) for name in DRIVEN}
+
+
+def _jumbled(c: Course) -> Course:
+    """A motion of the same sizes that jumps all the time: the pieces of a course in another order."""
+    rows = max(1, round(PIECE_S / c.dt_s))
+    pieces = np.array_split(np.arange(len(c.q)), max(1, len(c.q) // rows))
+    order = np.concatenate([pieces[k] for k in np.random.default_rng(0).permutation(len(pieces))])
+    q = c.q[0] + c.whole(c.rate(c.q)[order])
+    return replace(c, q=q, drive=c.drive[order], load=c.load[order], others=c.others[order])

@@ -1,0 +1,1 @@
+"""A recording as it was written, the nominal machine, and what is wrong with either before anything is computed."""

@@ -1,0 +1,1 @@
+"""A recording, or several, as the diagnosis takes them: arrays by stage, the nominal machine, the findings."""

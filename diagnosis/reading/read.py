@@ -1,0 +1,213 @@
+"""A recording as the diagnosis takes it: arrays by stage, the nominal machine, and all that is wrong with either."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from diagnosis.behind.lost_points import without_spikes, without_zeros
+from diagnosis.behind.outlying import without_outlying
+from diagnosis.datagrams.clocks import guessed, plc_to_pc_s
+from diagnosis.datagrams.ref_by_number import with_reference
+from diagnosis.errors import DiagnosisError
+from diagnosis.log.findings import Finding, fatal
+from diagnosis.log.fitting_file import corner_findings, machine_findings
+from diagnosis.log.headers import header_findings, metre_findings
+from diagnosis.log.nominal import Nominal, nominal_of
+from diagnosis.log.pairing import pairing_findings
+from diagnosis.log.quality import plc_findings, time_findings
+from diagnosis.log.tables import Tables, tables_of
+from diagnosis.log.units import unit_findings
+from diagnosis.replay.merge import merge_of
+from diagnosis.replay.repeats import repeat_findings
+from diagnosis.replay.stretches import Stretch, stretches_of
+from recording.content import Recording
+from recording.errors import RecordingError
+from recording.opening import read_run
+from recording.rows import PlcState
+from recording.run import FORMAT_VERSION
+
+Stage = str
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """What could be read. `usable`: at least one stage can be judged; else `findings` say why not."""
+
+    path: Path
+    tables: Tables | None
+    nominal: Nominal | None
+    stretches: tuple[Stretch, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is a stage that can be judged."""
+        return self.nominal is not None and not fatal(self.findings) and bool(stages_present(self))
+
+    @property
+    def log_unused(self) -> bool:
+        """Whether there is a PLC's log of the encoders, empty, too broken or segmented too wrongly to be replayed."""
+        if self.tables is None or self.stretches:
+            return False
+        written = self.tables.plc is not None and self.tables.plc.enc is not None
+        return written or any(one.code == "no_rows" and one.subject == PlcState.file for one in self.findings)
+
+
+def read(path: Path, machine_file: Path | None = None) -> Read:
+    """Read a recording for diagnosis. What is wrong with it is a finding, never an exception.
+
+    Args: machine_file: used in place of the recording's own machine.toml.
+    """
+    findings: list[Finding] = []
+    if path.is_dir():
+        findings += _guarded(lambda: header_findings(path), path.name)
+    try:
+        recording = read_run(path)
+    except RecordingError as error:
+        return Read(path, None, None, (), (*findings, _unreadable(path, error)))
+    return examine(recording, path, machine_file, findings)
+
+
+def examine(recording: Recording, path: Path, machine_file: Path | None = None, before: Sequence[Finding] = ()) -> Read:
+    """What a recording in memory gives. `path`: what it is called; `before`: what its form already showed."""
+    findings = [*before, *_form_findings(recording, path)]
+    tables, by_number = with_reference(tables_of(recording))
+    findings += by_number
+    nominal = _nominal(path, recording, tables, machine_file, findings)
+    findings += _checks(tables, nominal)
+    if path.is_dir() and nominal is not None:
+        findings += _guarded(lambda: metre_findings(path, nominal.sliding), path.name)
+    stretches: tuple[Stretch, ...] = ()
+    if not fatal(findings):
+        stretches, left_out = stretches_of(tables, None if nominal is None else nominal.actuators)
+        findings += left_out + repeat_findings(stretches)
+        tables, outside = _without_wild_points(tables, nominal, stretches)
+        findings += outside
+    whole = Read(path, tables, nominal, stretches, tuple(findings))
+    if fatal(findings) or stages_present(whole):
+        return whole
+    return Read(path, tables, nominal, stretches, (*findings, _nothing(whole)))
+
+
+def _without_wild_points(
+    tables: Tables, nominal: Nominal | None, stretches: tuple[Stretch, ...]
+) -> tuple[Tables, list[Finding]]:
+    """Measured points that are none are named and left out, so that they do not widen the noise of the others."""
+    static, tracker, findings = tables.static, tables.tracker, list[Finding]()
+    if static is not None:
+        static, zeros = without_zeros(static, "static.csv")
+        static, outside = without_outlying(nominal, static) if nominal is not None else (static, [])
+        findings += zeros + outside
+    if tracker is not None:
+        tracker, zeros = without_zeros(tracker, "tracker.csv")
+        spikes: list[Finding] = []
+        if nominal is not None and nominal.arm is not None:
+            tracker, spikes = without_spikes(nominal, tracker, stretches)
+        findings += zeros + spikes
+    return replace(tables, static=static, tracker=tracker), findings
+
+
+def _unreadable(path: Path, error: RecordingError) -> Finding:
+    text = str(error)
+    code = "format_version" if "format_version" in text else "unreadable"
+    code = "missing_column" if "count from 1 without gaps" in text or "is missing;" in text else code
+    return Finding(code, "fatal", path.name, text)
+
+
+def _guarded(check: Callable[[], list[Finding]], subject: str) -> list[Finding]:
+    try:
+        return check()
+    except OSError as error:
+        return [Finding("unreadable", "fatal", subject, f"cannot be read: {error.strerror}")]
+
+
+def _form_findings(recording: Recording, path: Path) -> list[Finding]:
+    findings = []
+    if path.is_dir() and not (path / "run.toml").is_file():
+        text = "is not there: no segments, no repeats, no clocks are known"
+        findings.append(Finding("no_run_file", "note", "run.toml", text))
+    if not recording.complete:
+        text = "the file was cut; what could be read is used, `longreach recording recover` writes a whole one"
+        findings.append(Finding("cut_file", "problem", "recording", text))
+    if recording.run.format_version < FORMAT_VERSION:
+        text = f"format_version {recording.run.format_version} is older than {FORMAT_VERSION}; read as its own version"
+        findings.append(Finding("format_version", "note", "run.toml", text))
+    return findings
+
+
+def _nominal(
+    path: Path, recording: Recording, tables: Tables, machine_file: Path | None, findings: list[Finding]
+) -> Nominal | None:
+    text = recording.machine_toml
+    if machine_file is not None:
+        try:
+            text = machine_file.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            findings.append(Finding("machine_file", "fatal", machine_file.name, f"cannot be read: {error}"))
+            return None
+    if not text:
+        lack = "there is no machine.toml; give one by --machine, or put it into the recording"
+        findings.append(Finding("no_machine_file", "fatal", path.name, lack))
+        return None
+    try:
+        return nominal_of(text, _urdf(recording), tables.n or None)
+    except DiagnosisError as error:
+        findings.append(Finding("machine_file", "fatal", "machine.toml", str(error).removeprefix("machine.toml: ")))
+        return None
+
+
+def _urdf(recording: Recording) -> str | None:
+    """The text of the recording's (last) URDF."""
+    found: list[Any] = [one.data for one in recording.attachments if one.name.endswith(".urdf")]
+    return found[-1].decode("utf-8", errors="replace") if found else None
+
+
+def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
+    findings = plc_findings(tables, nominal) + unit_findings(tables, nominal)
+    to_plc_s = plc_to_pc_s(tables)
+    offsets = (
+        ("sent.csv", tables.sent, 0.0),
+        ("odometry.csv", tables.odometry, tables.run.camera_to_pc_offset_s or 0.0),
+    )
+    for subject, table, to_pc_s in offsets:
+        if table is not None:
+            findings += time_findings(subject, table.t_s + to_pc_s - to_plc_s, None, tables.run.segments)
+    findings += corner_findings(tables)
+    if not any(finding.code == "degrees" for finding in findings):
+        findings += pairing_findings(tables)
+        findings += machine_findings(tables, nominal) if nominal is not None else []
+    clocks = tables.run
+    if tables.markers is not None and tables.plc is not None and clocks.camera_to_pc_offset_s is None:
+        text = "no clocks.camera_to_pc_offset_s: the camera's offset is unknown and must be fitted with every effect"
+        findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
+    if tables.markers is not None and guessed(tables):
+        text = "no clocks.plc_to_pc_offset_s: pictures are placed by how they move with the joints, and a camera that "
+        text += "stamps late cannot be told; give the offset"
+        findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
+    return findings
+
+
+def stages_present(whole: Read) -> tuple[Stage, ...]:
+    """The stages that this recording and machine file allow to be judged, in the chain's order."""
+    nominal, tables, some = whole.nominal, whole.tables, whole.stretches
+    if nominal is None or tables is None:
+        return ()
+    driven = nominal.actuators is not None
+    tests = (
+        ("link", any(one.sent is not None and one.ref is not None for one in some) and driven),
+        ("controller", nominal.has_controller and any(one.ref is not None and one.u is not None for one in some)),
+        ("actuator", driven and any(one.u is not None for one in some)),
+        ("actuator", nominal.has_controller and merge_of(some) is not None),
+        ("structure", nominal.arm is not None and (tables.static is not None or tables.tracker is not None)),
+        ("camera", nominal.arm is not None and nominal.camera is not None and tables.markers is not None),
+    )
+    return tuple(name for name, there in tests if there)
+
+
+def _nothing(whole: Read) -> Finding:
+    absent = "; ".join(f"{part}: {text}" for part, text in whole.nominal.absent) if whole.nominal else ""
+    text = "no stage can be judged: record valve commands and encoders, or points measured by a tracker or camera"
+    return Finding(
+        "no_data", "fatal", whole.path.name, f"{text}{'; the machine file lacks ' + absent if absent else ''}"
+    )

@@ -1,0 +1,136 @@
+"""Several recordings of one machine as one: the second recorded to separate what the first could not tell apart.
+
+They are laid end to end on the first one's clocks. What stands still between them (the object of interest, the tracker)
+is taken to stand still over all of them.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from diagnosis.errors import DiagnosisError
+from diagnosis.reading.read import Read, examine, read
+from recording.content import Recording
+from recording.errors import RecordingError
+from recording.opening import read_run
+from recording.rows import MarkerCorners, OdometryRow, PlcState, Row, Sent, StaticPoint, TrackerPoint
+from recording.run import RunInfo, Segment
+
+APART_S = 10.0  # between the end of one and the start of the next
+
+
+@dataclass(frozen=True, slots=True)
+class _Shift:
+    """What is added to a recording's times on each clock, its sequence numbers and its pose numbers; its label."""
+
+    plc_s: float
+    pc_s: float
+    camera_s: float
+    seq: int
+    pose: int
+    label: str
+
+
+def read_together(paths: Sequence[Path], machine_file: Path | None = None) -> Read:
+    """Read one recording, or several of one machine as one.
+
+    Raises: DiagnosisError: one of several cannot be read, or they cannot belong together; says why.
+    """
+    if len(paths) == 1:
+        return read(paths[0], machine_file)
+    try:
+        recordings = [read_run(path) for path in paths]
+    except RecordingError as error:
+        raise DiagnosisError(str(error)) from error
+    return examine(together(recordings, machine_file is not None), paths[0], machine_file)
+
+
+def together(recordings: Sequence[Recording], machine_given: bool = False) -> Recording:
+    """Recordings of one machine, the first one's clocks carried on.
+
+    Raises: DiagnosisError: other machine files, other numbers of joints, or an offset of clocks known in one only.
+    """
+    first = recordings[0]
+    rows: list[Row] = list(first.rows)
+    segments = list(first.run.segments or _whole(first, ""))
+    for number, one in enumerate(recordings[1:], start=2):
+        if not machine_given and one.machine_toml.strip() != first.machine_toml.strip():
+            raise DiagnosisError(f"recording {number} has another machine.toml than the first; give one by --machine")
+        shift = _shift(first, one, rows, number)
+        rows += [_moved(row, shift) for row in one.rows]
+        segments += [_later(segment, shift) for segment in one.run.segments or _whole(one, "")]
+    whole = all(one.complete for one in recordings)
+    return replace(first, run=replace(first.run, segments=tuple(segments)), rows=tuple(rows), complete=whole)
+
+
+def _shift(first: Recording, one: Recording, rows: list[Row], number: int) -> _Shift:
+    """So that a recording begins after all rows so far, with the first one's offsets between the clocks.
+
+    Model: t_plc' = t_plc + s; t_pc' = t_plc' + offset of the first, so t_pc' = t_pc + s + offset_first - offset_own.
+    """
+    end = max(_plc_times(first.run, rows), default=0.0)
+    start = min(_plc_times(one.run, one.rows), default=0.0)
+    s = end + APART_S - start
+    pc = s + _difference(first, one, number, "plc_to_pc_offset_s")
+    camera = pc - _difference(first, one, number, "camera_to_pc_offset_s")
+    seq = 1 + max((row.seq for row in rows if isinstance(row, Sent)), default=0)
+    pose = 1 + max((row.pose_index for row in rows if isinstance(row, StaticPoint)), default=0)
+    return _Shift(s, pc, camera, seq, pose, f" ({number})")
+
+
+def _difference(first: Recording, one: Recording, number: int, name: str) -> float:
+    a, b = getattr(first.run, name), getattr(one.run, name)
+    if a is None and b is None:
+        return 0.0
+    if a is None or b is None:
+        which = number if b is None else 1
+        raise DiagnosisError(f"clocks.{name} is missing in recording {which} and given in another; give it in both")
+    return float(a - b)
+
+
+def _plc_times(run: RunInfo, rows: Sequence[Row]) -> list[float]:
+    """Times of all rows on the PLC's clock [s]."""
+    to_plc = -(run.plc_to_pc_offset_s or 0.0)
+    camera = (run.camera_to_pc_offset_s or 0.0) + to_plc
+    read_time: dict[type[Row], Callable[[Row], float]] = {
+        PlcState: lambda row: row.t_plc_s,  # pyright: ignore[reportAttributeAccessIssue]
+        Sent: lambda row: row.t_pc_s + to_plc,  # pyright: ignore[reportAttributeAccessIssue]
+        TrackerPoint: lambda row: row.t_plc_s,  # pyright: ignore[reportAttributeAccessIssue]
+        MarkerCorners: lambda row: row.t_camera_s + camera,  # pyright: ignore[reportAttributeAccessIssue]
+        OdometryRow: lambda row: row.t_camera_s + camera,  # pyright: ignore[reportAttributeAccessIssue]
+    }
+    times = [read_time[type(row)](row) for row in rows if type(row) in read_time]
+    return [t for t in times if abs(t) < 1e12]  # neither NaN nor a broken number
+
+
+def _moved(row: Row, by: _Shift) -> Row:
+    match row:
+        case PlcState():
+            seq = row.seq_received + by.seq if row.seq_received >= 0 else row.seq_received
+            return replace(row, t_plc_s=row.t_plc_s + by.plc_s, seq_received=seq)
+        case Sent():
+            return replace(row, t_pc_s=row.t_pc_s + by.pc_s, seq=row.seq + by.seq)
+        case TrackerPoint():
+            return replace(row, t_plc_s=row.t_plc_s + by.plc_s)
+        case StaticPoint():
+            return replace(row, pose_index=row.pose_index + by.pose)
+        case MarkerCorners() | OdometryRow():
+            return replace(row, t_camera_s=row.t_camera_s + by.camera_s)
+        case _:
+            return row
+
+
+def _whole(one: Recording, name: str) -> tuple[Segment, ...]:
+    times = [row.t_plc_s for row in one.of(PlcState)]
+    return (Segment(name or "whole", "workcycle", min(times), max(times)),) if times else ()
+
+
+def _later(segment: Segment, by: _Shift) -> Segment:
+    """A segment of a later recording: its repeats repeat nothing of another one."""
+    return replace(
+        segment,
+        name=f"{segment.name}{by.label}",
+        t_start_plc_s=segment.t_start_plc_s + by.plc_s,
+        t_end_plc_s=segment.t_end_plc_s + by.plc_s,
+        repeat_of=f"{segment.repeat_of}{by.label}" if segment.repeat_of else "",
+    )

@@ -1,0 +1,75 @@
+"""Stages that merge where the signal between them was not logged, run with what was logged before them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.log.tables import filled
+from diagnosis.replay.course import smooth
+from diagnosis.replay.replayer import Prepared, Replayer
+from diagnosis.replay.stretches import Stretch
+from machine.effects.dynamics import Drive, drive_by_sent, drive_controller
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+START_COMMAND = 0.0  # stretches begin at rest
+
+
+@dataclass(frozen=True, slots=True)
+class Merge:
+    """The stages that one cell holds, and the signals whose absence merges them."""
+
+    stages: tuple[str, ...]
+    missing: tuple[str, ...]
+
+
+def merge_of(stretches: tuple[Stretch, ...]) -> Merge | None:
+    """What a recording without valve commands merges; None where they are there, or nothing drives the joints."""
+    if any(one.u is not None for one in stretches):
+        return None
+    if stretches and all(one.ref is not None for one in stretches):
+        return Merge(("controller", "actuator"), ("u_<j>_frac",))
+    if stretches and all(one.sent is not None for one in stretches):
+        return Merge(("link", "controller", "actuator"), ("q_ref_<j>_rad", "u_<j>_frac"))
+    return None
+
+
+def merged_drives(
+    replayer: Replayer, stretches: tuple[Stretch, ...], course: ParameterSets | None = None
+) -> list[Prepared]:
+    """The stretches whose encoders can be replayed although no valve command was logged; none where one was."""
+    merge = merge_of(stretches)
+    if merge is None or not replayer.nominal.has_controller:
+        return []
+    return [one for stretch in stretches if (one := merged(replayer, stretch, merge, course)) is not None]
+
+
+def merged(replayer: Replayer, stretch: Stretch, merge: Merge, course: ParameterSets | None = None) -> Prepared | None:
+    """A stretch whose encoders are driven by the first signal that was logged; None where encoders are missing."""
+    enc = stretch.enc
+    if enc is None or not np.isfinite(enc).any(axis=0).all():
+        return None
+    plant, angles = replayer.at_rate(stretch.dt_s), filled(enc)
+    loads = replayer.loads(angles)
+    out = Prepared(plant, {}, stretch)
+    if "link" in merge.stages:
+        if stretch.sent is None:
+            return None
+        cycles = (stretch.rows - 1) * plant.decimate + 1
+        drive = drive_by_sent(plant, stretch.sent.t_s, stretch.sent.q, float(stretch.t_s[0]), cycles, loads)
+        out.drives["actuator"] = replace(drive, enc_start=angles[0].copy())
+        return out
+    references = replayer.references(stretch, course)
+    if references is None:
+        return None
+    seen = smooth(plant, angles)
+
+    def driven(ref: Array) -> Drive:
+        drive = drive_controller(plant, ref, seen, np.full(plant.n, START_COMMAND), fine=True)
+        return drive if loads is None else replace(drive, load=loads[0], load_kg=loads[1])
+
+    out = replace(out, sided=stretch.sent is not None)
+    out.drives["actuator"], out.others["actuator"] = driven(references.own), references.others
+    if references.jumped is not None:
+        out.late["actuator"] = driven(references.jumped)
+    return out

@@ -1,0 +1,103 @@
+"""What a log shows by itself, and no fit would find: the step of a rounded reference, lost datagrams, limits passed.
+
+With a step s and a range of 1 rad, a size wrong by s^2 / 1 rad already rounds differently at the far end; and which
+datagrams were lost is in their numbers, not in how many they were.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.replay.stretches import Stretch
+from diagnosis.search.candidates import Candidate
+from machine.rotations import Array
+
+OF_THE_NUMBERS = ("reference_quantisation", "reference_rate_limit")  # not seen where q_ref was not logged
+VALUES_MIN = 12  # different values, before any comb is believed
+SMALLEST_RAD = 1e-8  # below it two values are the same one, written twice
+OFF_MAX = 0.05  # of the step, RMS: how far values may lie off the comb (the log's own rounding)
+DIVISORS = (1, 2, 3, 4)
+REACHED = 0.98  # of the largest command in the log: no limit lies below it
+NARROW = 1e-7  # of the size: what a fit may still move
+
+
+def read_off(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -> tuple[Candidate, ...]:
+    """Candidates of the link, with the size fixed where the log shows it; no loss where it shows that there is none."""
+    if not all(one.ref_logged for one in stretches):
+        candidates = tuple(one for one in candidates if one.name not in OF_THE_NUMBERS)
+    values = np.concatenate([one.ref for one in stretches if one.ref is not None])
+    loss = _loss(stretches)
+    out = []
+    for one in candidates:
+        if one.name == "reference_quantisation" and one.joint is not None:
+            out.append(_fixed(one, comb_of(values[:, one.joint - 1])))
+        elif one.name != "packet_loss" or loss is None:
+            out.append(one)
+        elif loss.any():
+            fixed = _fixed(one, float(loss.mean()))
+            out.append(one if fixed is one else replace(fixed, counted=len(loss)))
+    return tuple(out)
+
+
+def reached(candidates: tuple[Candidate, ...], stretches: tuple[Stretch, ...]) -> tuple[Candidate, ...]:
+    """Candidates of controllers, without limits of the command that the log itself goes beyond."""
+    out = []
+    for one in candidates:
+        if one.name != "controller_saturation" or one.joint is None:
+            out.append(one)
+            continue
+        slot = one.slots[0]
+        logged = [np.abs(part.u[:, one.joint - 1]) for part in stretches if part.u is not None]
+        known = [float(u[np.isfinite(u)].max(initial=0.0)) for u in logged]
+        least = REACHED * max(known, default=0.0)
+        if least < slot.highest:
+            low = max(slot.low, least)
+            out.append(replace(one, slots=(replace(slot, low=low, start=max(slot.start, low)),)))
+    return tuple(out)
+
+
+def _loss(stretches: tuple[Stretch, ...]) -> NDArray[np.bool_] | None:
+    """Of every datagram that can be judged whether it never arrived; None where some stretch cannot tell."""
+    seen = [one.sent for one in stretches if one.sent is not None]
+    known = [one.lost if one.judged is None else one.lost[one.judged] for one in seen if one.lost is not None]
+    return np.concatenate(known) if known and len(known) == len(seen) else None
+
+
+def _fixed(one: Candidate, size: float | None) -> Candidate:
+    slot = one.slots[0]
+    if size is None or not slot.low < size < slot.highest:
+        return one
+    low, high = size * (1.0 - NARROW), size * (1.0 + NARROW)
+    return replace(one, slots=(replace(slot, low=low, high=high, highest=high, start=size),), read_off=True)
+
+
+def comb_of(values: Array) -> float | None:
+    """The step of which all values (m,) are whole multiples; None where there is none to be seen."""
+    x = np.unique(values[np.isfinite(values)])
+    steps = np.diff(x)
+    x, steps = x[np.append(True, steps > SMALLEST_RAD)], steps[steps > SMALLEST_RAD]
+    if len(x) < VALUES_MIN:
+        return None
+    # A comb's steps are few and equal; without one the smallest of thousands is chance, and nothing else fits it.
+    found = (_settled(float(steps.min()) / divisor, x) for divisor in DIVISORS)
+    return next((step for step in found if step is not None), None)
+
+
+def _settled(step: float, x: Array) -> float | None:
+    """The step made exact, from neighbours outwards: each width is numbered by what the smaller ones gave."""
+    centre = float(x[len(x) // 2])
+    width = 8.0 * step
+    while True:
+        near = x[np.abs(x - centre) <= width] - centre
+        k = np.round(near / step)
+        if float(k @ k) == 0.0:
+            return None
+        step = float(near @ k) / float(k @ k)
+        if len(near) == len(x):
+            break
+        width *= 2.0
+    k = np.round(x / step)
+    step = float(x @ k) / float(k @ k)
+    off = float(np.sqrt(np.mean((x - step * np.round(x / step)) ** 2)))
+    return step if off < OFF_MAX * step else None

@@ -1,0 +1,283 @@
+"""Each dynamic stage run with its own measured input: what is left between its output and what was measured."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from diagnosis.datagrams.sent import Sent
+from diagnosis.log.nominal import Nominal
+from diagnosis.log.tables import filled
+from diagnosis.replay.course import held_rows, late, late_jumps, smooth
+from diagnosis.replay.stretches import Stretch
+from machine.effects import kernel
+from machine.effects.dynamics import (
+    Actuators,
+    Drive,
+    DynamicStage,
+    at_cycles,
+    drive_actuator,
+    drive_by_sent,
+    drive_controller,
+    simulate,
+)
+from machine.effects.layout import ParameterSets, neutral_sets
+from machine.effects.structure import loads_along, reference_torques
+from machine.rotations import Array
+
+EVENLY = 3.0**0.5  # half the width, in deviations, of what lies anywhere in a range
+SENT_S = 0.01  # between two references, where nobody logged them: what this project's links and most others use
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A stretch ready to be replayed with any number of parameter sets: a drive for each stage that it allows.
+
+    `others`: (cycles, n) each, courses that a stage's input may as well have taken between logged rows; none where each
+    cycle was logged. `late`: the drives of stages whose input jumps, with each jump as late as it may be: at the end of
+    its logged row, where what was sent is not known. `sided`: the others are of datagrams that came a cycle later, and
+    one earlier; not so where what was received was not logged, whoever sent it.
+    """
+
+    plant: Actuators
+    drives: dict[str, Drive]
+    stretch: Stretch
+    others: dict[str, tuple[Array, ...]] = field(default_factory=dict)
+    late: dict[str, Drive] = field(default_factory=dict)
+    sided: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class References:
+    """The received reference at every PLC cycle (cycles, n), and what else it may have been between logged rows.
+
+    `others`: one that stood still from row to row; where what was sent is known, one a cycle later, and one a cycle
+    earlier. `jumped`: one whose jumps come as late as they may; None where nothing is in doubt.
+    """
+
+    own: Array
+    others: tuple[Array, ...] = ()
+    jumped: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Commands:
+    """What a controller would do of its `References` at every PLC cycle (cycles, n); None where each cycle is logged,
+    or nothing is known.
+    """
+
+    own: Array | None
+    others: tuple[Array | None, ...] = ()
+    jumped: Array | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Replayer:
+    """The replays of one machine. `torque_reference`: (n,) [N m], None where masses or limits are not known.
+
+    `finer`: how much of the way from this model's steps to endlessly many the machine's own are found to have gone.
+    """
+
+    nominal: Nominal
+    plant: Actuators
+    torque_reference: Array | None
+    finer: float = 0.0
+
+    def learnt(self, stage: str, joint: int) -> bool:
+        """Whether a baseline knows what the model is wrong by there (joint: 0-based)."""
+        return self.nominal.remainder(stage, joint + 1) is not None
+
+    def prepare(self, stretch: Stretch, course: ParameterSets | None = None) -> Prepared:
+        """Each stage's measured input at every PLC cycle.
+
+        Model: between two logged rows an input moves as the stage before it says (by `course`, nominal without),
+               corrected linearly so that it meets both rows: a jump of the reference falls on its own cycle. Where what
+               was sent is not known, the reference may as well have stood still until the next row.
+        """
+        known = neutral_sets(self.nominal.n) if course is None else course
+        plant = self.at_rate(stretch.dt_s)
+        out = Prepared(plant, {}, stretch)
+        ref, enc, u = (None if signal is None else filled(signal) for signal in (stretch.ref, stretch.enc, stretch.u))
+        ref_fine = None if ref is None else self._reference(out, ref, known)
+        if u is None or enc is None:
+            return out
+        if ref is None or ref_fine is None or not self.nominal.has_controller:
+            return self._valves(out, enc, u, _Commands(None))
+        out = replace(out, sided=stretch.sent is not None)
+        commands = self._commands(out, self._references(out, ref, ref_fine, known), (enc, u), known)
+        return self._valves(out, enc, u, commands)
+
+    def references(self, stretch: Stretch, course: ParameterSets | None = None) -> References | None:
+        """What the PLC received; None where it was not logged. `course`: see `prepare`."""
+        if stretch.ref is None:
+            return None
+        known = neutral_sets(self.nominal.n) if course is None else course
+        out, ref = Prepared(self.at_rate(stretch.dt_s), {}, stretch), filled(stretch.ref)
+        return self._references(out, ref, self._reference(out, ref, known), known)
+
+    def _reference(self, out: Prepared, ref: Array, known: ParameterSets) -> Array:
+        """The received reference at every PLC cycle; the link's drive goes to `out` where what was sent is known."""
+        plant, sent = out.plant, out.stretch.sent
+        if sent is None:
+            return smooth(plant, ref)
+        out.drives["link"] = _link_drive(out, sent, sent.t_s)
+        return _through(plant, ref, self._fine("link", plant, out.drives["link"], known))
+
+    def _shifted(self, out: Prepared, sent: Sent, ref: Array, known: ParameterSets, by_s: float) -> Array:
+        """The received reference (cycles, n), had each datagram come so much later, as far as its log rows allow it."""
+        plant = out.plant
+        moved = within_rows(sent, by_s, plant.transport_delay_s + float(known.machine[0, kernel.DELAY]))
+        drive = _link_drive(out, sent, moved)
+        return _through(plant, ref, self._fine("link", plant, drive, known))
+
+    def _references(self, out: Prepared, ref: Array, fine: Array, known: ParameterSets) -> References:
+        """From the logged rows (rows, n) and their course (cycles, n)."""
+        plant, sent = out.plant, out.stretch.sent
+        if plant.decimate == 1 or (sent is not None and sent.unsure_s == 0.0):
+            return References(fine)
+        if sent is None:
+            return References(fine, (held_rows(plant, ref),), late_jumps(plant, ref, fine))
+        others = [self._shifted(out, sent, ref, known, by_s) for by_s in (plant.cycle_s, -plant.cycle_s)]
+        by_s = plant.cycle_s * np.ceil(EVENLY * sent.unsure_s / plant.cycle_s)
+        return References(fine, tuple(others), self._shifted(out, sent, ref, known, by_s))
+
+    def _commands(
+        self, out: Prepared, references: References, signals: tuple[Array, Array], known: ParameterSets
+    ) -> _Commands:
+        """The controller's courses from references, encoders and commands; its drives go to `out`."""
+        plant, (enc, u) = out.plant, signals
+        seen = smooth(plant, enc)
+
+        def driven(course: Array) -> tuple[Drive, Array | None]:
+            drive = drive_controller(plant, course, seen, u[0], fine=True)
+            return drive, self._fine("controller", plant, drive, known)
+
+        out.drives["controller"], own = driven(references.own)
+        if out.sided and references.others:
+            out.others["controller"] = references.others
+        jumped = None
+        if references.jumped is not None:
+            out.late["controller"], jumped = driven(references.jumped)
+        return _Commands(own, tuple(driven(one)[1] for one in references.others), jumped)
+
+    def _valves(self, out: Prepared, enc: Array, u: Array, commands: _Commands) -> Prepared:
+        """With the actuators' drive, and with the other courses that the commands may have taken."""
+        plant, loads = out.plant, self.loads(enc)
+
+        def driven(course: Array) -> Drive:
+            return drive_actuator(plant, course, enc[0], loads, fine=True)
+
+        if commands.own is None:
+            course = smooth(plant, u)
+            out.drives["actuator"] = driven(course)
+            if plant.decimate == 1:
+                return out
+            jumped = late(plant, u)
+            others = [jumped]
+            if self.nominal.has_controller:  # the mean between rows may be larger than the rows show
+                others.append(course * (1.0 + self._teeth()))
+        else:
+            out.drives["actuator"] = driven(_through(plant, u, commands.own))
+            others = [_through(plant, u, one) for one in commands.others]
+            jumped = None if commands.jumped is None else _through(plant, u, commands.jumped)
+        if jumped is not None:
+            out.late["actuator"] = driven(jumped)
+        out.others["actuator"] = tuple(others)
+        return out
+
+    def _teeth(self) -> Array:
+        """Share (n,) by which a command may be beside its mean wherever it is sampled.
+
+        Model: a reference that steps every T makes teeth of kp v T, v = Kv u: half of one is kp Kv T / 2 of u.
+        """
+        return 0.5 * SENT_S * self.plant.joints[:, kernel.KP] * self.plant.joints[:, kernel.KV]
+
+    def outputs(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
+        """What every set gives for a stage's output (sets, rows, n); None where the stretch lacks input or output."""
+        drive = prepared.drives.get(stage)
+        return None if drive is None else _output(stage, prepared.plant, sets, drive)
+
+    def residuals(self, stage: str, prepared: Prepared, sets: ParameterSets) -> Array | None:
+        """Measured less modelled, (sets, rows, n), in the stage's unit; NaN in columns that were not recorded."""
+        modelled, measured = self.outputs(stage, prepared, sets), measured_output(stage, prepared.stretch)
+        if modelled is None or measured is None:
+            return None
+        out = filled(measured)[: modelled.shape[1]] - modelled
+        for signal in _logged(stage, prepared.stretch):
+            out[..., ~np.isfinite(signal).any(axis=0)] = np.nan
+        return out
+
+    def at_rate(self, dt_s: float) -> Actuators:
+        """The plant logged at the recording's own rate, a whole number of PLC cycles."""
+        cycles = max(1, round(dt_s / self.plant.cycle_s))
+        return replace(self.plant, log_cycle_s=cycles * self.plant.cycle_s)
+
+    def _fine(self, stage: str, plant: Actuators, drive: Drive, course: ParameterSets) -> Array | None:
+        """The stage's output at every PLC cycle (cycles, n); None where each is logged anyway."""
+        if plant.decimate == 1:
+            return None
+        every = replace(plant, log_cycle_s=plant.cycle_s)
+        none = np.zeros((drive.cycles, plant.n))
+        return _output(stage, every, course, replace(drive, load=none, load_kg=none))[0]
+
+    def loads(self, enc: Array) -> tuple[Array, Array] | None:
+        """Load and load per kg along encoders (rows, n); None where masses or limits are not known."""
+        if self.torque_reference is None or self.nominal.arm is None:
+            return None
+        return loads_along(self.nominal.arm, neutral_sets(self.nominal.n), enc, self.torque_reference)
+
+
+def within_rows(sent: Sent, by_s: float | Array, delay_s: float) -> Array:
+    """When each datagram (k,) was sent, moved by so much as its log rows allow of its arrival `delay_s` later."""
+    moved = sent.t_s + by_s
+    if sent.within_s is not None:
+        earliest, latest = sent.within_s - delay_s
+        moved = np.minimum(moved, np.maximum(latest, sent.t_s))
+        moved = np.maximum(moved, np.minimum(earliest, sent.t_s))
+    return np.maximum.accumulate(moved)
+
+
+def _link_drive(out: Prepared, sent: Sent, t_s: Array) -> Drive:
+    """What drives the link where the datagrams (k,) are taken at t_s (k,)."""
+    plant, stretch = out.plant, out.stretch
+    cycles = (stretch.rows - 1) * plant.decimate + 1
+    return drive_by_sent(plant, t_s, sent.q, float(stretch.t_s[0]), cycles, lost=sent.lost)
+
+
+def _output(stage: str, plant: Actuators, sets: ParameterSets, drive: Drive) -> Array:
+    last = {"link": DynamicStage.LINK, "controller": DynamicStage.CONTROLLER, "actuator": DynamicStage.ACTUATOR}[stage]
+    traces = simulate(plant, sets, drive, last)
+    return {"link": traces.ref, "controller": traces.u, "actuator": traces.enc}[stage]
+
+
+def _through(plant: Actuators, logged: Array, between: Array | None) -> Array:
+    """Logged rows at every PLC cycle (cycles, n): on a modelled course `between`, corrected to meet each row."""
+    if between is None:
+        return at_cycles(plant, logged)
+    return between + at_cycles(plant, logged - between[:: plant.decimate])
+
+
+def replayer_of(nominal: Nominal) -> Replayer | None:
+    """The replays of a machine; None where its file has no actuators."""
+    if nominal.actuators is None:
+        return None
+    limited = np.isfinite(nominal.q_min).all() and np.isfinite(nominal.q_max).all()
+    weighed = nominal.arm is not None and float(nominal.arm.mass.sum()) > 0.0
+    torque = None
+    if nominal.arm is not None and limited and weighed:
+        torque = reference_torques(nominal.arm, neutral_sets(nominal.n), nominal.q_min, nominal.q_max)
+    return Replayer(nominal, nominal.actuators, torque)
+
+
+def measured_output(stage: str, stretch: Stretch) -> Array | None:
+    """What was measured of a stage's output (rows, n)."""
+    return {"link": stretch.ref, "controller": stretch.u, "actuator": stretch.enc}.get(stage)
+
+
+def _logged(stage: str, stretch: Stretch) -> tuple[Array, ...]:
+    """The logged signals that a stage's residual rests on."""
+    signals = {
+        "link": (stretch.ref,),
+        "controller": (stretch.ref, stretch.enc, stretch.u),
+        "actuator": (stretch.u, stretch.enc),
+    }[stage]
+    return tuple(signal for signal in signals if signal is not None)

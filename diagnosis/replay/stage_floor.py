@@ -1,0 +1,108 @@
+"""The noise of a dynamic stage's increments: what repeats show, what a baseline leaves, the least that is believed."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from diagnosis.errors import DiagnosisError
+from diagnosis.log.tables import filled
+from diagnosis.noise.floor import (
+    Floor,
+    Whitener,
+    deviations,
+    floor_of_repeats,
+    floor_without_repeats,
+    increments,
+    with_remainder,
+)
+from diagnosis.replay.repeats import overlaid
+from diagnosis.replay.replayer import Prepared, Replayer
+from diagnosis.replay.steady_repeats import steadied
+from diagnosis.replay.stretches import Stretch, repeat_groups
+from machine.effects.layout import ParameterSets
+from machine.remainder import Remainder
+from machine.rotations import Array
+
+NO_NOISE = 0.2  # of the least sigma: below it repeats are equal but for rounding, and their filter means nothing
+SIGMA_MIN = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # nothing smaller moves the tcp by 0.1 mm
+SILENT = 1e-3  # of every usual test: a program that leaves nothing, day by day
+SILENT_SHARE = 0.25  # of the least sigma, there: what is no noise at all adds up along a move
+STEP_SHARE = 0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
+
+
+def stage_floor(replayer: Replayer, stage: str, prepared: list[Prepared], base: ParameterSets) -> Floor:
+    """The noise of a stage's residual, all joints: from the largest group of repeats, else a stand-in."""
+    residuals = {one.stretch.name: replayer.residuals(stage, one, base) for one in prepared}
+    known = {name: np.nan_to_num(one[0]) for name, one in residuals.items() if one is not None}
+    groups = repeat_groups(tuple(one.stretch for one in prepared))
+    members = max(groups.values(), key=len, default=())
+    dt = prepared[0].stretch.dt_s
+    floor: Floor | None = None
+    steps: list[Array] = []
+    records = [replayer.nominal.remainder(stage, j + 1) for j in range(replayer.nominal.n)]
+    if len(members) > 1:
+        try:
+            repeats = overlaid(members, [known[one.name] for one in members])
+            if stage == "actuator":
+                repeats = steadied(
+                    repeats, overlaid(members, _encoders(members)), dt, np.array([not one for one in records])
+                )
+            floor = floor_of_repeats(repeats, dt)
+            steps = [increments(one, dt) for one in deviations(repeats)]
+        except DiagnosisError:
+            floor = None
+    if floor is None:
+        stand_ins = [floor_without_repeats(one, dt) for one in known.values()]
+        sigma = np.median([one.whitener.sigma for one in stand_ins], axis=0)
+        floor = replace(stand_ins[0], whitener=Whitener(np.zeros((0, len(sigma))), sigma), increment_rms=sigma)
+    least = _smallest(stage, prepared) * np.array([SILENT_SHARE if _silent(one) else 1.0 for one in records])
+    floor = _not_below(floor, least)
+    if not any(records):
+        return floor
+    ar = np.zeros((max(len(one.ar) for one in records if one is not None), len(records)))
+    for j, one in enumerate(records):
+        if one is not None:
+            ar[: len(one.ar), j] = one.ar
+    sigma, rms = (np.array([getattr(one, name) if one else 0.0 for one in records]) for name in ("sigma", "rms"))
+    both = with_remainder(floor, steps, ar, sigma, rms)
+    believed = _not_below(both, least)
+    return replace(believed, rms=np.where(sigma > 0.0, believed.rms, both.rms))  # no remainder: as the repeats show
+
+
+def _encoders(members: tuple[Stretch, ...]) -> list[Array]:
+    return [np.nan_to_num(filled(one.enc)) for one in members if one.enc is not None]
+
+
+def _smallest(stage: str, prepared: list[Prepared]) -> Array:
+    """The least sigma of an increment (n,) that is believed."""
+    n = prepared[0].plant.n
+    least = np.full(n, SIGMA_MIN[stage])
+    if stage == "actuator":
+        steps = [one.stretch.enc_step for one in prepared if one.stretch.enc_step is not None]
+        least = np.maximum(least, STEP_SHARE * np.max(steps, axis=0, initial=0.0))
+    return least
+
+
+def _silent(record: Remainder | None) -> bool:
+    """Whether a joint's stage was never seen to leave anything on the undisturbed machine."""
+    return record is not None and bool(record.usual) and all(size < SILENT for _, size in record.usual)
+
+
+def _not_below(floor: Floor, least: Array) -> Floor:
+    """Sigma raised to what is believed; where there is no noise, the increments are taken as white.
+
+    Returns: the floor with `rms` turned into the share of sigma that the repeats themselves show (n,).
+    """
+    sigma = floor.whitener.sigma
+    a = np.where(sigma < NO_NOISE * least, 0.0, floor.whitener.a)
+    white = Whitener(a, np.maximum(sigma, least))
+    share = np.minimum(1.0, sigma / white.sigma)
+    return replace(floor, rms=share, whitener=white, increment_rms=np.maximum(floor.increment_rms, least))
+
+
+def at_noise(floor: Floor, chosen: list[int], noise: Whitener) -> Floor:
+    """A floor with another filter for some joints (0-based)."""
+    n = len(floor.whitener.sigma)
+    a, sigma, rms = np.zeros((noise.order, n)), floor.whitener.sigma.copy(), floor.increment_rms.copy()
+    a[:, chosen], sigma[chosen], rms[chosen] = noise.a, noise.sigma, noise.sigma
+    return replace(floor, rms=np.ones(n), whitener=Whitener(a, sigma), increment_rms=rms)

@@ -1,0 +1,231 @@
+"""A dynamic stage's residual for any parameters: 20 Hz increments of measured less replayed, white by its noise."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.errors import DiagnosisError
+from diagnosis.log.tables import filled
+from diagnosis.noise.floor import BLOCK_S, Whitener
+from diagnosis.noise.of_a_day import DayNoise
+from diagnosis.replay.replayer import Prepared, Replayer, measured_output
+from diagnosis.replay.side_by_side import side_by_side
+from diagnosis.replay.stretches import Stretch
+from machine.effects.dynamics import Actuators, Drive, DynamicStage, simulate
+from machine.effects.kernel import BREAKAWAY, LAG
+from machine.effects.layout import ParameterSets, neutral_sets
+from machine.rotations import Array
+
+LAST = {"link": DynamicStage.LINK, "controller": DynamicStage.CONTROLLER, "actuator": DynamicStage.ACTUATOR}
+OUTPUT = {"link": "ref", "controller": "u", "actuator": "enc"}
+SKIPPED = 10  # increments at a stretch's start: the valve's state is not known there
+TIMING_S = 1.5e-3
+PASSES = 3
+SIDES = 2  # courses beside what was sent: a cycle later, and one earlier
+TINY = 1e-12
+UNIFORM = 3.0**-0.5  # standard deviation of what lies anywhere between -1 and 1
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One stretch's replay for some joints (0-based): what drives it, and what was measured (rows, joints).
+
+    `between`: (m, joints) each, how far another guess of the input's course between logged rows drives the increments
+    apart; `sided`: there are two such guesses at most, one a cycle later and one earlier. `unsure`: (m, joints), the
+    same of jumps that each may be anywhere in its row; None where no row hides one.
+    `slower`: (m, joints), the same of valves that are TIMING_S slower, where the joints' loops run through them; None
+    where the valve commands are known: what is late there comes late, and no more.
+    `moved`: by joint, what is known of its model beyond what has been taken off `measured`, if it moves like a given
+    course (m,); empty, or None, where nothing is.
+    """
+
+    plant: Actuators
+    drive: Drive
+    measured: Array
+    stretch: Stretch
+    between: tuple[Array, ...] = ()
+    sided: bool = False
+    unsure: Array | None = None
+    slower: Array | None = None
+    moved: tuple[Callable[[Array], Array] | None, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """The whitened residual of a stage for some joints, over several stretches.
+
+    `day`: what the machine's numbers wander by from day to day, where that is known.
+    """
+
+    stage: str
+    joints: tuple[int, ...]
+    parts: tuple[Part, ...]
+    whitener: Whitener
+    day: DayNoise | None = None
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        """Residuals (sets, N): stretches end to end, channels within each."""
+        chosen = ParameterSets(np.ascontiguousarray(sets.joint[:, list(self.joints)]), sets.machine)
+        out = np.concatenate(side_by_side(lambda part: self._white(part, chosen), self.parts), axis=1)
+        return out if self.day is None else self.day.white(out)
+
+    def waits(self, sets: ParameterSets) -> list[tuple[float, float]]:
+        """Of each part, how many cycles later its input's course had come by the residual of the first set, and by how
+        much that is known [1 / cycle]; 0 where the course between rows is no guess of what was sent.
+        """
+        chosen = ParameterSets(np.ascontiguousarray(sets.joint[:1, list(self.joints)]), sets.machine[:1])
+        found = []
+        for part in self.parts:
+            if not part.sided or len(part.between) != SIDES:
+                found.append((0.0, 0.0))
+                continue
+            later, earlier = part.between
+            white, column = (
+                whiten_sets(self.whitener, one)[:, SKIPPED:] * trust(part, self.whitener)
+                for one in (part_increments(self.stage, part, chosen)[0], 0.5 * (later - earlier)[None])
+            )
+            power = float((column**2).sum())
+            found.append((float((column * white).sum()) / max(power, TINY), float(np.sqrt(power))))
+        return found
+
+    def _white(self, part: Part, sets: ParameterSets) -> Array:
+        steps, shift = part_increments(self.stage, part, sets)
+        weight = trust(part, self.whitener)
+        white = whiten_sets(self.whitener, steps)[:, SKIPPED:] * weight
+        sent = part.stretch.sent
+        least, most = -1.0, 1.0
+        if part.sided and sent is not None:  # one to either side
+            least, most = -min(1.0, sent.unsure_s / part.plant.cycle_s), 0.0
+        guesses = [(one[None], least, most) for one in part.between]
+        if part.slower is not None:
+            guesses.append((part.slower[None], -1.0, 1.0))
+        if self.stage == "actuator":
+            guesses.append((shift, -TIMING_S, TIMING_S))
+        if guesses:
+            columns = [(whiten_sets(self.whitener, one)[:, SKIPPED:] * weight, a, b) for one, a, b in guesses]
+            white = _excused(white, columns)
+        return white.transpose(0, 2, 1).reshape(len(white), -1)
+
+
+def trust(part: Part, whitener: Whitener) -> Array | float:
+    """The weight of rows (1, m, joints): those after a jump that may be anywhere in its row count less.
+
+    Model: 1 / (1 + x^2) over the jump's standard deviation x: beside the noise it tells as much as chance, far above it
+           nothing, not one deviation time after time.
+    """
+    if part.unsure is None:
+        return 1.0
+    return 1.0 / (1.0 + (UNIFORM * whiten_sets(whitener, part.unsure[None])[:, SKIPPED:]) ** 2)
+
+
+def _excused(white: Array, columns: list[tuple[Array, float, float]]) -> Array:
+    """Residuals without what the log's own coarseness can explain, per set and joint.
+
+    Why: logs are stamped to a cycle, and models stepped at 0.5 and at 1 ms lie as far apart; between two logged rows
+    the command's course is a guess. At most once the difference of two guesses, and a shift of at most TIMING_S (of
+    the encoders, and in a loop that is run as a whole of the valve in it), are no effects: each column with its least
+    and its most amount. Solved in turn (Gauss-Seidel), the courses first: what both can explain is theirs.
+    """
+    products = [[(a * b).sum(axis=1) for b, _, _ in columns] for a, _, _ in columns]
+    wanted = [-(column * white).sum(axis=1) for column, _, _ in columns]
+    amounts = [np.zeros_like(one) for one in wanted]
+    for _ in range(PASSES):
+        for k, (_, least, most) in enumerate(columns):
+            others = sum(products[k][i] * amounts[i] for i in range(len(columns)) if i != k)
+            power = np.where(products[k][k] > TINY, products[k][k], np.inf)
+            amounts[k] = np.clip((wanted[k] - others) / power, least, most)
+    left = white
+    for amount, (column, _, _) in zip(amounts, columns, strict=True):
+        left = left + amount[:, None] * column
+    return left
+
+
+def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array, Array]:
+    """20 Hz increments (sets, m, joints) of measured less replayed, and their change per second of delay."""
+    traces = simulate(part.plant, sets, part.drive, LAST[stage])
+    modelled = getattr(traces, OUTPUT[stage])
+    error = part.measured[None, : modelled.shape[1]] - modelled
+    for channel, otherwise in enumerate(part.moved):
+        if otherwise is None:
+            continue
+        for k in np.nonzero(sets.joint[:, channel, BREAKAWAY])[0]:
+            error[k, :, channel] -= otherwise(modelled[k, :, channel])
+    size = max(1, round(BLOCK_S / part.stretch.dt_s))
+    rows = error.shape[1] // size * size
+    shape = (len(error), -1, size, error.shape[2])
+    means = error[:, :rows].reshape(shape).mean(axis=2)
+    return np.diff(means, axis=1), np.diff(_slopes(modelled[:, :rows], size, part.stretch.dt_s), axis=1)
+
+
+def _slopes(x: Array, size: int, dt_s: float) -> Array:
+    """Means (sets, blocks, joints) of central differences (sets, rows, joints) over blocks of so many rows: of all rows
+    inside a block those at its two ends are left.
+    """
+    ends = x[:, ::size].copy()
+    ends[:, 1:] += x[:, size - 1 : -1 : size]
+    ends[:, 0] += 2.0 * x[:, 0] - x[:, 1]
+    last = 3.0 * x[:, -1:] - x[:, -2:-1]
+    return np.diff(np.concatenate([ends, last], axis=1), axis=1) / (2.0 * dt_s * size)
+
+
+def whiten_sets(whitener: Whitener, steps: Array) -> Array:
+    """White residuals (sets, m - order, n) of increments (sets, m, n)."""
+    p = whitener.order
+    out = steps[:, p:].copy()
+    for i in range(p):
+        out -= whitener.a[i] * steps[:, p - 1 - i : steps.shape[1] - 1 - i]
+    return out / whitener.sigma
+
+
+def part_of(stage: str, one: Prepared, joints: list[int], replayer: Replayer) -> Part:
+    """One stretch's replay narrowed to some joints (0-based)."""
+    drive = one.drives[stage]
+    signals = {name: getattr(drive, name) for name in ("sent", "ref", "enc", "u", "load", "load_kg")}
+    cut = {name: np.ascontiguousarray(values[:, joints]) for name, values in signals.items()}
+    narrowed = replace(drive, **cut, enc_start=drive.enc_start[joints].copy(), u_start=drive.u_start[joints].copy())
+    plant = replace(one.plant, joints=one.plant.joints[joints])
+    output = measured_output(stage, one.stretch)
+    if output is None:
+        raise DiagnosisError(f"{one.stretch.name}: the output of stage {stage} was not recorded")
+    measured = filled(output)[:, joints]
+    part = Part(plant, narrowed, measured, one.stretch)
+    finer = np.array([0.0 if replayer.learnt(stage, j) else replayer.finer for j in joints])
+    if stage == "actuator" and finer.any():
+        part = replace(part, measured=measured - finer * by_steps(part)[: len(measured)])
+    own = part_increments(stage, part, neutral_sets(len(joints)))[0][0]
+
+    def apart(**inputs: Array) -> Array:
+        other = replace(
+            part, drive=replace(part.drive, **{k: np.ascontiguousarray(x[:, joints]) for k, x in inputs.items()})
+        )
+        return own - part_increments(stage, other, neutral_sets(len(joints)))[0][0]
+
+    signal = "u" if drive.first is DynamicStage.ACTUATOR else "ref"
+    jumped = one.late.get(stage)
+    unsure = None if jumped is None else apart(**{signal: getattr(jumped, signal)})
+    between = tuple(apart(**{signal: course}) for course in one.others.get(stage, ()))
+    slower = None
+    if stage == "actuator" and drive.first < DynamicStage.ACTUATOR:
+        slower = own - part_increments(stage, part, _late_valves(len(joints)))[0][0]
+    return replace(part, between=between, sided=one.sided, unsure=unsure, slower=slower)
+
+
+def _late_valves(joints: int) -> ParameterSets:
+    sets = neutral_sets(joints)
+    sets.joint[..., LAG] = TIMING_S
+    return sets
+
+
+def by_steps(part: Part) -> Array:
+    """What an endless number of steps changes in the modelled course (rows, joints), to first order in the step."""
+    own, half = (
+        simulate(replace(part.plant, refined=times), neutral_sets(part.plant.n), part.drive).enc[0] for times in (1, 2)
+    )
+    return 2.0 * (half - own)
+
+
+def white_rows(part: Part, order: int) -> int:
+    """White residuals of one channel in a part."""
+    size = max(1, round(BLOCK_S / part.stretch.dt_s))
+    return max(0, len(part.measured) // size - 1 - order - SKIPPED)

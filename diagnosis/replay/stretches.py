@@ -1,0 +1,226 @@
+"""Evenly sampled pieces of a recording: each segment, cut where the log is broken."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.datagrams.sent import Sent, arrivals_of, sent_within
+from diagnosis.log.findings import Finding
+from diagnosis.log.quality import DURATION_MIN_S, GAP_STEPS, ROWS_MIN, too_long
+from diagnosis.log.stamps import even_grid, taken_evenly
+from diagnosis.log.tables import PlcTable, Tables
+from diagnosis.noise.floor import encoder_step
+from machine.effects.dynamics import Actuators
+from machine.rotations import Array
+from recording.run import Segment
+
+MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
+STOOD_RAD = 2e-3  # no joint went further than this from where it was: one posture
+JITTER_MAX = 0.02  # of a step: rows whose stamps are closer to the even grid than this are taken as even
+
+
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """One unbroken piece of one segment, evenly sampled on the PLC's clock.
+
+    `t_s`: (m,), a step of `dt_s`; `t_segment_s`: of the segment's start, so that repeats can be laid over each other.
+    Signals (m, n), `p_supply` (m,); None where not recorded. `sent`: see `Sent`; None where the link cannot be judged.
+    `enc_step`: (n,) resolution of the encoders as they were logged, 0 where they show none. `ref_logged`: False where
+    `ref` is what was sent.
+    """
+
+    name: str
+    kind: str
+    repeat_of: str
+    t_segment_s: float
+    dt_s: float
+    t_s: Array
+    ref: Array | None
+    enc: Array | None
+    u: Array | None
+    p_a: Array | None
+    p_b: Array | None
+    p_supply: Array | None
+    sent: Sent | None = None
+    enc_step: Array | None = None
+    ref_logged: bool = True
+
+    @property
+    def rows(self) -> int:
+        """Number of samples."""
+        return len(self.t_s)
+
+    @property
+    def duration_s(self) -> float:
+        """Length [s]."""
+        return float(self.t_s[-1] - self.t_s[0])
+
+
+def stood_still(stretches: tuple[Stretch, ...]) -> bool:
+    """Whether every joint was asked and seen to stay at one place; False where its encoders were not logged."""
+    for name in ("enc", "ref"):
+        rows = [values for one in stretches if (values := getattr(one, name)) is not None]
+        if not rows:
+            if name == "enc":
+                return False
+            continue
+        known = np.concatenate(rows)
+        known = known[np.isfinite(known).all(axis=1)]
+        if len(known) == 0 or np.ptp(known, axis=0).max() > STOOD_RAD:
+            return False
+    return bool(stretches)
+
+
+def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[Stretch, ...], list[Finding]]:
+    """All usable stretches in the order of time, and what had to be left out.
+
+    Args: plant: the machine file's, for the PLC's cycle; without it datagrams are taken to come on the dot.
+    """
+    plc = tables.plc
+    if plc is None or plc.enc is None:
+        return (), []
+    findings: list[Finding] = []
+    segments = tables.run.segments or _whole(plc, findings)
+    came = arrivals_of(tables, plant, findings)
+    enc_step = np.array([encoder_step(column) for column in plc.enc.T])
+    broken = _broken(plc)
+    cut = [list(_pieces(plc, broken, segment, GAP_STEPS)) for segment in segments]
+    if not any(cut):
+        cut = [list(_pieces(plc, broken, segment, MEND_ROWS_MAX + GAP_STEPS)) for segment in segments]
+        findings += _bridged(cut)
+    found: list[Stretch] = []
+    for number, (segment, pieces) in enumerate(zip(segments, cut, strict=True), start=1):
+        if not pieces:
+            text = f"segment {number} ({segment.name or segment.kind}) holds no usable stretch of {DURATION_MIN_S:g} s"
+            findings.append(Finding("empty_segment", "problem", "run.toml", text))
+        for part, rows in enumerate(pieces, start=1):
+            label = segment.name or f"{segment.kind}{number}"
+            name = f"{label}/{part}" if len(pieces) > 1 else label
+            one = _stretch(plc, segment, name, rows, sent_within(tables, came, plc.t_s[rows]))
+            found.append(replace(one, enc_step=enc_step))
+    findings += [*_mended(plc, broken), *_uneven_stamps(plc, cut, found)]
+    return tuple(found), findings
+
+
+def _whole(plc: PlcTable, findings: list[Finding]) -> tuple[Segment, ...]:
+    text = "there are no segments: the whole recording is taken as one, of unknown kind; name them to use repeats"
+    findings.append(Finding("no_segments", "note", "run.toml", text))
+    return (Segment("whole", "workcycle", float(np.nanmin(plc.t_s)), float(np.nanmax(plc.t_s))),)
+
+
+def _uneven_stamps(plc: PlcTable, cut: list[list[NDArray[np.int64]]], found: list[Stretch]) -> list[Finding]:
+    """Where the rows are taken as even although their stamps are not."""
+    pieces = [rows for pieces in cut for rows in pieces]
+    off = [
+        float(np.abs(plc.t_s[rows] - one.t_s).max())
+        for rows, one in zip(pieces, found, strict=True)
+        if one.t_s[0] != plc.t_s[rows[0]]
+    ]
+    if not off:
+        return []
+    text = f"stamps are up to {1e3 * max(off):.2g} ms beside an even rate, and the encoders moved at an even one"
+    return [Finding("uneven_stamps", "note", "plc.csv", f"{text}: rows are taken as even", len(off))]
+
+
+def _bridged(cut: list[list[NDArray[np.int64]]]) -> list[Finding]:
+    if not any(cut):
+        return []
+    text = f"rows are missing so often that no stretch is whole; up to {MEND_ROWS_MAX} at a time are filled by lines"
+    return [Finding("bridged", "problem", "plc.csv", f"{text}: look at the logger")]
+
+
+def _pieces(plc: PlcTable, broken: NDArray[np.bool_], segment: Segment, longest: float) -> Iterator[NDArray[np.int64]]:
+    """Row numbers of the pieces of a segment that are long enough, without a step of more than so many usual ones."""
+    margin = 1e-6
+    inside = (plc.t_s >= segment.t_start_plc_s - margin) & (plc.t_s <= segment.t_end_plc_s + margin)
+    rows = np.nonzero(inside)[0]
+    if len(rows) < 2:
+        return
+    steps = np.diff(plc.t_s[rows])
+    median = float(np.median(np.abs(steps)))
+    cut = too_long(steps, median, longest) | (steps <= 0.0) | (np.diff(rows) > 1)
+    for piece in np.split(rows, np.nonzero(cut)[0] + 1):
+        for part in np.split(piece, np.nonzero(np.diff(broken[piece].astype(int)))[0] + 1):
+            if len(part) >= ROWS_MIN and not broken[part[0]] and np.ptp(plc.t_s[part]) >= DURATION_MIN_S:
+                yield part
+
+
+def _broken(plc: PlcTable) -> NDArray[np.bool_]:
+    """Rows inside a run of missing numbers too long to be mended (columns that are missing throughout do not count)."""
+    broken = np.zeros(len(plc.t_s), dtype=bool)
+    for values in (plc.ref, plc.enc, plc.u):
+        for column in [] if values is None else values.T:
+            missing = ~np.isfinite(column)
+            if missing.all():
+                continue
+            edges = np.diff(np.concatenate([[0], missing.astype(int), [0]]))
+            for start, end in zip(np.nonzero(edges > 0)[0], np.nonzero(edges < 0)[0], strict=True):
+                if end - start > MEND_ROWS_MAX or start == 0 or end == len(column):
+                    broken[start:end] = True
+    return broken
+
+
+def _mended(plc: PlcTable, broken: NDArray[np.bool_]) -> list[Finding]:
+    count = 0
+    for values in (plc.ref, plc.enc, plc.u):
+        if values is not None:
+            count += int((~np.isfinite(values) & ~broken[:, None] & ~np.isnan(values).all(axis=0)).sum())
+    if not count:
+        return []
+    text = f"{count} single missing numbers (runs of {MEND_ROWS_MAX} rows or fewer) are filled by straight lines"
+    return [Finding("not_a_number", "note", "plc.csv", text, count)]
+
+
+def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64], sent: Sent | None) -> Stretch:
+    t = plc.t_s[rows]
+    dt = float((t[-1] - t[0]) / (len(t) - 1))
+    grid = t[0] + dt * np.arange(len(t))
+    when = t
+    if np.abs(t - grid).max() <= JITTER_MAX * dt:
+        when = grid
+    elif taken_evenly(None if plc.enc is None else plc.enc[rows], t, nearest := even_grid(t)):
+        when = grid = nearest
+        dt = float(nearest[1] - nearest[0])
+    signals = {
+        field.name: _even(getattr(plc, field.name), rows, when, grid)
+        for field in fields(PlcTable)
+        if field.name in ("ref", "enc", "u", "p_a", "p_b", "p_supply")
+    }
+    repeat = segment.repeat_of
+    return Stretch(
+        name, segment.kind, repeat, segment.t_start_plc_s, dt, grid, **signals, sent=sent, ref_logged=plc.ref_logged
+    )
+
+
+def _even(values: Array | None, rows: NDArray[np.int64], when: Array, grid: Array) -> Array | None:
+    """A signal's rows, taken at `when` (m,), on the grid."""
+    if values is None:
+        return None
+    cut = values[rows]
+    table = cut if cut.ndim == 2 else cut[:, None]
+    if when is not grid or not np.isfinite(table).all():
+        table = np.stack([_line(column, when, grid) for column in table.T], axis=1)
+    table = np.ascontiguousarray(table)
+    return table if cut.ndim == 2 else table[:, 0]
+
+
+def _line(column: Array, t: Array, grid: Array) -> Array:
+    good = np.isfinite(column)
+    return np.interp(grid, t[good], column[good]) if good.any() else np.full(len(grid), np.nan)
+
+
+def repeat_groups(stretches: tuple[Stretch, ...]) -> dict[str, tuple[Stretch, ...]]:
+    """Stretches that repeat one command, by the name they share; at least two, and whole segments only.
+
+    The segment that the others repeat belongs to its group, whether or not it names itself.
+    """
+    groups: dict[str, list[Stretch]] = {}
+    for stretch in stretches:
+        if stretch.repeat_of and "/" not in stretch.name:
+            groups.setdefault(stretch.repeat_of, []).append(stretch)
+    for stretch in stretches:
+        if not stretch.repeat_of and stretch.name in groups:
+            groups[stretch.name].insert(0, stretch)
+    return {name: tuple(members) for name, members in groups.items() if len(members) > 1}

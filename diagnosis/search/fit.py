@@ -1,0 +1,167 @@
+"""Least squares of a hypothesis in one cell: every column of a Jacobian, and every trial step, in one kernel call."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.errors import DiagnosisError
+from diagnosis.search.candidates import Candidate, put
+from diagnosis.search.cell import Cell
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+SOFT = 3.0  # whitened residuals beyond it count linearly (soft-L1)
+STEP_SHARE = 2e-3  # of the range: large against rounding and kinks
+ROUNDS = 10
+SETTLED_NATS = 0.02
+SETTLED_SHARE = 1e-5
+CURVED = 0.5  # of what a straight valley would have gained: below it the valley is curved, and followed
+DAMPINGS = (1e-6, 1e-2, 1.0)
+Hypothesis = tuple[Candidate, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Where a hypothesis fits best. `theta` (k,), residual (N,), J (N, k), `cost` [nats], `at_bound` (k,)."""
+
+    hypothesis: Hypothesis
+    theta: Array
+    residual: Array
+    J: Array
+    cost: float
+    at_bound: tuple[bool, ...]
+
+    @property
+    def k(self) -> int:
+        """Numbers that were fitted."""
+        return len(self.theta)
+
+    @property
+    def by_effect(self) -> tuple[tuple[Candidate, Array], ...]:
+        """Each effect with its own numbers (slots,)."""
+        return tuple((one, self.theta[own]) for one, own in self.slices)
+
+    @property
+    def slices(self) -> tuple[tuple[Candidate, slice], ...]:
+        """Each effect with where its numbers stand among all."""
+        ends = np.cumsum([len(one.slots) for one in self.hypothesis]).tolist()
+        return tuple((one, slice(end - len(one.slots), end)) for one, end in zip(self.hypothesis, ends, strict=True))
+
+
+def costs(residual: Array) -> Array:
+    """Soft-L1 cost of each residual [nats]; 1/2 r^2 while small."""
+    return SOFT**2 * (np.sqrt(1.0 + (residual / SOFT) ** 2) - 1.0)
+
+
+def weights(residual: Array) -> Array:
+    """Of each residual in a Gauss-Newton step."""
+    return 1.0 / np.sqrt(1.0 + (residual / SOFT) ** 2)
+
+
+def evaluated(cell: Cell, hypothesis: Hypothesis, thetas: Array) -> Array:
+    """Residuals (m, N) at each row of thetas (m, k)."""
+    return evaluated_at(cell, put(cell.base, hypothesis, thetas))
+
+
+def evaluated_at(cell: Cell, sets: ParameterSets) -> Array:
+    """Residuals (sets, N); far off where a model runs away."""
+    return np.nan_to_num(cell.whitened(sets), nan=1e3, posinf=1e3, neginf=-1e3)
+
+
+def neutral_fit(cell: Cell) -> Fit:
+    """No effect at all."""
+    residual = evaluated(cell, (), np.zeros((1, 0)))[0]
+    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)), float(costs(residual).sum()), ())
+
+
+def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
+    """Lower and upper bounds (k,) each."""
+    slots = [slot for one in hypothesis for slot in one.slots]
+    return np.array([slot.low for slot in slots]), np.array([slot.highest for slot in slots])
+
+
+def spans(hypothesis: Hypothesis) -> Array:
+    """The ruler of each number (k,): what good machines have of it, from end to end."""
+    return np.array([slot.high - slot.low for one in hypothesis for slot in one.slots])
+
+
+def jacobian(cell: Cell, hypothesis: Hypothesis, theta: Array, residual: Array) -> Array:
+    """(N, k) by finite steps away from the nearer bound, one kernel call."""
+    high = bounds(hypothesis)[1]
+    steps = STEP_SHARE * spans(hypothesis)
+    signs = np.where(theta + steps > high, -1.0, 1.0)
+    moved = theta + np.diag(signs * steps)
+    return ((evaluated(cell, hypothesis, moved) - residual) / (signs * steps)[:, None]).T
+
+
+def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) -> Fit:
+    """Gauss-Newton with damping inside bounds from one start.
+
+    Model:  min sum rho(r(theta)); each round solves (J'WJ + d diag) step = -J'Wr for three dampings d and takes the
+            best of them, where they gain little also those bent back into the valley; it ends when a round gains
+            less than 0.02 nats.
+    Raises: DiagnosisError: the start has another length than the hypothesis.
+    """
+    low, high = bounds(hypothesis)
+    if len(start) != len(low):
+        raise DiagnosisError(f"a start has {len(start)} numbers; the hypothesis has {len(low)}")
+    theta = np.clip(np.asarray(start, dtype=float), low, high)
+    residual = evaluated(cell, hypothesis, theta)[0]
+    cost = float(costs(residual).sum())
+    J = jacobian(cell, hypothesis, theta, residual)
+    for _ in range(rounds):
+        steps = damped_steps(J, residual, spans(hypothesis))
+        trials = np.clip(theta + np.array([*steps, 0.3 * steps[0], 0.1 * steps[0]]), low, high)
+        tried = evaluated(cell, hypothesis, trials)
+        totals = costs(tried).sum(axis=1)
+        promised = -0.5 * float((trials[0] - theta) @ (J.T @ (weights(residual) * residual)))
+        if len(theta) > 1 and cost - float(totals.min()) < CURVED * promised:
+            bent = np.clip(trials + _bends(J, residual, theta, trials, tried), low, high)
+            trials, tried = np.concatenate([trials, bent]), np.concatenate([tried, evaluated(cell, hypothesis, bent)])
+            totals = costs(tried).sum(axis=1)
+        best = int(np.argmin(totals))
+        gained = cost - float(totals[best])
+        if gained <= 0.0:
+            break
+        theta, residual, cost = trials[best], tried[best], float(totals[best])
+        J = jacobian(cell, hypothesis, theta, residual)
+        if gained < SETTLED_NATS + SETTLED_SHARE * cost:
+            break
+    kinks = np.clip(_at_kinks(hypothesis, theta), low, high)
+    if not np.array_equal(kinks, theta):
+        there = evaluated(cell, hypothesis, kinks)[0]
+        if float(costs(there).sum()) < cost:
+            theta, residual, cost = kinks, there, float(costs(there).sum())
+            J = jacobian(cell, hypothesis, theta, residual)
+    edge = 1e-3 * spans(hypothesis)
+    at_bound = tuple(bool(b) for b in (theta > high - edge) | ((theta < low + edge) & (low != 0.0)))
+    return Fit(hypothesis, theta, residual, J, cost, at_bound)
+
+
+def _at_kinks(hypothesis: Hypothesis, theta: Array) -> Array:
+    """Theta (k,) with what has a kink at the nearest one."""
+    if all(one.cycles is None for one in hypothesis):
+        return theta
+    cuts = np.cumsum([len(one.slots) for one in hypothesis])[:-1]
+    return np.concatenate([one.settled(own) for one, own in zip(hypothesis, np.split(theta, cuts), strict=True)])
+
+
+def normal_equations(J: Array, residual: Array, span: Array) -> tuple[Array, Array]:
+    """H (k, k) and g (k,) of a Gauss-Newton step H step = -g on the soft-L1 cost, numbers counted in their ranges."""
+    scaled = J * span
+    weighed = scaled * weights(residual)[:, None]
+    return weighed.T @ scaled, weighed.T @ residual
+
+
+def damped_steps(J: Array, residual: Array, span: Array) -> Array:
+    """Steps (dampings, k), the least damped first."""
+    H, g = normal_equations(J, residual, span)
+    diagonal = np.diag(np.diag(H)) + 1e-9 * np.eye(len(g)) * max(1.0, float(np.trace(H)))
+    return np.array([np.linalg.lstsq(H + d * diagonal, -g, rcond=None)[0] * span for d in DAMPINGS])
+
+
+def _bends(J: Array, residual: Array, theta: Array, trials: Array, tried: Array) -> Array:
+    """What takes trials (m, k) with residuals (m, N) back into a curved valley, to second order."""
+    w = weights(residual)[:, None]
+    off = tried - residual - (trials - theta) @ J.T
+    return -off @ (np.linalg.pinv((J * w).T @ J, hermitian=True) @ (J * w).T).T

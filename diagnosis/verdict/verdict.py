@@ -1,0 +1,228 @@
+"""None, effects, outside or undecided: what the cells' answers come to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from diagnosis.cells.behind import guessed_scatter_m
+from diagnosis.refusal.remainder import EDGE, ENERGY_MIN, Fired
+from diagnosis.refusal.shapes import TEST as SHAPE
+from diagnosis.refusal.shapes import Shape
+from diagnosis.search.cell import DRIVEN_STAGES, Cell
+from diagnosis.search.score import FORM_SHARE_STUCK, STICKS
+from diagnosis.search.undoing import Undoing, undoing
+from diagnosis.verdict.certain import certain_in_words, probability_of_names
+from diagnosis.verdict.late_log import late_log
+from diagnosis.verdict.shrink import by_noise, closing, together
+
+if TYPE_CHECKING:
+    from diagnosis.verdict.cell_answer import CellAnswer
+
+Word = Literal["none", "effects", "outside", "undecided"]
+LEFT_SMALL = 0.02  # share of the gap: a remainder below it does not take back a name
+TRACE = 0.005  # share of what the names explain: what fired in a cell of guessed noise without one
+LEFT_STUCK = FORM_SHARE_STUCK  # the same where a joint sticks: what rings after each of its jumps has no model
+LEFT_LARGE = 0.5  # share of the gap: a remainder above it says that no name fits
+HOLES_MANY = 10  # a cable pulled once is no fault of the log; samples that go missing all the time are
+CROWD = 3  # names at once on a machine whose usual state is known: one cause that the catalogue lacks is likelier
+WITH_TIME, DRIFT_NATS = "time", 25.0  # twice what is told as a lead: of 40 sound recordings none showed it
+LOUD = 4.0  # energy of what is left over a noise that was only estimated
+SCATTER_MAX_M = 0.02  # of measured points: no tracker or camera is that bad
+SURE = 0.5  # probability of the names, with their equivalents
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The word, and why, in one sentence a person can act on."""
+
+    word: Word
+    why: str
+
+
+def verdict_of(
+    answers: tuple[CellAnswer, ...],
+    holes: int = 0,
+    stood_still: bool = False,
+    log_unused: bool = False,
+    frozen: int = 0,
+) -> Verdict:
+    """The verdict over all cells. `holes`: places where the log lacks rows; `stood_still`: all is of one posture;
+    `log_unused`: there is a PLC's log, and nothing of it could be judged; `frozen`: places where it repeats old values.
+
+    Model: a remainder that tests find takes back a name: a wrong effect can close most of a foreign gap. It is
+           "outside" where it is most of the gap, or nothing was named; else "undecided", unless below 2 % of the gap
+           (30 % where a joint sticks).
+    """
+    if not answers:
+        return Verdict("undecided", "no stage could be replayed")
+    gained = sum(_gained_nats(one) for one in answers)
+    traces = [one for one in answers if one.fired and _is_trace(one, gained)]
+    speaking = [one for one in answers if one.fired and one not in traces]
+    outside = [one for one in speaking if _left(one) > LEFT_LARGE]
+    partly = [one for one in speaking if _allowed(one) < _left(one) <= LEFT_LARGE]
+    named = [effect for one in answers for effect in one.chosen.fit.hypothesis]
+    late = late_log(answers)
+    if late is not None and late.seen_by_clock:
+        return Verdict("outside", late.words)
+    one_cause = f"; {late.words}" if late is not None else ""
+    scattered = max((guessed_scatter_m(one.search.cell) for one in answers), default=0.0)
+    if scattered > SCATTER_MAX_M and (outside or partly or not named):
+        text = f"the points scatter by {1e3 * scattered:.3g} mm about every model of this arm: that is no noise"
+        return Verdict("undecided", f"{text}; check the points' joint, frame and unit, and measure some poses twice")
+    if outside:
+        one = outside[0]
+        return Verdict("outside", f"{_where(one)}: a gap that nothing in the catalogue explains{_lead(one)}")
+    if partly:
+        one = partly[0]
+        text = f"{_where(one)}: the best names leave {100 * _left(one):.3g} % of the gap{_lead(one)}"
+        return Verdict("undecided", text + one_cause)
+    if stood_still:
+        text = "no joint moved, and at one posture a mount, a lens, a zero and a print look alike"
+        return Verdict("undecided", f"{text}; record a motion of all joints, or a whole job from look to accept")
+    if frozen >= HOLES_MANY:
+        text = f"the log goes on with old encoder values in {frozen} places while the machine moves"
+        return Verdict("undecided", f"{text}: look at the logger first")
+    if not named and holes >= HOLES_MANY:
+        text = f"nothing above the noise floor in what was logged, but rows are missing in {holes} places"
+        return Verdict("undecided", f"{text}: look at the logger first")
+    if not named and log_unused:
+        text = "nothing above the noise floor in what could be judged, but nothing of the PLC's log could be"
+        return Verdict("undecided", f"{text}: mend what is said of it first")
+    unclear = [one for one in answers if _above_a_guess(one)]
+    if not named and unclear:
+        cell = unclear[0].search.cell
+        text = f"{cell.label}: {_over_noise(unclear[0])}, and no name foretells it"
+        return Verdict("undecided", f"{text}; repeat a motion or a pose, so that the noise is known")
+    drifting = [(one, shape) for one in answers for shape in one.shapes if _drifts(one, shape)]
+    if not named and drifting:
+        one, shape = drifting[0]
+        text = f"{one.search.cell.label}: what is left of the {shape.measurement} points goes with time"
+        return Verdict("undecided", f"{text}; something moved that should not: a frame, a mount, a marker")
+    if not named:
+        return Verdict("none", "nothing above the noise floor")
+    loud = [one for one in unclear if one.chosen.fit.hypothesis and _energy(one) > LOUD]
+    if loud:
+        one = loud[0]
+        text = f"{one.search.cell.label}: the best names leave {_over_noise(one)}"
+        return Verdict("undecided", f"{text}: more is wrong than they say")
+    little = [one for one in answers if _closed_at_most(one) < LEFT_LARGE]
+    if little:
+        one = little[0]
+        text = (
+            f"{one.search.cell.label}: the best names close {100.0 * _closed_at_most(one):.3g} % of the gap at the most"
+        )
+        return Verdict("undecided", f"{text}: something else is most of it")
+    if len(named) >= CROWD and all(known_well(one.search.cell) for one in answers):
+        names = ", ".join(dict.fromkeys(effect.name for effect in named))
+        return Verdict("undecided", f"{len(named)} faults at once ({names}): look for one cause of all of them first")
+    undone = next((pair for one in answers if known_well(one.search.cell) and (pair := _undone(one)) is not None), None)
+    if undone is not None:
+        text = f"{undone.names[0]} and {undone.names[1]} undo {100.0 * undone.share:.2g} % of each other"
+        return Verdict("undecided", f"{text}: one cause that the catalogue lacks is likelier than both at once")
+    sure = probability_of_names(answers)
+    if sure < SURE:
+        text = f"the names found have a probability of {sure:.2g} among others{certain_in_words(answers)}"
+        left = f"; what is left is {_over_noise(unclear[0])}: repeats would tell it" if unclear else ""
+        return Verdict("undecided", text + left)
+    beside = "".join(f"; beside it {_where(one)} {_leading(one).lead}, a trace" for one in traces[:1])
+    return Verdict(
+        "effects", f"{'catalogue effects explain the gap' if not unclear else _partly(unclear[0])}{beside}{one_cause}"
+    )
+
+
+def _undone(one: CellAnswer) -> Undoing | None:
+    return undoing(one.search.cell, one.chosen.fit, one.search.none.fit.residual)
+
+
+def _gained_nats(one: CellAnswer) -> float:
+    """What a cell's names explain."""
+    return 0.5 * float(sum((of.before - of.after).sum() for of in one.squares)) if one.chosen.fit.hypothesis else 0.0
+
+
+def _is_trace(one: CellAnswer, gained_nats: float) -> bool:
+    """Whether what fired in a driven cell is next to nothing beside what the names elsewhere explain.
+
+    Why: where the noise is what no mixture explains, something swings somewhere now and then: a clear
+         finding of the tracker was taken back for 44 nats of an actuator. With repeats or a baseline it would count.
+    """
+    cell = one.search.cell
+    if cell.stage not in DRIVEN_STAGES or one.chosen.fit.hypothesis or cell.floor_known or known_well(cell):
+        return False
+    whole = 0.5 * float(sum(of.before.sum() for of in one.squares))
+    fired = max(own.size if own.test == SHAPE else own.share * whole for own in one.fired)
+    return fired < TRACE * gained_nats
+
+
+def _above_a_guess(one: CellAnswer) -> bool:
+    """Whether more is left than the noise, where that was never measured: neither a gap nor none can be told."""
+    return not one.search.cell.floor_known and _energy(one) > 1.0 + ENERGY_MIN
+
+
+def _partly(one: CellAnswer) -> str:
+    """What the names explain where the noise was never measured."""
+    closed, _, _ = by_noise(together(one.squares))
+    share = "" if closed is None else f" {100 * closed:.3g} % of"
+    return f"catalogue effects explain{share} the gap; what is left is {_over_noise(one)}: repeats would tell it"
+
+
+def _over_noise(one: CellAnswer) -> str:
+    return f"{_energy(one):.2g} times the noise that was estimated"
+
+
+def _drifts(one: CellAnswer, shape: Shape) -> bool:
+    """Whether what was measured behind the encoders moved with time, where no baseline says that it always does."""
+    behind = shape.stage not in DRIVEN_STAGES and shape.goes_with == WITH_TIME
+    return behind and shape.nats > DRIFT_NATS and not known_well(one.search.cell)
+
+
+def _closed_at_most(one: CellAnswer) -> float:
+    """Upper limit of the share of the gap that a cell's names close; 1 where none can be told, or nothing was named."""
+    if not one.chosen.fit.hypothesis:
+        return 1.0
+    high = closing(together(one.squares))[3][2]
+    return 1.0 if high is None else high
+
+
+def _energy(one: CellAnswer) -> float:
+    """Of what is left, in units of what is believed as floor: below that no guess of the noise means anything."""
+    return float(np.mean(one.chosen.held_out**2))
+
+
+def _allowed(one: CellAnswer) -> float:
+    return LEFT_STUCK if any(effect.name == STICKS for effect in one.chosen.fit.hypothesis) else LEFT_SMALL
+
+
+def known_well(cell: Cell) -> bool:
+    """Whether a baseline says what this cell shows on the undisturbed machine."""
+    return all(part.usual for part in cell.parts or (cell,))
+
+
+def _left(one: CellAnswer) -> float:
+    """Share of the gap that is left, or of all its nats that a shape foretells.
+
+    All of it where nothing was named, or only what nobody would believe.
+    """
+    if not one.chosen.fit.hypothesis or any(fired.test == EDGE for fired in one.fired):
+        return 1.0
+    closed, _, _ = by_noise(together(one.squares))  # the catalogue knows of no gap outside it
+    shaped = max((fired.share for fired in one.fired if fired.test == SHAPE), default=0.0)
+    return 1.0 if closed is None else max(1.0 - closed, shaped)
+
+
+def _where(one: CellAnswer) -> str:
+    """Stage and joint of what fired: a joined cell holds more than one stage."""
+    first = _leading(one)
+    return first.stage if first.joint is None else f"{first.stage} {first.joint}"
+
+
+def _lead(one: CellAnswer) -> str:
+    first = _leading(one)
+    return f"; the remainder {first.lead}" if first.lead else ""
+
+
+def _leading(one: CellAnswer) -> Fired:
+    """The first test that says what the remainder goes with, else the first of all."""
+    return next((fired for fired in one.fired if fired.lead), one.fired[0])
