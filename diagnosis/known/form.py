@@ -1,9 +1,9 @@
 """What an undisturbed machine's model is wrong by, as a function of what drives it: the baseline's nameless part.
 
-A velocity actuator stands for oil, friction and bending booms. What that leaves is mostly the same every day: fitted on
-some recordings, functions of the command, its change, the angle and the load, and the responses that come later
-(`families/responses.py`), foretell most of what they explain of another one. Taken as known, it hides no fault and looks like
-none. It is fixed by the undisturbed recordings: a diagnosis fits nothing of it.
+A velocity actuator stands for oil, friction and bending booms. What that leaves is mostly the same every day: fitted
+on some recordings, functions of the command, its change, the angle and the load, and the responses that come later
+(`families/responses.py`), foretell most of what they explain of another one. Taken as known, it hides no fault and
+looks like none. It is fixed by the undisturbed recordings: a diagnosis fits nothing of it.
 """
 
 from collections.abc import Callable
