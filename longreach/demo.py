@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.status import Status
 
 from longreach.fleet_client import JobClient, JobRefusedError
-from longreach.processes import Stack, StackPorts
+from longreach.processes import Stack, StackPorts, taken
 
 START_S = 1800.0  # a busy computer of two cores takes minutes to compile; what ends is told at once
 
@@ -30,6 +30,9 @@ def demo(
 ) -> None:
     """Start everything on this computer and show where the panel is."""
     console = Console()
+    if taken("127.0.0.1", port):
+        console.print(f"[bold red]not started:[/] port {port} is taken by another program; give another one by --port")
+        raise typer.Exit(1)
     ports = StackPorts.free()
     ports = StackPorts(http=port, plc=ports.plc, plc_local=ports.plc_local, camera=ports.camera)
     started = time.monotonic()

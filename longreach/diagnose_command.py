@@ -52,6 +52,8 @@ def diagnose(
 ) -> None:
     """Diagnose the gap between a recording and its nominal machine."""
     screen = Console(stderr=True)
+    for place in (json_file, html_file, machine_out, out):
+        _within_reach(place, screen)  # before minutes of work, not after
     if fitting:
         _fit_baseline(recordings, machine_file, out, screen)
         return
@@ -147,6 +149,16 @@ def _with_progress(
             shown.update(task, description="without each name")
             result["left_out"] = leave_named_out(found)
         return found, result, curves_of(found)
+
+
+def _within_reach(place: Path | None, screen: Console) -> None:
+    """Refuse a file that could not be written in the end."""
+    if place is None:
+        return
+    if place.is_dir():
+        raise _refused(OSError(f"{place} is a folder; name a file in it"), screen)
+    if not place.absolute().parent.is_dir():
+        raise _refused(OSError(f"{place} cannot be written: folder {place.parent} does not exist; make it"), screen)
 
 
 def _write(path: Path | None, text: str, screen: Console) -> None:

@@ -71,8 +71,6 @@ def _executor(workers: int, dask: str) -> Iterator[Executor]:
     try:
         from dask.distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise typer.BadParameter(
-            "Dask is not installed: pip install 'longreach[fleet]'", param_hint="--dask"
-        ) from error
+        raise typer.BadParameter("Dask is not installed: pip install -e '.[fleet]'", param_hint="--dask") from error
     with Client(dask) as client:
         yield cast(Executor, client.get_executor(pure=False))

@@ -1,6 +1,7 @@
 """Starting simulator and server as processes of their own, and ending them again."""
 
 import contextlib
+import errno
 import os
 import signal
 import socket
@@ -19,6 +20,18 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
+
+
+def taken(host: str, port: int) -> bool:
+    """Whether another program listens there already."""
+    family, kind, number, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    with socket.socket(family, kind, number) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what an ended program left behind is no program
+        try:
+            probe.bind(address)
+        except OSError as error:
+            return error.errno == errno.EADDRINUSE
+    return False
 
 
 @dataclass(frozen=True, slots=True)

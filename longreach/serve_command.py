@@ -27,9 +27,11 @@ def serve(
     """Start the server: panel, REST, link and vision processes."""
     from rich.console import Console  # all of this here: --help needs none of it, and it takes seconds
 
+    from longreach.processes import taken
     from server.access.keys import first_key as make_first_key
     from server.access.roles import Role
     from server.app import serve as run_server
+    from server.errors import SettingsError
     from server.settings import read_settings
     from server.version import __version__
 
@@ -42,6 +44,8 @@ def serve(
             "recording": {"folder": runs},
         },
     )
+    if taken(settings.http.host, settings.http.port):
+        raise SettingsError(f"port {settings.http.port} is taken by another program; give another one by --port")
     keys_file, screen = settings.http.keys_file, Console(stderr=True)
     if first_key and keys_file and make_first_key(Path(keys_file), Role.OPERATOR, first_key):
         screen.print(f"a first key was made: it is in {first_key}")
@@ -50,8 +54,16 @@ def serve(
 
 
 def _with_options(settings: "ServerSettings", options: dict[str, dict[str, object]]) -> "ServerSettings":
+    from pydantic import ValidationError
+
+    from server.errors import SettingsError
+    from server.settings import first_problem
+
     data = settings.model_dump()
     for section, values in options.items():
         given = {name: value for name, value in values.items() if value is not None}
         data[section] = given if "kind" in given else {**data[section], **given}
-    return type(settings).model_validate(data)
+    try:
+        return type(settings).model_validate(data)
+    except ValidationError as error:
+        raise SettingsError(f"command line: {first_problem(error)}") from error

@@ -71,6 +71,14 @@ def _cell(value: object) -> str:
     return "" if value == MISSING_COUNT else str(value)
 
 
+def _none_in(folder: Path) -> str:
+    """That a folder is no recording, and what in it is one."""
+    files = sorted(folder.glob("*.mcap"))
+    if files:
+        return f"folder {folder} is no recording but holds {len(files)}: name one of them, such as {files[-1]}"
+    return f"folder {folder} holds no recording: neither run.toml nor plc.csv, static.csv or the like"
+
+
 def read_folder(folder: Path) -> Recording:
     """The recording in a folder. Every file is optional, but one of the format has to be there.
 
@@ -78,9 +86,7 @@ def read_folder(folder: Path) -> Recording:
     """
     run_file, machine_file = folder / "run.toml", folder / "machine.toml"
     if not any((folder / name).is_file() for name in ("run.toml", *(row_type.file for row_type in CSV_ROW_TYPES))):
-        raise RecordingError(
-            f"folder {folder} holds no recording: neither run.toml nor plc.csv, static.csv or the like"
-        )
+        raise RecordingError(_none_in(folder))
     rows: list[Row] = []
     for row_type in CSV_ROW_TYPES:
         path = folder / row_type.file

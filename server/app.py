@@ -32,6 +32,7 @@ from server.settings import HttpSettings, ServerSettings, read_machine_text
 from server.settings_source import machine_text_with, source_and_machine
 from server.shell_settings import link_settings, vision_settings
 from server.store.database import Database
+from server.store.folder_lock import alone_in
 from server.store.keeper import Keeper
 from server.version import __version__
 from server.warm_up import warm_up
@@ -131,8 +132,12 @@ def build_app(settings: ServerSettings) -> FastAPI:
 
 
 def serve(settings: ServerSettings) -> None:
-    """Run until SIGINT or SIGTERM; a running job is stopped with a ramp first."""
-    asyncio.run(uvicorn.Server(config_of(build_app(settings), settings.http)).serve())
+    """Run until SIGINT or SIGTERM; a running job is stopped with a ramp first.
+
+    Raises: SettingsError: another server holds the recordings folder.
+    """
+    with alone_in(Path(settings.recording.folder)):
+        asyncio.run(uvicorn.Server(config_of(build_app(settings), settings.http)).serve())
 
 
 def config_of(app: FastAPI, http: HttpSettings) -> uvicorn.Config:

@@ -177,10 +177,14 @@ def read_settings(path: Path | None) -> ServerSettings:
     except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"settings file {path} is not TOML: {error}") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        field = ".".join(str(part) for part in first["loc"])
-        unit = _unit_of(field)
-        raise SettingsError(f"settings file {path}: {field} = {first['input']!r}: {first['msg']}{unit}") from error
+        raise SettingsError(f"settings file {path}: {first_problem(error)}") from error
+
+
+def first_problem(error: ValidationError) -> str:
+    """What is wrong with settings, in one line: field, value, bound, unit."""
+    first = error.errors()[0]
+    field = ".".join(str(part) for part in first["loc"])
+    return f"{field} = {first['input']!r}: {first['msg']}{_unit_of(field)}"
 
 
 def _unit_of(field: str) -> str:

@@ -52,11 +52,12 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
 
     Raises: DiagnosisError: fewer than one recording to fit or two to judge, or nothing in them to replay.
     """
+    wholes = [*fitted, *checked]
     if not fitted or len(checked) < CHECKED_MIN:
         raise DiagnosisError(
-            f"{len(fitted)} recordings to fit and {len(checked)} to judge; give at least 1 and {CHECKED_MIN}"
+            f"a baseline from {len(wholes)} recordings: give at least {1 + CHECKED_MIN}, of which 1 is fitted and "
+            f"{CHECKED_MIN} judge"
         )
-    wholes = [*fitted, *checked]
     entries = _sized(wholes, _settled(fitted, progress), progress)
     progress("what the model is wrong by on all recordings alike")
     forms = _forms(wholes, entries)

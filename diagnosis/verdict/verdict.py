@@ -17,6 +17,7 @@ from diagnosis.search.undoing import Undoing, undoing
 from diagnosis.verdict.certain import certain_in_words, probability_of_names
 from diagnosis.verdict.late_log import late_log
 from diagnosis.verdict.shrink import by_noise, closing, together
+from machine.remainder import USUAL_ENERGY
 
 if TYPE_CHECKING:
     from diagnosis.verdict.cell_answer import CellAnswer
@@ -31,6 +32,7 @@ CROWD = 3  # names at once on a machine whose usual state is known: one cause th
 WITH_TIME, DRIFT_NATS = "time", 25.0  # twice what is told as a lead: of 40 sound recordings none showed it
 LOUD = 4.0  # energy of what is left over a noise that was only estimated
 SCATTER_MAX_M = 0.02  # of measured points: no tracker or camera is that bad
+RECORDINGS_ENOUGH = 13  # of a baseline: three are fitted, and ten judge (`baseline/usual.py`)
 SURE = 0.5  # probability of the names, with their equivalents
 
 
@@ -108,13 +110,9 @@ def verdict_of(
         one = loud[0]
         text = f"{one.search.cell.label}: the best names leave {_over_noise(one)}"
         return Verdict("undecided", f"{text}: more is wrong than they say")
-    little = [one for one in answers if _closed_at_most(one) < LEFT_LARGE]
+    little = [one for one in answers if _closed(one) < LEFT_LARGE]
     if little:
-        one = little[0]
-        text = (
-            f"{one.search.cell.label}: the best names close {100.0 * _closed_at_most(one):.3g} % of the gap at the most"
-        )
-        return Verdict("undecided", f"{text}: something else is most of it")
+        return Verdict("undecided", _closing_little(little[0]))
     if len(named) >= CROWD and all(known_well(one.search.cell) for one in answers):
         names = ", ".join(dict.fromkeys(effect.name for effect in named))
         return Verdict("undecided", f"{len(named)} faults at once ({names}): look for one cause of all of them first")
@@ -178,12 +176,33 @@ def _drifts(one: CellAnswer, shape: Shape) -> bool:
     return behind and shape.nats > DRIFT_NATS and not known_well(one.search.cell)
 
 
-def _closed_at_most(one: CellAnswer) -> float:
-    """Upper limit of the share of the gap that a cell's names close; 1 where none can be told, or nothing was named."""
+def _closed(one: CellAnswer) -> float:
+    """The share of the gap that a cell's names close; 1 where none can be told, or nothing was named.
+
+    Its upper limit, for what is left would have refused the names otherwise; the share itself where a baseline knows
+    of too few days what is usually left.
+    """
     if not one.chosen.fit.hypothesis:
         return 1.0
-    high = closing(together(one.squares))[3][2]
-    return 1.0 if high is None else high
+    share, _, high = closing(together(one.squares))[3]
+    told = share if _known_by_few(one.search.cell) else high
+    return 1.0 if told is None else told
+
+
+def _closing_little(one: CellAnswer) -> str:
+    """Why names that close little of a cell's gap are not told as its cause."""
+    text = f"{one.search.cell.label}: the best names close {100.0 * _closed(one):.3g} % of the gap"
+    if _known_by_few(one.search.cell):
+        return (
+            f"{text}, and the machine's usual state is known of too few days to say whether the rest is usual; "
+            f"fit it on {RECORDINGS_ENOUGH} recordings or more"
+        )
+    return f"{text} at the most: something else is most of it"
+
+
+def _known_by_few(cell: Cell) -> bool:
+    """Whether a baseline was judged on too few recordings to say how much is ever left."""
+    return any(part.usual and USUAL_ENERGY not in dict(part.usual) for part in cell.parts or (cell,))
 
 
 def _energy(one: CellAnswer) -> float:

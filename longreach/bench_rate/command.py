@@ -86,4 +86,4 @@ def _print_race(clip: Path) -> None:
     if len(races) == 2:
         console.print(f"ours is {races[1].ms_per_pair / races[0].ms_per_pair:.0f} times as fast")
     else:
-        console.print("toy-vo is not installed (pip install 'longreach[bench]'): no comparison")
+        console.print("toy-vo is not installed (pip install -e '.[bench]'): no comparison")

@@ -12,6 +12,7 @@ from diagnosis.search.search import search
 from diagnosis.verdict.cell_answer import CellAnswer
 from diagnosis.verdict.verdict import verdict_of
 from diagnosis.verdict.weigh import Weighed
+from machine.remainder import USUAL_ENERGY
 
 
 @pytest.fixture(scope="module")
@@ -57,3 +58,25 @@ def test_names_that_nearly_every_hypothesis_holds_are_told_beside_doubtful_ones(
     verdict = verdict_of((unsure,))
     assert verdict.word == "undecided"
     assert "probability of 0.4 among others; of them certain: flow_gain_error 1 (1)" in verdict.why
+
+
+@pytest.mark.parametrize(
+    ("usual", "high", "word"),
+    [
+        ((), 0.7, "effects"),
+        ((), 0.4, "undecided"),
+        ((("peak", 0.0),), 0.7, "undecided"),
+        ((("peak", 0.0), (USUAL_ENERGY, 1.0)), 0.7, "effects"),
+    ],
+)
+def test_names_that_close_a_quarter_need_a_baseline_of_many_days(
+    clear: CellAnswer, usual: tuple[tuple[str, float], ...], high: float, word: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three recordings of a machine do not say how much is ever left: an upper limit clears no name there."""
+    monkeypatch.setattr(
+        "diagnosis.verdict.verdict.closing", lambda _squares: (1.0, 0.9, 0.1, (0.26, 0.1, high), "noise")
+    )
+    found = replace(clear, search=replace(clear.search, cell=replace(clear.search.cell, usual=usual)))
+    verdict = verdict_of((found,))
+    assert verdict.word == word, verdict.why
+    assert ("too few days" in verdict.why) == (word == "undecided" and bool(usual))

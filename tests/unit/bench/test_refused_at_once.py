@@ -1,0 +1,59 @@
+"""What cannot work is refused before the work, with the remedy, and without a traceback."""
+
+import socket
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from longreach.cli import app
+from longreach.processes import free_port, taken
+from server.errors import SettingsError
+
+
+def said(arguments: list[str], code: int) -> str:
+    """What a command says to wrong arguments, in one line."""
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == code, done.output
+    return " ".join(done.output.split())
+
+
+@pytest.mark.parametrize("option", ["--html", "--json", "--machine-out", "--out"])
+def test_a_file_that_could_not_be_written_in_the_end(tmp_path: Path, option: str) -> None:
+    nowhere = tmp_path / "none" / "file"
+    told = said(["diagnose", str(tmp_path), option, str(nowhere)], 2)
+    assert f"folder {nowhere.parent} does not exist; make it" in told.replace("- ", "-")
+    assert "is a folder; name a file in it" in said(["diagnose", str(tmp_path), option, str(tmp_path)], 2)
+
+
+def test_a_folder_of_recordings_is_no_recording(tmp_path: Path) -> None:
+    (tmp_path / "20260131T101500-look.mcap").write_bytes(b"")
+    told = said(["diagnose", str(tmp_path)], 2)
+    assert "is no recording but holds 1: name one of them" in told
+    assert "20260131T101500-look.mcap" in told
+
+
+def test_a_port_that_somebody_listens_on() -> None:
+    assert not taken("127.0.0.1", free_port())
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert taken("127.0.0.1", port)
+        assert f"port {port} is taken by another program; give another one by --port" in said(
+            ["demo", "--port", str(port)], 1
+        )
+        served = CliRunner().invoke(app, ["serve", "--port", str(port)])
+        assert isinstance(served.exception, SettingsError)
+        assert "give another one by --port" in str(served.exception)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--port", "80800"], "command line: http.port = 80800"),
+        (["--camera-url", "nonsense"], "command line: camera"),
+    ],
+)
+def test_settings_of_the_command_line_are_judged_as_those_of_a_file(arguments: list[str], told: str) -> None:
+    served = CliRunner().invoke(app, ["serve", *arguments])
+    assert isinstance(served.exception, SettingsError), served.output
+    assert told in str(served.exception)

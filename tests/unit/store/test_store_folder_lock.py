@@ -1,0 +1,31 @@
+"""One server a recordings folder."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from server.errors import SettingsError
+from server.store.folder_lock import LOCK, alone_in
+
+
+def test_a_second_server_is_told_who_holds_the_folder(tmp_path: Path) -> None:
+    with (
+        alone_in(tmp_path / "runs"),
+        pytest.raises(SettingsError, match=rf"process {os.getpid()}.*--runs"),
+        alone_in(tmp_path / "runs"),
+    ):
+        pass
+
+
+def test_it_is_free_again_afterwards_and_after_a_killed_one(tmp_path: Path) -> None:
+    (tmp_path / LOCK).write_text("4194304\n", encoding="utf-8")  # of a server that was killed
+    for _ in range(2):
+        with alone_in(tmp_path):
+            assert (tmp_path / LOCK).read_text(encoding="utf-8") == f"{os.getpid()}\n"
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    with pytest.raises(SettingsError, match=r"cannot be written: .*--runs"), alone_in(tmp_path / "file"):
+        pass
