@@ -75,6 +75,10 @@ class JobClient:
                 if answer.status_code == 200:
                     return
                 reasons = "; ".join(answer.json().get("reasons", []))
+            except httpx.UnsupportedProtocol as error:
+                raise JobRefusedError(
+                    f"'{self._http.base_url}' is no address; give one as http://127.0.0.1:8080"
+                ) from error
             except httpx.TransportError as error:
                 reasons = f"server does not answer ({error})"
             time.sleep(0.2)

@@ -5,9 +5,11 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
+from rich.table import Column, Table
 
 from longreach.rerun_view import rerun
-from recording.check import check_recording
+from recording.check import CheckReport, check_recording
 from recording.convert import convert as convert_recording
 from recording.errors import RecordingError
 from recording.recover import recover as recover_recording
@@ -23,7 +25,7 @@ Target = Annotated[Path, typer.Argument(help="where the result goes; the ending 
 def check(recording: Source) -> None:
     """Say what is there, what is missing, and what that costs."""
     try:
-        console.print(check_recording(recording))
+        shown(check_recording(recording), console)
     except RecordingError as error:
         _refuse(error)
 
@@ -42,9 +44,28 @@ def convert(recording: Source, target: Target) -> None:
 def recover(recording: Source, target: Target) -> None:
     """Save what a crash left of an MCAP file."""
     try:
-        console.print(recover_recording(recording, target))
+        saved = recover_recording(recording, target)
     except RecordingError as error:
         _refuse(error)
+    else:
+        how = "nothing was broken" if saved.was_complete else f"reading ended at: {escape(saved.reason)}"
+        text = f"saved {saved.messages} messages and {saved.attachments} attachments to {target}; {how}"
+        console.print(text, soft_wrap=True)
+
+
+def shown(report: CheckReport, screen: Console) -> None:
+    """A report as people read it: what is there, then what is missing, what that costs, and the remedy."""
+    whole = "whole" if report.complete else "[yellow]cut off[/]: longreach recording recover saves what can be read"
+    use = "a diagnosis can use it" if report.usable else "[red]no diagnosis can use it[/]"
+    screen.print(f"{escape(str(report.path))}: {whole}; {use}; {report.images} images", soft_wrap=True)
+    table = Table("signal", *(Column(name, justify="right") for name in ("rows", "rate [Hz]", "lasts [s]", "gaps")))
+    for one in report.signals:
+        table.add_row(one.name, str(one.rows), f"{one.rate_hz:.4g}", f"{one.duration_s:.1f}", str(one.gaps))
+    screen.print(table)
+    for text in report.problems:
+        screen.print(f"[yellow]problem[/] {escape(text)}", soft_wrap=True)
+    for one in report.lacks:
+        screen.print(f"without {escape(one.signal)}: {escape(one.cost)}; {escape(one.remedy)}", soft_wrap=True)
 
 
 def _refuse(error: RecordingError) -> None:

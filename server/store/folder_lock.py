@@ -27,10 +27,14 @@ def alone_in(folder: Path) -> Iterator[None]:
     try:
         try:
             fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        except BlockingIOError as error:
             holder = os.read(held, 20).decode("ascii", "replace").strip() or "unknown"
             raise SettingsError(
                 f"folder {folder} is used by another server (process {holder}); end it, or give another by --runs"
+            ) from error
+        except OSError as error:
+            raise SettingsError(
+                f"folder {folder} cannot be locked: {error.strerror}; give one on this computer's own disk by --runs"
             ) from error
         os.ftruncate(held, 0)
         os.write(held, f"{os.getpid()}\n".encode())

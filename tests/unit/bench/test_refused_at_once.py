@@ -7,6 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from longreach.cli import app
+from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import free_port, taken
 from server.errors import SettingsError
 
@@ -57,3 +58,9 @@ def test_settings_of_the_command_line_are_judged_as_those_of_a_file(arguments: l
     served = CliRunner().invoke(app, ["serve", *arguments])
     assert isinstance(served.exception, SettingsError), served.output
     assert told in str(served.exception)
+
+
+def test_an_address_without_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("longreach.fleet_client.time.sleep", lambda _s: pytest.fail("it waits for nobody"))
+    with JobClient("foo") as client, pytest.raises(JobRefusedError, match=r"'foo/?' is no address; give one as http"):
+        client.wait_ready(30.0)

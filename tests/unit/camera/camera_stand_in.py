@@ -9,6 +9,8 @@ import numpy as np
 
 from server.vision.contracts import Image
 
+CONNECTED_S = 240.0  # a first start compiles
+
 
 def jpeg_of(picture: Image) -> bytes:
     good, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 95])
@@ -72,8 +74,8 @@ class CameraStandIn:
             self._connected.set()
 
     def send(self, data: bytes) -> None:
-        if not self._connected.wait(10.0) or self._client is None:
-            raise TimeoutError("nobody connected to the stand-in camera within 10 s")
+        if not self._connected.wait(CONNECTED_S) or self._client is None:
+            raise TimeoutError(f"nobody connected to the stand-in camera within {CONNECTED_S:.0f} s")
         self._client.sendall(data)
 
     def hang_up(self) -> None:

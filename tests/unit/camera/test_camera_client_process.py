@@ -26,7 +26,7 @@ pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[3]
 MACHINE = parse_machine_toml((ROOT / "machine" / "machines" / "hiab033.toml").read_text(encoding="utf-8"))
-STARTED_S = 60.0
+STARTED_S = 240.0
 
 
 def bodies(count: int) -> list[bytes]:
