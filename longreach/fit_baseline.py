@@ -7,8 +7,8 @@ from rich.console import Console
 from rich.markup import escape
 
 from diagnosis.baseline.baseline import Baseline, fit_baseline
-from diagnosis.baseline.usual import DAYS_OWN
 from diagnosis.errors import DiagnosisError
+from diagnosis.known.days import FITTED_MOST, JUDGED_ENOUGH, RECORDINGS_ENOUGH
 from diagnosis.reading.read import Read, read
 from longreach.machine_out import machine_text
 from machine.effects.entries import entries_to_toml
@@ -17,7 +17,6 @@ from machine.remainder import remainders_to_toml
 from recording.errors import RecordingError
 
 FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
-FITTED_MOST = 3  # more hardly move what is fitted, and what a rare motion leaves is seen by those that judge
 
 
 class BaselineError(Exception):
@@ -71,8 +70,8 @@ def told(found: Baseline, fitted: int, count: int) -> str:
     """What was fitted and what is left, one line a cell."""
     counts = f"names from {fitted} recordings, sizes from {count}, judged on {count - fitted}"
     rows = [f"{counts}; RMS in noise floors before and after:"]
-    if count - fitted < DAYS_OWN:
-        rows.insert(0, f"few: with {fitted + DAYS_OWN} recordings it can also refuse what it has no name for")
+    if count - fitted < JUDGED_ENOUGH:
+        rows.insert(0, f"few: with {RECORDINGS_ENOUGH} recordings it can also refuse what it has no name for")
     rows += [f"  {one.label}: {one.before:.3g} -> {one.after:.3g}" for one in found.cells]
     rows += [f"  {one.name} {one.joint or ''} {dict(one.values)}" for one in found.effects]
     rows += [f"  {label}: a wrong name usually gains {times:.3g} times chance" for label, times in found.best_wrong]

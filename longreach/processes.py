@@ -23,14 +23,14 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
 
 
 def taken(host: str, port: int) -> bool:
-    """Whether another program listens there already."""
-    family, kind, number, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-    with socket.socket(family, kind, number) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what an ended program left behind is no program
-        try:
+    """Whether another program listens there already; no where nobody can listen, which who tries will say."""
+    try:
+        family, kind, number, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, number) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # an ended program's leavings are no program
             probe.bind(address)
-        except OSError as error:
-            return error.errno == errno.EADDRINUSE
+    except OSError as error:
+        return error.errno == errno.EADDRINUSE
     return False
 
 

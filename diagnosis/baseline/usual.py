@@ -7,6 +7,7 @@ import numpy as np
 
 from diagnosis.baseline.left_over import cells_of
 from diagnosis.cells.behind import measurement_of
+from diagnosis.known.days import JUDGED_ENOUGH
 from diagnosis.reading.read import Read
 from diagnosis.refusal.remainder import key_of, pattern_nats, steady_energy, tests_of
 from diagnosis.refusal.shapes import shapes_of
@@ -19,7 +20,6 @@ from machine.rotations import Array
 
 CHANCE_NATS = 4.5  # that the best of some dozen wrong names gains by chance: three quarters of the margin of a name
 CHANCE_MORE_NATS = 2.0  # for each further number that it may choose
-DAYS_OWN = 10  # from so many on, each joint has its own usual tests
 Progress = Callable[[str], None]
 Names = dict[str, dict[str, tuple[float, float]]]
 Usual = dict[tuple[str, int | None, str], dict[str, float]]
@@ -90,9 +90,9 @@ def with_usual(one: Remainder, usual: Usual, days: int) -> Remainder:
     alike = [
         sizes
         for (stage, joint, on), sizes in usual.items()
-        if (stage, on) == (one.stage, one.on) and (joint in (None, one.joint) or days < DAYS_OWN)
+        if (stage, on) == (one.stage, one.on) and (joint in (None, one.joint) or days < JUDGED_ENOUGH)
     ]
-    told = (name for sizes in alike for name in sizes if name != USUAL_ENERGY or days >= DAYS_OWN)
+    told = (name for sizes in alike for name in sizes if name != USUAL_ENERGY or days >= JUDGED_ENOUGH)
     names = dict.fromkeys(told)
     return replace(one, usual=tuple((name, max(sizes.get(name, 0.0) for sizes in alike)) for name in names))
 

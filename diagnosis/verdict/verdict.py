@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from diagnosis.cells.behind import guessed_scatter_m
+from diagnosis.known.days import RECORDINGS_ENOUGH
 from diagnosis.refusal.remainder import EDGE, ENERGY_MIN, Fired
 from diagnosis.refusal.shapes import TEST as SHAPE
 from diagnosis.refusal.shapes import Shape
@@ -32,7 +33,6 @@ CROWD = 3  # names at once on a machine whose usual state is known: one cause th
 WITH_TIME, DRIFT_NATS = "time", 25.0  # twice what is told as a lead: of 40 sound recordings none showed it
 LOUD = 4.0  # energy of what is left over a noise that was only estimated
 SCATTER_MAX_M = 0.02  # of measured points: no tracker or camera is that bad
-RECORDINGS_ENOUGH = 13  # of a baseline: three are fitted, and ten judge (`baseline/usual.py`)
 SURE = 0.5  # probability of the names, with their equivalents
 
 

@@ -36,6 +36,7 @@ def test_a_folder_of_recordings_is_no_recording(tmp_path: Path) -> None:
 
 def test_a_port_that_somebody_listens_on() -> None:
     assert not taken("127.0.0.1", free_port())
+    assert not taken("no.such.host.invalid", free_port())
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         assert taken("127.0.0.1", port)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from test_diagnosis_search import made_up
 
+from diagnosis.baseline.baseline import Baseline
 from diagnosis.diagnose import _answer
 from diagnosis.refusal.remainder import Fired
 from diagnosis.refusal.shapes import TEST
@@ -12,6 +13,7 @@ from diagnosis.search.search import search
 from diagnosis.verdict.cell_answer import CellAnswer
 from diagnosis.verdict.verdict import verdict_of
 from diagnosis.verdict.weigh import Weighed
+from longreach.fit_baseline import told
 from machine.remainder import USUAL_ENERGY
 
 
@@ -80,3 +82,10 @@ def test_names_that_close_a_quarter_need_a_baseline_of_many_days(
     verdict = verdict_of((found,))
     assert verdict.word == word, verdict.why
     assert ("too few days" in verdict.why) == (word == "undecided" and bool(usual))
+
+
+def test_a_baseline_of_few_says_how_many_are_enough() -> None:
+    """With thirteen recordings three are fitted and ten judge; a third of eleven would leave eight."""
+    few, many = (told(Baseline((), (), (), ()), fitted, count) for fitted, count in ((1, 3), (3, 13)))
+    assert few.splitlines()[0] == "few: with 13 recordings it can also refuse what it has no name for"
+    assert "few:" not in many
