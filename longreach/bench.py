@@ -1,193 +1,162 @@
-"""`longreach bench ...`: one subcommand per claim."""
+"""`longreach bench ...`: one subcommand per claim, each imported when it is called."""
 
-import statistics
-import time
-from pathlib import Path
-from typing import Annotated
-
-import numpy as np
 import typer
-from rich.console import Console
 
-from longreach import bench_fuzz, bench_kills, bench_link, bench_position, bench_schedules
-from longreach.bench_bundle.command import bundle
-from longreach.bench_camera_faults.command import camera_faults
-from longreach.bench_compensation.command import compensation
-from longreach.bench_crashes import crashes
-from longreach.bench_diagnosis.command import diagnosis
-from longreach.bench_experiments.command import experiments
-from longreach.bench_gap.command import gap
-from longreach.bench_hold.command import hold
-from longreach.bench_jobs_soak.command import jobs_soak
-from longreach.bench_links.command import links
-from longreach.bench_load.command import load
-from longreach.bench_machines.command import ablation, machines
-from longreach.bench_markers.command import markers
-from longreach.bench_odometry.command import odometry
-from longreach.bench_rate.command import vision
-from longreach.bench_registration.command import registration
-from longreach.bench_registration.hand_eye_command import hand_eye
-from longreach.bench_rerun import rerun
-from longreach.bench_scale import scale
-from longreach.bench_servo import servo
-from longreach.bench_soak import vision_soak
-from longreach.bench_video.command import video
-from longreach.bench_vision import bench_vision_real
-from machine.chain import chain_of
-from machine.inverse import inverse_all, inverse_nearest
-from machine.kinematics import tcp_jacobian, tcp_pose
-from server.settings import read_machine
+from longreach.lazy_commands import Lazy, LazyGroup
 
-app = typer.Typer(no_args_is_help=True)
-console = Console(width=200)
-app.command("schedules")(bench_schedules.schedules)
-app.command("fuzz")(bench_fuzz.fuzz)
-app.command("vision")(vision)
-app.command("odometry")(odometry)
-app.command("markers")(markers)
-app.command("bundle")(bundle)
-app.command("registration")(registration)
-app.command("hand-eye")(hand_eye)
-app.command("machines")(machines)
-app.command("ablation")(ablation)
-app.command("camera-faults")(camera_faults)
-app.command("vision-soak")(vision_soak)
-app.command("servo")(servo)
-app.command("crashes")(crashes)
-app.command("hold")(hold)
-app.command("load")(load)
-app.command("rerun")(rerun)
-app.command("scale")(scale)
-app.command("jobs-soak")(jobs_soak)
-app.command("video")(video)
-app.command("gap")(gap)
-app.command("experiments")(experiments)
-app.command("compensation")(compensation)
-app.command("links")(links)
-app.command("diagnosis")(diagnosis)
-
-
-@app.command()
-def position(
-    preset: Annotated[str, typer.Option(help="ideal, realistic or paper")] = "realistic",
-    method: Annotated[str, typer.Option(help="ours or paper")] = "ours",
-    n: Annotated[int, typer.Option(help="how many seeds")] = 20,
-    seed: Annotated[int, typer.Option(help="first seed")] = 1,
-    folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = Path("runs/bench"),
-) -> None:
-    """Position n seeds end to end and compare image-based with true errors."""
-    cases = bench_position.bench(preset, method, n, seed, folder, console)
-    console.print(bench_position.summary(cases))
-    seconds = [case.duration_s for case in cases if case.steps]
-    for moves in (1, 2, 3):
-        stood = sum(bench_position.inside_after(case, moves) for case in cases)
-        count = sum(bench_position.inside(case, moves) for case in cases)
-        console.print(
-            f"truly inside 5 mm and 1 deg after move {moves}: {stood} of {len(cases)}; "
-            f"job ended there within {moves} moves: {count}"
-        )
-    if method == "paper":
-        count = sum(bench_position.pattern_of_paper(case) for case in cases)
-        console.print(f"pattern of the paper's Table 4: {count} of {len(cases)}")
-    if seconds:
-        console.print(
-            f"seconds: median {statistics.median(seconds):.0f}, max {max(seconds):.0f}; N reached {len(cases)}"
-        )
-
-
-@app.command()
-def kinematics(
-    n: Annotated[int, typer.Option(help="random joint vectors")] = 1000,
-    seed: Annotated[int, typer.Option(help="seed")] = 1,
-    machine: Annotated[str, typer.Option(help="machine file or name")] = "hiab033",
-) -> None:
-    """Inverse recovers random joint vectors; microseconds per call."""
-    chain = chain_of(read_machine(machine))
-    rng = np.random.default_rng(seed)
-    qs = rng.uniform(chain.q_min, chain.q_max, (n, chain.n))
-    poses = [tcp_pose(chain, q) for q in qs]
-    tcp_jacobian(chain, qs[0])
-    nearest = [inverse_nearest(chain, T, q) for T, q in zip(poses, qs, strict=True)]
-    recovered = sum(
-        found.q is not None and np.allclose(found.q, q, atol=1e-7) for found, q in zip(nearest, qs, strict=True)
-    )
-    worst = max(float(np.abs(tcp_pose(chain, branch.q) - T).max()) for T in poses for branch in inverse_all(chain, T))
-    console.print(f"inverse recovered {recovered} of {n}; worst branch reproduces its pose to {worst:.1e}")
-    for name, call in (
-        ("forward", lambda i: tcp_pose(chain, qs[i])),
-        ("jacobian", lambda i: tcp_jacobian(chain, qs[i])),
-        ("inverse, 8 branches", lambda i: inverse_all(chain, poses[i])),
-        ("inverse, nearest", lambda i: inverse_nearest(chain, poses[i], qs[i])),
-    ):
-        console.print(f"{name:22s} {_micros(call, n):8.1f} us per call")
-
-
-def _micros(call, n: int) -> float:
-    started = time.perf_counter()
-    for i in range(n):
-        call(i)
-    return (time.perf_counter() - started) / n * 1e6
-
-
-@app.command()
-def plant(
-    seconds: Annotated[float, typer.Option(help="simulated seconds")] = 20.0,
-    preset: Annotated[str, typer.Option(help="which preset")] = "realistic",
-    seed: Annotated[int, typer.Option(help="seed")] = 1,
-) -> None:
-    """Real-time factor of the fine plant on one core."""
-    from sim_plc.plant.bench import bench_plant
-
-    console.print(bench_plant(seconds, preset, seed))
-
-
-@app.command()
-def render(
-    n: Annotated[int, typer.Option(help="stereo pairs")] = 50,
-    seed: Annotated[int, typer.Option(help="seed")] = 1,
-) -> None:
-    """Stereo pairs rendered per second."""
-    from sim_plc.camera.bench import bench_render
-
-    console.print(bench_render(n, seed))
-
-
-@app.command("vision-real")
-def vision_real(
-    data: Annotated[Path, typer.Option(help="folder with markers/ and stereo/")] = Path("../shared/data"),
-) -> None:
-    """Detector and odometry on real photographs and the KITTI clip."""
-    bench_vision_real(data, console)
-
-
-@app.command()
-def link(
-    minutes: Annotated[int, typer.Option(help="how long, beside the vision load")] = 10,
-    seed: Annotated[int, typer.Option(help="seed of the simulated machine")] = 1,
-    in_server: Annotated[
-        bool, typer.Option("--in-server", help="for comparison: the client in the server's own process")
-    ] = False,
-    folder: Annotated[Path, typer.Option(help="where every minute is saved; a second run resumes")] = Path(
-        "runs/bench-link"
+BENCHES = (
+    Lazy(
+        "schedules",
+        "longreach.bench_schedules:schedules",
+        "Run seeded fault schedules through the link and watch every PLC cycle.",
     ),
-) -> None:
-    """Underruns, lateness and buffer depth of the PLC link in real time beside the vision load."""
-    plan = bench_link.Plan(minutes=minutes, seed=seed, where="server" if in_server else "process")
-    console.print(bench_link.summary([bench_link.bench(plan, folder, console)]))
-
-
-@app.command()
-def kills(
-    n: Annotated[int, typer.Option(help="kills of each victim")] = 20,
-    seed: Annotated[int, typer.Option(help="first seed")] = 1,
-    victims: Annotated[str, typer.Option(help="server, link, plc")] = bench_kills.DEFAULT_VICTIMS,
-    folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = Path(
-        "runs/bench-kills"
+    Lazy("fuzz", "longreach.bench_fuzz:fuzz", "Fuzz both ends of the PLC link; exit code 1 if a rule was broken."),
+    Lazy(
+        "vision",
+        "longreach.bench_rate.command:vision",
+        "Pairs per second, latency, CPU time by stage; beside them OpenCV's plain detector and toy-vo.",
     ),
-) -> None:
-    """SIGKILL in the middle of real jobs: ramp, rest, travel, and that nothing moves again by itself."""
-    try:
-        chosen = bench_kills.victims_of(victims)
-    except bench_kills.UnknownVictimError as error:
-        raise typer.BadParameter(str(error)) from error
-    console.print(bench_kills.summary(bench_kills.bench(chosen, n, seed, folder, console)))
+    Lazy(
+        "odometry",
+        "longreach.bench_odometry.command:odometry",
+        "Stereo odometry on rendered paths of preset realistic, without markers, calibration exact.",
+    ),
+    Lazy(
+        "markers",
+        "longreach.bench_markers.command:markers",
+        "Marker poses over the two-view Cramer-Rao bound, planar flips and covariances, beside OpenCV's.",
+    ),
+    Lazy(
+        "bundle",
+        "longreach.bench_bundle.command:bundle",
+        "Our bundle adjustment beside gtsam's and SciPy's on gtsam's stereo data; time per window; honest covariance.",
+    ),
+    Lazy(
+        "registration",
+        "longreach.bench_registration.command:registration",
+        "Our chords beside mixture model, Umeyama (evo) and CPD (pycpd): rotation error and time on simulated tracks.",
+    ),
+    Lazy(
+        "hand-eye",
+        "longreach.bench_registration.hand_eye_command:hand_eye",
+        "A X = Y B on real and simulated arms, trajectories beside evo, and kinhec's tracks beside its own solvers.",
+    ),
+    Lazy(
+        "machines",
+        "longreach.bench_machines.command:machines",
+        "The default method on many machines in the fast world: success by moves, refusals, honest ellipses, times.",
+    ),
+    Lazy(
+        "ablation",
+        "longreach.bench_machines.command:ablation",
+        "Each improvement switched off alone, on the same machines: change of the one-move success.",
+    ),
+    Lazy(
+        "camera-faults",
+        "longreach.bench_camera_faults.command:camera_faults",
+        "Inject every camera fault: pairs until it is found, looks that used it, pairs until recovery, false alarms.",
+    ),
+    Lazy(
+        "vision-soak",
+        "longreach.bench_soak:vision_soak",
+        "Markers, odometry and preview on pairs looped from memory: growth of memory per hour and per pair.",
+    ),
+    Lazy(
+        "servo",
+        "longreach.bench_servo:servo",
+        "Closed-loop control over real UDP and rendered images: does it reach the tolerance, truly.",
+    ),
+    Lazy(
+        "crashes",
+        "longreach.bench_crashes:crashes",
+        "SIGKILL the server at random points of a run; look at what the next life finds.",
+    ),
+    Lazy(
+        "hold",
+        "longreach.bench_hold.command:hold",
+        "Hold-to-run in a real browser: time from letting go to the ramp in the PLC's states.",
+    ),
+    Lazy(
+        "load",
+        "longreach.bench_load.command:load",
+        "REST answers, PLC underruns and vision's rate: 50 readers and 200 questions a second, a move on.",
+    ),
+    Lazy("rerun", "longreach.bench_rerun:rerun", "Convert a recording for Rerun and compare every value."),
+    Lazy("scale", "longreach.bench_scale:scale", "Events, bytes and diagnosis CPU of one machine; the same for many."),
+    Lazy(
+        "jobs-soak",
+        "longreach.bench_jobs_soak.command:jobs_soak",
+        "Memory, handles, tasks and database over many jobs with faults; that the server always finds back.",
+    ),
+    Lazy(
+        "video",
+        "longreach.bench_video.command:video",
+        "Frames drawn a second, exposure to pixel, and vision's rate with several viewers; live simulated stream.",
+    ),
+    Lazy(
+        "gap",
+        "longreach.bench_gap.command:gap",
+        "Blind cases of the gap diagnosis: names, refusals, probabilities, limits and shrink against sealed truths.",
+    ),
+    Lazy(
+        "experiments",
+        "longreach.bench_experiments.command:experiments",
+        "Ambiguous recording, proposed experiment, executed, both diagnosed together: is the true effect sure then?",
+    ),
+    Lazy(
+        "compensation",
+        "longreach.bench_compensation.command:compensation",
+        "Diagnosed effects compensated against not, paired on drawn machines in the fast world.",
+    ),
+    Lazy(
+        "links",
+        "longreach.bench_links.command:links",
+        "Six joints behind links that jitter, drift, lose and delay, logged every 1 to 10 ms: is only the fault named?",
+    ),
+    Lazy(
+        "diagnosis",
+        "longreach.bench_diagnosis.command:diagnosis",
+        "Time and memory of a diagnosis of eight minutes, six joints and one; a fleet's answers, however made.",
+    ),
+    Lazy(
+        "position",
+        "longreach.bench_small:position",
+        "Position n seeds end to end and compare image-based with true errors.",
+    ),
+    Lazy(
+        "kinematics",
+        "longreach.bench_small:kinematics",
+        "Inverse recovers random joint vectors; microseconds per call.",
+    ),
+    Lazy("plant", "longreach.bench_small:plant", "Real-time factor of the fine plant on one core."),
+    Lazy("render", "longreach.bench_small:render", "Stereo pairs rendered per second."),
+    Lazy(
+        "vision-real",
+        "longreach.bench_small:vision_real",
+        "Detector and odometry on real photographs and the KITTI clip.",
+    ),
+    Lazy(
+        "link",
+        "longreach.bench_small:link",
+        "Underruns, lateness and buffer depth of the PLC link in real time beside the vision load.",
+    ),
+    Lazy(
+        "kills",
+        "longreach.bench_small:kills",
+        "SIGKILL in the middle of real jobs: ramp, rest, travel, and that nothing moves again by itself.",
+    ),
+)
+
+
+class Benches(LazyGroup):
+    """Of `longreach bench`."""
+
+    table = BENCHES
+
+
+app = typer.Typer(cls=Benches, no_args_is_help=True)
+
+
+@app.callback()
+def measure() -> None:
+    """Measure; every figure in the README comes from here."""

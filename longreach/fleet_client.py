@@ -29,6 +29,7 @@ class Finished:
     reason: str
     result: Any
     elapsed_s: float
+    job_id: str = ""
 
 
 def read_key(path: Path | None) -> str:
@@ -107,6 +108,14 @@ class JobClient:
         except ControlRefusedError as error:
             raise JobRefusedError(str(error)) from error
 
+    def run_id_of(self, job_id: str) -> str:
+        """The run that a job was recorded as; empty where it was not, or the server no longer answers."""
+        try:
+            listed = self._http.get("/v1/runs", params={"limit": 10}).raise_for_status().json()
+        except (httpx.HTTPError, ValueError):
+            return ""
+        return next((run["run_id"] for run in listed if run["run_id"].endswith(f"-{job_id}")), "")
+
     def _run(
         self, body: dict[str, Any], headers: dict[str, str], on_event: Callable[[dict[str, Any]], None] | None
     ) -> Finished:
@@ -115,7 +124,7 @@ class JobClient:
             raise JobRefusedError(answer.json().get("detail", answer.text))
         for kind, data in self._events(answer.headers["location"]):
             if kind == "end":
-                return Finished(data["state"], data["reason"], data["result"], data["elapsed_s"])
+                return Finished(data["state"], data["reason"], data["result"], data["elapsed_s"], data["job_id"])
             if on_event is not None:
                 on_event(data)
         raise JobRefusedError("the server ended the story of the job before its end; look at its log")

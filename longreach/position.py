@@ -29,6 +29,7 @@ def position(
         client.wait_ready(wait_s)
         with console.status("positioning") as status:
             finished = client.run(body, lambda event: _show(console, status, event))
+        run_id = client.run_id_of(finished.job_id)
     except JobRefusedError as error:
         console.print(f"[bold red]refused:[/] {error}")
         raise typer.Exit(2) from error
@@ -38,6 +39,8 @@ def position(
         raise typer.Exit(130) from None
     finally:
         client.close()
+    if run_id:
+        console.print(f"recorded: {run_id}.mcap in the server's runs folder", highlight=False, soft_wrap=True)
     if finished.state != "done":
         console.print(f"[bold red]{finished.state}:[/] {finished.reason}")
         raise typer.Exit(1)

@@ -25,7 +25,7 @@ def diagnosis(
         "runs/bench-diagnosis"
     ),
 ) -> None:
-    """Time and memory of a diagnosis of eight minutes, six joints and one; a fleet's answers, however they are made."""
+    """Time and memory of a diagnosis of eight minutes, six joints and one; a fleet's answers, however made."""
     keys = [f"{joints}-{one}" for joints in SIZES for one in range(seed, seed + n)]
     lines = run_saved(folder / "timed.jsonl", keys, lambda key: _timed(folder, key), console, "diagnoses")
     if lines:

@@ -60,11 +60,10 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     @router.post("", status_code=202, response_model=DiagnosisView, responses=refused)
     async def start_diagnosis(body: RunDiagnosis | PathDiagnosis | RunsDiagnosis) -> JSONResponse:
         """Start `longreach diagnose` in a process of its own at low priority; 409 while another one runs."""
-        found = await asyncio.to_thread(_recordings, folder, body)
-        if not found:
-            return problem(
-                404, "Unknown recording", "no such recording in the folder", "unknown_run", "see GET /v1/runs"
-            )
+        found, missing = await asyncio.to_thread(_recordings, folder, body)
+        if missing:
+            detail = f"no recording {', '.join(repr(one[:64]) for one in missing)} in the folder"
+            return problem(404, "Unknown recording", detail, "unknown_run", "see GET /v1/runs")
         one = diagnoses.start(*found)
         headers = {"Location": f"/v1/diagnoses/{one.diagnosis_id}"}
         return JSONResponse(_view(one).model_dump(), status_code=202, headers=headers)
@@ -114,15 +113,19 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
     return router
 
 
-def _recordings(folder: Path, body: RunDiagnosis | PathDiagnosis | RunsDiagnosis) -> tuple[Path, ...]:
-    """What is to be diagnosed; nothing for whatever is no recording, such as the server's own database beside them."""
+def _recordings(
+    folder: Path, body: RunDiagnosis | PathDiagnosis | RunsDiagnosis
+) -> tuple[tuple[Path, ...], tuple[str, ...]]:
+    """What is to be diagnosed, and what was asked for and is no recording, such as the server's own database."""
     if isinstance(body, PathDiagnosis):
         found = inside(folder, body.path)
-        usable = found is not None and (found.suffix == ".mcap" or (found / "run.toml").is_file())
-        return (found,) if found is not None and usable else ()
+        if found is not None and (found.suffix == ".mcap" or (found / "run.toml").is_file()):
+            return (found,), ()
+        return (), (body.path,)
     wanted = [body.run_id] if isinstance(body, RunDiagnosis) else body.run_ids
-    paths = [path for run_id in wanted if (path := run_path(folder, run_id)) is not None]
-    return tuple(paths) if len(paths) == len(wanted) else ()
+    paths = {run_id: run_path(folder, run_id) for run_id in wanted}
+    missing = tuple(run_id for run_id, path in paths.items() if path is None)
+    return tuple(path for run_id in wanted if (path := paths[run_id]) is not None), missing
 
 
 def _view(one: Diagnosis) -> DiagnosisView:

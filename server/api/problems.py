@@ -84,12 +84,20 @@ def install_problem_handlers(app: FastAPI) -> None:
         told = first["msg"]
         if first["type"] == "union_tag_invalid":  # pydantic's words hold what was sent; nothing that was sent is echoed
             told = f"'kind' must be one of {first['ctx']['expected_tags']}"
+        told += _number_sent(first.get("input"))
         return problem(422, "Invalid request", f"{where}: {told}"[:500], "invalid_request", hint)
 
     @app.exception_handler(Exception)
     async def defect(request: Request, error: Exception) -> JSONResponse:
         log.error("defect at %s %s", request.method, request.scope.get("route", ""), exc_info=error)
         return problem(500, "Defect", "internal error; the server's log says more", "internal", "report it, please")
+
+
+def _number_sent(value: object) -> str:
+    """The value that was refused, where it is a number; text that was sent is echoed nowhere."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e15:
+        return ""
+    return f" (sent: {value:.6g})"
 
 
 def _methods_of(app: FastAPI, path: str) -> set[str]:

@@ -18,7 +18,8 @@ SOURCES = (longreach.fleet_client, longreach.lease_holder)
 CALL = re.compile(r'_http\.(get|post|put|delete)\(\s*f?"([^"]+)"')
 FIELDS = {
     "LeaseView": {"lease_id", "fencing"},
-    "JobView": {"state", "reason", "result", "elapsed_s"},
+    "JobView": {"state", "reason", "result", "elapsed_s", "job_id"},
+    "RunView": {"run_id"},
     "JobEventView": {"elapsed_s", "text", "name", "number"},
     "Problem": {"detail", "code"},
     "ReadyView": {"reasons"},
@@ -100,3 +101,21 @@ def test_one_who_has_control_is_named_to_the_next(address):
             pass
         threading.Event().wait(1.5)  # kept alive from its thread, beyond its ttl
         assert http.get("/v1/lease").json()["stale"] is False
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        ((200, [{"run_id": "20261127T051000-look-0b"}, {"run_id": "20261127T050000-position-0a"}]), "position-0a"),
+        ((200, []), ""),
+        ((503, {"detail": "closing"}), ""),
+    ],
+)
+def test_the_run_of_a_job_is_found_where_it_was_recorded(answer, told):
+    with JobClient("http://server") as client:
+        client._http = httpx.Client(
+            base_url="http://server",
+            transport=httpx.MockTransport(lambda _request: httpx.Response(answer[0], json=answer[1])),
+        )
+        assert client.run_id_of("0a").endswith(told)
+        assert bool(client.run_id_of("0a")) == bool(told)

@@ -69,6 +69,9 @@ async def test_several_runs_by_rest(open_bench, tmp_path, monkeypatch):
         assert answer.json()["recordings"] == ["a.mcap", "b.mcap"]
         for body, status in (({"run_ids": ["a", "none"]}, 404), ({"run_ids": ["a"]}, 422), ({"run_ids": "ab"}, 422)):
             assert (await client.post("/v1/diagnoses", json=body)).status_code == status
+        unknown = await client.post("/v1/diagnoses", json={"run_ids": ["a", "none"]})
+        assert "'none'" in unknown.json()["detail"]
+        assert "'a'" not in unknown.json()["detail"]
     assert [path.name for path in started[0].recordings] == ["a.mcap", "b.mcap"]
 
 

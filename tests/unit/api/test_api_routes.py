@@ -160,6 +160,15 @@ async def test_malformed_requests_are_problems_and_start_nothing(client, service
     assert not service.engine.jobs
 
 
+async def test_a_number_beyond_its_limit_is_told_with_both(client):
+    detail = (await client.post("/v1/jobs", json={"kind": "retract", "distance_mm": 5000.0})).json()["detail"]
+    assert "distance_mm" in detail
+    assert "less than or equal to" in detail
+    assert detail.endswith("(sent: 5000)")
+    text = (await client.post("/v1/jobs", json={"kind": "retract", "distance_mm": "<b>"})).json()["detail"]
+    assert "<b>" not in text
+
+
 async def test_bytes_that_are_no_json_are_refused(client):
     answer = await client.post("/v1/jobs", content=b"\xff\xfe{", headers={"content-type": "application/json"})
     assert answer.status_code == 400

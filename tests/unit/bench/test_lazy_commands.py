@@ -10,6 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from longreach.bench import BENCHES
 from longreach.cli import COMMANDS, app
 from longreach.lazy_commands import Lazy
 
@@ -34,7 +35,10 @@ print(json.dumps([answer.output, sorted(name for name in sys.modules if "." not 
 """
 
 
-@pytest.mark.parametrize(("arguments", "told"), [(["--help"], "diagnose-fleet"), (["serve", "--help"], "--first-key")])
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [(["--help"], "diagnose-fleet"), (["serve", "--help"], "--first-key"), (["bench", "--help"], "vision-real")],
+)
 def test_help_imports_nothing_heavy(arguments, told):
     command = [sys.executable, "-c", LOADED, json.dumps(arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=True, env={**os.environ, "COLUMNS": "200"})
@@ -44,7 +48,7 @@ def test_help_imports_nothing_heavy(arguments, told):
     assert "typer" in modules  # the list is that of this process
 
 
-@pytest.mark.parametrize("one", COMMANDS, ids=lambda one: one.name)
+@pytest.mark.parametrize("one", COMMANDS + BENCHES, ids=lambda one: one.where)
 def test_each_is_there_and_the_list_says_what_it_says_of_itself(one):
     command = one.load()
     assert command.name == one.name
