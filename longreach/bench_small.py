@@ -89,8 +89,9 @@ def plant(
 
     told = bench_plant(seconds, preset, seed)
     console.print(
-        f"{told.preset}, seed {told.seed}, {told.simulated_s:g} s simulated: {told.real_time_factor:.0f} times real time "
-        f"in a batch, {told.real_time_factor_per_ms_calls:.0f} in calls of 1 ms; first call {told.first_call_s:.1f} s"
+        f"{told.preset}, seed {told.seed}, {told.simulated_s:g} s simulated: "
+        f"{told.real_time_factor:.0f} times real time in a batch, "
+        f"{told.real_time_factor_per_ms_calls:.0f} in calls of 1 ms; first call {told.first_call_s:.1f} s"
     )
 
 

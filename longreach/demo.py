@@ -29,7 +29,14 @@ def demo(
     seconds: Annotated[float, typer.Option(help="end after this time; 0 = on Ctrl-C")] = 0.0,
 ) -> None:
     """Start everything on this computer and show where the panel is."""
+    from sim_plc.presets import PresetError, checked_preset  # here: who only asks for help draws no machine
+
     console = Console()
+    try:
+        checked_preset(preset)
+    except PresetError as error:
+        console.print(f"[bold red]not started:[/] {error}")
+        raise typer.Exit(1) from error
     if taken("127.0.0.1", port):
         console.print(f"[bold red]not started:[/] port {port} is taken by another program; give another one by --port")
         raise typer.Exit(1)

@@ -21,6 +21,7 @@ from diagnosis.report.page import page
 from diagnosis.report.text import lines
 from longreach.fit_baseline import BaselineError, make_baseline
 from longreach.machine_out import MachineOutError, machine_text, write_machine
+from longreach.shipped_machine import file_of_machine
 from machine.effects.registry import NAMES
 
 BAD_INPUT = 2
@@ -30,7 +31,10 @@ def diagnose(
     recordings: Annotated[
         list[Path], typer.Argument(help="an MCAP file or a folder of CSV files; several of one machine count as one")
     ],
-    machine_file: Annotated[Path | None, typer.Option("--machine", help="use this machine.toml instead")] = None,
+    machine_file: Annotated[
+        Path | None,
+        typer.Option("--machine", callback=file_of_machine, help="use this machine file, or a shipped one by name"),
+    ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the whole answer here")] = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="write a report here")] = None,
     lacking: Annotated[

@@ -18,6 +18,7 @@ from diagnosis.fleet.page import fleet_page
 from diagnosis.fleet.run import diagnose_all, recordings_below
 from diagnosis.fleet.summary import summary_of
 from longreach.one_thread import ONE_THREAD
+from longreach.shipped_machine import file_of_machine
 from server.version import __version__
 
 BAD_INPUT = 2
@@ -26,7 +27,10 @@ BAD_INPUT = 2
 def diagnose_fleet(
     folder: Annotated[Path, typer.Argument(help="recordings below it: MCAP files and folders with run.toml")],
     out: Annotated[Path, typer.Option(help="answers and report go here; a second run resumes")] = Path("runs/fleet"),
-    machine_file: Annotated[Path | None, typer.Option("--machine", help="use this machine.toml for all")] = None,
+    machine_file: Annotated[
+        Path | None,
+        typer.Option("--machine", callback=file_of_machine, help="use this machine file, or the shipped one, for all"),
+    ] = None,
     workers: Annotated[int, typer.Option(min=1, help="processes on this computer")] = os.cpu_count() or 1,
     dask: Annotated[str, typer.Option(help="a Dask scheduler instead, such as tcp://host:8786")] = "",
 ) -> None:

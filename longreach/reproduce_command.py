@@ -1,11 +1,13 @@
 """`longreach reproduce`: the paper's tables and figures beside ours, and the noise of the fast world."""
 
 from enum import StrEnum
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from server.errors import SettingsError
@@ -42,6 +44,10 @@ def reproduce(
 
     one_thread()
     console = Console()
+    if find_spec("matplotlib") is None:
+        console.print(
+            f"[yellow]{escape(NO_MATPLOTLIB)}; cases are saved, `longreach reproduce report` draws them later[/]"
+        )
     if what is What.NOISE:
         _noise(n or NOISE_WORLDS, out / "noise", ship, console)
     else:

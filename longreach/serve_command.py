@@ -49,8 +49,8 @@ def serve(
     keys_file, screen = settings.http.keys_file, Console(stderr=True)
     if first_key and keys_file and make_first_key(Path(keys_file), Role.OPERATOR, first_key):
         screen.print(f"a first key was made: it is in {first_key}")
-    screen.print(f"longreach {__version__}: panel at http://{settings.http.host}:{settings.http.port}/")
-    run_server(settings)
+    address = f"http://{settings.http.host}:{settings.http.port}/"
+    run_server(settings, lambda: screen.print(f"longreach {__version__}: panel at {address}"))
 
 
 def _with_options(settings: "ServerSettings", options: dict[str, dict[str, object]]) -> "ServerSettings":

@@ -23,6 +23,7 @@ TWO_FOLDERS = (
     ("mav0/cam0/data", "mav0/cam1/data"),
 )
 READ_S = 0.5
+FIRST_PICTURE_S = 30.0  # a camera that is there has sent one by then
 
 
 class TargetError(ServerError):
@@ -133,12 +134,14 @@ def live_views(
     """Views kept from a live camera, until there are enough, time is up, the source ends, or Ctrl-C.
 
     `tell` hears what became of every pair.
-    Raises: TargetError: no picture at all within the time.
+    Raises: TargetError: no picture at all within half a minute, or within the time.
     """
     keeper = ViewKeeper(search.camera, settings)
-    end_s, any_pair = time.monotonic() + timeout_s, False
+    begun_s, first_s, any_pair = time.monotonic(), min(timeout_s, FIRST_PICTURE_S), False
     try:
-        while len(keeper.views) < n_views and time.monotonic() < end_s and not source.ended:
+        while len(keeper.views) < n_views and not source.ended:
+            if time.monotonic() >= begun_s + (timeout_s if any_pair else first_s):
+                break
             frame = source.read(READ_S)
             if frame is None:
                 continue
@@ -148,5 +151,5 @@ def live_views(
     except KeyboardInterrupt:  # enough, says the operator
         any_pair = True
     if not any_pair:
-        raise TargetError(f"no picture within {timeout_s:g} s; {source.state or 'check the camera'}")
+        raise TargetError(f"no picture within {first_s:g} s; {source.state or 'check the camera'}")
     return keeper.views

@@ -2,7 +2,7 @@
 
 import asyncio
 import gc
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -131,13 +131,15 @@ def build_app(settings: ServerSettings) -> FastAPI:
     return app
 
 
-def serve(settings: ServerSettings) -> None:
-    """Run until SIGINT or SIGTERM; a running job is stopped with a ramp first.
+def serve(settings: ServerSettings, begun: Callable[[], None] = lambda: None) -> None:
+    """Run until SIGINT or SIGTERM; a running job is stopped with a ramp first. `begun`: called once nothing refuses it.
 
     Raises: SettingsError: another server holds the recordings folder.
     """
     with alone_in(Path(settings.recording.folder)):
-        asyncio.run(uvicorn.Server(config_of(build_app(settings), settings.http)).serve())
+        app = build_app(settings)
+        begun()
+        asyncio.run(uvicorn.Server(config_of(app, settings.http)).serve())
 
 
 def config_of(app: FastAPI, http: HttpSettings) -> uvicorn.Config:

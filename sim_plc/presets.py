@@ -149,11 +149,17 @@ def spread_of(preset: str, name: str) -> Spread:
 
     Raises:  PresetError: no such preset. KeyError: no such number.
     """
-    row = _ROWS[name]
-    if preset == "ideal":
+    row, checked = _ROWS[name], checked_preset(preset)
+    if checked == "ideal":
         return row.ideal
-    if preset == "realistic":
-        return row.realistic
-    if preset == "paper":
-        return row.realistic if row.paper is None else row.paper
-    raise PresetError(f"preset '{preset}' does not exist; choose one of {', '.join(PRESET_NAMES)}")
+    return row.realistic if checked == "realistic" or row.paper is None else row.paper
+
+
+def checked_preset(preset: str) -> str:
+    """The preset itself.
+
+    Raises:  PresetError: no such preset.
+    """
+    if preset not in PRESET_NAMES:
+        raise PresetError(f"preset '{preset}' does not exist; choose one of {', '.join(PRESET_NAMES)}")
+    return preset

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from longreach.cli import app
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import free_port, taken
+from longreach.shipped_machine import file_of_machine
 from server.errors import SettingsError
 
 
@@ -46,6 +47,16 @@ def test_a_port_that_somebody_listens_on() -> None:
         served = CliRunner().invoke(app, ["serve", "--port", str(port)])
         assert isinstance(served.exception, SettingsError)
         assert "give another one by --port" in str(served.exception)
+        simulated = CliRunner().invoke(app, ["sim", "--camera-port", str(port)])
+        assert isinstance(simulated.exception, SettingsError)
+        assert "give another one by --camera-port" in str(simulated.exception)
+
+
+def test_a_preset_that_does_not_exist_is_told_before_anything_is_announced() -> None:
+    assert "preset 'foo' does not exist; choose one of ideal, realistic, paper" in said(["demo", "--preset", "foo"], 1)
+    simulated = CliRunner().invoke(app, ["sim", "--preset", "foo"])
+    assert isinstance(simulated.exception, SettingsError)
+    assert simulated.output == ""
 
 
 @pytest.mark.parametrize(
@@ -65,3 +76,13 @@ def test_an_address_without_its_protocol(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr("longreach.fleet_client.time.sleep", lambda _s: pytest.fail("it waits for nobody"))
     with JobClient("foo") as client, pytest.raises(JobRefusedError, match=r"'foo/?' is no address; give one as http"):
         client.wait_ready(30.0)
+
+
+def test_a_machine_is_given_by_its_path_or_by_the_name_of_a_shipped_one(tmp_path: Path) -> None:
+    shipped = file_of_machine(Path("hiab033"))
+    assert shipped is not None
+    assert shipped.is_file()
+    own = tmp_path / "hiab033"
+    own.write_text("")
+    for kept in (None, own, Path("no-such"), Path("..") / "hiab033"):
+        assert file_of_machine(kept) == kept

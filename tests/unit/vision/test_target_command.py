@@ -266,6 +266,21 @@ def test_live_views_are_kept_until_there_are_enough(scene):
     assert heard[-1] == (Offer.TAKEN, 4)
 
 
+def test_a_camera_that_sends_nothing_is_told_of_after_half_a_minute_not_at_the_end(monkeypatch):
+    class Silent:
+        ended, state = False, "no connection to http://camera/stream"
+
+        def read(self, timeout_s):
+            clock.append(clock[-1] + timeout_s)
+
+    clock = [0.0]
+    monkeypatch.setattr("longreach.target_sources.time.monotonic", lambda: clock[-1])
+    search = MarkerSearch(machine().camera, dictionary_by_name("DICT_4X4_50"), (1, 2, 3))
+    with pytest.raises(TargetError, match="no picture within 30 s; no connection to http://camera"):
+        live_views(Silent(), search, TeachSettings(), 4, 600.0, lambda *_: None)
+    assert clock[-1] == 30.0
+
+
 def test_pictures_of_another_size_are_refused():
     search = MarkerSearch(machine().camera, dictionary_by_name("DICT_4X4_50"), (1, 2, 3))
     with pytest.raises(TargetError, match="640 x 480 px, but the machine file's camera has 1280 x 720"):
