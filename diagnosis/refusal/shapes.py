@@ -114,11 +114,12 @@ def _refused_from(usual: dict[str, float], shape: Shape) -> float:
 
     Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, of
     time since the start, which no motion goes with, of families of few numbers, and of what stays with a point, a
-    marker or a place in the image.
+    marker or a place in the image. An angle's error of what swings: that of any joint, since few days show it of each.
     """
     own, still = usual.get(usual_shape(shape.goes_with), 0.0), shape.measurement in STILL
     if shape.goes_with.startswith(ANGLE_OF) and not still:  # booms follow a large fault of the actuators, too
-        return BEHIND_NATS + BEHIND_TIMES * own
+        joints = [nats for name, nats in usual.items() if name.startswith(usual_shape(ANGLE_OF))]
+        return BEHIND_NATS + BEHIND_TIMES * max(joints, default=0.0)
     if (still and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(LATER):
         return REFUSED_NATS + EXCEEDED_TIMES * own
     courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and not name.startswith(APART)]

@@ -13,6 +13,7 @@ from diagnosis.behind.point_residual import PointResidual
 from diagnosis.families.behind import point_columns
 from diagnosis.families.driven import SINCE, driven_columns
 from diagnosis.families.gain import held_out_nats
+from diagnosis.families.narrow import ANGLE_OF
 from diagnosis.reading.read import read
 from diagnosis.refusal.shapes import (
     LEAST_NATS,
@@ -191,3 +192,11 @@ def test_what_stays_with_a_point_or_a_marker_is_no_swing_and_held_to_its_own_usu
     shape = Shape("structure", None, "tracker", goes_with, 56.0)
     assert (shape.nats > _refused_from(usual, shape)) == speaks
     assert shape.nats < _refused_from({**usual, usual_shape(goes_with): 6.0}, shape)
+
+
+@pytest.mark.parametrize(("measurement", "speaks"), [("ooi", False), ("tracker", False), ("static", True)])
+def test_an_angles_error_of_what_swings_is_held_to_that_of_any_joint(measurement: str, speaks: bool) -> None:
+    usual = {usual_shape(f"{ANGLE_OF} 2"): 0.0, usual_shape(f"{ANGLE_OF} 3"): 47.0}
+    shape = Shape("camera", None, measurement, f"{ANGLE_OF} 2", 180.0)
+    assert (shape.nats > _refused_from(usual, shape)) == speaks
+    assert replace(shape, nats=182.0).nats > _refused_from(usual, shape)
