@@ -16,7 +16,8 @@ from rich.markup import escape
 from rich.status import Status
 
 from longreach.fleet_client import JobClient, JobRefusedError
-from longreach.processes import Stack, StackPorts, taken
+from longreach.processes import Stack, StackPorts, require_free
+from server.errors import SettingsError
 
 START_S = 1800.0  # a busy computer of two cores takes minutes to compile; what ends is told at once
 
@@ -34,12 +35,10 @@ def demo(
     console = Console()
     try:
         checked_preset(preset)
-    except PresetError as error:
+        require_free("127.0.0.1", port, "--port")
+    except (PresetError, SettingsError) as error:
         console.print(f"[bold red]not started:[/] {error}")
         raise typer.Exit(1) from error
-    if taken("127.0.0.1", port):
-        console.print(f"[bold red]not started:[/] port {port} is taken by another program; give another one by --port")
-        raise typer.Exit(1)
     ports = StackPorts.free()
     ports = StackPorts(http=port, plc=ports.plc, plc_local=ports.plc_local, camera=ports.camera)
     started = time.monotonic()

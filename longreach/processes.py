@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 
+from server.errors import SettingsError
+
 STOP_S = 8.0
 
 
@@ -32,6 +34,12 @@ def taken(host: str, port: int) -> bool:
     except OSError as error:
         return error.errno == errno.EADDRINUSE
     return False
+
+
+def require_free(host: str, port: int, option: str) -> None:
+    """Raises: SettingsError: another program listens there; `option` is what gives another port."""
+    if taken(host, port):
+        raise SettingsError(f"port {port} is taken by another program; give another one by {option}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,11 +27,10 @@ def serve(
     """Start the server: panel, REST, link and vision processes."""
     from rich.console import Console  # all of this here: --help needs none of it, and it takes seconds
 
-    from longreach.processes import taken
+    from longreach.processes import require_free
     from server.access.keys import first_key as make_first_key
     from server.access.roles import Role
     from server.app import serve as run_server
-    from server.errors import SettingsError
     from server.settings import read_settings
     from server.version import __version__
 
@@ -44,8 +43,7 @@ def serve(
             "recording": {"folder": runs},
         },
     )
-    if taken(settings.http.host, settings.http.port):
-        raise SettingsError(f"port {settings.http.port} is taken by another program; give another one by --port")
+    require_free(settings.http.host, settings.http.port, "--port")
     keys_file, screen = settings.http.keys_file, Console(stderr=True)
     if first_key and keys_file and make_first_key(Path(keys_file), Role.OPERATOR, first_key):
         screen.print(f"a first key was made: it is in {first_key}")

@@ -31,7 +31,7 @@ def sim(
     truth_log: Annotated[Path | None, typer.Option(help="folder for the truth, which the server never sees")] = None,
 ) -> None:
     """Start the simulated machine in real time, until Ctrl-C."""
-    from longreach.processes import taken
+    from longreach.processes import require_free
     from sim_plc.presets import PresetError, checked_preset
     from sim_plc.process import (  # here, so that the server's process never loads the simulator
         SimSettings,
@@ -41,15 +41,11 @@ def sim(
 
     try:
         checked_preset(preset)
-    except PresetError as error:
-        raise SettingsError(str(error)) from error
-    if taken(camera_host, camera_port):
-        raise SettingsError(f"port {camera_port} is taken by another program; give another one by --camera-port")
-    Console(stderr=True).print(
-        f"simulated machine '{preset}', seed {seed}: PLC on udp {plc_host}:{plc_port}, "
-        f"camera on http://{camera_host}:{camera_port}/stream"
-    )
-    try:
+        require_free(camera_host, camera_port, "--camera-port")
+        Console(stderr=True).print(
+            f"simulated machine '{preset}', seed {seed}: PLC on udp {plc_host}:{plc_port}, "
+            f"camera on http://{camera_host}:{camera_port}/stream"
+        )
         run_sim(
             SimSettings(
                 machine_text=read_machine_text(machine),

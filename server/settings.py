@@ -195,9 +195,14 @@ def _unit_of(field: str) -> str:
     return ""
 
 
+def shipped_machine(name: str) -> Path:
+    """Where a machine of that name would be shipped."""
+    return Path(str(files("machine"))) / "machines" / f"{name}.toml"
+
+
 def read_machine_text(name_or_path: str) -> str:
     """Text of a shipped machine (by name, such as "hiab033") or of a machine file (by path)."""
-    shipped = files("machine") / "machines" / f"{name_or_path}.toml"
+    shipped = shipped_machine(name_or_path)
     if shipped.is_file():
         return shipped.read_text(encoding="utf-8")
     try:
