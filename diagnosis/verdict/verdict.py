@@ -179,13 +179,13 @@ def _drifts(one: CellAnswer, shape: Shape) -> bool:
 def _closed(one: CellAnswer) -> float:
     """The share of the gap that a cell's names close; 1 where none can be told, or nothing was named.
 
-    Its upper limit, for what is left would have refused the names otherwise; the share itself where a baseline knows
-    of too few days what is usually left.
+    Its upper limit, for what is left would have refused the names otherwise. The share itself beside a baseline: what
+    is usually left there is allowed for, so that a name could close next to nothing and nothing else would refuse it.
     """
     if not one.chosen.fit.hypothesis:
         return 1.0
     share, _, high = closing(together(one.squares))[3]
-    told = share if _known_by_few(one.search.cell) else high
+    told = share if _beside_a_baseline(one.search.cell) else high
     return 1.0 if told is None else told
 
 
@@ -197,7 +197,14 @@ def _closing_little(one: CellAnswer) -> str:
             f"{text}, and the machine's usual state is known of too few days to say whether the rest is usual; "
             f"fit it on {RECORDINGS_ENOUGH} recordings or more"
         )
+    if _beside_a_baseline(one.search.cell):
+        return f"{text}: more of it is something else"
     return f"{text} at the most: something else is most of it"
+
+
+def _beside_a_baseline(cell: Cell) -> bool:
+    """Whether a baseline says of any part of a cell what the undisturbed machine leaves there."""
+    return any(part.usual for part in cell.parts or (cell,))
 
 
 def _known_by_few(cell: Cell) -> bool:

@@ -16,6 +16,9 @@ from diagnosis.verdict.weigh import Weighed
 from longreach.fit_baseline import told
 from machine.remainder import USUAL_ENERGY
 
+FEW = (("peak", 0.0),)
+MANY = (("peak", 0.0), (USUAL_ENERGY, 1.0))
+
 
 @pytest.fixture(scope="module")
 def clear() -> CellAnswer:
@@ -63,25 +66,33 @@ def test_names_that_nearly_every_hypothesis_holds_are_told_beside_doubtful_ones(
 
 
 @pytest.mark.parametrize(
-    ("usual", "high", "word"),
+    ("usual", "share", "high", "word", "said"),
     [
-        ((), 0.7, "effects"),
-        ((), 0.4, "undecided"),
-        ((("peak", 0.0),), 0.7, "undecided"),
-        ((("peak", 0.0), (USUAL_ENERGY, 1.0)), 0.7, "effects"),
+        ((), 0.26, 0.7, "effects", ""),
+        ((), 0.26, 0.4, "undecided", "40 % of the gap at the most"),
+        (FEW, 0.26, 0.7, "undecided", "26 % of the gap, and the machine's usual state is known of too few days"),
+        (MANY, 0.26, 0.7, "undecided", "26 % of the gap: more of it is something else"),
+        (MANY, 0.6, 0.7, "effects", ""),
+        (MANY, -0.07, 0.1, "undecided", "-7 % of the gap"),
     ],
 )
-def test_names_that_close_a_quarter_need_a_baseline_of_many_days(
-    clear: CellAnswer, usual: tuple[tuple[str, float], ...], high: float, word: str, monkeypatch: pytest.MonkeyPatch
+def test_names_that_close_less_than_half_of_a_gap_are_no_answer(
+    clear: CellAnswer,
+    usual: tuple[tuple[str, float], ...],
+    share: float,
+    high: float,
+    word: str,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Three recordings of a machine do not say how much is ever left: an upper limit clears no name there."""
+    """An upper limit clears a name only where nothing is allowed for as usual: there what is left would refuse it."""
     monkeypatch.setattr(
-        "diagnosis.verdict.verdict.closing", lambda _squares: (1.0, 0.9, 0.1, (0.26, 0.1, high), "noise")
+        "diagnosis.verdict.verdict.closing", lambda _squares: (1.0, 0.9, 0.1, (share, -0.1, high), "noise")
     )
     found = replace(clear, search=replace(clear.search, cell=replace(clear.search.cell, usual=usual)))
     verdict = verdict_of((found,))
     assert verdict.word == word, verdict.why
-    assert ("too few days" in verdict.why) == (word == "undecided" and bool(usual))
+    assert said in verdict.why
 
 
 def test_a_baseline_of_few_says_how_many_are_enough() -> None:
