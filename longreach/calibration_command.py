@@ -82,7 +82,7 @@ def _rows_of_server(view: dict[str, Any]) -> list[tuple[str, str]]:
         ("holds within", f"{view['radius_mm']:.0f} mm of where it was made{far}"),
         *_common(view["sigma_deg"], view["from_nominal_deg"], view["residual_rms_mm"], view["n_used"]),
         ("observability", view["observability_text"]),
-        ("clock offset", f"{view['time_offset_ms']:.0f} ms"),
+        ("add to camera time", f"{view['time_offset_ms']:.0f} ms"),
     ]
 
 

@@ -42,20 +42,23 @@ def demo(
     ports = StackPorts.free()
     ports = StackPorts(http=port, plc=ports.plc, plc_local=ports.plc_local, camera=ports.camera)
     started = time.monotonic()
+    runs = Path("runs") / f"{preset}-{seed}"  # what was calibrated on one machine says nothing of another
+    logs = runs / "logs"
     console.print("starting simulator, server and camera; the first time their numerics are compiled, for some minutes")
-    with Stack(ports, preset=preset, seed=seed, log_folder=Path("runs") / "demo-logs", runs=Path("runs")) as stack:
+    with Stack(ports, preset=preset, seed=seed, log_folder=logs, runs=runs) as stack:
         try:
             with console.status("starting") as status, JobClient(stack.url) as client:
                 client.wait_ready(START_S, lambda waited_s, why: _starting(stack.processes, status, waited_s, why))
         except JobRefusedError as error:
-            console.print(f"[bold red]not started:[/] {error}; see runs/demo-logs")
+            console.print(f"[bold red]not started:[/] {error}; see {logs}")
             raise typer.Exit(1) from error
         took_s = time.monotonic() - started
         console.print(f"[bold green]ready[/] after {took_s:.0f} s: open [bold]{stack.url}/[/]   (Ctrl-C ends it)")
         console.print(f"or without hands:  {_command()} position --url {stack.url}")
+        console.print(f"recordings and calibration of this machine: {runs}/")
         if browser:
             webbrowser.open(stack.url)
-        _wait(stack, seconds)
+        _wait(stack, seconds, logs)
 
 
 def _starting(processes: Mapping[str, Popen[bytes]], status: Status, waited_s: float, why: str) -> None:
@@ -76,12 +79,12 @@ def _command() -> str:
     return "longreach" if shutil.which("longreach") else os.path.relpath(sys.argv[0])
 
 
-def _wait(stack: Stack, seconds: float) -> None:
+def _wait(stack: Stack, seconds: float, logs: Path) -> None:
     deadline = time.monotonic() + seconds if seconds > 0.0 else float("inf")
     try:
         while time.monotonic() < deadline:
             if ended := _ended(stack.processes):
-                Console(stderr=True).print(f"{ended}; see runs/demo-logs")
+                Console(stderr=True).print(f"{ended}; see {logs}")
                 raise typer.Exit(1)
             time.sleep(0.3)
     except KeyboardInterrupt:

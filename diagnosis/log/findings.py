@@ -1,8 +1,10 @@
 """What is wrong with a recording or its machine file: named, counted, with a remedy. A result, never a traceback."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
+
+from recording.rows import CSV_ROW_TYPES
 
 Severity = Literal["fatal", "problem", "note"]
 
@@ -70,3 +72,11 @@ class Finding:
 def fatal(findings: Iterable[Finding]) -> tuple[Finding, ...]:
     """Those after which there is nothing left to diagnose."""
     return tuple(finding for finding in findings if finding.severity == "fatal")
+
+
+def by_channel(finding: Finding) -> Finding:
+    """The same of an MCAP file, which has a channel where a folder has a CSV file."""
+    subject, text = finding.subject, finding.text
+    for row_type in CSV_ROW_TYPES:
+        subject, text = (one.replace(row_type.file, row_type.topic) for one in (subject, text))
+    return replace(finding, subject=subject, text=text)

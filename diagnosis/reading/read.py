@@ -10,7 +10,7 @@ from diagnosis.behind.outlying import without_outlying
 from diagnosis.datagrams.clocks import guessed, plc_to_pc_s
 from diagnosis.datagrams.ref_by_number import with_reference
 from diagnosis.errors import DiagnosisError
-from diagnosis.log.findings import Finding, fatal
+from diagnosis.log.findings import Finding, by_channel, fatal
 from diagnosis.log.fitting_file import corner_findings, machine_findings
 from diagnosis.log.headers import header_findings, metre_findings
 from diagnosis.log.nominal import Nominal, nominal_of
@@ -51,7 +51,8 @@ class Read:
         if self.tables is None or self.stretches:
             return False
         written = self.tables.plc is not None and self.tables.plc.enc is not None
-        return written or any(one.code == "no_rows" and one.subject == PlcState.file for one in self.findings)
+        named = (PlcState.file, PlcState.topic)
+        return written or any(one.code == "no_rows" and one.subject in named for one in self.findings)
 
 
 def read(path: Path, machine_file: Path | None = None) -> Read:
@@ -66,7 +67,8 @@ def read(path: Path, machine_file: Path | None = None) -> Read:
         recording = read_run(path)
     except RecordingError as error:
         return Read(path, None, None, (), (*findings, _unreadable(path, error)))
-    return examine(recording, path, machine_file, findings)
+    whole = examine(recording, path, machine_file, findings)
+    return whole if path.is_dir() else replace(whole, findings=tuple(by_channel(one) for one in whole.findings))
 
 
 def examine(recording: Recording, path: Path, machine_file: Path | None = None, before: Sequence[Finding] = ()) -> Read:

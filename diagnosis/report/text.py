@@ -4,11 +4,14 @@ from typing import Any
 
 SHAPES_MAX = 6
 NAMES_MAX = 5
+DOUBTED = ("outside", "undecided")  # verdicts beside which no hypothesis is a finding
 
 
 def lines(result: dict[str, Any]) -> list[str]:
     """What a person reads first."""
     out = [f"verdict: {result['verdict']} ({result['why']})"]
+    if result["hypotheses"] and result["verdict"] in DOUBTED:
+        out.append("what was weighed; the verdict says why none of it is an answer:")
     for hypothesis in result["hypotheses"][:NAMES_MAX]:
         out.append(_likely(hypothesis["probability"], effects_text(hypothesis["effects"])))
     if result["hypotheses"]:
@@ -38,7 +41,7 @@ def lines(result: dict[str, Any]) -> list[str]:
 def _closed(closed: float, verdict: str) -> str:
     """What the names take away; where they are not believed, that this is no proof of them."""
     text = f"gap closed on held-out trajectories: {100 * closed:.3g} %"
-    return text if verdict in ("effects", "none") else f"{text} by names that are not believed: wrong ones can, too"
+    return text if verdict not in DOUBTED else f"{text} by names that are not believed: wrong ones can, too"
 
 
 def _likely(probability: float, what: str) -> str:

@@ -71,7 +71,7 @@ export const TEXTS = {
   send_late: "commands sent late, p50 / p99 / max", round_trip: "round trip", counts: "sent / received / rejected", rejects: "last rejects", none: "none",
   sharpness: "sharpness", process: "work a pair", skipped: "pairs passed over", restarts: "restarts of vision", tool_seen: "tool", target_seen: "target", warnings: "warnings",
   not_calibrated: "Not calibrated.", cal_known: "camera rotation known to (1 sigma)", cal_residual: "residual", cal_age: "age", cal_place: "from where it was made",
-  cal_valid: "holds here", cal_expired: "EXPIRED: {why}", cal_offset: "clock offset", cal_nominal: "off the nominal mount", cal_weakest: "least known about the axis (TCP)",
+  cal_valid: "holds here", cal_expired: "EXPIRED: {why}", cal_offset: "add to camera time", cal_nominal: "off the nominal mount", cal_weakest: "least known about the axis (TCP)",
   cal_ellipse: "One-sigma ellipses of the rotation, degrees", cal_pairs: "pairs used",
   gap_empty: "No diagnosis yet. Choose the recording of a job that moved all joints: a calibration, an execution, or Automatic. It takes about a minute.",
   gap_missing: "Not available: this server has no diagnoses (/v1/diagnoses).", gap_run: "Diagnose", gap_report: "The whole report", gap_stop: "End it", gap_one: "one at a time", gap_after: "{s} s", gap_cause: "effect", gap_likely: "probability",

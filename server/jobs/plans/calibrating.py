@@ -56,7 +56,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     born(ctx, estimate, taken, rested)
     remember_run(ctx, camera, encoder, before)
     ctx.knowledge.calibration = record
-    text = f"camera rotation known to {record.sigma_deg:.2f} deg, clock offset {record.time_offset_ms:.0f} ms"
+    text = f"camera rotation known to {record.sigma_deg:.2f} deg, {record.time_offset_ms:.0f} ms to add to camera time"
     yield Progress("calibrate", plan.duration_s, plan.duration_s, "s", text)
     return record
 

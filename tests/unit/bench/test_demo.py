@@ -33,7 +33,7 @@ def test_what_has_ended_will_never_be_ready_and_is_told_at_once(monkeypatch: pyt
     monkeypatch.setattr(demo, "Stack", type("Ended", (Started,), {"ended": 3}))
     done = CliRunner().invoke(app, ["demo", "--no-browser"])
     assert done.exit_code == 1
-    assert "not started: sim ended with code 3; see runs/demo-logs" in " ".join(done.output.split())
+    assert "not started: sim ended with code 3; see runs/realistic-1/logs" in " ".join(done.output.split())
 
 
 def test_while_it_waits_it_says_for_what() -> None:

@@ -109,12 +109,14 @@ def test_an_effect_outside_the_catalogue_is_refused_with_a_lead(tmp_path: Path) 
     assert {one["joint"] for one in fired} == {1}
     assert any(one["lead"] for one in fired)
     assert any("lead" in text or "unexplained" in text for text in lines(result))
+    assert lines(result)[1] == "what was weighed; the verdict says why none of it is an answer:"
     assert found.verdict.why
 
 
 def test_gain_and_encoder_scale_are_one_class_without_a_link_side_measurement(tmp_path: Path) -> None:
     _, result = diagnosed(tmp_path, Fault(gain=(0.1, 0.0)))
     assert names(result) == [("flow_gain_error", 1)]
+    assert "flow_gain_error on joint 1" in lines(result)[1]
     classes = [{(one["name"], one["joint"]) for one in members} for members in result["indistinguishable"]]
     assert any({("flow_gain_error", 1), ("encoder_scale", 1)} <= members for members in classes)
     assert result["next_experiment"]["separates"][0] == {"name": "flow_gain_error", "joint": 1}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML, OFFSET_S, PLANT, changed, folder, permuted, recording
 
-from diagnosis.log.findings import CODES
+from diagnosis.log.findings import CODES, by_channel
 from diagnosis.reading.read import Read, examine, read, stages_present
 from recording.content import Recording
 from recording.convert import write_mcap
@@ -39,9 +39,12 @@ def test_a_sound_recording_has_no_findings_and_its_stages(tmp_path) -> None:
 
 
 def test_mcap_reads_the_same(tmp_path) -> None:
-    write_mcap(MADE, tmp_path / "run.mcap")
-    one, two = read(tmp_path / "run.mcap"), read(folder(tmp_path, MADE))
-    assert one.findings == two.findings
+    """A hole in both, told of the channel in the one and of the file in the other."""
+    made = drop(MADE, 300, 340)
+    write_mcap(made, tmp_path / "run.mcap")
+    one, two = read(tmp_path / "run.mcap"), read(folder(tmp_path, made))
+    assert one.findings == tuple(by_channel(finding) for finding in two.findings)
+    assert ("/plc", "plc.csv") in {(a.subject, b.subject) for a, b in zip(one.findings, two.findings, strict=True)}
     for a, b in zip(one.stretches, two.stretches, strict=True):
         assert np.array_equal(a.enc, b.enc)
 
