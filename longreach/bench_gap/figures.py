@@ -121,22 +121,25 @@ def limit_ratios(cases: Cases) -> list[float]:
 
 
 def by_own_limit(cases: Cases) -> list[Line]:
-    """Line 5.2: single effects named, by size over the limit that the tool itself gave for that recording."""
+    """Line 5.2: single effects named, by size over the limit that the tool itself gave for that recording; at the limit
+    also how many were seen at all, by their own name or not.
+    """
     edges = (0.0, 0.7, 0.85, 1.2, 1.6, 100.0)
     told = [
-        (strength * row["scorer"] / row["tool"], bool(one["exact_named"]))
+        (strength * row["scorer"] / row["tool"], bool(one["exact_named"]), one["verdict"] != "none")
         for one in of(cases, "single")
         for strength, row in zip(one["strengths"], one["limits"], strict=False)
         if strength is not None and row["tool"]
     ]
-    return [
-        _line(
-            f"named, {low:g}x to {high:g}x the tool's limit",
-            "80 to 97 %" if low < 1.0 < high else "",
-            [named for times, named in told if low <= times < high],
-        )
-        for low, high in pairwise(edges)
-    ]
+    lines = []
+    for low, high in pairwise(edges):
+        inside = [(named, seen) for times, named, seen in told if low <= times < high]
+        at_limit = low < 1.0 < high
+        where = f"{low:g}x to {high:g}x the tool's limit"
+        lines.append(_line(f"named, {where}", "80 to 97 %" if at_limit else "", [named for named, _ in inside]))
+        if at_limit:
+            lines.append(_line(f"seen (not `none`), {where}", "", [seen for _, seen in inside]))
+    return lines
 
 
 def shrinks(cases: Cases) -> tuple[float | None, int]:

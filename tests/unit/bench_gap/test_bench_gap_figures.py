@@ -47,6 +47,7 @@ def test_the_tools_own_limit_is_where_its_sizes_are_counted_from() -> None:
     ]
     lines = figures.by_own_limit(cases)
     assert shown(lines, "named, 0.85x to 1.2x the tool's limit") == (1, 2)
+    assert shown(lines, "seen (not `none`), 0.85x to 1.2x the tool's limit") == (2, 2)
     assert shown(lines, "named, 1.6x to 100x the tool's limit") == (1, 1)
 
 
