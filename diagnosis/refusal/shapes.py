@@ -88,7 +88,10 @@ def _is_test(cell: Cell, shape: Shape, known: dict[str, float]) -> bool:
     """Whether a shape can speak against a model at all, by what is known of its place and of how the joints moved."""
     if cell.knocked or shape.joint in cell.moved_unlike:
         return False
-    if cell.moved_unlike and shape.goes_with.startswith(SHAKEN) and shape.measurement not in STILL:
+    swings = shape.measurement not in STILL
+    if cell.moved_unlike and shape.goes_with.startswith(SHAKEN) and swings:
+        return False
+    if cell.stuck and shape.goes_with == SINGLE_MOMENTS and swings:  # each jump of that joint is one
         return False
     if shape.goes_with.startswith(NARROW) and USUAL_ENERGY not in known:  # few days do not tell what the most is
         return False

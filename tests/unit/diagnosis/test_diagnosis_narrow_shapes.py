@@ -12,7 +12,7 @@ from diagnosis.behind.point_residual import PointResidual
 from diagnosis.cells.behind import measurement_of
 from diagnosis.families.narrow import ANGLE_OF, LATE, LENS, narrow_corner_columns, narrow_point_columns
 from diagnosis.reading.read import read
-from diagnosis.refusal.shapes import REFUSED_NATS, Shape, _refused_from, refusing, shapes_of
+from diagnosis.refusal.shapes import REFUSED_NATS, SINGLE_MOMENTS, Shape, _refused_from, refusing, shapes_of
 from diagnosis.search.cell import Cell
 from machine.remainder import USUAL_ENERGY, usual_shape
 
@@ -91,6 +91,15 @@ def test_beside_a_joint_that_moved_unlike_any_other_day_no_family_of_what_moves_
     assert refusing(replace(parts["tracker"], usual=KNOWN, stuck=(2,)), left, 0.0) == ()
     still = (replace(left[0], measurement="static"),)
     assert refusing(replace(parts["static"], usual=KNOWN, stuck=(2,)), still, 0.0)
+
+
+def test_jumps_of_a_joint_that_sticks_are_the_single_moments_of_what_swings(parts: dict[str, Cell]) -> None:
+    left = (Shape("structure", None, "tracker", SINGLE_MOMENTS, 250.0),)
+    moving, still = (replace(parts[name], usual=KNOWN) for name in ("tracker", "static"))
+    assert refusing(moving, left, 0.0)
+    assert refusing(replace(moving, stuck=(2,)), left, 0.0) == ()
+    assert refusing(replace(moving, unlike=(2,)), left, 0.0)  # a square wave has no jump at a moment of its own
+    assert refusing(replace(still, stuck=(2,)), (replace(left[0], measurement="static"),), 0.0)
 
 
 @pytest.mark.parametrize("usual", [((USUAL_ENERGY, 1.0), (usual_shape("motion"), 0.0)), KNOWN[1:]])
