@@ -11,7 +11,7 @@ from diagnosis.cells.behind import measurement_of
 from diagnosis.families.behind import FIXED, SWINGS_OF, corner_columns, point_columns, swing_columns
 from diagnosis.families.driven import SINCE, driven_columns
 from diagnosis.families.gain import held_out_nats
-from diagnosis.families.narrow import ANGLE_OF, NARROW, narrow_corner_columns, narrow_point_columns
+from diagnosis.families.narrow import ANGLE_OF, LENS, NARROW, narrow_corner_columns, narrow_point_columns
 from diagnosis.refusal.remainder import BEHIND_NATS, BEHIND_TIMES, Fired
 from diagnosis.search.cell import DRIVEN_STAGES, EXCEEDED_TIMES, Cell
 from diagnosis.search.fit import costs
@@ -118,18 +118,20 @@ def _refused_from(usual: dict[str, float], shape: Shape) -> float:
     Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, of
     time since the start, which no motion goes with, of families of few numbers, and of what stays with a point, a
     marker or a place in the image. An angle's error of what swings: that of any joint, since few days show it of each.
+    The distance from the middle of what swings: it is where the swing is.
     """
     own, still = usual.get(usual_shape(shape.goes_with), 0.0), shape.measurement in STILL
     if shape.goes_with.startswith(ANGLE_OF) and not still:  # booms follow a large fault of the actuators, too
         joints = [nats for name, nats in usual.items() if name.startswith(usual_shape(ANGLE_OF))]
         return BEHIND_NATS + BEHIND_TIMES * max(joints, default=0.0)
-    if (still and shape.goes_with != SINGLE_MOMENTS) or shape.goes_with.startswith(LATER):
+    own_only = still or (shape.goes_with.startswith(LATER) and shape.goes_with != LENS)
+    if own_only and shape.goes_with != SINGLE_MOMENTS:
         return REFUSED_NATS + EXCEEDED_TIMES * own
     courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and not name.startswith(APART)]
     most = own if shape.goes_with in FIXED else max([own, *courses])
     if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most
-    if shape.stage not in DRIVEN_STAGES:
+    if shape.stage not in DRIVEN_STAGES and shape.goes_with != LENS:
         return BEHIND_NATS + BEHIND_TIMES * most
     return REFUSED_NATS + EXCEEDED_TIMES * most
 

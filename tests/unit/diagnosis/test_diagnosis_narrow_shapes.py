@@ -82,6 +82,14 @@ def test_an_angles_error_of_what_moves_is_held_to_what_booms_may_do() -> None:
     assert moving.nats < _refused_from({**usual, usual_shape(shape.goes_with): 2.0}, moving)
 
 
+def test_the_distance_from_the_middle_of_what_moves_is_held_to_any_course_there() -> None:
+    lens = Shape("camera", None, "ooi", LENS, 30.0)
+    usual = {usual_shape(LENS): 2.0, usual_shape("motion by row"): 12.0}
+    assert lens.nats < _refused_from(usual, lens) < 40.0
+    assert lens.nats > _refused_from(usual, replace(lens, measurement="tool"))  # it goes along with the camera
+    assert lens.nats > _refused_from(usual, replace(lens, goes_with=LATE))
+
+
 KNOWN = ((USUAL_ENERGY, 1.0), (usual_shape(f"{ANGLE_OF} 1"), 0.0))
 
 
