@@ -315,7 +315,7 @@ def parse_machine_toml(text: str) -> Machine:
     """
     try:
         tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise MachineFileError(f"machine file is not TOML: {error}") from error
     try:
         sections = _MachineFile.model_validate(tables)

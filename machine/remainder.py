@@ -1,7 +1,6 @@
 """`[[remainder]]` of a machine file: what a fitted baseline leaves of the model's form, as an addition to the noise."""
 
 import json
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,6 +15,7 @@ USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern 
 USUAL_ENERGY = "energy left"  # among the usual tests: the most that a recording left but for its two strongest blocks
 USUAL_NAME = "name "  # before an effect, among the usual tests: what that name gains there [nats]
 USUAL_SHAPE = "shape "  # before what a remainder may go with, among the usual tests: what it foretells there [nats]
+LARGEST = 1e12  # of any number here: squares and sums of more leave what a float holds
 SHARE_MIN = 0.5  # of the floor: a smaller share tells little of what would be foretold without noise
 KEYS = {
     "stage",
@@ -173,8 +173,8 @@ def _number(table: dict[str, object], key: str, least: float, where: str) -> flo
 
 
 def _finite(value: object, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise MachineFileError(f"{where} = {value!r} is not a finite number")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LARGEST:
+        raise MachineFileError(f"{where} = {repr(value)[:60]} is not a finite number up to {LARGEST:g}")
     return float(value)
 
 

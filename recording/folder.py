@@ -2,6 +2,7 @@
 
 import csv as csv_format
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Sequence
 from operator import itemgetter
@@ -15,6 +16,7 @@ from recording.run import RunInfo, run_from_toml, run_to_toml
 
 #: What spreadsheets put between columns in place of commas, and how it is called.
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+BYTES_MAX = 2**31  # of one file: two hours of six joints at 1 kHz; what is read takes ten times as much memory
 AS_NUMBERS = "write commas between columns and points in numbers"
 
 
@@ -85,29 +87,43 @@ def read_folder(folder: Path) -> Recording:
     Raises: RecordingError naming file, line, column and value.
     """
     run_file, machine_file = folder / "run.toml", folder / "machine.toml"
-    if not any((folder / name).is_file() for name in ("run.toml", *(row_type.file for row_type in CSV_ROW_TYPES))):
+    known = ("run.toml", "machine.toml", *(row_type.file for row_type in CSV_ROW_TYPES))
+    odd = [name for name in known if os.path.lexists(folder / name) and not (folder / name).is_file()]
+    if odd:
+        raise RecordingError(f"{folder / odd[0]} is no file but a folder, a pipe or a broken link; put a file there")
+    if not any((folder / name).is_file() for name in known if name != "machine.toml"):
         raise RecordingError(_none_in(folder))
     rows: list[Row] = []
     for row_type in CSV_ROW_TYPES:
         path = folder / row_type.file
         if path.is_file():
             rows += _read_csv(path, row_type)
-    known = {"run.toml", "machine.toml", *(row_type.file for row_type in CSV_ROW_TYPES)}
-    others = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.name not in known]
+    beside = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.is_file()]
     return Recording(
         form="folder",
         run=run_from_toml(_text(run_file)) if run_file.is_file() else RunInfo(""),
         machine_toml=_text(machine_file) if machine_file.is_file() else "",
         rows=tuple(rows),
-        attachments=tuple(Attachment(path.name, _media_type(path), path.read_bytes()) for path in others),
+        attachments=tuple(Attachment(path.name, _media_type(path), _bytes(path)) for path in beside),
     )
 
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path} cannot be read as UTF-8 text: {error}") from error
+        return _bytes(path).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise RecordingError(f"{path} cannot be read as UTF-8 text: {error}; save it as UTF-8") from error
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > BYTES_MAX:
+            text = f"{path} has {size / 2**30:.3g} GB, limit {BYTES_MAX / 2**30:.3g} GB"
+            raise RecordingError(f"{text}; cut it into shorter recordings")
+        return path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def _media_type(path: Path) -> str:
@@ -121,7 +137,8 @@ def _read_csv(path: Path, row_type: type[Row]) -> list[Row]:
         take = _row_reader(path, row_type, header)
         return [take(number, cells) for number, cells in enumerate(reader, start=2) if any(cells)]
     except csv_format.Error as error:
-        raise RecordingError(f"{path}, line {reader.line_num}: not CSV: {error}") from error
+        text = f"{path}, line {reader.line_num}: not CSV: {error}"
+        raise RecordingError(f"{text}; a quote that is never closed, or no text at all") from error
 
 
 def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[[int, list[str]], Row]:

@@ -1,7 +1,6 @@
 """run.toml: what a recording is, its clocks and its segments."""
 
 import json
-import math
 import tomllib
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
@@ -9,6 +8,7 @@ from typing import Any, Literal, get_args
 from recording.errors import RecordingError
 
 FORMAT_VERSION = 1
+LONGEST_S = 1e20  # nanoseconds of an epoch, and no more: what is no second is found and named later
 
 SegmentKind = Literal[
     "repeat", "multisine", "steps", "sweep", "staircase", "workcycle", "static", "hold", "positioning"
@@ -68,15 +68,15 @@ def run_from_toml(text: str) -> RunInfo:
     Raises: RecordingError naming the field that is missing or wrong.
     """
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        data = tomllib.loads(text.removeprefix("\ufeff"))  # Windows' editors write a byte order mark
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RecordingError(f"run.toml is not TOML: {error}") from error
     run, clocks = data.get("run", {}), data.get("clocks", {})
     segments = data.get("segment", [])
     if not isinstance(run, dict) or not isinstance(clocks, dict) or not isinstance(segments, list):
         raise RecordingError("run.toml: [run] and [clocks] must be tables and [[segment]] a list of tables")
     version = run.get("format_version", FORMAT_VERSION)
-    if not isinstance(version, int) or not 1 <= version <= FORMAT_VERSION:
+    if isinstance(version, bool) or not isinstance(version, int) or not 1 <= version <= FORMAT_VERSION:
         raise RecordingError(f"run.toml: format_version = {version!r}; this program reads 1..{FORMAT_VERSION}")
     seed = run.get("seed")
     return RunInfo(
@@ -92,8 +92,10 @@ def run_from_toml(text: str) -> RunInfo:
 
 
 def _number(value: object, subject: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise RecordingError(f"run.toml: {subject} = {value!r} is not a finite number [s]")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LONGEST_S:
+        raise RecordingError(
+            f"run.toml: {subject} = {repr(value)[:60]} is no number between -{LONGEST_S:g} and {LONGEST_S:g} [s]"
+        )
     return float(value)
 
 

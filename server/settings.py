@@ -174,7 +174,7 @@ def read_settings(path: Path | None) -> ServerSettings:
         return ServerSettings.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise SettingsError(f"settings file {path}: {error.strerror}; give an existing TOML file") from error
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"settings file {path} is not TOML: {error}") from error
     except ValidationError as error:
         raise SettingsError(f"settings file {path}: {first_problem(error)}") from error

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.behind.link_angles import Path, candidates_behind, coarsest, inside, paths_of
+from diagnosis.behind.loose_point import loose_point
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.behind.points import PointData, numbers_fitted, static_data, tracked_data
 from diagnosis.behind.saturated import saturated_noise
@@ -64,7 +65,7 @@ def _cell(
     plain = PointNoise(np.ones(3), 0.0, np.zeros(m), instants_of(data.when))
     start_s = float(paths[0].t_s[0]) if clocked else None
     rough = PointResidual(nominal, data, paths, at, plain, t_start_s=start_s)
-    known = _floor(rough, base)
+    known, measured_again, restless = _floor(rough, base)
     by_instant = 3 * np.repeat(rough.noise.instants, 3) + np.tile(np.arange(3), m)
     taken = numbers_fitted(nominal, data)
     own, common = saturated_noise(rough, base, candidates, by_instant, taken) if known is None else (known, 0.0)
@@ -89,6 +90,8 @@ def _cell(
         scale=np.tile(np.hypot(sigma, common), m),
         quiet=1.0,
         floor_known=known is not None,
+        floor_squares=3 * measured_again,
+        restless=restless,
         same_kind=False,
         regressors=tuple(q.items()),
         t_s=np.repeat(data.when, 3),
@@ -121,11 +124,14 @@ def rows_of(m: int, channels: int) -> Rows:
     return Rows(fold, sample * blocks // max(m, 1), channel.copy(), channel)
 
 
-def _floor(rough: PointResidual, base: ParameterSets) -> Array | None:
-    """RMS deviation (3,) of the residual where one point was measured again in the same pose; None if it never was."""
+def _floor(rough: PointResidual, base: ParameterSets) -> tuple[Array | None, int, str]:
+    """RMS deviation (3,) of the residual where one point was measured again in the same pose, None if it hardly was;
+    how often it was; which point of poses at rest moved by itself, in words.
+    """
     residual = rough(base)[0].reshape(-1, 3)
     direction = _directions(rough)
-    squares, dof = np.zeros(3), 0
+    points = rough.nominal.points
+    of_point, again = np.zeros((len(points), 3)), np.zeros(len(points), dtype=np.int64)
     left = set(range(len(residual)))
     while left:
         first = left.pop()
@@ -139,11 +145,14 @@ def _floor(rough: PointResidual, base: ParameterSets) -> Array | None:
         ]
         left -= set(same)
         group = residual[[first, *same]]
-        squares += ((group - group.mean(axis=0)) ** 2).sum(axis=0)
-        dof += len(same)
+        of_point[which] += ((group - group.mean(axis=0)) ** 2).sum(axis=0)
+        again[which] += len(same)
+    squares, dof = of_point.sum(axis=0), int(again.sum())
     if dof < (FEW_IN_MOTION if rough.paths else FEW_AT_REST):
-        return None
-    return np.sqrt(squares / dof if dof >= ENOUGH else np.full(3, squares.mean() / dof))
+        return None, 0, ""
+    told = [(point.joint, point.name) for point in points]
+    loose = "" if rough.paths else loose_point(of_point.sum(axis=1), again, *zip(*told, strict=True))
+    return np.sqrt(squares / dof if dof >= ENOUGH else np.full(3, squares.mean() / dof)), dof, loose
 
 
 def _directions(rough: PointResidual) -> Array:

@@ -56,6 +56,11 @@ def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
     given = tables.run.plc_to_pc_offset_s
     delays = _apparent_delays(tables)
     if given is not None:
+        if not _meet(tables, given):
+            text = f"clocks.plc_to_pc_offset_s = {given:g} puts sent and plc rows at times that never meet"
+            text += ": the link is not judged; give t_pc - t_plc"
+            findings.append(Finding("clock_offset_wrong", "problem", "run.toml", text))
+            return None
         early_s = -(float(delays.min()) + given) if len(delays) else 0.0
         if not EARLY_MIN_S < early_s < EARLY_MAX_S:
             return SentClock(given, True)
@@ -74,6 +79,16 @@ def sent_clock(tables: Tables, findings: list[Finding]) -> SentClock | None:
     )
     findings.append(Finding("clock_offset_unknown", "note", "run.toml", text))
     return SentClock(-float(delays.min()), False)
+
+
+def _meet(tables: Tables, offset_s: float) -> bool:
+    """Whether datagrams were sent, by this offset, while the PLC logged, or shortly before."""
+    if tables.sent is None or tables.plc is None:
+        return True
+    sent, rows = (one[np.isfinite(one)] for one in (tables.sent.t_s - offset_s, tables.plc.t_s))
+    if not len(sent) or not len(rows):
+        return True
+    return bool(sent.min() <= rows.max() and sent.max() >= rows.min() - EARLY_MAX_S)
 
 
 def arrivals_of(tables: Tables, plant: Actuators | None, findings: list[Finding]) -> Arrivals | None:

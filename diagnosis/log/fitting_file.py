@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 
 from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
-from diagnosis.log.tables import PointTable, Tables
+from diagnosis.log.tables import MarkerTable, PointTable, Tables
 from diagnosis.log.units import LIMIT_MARGIN_RAD
 from machine.rotations import Array
 
+EYES_LEAST, EYES_SHARE = 5, 0.9  # markers seen by both eyes, and how many of them have to say the same
 OUTSIDE_MIN, INSIDE_MAX = 0.2, 0.01  # shares of rows outside limits: surely outside, surely inside
 
 
@@ -101,6 +102,7 @@ def corner_findings(tables: Tables) -> list[Finding]:
     if nameless:
         text = f"{nameless} rows have an eye other than 'left' or 'right'; they are not used"
         findings.append(Finding("not_a_number", "problem", "markers.csv", text, nameless))
+    findings += _exchanged_eyes(markers)
     wrong = _anticlockwise(markers.corners[np.isfinite(markers.corners).all(axis=(1, 2))])
     share = float(wrong.mean()) if len(wrong) else 0.0
     if share > 0.01:
@@ -112,6 +114,19 @@ def corner_findings(tables: Tables) -> list[Finding]:
             Finding("corner_order", "fatal" if share > 0.5 else "problem", "markers.csv", text, int(wrong.sum()))
         )
     return findings
+
+
+def _exchanged_eyes(markers: MarkerTable) -> list[Finding]:
+    """Markers that lie further left in the left eye, on the whole: nothing in front of a camera does."""
+    seen: dict[tuple[float, int], dict[int, float]] = {}
+    for t, number, eye, corners in zip(markers.t_s, markers.ids, markers.eye, markers.corners, strict=True):
+        seen.setdefault((float(t), int(number)), {})[int(eye)] = float(corners[:, 0].mean())
+    apart = np.array([both[0] - both[1] for both in seen.values() if 0 in both and 1 in both])
+    apart = apart[np.isfinite(apart)]
+    if len(apart) < EYES_LEAST or np.median(apart) >= 0.0 or np.mean(apart < 0.0) < EYES_SHARE:
+        return []
+    text = f"markers lie {-np.median(apart):.3g} px further left in the left eye than in the right one; in front of a "
+    return [Finding("eyes_exchanged", "fatal", "markers.csv", f"{text}camera none does: exchange 'left' and 'right'")]
 
 
 def _anticlockwise(corners: Array) -> NDArray[np.bool_]:

@@ -9,6 +9,8 @@ from diagnosis.log.findings import Finding
 from recording.folder import SEPARATORS, column_finder
 from recording.rows import CSV_ROW_TYPES, Row, csv_fields
 
+HEADER_MAX = 1 << 16  # characters: hundreds of joints; a file without line ends is not read to its end
+
 
 def header_findings(folder: Path) -> list[Finding]:
     """Unknown columns with the nearest known name; gaps in the count of joints; unknown files."""
@@ -50,9 +52,15 @@ def _in_metres(pattern: str, name: str) -> re.Match[str] | None:
 def _names(path: Path) -> tuple[list[str], bool]:
     """A file's column names, and whether there is a row below them."""
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        reader = csv.reader(file)
-        names = [name.strip().removeprefix("\ufeff") for name in next(reader, [])]
-        return names, next(reader, None) is not None
+        first, second = file.readline(HEADER_MAX), file.readline(HEADER_MAX)
+        if first.count('"') % 2:  # a quote that is never closed: reading it says so
+            return [], True
+        reader = csv.reader([line for line in (first, second) if line])
+        try:
+            names = [name.strip().removeprefix("\ufeff") for name in next(reader, [])]
+            return names, next(reader, None) is not None
+        except csv.Error:  # reading it says so
+            return [], True
 
 
 def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:

@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from diagnosis.errors import DiagnosisError
+from diagnosis.log.machine_numbers import number_of, pose_of, vector_of
 from machine.description import StereoCamera
 from machine.effects.arm import Arm, DhRow, arm_from_dh
 from machine.effects.arm_urdf import arm_from_urdf
@@ -82,8 +83,8 @@ def nominal_of(text: str, urdf: str | None = None, n_joints: int | None = None) 
     Raises:  DiagnosisError: not TOML, or a field that is there is wrong; names field, value and what belongs there.
     """
     try:
-        tables = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+        tables = tomllib.loads(text.removeprefix("\ufeff"))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise DiagnosisError(f"machine.toml is not TOML: {error}") from error
     try:
         return _Reader(tables, urdf, n_joints).nominal()
@@ -103,13 +104,17 @@ class _Reader:
 
     def nominal(self) -> Nominal:
         machine = _table(self._tables.get("machine", {}), "[machine]")
-        gravity = _vector(machine, "gravity_base_m_s2", 3, "[machine]")
+        gravity = vector_of(machine, "gravity_base_m_s2", 3, "[machine]")
         arm, names = self._arm(np.array([0.0, 0.0, -9.81]) if gravity is None else gravity)
         limits = [self._limits(k) for k in range(len(names))]
         tool = _table(self._tables.get("tool", {}), "[tool]")
         camera = _table(self._tables.get("camera", {}), "[camera]")
         tracker = _table(self._tables.get("tracker", {}), "[tracker]")
         actuators = self._actuators()
+        weighed = arm is not None and float(arm.mass.sum()) > 0.0
+        if actuators is not None and weighed and not np.isfinite(limits).all():
+            text = "some joint has no q_min_deg and q_max_deg: the load's reference torque is not known"
+            self._absent.append(("load", f"{text}; internal_leakage and load_droop are not tried"))
         return Nominal(
             name=str(machine.get("name", "")),
             joint_names=names,
@@ -117,11 +122,11 @@ class _Reader:
             q_max=np.array([high for _, high in limits]),
             arm=arm,
             actuators=actuators,
-            has_controller=actuators is not None and not self._lack("controller", ("kp_frac_per_rad",)),
+            has_controller=actuators is not None and self._controlled(actuators),
             camera=self._camera(camera),
-            T_tcp_cam_left=_pose(camera, "T_tcp_cam_left", "[camera]"),
-            T_tcp_tool=_pose(tool, "T_tcp_tool", "[tool]"),
-            T_base_tracker=_pose(tracker, "T_base_tracker", "[tracker]"),
+            T_tcp_cam_left=pose_of(camera, "T_tcp_cam_left", "[camera]"),
+            T_tcp_tool=pose_of(tool, "T_tcp_tool", "[tool]"),
+            T_base_tracker=pose_of(tracker, "T_base_tracker", "[tracker]"),
             markers=self._markers(),
             points=self._points(len(names)),
             baseline=parse_entries(self._tables.get("effect"), max(len(names), 1)),
@@ -155,16 +160,16 @@ class _Reader:
 
     def _arm(self, gravity: Array) -> tuple[Arm | None, tuple[str, ...]]:
         names = self._names()
-        tool = _pose(_table(self._tables.get("tool", {}), "[tool]"), "T_flange_tcp", "[tool]")
+        tool = pose_of(_table(self._tables.get("tool", {}), "[tool]"), "T_flange_tcp", "[tool]")
         if "urdf" in self._tables:
             return self._urdf_arm(names, tool)
         if self._lack("structure", GEOMETRY):
             return None, names
         rows = [_dh_row(joint, f"joint {k} ({names[k - 1]})") for k, joint in enumerate(self._joints, start=1)]
         mass = np.array(
-            [_number(joint, "mass_kg", name) or 0.0 for joint, name in zip(self._joints, names, strict=True)]
+            [number_of(joint, "mass_kg", name) or 0.0 for joint, name in zip(self._joints, names, strict=True)]
         )
-        com = [_vector(joint, "com_m", 3, name) for joint, name in zip(self._joints, names, strict=True)]
+        com = [vector_of(joint, "com_m", 3, name) for joint, name in zip(self._joints, names, strict=True)]
         if any("mass_kg" not in joint for joint in self._joints):
             text = "some joint has no mass_kg: gravity's torque is not known; a bend is told as an encoder's error"
             self._absent.append(("load", text))
@@ -191,7 +196,9 @@ class _Reader:
         joint, ends = self._joints[k], (-np.inf, np.inf)
         where = f"joint {k + 1}"
         scale, unit = (1.0, "m") if joint.get("type") == "prismatic" else (float(np.pi / 180.0), "deg")
-        low, high = (_number(joint, f"{name}_{unit}", where) for name in ("q_min", "q_max"))
+        low, high = (number_of(joint, f"{name}_{unit}", where) for name in ("q_min", "q_max"))
+        if low is not None and high is not None and low >= high:
+            raise DiagnosisError(f"machine.toml: {where}: q_min_{unit} = {low:g} is not below q_max_{unit} = {high:g}")
         return (ends[0] if low is None else low * scale, ends[1] if high is None else high * scale)
 
     def _actuators(self) -> Actuators | None:
@@ -204,18 +211,29 @@ class _Reader:
             return None
         rows = []
         for k, joint in enumerate(self._joints, start=1):
-            values = [_number(joint, field, f"joint {k}") or 0.0 for field in (*VALVE, "kp_frac_per_rad", "pt1_tau_s")]
+            values = [
+                number_of(joint, field, f"joint {k}") or 0.0 for field in (*VALVE, "kp_frac_per_rad", "pt1_tau_s")
+            ]
             rows.append((values[0], 2.0 * np.pi * values[1], *values[2:]))
-        cycle, log_cycle = (_number(plc, field, "[plc]") or 0.0 for field in TIMES)
-        return Actuators(np.array(rows), cycle, log_cycle, _number(plc, "transport_delay_s", "[plc]") or 0.0)
+        cycle, log_cycle = (number_of(plc, field, "[plc]") or 0.0 for field in TIMES)
+        return Actuators(np.array(rows), cycle, log_cycle, number_of(plc, "transport_delay_s", "[plc]") or 0.0)
+
+    def _controlled(self, actuators: Actuators) -> bool:
+        """Whether every joint has a gain above 0."""
+        if self._lack("controller", ("kp_frac_per_rad",)):
+            return False
+        idle = [k for k, kp in enumerate(actuators.joints[:, 3], start=1) if kp == 0.0]
+        if idle:
+            self._absent.append(("controller", f"joint {idle[0]} has kp_frac_per_rad = 0: nothing controls it"))
+        return not idle
 
     def _camera(self, section: Mapping[str, Any]) -> StereoCamera | None:
         missing = [field for field in EYES if field not in section]
         if missing:
             self._absent.append(("camera", f"[camera] has no {', '.join(missing)}"))
             return None
-        values = {field: cast(float, _number(section, field, "[camera]")) for field in EYES}
-        given = _vector(section, "distortion", 5, "[camera]")
+        values = {field: cast(float, number_of(section, field, "[camera]")) for field in EYES}
+        given = vector_of(section, "distortion", 5, "[camera]")
         rectified = bool(section.get("rectified", True))
         lens = np.zeros(5) if given is None or rectified else given  # corners of a rectified image carry no distortion
         return StereoCamera(
@@ -227,7 +245,7 @@ class _Reader:
             cy_px=values["cy_px"],
             distortion=(float(lens[0]), float(lens[1]), float(lens[2]), float(lens[3]), float(lens[4])),
             baseline_m=values["baseline_m"],
-            rate_hz=_number(section, "rate_hz", "[camera]") or 0.0,
+            rate_hz=number_of(section, "rate_hz", "[camera]") or 0.0,
             rectified=rectified,
         )
 
@@ -237,7 +255,7 @@ class _Reader:
         for k, one in enumerate(_list(section, "marker"), start=1):
             where = f"markers.marker {k}"
             table = _table(one, where)
-            side, T, on = _number(table, "side_m", where), _pose(table, "T_on_marker", where), table.get("on")
+            side, T, on = number_of(table, "side_m", where), pose_of(table, "T_on_marker", where), table.get("on")
             if side is None or T is None or on not in ("tool", "ooi") or not isinstance(table.get("id"), int):
                 raise DiagnosisError(f"machine.toml: {where} needs id, side_m, on ('tool' or 'ooi') and T_on_marker")
             found.append(Marker(table["id"], side, on, T))
@@ -249,7 +267,7 @@ class _Reader:
         found = []
         for name, one in _table(self._tables.get("points", {}), "[points]").items():
             table = _table(one, f"points.{name}")
-            joint, xyz = table.get("joint"), _vector(table, "xyz_m", 3, f"points.{name}")
+            joint, xyz = table.get("joint"), vector_of(table, "xyz_m", 3, f"points.{name}")
             if isinstance(joint, bool) or not isinstance(joint, int) or not 0 <= joint <= n:
                 raise DiagnosisError(
                     f"machine.toml: points.{name} needs joint = 0 .. {n}, and xyz_m = [x, y, z] if known"
@@ -260,7 +278,7 @@ class _Reader:
 
 
 def _dh_row(joint: Mapping[str, Any], where: str) -> DhRow:
-    a, d, alpha, theta = (cast(float, _number(joint, field, where)) for field in GEOMETRY)
+    a, d, alpha, theta = (cast(float, number_of(joint, field, where)) for field in GEOMETRY)
     kind, convention = joint.get("type", "revolute"), joint.get("dh_convention")
     if kind not in ("revolute", "prismatic") or convention not in ("classic", "modified"):
         raise DiagnosisError(
@@ -281,32 +299,3 @@ def _list(table: Mapping[str, Any], key: str) -> list[Any]:
     if not isinstance(value, list):
         raise DiagnosisError(f"machine.toml: {key} is not a list; write [[{key}]]")
     return value
-
-
-def _number(table: Mapping[str, Any], key: str, where: str) -> float | None:
-    value = table.get(key)
-    if value is None:
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise DiagnosisError(f"machine.toml: {where}: {key} = {value!r} is not a finite number")
-    return float(value)
-
-
-def _vector(table: Mapping[str, Any], key: str, size: int, where: str) -> Array | None:
-    value = table.get(key)
-    if value is None:
-        return None
-    good = isinstance(value, list) and len(value) == size and all(isinstance(x, int | float) for x in value)
-    if not good or not np.isfinite(np.array(value, dtype=float)).all():
-        raise DiagnosisError(f"machine.toml: {where}: {key} = {value!r}; give {size} finite numbers")
-    return np.array(value, dtype=float)
-
-
-def _pose(table: Mapping[str, Any], key: str, where: str) -> Array | None:
-    numbers = _vector(table, key, 16, where)
-    if numbers is None:
-        return None
-    T = numbers.reshape(4, 4)
-    if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-6 or np.linalg.det(T[:3, :3]) < 0.0:
-        raise DiagnosisError(f"machine.toml: {where}: {key} is not a pose; its rotation is not orthonormal to 1e-6")
-    return T

@@ -59,7 +59,7 @@ def time_findings(
     if len(back):
         k = int(back[0])
         text = (
-            f"time runs backwards {len(back)} times, first by {-steps[k]:.4g} s at {t_s[k]:.3f} s; "
+            f"time runs backwards {len(back)} times, first by {-steps[k]:.4g} s at {t_s[k]:.10g} s; "
             "the log is cut there: sort the rows, or mend the clock"
         )
         findings.append(Finding("time_backwards", "problem", subject, text, len(back)))

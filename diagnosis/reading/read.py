@@ -61,14 +61,14 @@ def read(path: Path, machine_file: Path | None = None) -> Read:
     Args: machine_file: used in place of the recording's own machine.toml.
     """
     findings: list[Finding] = []
-    if path.is_dir():
+    if _is_folder(path):
         findings += _guarded(lambda: header_findings(path), path.name)
     try:
         recording = read_run(path)
     except RecordingError as error:
         return Read(path, None, None, (), (*findings, _unreadable(path, error)))
     whole = examine(recording, path, machine_file, findings)
-    return whole if path.is_dir() else replace(whole, findings=tuple(by_channel(one) for one in whole.findings))
+    return whole if _is_folder(path) else replace(whole, findings=tuple(by_channel(one) for one in whole.findings))
 
 
 def examine(recording: Recording, path: Path, machine_file: Path | None = None, before: Sequence[Finding] = ()) -> Read:
@@ -78,7 +78,7 @@ def examine(recording: Recording, path: Path, machine_file: Path | None = None, 
     findings += by_number
     nominal = _nominal(path, recording, tables, machine_file, findings)
     findings += _checks(tables, nominal)
-    if path.is_dir() and nominal is not None:
+    if _is_folder(path) and nominal is not None:
         findings += _guarded(lambda: metre_findings(path, nominal.sliding), path.name)
     stretches: tuple[Stretch, ...] = ()
     if not fatal(findings):
@@ -110,11 +110,18 @@ def _without_wild_points(
     return replace(tables, static=static, tracker=tracker), findings
 
 
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # a name that nothing can have: opening it says so
+        return False
+
+
 def _unreadable(path: Path, error: RecordingError) -> Finding:
     text = str(error)
     code = "format_version" if "format_version" in text else "unreadable"
     code = "missing_column" if "count from 1 without gaps" in text or "is missing;" in text else code
-    return Finding(code, "fatal", path.name, text)
+    return Finding(code, "fatal", path.name[:60], text)
 
 
 def _guarded(check: Callable[[], list[Finding]], subject: str) -> list[Finding]:
@@ -126,7 +133,7 @@ def _guarded(check: Callable[[], list[Finding]], subject: str) -> list[Finding]:
 
 def _form_findings(recording: Recording, path: Path) -> list[Finding]:
     findings = []
-    if path.is_dir() and not (path / "run.toml").is_file():
+    if _is_folder(path) and not (path / "run.toml").is_file():
         text = "is not there: no segments, no repeats, no clocks are known"
         findings.append(Finding("no_run_file", "note", "run.toml", text))
     if not recording.complete:
@@ -141,12 +148,16 @@ def _form_findings(recording: Recording, path: Path) -> list[Finding]:
 def _nominal(
     path: Path, recording: Recording, tables: Tables, machine_file: Path | None, findings: list[Finding]
 ) -> Nominal | None:
-    text = recording.machine_toml
+    text, name = recording.machine_toml, "machine.toml"
     if machine_file is not None:
+        name = machine_file.name
         try:
-            text = machine_file.read_text(encoding="utf-8")
+            text = machine_file.read_text(encoding="utf-8") if machine_file.is_file() else ""
         except (OSError, UnicodeDecodeError) as error:
-            findings.append(Finding("machine_file", "fatal", machine_file.name, f"cannot be read: {error}"))
+            findings.append(Finding("machine_file", "fatal", name, f"cannot be read: {error}"))
+            return None
+        if not text:
+            findings.append(Finding("machine_file", "fatal", name, "is empty or no file; give a machine.toml"))
             return None
     if not text:
         lack = "there is no machine.toml; give one by --machine, or put it into the recording"
@@ -155,7 +166,8 @@ def _nominal(
     try:
         return nominal_of(text, _urdf(recording), tables.n or None)
     except DiagnosisError as error:
-        findings.append(Finding("machine_file", "fatal", "machine.toml", str(error).removeprefix("machine.toml: ")))
+        told = str(error).removeprefix("machine.toml").removeprefix(":").strip()
+        findings.append(Finding("machine_file", "fatal", name, told))
         return None
 
 
@@ -204,7 +216,9 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
         ("structure", nominal.arm is not None and (tables.static is not None or tables.tracker is not None)),
         ("camera", nominal.arm is not None and nominal.camera is not None and tables.markers is not None),
     )
-    return tuple(name for name, there in tests if there)
+    found = tuple(name for name, there in tests if there)
+    by_odometry = nominal.arm is not None and nominal.T_tcp_cam_left is not None and tables.odometry is not None
+    return (*found, "camera") if by_odometry and some and "camera" not in found else found
 
 
 def _nothing(whole: Read) -> Finding:

@@ -38,6 +38,9 @@ def read_together(paths: Sequence[Path], machine_file: Path | None = None) -> Re
     """
     if len(paths) == 1:
         return read(paths[0], machine_file)
+    twice = [path for k, path in enumerate(paths) if path.resolve() in {one.resolve() for one in paths[:k]}]
+    if twice:
+        raise DiagnosisError(f"{twice[0].name} is given twice, which says no more than once; name it once")
     try:
         recordings = [read_run(path) for path in paths]
     except RecordingError as error:

@@ -4,7 +4,7 @@ import re
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc, erfc  # scipy.stats takes a second to import
+from scipy.special import chdtrc, erfc, fdtrc  # scipy.stats takes a second to import
 
 from diagnosis.cells.behind import independent
 from diagnosis.replay.stage_replay import Replay
@@ -137,7 +137,9 @@ def _energy(cell: Cell, r: Array) -> list[Fired]:
         least = max(least, USUAL_TIMES * dict(cell.usual).get(USUAL_ENERGY, 0.0))
     if ratio < least or not cell.floor_known:
         return []
-    return [Fired("energy", cell.stage, cell.joint, ratio, float(chdtrc(n, r @ r)), "", 1.0 - 1.0 / ratio)]
+    few = cell.floor_squares  # six pairs of poses know a floor to an eighth: such a ratio is no chi2
+    p_value = float(fdtrc(n, few, ratio) if few else chdtrc(n, r @ r))
+    return [Fired("energy", cell.stage, cell.joint, ratio, p_value, "", 1.0 - 1.0 / ratio)]
 
 
 def _unrest(cell: Cell, r: Array) -> list[Fired]:

@@ -1,5 +1,7 @@
 """Whether repeats of one command are repeats, and whether there are enough of them."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from diagnosis.log.findings import Finding
@@ -7,6 +9,7 @@ from diagnosis.replay.stretches import Stretch, repeat_groups
 from machine.rotations import Array
 
 REPEATS_GOOD = 4
+SHARED_MAX = 0.1  # of the shorter one's length
 DIFFER_MAX_RAD = 1e-3  # between the references of two repeats, once they are laid over each other
 
 
@@ -27,11 +30,24 @@ def repeat_findings(stretches: tuple[Stretch, ...]) -> list[Finding]:
         if len(members) < REPEATS_GOOD:
             text = f"{name!r} has {len(members)} runs; {REPEATS_GOOD} or more make a sound noise floor"
             findings.append(Finding("few_repeats", "note", "segments", text))
+        findings += _shared(name, members)
         apart = reference_spread(members)
         if apart > DIFFER_MAX_RAD:
             text = f"repeats of {name!r} differ by up to {apart:.3g} rad in their reference; they give no noise floor"
             findings.append(Finding("repeats_differ", "problem", "segments", text))
     return findings
+
+
+def _shared(name: str, members: tuple[Stretch, ...]) -> list[Finding]:
+    """Repeats that are the same rows to a tenth or more: their noise would be none, and all else a gap."""
+    inside = sorted(members, key=lambda one: float(one.t_s[0]))
+    for one, following in pairwise(inside):
+        shared_s = float(min(one.t_s[-1], following.t_s[-1]) - following.t_s[0])
+        if shared_s > SHARED_MAX * min(one.duration_s, following.duration_s):
+            text = f"{one.name!r} and {following.name!r} of {name!r} share {shared_s:.3g} s of rows"
+            text += ": that is no second measurement; correct the times in run.toml"
+            return [Finding("segments_overlap", "fatal", "segments", text)]
+    return []
 
 
 def laid_over(members: tuple[Stretch, ...], name: str) -> Array | None:

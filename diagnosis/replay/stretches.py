@@ -1,5 +1,6 @@
 """Evenly sampled pieces of a recording: each segment, cut where the log is broken."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
@@ -91,12 +92,16 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
         cut = [list(_pieces(plc, broken, segment, MEND_ROWS_MAX + GAP_STEPS)) for segment in segments]
         findings += _bridged(cut)
     found: list[Stretch] = []
+    named: Counter[str] = Counter()
     for number, (segment, pieces) in enumerate(zip(segments, cut, strict=True), start=1):
         if not pieces:
             text = f"segment {number} ({segment.name or segment.kind}) holds no usable stretch of {DURATION_MIN_S:g} s"
             findings.append(Finding("empty_segment", "problem", "run.toml", text))
+        label = segment.name or f"{segment.kind}{number}"
+        named[label] += 1
+        if named[label] > 1:  # what is known of a stretch is kept by its name
+            label = f"{label} ({named[label]})"
         for part, rows in enumerate(pieces, start=1):
-            label = segment.name or f"{segment.kind}{number}"
             name = f"{label}/{part}" if len(pieces) > 1 else label
             one = _stretch(plc, segment, name, rows, sent_within(tables, came, plc.t_s[rows]))
             found.append(replace(one, enc_step=enc_step))

@@ -52,6 +52,7 @@ class Cell:
     """One independent part. `whitened(sets)` gives residuals (sets, N) in units of the floor.
 
     `scale`: (N,) what one whitened unit is in `unit`; `base`: the baseline's parameters; `floor_known`: from repeats.
+    `floor_squares`: how many squared differences of repeats the floor was found from; 0 where they are many.
     `quiet`: the noise's own energy in whitened units, below 1 where the floor was raised to what is believed.
     `coarse`: its input between logged rows is a guess; `least_nats`: what that guess may be wrong by, at least.
     `form_share`: of all that is gained, what a further effect has to gain: no model is right to better than this.
@@ -79,6 +80,7 @@ class Cell:
     same_kind: bool
     regressors: tuple[tuple[str, Array], ...]
     t_s: Array
+    floor_squares: int = 0
     coarse: bool = False
     least_nats: float = 0.0
     spread_least: float = 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -29,6 +30,7 @@ TRACE = 0.005  # share of what the names explain: what fired in a cell of guesse
 LEFT_STUCK = FORM_SHARE_STUCK  # the same where a joint sticks: what rings after each of its jumps has no model
 LEFT_LARGE = 0.5  # share of the gap: a remainder above it says that no name fits
 HOLES_MANY = 10  # a cable pulled once is no fault of the log; samples that go missing all the time are
+UNDONE_IN_A_CROWD = 0.8  # of three names of one joint that stood for one bent coder two undid 0.90 and 0.96
 CROWD = 3  # names at once on a machine whose usual state is known: one cause that the catalogue lacks is likelier
 WITH_TIME, DRIFT_NATS = "time", 25.0  # twice what is told as a lead: of 40 sound recordings none showed it
 LOUD = 4.0  # energy of what is left over a noise that was only estimated
@@ -116,7 +118,7 @@ def verdict_of(
     if len(named) >= CROWD and all(known_well(one.search.cell) for one in answers):
         names = ", ".join(dict.fromkeys(effect.name for effect in named))
         return Verdict("undecided", f"{len(named)} faults at once ({names}): look for one cause of all of them first")
-    undone = next((pair for one in answers if known_well(one.search.cell) and (pair := _undone(one)) is not None), None)
+    undone = next((pair for one in answers if (pair := _undone(one)) is not None), None)
     if undone is not None:
         text = f"{undone.names[0]} and {undone.names[1]} undo {100.0 * undone.share:.2g} % of each other"
         return Verdict("undecided", f"{text}: one cause that the catalogue lacks is likelier than both at once")
@@ -132,7 +134,15 @@ def verdict_of(
 
 
 def _undone(one: CellAnswer) -> Undoing | None:
-    return undoing(one.search.cell, one.chosen.fit, one.search.none.fit.residual)
+    """Two names that undo much of each other; where nobody knows the machine's usual state, nearly all, and in a crowd
+    of one joint's names.
+    """
+    pair = undoing(one.search.cell, one.chosen.fit, one.search.none.fit.residual)
+    if pair is None or known_well(one.search.cell):
+        return pair
+    by_joint = Counter(effect.joint for effect in one.chosen.fit.hypothesis if effect.joint is not None)
+    crowd = max(by_joint.values(), default=0) >= CROWD
+    return pair if crowd and pair.share > UNDONE_IN_A_CROWD else None
 
 
 def _gained_nats(one: CellAnswer) -> float:
@@ -177,29 +187,42 @@ def _drifts(one: CellAnswer, shape: Shape) -> bool:
 
 
 def _closed(one: CellAnswer) -> float:
-    """The share of the gap that a cell's names close; 1 where none can be told, or nothing was named.
+    """The share of the gap that a cell's names close; 1 where nothing was named. Where none can be told, since nothing
+    stands out of the noise: 0 without a baseline if what drives the cell is a guess between logged rows, else 1.
 
-    Its upper limit, for what is left would have refused the names otherwise. The share itself beside a baseline: what
-    is usually left there is allowed for, so that a name could close next to nothing and nothing else would refuse it.
+    Its upper limit, for what is left would have refused the names otherwise. The share itself beside a baseline, where
+    what is usually left is allowed for, and where the gap is what the catalogue foretells, whose limit is 1: a name
+    could close next to nothing there, and nothing else would refuse it.
     """
     if not one.chosen.fit.hypothesis:
         return 1.0
-    share, _, high = closing(together(one.squares))[3]
-    told = share if _beside_a_baseline(one.search.cell) else high
-    return 1.0 if told is None else told
+    _, _, _, (share, _, high), by = closing(together(one.squares))
+    told = share if by == "catalogue" or _beside_a_baseline(one.search.cell) else high
+    if told is None:
+        return 0.0 if one.search.cell.coarse and not _beside_a_baseline(one.search.cell) else 1.0
+    return told
 
 
 def _closing_little(one: CellAnswer) -> str:
     """Why names that close little of a cell's gap are not told as its cause."""
+    if closing(together(one.squares))[3][0] is None:
+        text = (
+            f"{one.search.cell.label}: nothing stands out of what repeats differ by, and names gain there all the same"
+        )
+        return f"{text}; log every PLC cycle, or repeat more, to tell whether they are a fault"
     text = f"{one.search.cell.label}: the best names close {100.0 * _closed(one):.3g} % of the gap"
     if _known_by_few(one.search.cell):
         return (
             f"{text}, and the machine's usual state is known of too few days to say whether the rest is usual; "
             f"fit it on {RECORDINGS_ENOUGH} recordings or more"
         )
-    if _beside_a_baseline(one.search.cell):
-        return f"{text}: more of it is something else"
-    return f"{text} at the most: something else is most of it"
+    at_most = "" if _closed(one) < LEFT_LARGE <= _closed_at_most(one) else " at the most"
+    return f"{text}{at_most}: more of it is something else"
+
+
+def _closed_at_most(one: CellAnswer) -> float:
+    high = closing(together(one.squares))[3][2]
+    return 1.0 if high is None else high
 
 
 def _beside_a_baseline(cell: Cell) -> bool:

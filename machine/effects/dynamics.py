@@ -1,5 +1,6 @@
 """Many parameter sets through the dynamic stages at once: from the sent reference, or from each stage's own input."""
 
+import math
 from dataclasses import dataclass, field
 from enum import IntEnum
 
@@ -44,6 +45,8 @@ class Actuators:
             )
         joints.setflags(write=False)
         object.__setattr__(self, "joints", joints)
+        if not 0.0 <= self.transport_delay_s < math.inf:  # the kernel looks so many cycles back
+            raise MachineError(f"plc.transport_delay_s = {self.transport_delay_s} s; give 0 or more")
         if not (self.cycle_s > 0.0 and abs(self.log_cycle_s / self.cycle_s - self.decimate) < 1e-6):
             raise MachineError(
                 f"plc.log_cycle_s = {self.log_cycle_s} s is no multiple of cycle_s = {self.cycle_s} s; give one"

@@ -107,8 +107,8 @@ def make_entry(effect: Effect, joint: int | None, parameters: Mapping[str, objec
 
 
 def _number(parameter: Parameter, value: object, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
-        raise MachineFileError(f"{where}: {parameter.name} = {value!r} is not a number [{parameter.unit}]")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not _is_number(value):
+        raise MachineFileError(f"{where}: {parameter.name} = {repr(value)[:60]} is not a number [{parameter.unit}]")
     if not parameter.contains(float(value)):
         whole = "whole numbers " if parameter.integer else ""
         neutral = (
@@ -119,6 +119,14 @@ def _number(parameter: Parameter, value: object, where: str) -> float:
             f"{neutral} [{parameter.unit}]; {parameter.meaning}"
         )
     return float(value)
+
+
+def _is_number(value: float) -> bool:
+    """Whether a float holds it: TOML's whole numbers have no end."""
+    try:
+        return not math.isnan(value)
+    except OverflowError:
+        return False
 
 
 def _option(effect: Effect, parameters: Mapping[str, object], where: str) -> str:
@@ -137,12 +145,12 @@ def _direction(effect: Effect, parameters: Mapping[str, object], where: str) -> 
     dims, name = len(effect.direction.default), effect.direction.name
     given = parameters.get(name, effect.direction.default)
     numbers = list(given) if isinstance(given, Sequence) and not isinstance(given, str) else []
-    good = len(numbers) == dims and all(isinstance(x, int | float) for x in numbers)
+    good = len(numbers) == dims and all(isinstance(x, int | float) and _is_number(x) for x in numbers)
     vector = np.array(numbers, dtype=float) if good else np.zeros(dims)
     length = float(np.linalg.norm(vector))
     if not (math.isfinite(length) and length > 1e-9):
         raise MachineFileError(
-            f"{where}: {name} = {given!r}; give {dims} numbers, not all 0, in {effect.direction.frame} axes"
+            f"{where}: {name} = {repr(given)[:60]}; give {dims} numbers, not all 0, in {effect.direction.frame} axes"
         )
     return tuple(float(x) for x in vector / length)
 

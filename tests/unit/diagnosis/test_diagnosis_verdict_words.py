@@ -66,33 +66,49 @@ def test_names_that_nearly_every_hypothesis_holds_are_told_beside_doubtful_ones(
 
 
 @pytest.mark.parametrize(
-    ("usual", "share", "high", "word", "said"),
+    ("usual", "share", "high", "by", "word", "said"),
     [
-        ((), 0.26, 0.7, "effects", ""),
-        ((), 0.26, 0.4, "undecided", "40 % of the gap at the most"),
-        (FEW, 0.26, 0.7, "undecided", "26 % of the gap, and the machine's usual state is known of too few days"),
-        (MANY, 0.26, 0.7, "undecided", "26 % of the gap: more of it is something else"),
-        (MANY, 0.6, 0.7, "effects", ""),
-        (MANY, -0.07, 0.1, "undecided", "-7 % of the gap"),
+        ((), 0.26, 0.7, "noise", "effects", ""),
+        ((), 0.26, 0.4, "noise", "undecided", "40 % of the gap at the most"),
+        ((), 0.06, 1.0, "catalogue", "undecided", "6 % of the gap: more of it is something else"),
+        ((), 0.6, 1.0, "catalogue", "effects", ""),
+        ((), None, None, "noise", "undecided", "nothing stands out of what repeats differ by"),
+        (MANY, None, None, "noise", "effects", ""),
+        (
+            FEW,
+            0.26,
+            0.7,
+            "noise",
+            "undecided",
+            "26 % of the gap, and the machine's usual state is known of too few days",
+        ),
+        (MANY, 0.26, 0.7, "noise", "undecided", "26 % of the gap: more of it is something else"),
+        (MANY, 0.6, 0.7, "noise", "effects", ""),
+        (MANY, -0.07, 0.1, "noise", "undecided", "-7 % of the gap"),
     ],
 )
 def test_names_that_close_less_than_half_of_a_gap_are_no_answer(
     clear: CellAnswer,
     usual: tuple[tuple[str, float], ...],
-    share: float,
-    high: float,
+    share: float | None,
+    high: float | None,
+    by: str,
     word: str,
     said: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """An upper limit clears a name only where nothing is allowed for as usual: there what is left would refuse it."""
     monkeypatch.setattr(
-        "diagnosis.verdict.verdict.closing", lambda _squares: (1.0, 0.9, 0.1, (share, -0.1, high), "noise")
+        "diagnosis.verdict.verdict.closing",
+        lambda _squares: (1.0, 0.9, 0.1, (share, None if share is None else -0.1, high), by),
     )
-    found = replace(clear, search=replace(clear.search, cell=replace(clear.search.cell, usual=usual)))
-    verdict = verdict_of((found,))
+    cell = replace(clear.search.cell, usual=usual, coarse=True)  # its input between rows is a guess
+    verdict = verdict_of((replace(clear, search=replace(clear.search, cell=cell)),))
     assert verdict.word == word, verdict.why
     assert said in verdict.why
+    if share is None:
+        even = replace(clear, search=replace(clear.search, cell=replace(cell, coarse=False)))
+        assert verdict_of((even,)).word == "effects"
 
 
 def test_a_baseline_of_few_says_how_many_are_enough() -> None:

@@ -1,0 +1,102 @@
+"""Numbers, vectors and poses of a machine file, each with the range that anything on earth has."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from diagnosis.errors import DiagnosisError
+from machine.rotations import Array
+
+#: Lowest, highest, unit. Beyond them a unit, a sign or a digit is wrong; steps and memory would have no end.
+RANGES: dict[str, tuple[float, float, str]] = {
+    "velocity_gain_rad_s": (1e-6, 1e3, "rad/s"),
+    "valve_frequency_hz": (1e-2, 1e3, "Hz"),
+    "valve_damping": (1e-2, 10.0, ""),
+    "kp_frac_per_rad": (0.0, 1e5, "1/rad"),
+    "pt1_tau_s": (0.0, 100.0, "s"),
+    "cycle_s": (1e-5, 1.0, "s"),
+    "log_cycle_s": (1e-5, 10.0, "s"),
+    "transport_delay_s": (0.0, 10.0, "s"),
+    "mass_kg": (0.0, 1e6, "kg"),
+    "com_m": (-100.0, 100.0, "m"),
+    "a_m": (-100.0, 100.0, "m"),
+    "d_m": (-100.0, 100.0, "m"),
+    "alpha_deg": (-720.0, 720.0, "deg"),
+    "theta_offset_deg": (-720.0, 720.0, "deg"),
+    "gravity_base_m_s2": (-100.0, 100.0, "m/s^2"),
+    "width_px": (1.0, 1e5, "px"),
+    "height_px": (1.0, 1e5, "px"),
+    "fx_px": (1.0, 1e6, "px"),
+    "fy_px": (1.0, 1e6, "px"),
+    "cx_px": (-1e6, 1e6, "px"),
+    "cy_px": (-1e6, 1e6, "px"),
+    "baseline_m": (1e-4, 100.0, "m"),
+    "rate_hz": (0.0, 1e5, "Hz"),
+    "distortion": (-1e4, 1e4, ""),
+    "side_m": (1e-4, 100.0, "m"),
+    "xyz_m": (-1e3, 1e3, "m"),
+}
+ANY = (-1e9, 1e9, "")
+FAR_M = 1e3  # of a pose: a tracker may stand far away; millimetres taken for metres are farther
+BOTTOM = (0.0, 0.0, 0.0, 1.0)
+
+
+def number_of(table: Mapping[str, Any], key: str, where: str) -> float | None:
+    """A number inside its range; None where it is not given.
+
+    Raises: DiagnosisError: no number, or outside what is possible; names field, value, limits and unit.
+    """
+    value = table.get(key)
+    return None if value is None else _inside(value, key, f"machine.toml: {where}: {key}")
+
+
+def vector_of(table: Mapping[str, Any], key: str, size: int, where: str) -> Array | None:
+    """So many numbers inside their range (size,); None where they are not given. Raises: as `number_of`."""
+    value = table.get(key)
+    if value is None:
+        return None
+    subject = f"machine.toml: {where}: {key}"
+    if not isinstance(value, list) or len(value) != size:
+        raise DiagnosisError(f"{subject} = {_short(value)}; give {size} finite numbers")
+    return np.array([_inside(one, key, f"{subject}[{k}]") for k, one in enumerate(value)])
+
+
+def pose_of(table: Mapping[str, Any], key: str, where: str) -> Array | None:
+    """A pose (4, 4), written row by row; None where it is not given. Raises: as `number_of`; it is no pose."""
+    numbers = vector_of(table, key, 16, where)
+    if numbers is None:
+        return None
+    T, subject = numbers.reshape(4, 4), f"machine.toml: {where}: {key}"
+    if np.abs(T[3] - BOTTOM).max() > 1e-9:
+        raise DiagnosisError(f"{subject} ends with {T[3].tolist()}; write it row by row, the last row 0, 0, 0, 1")
+    if np.abs(T[:3, :3] @ T[:3, :3].T - np.eye(3)).max() > 1e-6 or np.linalg.det(T[:3, :3]) < 0.0:
+        raise DiagnosisError(f"{subject} is not a pose; its rotation is not orthonormal to 1e-6")
+    if np.abs(T[:3, 3]).max() > FAR_M:
+        raise DiagnosisError(f"{subject} lies {np.abs(T[:3, 3]).max():g} m away, limit {FAR_M:g} m; write metres")
+    return T
+
+
+def _inside(value: object, key: str, subject: str) -> float:
+    low, high, unit = RANGES.get(key, ANY)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(_float(value)):
+        raise DiagnosisError(f"{subject} = {_short(value)} is not a finite number")
+    if not low <= value <= high:
+        raise DiagnosisError(
+            f"{subject} = {float(value):g}, limits {low:g} to {high:g} {unit}".rstrip() + "; correct it"
+        )
+    return float(value)
+
+
+def _float(value: float) -> float:
+    """Infinite for whole numbers that no float holds."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
