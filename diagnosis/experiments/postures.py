@@ -22,9 +22,10 @@ def pool(nominal: Nominal, centre: Array, rng: np.random.Generator) -> Array:
 
     Of a joint that was recorded outside its range, or has next to none, the nearest place inside.
     """
-    lowest, highest = nominal.q_min + MARGIN_RAD, np.maximum(nominal.q_min, nominal.q_max - MARGIN_RAD)
-    centre = np.clip(centre, np.minimum(lowest, highest), highest)
-    low, high = np.maximum(np.minimum(lowest, highest), centre - REACH_RAD), np.minimum(highest, centre + REACH_RAD)
+    highest = np.maximum(nominal.q_min, nominal.q_max - MARGIN_RAD)
+    lowest = np.minimum(nominal.q_min + MARGIN_RAD, highest)
+    centre = np.clip(centre, lowest, highest)
+    low, high = np.maximum(lowest, centre - REACH_RAD), np.minimum(highest, centre + REACH_RAD)
     share = np.where(np.arange(POOL) % 2 == 0, 1.0, 0.35)[:, None]
     return centre + share * (rng.uniform(low, high, (POOL, nominal.n)) - centre)
 

@@ -1,6 +1,6 @@
 """Numbers, vectors and poses of a machine file, each with the range that anything on earth has."""
 
-import math
+import sys
 from collections.abc import Mapping
 from typing import Any
 
@@ -38,6 +38,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "side_m": (1e-4, 100.0, "m"),
     "xyz_m": (-1e3, 1e3, "m"),
 }
+FLOAT_MAX = sys.float_info.max  # TOML's whole numbers have no end
 ANY = (-1e9, 1e9, "")
 FAR_M = 1e3  # of a pose: a tracker may stand far away; millimetres taken for metres are farther
 BOTTOM = (0.0, 0.0, 0.0, 1.0)
@@ -80,21 +81,13 @@ def pose_of(table: Mapping[str, Any], key: str, where: str) -> Array | None:
 
 def _inside(value: object, key: str, subject: str) -> float:
     low, high, unit = RANGES.get(key, ANY)
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(_float(value)):
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= FLOAT_MAX:
         raise DiagnosisError(f"{subject} = {_short(value)} is not a finite number")
     if not low <= value <= high:
         raise DiagnosisError(
             f"{subject} = {float(value):g}, limits {low:g} to {high:g} {unit}".rstrip() + "; correct it"
         )
     return float(value)
-
-
-def _float(value: float) -> float:
-    """Infinite for whole numbers that no float holds."""
-    try:
-        return float(value)
-    except OverflowError:
-        return math.inf
 
 
 def _short(value: object) -> str:

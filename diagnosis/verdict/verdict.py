@@ -196,38 +196,32 @@ def _closed(one: CellAnswer) -> float:
     """
     if not one.chosen.fit.hypothesis:
         return 1.0
-    _, _, _, (share, _, high), by = closing(together(one.squares))
-    told = share if by == "catalogue" or _beside_a_baseline(one.search.cell) else high
+    told, _ = _share_asked(one)
     if told is None:
-        return 0.0 if one.search.cell.coarse and not _beside_a_baseline(one.search.cell) else 1.0
+        return 0.0 if one.search.cell.coarse and not one.search.cell.usual_known else 1.0
     return told
+
+
+def _share_asked(one: CellAnswer) -> tuple[float | None, bool]:
+    """The share closed that counts, and whether it is an upper limit."""
+    _, _, _, (share, _, high), by = closing(together(one.squares))
+    at_most = by == "noise" and not one.search.cell.usual_known
+    return (high if at_most else share), at_most
 
 
 def _closing_little(one: CellAnswer) -> str:
     """Why names that close little of a cell's gap are not told as its cause."""
-    if closing(together(one.squares))[3][0] is None:
-        text = (
-            f"{one.search.cell.label}: nothing stands out of what repeats differ by, and names gain there all the same"
-        )
+    label, (share, at_most) = one.search.cell.label, _share_asked(one)
+    if share is None:
+        text = f"{label}: nothing stands out of what repeats differ by, and names gain there all the same"
         return f"{text}; log every PLC cycle, or repeat more, to tell whether they are a fault"
-    text = f"{one.search.cell.label}: the best names close {100.0 * _closed(one):.3g} % of the gap"
+    text = f"{label}: the best names close {100.0 * share:.3g} % of the gap"
     if _known_by_few(one.search.cell):
         return (
             f"{text}, and the machine's usual state is known of too few days to say whether the rest is usual; "
             f"fit it on {RECORDINGS_ENOUGH} recordings or more"
         )
-    at_most = "" if _closed(one) < LEFT_LARGE <= _closed_at_most(one) else " at the most"
-    return f"{text}{at_most}: more of it is something else"
-
-
-def _closed_at_most(one: CellAnswer) -> float:
-    high = closing(together(one.squares))[3][2]
-    return 1.0 if high is None else high
-
-
-def _beside_a_baseline(cell: Cell) -> bool:
-    """Whether a baseline says of any part of a cell what the undisturbed machine leaves there."""
-    return any(part.usual for part in cell.parts or (cell,))
+    return f"{text}{' at the most' if at_most else ''}: more of it is something else"
 
 
 def _known_by_few(cell: Cell) -> bool:
