@@ -37,7 +37,7 @@ test-slow: $(VENV)/dev.stamp  ## compose, long drills
 check: $(VENV)/dev.stamp  ## format, lint, types, import contracts
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/basedpyright
+	$(BIN)/basedpyright --threads 2
 	$(BIN)/lint-imports
 
 clean:           ## forget the environment

@@ -1,16 +1,23 @@
 """Whether each joint's columns belong together: reference, encoder and valve command of one joint move alike."""
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.log.findings import Finding
 from diagnosis.log.tables import PlcTable, Tables, filled
 from machine.rotations import Array
+from recording.run import Segment
 
 BLOCK_S = 0.1
 LAG_MAX_S = 3.0  # a slow position loop trails its reference by a second or two
 OWN_MAX, OTHER_MIN = 0.6, 0.9  # correlation with the own column below, with the other one above: exchanged
 REVERSED_MAX = -0.9
+EITHER = 0.1  # a swing is as like its own opposite half a period later: no sign can be told by so little
 BLOCKS_MIN = 20  # a correlation over fewer means nothing
+MOVED_SHARE = 0.2  # of the whole recording's motion: a segment of less says nothing about signs
 
 
 def pairing_findings(tables: Tables) -> list[Finding]:
@@ -19,10 +26,67 @@ def pairing_findings(tables: Tables) -> list[Finding]:
     if plc is None or plc.enc is None:
         return []
     findings: list[Finding] = []
-    for name, table in (("u_{j}_frac", _speed_by_command(plc)), ("q_ref_{j}_rad", _encoder_by_reference(plc))):
-        if table is not None:
-            findings += _judge("plc.csv", "q_{j}_rad", name, table)
+    for name, of in (("u_{j}_frac", _speed_and_command), ("q_ref_{j}_rad", _encoder_and_reference)):
+        whole = of(plc)
+        if whole is None or len(whole[0]) < BLOCKS_MIN:
+            continue
+        table = _correlations(*whole)
+        own = _judge("plc.csv", "q_{j}_rad", name, table)
+        moved = MOVED_SHARE * whole[1].std(axis=0)
+        findings += own or _reversed_in_segments(plc, tables.run.segments, name, of, moved)
+    return findings or _command_for_encoder(plc)
+
+
+def _command_for_encoder(plc: PlcTable) -> list[Finding]:
+    """Joints whose valve command stands in the encoder's column and the other way round."""
+    as_written, exchanged = _speed_and_command(plc), _speed_and_command(replace(plc, enc=plc.u, u=plc.enc))
+    if as_written is None or exchanged is None or len(as_written[0]) < BLOCKS_MIN:
+        return []
+    own, other = (np.diag(_correlations(*both)) for both in (as_written, exchanged))
+    return [
+        Finding(
+            "swapped_columns",
+            "fatal",
+            "plc.csv",
+            f"u_{j}_frac moves as q_{j}_rad says (correlation {other[j - 1]:.2f}), and q_{j}_rad not as u_{j}_frac "
+            f"({own[j - 1]:.2f}): the two are exchanged",
+        )
+        for j in (np.nonzero((other > OTHER_MIN) & (own < OWN_MAX))[0] + 1).tolist()
+    ]
+
+
+Both = tuple[Array, Array, int]  # what moves and what should move it (blocks, n), and the most blocks between the two
+
+
+def _reversed_in_segments(
+    plc: PlcTable, segments: tuple[Segment, ...], other: str, of: Callable[[PlcTable], Both | None], least: Array
+) -> list[Finding]:
+    """Columns that run against each other in some segments only: a sign that was changed while recording.
+
+    Args: least: of each joint (n,), the motion that a segment has to hold to say anything.
+    """
+    wrong: dict[int, list[str]] = {}
+    for segment in segments:
+        inside = (plc.t_s >= segment.t_start_plc_s) & (plc.t_s <= segment.t_end_plc_s)
+        here = of(_rows(plc, inside)) if inside.any() else None
+        if here is None or len(here[0]) < BLOCKS_MIN:
+            continue
+        own = np.diag(_correlations(*here))
+        for j in np.nonzero((own < REVERSED_MAX) & (here[1].std(axis=0) > least))[0].tolist():
+            wrong.setdefault(j, []).append(segment.name)
+    findings = []
+    for j, names in wrong.items():
+        mine, theirs = f"q_{j + 1}_rad", other.replace("{j}", str(j + 1))
+        text = f"{mine} runs against {theirs} in {len(names)} of {len(segments)} segments ({', '.join(names[:3])})"
+        text += ": one of them has the wrong sign there; mend it, or leave these segments out"
+        findings.append(Finding("reversed_column", "fatal", "plc.csv", text, len(names)))
     return findings
+
+
+def _rows(plc: PlcTable, which: NDArray[np.bool_]) -> PlcTable:
+    """The same log of some rows only, of what is compared here."""
+    picked = {name: None if (values := getattr(plc, name)) is None else values[which] for name in ("ref", "enc", "u")}
+    return replace(plc, t_s=plc.t_s[which], **picked)
 
 
 def _judge(subject: str, pattern: str, other: str, table: Array) -> list[Finding]:
@@ -57,30 +121,33 @@ def _size(plc: PlcTable) -> int:
     return max(1, round(BLOCK_S / float(np.median(rising)))) if len(rising) else 1
 
 
-def _speed_by_command(plc: PlcTable) -> Array | None:
+def _speed_and_command(plc: PlcTable) -> Both | None:
     if plc.u is None or plc.enc is None:
         return None
     size = _size(plc)
     speed = np.diff(_blocks(filled(plc.enc), size), axis=0)
     u = _blocks(filled(plc.u), size)
-    return _correlations(speed, 0.5 * (u[1:] + u[:-1]), 2)
+    return speed, 0.5 * (u[1:] + u[:-1]), 2
 
 
-def _encoder_by_reference(plc: PlcTable) -> Array | None:
+def _encoder_and_reference(plc: PlcTable) -> Both | None:
     if plc.ref is None or plc.enc is None:
         return None
     size = _size(plc)
     moved = [np.diff(_blocks(filled(values), size), axis=0) for values in (plc.enc, plc.ref)]
-    return _correlations(moved[0], moved[1], round(LAG_MAX_S / BLOCK_S))
+    return moved[0], moved[1], round(LAG_MAX_S / BLOCK_S)
 
 
 def _correlations(effects: Array, causes: Array, lag_max: int) -> Array:
-    """Correlation of largest size over lags 0..lag_max of cause before effect, (columns of effects, of causes)."""
-    best = np.zeros((effects.shape[1], causes.shape[1]))
+    """Correlation of largest size over lags 0..lag_max of cause before effect, (columns of effects, of causes).
+
+    Of two of opposite signs and nearly one size the positive one: a swing is like its opposite half a period later.
+    """
+    high, low = (np.zeros((effects.shape[1], causes.shape[1])) for _ in range(2))
     for lag in range(min(lag_max, len(effects) - BLOCKS_MIN) + 1):
         y, x = effects[lag:], causes[: len(causes) - lag]
         y, x = y - y.mean(axis=0), x - x.mean(axis=0)
         norms = np.linalg.norm(y, axis=0)[:, None] * np.linalg.norm(x, axis=0)[None, :]
         now = np.where(norms > 1e-9, (y.T @ x) / np.where(norms > 0.0, norms, 1.0), 0.0)
-        best = np.where(np.abs(now) > np.abs(best), now, best)
-    return best
+        high, low = np.maximum(high, now), np.minimum(low, now)
+    return np.where(-low > high + EITHER, low, high)

@@ -27,7 +27,7 @@ def plc_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     if plc is None:
         return []
     findings = time_findings("plc.csv", plc.t_s, plc.enc, tables.run.segments)
-    findings += _short("plc.csv", plc.t_s)
+    findings += _short("plc.csv", plc.t_s) + _twice(plc.t_s)
     for short, _, pattern in JOINT_SIGNALS:
         values = getattr(plc, short)
         if values is not None:
@@ -126,6 +126,14 @@ def _short(subject: str, t_s: Array) -> list[Finding]:
         "segment is what a diagnosis needs"
     )
     return [Finding("too_short", "fatal", subject, text)]
+
+
+def _twice(t_s: Array) -> list[Finding]:
+    again = int((np.diff(t_s) == 0.0).sum())
+    if not again:
+        return []
+    text = f"{again} rows have the time of the row before them; the log is cut there: write each row once"
+    return [Finding("duplicate_rows", "problem", "plc.csv", text, again)]
 
 
 def _numbers(subject: str, pattern: str, values: Array) -> list[Finding]:

@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from diagnosis.behind.exchanged_points import misplaced_points
 from diagnosis.behind.lost_points import without_spikes, without_zeros
 from diagnosis.behind.outlying import without_outlying
 from diagnosis.datagrams.clocks import guessed, plc_to_pc_s
 from diagnosis.datagrams.ref_by_number import with_reference
 from diagnosis.errors import DiagnosisError
+from diagnosis.log.exchanged import exchanged_loops
 from diagnosis.log.findings import Finding, by_channel, fatal
 from diagnosis.log.fitting_file import corner_findings, machine_findings
 from diagnosis.log.headers import header_findings, metre_findings
@@ -84,8 +86,10 @@ def examine(recording: Recording, path: Path, machine_file: Path | None = None, 
     if not fatal(findings):
         stretches, left_out = stretches_of(tables, None if nominal is None else nominal.actuators)
         findings += left_out + repeat_findings(stretches)
-        tables, outside = _without_wild_points(tables, nominal, stretches)
-        findings += outside
+        findings += [] if nominal is None else misplaced_points(tables, nominal, stretches)
+        if not fatal(findings):
+            tables, outside = _without_wild_points(tables, nominal, stretches)
+            findings += outside
     whole = Read(path, tables, nominal, stretches, tuple(findings))
     if fatal(findings) or stages_present(whole):
         return whole
@@ -191,6 +195,8 @@ def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     if not any(finding.code == "degrees" for finding in findings):
         findings += pairing_findings(tables)
         findings += machine_findings(tables, nominal) if nominal is not None else []
+        if nominal is not None and tables.plc is not None and not fatal(findings):
+            findings += exchanged_loops(tables.plc, nominal)
     clocks = tables.run
     if tables.markers is not None and tables.plc is not None and clocks.camera_to_pc_offset_s is None:
         text = "no clocks.camera_to_pc_offset_s: the camera's offset is unknown and must be fitted with every effect"
@@ -224,6 +230,8 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
 def _nothing(whole: Read) -> Finding:
     absent = "; ".join(f"{part}: {text}" for part, text in whole.nominal.absent) if whole.nominal else ""
     text = "no stage can be judged: record valve commands and encoders, or points measured by a tracker or camera"
+    if whole.tables is not None and whole.tables.plc is not None and whole.tables.plc.enc is None:
+        text = f"the PLC's log holds no number of any encoder (q_<j>_rad), and {text}"
     return Finding(
         "no_data", "fatal", whole.path.name, f"{text}{'; the machine file lacks ' + absent if absent else ''}"
     )

@@ -34,6 +34,7 @@ UNDONE_IN_A_CROWD = 0.8  # of three names of one joint that stood for one bent c
 CROWD = 3  # names at once on a machine whose usual state is known: one cause that the catalogue lacks is likelier
 WITH_TIME, DRIFT_NATS = "time", 25.0  # twice what is told as a lead: of 40 sound recordings none showed it
 LOUD = 4.0  # energy of what is left over a noise that was only estimated
+BRIEF_S, BRIEF_ENERGY = 12.0, 4.0  # without repeats: sound machines of 5 to 11 s showed up to 2.1, and names of it
 SCATTER_MAX_M = 0.02  # of measured points: no tracker or camera is that bad
 SURE = 0.5  # probability of the names, with their equivalents
 
@@ -76,6 +77,11 @@ def verdict_of(
     if scattered > SCATTER_MAX_M and (outside or partly or not named):
         text = f"the points scatter by {1e3 * scattered:.3g} mm about every model of this arm: that is no noise"
         return Verdict("undecided", f"{text}; check the points' joint, frame and unit, and measure some poses twice")
+    telling = [one for one in answers if one.fired or one.chosen.fit.hypothesis]
+    if telling and all(_brief(one) for one in telling):
+        cell = telling[0].search.cell
+        text = f"{cell.label}: {_duration_s(cell):.2g} s without repeats do not tell noise that goes on from a fault"
+        return Verdict("undecided", f"{text}; record {BRIEF_S:g} s or more, a minute is better, or repeat the motion")
     if outside:
         one = outside[0]
         return Verdict("outside", f"{_where(one)}: a gap that nothing in the catalogue explains{_lead(one)}")
@@ -162,6 +168,21 @@ def _is_trace(one: CellAnswer, gained_nats: float) -> bool:
     whole = 0.5 * float(sum(of.before.sum() for of in one.squares))
     fired = max(own.size if own.test == SHAPE else own.share * whole for own in one.fired)
     return fired < TRACE * gained_nats
+
+
+def _brief(one: CellAnswer) -> bool:
+    """Whether a driven cell of guessed noise is too short for a gap that stands out of it as little as this."""
+    cell = one.search.cell
+    if cell.stage not in DRIVEN_STAGES or cell.floor_known or known_well(cell):
+        return False
+    return _duration_s(cell) < BRIEF_S and float(np.mean(one.search.none.held_out**2)) < BRIEF_ENERGY
+
+
+def _duration_s(cell: Cell) -> float:
+    """How long a cell's joints were looked at, rows times their distance in time."""
+    times = np.unique(cell.t_s)
+    rows = cell.rows.count / max(1, len(np.unique(cell.rows.channel)))
+    return rows * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
 
 
 def _above_a_guess(one: CellAnswer) -> bool:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from test_diagnosis_search import made_up
 
@@ -116,3 +117,18 @@ def test_a_baseline_of_few_says_how_many_are_enough() -> None:
     few, many = (told(Baseline((), (), (), ()), fitted, count) for fitted, count in ((1, 3), (3, 13)))
     assert few.splitlines()[0] == "few: with 13 recordings it can also refuse what it has no name for"
     assert "few:" not in many
+
+
+@pytest.mark.parametrize(
+    ("known", "tail_s", "size", "word"),
+    [(False, 9.0, 0.0, "undecided"), (True, 9.0, 0.0, "outside"), (False, 15.0, 0.0, "outside"), (False, 9.0, 0.5, "")],
+    ids=["short", "repeated", "long", "large"],
+)
+def test_a_short_record_without_repeats_tells_noise_that_goes_on_from_no_fault(known, tail_s, size, word) -> None:
+    """Some seconds of a disturbance look like anything; a gap that stands clear of it may be told all the same."""
+    cell = made_up((size, 0.0, 0.0))
+    short = replace(cell, floor_known=known, t_s=np.linspace(0.0, tail_s, len(cell.t_s)))
+    fired = Fired("autocorrelation", "actuator", 1, 0.7, 0.0, "goes on over 0.05 s")
+    verdict = verdict_of((replace(_answer(search(short), 1), fired=(fired,)),))
+    assert word in verdict.word
+    assert ("s without repeats" in verdict.why) == (word == "undecided")
