@@ -27,6 +27,7 @@ from diagnosis.search.limits import Interval, detection_limit, intervals
 from diagnosis.search.score import Score
 from diagnosis.search.search import Search, searched_again
 from diagnosis.verdict.cell_answer import CellAnswer
+from diagnosis.verdict.maybe_none import maybe_none
 from diagnosis.verdict.shrink import shrinks, squares
 from diagnosis.verdict.stage_evidence import nats_by_stage
 from diagnosis.verdict.verdict import Verdict, verdict_of
@@ -77,7 +78,7 @@ def concluded(
     numbers = _numbers(answers, hypotheses)
     holes, frozen = (sum(one.count for one in whole.findings if one.code == code) for code in ("gap", "frozen"))
     still = stood_still(whole.stretches) and (whole.tables is None or whole.tables.static is None)
-    verdict = verdict_of(answers, holes, still, whole.log_unused, frozen)
+    verdict = maybe_none(verdict_of(answers, holes, still, whole.log_unused, frozen), answers, numbers)
     progress("localising", 1, 1)
     energy = energies([(one.cell, one.none.fit.residual) for one in searches])
     return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, nats_by_stage(answers)))

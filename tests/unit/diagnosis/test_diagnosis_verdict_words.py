@@ -10,8 +10,10 @@ from diagnosis.baseline.baseline import Baseline
 from diagnosis.diagnose import _answer
 from diagnosis.refusal.remainder import Fired
 from diagnosis.refusal.shapes import TEST
+from diagnosis.search.limits import Interval
 from diagnosis.search.search import search
 from diagnosis.verdict.cell_answer import CellAnswer
+from diagnosis.verdict.maybe_none import maybe_none
 from diagnosis.verdict.verdict import verdict_of
 from diagnosis.verdict.weigh import Weighed
 from longreach.fit_baseline import told
@@ -132,3 +134,17 @@ def test_a_short_record_without_repeats_tells_noise_that_goes_on_from_no_fault(k
     verdict = verdict_of((replace(_answer(search(short), 1), fired=(fired,)),))
     assert word in verdict.word
     assert ("s without repeats" in verdict.why) == (word == "undecided")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "word"), [(0.2, 0.4, "effects"), (0.0, 0.6, "undecided"), (0.02, 0.5, "undecided")]
+)
+def test_a_name_whose_size_may_be_none_is_not_told(low: float, high: float, word: str) -> None:
+    found = _answer(search(made_up((0.3, 0.0, 0.0))), 1)
+    before = verdict_of((found,))
+    assert before.word == "effects"
+    after = maybe_none(before, (found,), {id(found.chosen): (Interval(0.3, low, high),)})
+    assert after.word == word
+    assert ("flow_gain_error on joint 1" in after.why) == (word == "undecided")
+    mirrored = maybe_none(before, (found,), {id(found.chosen): (Interval(-0.3, -high, -low),)})
+    assert mirrored.word == word

@@ -1,0 +1,42 @@
+"""Names whose own limits reach down to no effect: a wait for the PLC's next cycle looks like a delay of part of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from diagnosis.verdict.verdict import Verdict
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from diagnosis.search.limits import Interval
+    from diagnosis.verdict.cell_answer import CellAnswer
+
+NEXT_TO_NONE = 0.1  # of the size found: a limit below it is none, give or take the limits' own precision
+
+
+def maybe_none(
+    verdict: Verdict, answers: tuple[CellAnswer, ...], numbers: Mapping[int, tuple[Interval, ...]]
+) -> Verdict:
+    """The verdict; undecided where effects were told of which one may be none by the 90 % limits of its size.
+
+    Args: numbers: limits of every number by its score's identity.
+    """
+    if verdict.word != "effects":
+        return verdict
+    for one in answers:
+        limits = iter(numbers.get(id(one.chosen), ()))
+        for effect in one.chosen.fit.hypothesis:
+            own = [limit for _, limit in zip(effect.slots, limits, strict=False)]
+            if not own or effect.vector or effect.slots[0].neutral != 0.0 or not _reaches_none(own[0]):
+                continue
+            where = "" if effect.joint is None else f" on joint {effect.joint}"
+            text = f"{effect.name}{where} explains some of the gap, but may be none: {effect.slots[0].parameter} = "
+            text += f"{own[0].value:.3g}, 90 % {own[0].low:.3g} to {own[0].high:.3g}"
+            return Verdict("undecided", f"{text}; log every PLC cycle, or record more, to tell")
+    return verdict
+
+
+def _reaches_none(size: Interval) -> bool:
+    nearest = size.low if size.value > 0.0 else -size.high
+    return nearest <= NEXT_TO_NONE * abs(size.value)
