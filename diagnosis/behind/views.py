@@ -1,5 +1,6 @@
 """Poses of tool and OOI from marker corners in both eyes, as the nominal camera would have them."""
 
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -36,19 +37,24 @@ def views_of(nominal: Nominal, table: MarkerTable, on: Literal["tool", "ooi"]) -
     poses: list[Array] = []
     if camera is None or not wanted:
         return Views(np.zeros(0), np.zeros((0, 4, 4)))
+    for t_s, both, left, right in pairs_of(table, wanted):
+        points = triangulated(camera, left, right)
+        if np.isfinite(points).all():
+            times.append(t_s)
+            poses.append(rigid_fit(np.concatenate([wanted[number] for number in both]), points))
+    return Views(np.array(times), np.array(poses).reshape(-1, 4, 4))
+
+
+def pairs_of(table: MarkerTable, wanted: Collection[int]) -> Iterator[tuple[float, list[int], Array, Array]]:
+    """Pictures taken at once: time, ids of wanted markers that both eyes have, their corners (4 k, 2) by eye [px]."""
     order = np.argsort(table.t_s, kind="stable")
     cuts = np.nonzero(np.diff(table.t_s[order]) > TIME_TOLERANCE_S)[0] + 1
     for rows in np.split(order, cuts):
         seen = {(int(table.ids[k]), int(table.eye[k])): table.corners[k] for k in rows}
         both = [number for number in wanted if (number, 0) in seen and (number, 1) in seen]
-        if not both:
-            continue
-        left, right = (np.concatenate([seen[number, eye] for number in both]) for eye in (0, 1))
-        points = triangulated(camera, left, right)
-        if np.isfinite(points).all():
-            times.append(float(table.t_s[rows[0]]))
-            poses.append(rigid_fit(np.concatenate([wanted[number] for number in both]), points))
-    return Views(np.array(times), np.array(poses).reshape(-1, 4, 4))
+        if both:
+            left, right = (np.concatenate([seen[number, eye] for number in both]) for eye in (0, 1))
+            yield float(table.t_s[rows[0]]), both, left, right
 
 
 def triangulated(camera: StereoCamera, left: Array, right: Array) -> Array:

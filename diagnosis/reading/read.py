@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from diagnosis.behind.exchanged_points import misplaced_points
 from diagnosis.behind.lost_points import without_spikes, without_zeros
+from diagnosis.behind.misplaced_markers import misplaced_markers
+from diagnosis.behind.misplaced_points import misplaced_points
 from diagnosis.behind.outlying import without_outlying
 from diagnosis.datagrams.clocks import guessed, plc_to_pc_s
 from diagnosis.datagrams.ref_by_number import with_reference
@@ -86,7 +87,8 @@ def examine(recording: Recording, path: Path, machine_file: Path | None = None, 
     if not fatal(findings):
         stretches, left_out = stretches_of(tables, None if nominal is None else nominal.actuators)
         findings += left_out + repeat_findings(stretches)
-        findings += [] if nominal is None else misplaced_points(tables, nominal, stretches)
+        if nominal is not None:
+            findings += misplaced_points(tables, nominal, stretches) + misplaced_markers(tables, nominal)
         if not fatal(findings):
             tables, outside = _without_wild_points(tables, nominal, stretches)
             findings += outside
