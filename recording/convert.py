@@ -1,6 +1,9 @@
 """MCAP <-> folder of CSV files."""
 
+import heapq
+import itertools
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 from recording.content import Attachment, Recording
@@ -36,11 +39,27 @@ def write_mcap(recording: Recording, path: Path) -> None:
     writer = RunWriter(path, recording.run, attachments, recording.metadata, mono_to_utc_ns=round(to_utc_s * 1e9))
     for entry in recording.log:
         writer.log(entry.level, entry.text, entry.t_utc_ns - round(to_utc_s * 1e9))
-    for row in recording.rows:
-        writer.row(row, pc_time_ns(row, recording.run))
+    for t_ns, row in _in_turn(recording):
+        writer.row(row, t_ns)
     report = writer.close(recording.run)
     if report.error:
         raise RecordingError(report.error)
+
+
+def _in_turn(recording: Recording) -> Iterator[tuple[int, Row]]:
+    """All rows with their time on the PC's clock: kinds take turns as while recording, each in its own order.
+
+    Why: a file that is cut or damaged then holds something of every kind up to there.
+    """
+    by_kind: dict[type[Row], list[tuple[int, int, Row]]] = {}
+    for number, row in enumerate(recording.rows):
+        by_kind.setdefault(type(row), []).append((pc_time_ns(row, recording.run), number, row))
+    turns = []
+    for rows in by_kind.values():
+        reached = itertools.accumulate((t_ns for t_ns, _, _ in rows), max)  # a clock that jumps back keeps its place
+        turns.append([(turn, *row) for turn, row in zip(reached, rows, strict=True)])
+    for _, t_ns, _, row in heapq.merge(*turns, key=lambda one: (one[0], one[2])):
+        yield t_ns, row
 
 
 def pc_time_ns(row: Row, run: RunInfo) -> int:

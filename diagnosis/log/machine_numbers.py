@@ -36,7 +36,7 @@ RANGES: dict[str, tuple[float, float, str]] = {
     "rate_hz": (0.0, 1e5, "Hz"),
     "distortion": (-1e4, 1e4, ""),
     "side_m": (1e-4, 100.0, "m"),
-    "xyz_m": (-1e3, 1e3, "m"),
+    "xyz_m": (-60.0, 60.0, "m"),
 }
 FLOAT_MAX = sys.float_info.max  # TOML's whole numbers have no end
 ANY = (-1e9, 1e9, "")

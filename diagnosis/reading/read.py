@@ -230,10 +230,23 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
 
 
 def _nothing(whole: Read) -> Finding:
-    absent = "; ".join(f"{part}: {text}" for part, text in whole.nominal.absent) if whole.nominal else ""
     text = "no stage can be judged: record valve commands and encoders, or points measured by a tracker or camera"
-    if whole.tables is not None and whole.tables.plc is not None and whole.tables.plc.enc is None:
+    tables = whole.tables
+    if tables is not None and tables.plc is not None and tables.plc.enc is None:
         text = f"the PLC's log holds no number of any encoder (q_<j>_rad), and {text}"
-    return Finding(
-        "no_data", "fatal", whole.path.name, f"{text}{'; the machine file lacks ' + absent if absent else ''}"
-    )
+    seen = tables is not None and (tables.markers is not None or tables.odometry is not None)
+    absent = () if whole.nominal is None else whole.nominal.absent
+    lacking = "; ".join(f"{part}: {why}" for part, why in absent if seen or part != "camera")
+    if lacking:
+        text += f"; the machine file lacks {lacking}"
+    if any(one.code == "cut_file" for one in whole.findings):
+        text += f"; what could be read of the damaged file: {_what_was_read(tables)}"
+    return Finding("no_data", "fatal", whole.path.name, text)
+
+
+def _what_was_read(tables: Tables | None) -> str:
+    """Rows of each kind, as far as a damaged file gave them."""
+    kinds = ("sent", "plc", "markers", "odometry", "tracker", "static")
+    found = {kind: getattr(tables, kind) for kind in kinds}
+    rows = [f"{len(table.xyz if kind == 'static' else table.t_s)} of {kind}" for kind, table in found.items() if table]
+    return ", ".join(rows) or "no row"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import MACHINE_TOML, folder, recording
+from diagnosis_cases import MACHINE_TOML, OFFSET_S, changed, folder, recording
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.experiments.postures import pool
@@ -14,7 +14,8 @@ from diagnosis.log.nominal import nominal_of
 from diagnosis.reading.read import Read, examine, read
 from diagnosis.reading.together import read_together
 from diagnosis.replay.stretches import repeat_groups
-from recording.rows import MarkerCorners
+from recording.convert import write_mcap
+from recording.rows import MarkerCorners, PlcState, Sent
 
 MADE = recording(("repeat", "repeat"))
 HUGE = "1" + 400 * "0"
@@ -177,3 +178,40 @@ def test_postures_stay_inside_a_range_that_was_left() -> None:
     inside = pool(nominal, np.full(6, 0.5), np.random.default_rng(1))
     assert (inside >= nominal.q_min - 1e-9).all()
     assert (inside[:, 1] <= nominal.q_max[1]).all()
+
+
+def test_half_a_converted_file_holds_half_of_every_kind(tmp_path: Path) -> None:
+    """Kinds take turns as while recording; one after the other, the cut would have left the first one only."""
+    whole = tmp_path / "whole.mcap"
+    write_mcap(MADE, whole)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    tables = read(cut).tables
+    assert tables is not None
+    assert tables.plc is not None
+    assert tables.sent is not None
+    assert tables.plc.t_s[-1] == pytest.approx(tables.sent.t_s[-1] - OFFSET_S, abs=2.0)
+    assert len(tables.plc.t_s) > 1000
+
+
+def test_a_clock_that_jumps_back_keeps_its_place_when_converted(tmp_path: Path) -> None:
+    def back(k: int, row: PlcState) -> PlcState:
+        return replace(row, t_plc_s=row.t_plc_s - 5.0) if k > 1200 else row
+
+    made = changed(MADE, PlcState, back)
+    write_mcap(made, tmp_path / "back.mcap")
+    again = read(tmp_path / "back.mcap").tables
+    assert again is not None
+    assert again.plc is not None
+    assert again.plc.t_s.tolist() == [row.t_plc_s for row in made.of(PlcState)]
+
+
+def test_what_a_damaged_file_still_held_is_said(tmp_path: Path) -> None:
+    lean = replace(MADE, rows=tuple(MADE.of(Sent)))
+    write_mcap(lean, tmp_path / "lean.mcap")
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((tmp_path / "lean.mcap").read_bytes()[:-40_000])
+    (finding,) = [one for one in read(cut).findings if one.code == "no_data"]
+    assert "of the damaged file: " in finding.text
+    assert " of sent" in finding.text
+    assert "lacks camera" not in finding.text
