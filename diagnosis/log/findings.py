@@ -47,7 +47,7 @@ CODES: dict[str, str] = {
     "eyes_exchanged": "the left eye's rows are the right one's",
     "no_run_file": "run.toml is not there",
     "no_segments": "run.toml names no segments",
-    "segments_overlap": "two repeats share rows: no second measurement",
+    "segments_overlap": "segments share rows, which count once: of repeats that is no second measurement",
     "empty_segment": "a segment without rows",
     "no_repeats": "no command was repeated: the noise floor is not known",
     "few_repeats": "too few repeats for a sound noise floor",

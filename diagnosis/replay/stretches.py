@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from diagnosis.datagrams.sent import Sent, arrivals_of, sent_within
 from diagnosis.log.findings import Finding
-from diagnosis.log.quality import DURATION_MIN_S, GAP_STEPS, ROWS_MIN, too_long
+from diagnosis.log.quality import DURATION_MIN_S, EDGE_S, GAP_STEPS, ROWS_MIN, too_long
 from diagnosis.log.stamps import even_grid, taken_evenly
 from diagnosis.log.tables import PlcTable, Tables
 from diagnosis.noise.floor import encoder_step
@@ -19,6 +19,7 @@ from recording.run import Segment
 
 MEND_ROWS_MAX = 3  # a longer run of missing numbers cuts the log
 STOOD_RAD = 2e-3  # no joint went further than this from where it was: one posture
+SHARED_ROWS_MAX = 2  # one segment may end where the next begins
 JITTER_MAX = 0.02  # of a step: rows whose stamps are closer to the even grid than this are taken as even
 
 
@@ -87,14 +88,15 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
     came = arrivals_of(tables, plant, findings)
     enc_step = np.array([encoder_step(column) for column in plc.enc.T])
     broken = _broken(plc)
-    cut = [list(_pieces(plc, broken, segment, GAP_STEPS)) for segment in segments]
+    own, others = own_rows(plc.t_s, segments, findings)
+    cut = [list(_pieces(plc, broken, rows, GAP_STEPS)) for rows in own]
     if not any(cut):
-        cut = [list(_pieces(plc, broken, segment, MEND_ROWS_MAX + GAP_STEPS)) for segment in segments]
+        cut = [list(_pieces(plc, broken, rows, MEND_ROWS_MAX + GAP_STEPS)) for rows in own]
         findings += _bridged(cut)
     found: list[Stretch] = []
     named: Counter[str] = Counter()
     for number, (segment, pieces) in enumerate(zip(segments, cut, strict=True), start=1):
-        if not pieces:
+        if not pieces and number - 1 not in others:
             text = f"segment {number} ({segment.name or segment.kind}) holds no usable stretch of {DURATION_MIN_S:g} s"
             findings.append(Finding("empty_segment", "problem", "run.toml", text))
         label = segment.name or f"{segment.kind}{number}"
@@ -136,11 +138,42 @@ def _bridged(cut: list[list[NDArray[np.int64]]]) -> list[Finding]:
     return [Finding("bridged", "problem", "plc.csv", f"{text}: look at the logger")]
 
 
-def _pieces(plc: PlcTable, broken: NDArray[np.bool_], segment: Segment, longest: float) -> Iterator[NDArray[np.int64]]:
-    """Row numbers of the pieces of a segment that are long enough, without a step of more than so many usual ones."""
-    margin = 1e-6
-    inside = (plc.t_s >= segment.t_start_plc_s - margin) & (plc.t_s <= segment.t_end_plc_s + margin)
-    rows = np.nonzero(inside)[0]
+def own_rows(
+    t_s: Array, segments: tuple[Segment, ...], findings: list[Finding]
+) -> tuple[list[NDArray[np.int64]], set[int]]:
+    """Row numbers of each segment; those that several share belong to one: a repeat's, else the shortest's.
+
+    Returns: the rows, and which segments (from 0) have none since others' leave them too few.
+
+    Why: a row that counts twice is no second measurement. A sound recording whose every row lay in seven segments was
+         said to have a cause outside the catalogue. Repeats that share rows are refused elsewhere.
+    """
+    inside = [
+        np.nonzero((t_s >= one.t_start_plc_s - EDGE_S) & (t_s <= one.t_end_plc_s + EDGE_S))[0] for one in segments
+    ]
+    repeated = {one.repeat_of for one in segments if one.repeat_of}
+    first = [bool(one.repeat_of) or one.name in repeated for one in segments]
+    taken, shared, left_out = np.zeros(len(t_s), dtype=bool), 0, set[int]()
+    for k in sorted(range(len(segments)), key=lambda k: (not first[k], len(inside[k]))):
+        again = taken[inside[k]]
+        if not first[k] and again.sum() > SHARED_ROWS_MAX:
+            shared += int(again.sum())
+            inside[k] = inside[k][~again]
+            if len(inside[k]) < ROWS_MIN or np.ptp(t_s[inside[k]]) < DURATION_MIN_S:
+                left_out.add(k)
+                continue
+        taken[inside[k]] = True
+    if shared:
+        text = f"{shared} rows lie in more than one segment; they count once, as a repeat's or else as the shortest's"
+        text += f"; {len(left_out)} segments have no {DURATION_MIN_S:g} s of their own" if left_out else ""
+        findings.append(Finding("segments_overlap", "note", "run.toml", text, shared))
+    return [rows[:0] if k in left_out else rows for k, rows in enumerate(inside)], left_out
+
+
+def _pieces(
+    plc: PlcTable, broken: NDArray[np.bool_], rows: NDArray[np.int64], longest: float
+) -> Iterator[NDArray[np.int64]]:
+    """The pieces of a segment's rows that are long enough, without a step of more than so many usual ones."""
     if len(rows) < 2:
         return
     steps = np.diff(plc.t_s[rows])
