@@ -149,6 +149,8 @@ def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[
         for separator, called in SEPARATORS.items():
             if len(header) == 1 and separator in header[0]:
                 raise RecordingError(f"{path}: columns are separated by {called}; {AS_NUMBERS}")
+        if any("\0" in name for name in header):
+            raise RecordingError(f"{path} holds zero bytes, as UTF-16 text does; save it as UTF-8")
         raise RecordingError(f"{path}: column '{csv_fields(row_type)[0][1]}' is missing; the file cannot be placed")
     quick = {name: _quick(hints[name], at) for name, at in places.items()}
 

@@ -51,11 +51,12 @@ def time_findings(
         return [Finding("not_a_number", "fatal", subject, f"{bad} rows have no time; remove them", bad)]
     steps = np.diff(t_s)
     rising = steps[steps > 0.0]
+    back = np.nonzero(steps < 0.0)[0]
     if len(rising) == 0:
-        return []
+        text = f"time runs backwards from {t_s[0]:.10g} to {t_s[-1]:.10g} s in every row: sort the rows"
+        return [Finding("time_backwards", "fatal", subject, text, len(back))] if len(back) else []
     median = float(np.median(rising))
     findings: list[Finding] = []
-    back = np.nonzero(steps < 0.0)[0]
     if len(back):
         k = int(back[0])
         text = (

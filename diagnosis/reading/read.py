@@ -194,7 +194,7 @@ def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
         if table is not None:
             findings += time_findings(subject, table.t_s + to_pc_s - to_plc_s, None, tables.run.segments)
     findings += corner_findings(tables)
-    if not any(finding.code == "degrees" for finding in findings):
+    if not any(one.code == "degrees" or (one.code, one.severity) == ("time_backwards", "fatal") for one in findings):
         findings += pairing_findings(tables)
         findings += machine_findings(tables, nominal) if nominal is not None else []
         if nominal is not None and tables.plc is not None and not fatal(findings):

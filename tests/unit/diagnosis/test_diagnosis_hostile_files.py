@@ -215,3 +215,15 @@ def test_what_a_damaged_file_still_held_is_said(tmp_path: Path) -> None:
     assert "of the damaged file: " in finding.text
     assert " of sent" in finding.text
     assert "lacks camera" not in finding.text
+
+
+def test_rows_from_the_last_to_the_first_are_told_and_no_sign_is_blamed() -> None:
+    backwards = replace(MADE, rows=tuple(sorted(MADE.of(PlcState), key=lambda row: -row.t_plc_s)))
+    assert fatal_of(examine(backwards, Path("backwards"))).startswith("plc.csv: time runs backwards from ")
+
+
+def test_text_of_two_bytes_a_letter_is_told(tmp_path: Path) -> None:
+    path = folder(tmp_path, MADE)
+    text = (path / "plc.csv").read_text(encoding="utf-8")
+    (path / "plc.csv").write_bytes(text.encode("utf-16-be"))
+    assert "save it as UTF-8" in fatal_of(read(path))
