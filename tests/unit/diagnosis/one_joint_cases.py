@@ -23,6 +23,7 @@ class Machine:
     prismatic: bool = False
     gain: Callable[[float], float] = lambda _t: 1.0
     wave: Callable[[float], float] = lambda _q: 0.0
+    oil_hz: float | None = None  # of the swing by which what moves follows the valve; None: it follows at once
 
 
 def reference(kind: str, t: np.ndarray) -> np.ndarray:
@@ -65,7 +66,7 @@ def recorded(place: Path, machine: Machine, seed: int = 1) -> Path:
 def _run(machine: Machine, ref: np.ndarray, start: float, rng: np.random.Generator) -> list[str]:
     """Logged rows of one segment: the nominal model of shared definition, and what spoils it."""
     dt, fade = CYCLE_S / STEPS, np.exp(-CYCLE_S / machine.disturbance_s)
-    q = x = xd = lagged = pushed = 0.0
+    q = x = xd = lagged = pushed = swung = swung_d = 0.0
     share, rows = 1.0 - np.exp(-CYCLE_S / TAU_S), []
     for k, wanted in enumerate(ref):
         t = start + k * CYCLE_S
@@ -78,5 +79,11 @@ def _run(machine: Machine, ref: np.ndarray, start: float, rng: np.random.Generat
         for _ in range(STEPS):
             xd += dt * (WN * WN * (u - x) - 2.0 * DAMPING * WN * xd)
             x += dt * xd
-            q += dt * (SPEED * machine.gain(t) * x + pushed)
+            speed = SPEED * machine.gain(t) * x
+            if machine.oil_hz is not None:
+                w = 2.0 * np.pi * machine.oil_hz
+                swung_d += dt * (w * w * (speed - swung) - 2.0 * 0.1 * w * swung_d)
+                swung += dt * swung_d
+                speed = swung
+            q += dt * (speed + pushed)
     return rows

@@ -11,6 +11,8 @@ from one_joint_cases import Machine, recorded
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose
 from diagnosis.reading.read import read
+from diagnosis.refusal import oil
+from diagnosis.replay.stage_replay import Replay
 
 UNREPEATED = ("multisine", "steps", "sweep")
 
@@ -90,3 +92,30 @@ def test_a_gears_wave_is_no_encoders(tmp_path: Path) -> None:
     discs = replace(geared, wave=lambda q: 0.01 * np.sin(2.0 * q + 0.4))
     found = told(tmp_path, discs)
     assert found["verdict"] != "outside", found["why"]
+
+
+def test_oil_that_swings_after_each_move_is_refused(tmp_path: Path) -> None:
+    found = told(tmp_path, Machine(oil_hz=4.0))
+    assert found["verdict"] == "outside", found["why"]
+    assert any("swings after each move, at about 4" in one["lead"] for one in found["unexplained"]), found[
+        "unexplained"
+    ]
+
+
+@pytest.mark.parametrize("shared", [True, False])
+def test_what_foretells_repeats_but_is_not_common_to_them_is_their_own_noise(
+    tmp_path: Path, shared: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Sound machines of others: through a fast loop the command answers the disturbance, and foretells it."""
+    cells = [one.search.cell for one in diagnose(read(recorded(tmp_path, Machine()))).cells]
+    (cell,) = [one for one in cells if one.stage == "actuator"]
+    replay, rng = cell.whitened, np.random.default_rng(4)
+    assert isinstance(replay, Replay)
+    sizes = np.bincount(cell.rows.series).tolist()
+    course = rng.normal(size=max(sizes))
+    noise = [rng.normal(size=size) for size in sizes]
+    driven = [course[:size] if shared else one for size, one in zip(sizes, noise, strict=True)]
+    left = np.concatenate([0.9 * one + 0.45 * own for one, own in zip(noise, driven, strict=True)])
+    columns = [[(own + 0.3 * rng.normal(size=len(own)))[:, None] for own in driven]]
+    monkeypatch.setattr(oil, "_by_part", lambda _cell, _replay: columns)
+    assert oil._is_own_noise(cell, replay, left, 0) is not shared
