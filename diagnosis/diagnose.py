@@ -20,7 +20,7 @@ from diagnosis.refusal.oil import swinging
 from diagnosis.refusal.remainder import Fired, at_edge, remainder
 from diagnosis.refusal.shapes import instead, left_shapes, refusing
 from diagnosis.replay.replayer import replayer_of
-from diagnosis.replay.stretches import stood_still
+from diagnosis.replay.stretches import encoder_steps, stood_still
 from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, put
 from diagnosis.search.cell import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.search.limits import Interval, detection_limit, intervals
@@ -78,7 +78,8 @@ def concluded(
     numbers = _numbers(answers, hypotheses)
     holes, frozen = (sum(one.count for one in whole.findings if one.code == code) for code in ("gap", "frozen"))
     still = stood_still(whole.stretches) and (whole.tables is None or whole.tables.static is None)
-    verdict = maybe_none(verdict_of(answers, holes, still, whole.log_unused, frozen), answers, numbers)
+    word = verdict_of(answers, holes, still, whole.log_unused, frozen)
+    verdict = maybe_none(word, answers, numbers, encoder_steps(whole.stretches))
     progress("localising", 1, 1)
     energy = energies([(one.cell, one.none.fit.residual) for one in searches])
     return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, nats_by_stage(answers)))

@@ -25,6 +25,8 @@ SIGMA_MIN_M = 2e-5
 SAME_POSE_RAD = 2e-3
 DIRECTION_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is no noise
 POINT_ROWS_MIN = 6
+DRIFT_TIMES = 2.0  # of the noise: trackers drift by as much as they scatter
+TENTHS, ALIKE_LEAST = 10, 1.8  # of independent instants one recording in a thousand shows more
 FEW_AT_REST, FEW_IN_MOTION = 4, 8  # points measured again for a floor at all: in motion some are so by chance
 ENOUGH = 12  # for one of each axis
 
@@ -70,6 +72,8 @@ def _cell(
     taken = numbers_fitted(nominal, data)
     own, common = saturated_noise(rough, base, candidates, by_instant, taken) if known is None else (known, 0.0)
     record = nominal.remainder("structure", on="tracker" if paths else "static")
+    noise_m = float(np.sqrt(np.mean(own**2) + common**2))
+    drifting = 1.0 if record is not None or not paths else _alike_in_time(rough, base, noise_m)
     if known is not None:  # the same stairs in the same pose: repeats do not show them
         own = np.hypot(own, _stairs_m(rough, base))
     sigma = np.hypot(np.maximum(own, SIGMA_MIN_M) * np.ones(3), axes_of(record, 3))
@@ -92,6 +96,7 @@ def _cell(
         floor_known=known is not None,
         floor_squares=3 * measured_again,
         restless=restless,
+        spread_least=drifting,
         same_kind=False,
         regressors=tuple(q.items()),
         t_s=np.repeat(data.when, 3),
@@ -106,6 +111,29 @@ def _stairs_m(rough: PointResidual, base: ParameterSets) -> Array:
     for j in np.nonzero(steps)[0]:
         squares += (rough.moved_by(base, int(j), LEFT * float(steps[j])) ** 2).mean(axis=0)
     return np.sqrt(squares)
+
+
+def _alike_in_time(rough: PointResidual, base: ParameterSets, noise_m: float) -> float:
+    """For how many instants one speaks, where what is measured drifts: 1 where they differ by chance.
+
+    Model: variance of the means of tenths of the recording, over that of means of as many independent instants. What
+           is several times larger than the noise is no drift of a tracker.
+    Why:   a tracker drifts by a tenth of a millimetre in a minute, and a length that is 0.08 mm off follows the drift.
+           What an effect does goes with the motion, which tenths of a recording have alike.
+    """
+    instants = rough.noise.instants
+    residual = rough(base)[0].reshape(-1, 3)
+    count = np.bincount(instants)
+    mean = np.stack([np.bincount(instants, weights=axis) / count for axis in residual.T], axis=1)
+    size = len(mean) // TENTHS
+    if size < 2:
+        return 1.0
+    if float(np.sqrt(np.mean(residual**2))) > DRIFT_TIMES * noise_m:
+        return 1.0
+    mean -= mean.mean(axis=0)
+    tenths = mean[: size * TENTHS].reshape(TENTHS, size, 3).mean(axis=1)
+    alike = size * float((tenths**2).sum()) / (TENTHS - 1) / max(float((mean**2).sum()) / len(mean), 1e-30)
+    return alike if alike > ALIKE_LEAST else 1.0
 
 
 def axes_of(record: Remainder | None, axes: int) -> Array:

@@ -63,6 +63,11 @@ class Actuators:
         return max(1, round(self.log_cycle_s / self.cycle_s))
 
     @property
+    def whole_delay_s(self) -> float:
+        """The nominal transport delay's whole PLC cycles [s]; the rest says for which cycle a reference waits."""
+        return math.floor(self.transport_delay_s / self.cycle_s + 1e-6) * self.cycle_s
+
+    @property
     def substeps(self) -> int:
         """Integration steps per PLC cycle."""
         wn = float(self.joints[:, kernel.WN].max())
@@ -125,10 +130,11 @@ def drive_by_sent(
     Args:    t_sent_s: (m,) [s], rising, on the PLC's clock. sent: (m, n) [rad]. t_start_s: of the first PLC cycle.
              loads: (load, load_kg), each (rows, n); zero without. lost: (m,), those that any packet_loss takes away;
              without it they are drawn.
-    Model:   the PLC holds the last reference that arrived, latest[k] = last i with t_sent[i] <= t_k; the transport
-             delay shifts by PLC cycles, a part of a cycle by interpolation between two neighbours.
+    Model:   the PLC holds the last reference that arrived, latest[k] = last i with t_sent[i] + part <= t_k, where part
+             is the nominal delay's part of a cycle. What transport_delay adds shifts by PLC cycles, a part of a cycle
+             by interpolation between two neighbours.
     """
-    times = np.asarray(t_sent_s, dtype=float)
+    times = np.asarray(t_sent_s, dtype=float) + (plant.transport_delay_s - plant.whole_delay_s)
     values = _table(sent, plant.n, "sent reference")
     if times.shape != (len(values),) or len(times) == 0 or (np.diff(times) < 0).any():
         raise MachineError(f"sent times have shape {times.shape} for {len(values)} references; give one each, rising")
@@ -211,7 +217,7 @@ def simulate(plant: Actuators, sets: ParameterSets, drive: Drive, last: DynamicS
         plant.cycle_s,
         plant.substeps,
         plant.decimate,
-        plant.transport_delay_s,
+        plant.whole_delay_s,
         drive.sent,
         drive.latest,
         drive.kept,

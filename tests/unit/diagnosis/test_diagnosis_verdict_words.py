@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_diagnosis_search import made_up
+from test_diagnosis_search import made_up, named
 
 from diagnosis.baseline.baseline import Baseline
 from diagnosis.diagnose import _answer
@@ -14,7 +14,7 @@ from diagnosis.search.limits import Interval
 from diagnosis.search.search import search
 from diagnosis.verdict.cell_answer import CellAnswer
 from diagnosis.verdict.maybe_none import maybe_none
-from diagnosis.verdict.verdict import verdict_of
+from diagnosis.verdict.verdict import Verdict, verdict_of
 from diagnosis.verdict.weigh import Weighed
 from longreach.fit_baseline import told
 from machine.remainder import USUAL_ENERGY
@@ -143,8 +143,20 @@ def test_a_name_whose_size_may_be_none_is_not_told(low: float, high: float, word
     found = _answer(search(made_up((0.3, 0.0, 0.0))), 1)
     before = verdict_of((found,))
     assert before.word == "effects"
-    after = maybe_none(before, (found,), {id(found.chosen): (Interval(0.3, low, high),)})
+    after = maybe_none(before, (found,), {id(found.chosen): (Interval(0.3, low, high),)}, {1: 0.5})
     assert after.word == word
     assert ("flow_gain_error on joint 1" in after.why) == (word == "undecided")
-    mirrored = maybe_none(before, (found,), {id(found.chosen): (Interval(-0.3, -high, -low),)})
+    mirrored = maybe_none(before, (found,), {id(found.chosen): (Interval(-0.3, -high, -low),)}, {})
     assert mirrored.word == word
+
+
+@pytest.mark.parametrize(("step_rad", "word"), [(0.0, "effects"), (2e-3, "effects"), (5e-3, "undecided")])
+def test_a_play_within_one_step_of_its_encoder_is_not_told(step_rad: float, word: str) -> None:
+    (play,) = named(("backlash",), (1,))
+    found = _answer(search(made_up((0.3, 0.0, 0.0))), 1)
+    chosen = replace(found.chosen, fit=replace(found.chosen.fit, hypothesis=(play,)))
+    found = replace(found, chosen=chosen)
+    sizes = {id(chosen): (Interval(4e-3, 3.9e-3, 4.1e-3),)}
+    after = maybe_none(Verdict("effects", "as found"), (found,), sizes, {1: step_rad})
+    assert after.word == word
+    assert ("less than one step of the encoder" in after.why) == (word == "undecided")

@@ -144,7 +144,7 @@ def slow_rows(plant: Actuators, joint: np.ndarray, machine: np.ndarray, drive: D
     kept = [0]
     for i in range(1, len(drive.sent)):
         kept.append(kept[-1] if uniform(i, columns.LOSS_STREAM) < machine[columns.LOSS] else i)
-    delay = (plant.transport_delay_s + machine[columns.DELAY]) / T
+    delay = (plant.whole_delay_s + machine[columns.DELAY]) / T  # the rest of it is in the drive
     rows: dict[str, list[list[float]]] = {"ref": [], "u": [], "enc": [], "link": []}
     for k in range(drive.cycles):
         whole = math.floor(delay + 1e-9)

@@ -283,6 +283,21 @@ def test_lost_datagrams_are_a_share_and_the_same_for_all_joints() -> None:
     assert (held == held[:, :1]).all()
 
 
+@pytest.mark.parametrize(("cycle_s", "delay_s"), [(0.004, 0.006), (0.002, 0.005), (0.01, 0.002), (0.004, 0.008)])
+def test_a_nominal_delay_of_part_of_a_cycle_waits_for_the_next_one(cycle_s: float, delay_s: float) -> None:
+    """The definition by hand: at each tick the last reference that was sent a delay ago, or longer."""
+    plant = Actuators(plant_of_hiab().joints, cycle_s, cycle_s, delay_s)
+    rng, count = np.random.default_rng(6), 300
+    t = 0.01 * np.arange(count) + rng.uniform(0.0, 2e-3, count)
+    sent = reference(t)
+    cycles = round(t[-1] / cycle_s)
+    ref = simulate(plant, neutral_sets(6), drive_by_sent(plant, t, sent, 0.0, cycles), DynamicStage.LINK).ref[0]
+    ticks = cycle_s * np.arange(cycles)
+    there = [max(0, int((t + delay_s <= tick + 1e-9).sum()) - 1) for tick in ticks]
+    late = round(0.05 / cycle_s)
+    assert np.array_equal(ref[late:], sent[there][late:])
+
+
 def test_rounding_and_rate_limit_of_the_reference() -> None:
     plant = plant_of_hiab(log_cycle_s=0.001)
     run = drive(plant, 1.0)
