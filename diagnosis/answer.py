@@ -281,9 +281,12 @@ def _limits(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
 def _missing(found: Diagnosis) -> list[dict[str, str]]:
     out = [{"signal": why.split(":")[0], "costs": why} for _, why in found.localisation.merged]
     nominal = found.whole.nominal
-    out += [{"signal": part, "costs": text} for part, text in nominal.absent] if nominal is not None else []
-    if any(not one.search.cell.floor_known for one in found.cells):
-        out.append({"signal": "repeats", "costs": "no usable repeats: noise floor estimated, probabilities widened"})
+    out += [{"signal": part, "costs": text} for part, text in found.whole.lacking]
+    guessed = [one.search.cell.label for one in found.cells if not one.search.cell.floor_known]
+    if guessed:
+        of = "" if len(guessed) == len(found.cells) else f" of {', '.join(guessed)}"
+        text = f"no usable repeats{of}: noise floor estimated, probabilities widened"
+        out.append({"signal": "repeats", "costs": text})
     known = nominal is not None and bool(nominal.remainders)
     unlike = "the undisturbed recordings" if known else "its model's commands ask"
     for joint in sorted({joint for one in found.cells for joint in one.search.cell.moved_unlike}):

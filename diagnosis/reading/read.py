@@ -49,6 +49,13 @@ class Read:
         return self.nominal is not None and not fatal(self.findings) and bool(stages_present(self))
 
     @property
+    def lacking(self) -> tuple[tuple[str, str], ...]:
+        """What the machine file lacks, by part, of what was recorded: a camera's numbers only where there was one."""
+        absent = () if self.nominal is None else self.nominal.absent
+        seen = self.tables is not None and (self.tables.markers is not None or self.tables.odometry is not None)
+        return tuple((part, why) for part, why in absent if seen or part != "camera")
+
+    @property
     def log_unused(self) -> bool:
         """Whether there is a PLC's log of the encoders, empty, too broken or segmented too wrongly to be replayed."""
         if self.tables is None or self.stretches:
@@ -234,9 +241,7 @@ def _nothing(whole: Read) -> Finding:
     tables = whole.tables
     if tables is not None and tables.plc is not None and tables.plc.enc is None:
         text = f"the PLC's log holds no number of any encoder (q_<j>_rad), and {text}"
-    seen = tables is not None and (tables.markers is not None or tables.odometry is not None)
-    absent = () if whole.nominal is None else whole.nominal.absent
-    lacking = "; ".join(f"{part}: {why}" for part, why in absent if seen or part != "camera")
+    lacking = "; ".join(f"{part}: {why}" for part, why in whole.lacking)
     if lacking:
         text += f"; the machine file lacks {lacking}"
     if any(one.code == "cut_file" for one in whole.findings):
