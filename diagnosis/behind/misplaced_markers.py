@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from diagnosis.behind.points import rigid_fit
+from diagnosis.behind.points import rigid_fit, rms_m
 from diagnosis.behind.views import pairs_of, triangulated
 from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
@@ -69,6 +69,5 @@ def _off_m(looks: list[tuple[list[int], Array]], layout: Layout) -> float:
     off = []
     for numbers, points in looks:
         wanted = np.concatenate([layout[number] for number in numbers])
-        left = points - transform_points(rigid_fit(wanted, points), wanted)
-        off.append(float(np.sqrt(np.mean(np.sum(left**2, axis=1)))))
+        off.append(rms_m(points - transform_points(rigid_fit(wanted, points), wanted)))
     return float(np.median(off))

@@ -5,14 +5,14 @@ from itertools import combinations
 
 import numpy as np
 
-from diagnosis.behind.points import PointData, fit_points, static_data, tracked_data
+from diagnosis.behind.points import PointData, fit_points, rms_m, static_data, tracked_data
 from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.tables import Tables
 from diagnosis.replay.stretches import Stretch
 from machine.effects.entries import pack_under
 from machine.poses import inverse_pose
-from machine.rotations import Array, geodesic_angle
+from machine.rotations import geodesic_angle
 
 APART_M = 0.02  # points nearer to where they belong are where they belong, faults aside
 TIMES = 5.0  # how much nearer they have to lie by what is told
@@ -53,12 +53,12 @@ def _of_file(subject: str, nominal: Nominal, data: PointData) -> list[Finding]:
         return [Finding("exchanged_points", "fatal", subject, text, 2)]
     anywhere = replace(nominal, T_base_tracker=None)
     fit = fit_points(anywhere, pack_under(nominal.baseline, nominal.n), data)
-    if nominal.T_base_tracker is not None and _rms(fit.residual) < wanted:
+    if nominal.T_base_tracker is not None and rms_m(fit.residual) < wanted:
         off = fit.T_base_tracker @ inverse_pose(nominal.T_base_tracker)
         turned, moved = geodesic_angle(off[:3, :3], np.eye(3)), float(np.linalg.norm(off[:3, 3]))
         if turned > TURNED_RAD or moved > MOVED_M:
             text = f"the points are not in the frame that T_base_tracker gives: {written}, in one that is turned by "
-            text += f"{np.rad2deg(turned):.3g} deg and moved by {moved:.3g} m {1e3 * _rms(fit.residual):.3g} mm; "
+            text += f"{np.rad2deg(turned):.3g} deg and moved by {moved:.3g} m {1e3 * rms_m(fit.residual):.3g} mm; "
             return [Finding("machine_mismatch", "fatal", subject, f"{text}correct it, or leave it out")]
     for frame, axes in ((nominal, MIRRORS), (anywhere, MIRRORS[:1])):
         away, axis = min((_away_m(frame, replace(data, xyz=data.xyz @ mirror)), axis) for axis, mirror in axes)
@@ -76,8 +76,4 @@ def _renamed(data: PointData, pair: tuple[int, int]) -> PointData:
 
 def _away_m(nominal: Nominal, data: PointData) -> float:
     """Root mean square distance of the points from the nominal arm."""
-    return _rms(fit_points(nominal, pack_under(nominal.baseline, nominal.n), data).residual)
-
-
-def _rms(residual: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+    return rms_m(fit_points(nominal, pack_under(nominal.baseline, nominal.n), data).residual)

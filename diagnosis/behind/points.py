@@ -149,3 +149,8 @@ def rigid_fit(points_a: Array, points_b: Array) -> Array:
     u, _, vt = np.linalg.svd((points_a - mean_a).T @ (points_b - mean_b))
     R = vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T
     return pose(R, mean_b - R @ mean_a)
+
+
+def rms_m(off: Array) -> float:
+    """Root mean square length of (m, 3) [m]."""
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))

@@ -6,9 +6,9 @@ from scipy.signal import lfilter
 from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.tables import PlcTable, filled
+from machine.effects.kernel import KP, TAU
 from machine.rotations import Array
 
-KP, PT1_S = 3, 4  # columns of the nominal joints
 FITS, FITS_NOT = 0.5, 1.5  # of the command's own size: what the controller leaves of it; 2 with the sign reversed
 COMMAND_MIN = 1e-3  # size of a command that says anything
 ROWS_MIN = 100
@@ -26,7 +26,7 @@ def exchanged_loops(plc: PlcTable, nominal: Nominal) -> list[Finding]:
         return []
     dt_s, wrong = float(np.median(steps[steps > 0.0])), list[int]()
     for j, joint in enumerate(nominal.actuators.joints):
-        share = 1.0 - np.exp(-dt_s / max(float(joint[PT1_S]), 1e-9))
+        share = 1.0 - np.exp(-dt_s / max(float(joint[TAU]), 1e-9))
         u = filled(plc.u)[:, j]
         wanted = joint[KP] * (filled(plc.ref)[:, j] - filled(plc.enc)[:, j])
         by_controller: Array = np.asarray(lfilter([share], [1.0, share - 1.0], wanted), dtype=float)

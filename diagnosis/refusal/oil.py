@@ -35,25 +35,27 @@ def swinging(cell: Cell, left: Array, shapes: tuple[Shape, ...], gained_nats: fl
     """
     if cell.stage != "actuator" or cell.usual or not isinstance(cell.whitened, Replay):
         return ()
-    by_joint = np.split(_columns(cell, cell.whitened), len(cell.whitened.joints), axis=1)
+    replay = cell.whitened
+    by_part = _by_part(cell, replay)
+    by_joint = np.split(_end_to_end(cell, replay, by_part), len(replay.joints), axis=1)
     told = [held_out_nats(columns, left, cell.rows) for columns in by_joint]
     best = int(np.argmax(told))
     nats = told[best]
     others = [one.nats for one in shapes if one.goes_with != SINGLE_MOMENTS]
-    if nats < max(LEAST_NATS, MORE * max(others, default=0.0)) or _is_own_noise(cell, cell.whitened, left, best):
+    if nats < max(LEAST_NATS, MORE * max(others, default=0.0)) or _is_own_noise(cell, replay, by_part, left, best):
         return ()
     lead = f"swings after each move, at about {_strongest_hz(by_joint[best], left):.2g} Hz"
     share = nats / (nats + max(gained_nats, 0.0))
-    return (Fired(TEST, cell.stage, cell.whitened.joints[best] + 1, nats, math.exp(-nats), lead, share),)
+    return (Fired(TEST, cell.stage, replay.joints[best] + 1, nats, math.exp(-nats), lead, share),)
 
 
-def _columns(cell: Cell, replay: Replay) -> Array:
-    """(N, 2 frequencies joints), white as the cell's residual."""
-    return placed(cell, replay, [np.concatenate(parts) for parts in _by_part(cell, replay)])
+def _end_to_end(cell: Cell, replay: Replay, by_part: list[list[Array]]) -> Array:
+    """Columns by joint and stretch at the cell's rows (N, columns)."""
+    return placed(cell, replay, [np.concatenate(parts) for parts in by_part])
 
 
 def _by_part(cell: Cell, replay: Replay) -> list[list[Array]]:
-    """The same by joint and stretch."""
+    """By joint and stretch (rows, 2 frequencies), white as the cell's residual."""
     modelled = modelled_of(cell, replay)
     return [
         [
@@ -64,7 +66,7 @@ def _by_part(cell: Cell, replay: Replay) -> list[list[Array]]:
     ]
 
 
-def _is_own_noise(cell: Cell, replay: Replay, left: Array, channel: int) -> bool:
+def _is_own_noise(cell: Cell, replay: Replay, by_part: list[list[Array]], left: Array, channel: int) -> bool:
     """Whether what foretells the repeats is not what they have in common.
 
     Why: through a fast loop the measured command answers the disturbance that the residual is made of, and a swing that
@@ -72,7 +74,7 @@ def _is_own_noise(cell: Cell, replay: Replay, left: Array, channel: int) -> bool
          noise. What a boom's moves set swinging is the same in every repeat.
     """
     groups = repeat_groups(tuple(part.stretch for part in replay.parts))
-    by_part, names = _by_part(cell, replay), [part.stretch.name for part in replay.parts]
+    names = [part.stretch.name for part in replay.parts]
     common, repeated = (
         [parts[:] for parts in by_part],
         [[np.zeros((len(own), 1)) for own in parts] for parts in by_part],
@@ -85,9 +87,8 @@ def _is_own_noise(cell: Cell, replay: Replay, left: Array, channel: int) -> bool
             for k in numbers:
                 parts[k] = np.concatenate([mean, parts[k][rows:]])
                 marks[k] = np.ones((len(parts[k]), 1))
-    own = placed(cell, replay, [np.concatenate(parts) for parts in by_part])
-    mean = placed(cell, replay, [np.concatenate(parts) for parts in common])
-    in_repeats = placed(cell, replay, [np.concatenate(marks) for marks in repeated]).any(axis=1)
+    own, mean = (_end_to_end(cell, replay, one) for one in (by_part, common))
+    in_repeats = _end_to_end(cell, replay, repeated).any(axis=1)
     width = own.shape[1] // len(replay.joints)
     at = slice(channel * width, (channel + 1) * width)
     by_own, by_common = (

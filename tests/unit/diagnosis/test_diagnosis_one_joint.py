@@ -103,9 +103,7 @@ def test_oil_that_swings_after_each_move_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("shared", [True, False])
-def test_what_foretells_repeats_but_is_not_common_to_them_is_their_own_noise(
-    tmp_path: Path, shared: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_foretells_repeats_but_is_not_common_to_them_is_their_own_noise(tmp_path: Path, shared: bool) -> None:
     """Sound machines of others: through a fast loop the command answers the disturbance, and foretells it."""
     cells = [one.search.cell for one in diagnose(read(recorded(tmp_path, Machine()))).cells]
     (cell,) = [one for one in cells if one.stage == "actuator"]
@@ -117,5 +115,4 @@ def test_what_foretells_repeats_but_is_not_common_to_them_is_their_own_noise(
     driven = [course[:size] if shared else one for size, one in zip(sizes, noise, strict=True)]
     left = np.concatenate([0.9 * one + 0.45 * own for one, own in zip(noise, driven, strict=True)])
     columns = [[(own + 0.3 * rng.normal(size=len(own)))[:, None] for own in driven]]
-    monkeypatch.setattr(oil, "_by_part", lambda _cell, _replay: columns)
-    assert oil._is_own_noise(cell, replay, left, 0) is not shared
+    assert oil._is_own_noise(cell, replay, columns, left, 0) is not shared
