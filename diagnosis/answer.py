@@ -288,10 +288,12 @@ def _missing(found: Diagnosis) -> list[dict[str, str]]:
         text = f"no usable repeats{of}: noise floor estimated, probabilities widened"
         out.append({"signal": "repeats", "costs": text})
     known = nominal is not None and bool(nominal.remainders)
-    unlike = "the undisturbed recordings" if known else "its model's commands ask"
-    for joint in sorted({joint for one in found.cells for joint in one.search.cell.moved_unlike}):
-        text = f"joint {joint} moved unlike {unlike}: what is left there is a lead and refuses nothing"
-        out.append({"signal": f"undisturbed motions like these of joint {joint}", "costs": text})
+    if moved := sorted({joint for one in found.cells for joint in one.search.cell.moved_unlike}):
+        several = len(moved) > 1
+        joints = f"joint{'s' if several else ''} {', '.join(map(str, moved))}"
+        unlike = "the undisturbed recordings" if known else f"{'their' if several else 'its'} model's commands ask"
+        text = f"{joints} moved unlike {unlike}: what is left there is a lead and refuses nothing"
+        out.append({"signal": f"undisturbed motions like these of {joints}", "costs": text})
     if any(one.search.cell.same_kind for one in found.cells):
         text = "one kind of trajectory only: held-out data are of the same kind, which lag and delay can fool"
         out.append({"signal": "other kinds of trajectory", "costs": text})

@@ -8,6 +8,7 @@ from diagnosis.cells.dynamic import coupled_cell, stage_cells
 from diagnosis.cells.merged import merged_cells
 from diagnosis.chain.common_wait import on_their_line
 from diagnosis.chain.coupling import with_coupling
+from diagnosis.chain.echo import without_echoes
 from diagnosis.chain.guessed_noise import searched
 from diagnosis.chain.own_cycle import at_its_cycle, unseen_wait
 from diagnosis.chain.own_step import at_its_step
@@ -103,8 +104,8 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         cells = fitting(with_known(stage_cells(stage, replayer, stretches, base, course), nominal), nominal)
         cells = without(cells, unseen)
         cells = [marked(replace(one, least_nats=_least(one, searches)), unlike) for one in cells]
-        unlike = (*unlike, *far_off(cells))
         found = _searched(cells, progress)
+        unlike = (*unlike, *far_off(found))
         if stage == "link":
             found = [at_its_cycle(one, replayer, stretches, base) for one in found]
             course = next((unseen_wait(one, replayer, stretches, base) for one in found), course)
@@ -174,7 +175,7 @@ def _searched(cells: list[Cell], progress: Progress) -> list[Search]:
     out = []
     for number, cell in enumerate(cells):
         progress(f"searching {cell.label}", number, len(cells))
-        out.append(searched(cell))
+        out.append(without_echoes(searched(cell)))
     return out
 
 

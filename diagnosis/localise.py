@@ -314,6 +314,8 @@ def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:
     if tables is None:
         return ()
     merged: list[tuple[tuple[str, ...], str]] = []
+    if some and not any(one.enc is not None for one in some):
+        merged.append((("controller", "actuator"), "no q in plc.csv: how the joints moved is not known"))
     has_ref, has_u = any(one.ref is not None for one in some), any(one.u is not None for one in some)
     if some and not any(one.sent is not None for one in some):
         merged.append((("time", "link"), "no sent.csv: the link is not seen"))
@@ -326,9 +328,10 @@ def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:
         merged.append((("controller", "actuator"), "no u in plc.csv: the valve command is not known"))
     outside = tables.static is not None or tables.tracker is not None
     if tables.markers is None and not outside:
-        merged.append(
-            (("joint", "structure", "camera"), "nothing was measured behind the encoders: no camera, no tracker")
-        )
+        text = "nothing was measured behind the encoders: no camera, no tracker"
+        if tables.odometry is not None:
+            text = "behind the encoders only odometry was measured: no marker, no tracker"
+        merged.append((("joint", "structure", "camera"), text))
     elif not outside:
         merged.append((("joint", "structure", "camera"), "no tracker: the camera alone measures behind the encoders"))
     elif tables.markers is None:

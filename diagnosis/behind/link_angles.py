@@ -22,7 +22,9 @@ COURSE_COLUMNS = [
     *(kernel.FLEX_GAIN, kernel.FLEX_HZ, kernel.FLEX_DAMPING),
     *(kernel.KNOWN_GAIN, kernel.KNOWN_HZ, kernel.KNOWN_DAMPING),
 ]
-REMEMBERED = 12
+REMEMBERED = 36  # of a joint: both sides of its play, too
+CROSSED = 2.0  # of a play, that a joint goes for its first side to be a matter of where it began
+SIDES = (-1.0, 0.0, 1.0)
 COURSE_S = 0.01  # between two angles of a course: between them 0.01 mm of the tip at 0.2 rad/s^2
 FOLLOWED_S = 0.1  # between logged rows: of a longer one neither play's turns nor a swing are seen
 ENCODER_COLUMNS = (kernel.BIAS, kernel.SCALE, kernel.ECC_AMPLITUDE)
@@ -39,7 +41,7 @@ class Path:
     enc: Array
     step_s: float | None
     coarse_rad: tuple[float, ...] = ()
-    courses: dict[tuple[int, bytes], Array] = field(default_factory=dict, compare=False)  # behind play and swing
+    courses: dict[tuple[int, float, bytes], Array] = field(default_factory=dict, compare=False)  # behind play and swing
 
 
 def paths_of(stretches: tuple[Stretch, ...]) -> tuple[Path, ...]:
@@ -86,8 +88,13 @@ def inside(paths: tuple[Path, ...], t_s: Array, margin_s: float = 0.0) -> NDArra
     return which
 
 
-def link_angles(paths: tuple[Path, ...], sets: ParameterSets, which: int, at: NDArray[np.int64], t_s: Array) -> Array:
-    """Link-side angles (m, n) of one set at times (m,) that lie in paths `at` (m,)."""
+def link_angles(
+    paths: tuple[Path, ...], sets: ParameterSets, which: int, at: NDArray[np.int64], t_s: Array, side: float = 0.0
+) -> Array:
+    """Link-side angles (m, n) of one set at times (m,) that lie in paths `at` (m,).
+
+    `side`: of its play, on which every joint stands that moves later, where its course begins: -1, 0 (the middle) or 1.
+    """
     n = sets.joint.shape[1]
     out, times = np.zeros((len(t_s), n)), np.ascontiguousarray(t_s, dtype=float)
     encoders = np.ones((len(paths), n), dtype=bool)
@@ -99,7 +106,7 @@ def link_angles(paths: tuple[Path, ...], sets: ParameterSets, which: int, at: ND
             encoders[k, j] = path.step_s is None or not loose[j]
             values = path.enc[:, j]
             if path.step_s is not None and loose[j]:
-                values = _behind_joint(path, path.step_s, sets.joint[which, j], j, keys[j])
+                values = _behind_joint(path, path.step_s, sets.joint[which, j], j, keys[j], side)
             _interpolate(path.t_s, values, at, k, times, out[:, j])
     rows = encoders[at]
     # the encoders' map is smooth: after the interpolation it costs a tenth
@@ -129,15 +136,18 @@ def _interpolate(at_s: Array, values: Array, path_of: NDArray[np.int64], path: i
             out[i] -= s * (1.0 - s) / 6.0 * ((2.0 - s) * before + (1.0 + s) * after)
 
 
-def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes) -> Array:
+def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes, side: float) -> Array:
     """Link-side angles of joint j (0-based), which has play or swing, at the path's rows (m,); joint by joint, since
     most sets differ in one.
     """
-    if (j, key) not in path.courses:
+    enc = np.ascontiguousarray(path.enc[:, j])
+    if np.ptp(enc) < CROSSED * effects[kernel.BACKLASH]:
+        side = 0.0
+    if (j, side, key) not in path.courses:
         if len(path.courses) >= REMEMBERED * path.enc.shape[1]:
             path.courses.pop(next(iter(path.courses)))
-        path.courses[j, key] = kernel.course(effects, np.ascontiguousarray(path.enc[:, j]), step_s)
-    return path.courses[j, key]
+        path.courses[j, side, key] = kernel.course(effects, enc, step_s, side)
+    return path.courses[j, side, key]
 
 
 def without_encoders(sets: ParameterSets) -> ParameterSets:

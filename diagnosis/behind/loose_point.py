@@ -13,6 +13,7 @@ from machine.rotations import Array
 
 TIMES = 5.0  # what the other points show
 LEAST_M = 2e-4
+LINK_POINTS_MIN, SEEN_MIN = 3, 8
 AGAIN_MIN = 3  # times that a point was measured again
 
 
@@ -32,3 +33,34 @@ def loose_point(squares: Array, again: NDArray[np.int64], joints: Sequence[int],
             sizes = f"{1e3 * rms[k]:.2g} mm, the others {1e3 * float(rms[beyond].max()):.2g} mm"
             return f"goes with point {names[k]!r}, which moves beside the others ({sizes}): fasten it"
     return ""
+
+
+def off_its_link(xyz: Array, which: NDArray[np.int64], when: Array, joints: Sequence[int], names: Sequence[str]) -> str:
+    """Which point does not keep its distances to the others on its link, in words; empty where all do.
+
+    Args: xyz: (m, 3) [m] of points `which` (m,), measured at `when` (m,); joints and names: of each point.
+    Why:  what the arm, its frame and its encoders do leaves these distances alone, so that no repeat is needed.
+    """
+    number = np.unique(when, return_inverse=True)[1].reshape(-1)
+    at = np.full((int(number.max(initial=-1)) + 1, len(names), 3), np.nan)
+    at[number, which] = xyz
+    for joint in sorted(set(joints)):
+        of_link = [k for k, other in enumerate(joints) if other == joint]
+        if len(of_link) < LINK_POINTS_MIN:
+            continue
+        scatter = np.array([[_scatter(at[:, a] - at[:, b]) for b in of_link] for a in of_link])
+        for k, point in enumerate(of_link):
+            own = np.delete(scatter[k], k)
+            rest = np.delete(np.delete(scatter, k, axis=0), k, axis=1)
+            others = float(rest[np.triu_indices(len(rest), 1)].max())
+            if np.isfinite(scatter).all() and own.min() > max(TIMES * others, LEAST_M):
+                sizes = f"{1e3 * own.min():.2g} mm, theirs {1e3 * others:.2g} mm"
+                text = f"goes with point {names[point]!r}, whose distances to the others on its link vary"
+                return f"{text} ({sizes}): fasten it"
+    return ""
+
+
+def _scatter(apart: Array) -> float:
+    """Standard deviation of a distance, of vectors (m, 3) [m]; infinite where too few were seen, 0 to itself."""
+    seen = apart[np.isfinite(apart).all(axis=1)]
+    return float(np.std(np.linalg.norm(seen, axis=1))) if len(seen) >= SEEN_MIN else np.inf

@@ -72,7 +72,7 @@ def independent(cell: Cell, count: int) -> int:
 def guessed_scatter_m(cell: Cell) -> float:
     """The noise of measured points where it was guessed from what no mixture of effects explains; else 0."""
     own = [
-        float(part.whitened.noise.own.max())
+        float(np.hypot(part.whitened.noise.own.max(), part.whitened.noise.common_m))
         for part in cell.parts or (cell,)
         if not part.floor_known and isinstance(part.whitened, PointResidual)
     ]

@@ -11,26 +11,33 @@ import numpy as np
 
 from diagnosis.noise.floor import increments
 from diagnosis.replay.stage_replay import Replay, part_increments
-from diagnosis.search.candidates import SEEN_IN_MOTION, SWINGS
+from diagnosis.search.candidates import SEEN_IN_MOTION, SWINGS, put
 from diagnosis.search.cell import Cell
 from diagnosis.search.score import STICKS
 from diagnosis.search.search import Search, searched_without
 from machine.effects.layout import ParameterSets
 
 UNLIKE_NATS = 100.0  # for a name where the joint moved unlike: after a square wave a lag gained 61
+LATE = ("transport_delay",)
 FAR_OFF = 0.1  # of a command's own changes, RMS: a lag or gain that is off by some per cent still moves the joint alike
 
 
-def far_off(cells: list[Cell]) -> tuple[int, ...]:
-    """Joints (1-based) whose reference or valve command changed by a tenth of itself unlike their model's."""
-    return tuple(sorted({joint for cell in cells for joint in _far_off(cell)}))
+def far_off(found: list[Search]) -> tuple[int, ...]:
+    """Joints (1-based) whose reference or valve command changed by a tenth of itself unlike their model's.
+
+    What comes late is no other motion: a delay that was found is no news here.
+    """
+    return tuple(sorted({joint for one in found for joint in _far_off(one)}))
 
 
-def _far_off(cell: Cell) -> list[int]:
-    replay = cell.whitened
+def _far_off(found: Search) -> list[int]:
+    replay, base = found.cell.whitened, found.cell.base
     if not isinstance(replay, Replay) or replay.stage == "actuator":
         return []
-    chosen = ParameterSets(np.ascontiguousarray(cell.base.joint[:, list(replay.joints)]), cell.base.machine)
+    for effect, numbers in found.chosen.fit.by_effect:
+        if effect.name in LATE:
+            base = put(base, (effect,), numbers)
+    chosen = ParameterSets(np.ascontiguousarray(base.joint[:, list(replay.joints)]), base.machine)
     off = np.concatenate([part_increments(replay.stage, part, chosen)[0][0] for part in replay.parts])
     own = np.concatenate([increments(part.measured, part.stretch.dt_s) for part in replay.parts])
     shares = np.mean(off**2, axis=0) > FAR_OFF**2 * np.mean(own**2, axis=0)

@@ -11,7 +11,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.datagrams.lost import EPS_S, Mask, Numbered, late_enough, never_came, never_received
+from diagnosis.datagrams.lost import (
+    EPS_S,
+    Mask,
+    Numbered,
+    late_enough,
+    lost_rather_than_late,
+    never_came,
+    never_received,
+)
 from machine.rotations import Array
 
 ALLOWED_S = 5e-4  # a steady delay below it is no delay, but the wait for the next cycle
@@ -175,6 +183,10 @@ def _now_and_then(known: Arrivals, bounds: _Bounds, cycle_s: float, nominal_s: f
     late[shown] = first - np.searchsorted(bounds.t_s, came[shown] - EPS_S) == 1
     if np.mean(late) > NOW_AND_THEN:
         return known
+    if known.lost is None:
+        lost, judged = never_came(came, (bounds.t_s, bounds.shown))
+        if lost is not None and judged is not None and lost_rather_than_late(lost, judged, int(late.sum())):
+            known = replace(known, lost=lost, judged=judged)
     return replace(known, t_s=np.maximum.accumulate(known.t_s + cycle_s * late))
 
 

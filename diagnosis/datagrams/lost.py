@@ -81,6 +81,18 @@ def never_came(came: Array, rows: Numbered) -> tuple[Mask | None, Mask | None]:
     return lost, judged
 
 
+def lost_rather_than_late(lost: Mask, judged: Mask, late: int) -> bool:
+    """Whether datagrams that no row shows (k,) were lost, where a row comes as often as a datagram.
+
+    Args:  late: how many a row showed one later than they were due.
+    Model: one that is late comes with the next and is in no row either, unless that is late, too: of n, each late with
+           probability p, n p^2 are shown late. Of lost ones none is.
+    """
+    n = int(judged.sum())
+    both_late = float(lost.sum()) ** 2 / max(n, 1)
+    return late <= JITTER_SHARE * both_late + DEVIATIONS * float(np.sqrt(JITTER_SHARE * both_late))
+
+
 def _by_chance(missing: Mask, long: Mask) -> bool:
     """Whether what is missing (m,) was lost rather than late.
 

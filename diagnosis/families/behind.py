@@ -12,6 +12,7 @@ from machine.rotations import Array
 
 STILL_RAD_S = 2e-3
 SMOOTH_ROWS = 11
+IN_TURN = "the order of the poses"  # of poses at rest: a tracker's frame that drifts, a mount that settles
 ORDERS = 4  # of waves over an angle, a turn
 MINUTE_S = 60.0
 SWINGS_OF = "swings of joint"
@@ -33,6 +34,9 @@ def point_columns(measured: PointResidual) -> dict[str, Array]:
         out["motion"] = _each(np.concatenate([v, _side(v)], axis=1), 3)
         out["acceleration"] = acceleration_columns(measured)
         out["time"] = _each(_time(data.when), 3)
+    else:
+        turn = np.argsort(np.argsort(data.when, kind="stable"))[:, None] / len(data.when)
+        out[IN_TURN] = _each(turn - turn.mean(), 3)
     return {name: measured.noise.white(columns.T).T for name, columns in out.items()}
 
 

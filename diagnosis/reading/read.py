@@ -222,12 +222,15 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
     nominal, tables, some = whole.nominal, whole.tables, whole.stretches
     if nominal is None or tables is None:
         return ()
-    driven = nominal.actuators is not None
+    driven, moved = nominal.actuators is not None, any(one.enc is not None for one in some)
     tests = (
         ("link", any(one.sent is not None and one.ref is not None for one in some) and driven),
-        ("controller", nominal.has_controller and any(one.ref is not None and one.u is not None for one in some)),
-        ("actuator", driven and any(one.u is not None for one in some)),
-        ("actuator", nominal.has_controller and merge_of(some) is not None),
+        (
+            "controller",
+            moved and nominal.has_controller and any(one.ref is not None and one.u is not None for one in some),
+        ),
+        ("actuator", moved and driven and any(one.u is not None for one in some)),
+        ("actuator", moved and nominal.has_controller and merge_of(some) is not None),
         ("structure", nominal.arm is not None and (tables.static is not None or tables.tracker is not None)),
         ("camera", nominal.arm is not None and nominal.camera is not None and tables.markers is not None),
     )

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.special import chdtrc, erfc, fdtrc  # scipy.stats takes a second to import
 
 from diagnosis.cells.behind import independent
+from diagnosis.families.common import COMMON_LEAST, common_share, repeated_rows
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.score import Score
@@ -21,6 +22,7 @@ ENERGY_MIN = 0.7  # chi2/n beyond 1: a gap of 0.84 floors; a few repeats know th
 AUTOCORRELATION_MIN = 0.08  # sum of squares over 20 lags, besides what chance and a filter from few repeats give
 AUTOCORRELATION_CHANCE = 60.0  # over the number of rows
 UNREST = "unrest"
+CORRELATION = "correlation"
 BY_ITSELF = "moves by itself"
 EDGE = "edge"
 QUIET_MAX = 0.1  # of the floor's energy: an undisturbed stage that never leaves more is quiet
@@ -215,14 +217,22 @@ def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
     x = r - r.mean()
     for name, values in cell.regressors:
         y = values - values.mean()
-        power = float(np.sqrt((x @ x) * (y @ y)))
+        power_y = float(y @ y)
+        power = float(np.sqrt((x @ x) * power_y))
         if power == 0.0:
             continue
         rho = float(x @ y) / power
         p = float(erfc(abs(rho) * np.sqrt(0.5 * independent(cell, len(x)))))  # two-sided
-        if abs(rho) * np.sqrt(quiet) > CORRELATION_MIN:
-            found.append(Fired("correlation", cell.stage, cell.joint, abs(rho), p, f"goes with {name}", rho**2))
+        if abs(rho) * np.sqrt(quiet) > CORRELATION_MIN and not _answers_noise(cell, x, y * float(x @ y) / power_y):
+            found.append(Fired(CORRELATION, cell.stage, cell.joint, abs(rho), p, f"goes with {name}", rho**2))
     return found
+
+
+def _answers_noise(cell: Cell, x: Array, foretold: Array) -> bool:
+    """Whether what foretells the residual (N,) of a joint is not what its repeats have in common."""
+    if cell.stage != "actuator" or cell.joint is None or cell.usual:
+        return False
+    return common_share(x, foretold, repeated_rows(cell)) < COMMON_LEAST
 
 
 def _peaks(cell: Cell, r: Array, quiet: float) -> list[Fired]:

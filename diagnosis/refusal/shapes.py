@@ -8,9 +8,10 @@ import numpy as np
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.cells.behind import measurement_of
-from diagnosis.families.behind import FIXED, SWINGS_OF, corner_columns, point_columns, swing_columns
+from diagnosis.families.behind import FIXED, IN_TURN, SWINGS_OF, corner_columns, point_columns, swing_columns
+from diagnosis.families.common import COMMON_LEAST, common_share, repeated_rows
 from diagnosis.families.driven import SINCE, driven_columns
-from diagnosis.families.gain import held_out_nats
+from diagnosis.families.gain import foretold, held_out_nats
 from diagnosis.families.narrow import ANGLE_OF, LENS, NARROW, narrow_corner_columns, narrow_point_columns
 from diagnosis.refusal.remainder import BEHIND_NATS, BEHIND_TIMES, Fired
 from diagnosis.search.cell import DRIVEN_STAGES, EXCEEDED_TIMES, Cell
@@ -27,7 +28,7 @@ TEST = "shape"
 STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
 SHAKEN = (SWINGS_OF, *NARROW)  # no test where a joint's unusual motion shakes what is seen
-LATER = (SINCE, *SHAKEN)  # a baseline fitted before these were sought refuses nothing by them
+LATER = (SINCE, IN_TURN, *SHAKEN)  # a baseline fitted before these were sought refuses nothing by them
 APART = tuple(usual_shape(name) for name in (SINGLE_MOMENTS, *NARROW))  # hold no other course back
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
@@ -60,7 +61,19 @@ def left_shapes(cell: Cell, residual: Array, gained_nats: float) -> tuple[Shape,
     """
     form = FORM_TIMES * cell.form_share * gained_nats
     usual = _usual(cell)
-    return tuple(one for one in shapes_of(cell, residual) if one.nats > _allowed(one, usual[_at(one)], form))
+    found = tuple(one for one in shapes_of(cell, residual) if one.nats > _allowed(one, usual[_at(one)], form))
+    return _in_common(cell, residual, found) if found and cell.stage == "actuator" and not cell.usual else found
+
+
+def _in_common(cell: Cell, residual: Array, found: tuple[Shape, ...]) -> tuple[Shape, ...]:
+    """Those of a joint's shapes that foretell the same of each repeat, and not each one's own noise."""
+    repeats, columns = repeated_rows(cell), _columns(cell)
+    return tuple(
+        one
+        for one in found
+        if one.goes_with not in columns
+        or common_share(residual, foretold(columns[one.goes_with], residual, cell.rows), repeats) >= COMMON_LEAST
+    )
 
 
 def refusing(cell: Cell, left: tuple[Shape, ...], gained_nats: float) -> tuple[Fired, ...]:

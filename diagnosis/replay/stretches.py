@@ -87,12 +87,12 @@ def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[
     Args: plant: the machine file's, for the PLC's cycle; without it datagrams are taken to come on the dot.
     """
     plc = tables.plc
-    if plc is None or plc.enc is None:
+    if plc is None or (plc.enc is None and plc.ref is None):
         return (), []
     findings: list[Finding] = []
     segments = tables.run.segments or _whole(plc, findings)
     came = arrivals_of(tables, plant, findings)
-    enc_step = np.array([encoder_step(column) for column in plc.enc.T])
+    enc_step = None if plc.enc is None else np.array([encoder_step(column) for column in plc.enc.T])
     broken = _broken(plc)
     own, others = own_rows(plc.t_s, segments, findings)
     cut = [list(_pieces(plc, broken, rows, GAP_STEPS)) for rows in own]

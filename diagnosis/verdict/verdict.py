@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from diagnosis.cells.behind import guessed_scatter_m
+from diagnosis.cells.behind import guessed_scatter_m, measurement_of
+from diagnosis.families.behind import IN_TURN
 from diagnosis.known.days import RECORDINGS_ENOUGH
-from diagnosis.refusal.remainder import EDGE, ENERGY_MIN, Fired
+from diagnosis.refusal.remainder import CORRELATION, EDGE, ENERGY_MIN, Fired
 from diagnosis.refusal.shapes import TEST as SHAPE
 from diagnosis.refusal.shapes import Shape
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
@@ -35,6 +36,7 @@ CROWD = 3  # names at once on a machine whose usual state is known: one cause th
 WITH_TIME, DRIFT_NATS = "time", 25.0  # twice what is told as a lead: of 40 sound recordings none showed it
 LOUD = 4.0  # energy of what is left over a noise that was only estimated
 BRIEF_S, BRIEF_ENERGY = 12.0, 4.0  # without repeats: sound machines of 5 to 11 s showed up to 2.1, and names of it
+SCATTER_TOLD_M = 2e-3  # more than most trackers: it may hide a fault where no pose was measured twice
 SCATTER_MAX_M = 0.02  # of measured points: no tracker or camera is that bad
 SURE = 0.5  # probability of the names, with their equivalents
 
@@ -65,9 +67,11 @@ def verdict_of(
         return Verdict("undecided", "no stage could be replayed")
     gained = sum(_gained_nats(one) for one in answers)
     traces = [one for one in answers if one.fired and _is_trace(one, gained)]
-    speaking = [one for one in answers if one.fired and one not in traces]
+    echoes = [one for one in answers if _may_answer_noise(one)]
+    speaking = [one for one in answers if one.fired and one not in traces and one not in echoes]
     outside = [one for one in speaking if _left(one) > LEFT_LARGE]
     partly = [one for one in speaking if _allowed(one) < _left(one) <= LEFT_LARGE]
+    small = [one for one in speaking if one not in outside and one not in partly and _leading(one).lead]
     named = [effect for one in answers for effect in one.chosen.fit.hypothesis]
     late = late_log(answers)
     if late is not None and late.seen_by_clock:
@@ -109,8 +113,15 @@ def verdict_of(
     drifting = [(one, shape) for one in answers for shape in one.shapes if _drifts(one, shape)]
     if not named and drifting:
         one, shape = drifting[0]
-        text = f"{one.search.cell.label}: what is left of the {shape.measurement} points goes with time"
+        text = f"{one.search.cell.label}: what is left of the {shape.measurement} points goes with {shape.goes_with}"
         return Verdict("undecided", f"{text}; something moved that should not: a frame, a mount, a marker")
+    if not named and echoes:
+        one = echoes[0]
+        text = f"{_where(one)}: what is left {_leading(one).lead}, as a command that answers the noise does in a loop"
+        return Verdict("undecided", f"{text}; repeat a motion: what a fault does is the same in every repeat")
+    if not named and scattered > SCATTER_TOLD_M:
+        text = f"the points scatter by {1e3 * scattered:.3g} mm about every model of this arm"
+        return Verdict("undecided", f"{text}: measure some poses twice, to tell that from a fault")
     if not named:
         return Verdict("none", "nothing above the noise floor")
     loud = [one for one in unclear if one.chosen.fit.hypothesis and _energy(one) > LOUD]
@@ -133,7 +144,7 @@ def verdict_of(
         text = f"the names found have a probability of {sure:.2g} among others{certain_in_words(answers)}"
         left = f"; what is left is {_over_noise(unclear[0])}: repeats would tell it" if unclear else ""
         return Verdict("undecided", text + left)
-    beside = "".join(f"; beside it {_where(one)} {_leading(one).lead}, a trace" for one in traces[:1])
+    beside = "".join(f"; beside it {_where(one)} {_leading(one).lead}, a trace" for one in [*traces, *small][:1])
     return Verdict(
         "effects", f"{'catalogue effects explain the gap' if not unclear else _partly(unclear[0])}{beside}{one_cause}"
     )
@@ -178,6 +189,17 @@ def _brief(one: CellAnswer) -> bool:
     return _duration_s(cell) < BRIEF_S and float(np.mean(one.search.none.held_out**2)) < BRIEF_ENERGY
 
 
+def _may_answer_noise(one: CellAnswer) -> bool:
+    """Whether all that speaks of a driven cell is what the loop's answer to its own noise foretells of that noise, and
+    no repeats tell; what is left has the size that the noise was guessed to have.
+    """
+    cell = one.search.cell
+    if cell.stage not in DRIVEN_STAGES or cell.floor_known or known_well(cell) or one.chosen.fit.hypothesis:
+        return False
+    small = _energy(one) < 1.0 + ENERGY_MIN
+    return small and bool(one.fired) and all(fired.test == CORRELATION for fired in one.fired)
+
+
 def _duration_s(cell: Cell) -> float:
     """How long a cell's joints were looked at, rows times their distance in time."""
     times = np.unique(cell.t_s)
@@ -203,8 +225,10 @@ def _over_noise(one: CellAnswer) -> str:
 
 def _drifts(one: CellAnswer, shape: Shape) -> bool:
     """Whether what was measured behind the encoders moved with time, where no baseline says that it always does."""
-    behind = shape.stage not in DRIVEN_STAGES and shape.goes_with == WITH_TIME
-    return behind and shape.nats > DRIFT_NATS and not known_well(one.search.cell)
+    behind = shape.stage not in DRIVEN_STAGES and shape.goes_with in (WITH_TIME, IN_TURN)
+    parts = one.search.cell.parts or (one.search.cell,)
+    alike = max((part.spread_least for part in parts if measurement_of(part) == shape.measurement), default=1.0)
+    return behind and shape.nats > alike * DRIFT_NATS and not known_well(one.search.cell)
 
 
 def _closed(one: CellAnswer) -> float:

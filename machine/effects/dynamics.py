@@ -13,6 +13,7 @@ from machine.effects.layout import JOINT_COLUMNS, MACHINE_COLUMNS, ParameterSets
 from machine.errors import MachineError
 from machine.rotations import Array
 
+TIE_S, ROUNDINGS = 1e-9, 4.0  # of a stamp: seconds since 1970 are known to a quarter of a microsecond
 STEP_MAX_S = 1e-3  # of the integration (the nominal model's definition)
 STEP_ANGLE_MAX = 0.8  # valve's angular frequency times step: stable to 1.2 at any damping below 1
 
@@ -139,7 +140,8 @@ def drive_by_sent(
     if times.shape != (len(values),) or len(times) == 0 or (np.diff(times) < 0).any():
         raise MachineError(f"sent times have shape {times.shape} for {len(values)} references; give one each, rising")
     t_cycles = t_start_s + plant.cycle_s * np.arange(cycles)
-    latest = np.maximum(np.searchsorted(times, t_cycles + 1e-9, side="right") - 1, 0).astype(np.int64)
+    tie_s = TIE_S + ROUNDINGS * float(np.spacing(np.abs(times).max()))
+    latest = np.maximum(np.searchsorted(times, t_cycles + tie_s, side="right") - 1, 0).astype(np.int64)
     none = np.zeros((0, plant.n))
     start = values[latest[0]].copy()
     zero = np.zeros(plant.n)

@@ -177,13 +177,14 @@ def _follow(behind: Array, q: float, p: Array, swing: Array, cycle_s: float) -> 
 
 
 @njit(cache=True, nogil=True)
-def course(p: Array, enc: Array, cycle_s: float) -> Array:
+def course(p: Array, enc: Array, cycle_s: float, side: float = 0.0) -> Array:
     """Link-side angles (m,) of one joint with parameters p (JOINT_COLUMNS,) behind its encoder's readings (m,), a row a
-    cycle: what `run` does in its last stage, for one joint and set.
+    cycle: what `run` does in its last stage, for one joint and set. `side`: of its play, where it stands before the
+    first row: -1 to 1, 0 in the middle.
     """
     swing, behind, out = np.zeros(FREE), np.zeros(BEHIND), np.zeros(len(enc))
     _swings(p, cycle_s, swing)
-    behind[SIDE] = _true_angle(enc[0], p)
+    behind[SIDE] = _true_angle(enc[0], p) + 0.5 * side * p[BACKLASH]
     for k in range(len(enc)):
         _follow(behind, _true_angle(enc[k], p), p, swing, cycle_s)
         out[k] = behind[SIDE] + behind[BEND] + behind[KNOWN_BEND]

@@ -23,6 +23,11 @@ class Machine:
     prismatic: bool = False
     gain: Callable[[float], float] = lambda _t: 1.0
     wave: Callable[[float], float] = lambda _q: 0.0
+    speed_rad_s: float = SPEED
+    valve_hz: float = WN / 2.0 / np.pi
+    kp: float = KP
+    tau_s: float = TAU_S
+    play_frac: float = 0.0  # half width of the spool's hysteresis
     oil_hz: float | None = None  # of the swing by which what moves follows the valve; None: it follows at once
 
 
@@ -55,8 +60,8 @@ def recorded(place: Path, machine: Machine, seed: int = 1) -> Path:
     (place / "run.toml").write_text("\n".join(['[run]\nname = "one joint"', *segments]), encoding="utf-8")
     (place / "machine.toml").write_text(
         f'[machine]\nname = "one joint"\n[[joint]]\nname = "lift"\ntype = "{kind}"\n'
-        f"velocity_gain_rad_s = {SPEED}\nvalve_frequency_hz = {WN / 2.0 / np.pi}\nvalve_damping = {DAMPING}\n"
-        f"kp_frac_per_rad = {KP}\npt1_tau_s = {TAU_S}\n"
+        f"velocity_gain_rad_s = {machine.speed_rad_s}\nvalve_frequency_hz = {machine.valve_hz}\n"
+        f"valve_damping = {DAMPING}\nkp_frac_per_rad = {machine.kp}\npt1_tau_s = {machine.tau_s}\n"
         f"[plc]\ncycle_s = {CYCLE_S}\nlog_cycle_s = {CYCLE_S * machine.log_every}\ntransport_delay_s = 0.0\n",
         encoding="utf-8",
     )
@@ -65,21 +70,22 @@ def recorded(place: Path, machine: Machine, seed: int = 1) -> Path:
 
 def _run(machine: Machine, ref: np.ndarray, start: float, rng: np.random.Generator) -> list[str]:
     """Logged rows of one segment: the nominal model of shared definition, and what spoils it."""
-    dt, fade = CYCLE_S / STEPS, np.exp(-CYCLE_S / machine.disturbance_s)
-    q = x = xd = lagged = pushed = swung = swung_d = 0.0
-    share, rows = 1.0 - np.exp(-CYCLE_S / TAU_S), []
+    dt, fade, wn = CYCLE_S / STEPS, np.exp(-CYCLE_S / machine.disturbance_s), 2.0 * np.pi * machine.valve_hz
+    q = x = xd = lagged = pushed = swung = swung_d = spool = 0.0
+    share, rows = 1.0 - np.exp(-CYCLE_S / machine.tau_s) if machine.tau_s > 0.0 else 1.0, []
     for k, wanted in enumerate(ref):
         t = start + k * CYCLE_S
         enc = q + machine.wave(q) + rng.normal(0.0, machine.noise_rad)
-        lagged += share * (KP * (wanted - enc) - lagged)
+        lagged += share * (machine.kp * (wanted - enc) - lagged)
         u = float(np.clip(lagged, -1.0, 1.0))
         if k % machine.log_every == 0:
             rows.append(f"{t:.6f},{wanted:.9f},{enc:.9f},{u:.9f}")
+        spool = float(np.clip(spool, u - machine.play_frac, u + machine.play_frac))
         pushed = fade * pushed + np.sqrt(1.0 - fade**2) * rng.normal(0.0, machine.disturbance_rad_s)
         for _ in range(STEPS):
-            xd += dt * (WN * WN * (u - x) - 2.0 * DAMPING * WN * xd)
+            xd += dt * (wn * wn * (spool - x) - 2.0 * DAMPING * wn * xd)
             x += dt * xd
-            speed = SPEED * machine.gain(t) * x
+            speed = machine.speed_rad_s * machine.gain(t) * x
             if machine.oil_hz is not None:
                 w = 2.0 * np.pi * machine.oil_hz
                 swung_d += dt * (w * w * (speed - swung) - 2.0 * 0.1 * w * swung_d)

@@ -164,6 +164,21 @@ def test_where_every_cycle_has_a_row_what_is_late_now_and_again_is_a_delay() -> 
     np.testing.assert_array_equal(found.t_s, t_s)
 
 
+@pytest.mark.parametrize("share", [0.02, 0.15])
+def test_as_many_rows_as_datagrams_show_which_never_came(share: float) -> None:
+    lost = np.flatnonzero(np.random.default_rng(4).random(2900) < share)
+    _, found = every_cycle([], lost=tuple(lost), sent_s=0.005)
+    assert found.lost is not None
+    assert np.flatnonzero(found.lost).tolist() == [k for k in lost if k > 0]
+
+
+def test_as_many_rows_as_datagrams_do_not_call_late_ones_lost() -> None:
+    """One that is late comes with the next, and no row shows it; but some of the next are late, too."""
+    late = np.flatnonzero(np.random.default_rng(4).random(2900) < 0.15)
+    _, found = every_cycle(late.tolist(), sent_s=0.005)
+    assert found.lost is None
+
+
 @pytest.mark.filterwarnings("ignore:All-NaN")
 def test_stamps_that_make_no_sense_make_no_trouble() -> None:
     stamps, number = 0.004 * NUMBER, NUMBER.copy()

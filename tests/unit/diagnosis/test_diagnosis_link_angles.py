@@ -83,6 +83,18 @@ def test_a_course_is_simulated_once_and_only_for_the_joint_that_changed(monkeypa
     assert len(runs) == 3
 
 
+def test_the_side_that_a_course_begins_on_matters_until_its_play_is_crossed() -> None:
+    sets, t = loose((1,)), np.array([0.0, 0.003, 1.2, 3.0])
+    sides = [link_angles((path(0.0),), sets, 0, np.zeros(4, dtype=np.int64), t, side) for side in (-1.0, 0.0, 1.0)]
+    apart = sides[2] - sides[0]
+    assert abs(apart[0, 1]) > 1e-3
+    assert np.abs(apart[2:]).max() == 0.0
+    assert np.abs(np.delete(apart, 1, axis=1)).max() == 0.0
+    still = Path(path(0.0).t_s, np.full((400, N), 0.2), PLANT.cycle_s)  # on one side for good: that is its place
+    both = [link_angles((still,), sets, 0, np.zeros(4, dtype=np.int64), t, side) for side in (-1.0, 1.0)]
+    assert np.array_equal(*both)
+
+
 def test_a_path_without_actuators_lies_beside_one_with() -> None:
     mixed = (path(0.0), path(10.0, None))
     found = link_angles(mixed, loose((1,)), 0, AT, TIMES)

@@ -116,3 +116,38 @@ def test_what_foretells_repeats_but_is_not_common_to_them_is_their_own_noise(tmp
     left = np.concatenate([0.9 * one + 0.45 * own for one, own in zip(noise, driven, strict=True)])
     columns = [[(own + 0.3 * rng.normal(size=len(own)))[:, None] for own in driven]]
     assert oil._is_own_noise(cell, replay, columns, left, 0) is not shared
+
+
+#: A small arm's joint: the command follows what disturbs it within a tenth of a second.
+FAST = Machine(
+    kinds=("repeat", "multisine", "repeat", "steps", "repeat"),
+    log_every=1,
+    speed_rad_s=3.0,
+    valve_hz=70.0,
+    kp=3.0,
+    tau_s=0.0,
+    disturbance_rad_s=0.012,
+    disturbance_s=0.08,
+)
+
+
+@pytest.mark.parametrize(("seed", "log_every"), [(1, 1), (3, 1), (3, 5)])
+def test_a_command_that_answers_what_disturbs_a_sound_machine_is_no_fault(
+    tmp_path: Path, seed: int, log_every: int
+) -> None:
+    """Each had a hysteresis, or the sign of motion foretold what is left: through a fast loop both follow the noise."""
+    found = answer(diagnose(read(recorded(tmp_path, replace(FAST, log_every=log_every), seed))))
+    assert found["verdict"] == "none", found["why"]
+
+
+def test_a_spools_play_in_a_fast_loop_is_named(tmp_path: Path) -> None:
+    found = told(tmp_path, replace(FAST, play_frac=0.03))
+    assert found["verdict"] == "effects", found["why"]
+    assert names(found) == [("valve_hysteresis", 1)]
+    width = found["hypotheses"][0]["effects"][0]["parameters"]["half_width_frac"]["value"]
+    assert width == pytest.approx(0.03, rel=0.03)
+
+
+def test_without_repeats_what_answers_the_noise_is_not_told_from_a_gap(tmp_path: Path) -> None:
+    found = told(tmp_path, replace(FAST, kinds=UNREPEATED))
+    assert found["verdict"] in ("none", "undecided"), found["why"]

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagnosis.cells.points import _alike_in_time
+from diagnosis.behind.point_noise import _alike_in_time
 
 INSTANTS, POINTS, NOISE_M = 150, 2, 1e-4
 

@@ -298,6 +298,24 @@ def test_a_nominal_delay_of_part_of_a_cycle_waits_for_the_next_one(cycle_s: floa
     assert np.array_equal(ref[late:], sent[there][late:])
 
 
+def test_a_link_is_the_same_in_seconds_since_1970() -> None:
+    """Where the delay is whole cycles a datagram is due at a tick, and such seconds are known to 0.24 us."""
+    plant = Actuators(plant_of_hiab().joints, 0.01, 0.01, 0.02)
+    t = 0.01 * np.arange(300)
+    sent = reference(t)
+    refs = [
+        simulate(
+            plant,
+            neutral_sets(6),
+            drive_by_sent(plant, np.round(start_s + t, 6), sent, np.round(start_s + 0.37, 6), 250),
+            DynamicStage.LINK,
+        ).ref[0]
+        for start_s in (0.0, 1.772e9, 1.772000123e9)
+    ]
+    assert np.array_equal(refs[0], refs[1])
+    assert np.array_equal(refs[0], refs[2])
+
+
 def test_rounding_and_rate_limit_of_the_reference() -> None:
     plant = plant_of_hiab(log_cycle_s=0.001)
     run = drive(plant, 1.0)

@@ -1,0 +1,101 @@
+"""The noise of points that were measured again in one pose, and whether one of them moved by itself."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.behind.loose_point import loose_point
+from diagnosis.behind.point_residual import PointResidual
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+SAME_POSE_RAD = 2e-3
+DIRECTION_S = 0.2  # over which the direction of motion is taken: backlash differs by it, and is no noise
+FEW_AT_REST, FEW_IN_MOTION = 4, 8  # points measured again for a floor at all: in motion some are so by chance
+ENOUGH = 12  # for one of each axis
+MOST_SHARED = 0.9  # of a pose's variance, by all its points: some of it is each one's own
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredAgain:
+    """Standard deviations (3,) [m] of a point, of which `common_m` is a shift that all points of one pose share;
+    `squares`: how many independent ones it was found from, `points`: how many counted point by point; `loose`: which
+    point moved by itself, in words.
+    """
+
+    sigma: Array
+    common_m: float
+    squares: int
+    points: int
+    loose: str
+
+    @property
+    def own(self) -> Array:
+        """What is each point's own (3,) [m]."""
+        return np.sqrt(self.sigma**2 - self.common_m**2)
+
+
+def measured_again(rough: PointResidual, base: ParameterSets) -> MeasuredAgain | None:
+    """From deviations of the residual where one point was measured again in the same pose; None if it hardly was."""
+    residual = rough(base)[0].reshape(-1, 3)
+    direction = _directions(rough)
+    points = rough.nominal.points
+    of_point, again = np.zeros((len(points), 3)), np.zeros(len(points), dtype=np.int64)
+    deviation = np.zeros_like(residual)
+    repeated = np.zeros(len(residual), dtype=bool)
+    left = set(range(len(residual)))
+    while left:
+        first = left.pop()
+        q, which = rough.data.q[first], rough.data.which[first]
+        same = [
+            k
+            for k in left
+            if rough.data.which[k] == which
+            and np.abs(rough.data.q[k] - q).max() < SAME_POSE_RAD
+            and bool((direction[k] == direction[first]).all())
+        ]
+        left -= set(same)
+        group = [first, *same]
+        deviation[group] = residual[group] - residual[group].mean(axis=0)
+        repeated[group] = len(same) > 0
+        of_point[which] += (deviation[group] ** 2).sum(axis=0)
+        again[which] += len(same)
+    squares, dof = of_point.sum(axis=0), int(again.sum())
+    if dof < (FEW_IN_MOTION if rough.paths else FEW_AT_REST):
+        return None
+    told = [(point.joint, point.name) for point in points]
+    loose = "" if rough.paths else loose_point(of_point.sum(axis=1), again, *zip(*told, strict=True))
+    sigma = np.sqrt(squares / dof if dof >= ENOUGH else np.full(3, squares.mean() / dof))
+    together = 0.0 if loose else _shared(deviation[repeated], rough.noise.instants[repeated])
+    beside = dof / float(again.max())  # points measured in a pose
+    common_m = float(np.sqrt(together) * sigma.min())
+    independent = 3.0 * dof / (1.0 + (beside - 1.0) * together)
+    return MeasuredAgain(sigma, common_m, round(independent), 3 * dof, loose)
+
+
+def _shared(deviation: Array, instants: NDArray[np.int64]) -> float:
+    """The share of the variance of deviations (m, 3) [m] that all points of one instant have alike, 0 to MOST_SHARED.
+
+    Why: what an encoder's step hides moves all that lies beyond its joint. Counted point by point such a pose would
+         speak as often as it has points.
+    """
+    number = np.unique(instants, return_inverse=True)[1]
+    count = np.bincount(number)
+    pairs = 3.0 * float((count * (count - 1)).sum())
+    if pairs == 0.0:
+        return 0.0
+    products = sum(float((np.bincount(number, weights=x) ** 2).sum() - x @ x) for x in deviation.T)
+    return float(np.clip(products / pairs / np.mean(deviation**2), 0.0, MOST_SHARED))
+
+
+def _directions(rough: PointResidual) -> Array:
+    """Sign of each joint's motion (m, n); 0 for poses at rest."""
+    out = np.zeros_like(rough.data.q)
+    for k, path in enumerate(rough.paths):
+        rows = rough.at == k
+        t = rough.data.when[rows]
+        for j in range(out.shape[1]):
+            now, before = (np.interp(when, path.t_s, path.enc[:, j]) for when in (t, t - DIRECTION_S))
+            out[rows, j] = np.sign(np.where(np.abs(now - before) > 1e-3, now - before, 0.0))
+    return out

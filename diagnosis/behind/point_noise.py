@@ -1,0 +1,132 @@
+"""The noise of measured points, before what a baseline leaves is added: from repeats of one command, from poses that
+were measured again, or what no mixture of effects explains.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.behind.link_angles import Path, coarsest, inside
+from diagnosis.behind.measured_again import measured_again
+from diagnosis.behind.point_residual import PointResidual, unweighed
+from diagnosis.behind.points import PointData, numbers_fitted
+from diagnosis.behind.saturated import saturated_noise
+from diagnosis.behind.stairs import LEFT
+from diagnosis.log.nominal import Nominal
+from diagnosis.noise.of_repeated_points import RepeatedPoints, repeated_points
+from diagnosis.replay.repeats import DIFFER_MAX_RAD, reference_spread
+from diagnosis.replay.stretches import Stretch, repeat_groups
+from diagnosis.search.candidates import Candidate
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+LARGER = 2.0  # than what no mixture of effects explains: what differs so from repeat to repeat is no scatter
+DRIFT_TIMES = 2.0  # of the noise: trackers drift by as much as they scatter
+TENTHS, ALIKE_LEAST = 10, 1.8  # of independent instants one recording in a thousand shows more
+
+
+@dataclass(frozen=True, slots=True)
+class PointScatter:
+    """Standard deviations [m] of each point's own (3,), radial, tangential and up, and of a shift that the points of
+    one instant share. `known`: measured, from so many independent `squares`, not guessed. `restless`: which point of
+    poses at rest moved by itself, in words. `alike`: for how many instants one speaks, since a tracker drifts.
+    """
+
+    own: Array
+    common_m: float
+    known: bool
+    squares: int = 0
+    restless: str = ""
+    alike: float = 1.0
+
+
+def point_scatter(
+    rough: PointResidual,
+    base: ParameterSets,
+    candidates: tuple[Candidate, ...],
+    repeats: RepeatedPoints | None,
+    has_baseline: bool,
+) -> PointScatter:
+    """Of points whose residual [m] is `rough`.
+
+    Args: candidates: effects whose mixtures explain what is no noise; repeats: what repeats of one command show;
+          has_baseline: whether the machine file says how these points scatter beside their model.
+    """
+    found = _at_rest(rough, base, candidates, has_baseline)
+    if not has_baseline and rough.paths:
+        found = _in_motion(rough, base, found, repeats)
+    return replace(found, own=np.hypot(found.own, _stairs_m(rough, base))) if found.known else found
+
+
+def _at_rest(
+    rough: PointResidual, base: ParameterSets, candidates: tuple[Candidate, ...], has_baseline: bool
+) -> PointScatter:
+    again = measured_again(rough, base)
+    if again is not None and has_baseline:
+        return PointScatter(again.sigma, 0.0, True, again.points, again.loose)
+    if again is not None:
+        return PointScatter(again.own, again.common_m, True, again.squares, again.loose)
+    by_instant = 3 * np.repeat(rough.noise.instants, 3) + np.tile(np.arange(3), len(rough.data.xyz))
+    taken = numbers_fitted(rough.nominal, rough.data)
+    own, common_m = saturated_noise(rough, base, candidates, by_instant, taken)
+    return PointScatter(np.full(3, own), common_m, False)
+
+
+def _in_motion(
+    rough: PointResidual, base: ParameterSets, found: PointScatter, repeats: RepeatedPoints | None
+) -> PointScatter:
+    """By repeats, where they differ by a tracker's scatter and drift; all repeats may be off by what one of them is.
+
+    What comes back to a pose by another way differs by more, stairs of encoders say, which repeats have alike.
+    """
+    noise_m = float(np.sqrt(np.mean(found.own**2) + found.common_m**2))
+    if repeats is None or not repeats.scatters or np.sqrt(np.mean(repeats.own**2)) > LARGER * noise_m:
+        return replace(found, alike=_alike_in_time(rough, base, noise_m))
+    drifts = float((repeats.drift_m**2).sum() / (repeats.own**2).sum())
+    alike = 1.0 + drifts * (int(rough.noise.instants.max()) + 1)
+    own = np.maximum(repeats.own, np.hypot(found.own, found.common_m)) if found.known else repeats.own
+    return PointScatter(own, 0.0, True, repeats.squares, found.restless, alike)
+
+
+def noise_by_repeats(
+    nominal: Nominal, data: PointData, paths: tuple[Path, ...], base: ParameterSets, stretches: tuple[Stretch, ...]
+) -> RepeatedPoints | None:
+    """What repeats of one command say of tracked points; None where there are none, or a baseline knows better."""
+    groups = [one for one in repeat_groups(stretches).values() if reference_spread(one) <= DIFFER_MAX_RAD]
+    at = inside(paths, data.when)
+    if not groups or (at < 0).all() or nominal.remainder("structure", on="tracker") is not None:
+        return None
+    rough = unweighed(nominal, data, paths, at)
+    runs = tuple(tuple((one.t_segment_s, float(one.t_s[0]), float(one.t_s[-1])) for one in group) for group in groups)
+    return repeated_points(rough(base)[0].reshape(-1, 3), rough.data.which, rough.data.when, runs)
+
+
+def _stairs_m(rough: PointResidual, base: ParameterSets) -> Array:
+    """RMS (3,) [m] of what coarse encoders leave of their stairs, radial, tangential and up."""
+    steps, squares = coarsest(rough.paths, rough.nominal.n), np.zeros(3)
+    for j in np.nonzero(steps)[0]:
+        squares += (rough.moved_by(base, int(j), LEFT * float(steps[j])) ** 2).mean(axis=0)
+    return np.sqrt(squares)
+
+
+def _alike_in_time(rough: PointResidual, base: ParameterSets, noise_m: float) -> float:
+    """For how many instants one speaks, where what is measured drifts: 1 where they differ by chance.
+
+    Model: variance of the means of tenths of the recording, over that of means of as many independent instants. What
+           is several times larger than the noise is no drift of a tracker.
+    Why:   a tracker drifts by a tenth of a millimetre in a minute, and a length that is 0.08 mm off follows the drift.
+           What an effect does goes with the motion, which tenths of a recording have alike.
+    """
+    instants = rough.noise.instants
+    residual = rough(base)[0].reshape(-1, 3)
+    count = np.bincount(instants)
+    mean = np.stack([np.bincount(instants, weights=axis) / count for axis in residual.T], axis=1)
+    size = len(mean) // TENTHS
+    if size < 2:
+        return 1.0
+    if float(np.sqrt(np.mean(residual**2))) > DRIFT_TIMES * noise_m:
+        return 1.0
+    mean -= mean.mean(axis=0)
+    tenths = mean[: size * TENTHS].reshape(TENTHS, size, 3).mean(axis=1)
+    alike = size * float((tenths**2).sum()) / (TENTHS - 1) / max(float((mean**2).sum()) / len(mean), 1e-30)
+    return alike if alike > ALIKE_LEAST else 1.0
