@@ -19,8 +19,9 @@ from diagnosis.cells.points import point_cells
 from diagnosis.known.form import with_form
 from diagnosis.log.nominal import Nominal
 from diagnosis.reading.read import Read
-from diagnosis.search.candidates import SEEN_BY_ENCODER, Candidate
+from diagnosis.search.candidates import SEEN_BY_ENCODER, Candidate, on_an_arm
 from diagnosis.search.cell import Cell, Rows
+from machine.effects.arm import weight_nm
 from machine.effects.kernel import PAYLOAD
 from machine.effects.layout import (
     BASE_COMPLIANCE,
@@ -200,7 +201,14 @@ def without(cells: list[Cell], names: tuple[str, ...]) -> list[Cell]:
 
 
 def fitting(cells: list[Cell], nominal: Nominal) -> list[Cell]:
-    """Cells without effects that such a joint cannot have: what slides has no turn that a wave could go with."""
+    """Cells without effects that such a joint cannot have (what slides has no turn that a wave could go with), and with
+    sizes that such an arm can have.
+    """
+    if nominal.arm is not None:
+        torque_nm = weight_nm(nominal.arm)
+        cells = [
+            replace(cell, candidates=tuple(on_an_arm(one, torque_nm) for one in cell.candidates)) for cell in cells
+        ]
     if not any(nominal.sliding):
         return cells
     slides = [False, *nominal.sliding]  # by joint; the machine's own are at 0

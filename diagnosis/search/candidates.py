@@ -11,6 +11,7 @@ from machine.effects.spec import Effect, Stage
 from machine.rotations import Array
 
 SIZES = (0.004, 0.012, 0.035, 0.1, 0.25, 0.6)  # of the bound: where the scan looks, neutral 0
+BENT_BY_GRAVITY, CRANE_NM = ("gravity_sag", "base_compliance"), 3e4
 POOR = 3  # sizes beyond those of good machines
 LIMITS = 9  # sizes scanned between the bounds of an effect that limits (neutral 1 or inf)
 NARROW = {"stiction": 50}  # sizes of effects whose cost has a valley far narrower than the way there
@@ -103,6 +104,21 @@ def arm_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ..
     """What changes where a link is for its encoder. `moving`: whether the encoders' course in time is known, too."""
     found = candidates_of("structure", joints, True) + named(SEEN_BEHIND_ENCODER, joints)
     return tuple(one for one in found if moving or one.name not in SEEN_IN_MOTION)
+
+
+def on_an_arm(one: Candidate, torque_nm: float) -> Candidate:
+    """The effect as an arm of this weight may have it: what bends by gravity bends as far, whatever its torque.
+
+    Args: torque_nm: of all masses at the whole length. Arms as heavy as a crane's bend by what the catalogue says.
+    """
+    scale = max(1.0, CRANE_NM / torque_nm) if torque_nm > 0.0 else 1.0
+    if one.name not in BENT_BY_GRAVITY or scale == 1.0:
+        return one
+    slots = (
+        replace(slot, high=scale * slot.high, highest=scale * slot.highest, start=scale * slot.start, scale=scale)
+        for slot in one.slots
+    )
+    return replace(one, slots=tuple(slots))
 
 
 def _of_effect(effect: Effect, joints: tuple[int, ...], machine: bool) -> list[Candidate]:

@@ -118,7 +118,7 @@ def _log_prior(found: Fit) -> float:
         for slot in one.slots:
             parameter = effect.parameter(slot.parameter) if effect is not None else None
             if parameter is not None:
-                value = parameter.log_prior(float(found.theta[at]))
+                value = parameter.log_prior(float(found.theta[at]) / slot.scale) - np.log(slot.scale)
                 total += value if np.isfinite(value) else -50.0
             at += 1
     return total

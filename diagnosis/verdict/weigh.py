@@ -153,7 +153,8 @@ def _unheard_nats(effect: Candidate, theta: Array) -> float:
     parameter = spec.parameter(effect.slots[0].parameter) if spec is not None else None
     if parameter is None or not parameter.prior.kind.endswith("normal"):
         return 0.0
-    return min(0.5 * float(theta[0] / parameter.prior.scale) ** 2, UNHEARD_NATS)
+    usual = effect.slots[0].scale * parameter.prior.scale
+    return min(0.5 * float(theta[0] / usual) ** 2, UNHEARD_NATS)
 
 
 def _foreign(cell: Cell, stage: str) -> bool:

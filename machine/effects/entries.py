@@ -115,7 +115,7 @@ def _number(parameter: Parameter, value: object, where: str) -> float:
             f" (neutral {parameter.neutral:g})" if not parameter.low <= parameter.neutral <= parameter.high else ""
         )
         raise MachineFileError(
-            f"{where}: {parameter.name} = {value:g} is outside {whole}{parameter.low:g} .. {parameter.highest:g}"
+            f"{where}: {parameter.name} = {value:g} is outside {whole}{parameter.low:g} .. {parameter.admitted:g}"
             f"{neutral} [{parameter.unit}]; {parameter.meaning}"
         )
     return float(value)

@@ -81,6 +81,7 @@ class Slot:
 
     `high`: what good machines have, and the ruler of steps and scans; `highest`: where a fit has to stop.
     `index`: 0 for plain numbers, else the component of a direction's vector. `joint`: 1-based, None for the machine.
+    `scale`: how many times larger sizes are on this machine than those that the effect's prior was made for.
     """
 
     effect: str
@@ -95,6 +96,7 @@ class Slot:
     neutral: float
     start: float
     index: int = 0
+    scale: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,8 @@ class Parameter:
 
     `start`: where a fit begins, never at neutral, where thresholds have no slope. `low`..`high`: what is believable;
     a fit that ends there means "larger than assumed". `most`: how far beyond `high` a poor machine's size may lie;
-    `high` is then what good ones have, and the ruler of steps and scans.
+    `high` is then what good ones have, and the ruler of steps and scans. `lightest`: what arms far lighter than a crane
+    may have, and machine files hold; a fit's bounds go with the arm's weight (see `Slot.scale`).
     """
 
     name: str
@@ -40,15 +41,21 @@ class Parameter:
     role: Literal["size", "shape"] = "size"
     integer: bool = False
     most: float | None = None
+    lightest: float | None = None
 
     @property
     def highest(self) -> float:
         """The largest value that is believed at all."""
         return self.high if self.most is None else self.most
 
+    @property
+    def admitted(self) -> float:
+        """The largest value that a machine file may hold."""
+        return self.highest if self.lightest is None else self.lightest
+
     def contains(self, value: float) -> bool:
         """Whether a value lies inside the bounds; a size may also be neutral."""
-        inside = self.low <= value <= self.highest and (not self.integer or value == round(value))
+        inside = self.low <= value <= self.admitted and (not self.integer or value == round(value))
         return inside or (self.role == "size" and value == self.neutral)
 
     def log_prior(self, value: float) -> float:

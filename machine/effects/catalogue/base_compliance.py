@@ -15,6 +15,7 @@ EFFECT = Effect(
             start=2e-07,
             prior=Prior("half_normal", 3e-07),
             meaning="rotation of the base per moment of gravity about the base's origin",
+            lightest=0.01,
         ),
     ),
     looks_like="the whole arm leans towards its load, wherever slew points",

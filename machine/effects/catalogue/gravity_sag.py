@@ -15,6 +15,7 @@ EFFECT = Effect(
             start=1e-06,
             prior=Prior("half_normal", 1e-06),
             meaning="bending at the joint about its axis per torque of gravity",
+            lightest=0.01,
         ),
     ),
     looks_like="the tip hangs lower, more so at long reach; the same from both sides of approach",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.search.candidates import named
+from diagnosis.search.candidates import named, on_an_arm
 from diagnosis.search.scan import foreseen
 
 ANGLE = np.linspace(-1.0, 1.3, 400)
@@ -44,3 +44,14 @@ def test_a_jump_of_a_late_packet_does_not_hide_where_a_limit_is_felt() -> None:
     in_floors = cut / 1e-2
     found = foreseen(one, thetas, in_floors, (np.minimum(speed, 0.19) - speed) / 1e-2)
     assert np.abs(found - 0.19).min() < 0.05 * 0.19
+
+
+def test_what_bends_by_gravity_is_believed_to_bend_as_far_on_a_light_arm() -> None:
+    (sag,) = named(("gravity_sag",), (2,))
+    crane, light = on_an_arm(sag, 4e4), on_an_arm(sag, 300.0)
+    assert crane == sag
+    assert [slot.highest for slot in light.slots] == pytest.approx([100.0 * slot.highest for slot in sag.slots])
+    assert light.starts() == pytest.approx(100.0 * sag.starts())
+    (bias,) = named(("encoder_bias",), (2,))
+    assert on_an_arm(bias, 300.0) == bias
+    assert on_an_arm(sag, 0.0) == sag  # nobody gave its masses

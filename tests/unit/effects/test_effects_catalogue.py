@@ -103,8 +103,8 @@ def test_a_fit_starts_inside_the_bounds_and_off_neutral(effect) -> None:
         assert parameter.contains(parameter.start)
         assert parameter.role == "shape" or parameter.start != parameter.neutral
         assert parameter.contains(parameter.neutral)
-        assert parameter.high <= parameter.highest
-        assert not parameter.contains(parameter.highest * 1.01)
+        assert parameter.high <= parameter.highest <= parameter.admitted
+        assert not parameter.contains(parameter.admitted * 1.01)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.name)
@@ -167,3 +167,4 @@ def test_the_documentation_lists_every_effect_with_its_bounds() -> None:
         for one in effect.parameters:
             assert f"`{one.name}` [{one.unit}] {one.low:g} .. {one.high:g}, start {one.start:g}" in line
             assert one.most is None or f"poor ones up to {one.most:g}" in line
+            assert one.lightest is None or f"on light arms up to {one.lightest:g}" in line

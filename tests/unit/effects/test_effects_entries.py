@@ -49,7 +49,7 @@ def test_entries_are_read() -> None:
         ),
         (
             'name = "gravity_sag"\njoint = 1\nparameters = { compliance_rad_nm = 1 }',
-            r"1 is outside 0 .. 1e-05 \[rad/\(N m\)\]",
+            r"1 is outside 0 .. 0.01 \[rad/\(N m\)\]",
         ),
         (
             'name = "valve_deadband"\njoint = 1\nparameters = { half_width = 0.1 }',
