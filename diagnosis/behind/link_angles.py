@@ -140,13 +140,12 @@ def _behind_joint(path: Path, step_s: float, effects: Array, j: int, key: bytes,
     """Link-side angles of joint j (0-based), which has play or swing, at the path's rows (m,); joint by joint, since
     most sets differ in one.
     """
-    enc = np.ascontiguousarray(path.enc[:, j])
-    if np.ptp(enc) < CROSSED * effects[kernel.BACKLASH]:
+    if side and np.ptp(path.enc[:, j]) < CROSSED * effects[kernel.BACKLASH]:
         side = 0.0
     if (j, side, key) not in path.courses:
         if len(path.courses) >= REMEMBERED * path.enc.shape[1]:
             path.courses.pop(next(iter(path.courses)))
-        path.courses[j, side, key] = kernel.course(effects, enc, step_s, side)
+        path.courses[j, side, key] = kernel.course(effects, np.ascontiguousarray(path.enc[:, j]), step_s, side)
     return path.courses[j, side, key]
 
 

@@ -18,8 +18,8 @@ def without_echoes(found: Search) -> Search:
     """The search again by a margin that what only answers the noise does not reach, and without such hypotheses, which
     share no probability; the same where nothing does.
     """
-    cell = found.cell
-    if cell.stage != "actuator" or cell.joint is None or cell.usual or not (repeats := repeated_rows(cell)):
+    repeats = repeated_rows(found.cell)
+    if not repeats:
         return found
     for _ in range(ROUNDS):
         least = _loudest(found, found.chosen, repeats)

@@ -15,9 +15,12 @@ TOLD_NATS = 2.0  # of the repeats: with less, they do not say what they have in 
 
 
 def repeated_rows(cell: Cell) -> list[Numbers]:
-    """Row numbers (K, rows) of each group of repeats of a joint's driven stage, one under the other."""
+    """Row numbers (K, rows) of each group of repeats of one joint's actuator, one under the other.
+
+    None of other cells, which no loop feeds its own noise, nor beside a baseline, which knows what names gain there.
+    """
     replay = cell.whitened
-    if not isinstance(replay, Replay):
+    if cell.stage != "actuator" or cell.joint is None or cell.usual or not isinstance(replay, Replay):
         return []
     names = [part.stretch.name for part in replay.parts]
     out = []

@@ -214,7 +214,7 @@ def _autocorrelation(cell: Cell, r: Array, quiet: float) -> list[Fired]:
 
 def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
     found = []
-    x = r - r.mean()
+    x, repeats = r - r.mean(), repeated_rows(cell)
     for name, values in cell.regressors:
         y = values - values.mean()
         power_y = float(y @ y)
@@ -223,16 +223,11 @@ def _correlations(cell: Cell, r: Array, quiet: float) -> list[Fired]:
             continue
         rho = float(x @ y) / power
         p = float(erfc(abs(rho) * np.sqrt(0.5 * independent(cell, len(x)))))  # two-sided
-        if abs(rho) * np.sqrt(quiet) > CORRELATION_MIN and not _answers_noise(cell, x, y * float(x @ y) / power_y):
+        if abs(rho) * np.sqrt(quiet) <= CORRELATION_MIN:
+            continue
+        if common_share(x, y * float(x @ y) / power_y, repeats) >= COMMON_LEAST:
             found.append(Fired(CORRELATION, cell.stage, cell.joint, abs(rho), p, f"goes with {name}", rho**2))
     return found
-
-
-def _answers_noise(cell: Cell, x: Array, foretold: Array) -> bool:
-    """Whether what foretells the residual (N,) of a joint is not what its repeats have in common."""
-    if cell.stage != "actuator" or cell.joint is None or cell.usual:
-        return False
-    return common_share(x, foretold, repeated_rows(cell)) < COMMON_LEAST
 
 
 def _peaks(cell: Cell, r: Array, quiet: float) -> list[Fired]:

@@ -9,7 +9,7 @@ from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.cells.behind import measurement_of
 from diagnosis.families.behind import FIXED, IN_TURN, SWINGS_OF, corner_columns, point_columns, swing_columns
-from diagnosis.families.common import COMMON_LEAST, common_share, repeated_rows
+from diagnosis.families.common import COMMON_LEAST, Numbers, common_share, repeated_rows
 from diagnosis.families.driven import SINCE, driven_columns
 from diagnosis.families.gain import foretold, held_out_nats
 from diagnosis.families.narrow import ANGLE_OF, LENS, NARROW, narrow_corner_columns, narrow_point_columns
@@ -62,12 +62,13 @@ def left_shapes(cell: Cell, residual: Array, gained_nats: float) -> tuple[Shape,
     form = FORM_TIMES * cell.form_share * gained_nats
     usual = _usual(cell)
     found = tuple(one for one in shapes_of(cell, residual) if one.nats > _allowed(one, usual[_at(one)], form))
-    return _in_common(cell, residual, found) if found and cell.stage == "actuator" and not cell.usual else found
+    repeats = repeated_rows(cell)
+    return _in_common(cell, residual, found, repeats) if found and repeats else found
 
 
-def _in_common(cell: Cell, residual: Array, found: tuple[Shape, ...]) -> tuple[Shape, ...]:
+def _in_common(cell: Cell, residual: Array, found: tuple[Shape, ...], repeats: list[Numbers]) -> tuple[Shape, ...]:
     """Those of a joint's shapes that foretell the same of each repeat, and not each one's own noise."""
-    repeats, columns = repeated_rows(cell), _columns(cell)
+    columns = _columns(cell)
     return tuple(
         one
         for one in found
