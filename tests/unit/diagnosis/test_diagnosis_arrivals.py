@@ -39,7 +39,7 @@ def diagnosed(link: Link) -> dict[str, Any]:
 def test_what_comes_on_the_dot_is_left_as_it_was_sent() -> None:
     stamps, found, _ = logged(Link())
     np.testing.assert_array_equal(found.t_s, stamps)
-    assert (found.beside_s, found.rate, found.unsure_s) == (0.0, 0.0, 0.0)
+    assert (found.beside_s, found.rate, found.unsure_s) == (0.0, 0.0, CYCLE_S)  # of a wait that no row shows
     assert found.lost is not None
     assert not found.lost.any()
 
@@ -162,6 +162,17 @@ def test_where_every_cycle_has_a_row_what_never_came_is_not_late(sent_s: float) 
 def test_where_every_cycle_has_a_row_what_is_late_now_and_again_is_a_delay() -> None:
     t_s, found = every_cycle(list(range(0, 3000, 2)))
     np.testing.assert_array_equal(found.t_s, t_s)
+
+
+@pytest.mark.parametrize("ppm", [10, 30, 60])
+def test_where_every_cycle_has_a_row_a_pc_that_runs_fast_is_no_link_that_does(ppm: int) -> None:
+    """Sent every cycle of 20 ms and 20 ms on the way: after three minutes each comes 5 ms too early by its stamp."""
+    t_s, rows_s = 0.02 * NUMBER[:9000], 0.02 * np.arange(1, 9150)
+    seen = np.searchsorted(t_s + 0.02, rows_s + 1e-9, side="right") - 1
+    stamps = np.round(t_s * (1.0 + 1e-6 * ppm), 7)
+    found = arrivals((stamps, NUMBER[:9000]), (rows_s, NUMBER[seen]), 0.02, 0.02)
+    assert found.rate == pytest.approx(-1e-6 * ppm, abs=1e-5)
+    np.testing.assert_allclose(found.t_s, t_s, atol=1e-9)
 
 
 @pytest.mark.parametrize("share", [0.02, 0.15])

@@ -52,7 +52,12 @@ def test_what_came_on_the_dot_stays() -> None:
 
 
 @pytest.mark.parametrize(
-    "link", [DRIFTING, pytest.param(Link(jitter_s=3e-4, drift=-7e-5, sent_ms=20), marks=pytest.mark.slow)]
+    "link",
+    [
+        DRIFTING,
+        Link(jitter_s=3e-4, delay_s=0.004, sent_ms=10),
+        pytest.param(Link(jitter_s=3e-4, drift=-7e-5, sent_ms=20), marks=pytest.mark.slow),
+    ],
 )
 def test_a_healthy_machine_behind_drifting_clocks_has_no_fault(link: Link) -> None:
     """Six flow gains and a lag, or a delay, had come of it."""
