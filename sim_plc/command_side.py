@@ -23,6 +23,7 @@ class SideNumbers:
     """Numbers of n joints (n,): half widths and limits in fractions of full command; `delay_s` of the reference."""
 
     dead: Array
+    full_flow: Array  # share of the flow that a full command still gives
     hysteresis: Array
     lag_share: Array  # of the way that a first-order lag goes in a cycle; 1: no lag
     forward_gain: Array
@@ -32,13 +33,14 @@ class SideNumbers:
 
 def side_numbers(entries: tuple[EffectEntry, ...], n: int, cycle_s: float) -> SideNumbers:
     """The numbers of those effects that belong here; the others are passed over."""
-    dead, hysteresis, lag = np.zeros(n), np.zeros(n), np.zeros(n)
+    dead, lost, hysteresis, lag = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     gain, limit, delay = np.ones(n), np.ones(n), 0.0
     for one in entries:
         j = (one.joint or 1) - 1
         match one.name:
             case "valve_deadband":
                 dead[j] += one.value("half_width_frac")
+                lost[j] += one.value("half_width_frac") if one.option == "lost" else 0.0
             case "valve_hysteresis":
                 hysteresis[j] += one.value("half_width_frac")
             case "valve_lag":
@@ -52,7 +54,8 @@ def side_numbers(entries: tuple[EffectEntry, ...], n: int, cycle_s: float) -> Si
             case _:
                 pass
     share = np.where(lag > 0.0, 1.0 - np.exp(-cycle_s / np.maximum(lag, 1e-9)), 1.0)
-    return SideNumbers(dead, hysteresis, share, gain, limit, delay)
+    full_flow = (1.0 - dead) / (1.0 - dead + lost)
+    return SideNumbers(dead, full_flow, hysteresis, share, gain, limit, delay)
 
 
 def controller_settings(machine: Machine, entries: tuple[EffectEntry, ...]) -> PlcSettings:

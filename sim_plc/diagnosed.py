@@ -45,7 +45,11 @@ def _oil_only(world: World, entry: EffectEntry) -> None:
 
 def _deadband(world: World, entry: EffectEntry) -> World:
     _oil_only(world, entry)
-    return _joint(world, "valve", "dead_band_frac", entry, lambda x: x + entry.value("half_width_frac"))
+    half = entry.value("half_width_frac")
+    if entry.option == "lost":  # this plant's valves pass their full flow nonetheless
+        left = 1.0 - float(world.plant.valve.dead_band_frac[(entry.joint or 1) - 1])
+        world = _flow_times(world, entry, 1.0 - half / left)
+    return _joint(world, "valve", "dead_band_frac", entry, lambda x: x + half)
 
 
 def _hysteresis(world: World, entry: EffectEntry) -> World:
@@ -54,7 +58,10 @@ def _hysteresis(world: World, entry: EffectEntry) -> World:
 
 
 def _flow_gain(world: World, entry: EffectEntry) -> World:
-    factor = 1.0 + entry.value("gain_frac")
+    return _flow_times(world, entry, 1.0 + entry.value("gain_frac"))
+
+
+def _flow_times(world: World, entry: EffectEntry, factor: float) -> World:
     gains = np.array(world.plant.velocity_gain_rad_s, dtype=float)
     gains[(entry.joint or 1) - 1] *= factor
     world = replace(world, plant=replace(world.plant, velocity_gain_rad_s=gains))

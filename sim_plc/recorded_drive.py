@@ -141,6 +141,7 @@ def _side(one: Offline) -> Side:
         hysteresis=numbers.hysteresis,
         lag_share=numbers.lag_share,
         dead=numbers.dead,
+        full_flow=numbers.full_flow,
         forward_gain=numbers.forward_gain,
         resolution=2.0 * np.pi / one.world.plant.kinematics.encoder_counts_rev,
     )

@@ -22,6 +22,7 @@ class Side(NamedTuple):
     hysteresis: Array
     lag_share: Array
     dead: Array
+    full_flow: Array
     forward_gain: Array
     resolution: Array
 
@@ -67,7 +68,7 @@ def run_cycles(
         for j in range(n):
             held[j] = play(held[j], min(max(u[j], -side.limit[j]), side.limit[j]), side.hysteresis[j])
             slow[j] += side.lag_share[j] * (held[j] - slow[j])
-            opened = opening(slow[j], side.dead[j])
+            opened = opening(slow[j], side.dead[j]) * side.full_flow[j]
             command[j] = opened * side.forward_gain[j] if opened > 0.0 else opened
         if rigid:
             advance_rigid(par, state, command, 1)

@@ -7,6 +7,7 @@ from diagnosis.search.candidates import DROOP, Candidate
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs, evaluated
 from diagnosis.search.further import ENUMERATED, one_more
+from diagnosis.search.options import options_settled
 from diagnosis.search.scan import Scan
 from diagnosis.search.score import better
 from diagnosis.search.search import Search, backward, known_of
@@ -53,7 +54,7 @@ def with_more(together: Search, searches: list[Search]) -> Search:
         if not found or not better(found[0], chosen, together.none, together.spread, cell):
             break
         chosen = found[0]
-    chosen = backward(book, chosen, together.spread)
+    chosen = backward(book, options_settled(book.scored, chosen), together.spread)
     known = {one.candidate.key for one in together.scans}
     scans = (*together.scans, *(one for one in beside if one.candidate.key not in known))
     return replace(together, scans=scans, scored=tuple(book.known.values()), chosen=chosen)

@@ -13,7 +13,7 @@ from diagnosis.replay.replayer import Prepared, Replayer, measured_output
 from diagnosis.replay.side_by_side import side_by_side
 from diagnosis.replay.stretches import Stretch
 from machine.effects.dynamics import Actuators, Drive, DynamicStage, simulate
-from machine.effects.kernel import BREAKAWAY, LAG
+from machine.effects.kernel import BREAKAWAY, BREAKAWAY_ONCE, LAG
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.rotations import Array
 
@@ -89,6 +89,11 @@ class Replay:
             found.append((float((column * white).sum()) / max(power, TINY), float(np.sqrt(power))))
         return found
 
+    def guessed_nats(self) -> float:
+        """What other guesses of the input's course between logged rows change, as a misfit of the noise [nats]."""
+        white = (whiten_sets(self.whitener, one[None])[:, SKIPPED:] for part in self.parts for one in part.between)
+        return 0.5 * sum(float((one**2).sum()) for one in white)
+
     def _white(self, part: Part, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)
         weight = trust(part, self.whitener)
@@ -149,7 +154,7 @@ def part_increments(stage: str, part: Part, sets: ParameterSets) -> tuple[Array,
     for channel, otherwise in enumerate(part.moved):
         if otherwise is None:
             continue
-        for k in np.nonzero(sets.joint[:, channel, BREAKAWAY])[0]:
+        for k in np.nonzero(sets.joint[:, channel, [BREAKAWAY, BREAKAWAY_ONCE]].any(axis=1))[0]:
             error[k, :, channel] -= otherwise(modelled[k, :, channel])
     size = max(1, round(BLOCK_S / part.stretch.dt_s))
     rows = error.shape[1] // size * size

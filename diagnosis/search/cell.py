@@ -64,6 +64,7 @@ class Cell:
     `restless`: what moved by itself from one look at a posture to the next, in words; empty where nothing did.
     `parts`: the cells that this one joins, rows end to end; empty for a plain one.
     `at_noise`: the same cell by another filter, where the noise was never measured; else None.
+    `course`: what is known of the stages before, too, if this one was given it.
     `regressors`: name and value (N,) of what a remainder may go with; `t_s`: (N,).
     """
 
@@ -93,6 +94,7 @@ class Cell:
     restless: str = ""
     parts: tuple["Cell", ...] = ()
     at_noise: Callable[[Whitener], "Cell"] | None = None
+    course: ParameterSets | None = None
 
     @property
     def moved_unlike(self) -> tuple[int, ...]:

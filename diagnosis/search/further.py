@@ -20,6 +20,7 @@ NAMES_MAX = 8
 UNSURE_NATS = 18.0  # the margin of a name by the temperature of an unknown floor (calibration.json)
 REFINED = 3  # of the names that a linear step likes best
 ROUNDS = 6
+EQUAL_NATS, EQUALS = 0.5, 2  # by which two hypotheses score the same, and how many such are exchanged further
 SWAPS_MAX = 4
 Scored = Callable[[Hypothesis, Array, int], Score]
 Change = tuple[Candidate, Array, Array]  # an effect, its numbers (k,), and what they change of the residual (N,)
@@ -64,11 +65,16 @@ def swapped(scored: Scored, changes: list[Change], best: Score) -> Score:
     """The best that an exchange of one name for another comes to, again and again.
 
     Why: what four names do may be taken for two names, a wave and a droop; the fifth then mends that, and no step
-         forward ever takes a name back.
+         forward ever takes a name back. Nor does any exchange, where an encoder's scale that stood for a flow gain as
+         well would have to pass its bound: so what scores the same is exchanged further, too.
     """
     for _ in range(SWAPS_MAX):
         tried = swaps(scored, changes, best)
+        equal = [one for one in tried if abs(one.total - best.total) < EQUAL_NATS]
         better = max(tried, key=lambda one: one.total, default=best)
+        if better.total <= best.total + EQUAL_NATS:
+            beyond = [further for one in equal[:EQUALS] for further in swaps(scored, changes, one)]
+            better = max([*beyond, better], key=lambda one: one.total)
         if better.total <= best.total:
             break
         best = better

@@ -9,6 +9,8 @@ from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit, bounds, costs, evaluated, spans, weights
 from diagnosis.search.scan import Scan
 from diagnosis.search.score import covariance
+from machine.effects.layout import Slot
+from machine.effects.registry import effect_named
 from machine.rotations import Array
 
 WHITE_ENERGY = 43.0  # |s|^2 with s/2 - 1.28 = 2 standard errors over blocks (score.py): in white noise found with 90 %
@@ -42,8 +44,9 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
            frequency that trade off lie along a curve. Tried out to the ends of the range.
            With the others held it is as much narrower as the number's standard deviation is: the wider of the two.
            Beside a baseline that left something, the form of a name may be wrong by a share of all it gains, and so may
-           its size. A counted share has chance's limits. A delay is known to the wait for the PLC's next cycle, and
-           with clocks that run apart to what it is at the other end of the recording.
+           its size; so it may where an effect's definition leaves some of it open. A counted share has chance's limits.
+           A delay is known to the wait for the PLC's next cycle, and with clocks that run apart to what it is at the
+           other end of the recording.
     """
     if found.k == 0:
         return ()
@@ -54,14 +57,15 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
     form_share = cell.form_share if cell.left_share > 0.0 else 0.0
     allowed = CHANCE_90 + form_share * max(gained_nats, 0.0) / spread
     owners = [one for one in found.hypothesis for _ in one.slots]
+    left_open = [_left_open(slot) for one in found.hypothesis for slot in one.slots]
     out = []
     for k, owner in enumerate(owners):
         if owner.counted:
             out.append(_of_share(float(found.theta[k]), owner.counted))
             continue
         held, free = _intervals(cell, found, k, float(np.sqrt(variances[k] * spread)), allowed, spread)
-        below = max(float(wider[k]) * (held.value - held.low), free.value - free.low)
-        above = max(float(wider[k]) * (held.high - held.value), free.high - free.value)
+        below = max(float(wider[k]) * (held.value - held.low), free.value - free.low, left_open[k] * abs(held.value))
+        above = max(float(wider[k]) * (held.high - held.value), free.high - free.value, left_open[k] * abs(held.value))
         if owner.cycles is not None:
             cycle_s = owner.cycles[0]
             below, above = below + WAITED * cycle_s, max(above, WAIT_90 * cycle_s)
@@ -70,6 +74,13 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
             Interval(held.value, max(float(low[k]), held.value - below), min(float(high[k]), held.value + above))
         )
     return tuple(out)
+
+
+def _left_open(slot: Slot) -> float:
+    """The share of a size that goes by what its effect's definition leaves open."""
+    effect = effect_named(slot.effect)
+    parameter = None if effect is None else effect.parameter(slot.parameter)
+    return 0.0 if parameter is None else parameter.open_frac
 
 
 def _of_share(share: float, count: int) -> Interval:

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.search.candidates import SET_BY_HAND, Variant, beside
-from diagnosis.search.cell import Cell
+from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import neutral_fit
 from diagnosis.search.further import Change, asked_more, one_more, steps_further, swapped, swaps
 from diagnosis.search.margin import MARGIN_NATS
+from diagnosis.search.options import options_settled
 from diagnosis.search.rare import with_the_event_cut
 from diagnosis.search.scan import Scan, orders_settled, refined, scan, variants_settled
 from diagnosis.search.score import Score, better, chosen_nats, score
@@ -75,7 +76,8 @@ def _searched(
     cell: Cell, none: Score, variants: list[Scan], known: dict[frozenset[Variant], Score], further: bool = True
 ) -> Search:
     book = Book(cell, {**known, frozenset(): none})
-    scans, changes = variants_settled(variants), _changes(variants)
+    scans = variants_settled(variants)
+    changes = _changes(scans if cell.stage in DRIVEN_STAGES else variants)
     singles = _singles(book, scans, none)
     pairs = [*pairs_of(book, singles, none), *burdened(book, singles), *read_off_beside(book, singles)]
     pairs.sort(key=lambda one: -one.total)
@@ -83,9 +85,11 @@ def _searched(
     levels = [_with_siblings(book, changes, level) for level in (singles, pairs, triples) if level]
     chosen, spread = _best_that_passes(book, levels)
     if further and chosen is not none and steps_further(cell):
-        levels += _further(book, changes, levels)
+        levels += [_with_siblings(book, changes, level) for level in _further(book, changes, levels)]
         chosen, spread = _best_that_passes(book, levels)
     chosen = backward(book, chosen, spread)
+    if cell.stage in DRIVEN_STAGES:
+        chosen = options_settled(book.scored, chosen)
     if not better(chosen, none, none, spread, cell):  # what is left of a pair has to stand on its own
         chosen = none
     if len(chosen.fit.hypothesis) > 1:  # a zero that is off looks like the next axis' tilt, and is the likelier one
@@ -122,6 +126,9 @@ def _with_siblings(book: Book, changes: list[Change], level: list[Score]) -> lis
     Why: beside a joint's zero that is off, an error of d is best told as one of a, as long as it is the only name.
     """
     best = level[0]
+    if book.cell.stage in DRIVEN_STAGES:
+        better = options_settled(book.scored, best)
+        return level if better is best else [better, *level]
     if len(best.fit.hypothesis) < 2:
         return level
     keys = {one.key for one in best.fit.hypothesis}

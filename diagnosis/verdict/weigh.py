@@ -10,7 +10,7 @@ from itertools import count
 import numpy as np
 
 from diagnosis.search.candidates import SET_BY_HAND, Candidate
-from diagnosis.search.cell import Cell
+from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import evaluated
 from diagnosis.search.margin import MARGIN_NATS
 from diagnosis.search.score import Score, chosen_nats, usual_nats
@@ -82,7 +82,7 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     T = numbers.temperature if found.cell.floor_known else numbers.temperature_without_floor
     gained = max(one.total for one in found.scored) - found.none.total
     share = max(found.cell.form_share * gained / found.spread, found.cell.least_nats)
-    scored = [one for one in found.scored if one is found.chosen or _moves(one)]
+    scored = [one for one in _by_one_law(found) if one is found.chosen or _moves(one)]
     logs = np.array(
         [
             min(one.total, found.chosen.total + MARGIN_NATS * found.spread) / found.spread
@@ -98,6 +98,20 @@ def weighed(found: Search) -> tuple[Weighed, ...]:
     p /= p.sum()
     order = np.argsort(-p, kind="stable")
     return tuple(Weighed(scored[k], float(p[k])) for k in order)
+
+
+def _by_one_law(found: Search) -> list[Score]:
+    """Of hypotheses that name the same on the same joints of a driven stage, the chosen or the best one: by which law a
+    dead band takes from the flow is no other cause.
+    """
+    if found.cell.stage not in DRIVEN_STAGES:
+        return list(found.scored)
+    best: dict[frozenset[Key], Score] = {}
+    for one in found.scored:
+        keys = frozenset(effect.key for effect in one.fit.hypothesis)
+        if keys not in best or one is found.chosen or (best[keys] is not found.chosen and one.total > best[keys].total):
+            best[keys] = one
+    return list(best.values())
 
 
 def _moves(one: Score) -> bool:

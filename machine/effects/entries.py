@@ -164,7 +164,7 @@ def _toml(entry: EffectEntry) -> str:
     effect = _known(entry)
     pairs = [f"{name} = {_toml_number(effect, name, value)}" for name, value in entry.values]
     if effect.choice is not None:
-        pairs.append(f'{effect.choice.name} = "{entry.option}"')
+        pairs.append(f'{effect.choice.name} = "{entry.option or effect.choice.options[0]}"')
     if effect.direction is not None:
         pairs.append(f"{effect.direction.name} = [{', '.join(repr(x) for x in entry.direction)}]")
     joint = f"joint = {entry.joint}\n" if entry.joint is not None else ""

@@ -18,6 +18,8 @@ HYSTERESIS, LAG, DEADBAND, FLOW, ASYMMETRY, DROOP, LEAK, BREAKAWAY = 5, 6, 7, 8,
 BIAS, SCALE, ECC_AMPLITUDE, ECC_ORDER, ECC_PHASE = 13, 14, 15, 16, 17
 BACKLASH, FLEX_GAIN, FLEX_HZ, FLEX_DAMPING = 18, 19, 20, 21
 KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING = 22, 23, 24  # a swing of the same joint that goes on beside that one
+DEADBAND_LOST = 25  # what is taken off every opening, also off a full one
+BREAKAWAY_ONCE = 26  # of a joint that, once moving, sticks again only where its spool changes sides
 # Columns of the machine's parameters (sets, MACHINE_COLUMNS).
 DELAY, LOSS, FLOW_LIMIT, PAYLOAD = 0, 1, 2, 3
 # Columns of the nominal actuators (joints, 5).
@@ -141,11 +143,14 @@ def _spool_speed(speed: float, ahead: float, wn: float, zeta: float, dt: float) 
 
 
 @njit(cache=True, inline="always")
-def _moving(moving: float, x: float, breakaway: float) -> float:
-    """Which way a joint moves that sticks until its spool is open by more than the breakaway command; 0: it sticks."""
+def _moving(moving: float, x: float, breakaway: float, once: float) -> float:
+    """Which way a joint moves that sticks until its spool is open by more than the breakaway command; 0: it sticks.
+
+    `once`: the part of it that a moving joint does not feel again before its spool changes sides.
+    """
     if moving != 0.0 and (x * moving <= 0.0 or abs(x) <= RESTICK_SHARE * breakaway):
         moving = 0.0
-    if moving == 0.0 and abs(x) > breakaway:
+    if moving == 0.0 and abs(x) > breakaway + once:
         moving = 1.0 if x > 0.0 else -1.0
     return moving
 
@@ -265,7 +270,7 @@ def _alone(
     kp = nominal[KP] * (1.0 + p[KP_GAIN])
     pt1 = _share(cycle_s, nominal[TAU] * (1.0 + p[PT1_LAG]))
     slow_share, hysteresis, wn, zeta = _share(dt, p[LAG]), p[HYSTERESIS], nominal[WN], nominal[ZETA]
-    deadband, droop, leak, breakaway = p[DEADBAND], p[DROOP], p[LEAK], p[BREAKAWAY]
+    deadband, droop, leak, breakaway = p[DEADBAND] + p[DEADBAND_LOST], p[DROOP], p[LEAK], p[BREAKAWAY]
     gains = _gains(p, nominal[KV])
     swing, behind = np.zeros(FREE), np.zeros(BEHIND)
     _swings(p, cycle_s, swing)
@@ -306,7 +311,7 @@ def _alone(
                 slow = _lagged(play, slow, slow_share)
                 spool_d = _spool_speed(spool_d, slow - spool, wn, zeta, dt)
                 spool += dt * spool_d
-                moving = _moving(moving, spool, breakaway)
+                moving = _moving(moving, spool, breakaway, p[BREAKAWAY_ONCE])
                 speed = _flow(spool, deadband, gains, droop, pull) if moving != 0.0 else 0.0
                 q += dt * (speed + leak * pull)
 
@@ -386,11 +391,11 @@ def _together(
                 slow[j] = _lagged(play[j], slow[j], slow_share[j])
                 spool_d[j] = _spool_speed(spool_d[j], slow[j] - spool[j], wn, zeta, dt)
                 spool[j] += dt * spool_d[j]
-                moving[j] = _moving(moving[j], spool[j], P[j, BREAKAWAY])
+                moving[j] = _moving(moving[j], spool[j], P[j, BREAKAWAY], P[j, BREAKAWAY_ONCE])
                 speed[j] = 0.0
                 if moving[j] != 0.0:
                     of = (gains[j, 0], gains[j, 1], gains[j, 2])
-                    speed[j] = _flow(spool[j], P[j, DEADBAND], of, P[j, DROOP], pull[j])
+                    speed[j] = _flow(spool[j], P[j, DEADBAND] + P[j, DEADBAND_LOST], of, P[j, DROOP], pull[j])
                 total += abs(speed[j]) / nominal[j, KV]
             served = G[FLOW_LIMIT] / total if total > G[FLOW_LIMIT] else 1.0
             for j in range(n):

@@ -13,8 +13,8 @@ from machine.errors import MachineError
 from machine.rotations import Array
 
 # Columns behind the kernel's own, used by structure, camera and clocks.
-SAG, LENGTH_A, LENGTH_D, TILT_X, TILT_Y = 25, 26, 27, 28, 29
-JOINT_COLUMNS = 30
+SAG, LENGTH_A, LENGTH_D, TILT_X, TILT_Y = 27, 28, 29, 30, 31
+JOINT_COLUMNS = 32
 CLOCK_OFFSET, CLOCK_RATE_PPM, BASE_TILT, BASE_COMPLIANCE = 4, 5, slice(6, 9), 9
 FOCAL, PRINCIPAL, K1, MARKER_SIZE = 10, slice(11, 13), 13, 14
 HAND_EYE_ROTATION, HAND_EYE_TRANSLATION, STEREO = slice(15, 18), slice(18, 21), slice(21, 24)
@@ -30,12 +30,14 @@ _JOINT: dict[tuple[str, str, str], int] = {
     ("controller_saturation", "limit_frac", ""): kernel.U_LIMIT,
     ("valve_hysteresis", "half_width_frac", ""): kernel.HYSTERESIS,
     ("valve_lag", "time_constant_s", ""): kernel.LAG,
-    ("valve_deadband", "half_width_frac", ""): kernel.DEADBAND,
+    ("valve_deadband", "half_width_frac", "kept"): kernel.DEADBAND,
+    ("valve_deadband", "half_width_frac", "lost"): kernel.DEADBAND_LOST,
     ("flow_gain_error", "gain_frac", ""): kernel.FLOW,
     ("valve_asymmetry", "gain_frac", ""): kernel.ASYMMETRY,
     ("load_droop", "droop_frac", ""): kernel.DROOP,
     ("internal_leakage", "drift_rad_s", ""): kernel.LEAK,
-    ("stiction", "breakaway_frac", ""): kernel.BREAKAWAY,
+    ("stiction", "breakaway_frac", "below_a_fifth"): kernel.BREAKAWAY,
+    ("stiction", "breakaway_frac", "at_reversals"): kernel.BREAKAWAY_ONCE,
     ("encoder_bias", "bias_rad", ""): kernel.BIAS,
     ("encoder_scale", "scale_frac", ""): kernel.SCALE,
     ("encoder_eccentricity", "amplitude_rad", ""): kernel.ECC_AMPLITUDE,
@@ -157,10 +159,10 @@ def _columns(effect: Effect, parameter: str) -> list[int]:
 
 
 def column_of(effect: Effect, parameter: str, option: str = "") -> int:
-    """The (first) column of a parameter."""
+    """The (first) column of a parameter; without an option, of the choice's first one."""
     if effect.scope == "machine":
         return _MACHINE[effect.name, parameter]
-    return _JOINT[effect.name, parameter, option]
+    return _JOINT[effect.name, parameter, option or (effect.choice.options[0] if effect.choice else "")]
 
 
 def slots_of(name: str, joint: int | None, option: str = "") -> tuple[Slot, ...]:

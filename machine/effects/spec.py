@@ -27,7 +27,8 @@ class Parameter:
     `start`: where a fit begins, never at neutral, where thresholds have no slope. `low`..`high`: what is believable;
     a fit that ends there means "larger than assumed". `most`: how far beyond `high` a poor machine's size may lie;
     `high` is then what good ones have, and the ruler of steps and scans. `lightest`: what arms far lighter than a crane
-    may have, and machine files hold; a fit's bounds go with the arm's weight (see `Slot.scale`).
+    may have, and machine files hold; a fit's bounds go with the arm's weight (see `Slot.scale`). `open_frac`: by how
+    much a size depends on what the effect's definition leaves open.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Parameter:
     integer: bool = False
     most: float | None = None
     lightest: float | None = None
+    open_frac: float = 0.0
 
     @property
     def highest(self) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from machine.chain import Chain
 from machine.description import Machine
 from machine.effects.entries import EffectEntry
-from machine.effects.kernel import BACKLASH, BIAS, DEADBAND
+from machine.effects.kernel import BACKLASH, BIAS, DEADBAND, DEADBAND_LOST
 from machine.effects.layout import LENGTH_A, LENGTH_D, SAG
 from machine.rotations import Array
 from server.calibration.joint_estimate import JointPrior
@@ -46,7 +46,7 @@ class Compensation:
 
     def first_stall(self, guessed: Array) -> Array:
         """Stall (n,) [rad] before any was seen: the diagnosed dead band over the gain, the guess elsewhere."""
-        dead = self.diagnosed.sets.joint[0, :, DEADBAND]
+        dead = self.diagnosed.sets.joint[0][:, [DEADBAND, DEADBAND_LOST]].sum(axis=1)
         kp = np.array([joint.kp_frac_per_rad for joint in self.machine.joints])
         return np.where(dead > 0.0, dead / kp, guessed)
 

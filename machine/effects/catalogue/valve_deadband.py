@@ -1,6 +1,6 @@
 """valve_deadband: the spool must leave its overlap before oil flows."""
 
-from machine.effects.spec import Effect, Parameter, Prior
+from machine.effects.spec import Choice, Effect, Parameter, Prior
 
 EFFECT = Effect(
     name="valve_deadband",
@@ -18,6 +18,7 @@ EFFECT = Effect(
             meaning="spool opening, of full command, within which no oil flows",
         ),
     ),
+    choice=Choice("full_flow", ("kept", "lost"), "whether a full command still gives the full flow"),
     looks_like="no motion for small commands, either sign; the joint stops short of its target",
     told_apart_by=(
         "valve_hysteresis depends on the direction of change, stiction on whether the joint moves already, "

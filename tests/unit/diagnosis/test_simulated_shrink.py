@@ -36,7 +36,7 @@ def found(whole, sizes, word="effects") -> Diagnosis:
     """As much of a diagnosis as is simulated: dead bands by joint, not fitted by any cell."""
     cells = []
     for joint, size in sizes.items():
-        fit = Fit(named(("valve_deadband",), (joint,)), np.array([size]), np.zeros(0), np.zeros((0, 1)), 0.0, ())
+        fit = Fit(named(("valve_deadband",), (joint,))[:1], np.array([size]), np.zeros(0), np.zeros((0, 1)), 0.0, ())
         cells.append(
             SimpleNamespace(
                 chosen=SimpleNamespace(fit=fit),
@@ -85,7 +85,7 @@ def test_both_figures_are_told_in_json_lines_and_page(right):
 def test_an_unsettled_diagnosis_and_a_strange_effect_give_no_figure(whole):
     with pytest.raises(SimulatedShrinkError, match="'undecided'"):
         simulated_runs(found(whole, {2: 0.02}, "undecided"), MACHINE_TOML)
-    fit = Fit(named(("stiction",), (2,)), np.array([0.02]), np.zeros(0), np.zeros((0, 1)), 0.0, ())
+    fit = Fit(named(("stiction",), (2,))[:1], np.array([0.02]), np.zeros(0), np.zeros((0, 1)), 0.0, ())
     strange = found(whole, {2: 0.02})
     strange.cells[0].chosen.fit = fit  # type: ignore[misc]
     with pytest.raises(SimulatedShrinkError, match="stiction cannot be simulated"):
@@ -98,7 +98,7 @@ def test_numbers_are_those_that_were_fitted_without_the_stretch(whole):
     base = neutral_sets(6)
     cells = stage_cells("actuator", replayer, whole.stretches, base, base)
     cell = next(one for one in cells if one.joint == 2)
-    wanted = named(("valve_deadband",), (2,))
+    wanted = named(("valve_deadband",), (2,))[:1]
     searched = search(replace(cell, candidates=wanted))
     one: Any = SimpleNamespace(search=searched, chosen=searched.chosen)
     diagnosis: Any = SimpleNamespace(cells=(one,))

@@ -96,15 +96,15 @@ class SlowJoint:
         self.slow += share * (self.play - self.slow)
         self.xd += dt * (self.wn**2 * (self.slow - self.x) - 2.0 * self.zeta * self.wn * self.xd)
         self.x += dt * self.xd
-        x, breakaway = self.x, p[columns.BREAKAWAY]
+        x, breakaway, once = self.x, p[columns.BREAKAWAY], p[columns.BREAKAWAY_ONCE]
         if x * self.moving <= 0.0 or abs(x) <= 0.2 * breakaway:
             self.moving = 0.0
-        if self.moving == 0.0 and abs(x) > breakaway:
+        if self.moving == 0.0 and abs(x) > breakaway + once:
             self.moving = math.copysign(1.0, x)
         if self.moving == 0.0:
             return 0.0
-        band = p[columns.DEADBAND]
-        opening = math.copysign(max(abs(x) - band, 0.0) / (1.0 - band), x)
+        kept, lost = p[columns.DEADBAND], p[columns.DEADBAND_LOST]
+        opening = math.copysign(max(abs(x) - kept - lost, 0.0) / (1.0 - kept), x)
         gain = self.kv * (1.0 + p[columns.FLOW]) * (1.0 + p[columns.ASYMMETRY] * (x > 0.0))
         return opening * gain * max(1.0 + p[columns.DROOP] * load * math.copysign(1.0, x), 0.0)
 

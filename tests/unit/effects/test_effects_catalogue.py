@@ -168,3 +168,4 @@ def test_the_documentation_lists_every_effect_with_its_bounds() -> None:
             assert f"`{one.name}` [{one.unit}] {one.low:g} .. {one.high:g}, start {one.start:g}" in line
             assert one.most is None or f"poor ones up to {one.most:g}" in line
             assert one.lightest is None or f"on light arms up to {one.lightest:g}" in line
+        assert effect.choice is None or f"`{effect.choice.name}` {' or '.join(effect.choice.options)}" in line

@@ -24,7 +24,7 @@ def test_a_file_without_effects_has_none() -> None:
 
 def test_entries_are_read() -> None:
     (entry,) = read('[[effect]]\nname = "valve_deadband"\njoint = 2\nparameters = { half_width_frac = 0.03 }')
-    assert entry == EffectEntry("valve_deadband", 2, (("half_width_frac", 0.03),))
+    assert entry == EffectEntry("valve_deadband", 2, (("half_width_frac", 0.03),), "kept")
     (tilt,) = read('[[effect]]\nname = "base_tilt"\nparameters = { tilt_rad = 0.02, axis = [0, 2, 0] }')
     assert tilt.direction == (0.0, 1.0, 0.0)
     (length,) = read('[[effect]]\nname = "link_length_error"\njoint = 4\nparameters = { error_m = 0.02, of = "d" }')
