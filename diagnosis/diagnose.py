@@ -8,7 +8,6 @@ from diagnosis.cells.dynamic import coupled_cell, stage_cells
 from diagnosis.cells.merged import merged_cells
 from diagnosis.chain.common_wait import on_their_line
 from diagnosis.chain.coupling import with_coupling
-from diagnosis.chain.echo import without_echoes
 from diagnosis.chain.guessed_noise import searched
 from diagnosis.chain.own_cycle import at_its_cycle, unseen_wait
 from diagnosis.chain.own_step import at_its_step
@@ -21,6 +20,7 @@ from diagnosis.refusal.oil import swinging
 from diagnosis.refusal.remainder import Fired, at_edge, remainder
 from diagnosis.refusal.shapes import instead, left_shapes, refusing
 from diagnosis.replay.replayer import replayer_of
+from diagnosis.replay.stage_replay import Replay
 from diagnosis.replay.stretches import encoder_steps, stood_still
 from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, put
 from diagnosis.search.cell import DRIVEN_STAGES, FORM_SHARE, Cell
@@ -37,6 +37,7 @@ from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
 Progress = Callable[[str, int, int], None]
+FORM_SHARE_LEAST = 0.0002  # of what was gained before, that a guessed input is wrong by in any case
 SHARED = 0.15  # of what a joint's actuator gains: the next joint's has to gain more to have a cause of its own
 SHARED_UNKNOWN = 0.02  # the same where no baseline is known: there every joint has its own faults
 UNEXPLAINED_SHARE = 0.05  # of the residual beyond the floor, that a name has to explain of a joint's whole loop
@@ -92,7 +93,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
     What was found of the encoders from behind is no news to the actuators: they are replayed with it.
     """
     nominal = whole.nominal
-    replayer = replayer_of(nominal) if nominal is not None else None
+    replayer = replayer_of(nominal, whole.stretches) if nominal is not None else None
     if nominal is None or replayer is None or not whole.stretches:
         return []
     base = _with_encoders(pack_under(nominal.baseline, nominal.n), behind)
@@ -146,11 +147,14 @@ def _worth_a_name(found: Search) -> Search:
 
 
 def _least(cell: Cell, before: list[Search]) -> float:
-    """What a guessed input may be wrong by: 0.2 % of what the stages before it gained; 0 if every cycle is logged."""
-    if not cell.coarse:
+    """What a guessed input may be wrong by: 0.2 % of what the stages before it gained, but a tenth of that where other
+    guesses change no more; 0 if every cycle is logged.
+    """
+    if not cell.coarse or not isinstance(cell.whitened, Replay):
         return 0.0
     feeding = [one for one in before if one.cell.joint in (None, cell.joint)]
-    return FORM_SHARE * sum(one.chosen.total - one.none.total for one in feeding)
+    gained = sum(one.chosen.total - one.none.total for one in feeding)
+    return min(FORM_SHARE * gained, max(cell.whitened.guessed_nats(), FORM_SHARE_LEAST * gained))
 
 
 def _with_encoders(base: ParameterSets, behind: list[Search]) -> ParameterSets:
@@ -175,7 +179,7 @@ def _searched(cells: list[Cell], progress: Progress) -> list[Search]:
     out = []
     for number, cell in enumerate(cells):
         progress(f"searching {cell.label}", number, len(cells))
-        out.append(without_echoes(searched(cell)))
+        out.append(searched(cell))
     return out
 
 
@@ -194,7 +198,7 @@ def _answer(found: Search, cells: int) -> CellAnswer:
             *(refusing(found.cell, shapes, gained) or _instead(found, chosen)),
             *at_edge(found.cell, chosen),
             *gears(found.cell, chosen),
-            *swinging(found.cell, chosen.held_out, shapes, gained),
+            *swinging(found.cell, chosen, shapes, gained),
         ),
         squares=sums,
         shrinks=shrinks(found, sums),

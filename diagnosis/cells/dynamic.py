@@ -36,7 +36,8 @@ def stage_cells(
     floor = stage_floor(replayer, stage, some, base)
     seen = [j for j in range(replayer.nominal.n) if all(_recorded(stage, one, j) for one in some)]
     groups = [tuple(seen)] if stage == "link" else [(j,) for j in seen]
-    return [cell_of(stage, joints, some, floor, base, replayer) for joints in groups if joints]
+    cells = (cell_of(stage, joints, some, floor, base, replayer) for joints in groups if joints)
+    return [replace(one, course=course) for one in cells]
 
 
 def coupled_cell(

@@ -9,6 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.behind.saturated import unexplained
+from diagnosis.chain.echo import without_echoes
+from diagnosis.families.quiet_loop import quiet_loop
 from diagnosis.noise.floor import ORDER_MAX, Whitener, fit_whitener, increments
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.search.candidates import put
@@ -18,22 +20,25 @@ from diagnosis.search.search import Search, search
 from machine.rotations import Array
 
 ROUNDS = 3
+SLOW_ROWS = 400  # 20 s
 SETTLED = 0.05  # change of the noise's size
 SHARE_MAX = 0.2  # of the motion's own increments: what is more is no noise, but a model that does not fit
 TAKEN = ("whitened", "rows", "scale", "quiet", "regressors", "t_s")  # by the noise, of a cell
 
 
 def searched(cell: Cell) -> Search:
-    """Search a cell; where its noise was never measured, by what all effects together leave about the best model."""
+    """Search a cell for what is no echo of its noise; where that was never measured, by what all effects together leave
+    about the best model.
+    """
     noise = None if cell.at_noise is None else noise_about(cell, neutral_fit(cell))
     if cell.at_noise is None or noise is None:
-        return search(cell)
-    found = search(_by(cell, cell.at_noise(noise)))
+        return without_echoes(search(cell))
+    found = without_echoes(search(_by(cell, cell.at_noise(noise))))
     for _ in range(ROUNDS - 1):
         again = noise_about(cell, max(found.scored, key=lambda one: one.total).fit)
         if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
             break
-        noise, found = again, search(_by(cell, cell.at_noise(again)))
+        noise, found = again, without_echoes(search(_by(cell, cell.at_noise(again))))
     return found
 
 
@@ -47,11 +52,14 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
 
     Args:  cell: by its first guess of the noise, which is white; about: the model that effects are added to.
     Model: one linear step in all effects at once, its degrees of freedom counted; autoregression of what it leaves.
+    Why by undisturbed commands: effects of a command that follows the noise would take most of that noise away.
     """
     replay, at = cell.whitened, put(cell.base, about.hypothesis, about.theta)
     if not isinstance(replay, Replay):
         return None
-    left, dof = unexplained(lambda sets: evaluated_at(cell, sets), at, cell.candidates)
+    quiet = quiet_loop(cell)
+    residual = (lambda sets: evaluated_at(cell, sets)) if quiet is None else quiet.residual(about)
+    left, dof = unexplained(residual, at, cell.candidates)
     runs = [_runs(cell, left, channel) for channel in range(len(replay.joints))]
     if not all(runs):
         return None
@@ -69,7 +77,16 @@ def noise_about(cell: Cell, about: Fit) -> Whitener | None:
 
 
 def _runs(cell: Cell, left: Array, channel: int) -> list[Array]:
-    """What is left of one joint (m, 1), stretch by stretch; those too short for a filter are left out."""
+    """What is left of one joint (m, 1), stretch by stretch, about its mean over SLOW_ROWS; those too short for a filter
+    are left out.
+
+    Why: a joint that creeps from the middle of a recording on is no noise of its valve, whose filter would follow it.
+    """
     own = cell.rows.channel == channel
     runs = [left[own & (cell.rows.series == number)][:, None] for number in np.unique(cell.rows.series[own])]
-    return [run for run in runs if len(run) > 2 * ORDER_MAX]
+    return [_about_its_mean(run) for run in runs if len(run) > 2 * ORDER_MAX]
+
+
+def _about_its_mean(run: Array) -> Array:
+    pieces = np.array_split(run, max(1, len(run) // SLOW_ROWS))
+    return np.concatenate([one - one.mean(axis=0) for one in pieces])

@@ -154,7 +154,7 @@ def _told(pair: Pair) -> list[dict[str, Any]]:
 
 
 def _word(name: Key | None) -> str:
-    return "nothing" if name is None else name[0]
+    return "a sound machine" if name is None else name[0]
 
 
 def _digits(nats: float) -> float:

@@ -33,7 +33,15 @@ def repeated_rows(cell: Cell) -> list[Numbers]:
 
 
 def common_share(before: Array, change: Array, repeats: list[Numbers]) -> float:
-    """The share of what a change (N,) gains of a residual (N,) that repeats have in common; 1 where they do not say.
+    """The share of what a change (N,) gains of a residual (N,) that repeats have in common; 1 where they do not say."""
+    share = share_in_common(before, change, repeats)
+    return 1.0 if share is None else share
+
+
+def share_in_common(
+    before: Array, change: Array, repeats: list[Numbers], least_nats: float = TOLD_NATS
+) -> float | None:
+    """The same; None where they do not say, or say it of less than least_nats.
 
     Model: the change d_k of repeat k is replaced by the mean of all K. Of what they have in common nothing is lost; of
            what goes with each one's own noise a K-th is left, and is taken off.
@@ -46,7 +54,15 @@ def common_share(before: Array, change: Array, repeats: list[Numbers]) -> float:
         own, common = (_gain(before[rows], one) for one in (change[rows], mean))
         gained += own
         expected += (common - own / len(rows)) / (1.0 - 1.0 / len(rows))
-    return expected / gained if gained > TOLD_NATS else 1.0
+    return expected / gained if gained > least_nats else None
+
+
+def share_of(before: Array, change: Array, instead: Array) -> float | None:
+    """Of what a change (N,) gains of a residual (N,), the share that another one (N,) in its place gains; None where
+    that is next to nothing.
+    """
+    gained = _gain(before, change)
+    return _gain(before, instead) / gained if gained > TOLD_NATS else None
 
 
 def _gain(before: Array, change: Array) -> float:

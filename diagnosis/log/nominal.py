@@ -113,8 +113,7 @@ class _Reader:
         actuators = self._actuators()
         weighed = arm is not None and float(arm.mass.sum()) > 0.0
         if actuators is not None and weighed and not np.isfinite(limits).all():
-            text = "some joint has no q_min_deg and q_max_deg: the load's reference torque is not known"
-            self._absent.append(("load", f"{text}; internal_leakage and load_droop are not tried"))
+            self._absent.append(("load", self._unlimited(limits)))
         return Nominal(
             name=str(machine.get("name", "")),
             joint_names=names,
@@ -189,6 +188,15 @@ class _Reader:
         named = bool(self._joints) and all("name" in joint for joint in self._joints)
         wanted = names if named else None
         return arm_from_urdf(self._urdf, section["base_link"], section["tip_link"], wanted, tool)
+
+    def _unlimited(self, limits: list[tuple[float, float]]) -> str:
+        """What it costs that some joints have no limits."""
+        lacking = [k for k, ends in enumerate(limits) if not np.isfinite(ends).all()]
+        keys = {"m" if k < len(self._joints) and self._joints[k].get("type") == "prismatic" else "deg" for k in lacking}
+        wanted = " or ".join(f"q_min_{unit} and q_max_{unit}" for unit in sorted(keys))
+        which = f"joint{'s' if len(lacking) > 1 else ''} {', '.join(str(k + 1) for k in lacking)}"
+        text = f"{which}: no {wanted}; the range that the recording shows stands in for it"
+        return f"{text}, and sizes of internal_leakage and load_droop go by the largest load in that range"
 
     def _limits(self, k: int) -> tuple[float, float]:
         if k >= len(self._joints):

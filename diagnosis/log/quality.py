@@ -13,6 +13,7 @@ from machine.rotations import Array
 from recording.run import Segment
 
 GAP_STEPS = 1.5  # a step in time above this many median steps: rows are missing
+JUMP_ROWS = 3.0  # rows' motion, at most, from before a jump of the clock to after it
 GAP_MORE = 0.6  # median steps that the three steps about it are too long together: else it is a late stamp
 ROWS_MIN = 50
 EDGE_S = 1e-6  # rounding of a segment's ends
@@ -43,7 +44,7 @@ def time_findings(
     """Gaps, jumps of the clock, time that runs backwards.
 
     Model: a forward step above 1.5 median steps, which those beside it do not make up for, is a jump of the clock
-           where the signals moved on by one row's motion only, though they were moving (below 0.3 of speed times
+           where the signals moved on by a few rows' motion only, though they were moving (below 0.3 of speed times
            step); else rows are missing. Where there are segments, nothing is asked of the time between them.
     """
     if not np.isfinite(t_s).all():
@@ -115,7 +116,8 @@ def _is_jump(signals: Array | None, k: int, step: float, median: float) -> bool:
     moved = np.linalg.norm(near[-1] - near[-2])
     noise = np.linalg.norm(around.std(axis=0))
     expected = speed * step
-    return bool(expected > max(10.0 * noise, 1e-4) and moved < 0.3 * expected)
+    onwards = JUMP_ROWS * speed * median + 10.0 * noise  # far from there, it moved on while nobody wrote
+    return bool(expected > max(10.0 * noise, 1e-4) and moved < min(0.3 * expected, onwards))
 
 
 def _short(subject: str, t_s: Array) -> list[Finding]:

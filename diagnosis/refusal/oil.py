@@ -9,14 +9,17 @@ import math
 import numpy as np
 from numba import njit
 
+from diagnosis.families.common import share_of
 from diagnosis.families.driven import Course, courses_of, modelled_of, placed, white_columns
 from diagnosis.families.gain import foretold, held_out_nats
+from diagnosis.families.quiet_loop import quiet_loop
 from diagnosis.refusal.remainder import Fired
 from diagnosis.refusal.shapes import SINGLE_MOMENTS, TEST, Shape
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.replay.stretches import repeat_groups
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs
+from diagnosis.search.score import Score
 from machine.rotations import Array
 
 FREQUENCIES_HZ = np.geomspace(0.8, 6.0, 12)
@@ -28,21 +31,21 @@ TOLD_NATS = 8.0  # of the repeats: with less, they do not say what they have in 
 COMMON_SHARE = 0.5  # of what is foretold of the repeats, by what their commands have in common
 
 
-def swinging(cell: Cell, left: Array, shapes: tuple[Shape, ...], gained_nats: float) -> tuple[Fired, ...]:
-    """A refusal where swings foretell what a chosen model leaves (N,) far better than anything else does.
+def swinging(cell: Cell, chosen: Score, shapes: tuple[Shape, ...], gained_nats: float) -> tuple[Fired, ...]:
+    """A refusal where swings foretell what a chosen model leaves far better than anything else does.
 
     Args: shapes: what else foretells it; gained_nats: what the chosen names gain.
     """
     if cell.stage != "actuator" or cell.usual or not isinstance(cell.whitened, Replay):
         return ()
-    replay = cell.whitened
+    replay, left = cell.whitened, chosen.held_out
     by_part = _by_part(cell, replay)
     by_joint = np.split(_end_to_end(cell, replay, by_part), len(replay.joints), axis=1)
     told = [held_out_nats(columns, left, cell.rows) for columns in by_joint]
     best = int(np.argmax(told))
     nats = told[best]
     others = [one.nats for one in shapes if one.goes_with != SINGLE_MOMENTS]
-    if nats < max(LEAST_NATS, MORE * max(others, default=0.0)) or _is_own_noise(cell, replay, by_part, left, best):
+    if nats < max(LEAST_NATS, MORE * max(others, default=0.0)) or _is_own_noise(cell, replay, by_part, chosen, best):
         return ()
     lead = f"swings after each move, at about {_strongest_hz(by_joint[best], left):.2g} Hz"
     share = nats / (nats + max(gained_nats, 0.0))
@@ -66,13 +69,20 @@ def _by_part(cell: Cell, replay: Replay) -> list[list[Array]]:
     ]
 
 
-def _is_own_noise(cell: Cell, replay: Replay, by_part: list[list[Array]], left: Array, channel: int) -> bool:
-    """Whether what foretells the repeats is not what they have in common.
+def _is_own_noise(cell: Cell, replay: Replay, by_part: list[list[Array]], chosen: Score, channel: int) -> bool:
+    """Whether what foretells the repeats is not what they have in common, nor what an undisturbed loop would swing by.
 
     Why: through a fast loop the measured command answers the disturbance that the residual is made of, and a swing that
          follows such a command foretells it: 90 to 190 nats on sound machines whose residual was all within their
          noise. What a boom's moves set swinging is the same in every repeat.
     """
+    left, quiet = chosen.held_out, quiet_loop(cell)
+    if quiet is not None:
+        undisturbed = quiet.driven(chosen.fit)
+        columns = (_end_to_end(cell, replay, by_part), _end_to_end(cell, replay, _by_part(cell, undisturbed)))
+        own, instead = (foretold(one, left, cell.rows) for one in columns)
+        share = share_of(left, own, instead)
+        return share is not None and share < COMMON_SHARE
     groups = repeat_groups(tuple(part.stretch for part in replay.parts))
     names = [part.stretch.name for part in replay.parts]
     common, repeated = (

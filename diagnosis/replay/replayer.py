@@ -1,5 +1,6 @@
 """Each dynamic stage run with its own measured input: what is left between its output and what was measured."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -256,15 +257,24 @@ def _through(plant: Actuators, logged: Array, between: Array | None) -> Array:
     return between + at_cycles(plant, logged - between[:: plant.decimate])
 
 
-def replayer_of(nominal: Nominal) -> Replayer | None:
-    """The replays of a machine; None where its file has no actuators."""
+def replayer_of(nominal: Nominal, stretches: Sequence[Stretch] = ()) -> Replayer | None:
+    """The replays of a machine; None where its file has no actuators. `stretches`: show the range of joints of which
+    the file does not tell it.
+    """
     if nominal.actuators is None:
         return None
-    limited = np.isfinite(nominal.q_min).all() and np.isfinite(nominal.q_max).all()
+    low, high = nominal.q_min, nominal.q_max
+    seen = [filled(one.enc) for one in stretches if one.enc is not None]
+    if seen:
+        low, high = (
+            np.where(np.isfinite(limit), limit, of(np.concatenate(seen), axis=0))
+            for limit, of in ((low, np.nanmin), (high, np.nanmax))
+        )
+    limited = np.isfinite(low).all() and np.isfinite(high).all()
     weighed = nominal.arm is not None and float(nominal.arm.mass.sum()) > 0.0
     torque = None
     if nominal.arm is not None and limited and weighed:
-        torque = reference_torques(nominal.arm, neutral_sets(nominal.n), nominal.q_min, nominal.q_max)
+        torque = reference_torques(nominal.arm, neutral_sets(nominal.n), low, high)
     return Replayer(nominal, nominal.actuators, torque)
 
 

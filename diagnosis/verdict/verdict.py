@@ -10,6 +10,7 @@ import numpy as np
 
 from diagnosis.cells.behind import guessed_scatter_m, measurement_of
 from diagnosis.families.behind import IN_TURN
+from diagnosis.families.driven import SINCE
 from diagnosis.known.days import RECORDINGS_ENOUGH
 from diagnosis.refusal.remainder import CORRELATION, EDGE, ENERGY_MIN, Fired
 from diagnosis.refusal.shapes import TEST as SHAPE
@@ -34,6 +35,7 @@ HOLES_MANY = 10  # a cable pulled once is no fault of the log; samples that go m
 UNDONE_IN_A_CROWD = 0.8  # of three names of one joint that stood for one bent coder two undid 0.90 and 0.96
 CROWD = 3  # names at once on a machine whose usual state is known: one cause that the catalogue lacks is likelier
 WITH_TIME, DRIFT_NATS = "time", 25.0  # twice what is told as a lead: of 40 sound recordings none showed it
+CHANGED_NATS = 30.0  # of a joint: of 150 recordings of machines that stayed as they were none showed 15
 LOUD = 4.0  # energy of what is left over a noise that was only estimated
 BRIEF_S, BRIEF_ENERGY = 12.0, 4.0  # without repeats: sound machines of 5 to 11 s showed up to 2.1, and names of it
 SCATTER_TOLD_M = 2e-3  # more than most trackers: it may hide a fault where no pose was measured twice
@@ -112,9 +114,7 @@ def verdict_of(
         return Verdict("undecided", f"{text}; repeat a motion or a pose, so that the noise is known")
     drifting = [(one, shape) for one in answers for shape in one.shapes if _drifts(one, shape)]
     if not named and drifting:
-        one, shape = drifting[0]
-        text = f"{one.search.cell.label}: what is left of the {shape.measurement} points goes with {shape.goes_with}"
-        return Verdict("undecided", f"{text}; something moved that should not: a frame, a mount, a marker")
+        return Verdict("undecided", _drifting_in_words(*drifting[0]))
     if not named and echoes:
         one = echoes[0]
         text = f"{_where(one)}: what is left {_leading(one).lead}, as a command that answers the noise does in a loop"
@@ -214,6 +214,9 @@ def _above_a_guess(one: CellAnswer) -> bool:
 
 def _partly(one: CellAnswer) -> str:
     """What the names explain where the noise was never measured."""
+    if not one.chosen.fit.hypothesis:
+        text = f"catalogue effects explain what they are told of, but none of {one.search.cell.label}"
+        return f"{text}, which shows {_over_noise(one)}: repeats would tell it"
     closed, _, _ = by_noise(together(one.squares))
     share = "" if closed is None else f" {100 * closed:.3g} % of"
     return f"catalogue effects explain{share} the gap; what is left is {_over_noise(one)}: repeats would tell it"
@@ -224,11 +227,23 @@ def _over_noise(one: CellAnswer) -> str:
 
 
 def _drifts(one: CellAnswer, shape: Shape) -> bool:
-    """Whether what was measured behind the encoders moved with time, where no baseline says that it always does."""
-    behind = shape.stage not in DRIVEN_STAGES and shape.goes_with in (WITH_TIME, IN_TURN)
+    """Whether what was measured behind the encoders moved with time, or what drives a joint changed from the start on,
+    where no baseline says that it always does.
+    """
+    if shape.stage in DRIVEN_STAGES:
+        return shape.goes_with == SINCE and shape.nats > CHANGED_NATS and not known_well(one.search.cell)
+    behind = shape.goes_with in (WITH_TIME, IN_TURN)
     parts = one.search.cell.parts or (one.search.cell,)
     alike = max((part.spread_least for part in parts if measurement_of(part) == shape.measurement), default=1.0)
     return behind and shape.nats > alike * DRIFT_NATS and not known_well(one.search.cell)
+
+
+def _drifting_in_words(one: CellAnswer, shape: Shape) -> str:
+    if shape.stage in DRIVEN_STAGES:
+        where = shape.stage if shape.joint is None else f"{shape.stage} {shape.joint}"
+        return f"{where}: what is left goes with {shape.goes_with}; something changed while it was recorded"
+    text = f"{one.search.cell.label}: what is left of the {shape.measurement} points goes with {shape.goes_with}"
+    return f"{text}; something moved that should not: a frame, a mount, a marker"
 
 
 def _closed(one: CellAnswer) -> float:

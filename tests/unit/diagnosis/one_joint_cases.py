@@ -28,6 +28,8 @@ class Machine:
     kp: float = KP
     tau_s: float = TAU_S
     play_frac: float = 0.0  # half width of the spool's hysteresis
+    dead_frac: float = 0.0  # taken off every opening
+    push: Callable[[float], float] = lambda _t: 0.0  # rad/s by which it creeps
     oil_hz: float | None = None  # of the swing by which what moves follows the valve; None: it follows at once
 
 
@@ -85,7 +87,8 @@ def _run(machine: Machine, ref: np.ndarray, start: float, rng: np.random.Generat
         for _ in range(STEPS):
             xd += dt * (wn * wn * (spool - x) - 2.0 * DAMPING * wn * xd)
             x += dt * xd
-            speed = machine.speed_rad_s * machine.gain(t) * x
+            opening = np.sign(x) * max(abs(x) - machine.dead_frac, 0.0)
+            speed = machine.speed_rad_s * machine.gain(t) * opening + machine.push(t)
             if machine.oil_hz is not None:
                 w = 2.0 * np.pi * machine.oil_hz
                 swung_d += dt * (w * w * (speed - swung) - 2.0 * 0.1 * w * swung_d)

@@ -1,0 +1,92 @@
+"""What names of a valve would change had nothing disturbed the loop: commands as the controller gives them by itself.
+
+Why: a loop answers what disturbs its joint, and the measured command holds that answer. Whatever a name says of such
+commands foretells the disturbance, which is what the residual is made of. The reference knows nothing of it: commands
+that follow from the reference alone are the instrument of closed-loop identification.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.log.tables import filled
+from diagnosis.replay.course import smooth
+from diagnosis.replay.stage_replay import Part, Replay
+from diagnosis.search.candidates import put
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import Fit, evaluated_at
+from diagnosis.search.score import Score
+from machine.effects import kernel
+from machine.effects.dynamics import DynamicStage, at_cycles, drive_controller, simulate
+from machine.effects.layout import ParameterSets
+from machine.rotations import Array
+
+
+def quiet_loop(cell: Cell) -> "QuietLoop | None":
+    """The loops of a joint's actuator; None where they cannot be run: no controller, no reference, or a baseline, which
+    knows what names gain there.
+    """
+    replay = cell.whitened
+    if cell.stage != "actuator" or cell.joint is None or cell.usual or not isinstance(replay, Replay):
+        return None
+    loops = [_loop(part, replay.joints) for part in replay.parts]
+    if any(one is None for one in loops):
+        return None
+    return QuietLoop(cell, replay, tuple(one for one in loops if one is not None))
+
+
+@dataclass(frozen=True, slots=True)
+class QuietLoop:
+    """One joint's replay, and its loops with the reference as their only input."""
+
+    cell: Cell
+    replay: Replay
+    loops: tuple[Part, ...]
+
+    def change(self, one: Score, rest: Score) -> Array:
+        """What the names of a score take off the residual (N,) beyond those of another one, by undisturbed commands."""
+        return -self._beyond(one.fit, rest.fit)(self._put(one.fit))[0]
+
+    def residual(self, about: Fit) -> Callable[[ParameterSets], Array]:
+        """The residual (sets, N) about a fit, where further names see undisturbed commands."""
+        left, beyond = evaluated_at(self.cell, self._put(about))[0], self.driven(about)
+        return lambda sets: left + beyond(sets)
+
+    def driven(self, about: Fit) -> Replay:
+        """The replay by commands of a loop as a fit says, which leaves nothing by that fit."""
+        return self._beyond(about, about)
+
+    def _beyond(self, loop: Fit, rest: Fit) -> Replay:
+        """The replay by commands of a loop as one fit says, of encoders that move as another one says."""
+        joints, known = self.replay.joints, put(self.cell.course or self.cell.base, loop.hypothesis, loop.theta)
+        without, parts = self._put(rest), []
+        for part, closed in zip(self.replay.parts, self.loops, strict=True):
+            u = simulate(closed.plant, _of(known, joints), closed.drive, DynamicStage.ACTUATOR).u[0]
+            drive = replace(part.drive, u=np.ascontiguousarray(u), u_start=u[0].copy())
+            enc = simulate(part.plant, _of(without, joints), drive, DynamicStage.ACTUATOR).enc[0]
+            parts.append(replace(part, drive=drive, measured=enc, moved=()))
+        return replace(self.replay, parts=tuple(parts))
+
+    def _put(self, fit: Fit) -> ParameterSets:
+        return put(self.cell.base, fit.hypothesis, fit.theta)
+
+
+def _loop(part: Part, joints: tuple[int, ...]) -> Part | None:
+    """A part whose input is the received reference, at every PLC cycle; None where that is not to be had."""
+    stretch, plant, own = part.stretch, part.plant, list(joints)
+    known = part.drive.first is DynamicStage.ACTUATOR and stretch.ref is not None and stretch.enc is not None
+    if not known or (plant.joints[:, kernel.KP] <= 0.0).any():
+        return None
+    ref, enc = (filled(one)[:, own] for one in (stretch.ref, stretch.enc) if one is not None)
+    if not np.isfinite(ref).all():
+        return None
+    every = replace(plant, log_cycle_s=plant.cycle_s)
+    fine_ref, fine_enc = (smooth(plant, np.ascontiguousarray(one))[: part.drive.cycles] for one in (ref, enc))
+    load, load_kg = (at_cycles(plant, one)[: part.drive.cycles] for one in (part.drive.load, part.drive.load_kg))
+    drive = drive_controller(every, fine_ref, fine_enc, part.drive.u[0], fine=True)
+    return replace(part, plant=every, drive=replace(drive, load=load, load_kg=load_kg))
+
+
+def _of(sets: ParameterSets, joints: tuple[int, ...]) -> ParameterSets:
+    return ParameterSets(np.ascontiguousarray(sets.joint[:1, list(joints)]), sets.machine[:1])
