@@ -22,10 +22,12 @@ from machine.effects.dynamics import DynamicStage, at_cycles, drive_controller, 
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
+OBEYS = 0.2  # of the command, RMS, that is not what the controller gives: beyond it something else commands, too
+
 
 def quiet_loop(cell: Cell) -> "QuietLoop | None":
-    """The loops of a joint's actuator; None where they cannot be run: no controller, no reference, or a baseline, which
-    knows what names gain there.
+    """The loops of a joint's actuator; None where they cannot be run: no controller, no reference, an operator or a
+    feed forward that commands the valve as well, or a baseline, which knows what names gain there.
     """
     replay = cell.whitened
     if cell.stage != "actuator" or cell.joint is None or cell.usual or not isinstance(replay, Replay):
@@ -33,7 +35,8 @@ def quiet_loop(cell: Cell) -> "QuietLoop | None":
     loops = [_loop(part, replay.joints) for part in replay.parts]
     if any(one is None for one in loops):
         return None
-    return QuietLoop(cell, replay, tuple(one for one in loops if one is not None))
+    found = QuietLoop(cell, replay, tuple(one for one in loops if one is not None))
+    return found if found.obeyed() else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +46,16 @@ class QuietLoop:
     cell: Cell
     replay: Replay
     loops: tuple[Part, ...]
+
+    def obeyed(self) -> bool:
+        """Whether the measured command is what the controller gives of reference and encoders."""
+        known, joints = self.cell.course or self.cell.base, self.replay.joints
+        off = power = 0.0
+        for part, closed in zip(self.replay.parts, self.loops, strict=True):
+            u = simulate(closed.plant, _of(known, joints), closed.drive, DynamicStage.CONTROLLER).u[0]
+            off += float(((part.drive.u[: len(u)] - u) ** 2).sum())
+            power += float((part.drive.u**2).sum())
+        return off <= OBEYS**2 * power
 
     def change(self, one: Score, rest: Score) -> Array:
         """What the names of a score take off the residual (N,) beyond those of another one, by undisturbed commands."""

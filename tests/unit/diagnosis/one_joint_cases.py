@@ -28,6 +28,7 @@ class Machine:
     kp: float = KP
     tau_s: float = TAU_S
     play_frac: float = 0.0  # half width of the spool's hysteresis
+    ahead: float = 0.0  # share of the reference's own speed that is fed forward
     dead_frac: float = 0.0  # taken off every opening
     push: Callable[[float], float] = lambda _t: 0.0  # rad/s by which it creeps
     oil_hz: float | None = None  # of the swing by which what moves follows the valve; None: it follows at once
@@ -79,7 +80,8 @@ def _run(machine: Machine, ref: np.ndarray, start: float, rng: np.random.Generat
         t = start + k * CYCLE_S
         enc = q + machine.wave(q) + rng.normal(0.0, machine.noise_rad)
         lagged += share * (machine.kp * (wanted - enc) - lagged)
-        u = float(np.clip(lagged, -1.0, 1.0))
+        fed = machine.ahead * (wanted - ref[max(k - 1, 0)]) / CYCLE_S / machine.speed_rad_s
+        u = float(np.clip(lagged + fed, -1.0, 1.0))
         if k % machine.log_every == 0:
             rows.append(f"{t:.6f},{wanted:.9f},{enc:.9f},{u:.9f}")
         spool = float(np.clip(spool, u - machine.play_frac, u + machine.play_frac))

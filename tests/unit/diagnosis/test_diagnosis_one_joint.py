@@ -177,6 +177,14 @@ def test_what_a_play_does_to_commands_it_does_to_those_of_a_loop_that_nothing_di
     assert share > 0.8
 
 
+def test_a_loop_that_something_else_commands_as_well_is_not_run(tmp_path: Path) -> None:
+    """A name that is there would have gained nothing by what the controller alone gives."""
+    cells = [
+        one.search.cell for one in diagnose(read(recorded(tmp_path, replace(FAST, ahead=1.0, play_frac=0.03)))).cells
+    ]
+    assert [quiet_loop(one) for one in cells if one.stage == "actuator"] == [None]
+
+
 def test_a_dead_band_that_takes_from_the_full_flow_is_one_fault(tmp_path: Path) -> None:
     """It had a flow gain of minus its width beside it."""
     found = told(tmp_path, Machine(dead_frac=0.05))
