@@ -19,7 +19,7 @@ from diagnosis.verdict.shrink import closing, together
 from diagnosis.verdict.unseen import counted_as, one_more, outside_share, unseen_share
 from diagnosis.verdict.unweighed import unweighed
 from diagnosis.verdict.weigh import Key, Whole
-from machine.effects.registry import effect_named
+from machine.effects.registry import effect_of
 from machine.effects.spec import Direction
 from machine.rotations import Array
 
@@ -98,18 +98,17 @@ def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]
     out: list[dict[str, Any]] = []
     for one, own in score.fit.slices:
         mine = numbers[own] if numbers else _plain(score.fit.theta[own])
-        effect = effect_named(one.name)
+        effect = effect_of(one.name)
         parameters: dict[str, Any] = {}
         vector = len({slot.parameter for slot in one.slots}) < len(one.slots)
-        if vector and effect is not None and effect.direction is not None:
+        if vector and effect.direction is not None:
             parameters = _vector(one.slots[0].parameter, effect.size.unit, effect.direction, mine)
         else:
             for slot, number in zip(one.slots, mine, strict=True):
-                spec = effect.parameter(slot.parameter) if effect is not None else None
-                parameters[slot.parameter] = _number(number, spec.unit if spec is not None else "")
+                parameters[slot.parameter] = _number(number, slot.spec.unit)
         for slot, value in one.fixed:
             parameters[slot.parameter] = {"value": value, "unit": "1", "low": value, "high": value}
-        if one.option and effect is not None and effect.choice is not None:
+        if one.option and effect.choice is not None:
             parameters[effect.choice.name] = {"value": one.option, "unit": "", "low": None, "high": None}
         out.append({"name": one.name, "joint": one.joint, "stage": one.stage, "parameters": parameters})
     return out
@@ -265,14 +264,13 @@ def _limits(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
     out = []
     for one in cells:
         for limit in one.limits:
-            effect = effect_named(limit.name)
             out.append(
                 {
                     "name": limit.name,
                     "joint": limit.joint,
                     "parameter": limit.parameter,
                     "size": _round(limit.size),
-                    "unit": effect.size.unit if effect is not None else "",
+                    "unit": effect_of(limit.name).size.unit,
                 }
             )
     return out

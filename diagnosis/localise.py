@@ -73,7 +73,7 @@ def localise(
         return Localisation((), (), False)
     sets = pack(nominal.baseline, nominal.n)
     groups = repeat_groups(whole.stretches)
-    replayer, places = replayer_of(nominal), []
+    replayer, places = replayer_of(nominal, whole.stretches), []
     lever = levers_mm(nominal, whole.stretches)
     if replayer is not None:
         prepared = [replayer.prepare(one) for one in whole.stretches]

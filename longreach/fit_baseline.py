@@ -12,7 +12,7 @@ from diagnosis.known.days import FITTED_MOST, JUDGED_ENOUGH, RECORDINGS_ENOUGH
 from diagnosis.reading.read import Read, read
 from longreach.machine_out import machine_text
 from machine.effects.entries import entries_to_toml
-from machine.effects.registry import effect_named
+from machine.effects.registry import effect_of
 from machine.remainder import remainders_to_toml
 from recording.errors import RecordingError
 
@@ -89,5 +89,5 @@ def told(found: Baseline, fitted: int, count: int) -> str:
 
 def _unit(name: str) -> str:
     """Of an effect's size, after a number; nothing for a plain share."""
-    effect = effect_named(name)
-    return f" {effect.size.unit}" if effect is not None and effect.size.unit != "1" else ""
+    unit = effect_of(name).size.unit
+    return f" {unit}" if unit != "1" else ""

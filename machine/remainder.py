@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from machine.effects.registry import effect_named
 from machine.errors import MachineFileError
 
 if TYPE_CHECKING:
@@ -141,7 +142,7 @@ def _one(table: object, where: str) -> Remainder:
         _number(table, "swing_rad", 0.0, where),
         _form(table.get("form", {}), where),
         _number(table, "form_most", 0.0, where),
-        _sizes(table.get("wander", {}), f"{where}: wander"),
+        _wander(table.get("wander", {}), f"{where}: wander"),
     )
 
 
@@ -149,6 +150,15 @@ def _form(value: object, where: str) -> Form:
     if not isinstance(value, dict):
         raise MachineFileError(f"{where}: form = {value!r} is not a table of families and their numbers")
     return tuple((str(name), _numbers(row, f"{where}: form.{name}")) for name, row in value.items())
+
+
+def _wander(value: object, subject: str) -> tuple[tuple[str, float], ...]:
+    sizes = _sizes(value, subject)
+    for name, _ in sizes:
+        effect = effect_named(name)
+        if effect is None or effect.scope != "joint":
+            raise MachineFileError(f"{subject}.{name}: the catalogue has no effect of a joint of that name")
+    return sizes
 
 
 def _sizes(value: object, subject: str) -> tuple[tuple[str, float], ...]:

@@ -13,7 +13,7 @@ from diagnosis.search.scan import FELT, Scan, foreseen, scan
 from diagnosis.search.score import Score, better, score
 from diagnosis.search.undoing import undoing
 from machine.effects.entries import EffectEntry, make_entry
-from machine.effects.registry import effect_named
+from machine.effects.registry import effect_of
 from machine.errors import MachineFileError
 from machine.rotations import Array
 
@@ -95,9 +95,7 @@ def entries_of(found: Fit) -> list[EffectEntry]:
     """A fit as `[[effect]]` entries; sizes that ended at a bound lie on it."""
     out = []
     for one, values in found.by_effect:
-        effect = effect_named(one.name)
-        if effect is None:
-            continue
+        effect = effect_of(one.name)
         parameters: dict[str, object] = {slot.parameter: value for slot, value in one.fixed}
         if effect.direction is not None:
             size = float(np.linalg.norm(values))

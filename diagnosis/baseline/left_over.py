@@ -39,7 +39,7 @@ def cells_of(whole: Read) -> list[Cell]:
     if nominal is None:
         return []
     base, cells = pack_under(nominal.baseline, nominal.n), []
-    replayer, behind = replayer_of(nominal), behind_cells(whole, base)
+    replayer, behind = replayer_of(nominal, whole.stretches), behind_cells(whole, base)
     if replayer is not None and whole.stretches:
         replayer = at_its_step(replayer, whole.stretches, base)
         for stage in DRIVEN_STAGES:

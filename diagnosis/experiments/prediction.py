@@ -59,7 +59,8 @@ def sets_of(cell: Cell, hypothesis: Hypothesis) -> ParameterSets:
 
 def rows_of_motion(whole: Read, cell: Cell, motion: Motion, truth: ParameterSets) -> Rows | None:
     """The cell's residuals on a motion, driven as the machine would be under `truth`; None where it cannot be run."""
-    replay, replayer = cell.whitened, replayer_of(whole.nominal) if whole.nominal is not None else None
+    replay = cell.whitened
+    replayer = replayer_of(whole.nominal, whole.stretches) if whole.nominal is not None else None
     if not isinstance(replay, Replay) or replayer is None or not replayer.nominal.has_controller:
         return None
     stretch = _foretold(whole, replayer, motion, truth)

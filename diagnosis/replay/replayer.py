@@ -257,9 +257,9 @@ def _through(plant: Actuators, logged: Array, between: Array | None) -> Array:
     return between + at_cycles(plant, logged - between[:: plant.decimate])
 
 
-def replayer_of(nominal: Nominal, stretches: Sequence[Stretch] = ()) -> Replayer | None:
-    """The replays of a machine; None where its file has no actuators. `stretches`: show the range of joints of which
-    the file does not tell it.
+def replayer_of(nominal: Nominal, stretches: Sequence[Stretch]) -> Replayer | None:
+    """The replays of a machine; None where its file has no actuators. `stretches` of the recording show the range of
+    joints of which the file does not tell it.
     """
     if nominal.actuators is None:
         return None

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from machine.effects.layout import ParameterSets, Slot, slots_of
-from machine.effects.registry import effect_named, effects_of
+from machine.effects.registry import effect_of, effects_of
 from machine.effects.spec import Effect, Stage
 from machine.rotations import Array
 
@@ -96,8 +96,7 @@ def candidates_of(stage: Stage, joints: tuple[int, ...], machine: bool) -> tuple
 
 def named(names: tuple[str, ...], joints: tuple[int, ...]) -> tuple[Candidate, ...]:
     """Candidates of these effects."""
-    found = [effect_named(name) for name in names]
-    return tuple(one for effect in found if effect is not None for one in _of_effect(effect, joints, True))
+    return tuple(one for name in names for one in _of_effect(effect_of(name), joints, True))
 
 
 def arm_candidates(joints: tuple[int, ...], moving: bool) -> tuple[Candidate, ...]:
@@ -162,14 +161,13 @@ def _beside(base: ParameterSets, one: Candidate) -> Candidate:
 
 
 def _grid(slot: Slot) -> Array:
-    effect = effect_named(slot.effect)
-    usual = effect.parameter(slot.parameter) if effect is not None else None
-    known = [slot.start] if usual is not None and slot.start != usual.start else []
+    spec = slot.spec
+    known = [slot.start] if slot.start != spec.start else []
     if slot.parameter == "phase_rad":
         return np.array([*PHASES, *known])
     if slot.parameter == "frequency_hz":
         return np.array([*FREQUENCIES_HZ, *known])
-    if effect is not None and effect.size.name != slot.parameter:
+    if spec.role != "size":
         return np.array([slot.start])
     if slot.low > 0.0 and slot.neutral == 0.0:  # read off the data
         return np.array([slot.start])

@@ -9,8 +9,6 @@ from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit, bounds, costs, evaluated, spans, weights
 from diagnosis.search.scan import Scan
 from diagnosis.search.score import covariance
-from machine.effects.layout import Slot
-from machine.effects.registry import effect_named
 from machine.rotations import Array
 
 WHITE_ENERGY = 43.0  # |s|^2 with s/2 - 1.28 = 2 standard errors over blocks (score.py): in white noise found with 90 %
@@ -57,7 +55,7 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
     form_share = cell.form_share if cell.left_share > 0.0 else 0.0
     allowed = CHANCE_90 + form_share * max(gained_nats, 0.0) / spread
     owners = [one for one in found.hypothesis for _ in one.slots]
-    left_open = [_left_open(slot) for one in found.hypothesis for slot in one.slots]
+    left_open = [slot.spec.open_frac for one in found.hypothesis for slot in one.slots]
     out = []
     for k, owner in enumerate(owners):
         if owner.counted:
@@ -74,13 +72,6 @@ def intervals(cell: Cell, found: Fit, spread: float, gained_nats: float = 0.0) -
             Interval(held.value, max(float(low[k]), held.value - below), min(float(high[k]), held.value + above))
         )
     return tuple(out)
-
-
-def _left_open(slot: Slot) -> float:
-    """The share of a size that goes by what its effect's definition leaves open."""
-    effect = effect_named(slot.effect)
-    parameter = None if effect is None else effect.parameter(slot.parameter)
-    return 0.0 if parameter is None else parameter.open_frac
 
 
 def _of_share(share: float, count: int) -> Interval:

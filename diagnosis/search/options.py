@@ -6,7 +6,7 @@ from diagnosis.search.candidates import Candidate, named
 from diagnosis.search.cell import DRIVEN_STAGES
 from diagnosis.search.further import Scored
 from diagnosis.search.score import Score
-from machine.effects.registry import effect_named
+from machine.effects.registry import effect_of
 
 CLEARLY_NATS = 1.0  # below it the first law stays: beside a flow gain both dead bands are one and the same
 ROUNDS = 4
@@ -36,5 +36,5 @@ def _otherwise(one: Candidate) -> Candidate | None:
 
 
 def _is_first(one: Candidate) -> bool:
-    effect = effect_named(one.name)
-    return effect is not None and effect.choice is not None and effect.choice.options[0] == one.option
+    choice = effect_of(one.name).choice
+    return choice is not None and choice.options[0] == one.option

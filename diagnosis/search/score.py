@@ -8,7 +8,6 @@ from diagnosis.search.cell import FORM_SHARE, Cell
 from diagnosis.search.fit import Fit, costs, spans, weights
 from diagnosis.search.folds import Folds, refitted
 from diagnosis.search.margin import MARGIN_MORE_NATS, MARGIN_NATS
-from machine.effects.registry import effect_named
 from machine.rotations import Array
 
 MARGIN_SE = 1.5
@@ -114,11 +113,8 @@ def log_evidence(found: Fit) -> float:
 def _log_prior(found: Fit) -> float:
     total, at = 0.0, 0
     for one in found.hypothesis:
-        effect = effect_named(one.name)
         for slot in one.slots:
-            parameter = effect.parameter(slot.parameter) if effect is not None else None
-            if parameter is not None:
-                value = parameter.log_prior(float(found.theta[at]) / slot.scale) - np.log(slot.scale)
-                total += value if np.isfinite(value) else -50.0
+            value = slot.spec.log_prior(float(found.theta[at]) / slot.scale) - np.log(slot.scale)
+            total += value if np.isfinite(value) else -50.0
             at += 1
     return total

@@ -15,7 +15,6 @@ from diagnosis.search.fit import evaluated
 from diagnosis.search.margin import MARGIN_NATS
 from diagnosis.search.score import Score, chosen_nats, usual_nats
 from diagnosis.search.search import Search
-from machine.effects.registry import effect_named
 from machine.rotations import Array
 
 SAME_DIRECTION = 0.95
@@ -163,11 +162,10 @@ def _unheard_nats(effect: Candidate, theta: Array) -> float:
     Why of other stages only: a gain of nine parts in a hundred is a valve; an encoder that reads nine in a hundred too
     little would have been seen by eye, and where nothing behind it was measured nothing else speaks of it.
     """
-    spec = effect_named(effect.name)
-    parameter = spec.parameter(effect.slots[0].parameter) if spec is not None else None
-    if parameter is None or not parameter.prior.kind.endswith("normal"):
+    size = effect.slots[0]
+    if not size.spec.prior.kind.endswith("normal"):
         return 0.0
-    usual = effect.slots[0].scale * parameter.prior.scale
+    usual = size.scale * size.spec.prior.scale
     return min(0.5 * float(theta[0] / usual) ** 2, UNHEARD_NATS)
 
 

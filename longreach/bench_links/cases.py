@@ -7,7 +7,7 @@ import numpy as np
 
 from longreach.bench_links.recorded import JOINTS, Link
 from machine.effects.entries import EffectEntry, make_entry
-from machine.effects.registry import effect_named
+from machine.effects.registry import effect_of
 
 KINDS = ("healthy", "loss", "delay", "fault")
 SENT_MS, LOG_CYCLES, JITTER_S = (4, 10, 20), (1, 5, 10), (0.0, 3e-4, 1e-3)
@@ -60,8 +60,5 @@ def _fault(rng: np.random.Generator) -> EffectEntry:
 
 
 def entry(name: str, joint: int, values: Mapping[str, object]) -> EffectEntry:
-    """An effect of the catalogue with these numbers. Raises: LookupError: it has none of that name."""
-    effect = effect_named(name)
-    if effect is None:
-        raise LookupError(f"no effect {name} in the catalogue")
-    return make_entry(effect, joint, dict(values))
+    """An effect of the catalogue with these numbers. Raises: MachineError: it has none of that name."""
+    return make_entry(effect_of(name), joint, dict(values))

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.effects import kernel
-from machine.effects.registry import EFFECTS, effect_named
-from machine.effects.spec import Effect, Scope
+from machine.effects.registry import EFFECTS, effect_of
+from machine.effects.spec import Effect, Parameter, Scope
 from machine.errors import MachineError
 from machine.rotations import Array
 
@@ -100,6 +100,11 @@ class Slot:
     index: int = 0
     scale: float = 1.0
 
+    @property
+    def spec(self) -> Parameter:
+        """What the catalogue says of this number."""
+        return next(one for one in effect_of(self.effect).parameters if one.name == self.parameter)
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterSets:
@@ -170,9 +175,7 @@ def slots_of(name: str, joint: int | None, option: str = "") -> tuple[Slot, ...]
 
     Raises: MachineError: no such effect, or a joint where none belongs (or none where one does).
     """
-    effect = effect_named(name)
-    if effect is None:
-        raise MachineError(f"effect {name!r} is not in the catalogue; see machine/effects/registry.py")
+    effect = effect_of(name)
     if (joint is None) != (effect.scope == "machine"):
         raise MachineError(f"effect {name}: joint = {joint}; it belongs to {'the machine' if joint else 'one joint'}")
     option = option or (effect.choice.options[0] if effect.choice else "")

@@ -42,6 +42,7 @@ from machine.effects.catalogue import (
     valve_lag,
 )
 from machine.effects.spec import Effect, Stage
+from machine.errors import MachineError
 
 EFFECTS: tuple[Effect, ...] = (
     clock_offset.EFFECT,
@@ -91,6 +92,14 @@ NAMES: tuple[str, ...] = tuple(_BY_NAME)
 def effect_named(name: str) -> Effect | None:
     """The effect of this name; None if the catalogue has none."""
     return _BY_NAME.get(name)
+
+
+def effect_of(name: str) -> Effect:
+    """The effect of a name that the catalogue is known to have. Raises: MachineError: it has none."""
+    effect = effect_named(name)
+    if effect is None:
+        raise MachineError(f"effect {name!r} is not in the catalogue; see machine/effects/registry.py")
+    return effect
 
 
 def effects_of(stage: Stage) -> tuple[Effect, ...]:

@@ -53,6 +53,8 @@ def test_a_machine_file_carries_its_baseline() -> None:
         ({"stage": "structure", "swing_rad": -1.0}, "swing_rad = -1"),
         ({"stage": "link", "form": [1.0]}, "form = [1.0] is not a table"),
         ({"stage": "link", "form": {"speed": ["x"]}}, "form.speed = 'x'"),
+        ({"stage": "actuator", "joint": 1, "wander": {"flow_gain": 0.01}}, "wander.flow_gain: the catalogue has no"),
+        ({"stage": "actuator", "joint": 1, "wander": {"payload_error": 1.0}}, "wander.payload_error: the catalogue"),
     ],
 )
 def test_a_wrong_remainder_is_named(table: dict, words: str) -> None:

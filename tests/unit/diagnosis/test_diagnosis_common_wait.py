@@ -21,7 +21,7 @@ DRIFTING = Link(jitter_s=3e-4, drift=8e-5, sent_ms=10)  # sent and logged at one
 
 def moved(whole: Read) -> tuple[Stretch, ...]:
     assert whole.nominal is not None
-    replayer = replayer_of(whole.nominal)
+    replayer = replayer_of(whole.nominal, whole.stretches)
     assert replayer is not None
     none = neutral_sets(6)
     return on_their_line(whole.stretches, replayer, none, none)

@@ -21,7 +21,7 @@ def searched(place: Path, *effects: EffectEntry) -> tuple[list[Search], Cell]:
     """Each joint's actuator searched as if it had a pump of its own, and all of them as one cell."""
     whole = read(folder(place, recording(effects=effects)))
     assert whole.nominal is not None
-    base, replayer = pack_under((), whole.nominal.n), replayer_of(whole.nominal)
+    base, replayer = pack_under((), whole.nominal.n), replayer_of(whole.nominal, whole.stretches)
     assert replayer is not None
     coupled = coupled_cell(replayer, whole.stretches, base, base)
     assert coupled is not None

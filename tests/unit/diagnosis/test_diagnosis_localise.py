@@ -63,7 +63,7 @@ def test_the_true_parameters_leave_the_floor() -> None:
     effect = entry("valve_deadband", 3, half_width_frac=0.05)
     whole = examine(recording(effects=(effect,)), Path("made_up"))
     assert whole.nominal is not None
-    replayer = replayer_of(whole.nominal)
+    replayer = replayer_of(whole.nominal, whole.stretches)
     assert replayer is not None
     assert replayer.torque_reference is not None
     sets = neutral_sets(6, 2)

@@ -93,7 +93,7 @@ def test_an_unsettled_diagnosis_and_a_strange_effect_give_no_figure(whole):
 
 
 def test_numbers_are_those_that_were_fitted_without_the_stretch(whole):
-    replayer = replayer_of(whole.nominal)
+    replayer = replayer_of(whole.nominal, whole.stretches)
     assert replayer is not None
     base = neutral_sets(6)
     cells = stage_cells("actuator", replayer, whole.stretches, base, base)

@@ -62,7 +62,7 @@ def test_without_reference_and_command_link_controller_and_actuator_are_one_cell
     merge = merge_of(whole.stretches)
     assert merge is not None
     assert merge.stages == ("link", "controller", "actuator")
-    replayer = replayer_of(whole.nominal)
+    replayer = replayer_of(whole.nominal, whole.stretches)
     assert replayer is not None
     (cell,), coupled = merged_cells(replayer, whole.stretches, neutral_sets(2))
     assert coupled is None  # the one cell holds all joints already
