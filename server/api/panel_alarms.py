@@ -124,7 +124,7 @@ def _plc(state: StateView, around: Surroundings) -> dict[str, str]:
         age = "never heard" if link.age_ms is None else f"last heard {link.age_ms / 1e3:.1f} s ago"
         return {"plc_silent": f"{age}. {link.warning}".strip()}
     bits = link.fault_bits
-    return {code: f"fault bits {bits:#x}" for mask, code in FAULT_CODES if bits & mask}
+    return {code: f"told by the PLC (fault bits {bits:#x})" for mask, code in FAULT_CODES if bits & mask}
 
 
 def _camera(state: StateView, around: Surroundings) -> dict[str, str]:

@@ -36,7 +36,12 @@ VIEW_HEADERS = {
     "Document-Isolation-Policy": "isolate-and-require-corp",  # a process of its own in the browser: without a graphics
     # card the 3D view held up the page around it, with its STOP and its hold-to-run, for seconds
 }
-EMBEDDED_STYLE = b"<style>.mantine-Notifications-root, .mantine-Paper-root { display: none !important }</style>"
+EMBEDDED = (
+    b"<style>.mantine-Notifications-root, .mantine-Paper-root { display: none !important }</style>"
+    b'<script>addEventListener("keydown", (event) => { if (event.key === "Escape" && !event.repeat) {'
+    b' fetch("/v1/stop", { method: "POST", keepalive: true }).catch(() => {});'
+    b' parent.postMessage("stop", location.origin); } }, true)</script>'
+)  # the page around it hears no key while the view has the focus
 
 
 class SceneFeed:
@@ -207,8 +212,8 @@ async def _proxy_page(client: httpx.AsyncClient, port: int, path: str) -> Respon
 
 
 def embedded(page: bytes) -> bytes:
-    """Viser's page as it is shown in ours: its notices and its own (empty) panel do not float over the scene."""
-    return page.replace(b"</head>", EMBEDDED_STYLE + b"</head>", 1)
+    """Viser's page as it is shown in ours: Esc stops there, too; its notices and its empty panel do not cover it."""
+    return page.replace(b"</head>", EMBEDDED + b"</head>", 1)
 
 
 async def _proxy_socket(socket: WebSocket, port: int) -> None:

@@ -253,6 +253,46 @@ def test_a_dead_3d_view_takes_nothing_along(viewer, stack):
     page.wait_for_function(f"() => /run=(?!{process})/.test(document.getElementById('view').src)", timeout=60_000)
 
 
+def test_stop_goes_out_at_the_touch_and_says_whether_it_was_heard(anna):
+    page = anna.page
+    page.route("**/v1/stop", lambda route: route.fulfill(status=503, json={"detail": "the link did not confirm"}))
+    page.locator("#stop").hover(force=True)
+    page.mouse.down()
+    page.wait_for_function("() => document.getElementById('stop-told').textContent === 'NOT CONFIRMED'")
+    assert "emergency stop" in anna.text("#stop-unheard")
+    page.mouse.up()
+    page.unroute("**/v1/stop")
+    page.keyboard.press("Escape")
+    page.wait_for_function("() => document.getElementById('stop-told').textContent === 'STOP received'")
+    assert page.locator("#stop-unheard").is_hidden()
+
+
+def test_esc_stops_from_inside_the_3d_view(viewer):
+    page = viewer.page
+    page.frame_locator("#view").locator("canvas").first.click(timeout=60_000, force=True)
+    with page.expect_response("**/v1/stop") as answered:
+        page.keyboard.press("Escape")
+    assert answered.value.status == 200
+    page.wait_for_function("() => document.getElementById('stop-told').textContent === 'STOP received'")
+
+
+def test_a_double_click_takes_control_and_keeps_it(anna):
+    page = anna.page
+    page.locator("#control-buttons button.primary").dblclick()
+    page.wait_for_function("() => document.getElementById('control').classList.contains('mine')")
+    page.wait_for_timeout(500)
+    assert "You have control" in anna.text("#holder")
+
+
+def test_an_ended_session_is_told_as_that_and_not_as_a_dead_server(anna):
+    page = anna.page.context.new_page()
+    page.route_web_socket("**/v1/live", lambda socket: socket.close())
+    page.route("**/v1/session", lambda route: route.fulfill(status=401, json={"code": "unauthorized"}))
+    page.goto(anna.url + "/?no3d")
+    page.locator("#logged-out a[href='/login']").wait_for(timeout=20_000)
+    assert page.locator("#silent").is_hidden()
+
+
 def test_nothing_is_asked_of_another_host_and_no_inline_code_is_allowed(viewer, stack):
     viewer.page.wait_for_timeout(3000)
     ours = urlsplit(stack.url).netloc

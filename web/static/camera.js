@@ -16,14 +16,27 @@ let drawn = 0;
 export function startCamera() {
   const socket = new WebSocket(address("/v1/video"));
   socket.binaryType = "arraybuffer";
+  let newest = -1; // of this connection: two may be decoded at once, and end in the other order
   socket.onmessage = async (message) => {
-    const size = new DataView(message.data).getUint32(0, true);
-    const header = JSON.parse(new TextDecoder().decode(new Uint8Array(message.data, 4, size)));
-    const bitmap = await createImageBitmap(new Blob([new Uint8Array(message.data, 4 + size)], { type: "image/jpeg" }));
-    offer({ header, bitmap, at: performance.now() - header.age_ms });
-    if (socket.readyState === WebSocket.OPEN) socket.send("next");
+    try {
+      const frame = await decoded(message.data);
+      if (frame.header.number < newest) return frame.bitmap.close();
+      newest = frame.header.number;
+      offer(frame);
+    } catch (error) {
+      reportError(error); // one bad picture; the next one is asked for all the same
+    } finally {
+      if (socket.readyState === WebSocket.OPEN) socket.send("next");
+    }
   };
   socket.onclose = () => setTimeout(startCamera, AGAIN_MS);
+}
+
+async function decoded(data) {
+  const size = new DataView(data).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, size)));
+  const bitmap = await createImageBitmap(new Blob([new Uint8Array(data, 4 + size)], { type: "image/jpeg" }));
+  return { header, bitmap, at: performance.now() - header.age_ms };
 }
 
 function offer(frame) {

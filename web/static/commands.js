@@ -38,8 +38,3 @@ export async function send(method, path, body, { quiet = false } = {}) {
   if (answer.ok && !quiet) notice("");
   return { ok: answer.ok, status: answer.status, data };
 }
-
-// STOP needs nothing: no lease, no state, no answer. It is sent twice in case one is lost on a dying connection.
-export function stop() {
-  for (const wait of [0, 150]) setTimeout(() => fetch("/v1/stop", { method: "POST", keepalive: true }).catch(() => {}), wait);
-}

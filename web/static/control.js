@@ -3,6 +3,7 @@
 import { getLease, notice, send, setLease } from "./commands.js";
 import { byId, make, setClass, setText, whenChanged } from "./dom.js";
 import { serverSilent } from "./age.js";
+import { recall, remember } from "./memory.js";
 import { t } from "./texts.js";
 
 const TTL_S = 10;
@@ -17,8 +18,8 @@ export function myName() {
 export function startControl() {
   const field = byId("name");
   field.placeholder = `operator-${Math.floor(Math.random() * 0xffff).toString(16).padStart(4, "0")}`;
-  field.value = localStorage.getItem(NAME) ?? "";
-  field.onchange = () => localStorage.setItem(NAME, field.value.trim());
+  field.value = recall(NAME);
+  field.onchange = () => remember(NAME, field.value.trim());
   setInterval(keepAlive, KEEP_MS);
   addEventListener("pagehide", () => {
     if (getLease()) fetch(`/v1/lease/${getLease().lease_id}`, { method: "DELETE", keepalive: true }).catch(() => {});
@@ -82,8 +83,16 @@ function holderLeft(control, mine, offered) {
   return control.stale ? t("control_stale") : t("control_left", { s: Math.round(control.expires_in_s ?? 0) });
 }
 
+// The box is drawn anew under the pointer: the second half of a double click on "Take control" must not be "Release".
+let asking = false;
+async function once(event, act) {
+  if (asking || event.detail > 1) return;
+  asking = true;
+  await act().finally(() => { asking = false; });
+}
+
 function buttons(control, mine, free, offered) {
-  const button = (key, act, kind = "", values = {}) => make("button", { class: kind, onclick: act, type: "button" }, t(key, values));
+  const button = (key, act, kind = "", values = {}) => make("button", { class: kind, onclick: (event) => once(event, act), type: "button" }, t(key, values));
   if (mine) {
     const wishes = control.asked_by.slice(-1).map((owner) => button("hand_over", () => grant(owner), "", { owner }));
     return [...wishes, button("release", release)];

@@ -28,10 +28,15 @@ async function start() {
 
 async function follow() {
   clearTimeout(timer);
-  const { ok, data } = await send("GET", "/v1/diagnoses", undefined, { quiet: true });
-  byId("gap-missing").hidden = ok;
-  byId("gap").hidden = !ok;
-  if (!ok) return;
+  const { ok, status, data } = await send("GET", "/v1/diagnoses", undefined, { quiet: true });
+  byId("gap-missing").hidden = status !== 404;
+  byId("gap").hidden = status === 404;
+  if (status === 404) return;
+  if (!ok) { // what runs goes on beside: a hiccup of the page must not lose it
+    setText(byId("gap-why"), t("gap_silent"));
+    timer = setTimeout(follow, AGAIN_MS);
+    return;
+  }
   for (const one of data.filter((each) => each.state === "done" && !results.has(each.diagnosis_id))) await fetchResult(one);
   const running = data.some((one) => one.state === "running");
   byId("gap-start").disabled = running || !byId("gap-run").value;

@@ -1,15 +1,17 @@
 // Hold-to-run: motion only while the button is down and this page answers every challenge.
-import { getLease, notice, stop } from "./commands.js";
+import { getLease, notice } from "./commands.js";
 import { address } from "./connection.js";
+import { stop } from "./stop.js";
 import { t } from "./texts.js";
 
 let held = null; // the one press that is on
 
-export const holding = () => held !== null;
+export const holding = () => held !== null && !held.up;
 export const heldKind = () => held?.kind ?? "";
 
 export function press(body) {
-  if (held || !getLease()) return;
+  if (!getLease()) return;
+  if (held) return held.up ? notice(t("hold_again")) : undefined;
   const { lease_id, fencing } = getLease();
   const socket = new WebSocket(address("/v1/hold"));
   const mine = { socket, kind: body.kind, bond: "", open: false, up: "" };
@@ -48,13 +50,14 @@ export function release(why) {
   mine.up = why;
   if (mine.open) {
     if (mine.socket.readyState === WebSocket.OPEN) mine.socket.send(JSON.stringify({ release: why }));
-    if (why !== "button up") stop();
+    if (why !== "button up" && why !== "STOP pressed") stop();
   }
   setTimeout(() => mine.socket.close(), 1500);
   document.body.classList.remove("holding");
 }
 
 export function watchHold() {
+  addEventListener("stop-pressed", () => release("STOP pressed"));
   addEventListener("pointerup", () => release("button up"));
   addEventListener("pointercancel", () => release("pointer cancelled"));
   addEventListener("blur", () => release("window lost focus"));

@@ -4,14 +4,15 @@ import { ageText, serverSilent, silence } from "./age.js";
 import { showAlarms } from "./alarms.js";
 import { showBar } from "./bar.js";
 import { describePicture, showCameraAge, startCamera } from "./camera.js";
-import { notice, stop } from "./commands.js";
+import { notice } from "./commands.js";
 import { Live } from "./connection.js";
 import { showControl, startControl } from "./control.js";
 import { byId, setClass, setText } from "./dom.js";
 import { showDrawer, startDrawer } from "./drawer.js";
 import { buildErrors, showErrors } from "./errors.js";
 import { showHistory, showJoints, showStory } from "./history.js";
-import { release, watchHold } from "./hold.js";
+import { startLogin } from "./login.js";
+import { watchHold } from "./hold.js";
 import { showScene, startScene } from "./scene.js";
 import { buildSteps, showSteps } from "./steps.js";
 import { startTabs } from "./tabs.js";
@@ -26,7 +27,8 @@ function show() {
   const silent = serverSilent();
   setClass(document.body, "silent", silent);
   const line = byId("silent");
-  line.hidden = !silent;
+  byId("logged-out").hidden = !(silent && live.refused);
+  line.hidden = !silent || live.refused;
   setText(line, silent ? (state ? t("server_silent", { age: ageText(silence()) }) : t("reconnecting")) : "");
   guarded(showCameraAge);
   if (state) PARTS.forEach(guarded);
@@ -34,9 +36,9 @@ function show() {
 
 // A defect in one part of the page must not leave the others standing with what they last showed.
 const failed = new Set();
-function guarded(part) {
+function guarded(part, about = state) {
   try {
-    part(state);
+    part(about);
   } catch (error) {
     if (failed.has(part.name)) return;
     failed.add(part.name);
@@ -45,25 +47,11 @@ function guarded(part) {
   }
 }
 
-function halt() {
-  release("STOP pressed");
-  stop();
-}
-
-fillTexts(document);
-buildErrors();
-buildSteps();
-startControl();
-startDrawer();
-startTabs();
-startTour();
-watchHold();
-startCamera();
 const live = new Live((fresh) => {
   state = fresh;
   show();
 });
-startScene(live);
-byId("stop").onclick = halt;
-addEventListener("keydown", (event) => { if (event.key === "Escape") halt(); });
+const fillPage = () => fillTexts(document);
+const STARTED = [fillPage, buildErrors, buildSteps, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startScene, startLogin];
+STARTED.forEach((part) => guarded(part, live));
 setInterval(show, AGES_MS);

@@ -6,9 +6,11 @@ import { t } from "./texts.js";
 let run = null;
 
 export async function openReplay(name) {
-  setText(byId("replay-title"), t("loading"));
+  told(t("loading"));
+  byId("replay").hidden = true;
   const { ok, data } = await send("GET", `/v1/panel/recordings/${name}/replay`);
-  if (!ok) return setText(byId("replay-title"), t("replay_empty"));
+  if (!ok) return told(t("replay_empty", { name }));
+  told("");
   notice("");
   run = { name, ...data };
   const end = Math.max(0, ...[data.joints, data.lines, data.pictures, data.looks].map((list) => list.at(-1)?.[0] ?? 0));
@@ -18,6 +20,11 @@ export async function openReplay(name) {
   Object.assign(slider, { min: 0, max: end, step: 0.1, value: 0 });
   slider.oninput = () => show(Number(slider.value), end);
   show(0, end);
+}
+
+function told(text) {
+  setText(byId("replay-line"), text);
+  byId("replay-line").hidden = !text;
 }
 
 const lastBefore = (list, time) => list.findLast(([at]) => at <= time + 1e-6) ?? list[0];

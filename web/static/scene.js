@@ -1,25 +1,23 @@
 // The 3D view in its frame: shown while it runs, loaded anew after it came back, never in the way of anything.
-import { serverSilent } from "./age.js";
+import { silence } from "./age.js";
 import { byId, setClass, setText } from "./dom.js";
+import { recall, remember } from "./memory.js";
 import { t } from "./texts.js";
 
 const OFF = "longreach-scene-off";
+const GONE_MS = 5000; // a short silence must not throw the chosen view away
 let loaded = null; // process of the view that the frame shows
 
 export function startScene(live) {
   byId("scrub").oninput = () => live.send({ scrub: Number(byId("scrub").value) / 100 });
-  byId("scene-switch").onclick = () => {
-    const off = localStorage.getItem(OFF) ? "" : "yes";
-    if (off) localStorage.setItem(OFF, off);
-    else localStorage.removeItem(OFF);
-  };
+  byId("scene-switch").onclick = () => remember(OFF, recall(OFF) ? "" : "yes");
 }
 
 export function showScene(state) {
   const { running, problem, process_id, scrub_frac } = state.panel.scene;
-  const off = Boolean(localStorage.getItem(OFF)) || new URLSearchParams(location.search).has("no3d");
+  const off = Boolean(recall(OFF)) || new URLSearchParams(location.search).has("no3d");
   setText(byId("scene-switch"), t(off ? "show_scene" : "hide_scene"));
-  const wanted = running && !off && !serverSilent() ? process_id : null;
+  const wanted = running && !off && silence() < GONE_MS ? process_id : null;
   if (wanted !== loaded) {
     loaded = wanted;
     const frame = byId("view");

@@ -1,6 +1,6 @@
 // The steps: exactly one is primary, the others say why they are not possible now.
 import { LIMITS_MS, grown, isOld, serverSilent, stalePicture } from "./age.js";
-import { notice, send } from "./commands.js";
+import { send } from "./commands.js";
 import { haveControl } from "./control.js";
 import { byId, make, setClass, setText, whenChanged } from "./dom.js";
 import { heldKind, holdButton, holding } from "./hold.js";
@@ -52,7 +52,6 @@ function bodyOf(kind) {
 function act(kind) {
   if (kind === "accept") return send("POST", "/v1/accept");
   if (kind === "reset") return send("POST", "/v1/reset");
-  if (kind === "execute" && byId("plan").dataset.hash !== state.plan?.plan_hash) return notice(t("stale_plan"));
   return send("POST", "/v1/jobs", bodyOf(kind));
 }
 

@@ -2,10 +2,10 @@
 export const TEXTS = {
   sim: "SIM", real: "REAL",
   sim_long: "simulated machine", real_long: "REAL MACHINE: steel moves",
-  stop: "Stop motion (software)", stop_hint: "or key Esc",
   footer: "STOP here is software. The emergency stop is hardware, at the machine; this page can only show its state.",
   server_silent: "The server does not answer (silent for {age}). Nothing on this page is current. The PLC stops the machine by itself when its link is silent.",
   reconnecting: "Connecting to the server …",
+  logged_out: "You are logged out: the server was started again, or 12 hours are over. Nothing on this page is current.", log_in: "Log in again", log_out: "Log out {name}",
   // control
   control_none: "Nobody has control", control_you: "You have control", control_other: "{owner} has control",
   control_left: "{s} s left unless kept alive", control_stale: "stale: its holder is gone", control_kept: "kept alive by this page",
@@ -47,8 +47,8 @@ export const TEXTS = {
   about_preview: "plan; nothing moves", about_execute: "drive this plan: MOVES", about_look_again: "measure anew",
   about_accept: "note the result", about_retract: "{mm} mm back: MOVES", about_return: "to the start: MOVES", about_park: "fold: MOVES",
   about_position: "all steps: MOVES", about_reset: "at the PLC; nothing moves", about_held: "HOLD: moves while held", about_held_mm: "HOLD: {mm} mm back", hold_mode: "hold-to-run, as on the real machine",
-  hold_forced: "REAL: motion only while the button is held", holding: "Moving while held. Let go to stop.", hold_ended: "Stopped: {why}",
-  why_running: "running", busy_short: "{kind} is running", why_no_look: "look first", why_look_old: "look is old: look again", why_moved: "moved since the look: look again", why_look_again: "look again first", why_calibrated: "holds; again if you like", why_no_plan: "preview first",
+  hold_forced: "REAL: motion only while the button is held", holding: "Moving while held. Let go to stop.", hold_again: "The last motion is still ending: press again.", hold_ended: "Stopped: {why}",
+  why_running: "running", busy_short: "{kind} is running", why_no_look: "look first", why_look_old: "look is old: look again", why_moved: "moved since the look: look again", why_look_again: "look again first", why_calibrated: "holds; again: MOVES", why_no_plan: "preview first",
   why_expired: "preview has expired", why_not_inside: "not in tolerance", why_accepted: "accepted", why_server: "no answer from server", why_plc_offline: "PLC is silent", why_plc_fault: "PLC fault", why_plc_local: "on its local lever", why_camera: "no fresh picture",
   hint_offline: "PLC silent: check its program, cable and address", hint_fault: "PLC fault: clear its cause, then press Reset fault", hint_local: "The machine is on its local lever", hint_camera: "No fresh picture: check the camera and its cable",
   why_first: "look first", why_calibrate_first: "calibrate first",
@@ -73,8 +73,8 @@ export const TEXTS = {
   not_calibrated: "Not calibrated.", cal_known: "camera rotation known to (1 sigma)", cal_residual: "residual", cal_age: "age", cal_place: "from where it was made",
   cal_valid: "holds here", cal_expired: "EXPIRED: {why}", cal_offset: "add to camera time", cal_nominal: "off the nominal mount", cal_weakest: "least known about the axis (TCP)",
   cal_ellipse: "One-sigma ellipses of the rotation, degrees", cal_pairs: "pairs used",
-  gap_empty: "No diagnosis yet. Choose the recording of a job that moved all joints: a calibration, an execution, or Automatic. It takes about a minute.",
-  gap_missing: "Not available: this server has no diagnoses (/v1/diagnoses).", gap_run: "Diagnose", gap_report: "The whole report", gap_stop: "End it", gap_one: "one at a time", gap_after: "{s} s", gap_cause: "effect", gap_likely: "probability",
+  gap_empty: "No diagnosis yet. Choose the recording of a job that moved all joints: a calibration, an execution, or Automatic. It takes one to three minutes.",
+  gap_missing: "Not available: this server has no diagnoses (/v1/diagnoses).", gap_silent: "no answer from server; asking again", gap_run: "Diagnose", gap_report: "The whole report", gap_stop: "End it", gap_one: "one at a time", gap_after: "{s} s", gap_cause: "effect", gap_likely: "probability",
   gap_state_running: "Running", gap_state_done: "Done", gap_state_failed: "Failed", gap_state_stopped: "Ended by hand", gap_joint: "{name}, joint {joint}",
   gap_none: "NO GAP: the machine does what the model says, within what the recording can show", gap_effects: "EXPLAINED: these effects make the gap",
   gap_outside: "OUTSIDE: a gap is there that nothing in the catalogue explains; do not act on the names below",
@@ -83,7 +83,7 @@ export const TEXTS = {
   gap_next: "Record next: {what} ({minutes} min), because {why}.", gap_intro: "Where the model and the machine differ, from one recording; runs beside, nothing moves.",
   recordings_intro: "Each job is recorded as MCAP; Foxglove opens it as it is:", download: "download", replay: "replay", layout: "Foxglove layout", rerun: "For Rerun, with a blueprint:",
   disk: "{gb} GB free", recording_on: "recording now", no_recordings: "No recording yet.", settings_intro: "Read-only. Change them in the settings file and start the server again.",
-  replay_title: "Replay of {name}", replay_empty: "Nothing opened.", replay_at: "{s} s of {end} s", replay_slider: "time in the run",
+  replay_title: "Replay of {name}", replay_empty: "{name} could not be opened.", replay_at: "{s} s of {end} s", replay_slider: "time in the run",
   loading: "Reading …", unit: "unit", value: "value", setting: "setting",
   // tour
   tour_next: "Next", tour_end: "Got it", tour_again: "Tour",
@@ -94,7 +94,7 @@ export const TEXTS = {
   tour_5: "5 of 5. Execute drives exactly the plan that you previewed, once. On a real machine it moves only while you hold the button.",
   // refusals
   part_failed: "A part of this page ({name}) failed: {why}. Load the page anew; STOP works.",
-  refused: "Refused: {why}", stale_plan: "This page's plan is no longer the server's: look at the new preview.",
+  refused: "Refused: {why}",
 };
 
 export function t(key, values = {}) {

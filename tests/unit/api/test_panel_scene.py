@@ -56,8 +56,9 @@ def test_the_map_is_thinned_to_what_can_be_looked_at(found, told):
     assert odometry.map_points(600).shape == (told, 3)
 
 
-def test_viser_s_own_notices_are_hidden_once():
+def test_viser_s_own_notices_are_hidden_once_and_the_key_esc_stops_there_too():
     page = embedded(b"<html><head></head><body></head></body></html>")
-    assert page.count(b"<style>") == 1
+    assert page.count(b"<style>") == page.count(b"<script>") == 1
+    assert b"/v1/stop" in page
     assert b"mantine-Notifications-root" in page
     assert embedded(b"no page") == b"no page"

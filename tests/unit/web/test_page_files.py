@@ -91,3 +91,10 @@ def test_the_stop_button_stands_in_the_bar_and_nothing_lies_above_the_bar():
     layers = [int(value) for value in re.findall(r"z-index: (\d+)", STYLE)]
     assert max(layers) == int(re.search(r"header \{[^}]*z-index: (\d+)", STYLE).group(1))
     assert layers.count(max(layers)) == 1
+
+
+def test_stop_needs_no_other_part_of_the_page():
+    script = (STATIC_FOLDER / "stop.js").read_text("utf-8")
+    assert "import" not in re.sub(r"//.*", "", script)
+    assert PAGE.index("/static/stop.js") < PAGE.index("/static/main.js")
+    assert "data-t" not in PAGE[PAGE.index('id="stop"') : PAGE.index("</header>")]

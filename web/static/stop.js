@@ -1,0 +1,55 @@
+// STOP, by itself: it imports nothing and is wired before any other part of the page, so that no defect of another part
+// takes it along. It is sent when the button is touched, not when the finger lifts, and what became of it is told.
+const AGAIN_MS = 150; // sent twice, in case one is lost on a dying connection
+const PATIENCE_MS = 4000; // the server answers when the job has ended: within three seconds, or 503
+const TOLD_MS = 4000;
+const SENT = "sent …", HEARD = "STOP received", NOT_HEARD = "NOT CONFIRMED";
+const button = document.getElementById("stop");
+const told = document.getElementById("stop-told");
+const unheard = document.getElementById("stop-unheard");
+const calm = told.textContent;
+let latest = 0;
+let calmTimer = 0;
+
+// Needs nothing: no lease, no state.
+export async function stop() {
+  const mine = ++latest;
+  say(SENT, "pressed");
+  const impatient = setTimeout(() => tell(mine, false), PATIENCE_MS);
+  const heard = await Promise.any([0, AGAIN_MS].map(sent)).catch(() => false);
+  clearTimeout(impatient);
+  tell(mine, heard);
+}
+
+async function sent(wait) {
+  await new Promise((over) => setTimeout(over, wait));
+  const answer = await fetch("/v1/stop", { method: "POST", keepalive: true });
+  if (!answer.ok) throw new Error(String(answer.status));
+  return true;
+}
+
+// That it was not heard stays in sight until one is.
+function tell(mine, heard) {
+  if (mine !== latest) return;
+  unheard.hidden = heard;
+  say(heard ? HEARD : NOT_HEARD, heard ? "heard" : "unheard");
+  if (heard) calmTimer = setTimeout(() => say(calm, ""), TOLD_MS);
+}
+
+function say(text, state) {
+  clearTimeout(calmTimer);
+  told.textContent = text;
+  button.dataset.state = state;
+}
+
+// Whoever holds a button lets go by this event; nothing here waits for it.
+function halt() {
+  stop();
+  dispatchEvent(new Event("stop-pressed"));
+}
+
+button.addEventListener("pointerdown", halt);
+button.addEventListener("click", (event) => { if (event.detail === 0) halt(); }); // by Enter, Space or a screen reader
+addEventListener("keydown", (event) => { if (event.key === "Escape" && !event.repeat) halt(); }, true);
+// The 3D view has the keys while it has the focus: it sends its own STOP, and says so here.
+addEventListener("message", (event) => { if (event.origin === location.origin && event.data === "stop") halt(); });
