@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 import cv2
 import typer
@@ -16,7 +16,7 @@ from longreach.target_prints import PAPERS_MM, board_page, marker_page
 from longreach.target_report import layout_json, layout_table, layout_toml, sides_table, verdict_text
 from longreach.target_sources import MarkerSearch, TargetError, live_views, stored_pairs, stored_views
 from machine.boards import board_marker_ids
-from machine.description import Machine
+from machine.description import Machine, StereoCamera
 from machine.marker_sections import dictionary_size
 from server.settings import read_machine, read_settings
 from server.vision.errors import VisionError
@@ -25,6 +25,9 @@ from server.vision.teach import TeachTask, teach_layout
 from server.vision.teach_contracts import TaughtLayout, TeachSettings, TeachStatus, TeachView
 from server.vision.teach_frame import FrameName, LayoutFrame
 from server.vision.teach_views import Offer
+
+if TYPE_CHECKING:
+    from server.camera.sources import SourceSettings
 
 app = typer.Typer(no_args_is_help=True)
 MachineFile = Annotated[str, typer.Option(help="machine file, or the name of a shipped one")]
@@ -54,13 +57,14 @@ def teach(
     console = Console()
     nominal = read_machine(machine)
     task = _task(nominal, _on(on), ids, side_mm, frame)
-    search = MarkerSearch(nominal.camera, _dictionary(nominal), task.ids)
-    settings = TeachSettings()
+    dictionary = _dictionary(nominal)
     if folder is not None:
-        seen = _from_folder(folder, search, console)
+        camera = nominal.camera
+        seen = _from_folder(folder, MarkerSearch(camera, dictionary, task.ids), console)
     else:
-        seen = _from_camera(camera_url, settings_file, search, task, views, timeout_s, console)
-    layout = teach_layout(seen, task, nominal.camera, settings)
+        source, camera = live_camera(camera_url, settings_file, nominal)
+        seen = _from_camera(source, MarkerSearch(camera, dictionary, task.ids), task, views, timeout_s, console)
+    layout = teach_layout(seen, task, camera, TeachSettings())
     _finish(layout, nominal, on, out, console)
 
 
@@ -178,9 +182,22 @@ def _from_folder(folder: Path, search: MarkerSearch, console: Console) -> list[T
     return found
 
 
+def live_camera(url: str | None, settings_file: Path | None, nominal: Machine) -> "tuple[SourceSettings, StereoCamera]":
+    """What to open, and what its pictures are: as in the server, a calibration in the settings rectifies them.
+
+    Raises: SettingsError, CalibrationFileError: file, field, remedy.
+    """
+    from server.camera.sources import HttpSource  # here: stored pictures need no camera
+    from server.settings_source import source_and_machine
+
+    if url:
+        return HttpSource(url), nominal.camera
+    source, machine = source_and_machine(read_settings(settings_file).camera, nominal)
+    return source, machine.camera
+
+
 def _from_camera(
-    url: str | None,
-    settings_file: Path | None,
+    camera: "SourceSettings",
     search: MarkerSearch,
     task: TeachTask,
     n_views: int,
@@ -188,11 +205,9 @@ def _from_camera(
     console: Console,
 ) -> list[TeachView]:
     """Guided: the operator moves the camera, rests, and hears what is still missing. Ctrl-C ends the collection."""
-    from server.camera.sources import HttpSource  # here: stored pictures need no camera
     from server.camera.sources.opening import open_source
-    from server.settings_source import plain_source
 
-    source = open_source(HttpSource(url) if url else plain_source(read_settings(settings_file).camera))
+    source = open_source(camera)
     settings = TeachSettings()
     console.print(
         f"markers {', '.join(map(str, task.ids))}: hold the camera still, then move it to the side, up or down by a "

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from rig_samples import EUROC_LEFT, EUROC_RIGHT, ZED
 
+from longreach.target_command import live_camera
 from machine.description import parse_machine_toml
 from server.camera.rectification import rectification_of
 from server.camera.sources.settings import (
@@ -93,6 +94,16 @@ def test_calibration_puts_the_rectified_camera_into_the_machine(tmp_path: Path) 
         f'[camera]\nkind = "device"\nwidth_px = 4416\nheight_px = 1242\ncalibration = "{tmp_path}/SN1.conf"\n'
     )
     assert source_and_machine(read_settings(path).camera, MACHINE)[1].camera.width_px == 2208
+
+
+def test_a_layout_is_taught_through_the_calibration_that_the_server_looks_through(tmp_path: Path) -> None:
+    (tmp_path / "SN1.conf").write_text(ZED)
+    path = tmp_path / "settings.toml"
+    path.write_text(f'[camera]\nkind = "device"\ncalibration = "{tmp_path}/SN1.conf"\n')
+    source, camera = live_camera(None, path, MACHINE)
+    assert isinstance(source, RectifiedSource)
+    assert camera == source_and_machine(read_settings(path).camera, MACHINE)[1].camera
+    assert live_camera("http://127.0.0.1:1/stream", path, MACHINE)[1] is MACHINE.camera
 
 
 def test_the_machine_text_of_a_recording_holds_the_rectified_camera(tmp_path: Path) -> None:
