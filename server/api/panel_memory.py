@@ -28,6 +28,7 @@ from server.jobs.engine import Job, JobEvent, JobState
 from server.jobs.hold import SILENCE_NS
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.positioning import inside
+from server.jobs.plans.unmoved import MOVED_RAD
 from server.jobs.records import ErrorMm
 from server.jobs.service import JobService
 
@@ -95,6 +96,7 @@ class PanelMemory:
             scene=self.scene,
             hold=self._hold_state(),
             look_moved_deg=self._look_moved_deg(),
+            look_moved_max_deg=round(float(np.rad2deg(MOVED_RAD)), 3),
             recording=cell.recorder.recording,
             recorder_problem=cell.recorder.problem,
             disk_free_gb=None if self._disk_free is None else round(self._disk_free / 1e9, 2),

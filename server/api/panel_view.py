@@ -119,6 +119,7 @@ class PanelView(View):
     scene: SceneState
     hold: HoldState
     look_moved_deg: float | None = Field(description="largest joint turn since the last look")
+    look_moved_max_deg: float = Field(description="beyond this the last look says nothing of where the machine is now")
     recording: bool
     recorder_problem: str
     disk_free_gb: float | None

@@ -28,6 +28,7 @@ from server.jobs.engine import Job, JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.assurance import fits, told
 from server.jobs.plans.live_error import live_error
+from server.jobs.plans.unmoved import moved_since_look
 from server.jobs.records import ErrorMm, MoveRecord
 from server.version import __version__
 
@@ -78,22 +79,30 @@ def _compensation(ctx: PlanContext) -> CompensationView:
 def steps(cell: Cell, engine: JobEngine) -> dict[str, str]:
     """For each step the reason why it is not possible now; empty when it is."""
     common = _blocked(cell, engine)
-    look, plan = cell.knowledge.last_look, cell.knowledge.previewed
+    look = cell.knowledge.last_look
     no_look = "" if look is not None and look.error is not None else "look first"
-    expired = plan is not None and time.monotonic_ns() > plan.expires_ns
-    no_plan = "preview first" if plan is None else ("the preview has expired: preview again" if expired else "")
     return {
         "look": common,
         "orient": common or no_look,
         "calibrate": common or no_look,
         "preview": common or no_look,
-        "execute": common or no_plan,
+        "execute": common or _no_plan(cell),
         "position": common,
         "retract": common,
         "return": common or ("" if cell.knowledge.q_start is not None else "no run has begun yet"),
         "park": common,
         "stop": "",
     }
+
+
+def _no_plan(cell: Cell) -> str:
+    """Why the previewed plan may not be executed, as `execute` itself would refuse it."""
+    plan, latest = cell.knowledge.previewed, cell.link.latest
+    if plan is None:
+        return "preview first"
+    if time.monotonic_ns() > plan.expires_ns:
+        return "the preview has expired: preview again"
+    return "" if latest is None else moved_since_look(cell.machine, np.array(latest.q_rad), plan.q_look)
 
 
 def _blocked(cell: Cell, engine: JobEngine) -> str:

@@ -28,11 +28,12 @@ class LookTaken:
 
 @dataclass(frozen=True, slots=True)
 class PreviewedPlan:
-    """A plan that was shown. It is executed by its hash only, before it expires, from the reference it starts at."""
+    """A plan that was shown. It is executed by its hash only, before it expires, from where it was made and looked."""
 
     plan: PathPlan
     plan_hash: str
     q_ref_start: Array
+    q_look: Array  # the encoders at the look (n,) [rad]
     q_goal: Array
     T_base_tcp_goal: Array
     before: ErrorMm

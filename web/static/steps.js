@@ -11,7 +11,6 @@ const MINOR = ["retract", "return", "park", "position", "reset"];
 const MOVES = new Set(["orient", "calibrate", "execute", "retract", "return", "park", "position"]);
 const SEES = new Set(["look", "look_again", "orient", "calibrate", "position"]);
 const BLIND = new Set(["camera_silent", "vision_ended"]);
-const MOVED_DEG = 0.11; // as the server's own limit for a look that is acted upon
 const JOB_OF = { look_again: "look" };
 let state = null;
 const buttons = new Map();
@@ -103,7 +102,7 @@ const calibrated = () => Boolean(state.calibration?.valid);
 const planFresh = () => Boolean(state.plan) && grown(0) < 1000 && state.plan.expires_in_s - grown(0) / 1000 > 0;
 const lookFresh = () => Boolean(state.look?.error) && !isOld(1000 * state.look.age_s, LIMITS_MS.look) && !movedSince();
 // A calibration is driven: the look before it is no look of now, also where the machine came back.
-const movedSince = () => state.panel.look_moved_deg > MOVED_DEG || (state.calibration?.age_s ?? Infinity) < (state.look?.age_s ?? 0);
+const movedSince = () => state.panel.look_moved_deg > state.panel.look_moved_max_deg || (state.calibration?.age_s ?? Infinity) < (state.look?.age_s ?? 0);
 // As the alarms have it: one bad pair between good ones must not make buttons flicker. Other faults the look itself tells.
 const blind = () => state.panel.alarms.some((one) => one.ended_unix_s === null && (BLIND.has(one.code) || (one.code === "camera_unfit" && stalePicture(state.camera.warnings))));
 const lastLook = () => state.panel.history.at(-1);
@@ -134,7 +133,7 @@ function nextStep() {
   if (state.steps.look || blind()) return "";
   if (accepted() && lookFresh()) return "retract";
   if (atGoal()) return "accept";
-  if (planFresh()) return "execute";
+  if (planFresh() && !state.steps.execute) return "execute";
   if (!lookFresh()) return state.panel.history.length ? "look_again" : "look";
   if (!calibrated()) return state.look.error.rotation_deg > state.tolerance_deg ? "orient" : "calibrate";
   return "preview";

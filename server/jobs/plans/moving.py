@@ -17,14 +17,13 @@ from server.jobs.plans.learning import joint_estimate
 from server.jobs.plans.living import note_map, require_valid, validity, validity_at
 from server.jobs.plans.looking import good_look, mount_rotation
 from server.jobs.plans.planning import plan_to
+from server.jobs.plans.unmoved import require_unmoved
 from server.jobs.records import MoveRecord
 from server.jobs.requests import MachineReading, Progress, ReadMachine, Record, Request, expect
 from server.motion.contracts import PlanStatus
 
 Sigmas = tuple[float, float, float]
 
-MOVED_RAD = 2e-3  # joints further than this from where the look was taken make it stale
-SAME_REFERENCE_RAD = 1e-6
 FAR_M = 0.25  # after a longer move the camera has more to correct than the encoders can show
 
 
@@ -45,6 +44,7 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
         plan=plan,
         plan_hash=plan_hash(plan),
         q_ref_start=taken.reading.q_ref_rad,
+        q_look=taken.reading.q_rad,
         q_goal=plan.q_end,
         T_base_tcp_goal=T_goal,
         before=taken.error,
@@ -127,10 +127,13 @@ def check_executable(previewed: PreviewedPlan | None, wanted_hash: str, t_now_ns
 
 
 def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generator[Request, object, LookTaken]:
-    """Run a previewed plan, rest, trim, look again. Returns the look after the move."""
+    """Run a previewed plan, rest, trim, look again. Returns the look after the move.
+
+    Raises: PlanRefusedError when the machine moved since the look or the preview; nothing moves then.
+    """
     ctx.knowledge.previewed = None  # a plan fires once
     reading = expect((yield ReadMachine()), MachineReading)
-    _check_not_moved(reading, previewed)
+    require_unmoved(ctx.machine, reading, previewed)
     require_valid(validity(ctx, reading), f"move {number}")
     if ctx.knowledge.q_start is None:
         ctx.knowledge.q_start = reading.q_rad
@@ -152,12 +155,3 @@ def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generato
     ctx.knowledge.moves.append(record)
     yield Record(record)
     return taken
-
-
-def _check_not_moved(reading: MachineReading, previewed: PreviewedPlan) -> None:
-    shift = float(np.abs(reading.q_ref_rad - previewed.q_ref_start).max())
-    if shift > SAME_REFERENCE_RAD:
-        raise PlanRefusedError(
-            f"the machine's reference moved by {np.rad2deg(shift):.3f} deg since the preview "
-            f"(limit {np.rad2deg(SAME_REFERENCE_RAD):.5f} deg); look and preview again"
-        )

@@ -103,7 +103,8 @@ def previewed(expires_in_s):
     )
     now = time.monotonic_ns()
     expires = now + int(expires_in_s * 1e9)
-    return PreviewedPlan(plan, "0123456789abcdef", np.zeros(6), np.zeros(6), np.eye(4), ERROR, (1, 1, 1), now, expires)
+    q = np.zeros(6)
+    return PreviewedPlan(plan, "0123456789abcdef", q, q, q, np.eye(4), ERROR, (1, 1, 1), now, expires)
 
 
 async def test_the_state_is_json_even_when_nothing_is_there(client):

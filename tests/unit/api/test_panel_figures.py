@@ -5,11 +5,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecorder, StandInVision, previewed
 
+from machine.chain import chain_of
 from machine.poses import pose
 from server.api.panel_figures import EDGES_MS, link_figures, loss_pct, safety_view
 from server.api.panel_routes import setting_rows
+from server.api.state_view import steps
 from server.api.video_overlay import _cross
+from server.cell import Cell
+from server.jobs.engine import JobEngine
 from server.link.contracts import LinkHealth, LinkPhase
 from server.settings import ServerSettings, read_machine
 
@@ -52,6 +57,19 @@ def test_loss_is_of_the_window_and_survives_counters_that_begin_anew():
 def test_what_the_plc_tells_of_the_hardware(phase, bits, estop, enable):
     view = safety_view(replace(HEALTH, phase=phase), sample(0, 0, bits), [])
     assert (view.estop, view.enable) == (estop, enable)
+
+
+def test_what_the_page_may_execute_is_what_the_server_would():
+    link = StandInLink()
+    cell = Cell(ServerSettings(), MACHINE, chain_of(MACHINE), "", link, StandInVision(), StandInRecorder())
+    engine = JobEngine(StandInPerformer(link))
+    assert steps(cell, engine)["execute"] == "preview first"
+    cell.knowledge.previewed = previewed(60.0)
+    link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.1, 0, 0, 0, 0]))
+    assert steps(cell, engine)["execute"] == ""
+    link.latest = SimpleNamespace(q_rad=np.deg2rad([0, 0.2, 0, 0, 0, 0]))
+    told = "joint lift moved by +0.200 deg since the look (limit 0.115 deg); look and preview again"
+    assert steps(cell, engine)["execute"] == told
 
 
 def test_settings_carry_their_units():

@@ -19,6 +19,7 @@ from server.jobs.plans.looking import good_look, take_look
 from server.jobs.plans.moving import check_executable, execute, preview
 from server.jobs.plans.positioning import position
 from server.jobs.plans.returning import retract, return_to_start
+from server.jobs.plans.unmoved import require_unmoved
 from server.jobs.requests import (
     MachineReading,
     Move,
@@ -192,6 +193,27 @@ def test_another_hash_an_expired_plan_and_a_moved_machine_are_refused():
         check_executable(plan, plan.plan_hash, plan.expires_ns + 1)
     world.q_ref = world.q_ref + 1e-3
     with pytest.raises(PlanRefusedError, match="reference moved"):
+        run(execute(ctx, plan, 1), world)
+    assert world.moved == 0
+
+
+def test_a_few_counts_between_preview_and_execute_do_not_matter():
+    world, ctx, plan = previewed()
+    count_rad = 2.0 * np.pi / MACHINE.joints[1].encoder_counts_rev
+    world.q_ref = world.q_ref + 2.0 * count_rad  # disarmed, the reference is what the encoders say
+    require_unmoved(ctx.machine, world.perform(ReadMachine()), plan)
+    world.q_ref = plan.q_ref_start + 6.0 * count_rad
+    with pytest.raises(PlanRefusedError, match="reference moved"):
+        require_unmoved(ctx.machine, world.perform(ReadMachine()), plan)
+
+
+def test_a_joint_that_sank_after_the_look_is_named_and_nothing_moves():
+    world, ctx, plan = previewed()
+    world.q = plan.q_look - np.deg2rad([0.0, 0.1, 0.0, 0.0, 0.0, 0.0])
+    require_unmoved(ctx.machine, world.perform(ReadMachine()), plan)
+    world.q = plan.q_look - np.deg2rad([0.0, 0.13, 0.0, 0.0, 0.0, 0.0])  # held: the reference is where it was
+    told = r"lift moved by -0\.130 deg since the look \(limit 0\.115 deg\); look and preview again"
+    with pytest.raises(PlanRefusedError, match=told):
         run(execute(ctx, plan, 1), world)
     assert world.moved == 0
 

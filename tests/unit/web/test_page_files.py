@@ -5,6 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 
+from server.api.panel_view import PanelView
 from web import STATIC_FOLDER
 
 SCRIPTS = sorted(STATIC_FOLDER.glob("*.js"))
@@ -50,6 +51,12 @@ def test_every_text_that_is_asked_for_exists(tags):
     }
     assert len(asked) > 100
     assert {one for one in asked if one[1] not in known} == set()
+
+
+def test_what_the_page_reads_of_its_own_part_is_sent():
+    read = {name for one in SCRIPTS for name in re.findall(r"\bstate\.panel\.(\w+)", one.read_text("utf-8"))}
+    assert "look_moved_max_deg" in read  # the server's limit, not one of the page's own
+    assert read - set(PanelView.model_fields) == set()
 
 
 def test_no_text_stands_unused(tags):
