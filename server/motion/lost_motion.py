@@ -4,6 +4,7 @@ A P-controlled valve opens only when kp |q_ref - q| exceeds its dead band, so a 
 reference, on the side it came from. Paths are planned for the encoders; here they become paths of the reference.
 """
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,11 +14,13 @@ from machine.chain import chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_jacobian
 from machine.rotations import Array
-from server.motion.contracts import JointTrajectory, PathPlan
+from server.motion.contracts import JointTrajectory, PathPlan, Wall
+from server.motion.joint_path import joint_line
 from server.motion.point_to_point import plan_joint_move
-from server.motion.refusal import require_joints
+from server.motion.refusal import refused_plan, require_joints
 from server.motion.settings import PlanSettings
 from server.motion.trajectory import join
+from server.motion.wall_clearance import wall_refusal
 
 FIRST_GUESS_FRAC = 0.015  # half width of a servo valve's dead band in fraction of full command, until it is seen
 STALL_MAX_RAD = 0.06  # more is no dead band but a joint that does not follow
@@ -99,18 +102,42 @@ def worth_trimming(machine: Machine, q: Array, residual: Array) -> NDArray[np.bo
 
 
 def plan_trim(
-    machine: Machine, q_ref: Array, q: Array, q_goal: Array, stall_rad: Array, play_rad: Array, settings: PlanSettings
+    machine: Machine,
+    q_ref: Array,
+    q: Array,
+    q_goal: Array,
+    stall_rad: Array,
+    play_rad: Array,
+    settings: PlanSettings,
+    wall: Wall | None = None,
 ) -> PathPlan:
     """Come again from below, by as much as breaks the joint loose, to where the encoders then stand at q_goal.
 
     Model:   stiction lets a small step of the reference pass, then jumps; a motion of half a degree always ends the
              same stall short. So a joint that lacks goes to q_goal - play - stall, then to q_goal + stall.
     Args:    q_ref, q, q_goal: (n,) [rad]; q are the encoders at rest. play_rad: how far below it starts (n,).
+             wall: the tool keeps off it on the joints' way, q to q_goal - play to q_goal.
     Returns: a plan of two legs; as `plan_joint_move` when it is not possible.
     """
     lacking = worth_trimming(machine, q, require_joints(q_goal - q, len(machine.joints), "residual"))
     below = np.where(lacking, q_goal - play_rad - stall_rad, q_ref)
-    return _through(machine, q_ref, [below, np.where(lacking, q_goal + stall_rad, q_ref)], settings)
+    plan = _through(machine, q_ref, [below, np.where(lacking, q_goal + stall_rad, q_ref)], settings)
+    way = [q, np.where(lacking, q_goal - play_rad, q), np.where(lacking, q_goal, q)]
+    return off_the_wall(machine, plan, way, wall)
+
+
+def off_the_wall(machine: Machine, plan: PathPlan, way: list[Array], wall: Wall | None) -> PathPlan:
+    """A plan of the reference, checked against the wall where the joints will be: their stall is no way to the tool.
+
+    Args:    way: encoders (n,) [rad] from rest to rest, straight in between.
+    Returns: the plan with the clearance on that way; refused where the tool comes too near.
+    """
+    if plan.trajectory is None or wall is None:
+        return plan
+    chain = chain_of(machine)
+    Ts = np.concatenate([joint_line(chain, first, last).Ts_base_tcp for first, last in pairwise(way)])
+    clearance_m, hit = wall_refusal(Ts, machine.T_tcp_tool, wall)
+    return replace(plan, clearance_m=clearance_m) if hit is None else refused_plan(hit, way[0], Ts)
 
 
 def _through(machine: Machine, q_ref: Array, targets: list[Array], settings: PlanSettings) -> PathPlan:

@@ -40,9 +40,8 @@ def drive(
         if count == trims_max or not worth_trimming(ctx.machine, reading.q_rad, residual).any():
             return count
         count += 1
-        again = plan_trim(
-            ctx.machine, reading.q_ref_rad, reading.q_rad, plan.q_end, stall, play_rad, trim_settings(ctx)
-        )
+        q_ref, q, settings = reading.q_ref_rad, reading.q_rad, trim_settings(ctx)
+        again = plan_trim(ctx.machine, q_ref, q, plan.q_end, stall, play_rad, settings, ctx.wall)
         if again.trajectory is None:
             raise JobFailedError(f"{purpose}: trim: {again.reason}", "trim_refused")
         worst = float(np.rad2deg(np.abs(residual).max()))

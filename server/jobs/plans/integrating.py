@@ -15,7 +15,7 @@ from server.jobs.plans.learning import remember_motion
 from server.jobs.plans.planning import trim_settings
 from server.jobs.requests import MachineReading, Move, Progress, Request, Settle, expect
 from server.motion.contracts import PathPlan
-from server.motion.lost_motion import worth_trimming
+from server.motion.lost_motion import off_the_wall, worth_trimming
 from server.motion.point_to_point import plan_joint_move
 
 STEPS_MAX = 12  # of about a second: the paper's operator waited half a minute between two inputs
@@ -34,6 +34,7 @@ def integrate(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Reque
             return count
         settings = replace(trim_settings(ctx), duration_min_s=STEP_MIN_S)
         step = plan_joint_move(ctx.machine, reading.q_ref_rad, reading.q_ref_rad + lacking, settings)
+        step = off_the_wall(ctx.machine, step, [reading.q_rad, plan.q_end], ctx.wall)
         if step.trajectory is None:
             raise JobFailedError(f"{purpose}: integration of the error: {step.reason}", "trim_refused")
         text = f"{purpose}: integrating, encoders lack up to {np.rad2deg(np.abs(lacking).max()):.2f} deg"

@@ -1,10 +1,14 @@
 """Stall in the dead band: references that carry across it, what rests teach, and coming again."""
 
+import re
+
 import numpy as np
 import pytest
-from motion_scenes import Q_USUAL, machine, shifted
+from motion_scenes import Q_USUAL, chain, machine, shifted
 
+from machine.kinematics import tcp_pose
 from server.motion.approach import plan_approach, play_of
+from server.motion.contracts import PlanStatus, Wall
 from server.motion.lost_motion import (
     first_stall,
     last_direction,
@@ -94,3 +98,30 @@ def test_only_lacking_joints_are_moved_by_a_trim():
     moved = np.ptp(plan.trajectory.q, axis=0)
     assert moved[1] > PLAY[1]
     assert moved[[0, 2, 3, 4, 5]].max() < 1e-12
+
+
+def beneath(clearance_m: float, side: float = 1.0) -> Wall:
+    """A wall 160 mm under the tool, or over it (side -1): a lift that comes from below goes down first."""
+    up = np.array([0.0, 0.0, side])
+    return Wall(tcp_pose(chain(), Q_USUAL)[:3, 3] - 0.16 * up, up, clearance_m)
+
+
+def trimmed(wall: Wall | None, play_deg: float, stall_rad=STALL):
+    """The trim of a lift that lacks 3 mrad."""
+    q_goal = Q_USUAL + np.array([0.0, 3e-3, 0.0, 0.0, 0.0, 0.0])
+    play = np.deg2rad(np.full(6, play_deg))
+    return plan_trim(machine(), Q_USUAL + stall_rad, Q_USUAL, q_goal, stall_rad, play, PLAIN, wall)
+
+
+def test_a_trim_keeps_off_the_wall():
+    assert trimmed(None, 2.5).status is PlanStatus.OK
+    assert trimmed(beneath(0.14, side=-1.0), 2.5).status is PlanStatus.OK
+    refused = trimmed(beneath(0.14), 2.5)
+    assert (refused.status, refused.trajectory) == (PlanStatus.WALL, None)
+    assert re.search(r"comes to \d+ mm from the wall, limit 140 mm; choose a larger stand-off", refused.reason)
+
+
+def test_a_trim_is_judged_where_the_joints_go_and_not_where_their_reference_leads_them():
+    plan = trimmed(beneath(0.13), 0.4, stall_rad=np.deg2rad(np.full(6, 3.0)))
+    assert plan.status is PlanStatus.OK, plan.reason
+    assert 0.13 < plan.clearance_m < 0.16

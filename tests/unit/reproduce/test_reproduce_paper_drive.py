@@ -11,6 +11,8 @@ from longreach.reproduce.fast_camera import FastCamera
 from longreach.reproduce.fast_cell import context_of, fast_cell, run_plan
 from longreach.reproduce.fast_machine import QuasiStaticMachine
 from machine.chain import chain_of
+from machine.poses import pose
+from server.errors import JobFailedError
 from server.jobs.performer import Performer
 from server.jobs.plans.driving import drive
 from server.jobs.plans.integrating import STEPS_MAX, integrate
@@ -76,6 +78,34 @@ def test_integration_gives_up_on_a_machine_that_does_not_follow():
     count, moves = integrated(ctx, plan, plan.q_end - lacking, follows=False)
     assert count == len(moves) == STEPS_MAX
     assert moves[-1][1] - plan.q_end[1] == pytest.approx(STEPS_MAX * 1e-3)
+
+
+def test_integration_keeps_off_the_wall():
+    ctx, _, _, plan = paper_plan(-0.05)
+    lacking = np.array([0.0, -2e-3, 0.0, 0.0, 0.0, 0.0])  # the lift still has to come down
+    ctx.knowledge.T_base_ooi = pose(np.eye(3), ctx.tcp(plan.q_end)[:3, 3] - [0.0, 0.0, 0.04])
+    with pytest.raises(JobFailedError, match=r"comes to \d+ mm from the wall, limit 50 mm; choose") as failure:
+        integrated(ctx, plan, plan.q_end - lacking, follows=True)
+    assert failure.value.code == "trim_refused"
+
+
+def short_of_it(steps, rest: MachineReading) -> None:
+    """Play a plan on a machine that always comes to the same rest."""
+    reply = None
+    for _ in range(100):
+        request = steps.send(reply)
+        reply = rest if isinstance(request, Settle) else None
+
+
+def test_a_trim_is_told_of_the_wall():
+    one = world("paper", 2)
+    ctx, cell = context_of(one, "ours"), fast_cell(one, QuasiStaticMachine(one), NO_NOISE)
+    now = cell.perform(Settle())
+    plan = plan_to(ctx, now, ctx.tcp(now.q_rad - [0.0, 0.01, 0.0, 0.0, 0.0, 0.0]))
+    ctx.knowledge.T_base_ooi = pose(np.eye(3), ctx.tcp(plan.q_end)[:3, 3] - [0.0, 0.0, 0.051])
+    with pytest.raises(JobFailedError, match=r"move: trim: tool comes to \d+ mm from the wall, limit 50 mm") as failure:
+        short_of_it(drive(ctx, plan, "move"), reading(plan.q_end - 5e-3, plan.q_end))
+    assert failure.value.code == "trim_refused"
 
 
 def test_a_dead_band_is_integrated_away_where_the_move_is_long():
