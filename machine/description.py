@@ -47,6 +47,7 @@ class Joint:
     mass_kg: float
     com_m: tuple[float, float, float]
     encoder_counts_rev: int
+    park_rad: float | None = None  # where it goes to park; None: it stays where it is
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +140,7 @@ class _JointSection(Strict):
     mass_kg: Annotated[float, Field(ge=0.0)] = 0.0
     com_m: Vector3 = Field(default_factory=lambda: [0.0, 0.0, 0.0])
     encoder_counts_rev: Annotated[int, Field(gt=0)] = 262144
+    park_deg: float | None = None
 
 
 class _ToolSection(Strict):
@@ -185,6 +187,12 @@ def _joint(section: _JointSection) -> Joint:
             f"joint '{section.name}': q_min_deg = {section.q_min_deg} "
             f"must be below q_max_deg = {section.q_max_deg} [deg]"
         )
+    park_deg = section.park_deg
+    if park_deg is not None and not section.q_min_deg <= park_deg <= section.q_max_deg:
+        raise MachineFileError(
+            f"joint '{section.name}': park_deg = {park_deg} must lie inside its range, "
+            f"{section.q_min_deg} .. {section.q_max_deg} [deg]"
+        )
     rad = np.deg2rad
     return Joint(
         name=section.name,
@@ -204,6 +212,7 @@ def _joint(section: _JointSection) -> Joint:
         mass_kg=section.mass_kg,
         com_m=(section.com_m[0], section.com_m[1], section.com_m[2]),
         encoder_counts_rev=section.encoder_counts_rev,
+        park_rad=None if park_deg is None else float(rad(park_deg)),
     )
 
 

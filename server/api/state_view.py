@@ -28,6 +28,7 @@ from server.jobs.engine import Job, JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.assurance import fits, told
 from server.jobs.plans.live_error import live_error
+from server.jobs.plans.returning import why_no_park
 from server.jobs.plans.unmoved import moved_since_look
 from server.jobs.records import ErrorMm, MoveRecord
 from server.version import __version__
@@ -90,7 +91,7 @@ def steps(cell: Cell, engine: JobEngine) -> dict[str, str]:
         "position": common,
         "retract": common,
         "return": common or ("" if cell.knowledge.q_start is not None else "no run has begun yet"),
-        "park": common,
+        "park": common or why_no_park(cell.machine),
         "stop": "",
     }
 

@@ -4,6 +4,7 @@ from collections.abc import Generator
 
 import numpy as np
 
+from machine.description import Machine
 from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
@@ -33,15 +34,27 @@ def return_to_start(ctx: PlanContext) -> Generator[Request, object, str]:
 
 
 def park(ctx: PlanContext) -> Generator[Request, object, str]:
-    """Retract by 300 mm if a wall is near, then fold to the middle of the lift and tilt ranges."""
+    """Retract by 300 mm if a wall is known, then fold to the machine file's park posture.
+
+    Raises: JobFailedError when the file has none; nothing moves then.
+    """
+    why_not = why_no_park(ctx.machine)
+    if why_not:
+        raise JobFailedError(f"park: {why_not}", "no_park_posture")
     if ctx.wall is not None:
         yield from retract(ctx, 300.0)
     reading = expect((yield Settle()), MachineReading)
-    q_park = np.array(reading.q_rad)
-    q_park[1:3] = np.deg2rad([55.0, -125.0])
-    q_park[4] = q_park[1] + q_park[2]
+    parked = zip(ctx.machine.joints, reading.q_rad, strict=True)
+    q_park = np.array([q if joint.park_rad is None else joint.park_rad for joint, q in parked])
     yield from _to_joints(ctx, q_park, "park")
     return "parked"
+
+
+def why_no_park(machine: Machine) -> str:
+    """Why a machine cannot be parked; empty when it can."""
+    if any(joint.park_rad is not None for joint in machine.joints):
+        return ""
+    return f"the machine file of {machine.name} names no park posture: give park_deg to the joints that fold"
 
 
 def _to_joints(ctx: PlanContext, q_goal: Array, purpose: str) -> Generator[Request, object, None]:

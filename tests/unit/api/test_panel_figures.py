@@ -72,6 +72,15 @@ def test_what_the_page_may_execute_is_what_the_server_would():
     assert steps(cell, engine)["execute"] == told
 
 
+@pytest.mark.parametrize("names_a_posture", [True, False])
+def test_the_park_button_tells_of_a_machine_without_a_posture(names_a_posture):
+    joints = MACHINE.joints if names_a_posture else tuple(replace(joint, park_rad=None) for joint in MACHINE.joints)
+    machine, link = replace(MACHINE, joints=joints), StandInLink()
+    cell = Cell(ServerSettings(), machine, chain_of(machine), "", link, StandInVision(), StandInRecorder())
+    why = steps(cell, JobEngine(StandInPerformer(link)))["park"]
+    assert ("names no park posture" in why) is not names_a_posture
+
+
 def test_settings_carry_their_units():
     rows = {row.name: row for row in setting_rows(ServerSettings().model_dump())}
     assert rows["position.tolerance_mm"].unit == "mm"

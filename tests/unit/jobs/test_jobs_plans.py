@@ -1,5 +1,6 @@
 """The plans without a machine: a stand-in world moves by the nominal kinematics and looks through a wrong mount."""
 
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -18,7 +19,7 @@ from server.jobs.knowledge import Knowledge
 from server.jobs.plans.looking import good_look, take_look
 from server.jobs.plans.moving import check_executable, execute, preview
 from server.jobs.plans.positioning import position
-from server.jobs.plans.returning import retract, return_to_start
+from server.jobs.plans.returning import park, retract, return_to_start
 from server.jobs.plans.unmoved import require_unmoved
 from server.jobs.requests import (
     MachineReading,
@@ -245,6 +246,22 @@ def test_retract_backs_away_and_return_goes_back():
     assert np.linalg.norm(world.tool()[:3, 3] - before) == pytest.approx(0.2, abs=0.015)  # untrimmed: a stall is left
     run(return_to_start(ctx), world)
     assert np.linalg.norm(world.tool()[:3, 3] - before) < 6e-3
+
+
+def test_park_goes_where_the_machine_file_says():
+    world, ctx = World(stall_deg=0.0), context()
+    run(park(ctx), world)
+    wanted = [Q_START[0], *np.deg2rad([55.0, -125.0]), Q_START[3], np.deg2rad(-70.0), Q_START[5]]
+    np.testing.assert_allclose(world.q, wanted, atol=1e-3)
+
+
+def test_a_machine_whose_file_names_no_posture_is_not_parked():
+    machine = replace(MACHINE, joints=tuple(replace(joint, park_rad=None) for joint in MACHINE.joints))
+    world, ctx = World(), replace(context(), machine=machine)
+    told = r"machine file of hiab033 names no park posture: give park_deg"
+    with pytest.raises(JobFailedError, match=told) as failure:
+        run(park(ctx), world)
+    assert (failure.value.code, world.moved) == ("no_park_posture", 0)
 
 
 def test_the_stand_in_world_is_reachable():

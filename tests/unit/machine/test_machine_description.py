@@ -22,6 +22,11 @@ WRONG = [
     ("rate_hz = 60.0", "rate_hz = 60.0\nrate = 3", "camera.rate = 3: Extra inputs are not permitted"),
     ("q_min_deg = -25.0", "q_min_deg = 85.0", "joint 'lift': q_min_deg = 85.0 must be below q_max_deg = 80.0 [deg]"),
     ("q_max_deg = 80.0", "q_max_deg = 400.0", "joint.1 (lift).q_max_deg = 400.0: Input should be less than or equal"),
+    (
+        "park_deg = 55.0",
+        "park_deg = 81.0",
+        "joint 'lift': park_deg = 81.0 must lie inside its range, -25.0 .. 80.0 [deg]",
+    ),
     ("a_m = 1.95", "a_m = 1950.0", "joint.1 (lift).a_m = 1950.0: Input should be less than or equal to 20"),
     ("a_m = 1.95\n", "", "joint.1 (lift).a_m: Field required"),
     ('type = "revolute"', 'type = "prismatic"', "joint.0 (slew).type = 'prismatic': Input should be 'revolute'"),
