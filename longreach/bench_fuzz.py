@@ -16,8 +16,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from longreach.same_options import require_same_options, text_mark
 from longreach.saved_file import save_whole
-from server.settings import read_machine
+from server.settings import read_machine, read_machine_text
 from sim_plc.fuzz.counts import FuzzCounts, counts_from_json
 from sim_plc.fuzz.engine import ENDS, End, fuzz_chunk
 
@@ -128,6 +129,7 @@ def fuzz(
 ) -> None:
     """Fuzz both ends of the PLC link; exit code 1 if a rule was broken."""
     console = Console(width=160)
+    require_same_options(folder, machine=text_mark(read_machine_text(machine)))
     totals = bench_fuzz(n, seed, folder, machine, console)
     console.print(report(totals))
     for total in totals:

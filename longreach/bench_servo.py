@@ -16,6 +16,7 @@ from rich.table import Table
 from longreach.bench_position import READY_S, StepErrors, ends_inside, join_truth, read_truth
 from longreach.fleet_client import Finished, JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
+from longreach.same_options import require_same_options
 from longreach.saved_file import save_whole
 
 SETTINGS = "[position]\nclosed_loop = true\n[closed_loop]\nsilence_max_ms = {silence_max_ms}\n"
@@ -51,7 +52,7 @@ def servo(
 ) -> None:
     """Closed-loop control over real UDP and rendered images: does it reach the tolerance, truly."""
     console = Console(width=200)
-    folder.mkdir(parents=True, exist_ok=True)
+    require_same_options(folder, retract_mm=retract_mm, silence_max_ms=silence_max_ms, camera_rate_hz=camera_rate_hz)
     settings = folder / "settings.toml"
     settings.write_text(SETTINGS.format(silence_max_ms=silence_max_ms), encoding="utf-8")
     cases = []

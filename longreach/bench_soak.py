@@ -24,15 +24,16 @@ from scipy.stats import theilslopes
 
 from longreach.link_load.rendered_pairs import render_pairs
 from longreach.link_load.replay_camera import to_and_fro
+from longreach.same_options import require_same_options, text_mark
 from longreach.saved_file import save_whole
 from longreach.saved_lines import every_line
-from machine.description import Machine
+from machine.description import Machine, parse_machine_toml
 from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.pipeline import VisionPipeline
 from server.camera.process import build_pipeline
 from server.camera.sources.settings import HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side
-from server.settings import read_machine
+from server.settings import read_machine_text
 from server.vision.contracts import OdometryStatus
 
 FILE = "samples.jsonl"
@@ -88,8 +89,9 @@ def vision_soak(
     folder: Annotated[Path, typer.Option(help="where samples are saved; a second run resumes")] = FOLDER,
 ) -> None:
     """Markers, odometry and preview on pairs looped from memory: growth of memory per hour and per pair."""
-    console = Console(width=200)
-    samples = bench(read_machine(machine), pairs, seed, folder, console)
+    console, text = Console(width=200), read_machine_text(machine)
+    require_same_options(folder, machine=text_mark(text))
+    samples = bench(parse_machine_toml(text), pairs, seed, folder, console)
     slopes = slopes_of(samples)
     console.print(table_of(slopes))
     reached = samples[-1].pairs if samples else 0

@@ -16,9 +16,10 @@ from rich.table import Table
 from longreach.bench_camera_faults.case import AT_REST_ONLY, IN_MOTION_ONLY, FaultCase, run_case
 from longreach.bench_camera_faults.good import GOOD_KINDS, GoodCase, run_good
 from longreach.bench_camera_faults.pictures import render_pictures
+from longreach.same_options import require_same_options, text_mark
 from longreach.saved_lines import add_line, open_to_add, whole_lines
-from machine.description import Machine
-from server.settings import read_machine
+from machine.description import Machine, parse_machine_toml
+from server.settings import read_machine_text
 from sim_plc.camera.faults import FaultKind
 
 FAULTS_FILE, GOOD_FILE = "faults.jsonl", "good.jsonl"
@@ -39,7 +40,9 @@ def camera_faults(
     """Inject every camera fault: pairs until it is found, looks that used it, pairs until recovery, false alarms."""
     console = Console(width=200)
     cv2.setNumThreads(1)
-    described = read_machine(machine)
+    text = read_machine_text(machine)
+    require_same_options(folder, machine=text_mark(text))
+    described = parse_machine_toml(text)
     cases = bench(described, list(FaultKind)[1:], range(seed, seed + n), folder, console)
     calm = bench_good(described, range(seed, seed + n), good, folder, console)
     console.print(table_of(cases))

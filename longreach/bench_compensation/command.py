@@ -13,6 +13,7 @@ from longreach.bench_compensation.run import VARIANTS, Compared, compare
 from longreach.bench_machines.paired import paired_change
 from longreach.reproduce.noise_model import fitted_noise
 from longreach.reproduce.summary import share
+from longreach.same_options import require_same_options, text_mark
 from longreach.saved_lines import open_to_add, whole_lines
 from server.settings import read_machine, read_machine_text
 
@@ -29,10 +30,10 @@ def compensation(
 ) -> None:
     """Diagnosed effects compensated against not, paired on drawn machines in the fast world."""
     cv2.setNumThreads(1)
-    folder.mkdir(parents=True, exist_ok=True)
+    noise, nominal, text = fitted_noise(), read_machine(machine), read_machine_text(machine)
+    require_same_options(folder, machine=text_mark(text))
     file = folder / "compared.jsonl"
     found = {one.seed: one for one in whole_lines(file, Compared.of_line)}
-    noise, nominal, text = fitted_noise(), read_machine(machine), read_machine_text(machine)
     wanted = range(seed, seed + n)
     with open_to_add(file) as out:
         for number in wanted:

@@ -16,6 +16,7 @@ from longreach.bench_jobs_soak.figures import SoakKind, figures_of, line, summar
 from longreach.bench_jobs_soak.stand import OWNER, Stand
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.kill_drill.drill import fast_machine
+from longreach.same_options import require_same_options
 from longreach.saved_lines import add_line, every_line, open_to_add
 
 FOLDER = Path("runs/bench-jobs-soak")
@@ -37,6 +38,7 @@ def jobs_soak(
     """Memory, handles, tasks and database over many jobs with faults; that the server always finds back."""
     console = Console(width=200)
     kind: SoakKind = "quick" if quick else "fast" if fast else "full"
+    require_same_options(folder / kind, preset=preset)
     cases = bench(n, seed, kind, preset, folder / kind, console)
     if not cases:
         raise typer.Exit(1)

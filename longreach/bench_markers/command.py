@@ -18,8 +18,9 @@ from longreach.bench_markers.images import SensorSettings, Studio
 from longreach.bench_markers.judged import CellResult
 from longreach.bench_markers.rendered import RenderedCell, run_rendered_cell, settings_name
 from longreach.bench_markers.tables import exact_lines, exact_table, rendered_lines, rendered_table
+from longreach.same_options import require_same_options, text_mark
 from longreach.saved_file import save_whole
-from server.settings import read_machine
+from server.settings import read_machine, read_machine_text
 
 console = Console(width=200)
 
@@ -45,7 +46,7 @@ def markers(
 ) -> None:
     """Marker poses over the two-view Cramer-Rao bound, planar flips and covariances, beside OpenCV's."""
     cv2.setNumThreads(1)
-    folder.mkdir(parents=True, exist_ok=True)
+    require_same_options(folder, machine=text_mark(read_machine_text(machine)))
     if mode is Mode.EXACT:
         cells = _exact(machine, n or 200, seed, folder)
         console.print(exact_table(cells))
