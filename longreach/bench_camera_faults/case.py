@@ -1,7 +1,6 @@
 """One case: a good stream, a fault that comes and goes, and what the server made of it."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 from longreach.bench_camera_faults.camera import Arrival, Line
 from longreach.bench_camera_faults.looks import Looks
@@ -43,10 +42,6 @@ class FaultCase:
     recovered_after: int | None
     false_alarms: int
     good_pairs: int
-
-    def as_json(self) -> dict[str, Any]:
-        """For the file of cases."""
-        return asdict(self)
 
 
 def new_pipeline(machine: Machine) -> VisionPipeline:

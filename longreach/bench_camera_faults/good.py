@@ -2,9 +2,8 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -41,10 +40,6 @@ class GoodCase:
     pairs: int
     alarms: int
     texts: dict[str, int]
-
-    def as_json(self) -> dict[str, Any]:
-        """For the file of cases."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)

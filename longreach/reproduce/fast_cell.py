@@ -36,7 +36,6 @@ from server.settings import ServerSettings
 from server.vision.contracts import Look
 from sim_plc.world import World, rng_for
 
-LOOK_S = 0.1  # of virtual time per pair
 Result = TypeVar("Result")
 
 
