@@ -22,6 +22,7 @@ from longreach.saved_file import save_whole
 
 PAPER_TABLE_4 = {"move 1": (7.6, 27.4, 95.9), "move 2": (3.3, 1.2, 92.3)}  # means, z with b = 100 mm
 READY_S = 180.0
+REST_NS = 300_000_000  # a look's time ends at least 0.32 s of rest; after it the next motion may begin at once
 TRUTH_COLUMNS = ("error_x_mm", "error_y_mm", "error_z_mm", "error_rotation_deg")
 
 
@@ -106,19 +107,25 @@ def read_truth(path: Path) -> dict[str, np.ndarray]:
 
 
 def join_truth(result: dict[str, Any], truth: dict[str, np.ndarray]) -> list[StepErrors]:
-    """Each look of the result beside the true error over the 0.5 s before it, when the machine was at rest."""
+    """Each look of the result beside the true error over the 0.3 s before it, when the machine was at rest."""
     looks = [("start", result["start"], result["t_start_plc_ns"])]
     for move in result["moves"]:
         name = f"orientation {move['number']}" if move["kind"] == "orientation" else f"move {move['number']}"
         looks.append((name, move["after"], move["t_rest_plc_ns"]))
     steps = []
     for name, image, t_plc_ns in looks:
-        near = np.abs(truth["t_plc_ns"] - t_plc_ns) < int(0.5e9)
-        x, y, z, rotation = (float(truth[column][near].mean()) for column in TRUTH_COLUMNS)
+        before = resting(truth["t_plc_ns"], t_plc_ns)
+        x, y, z, rotation = (float(truth[column][before].mean()) for column in TRUTH_COLUMNS)
         image_mm = (image["x_mm"], image["y_mm"], image["z_mm"])
         camera_mm = (image["camera_x_mm"], image["camera_y_mm"], image["camera_z_mm"])
         steps.append(StepErrors(name, image_mm, image["rotation_deg"], (x, y, z), rotation, camera_mm))
     return steps
+
+
+def resting(t_plc_ns: np.ndarray, t_look_ns: int) -> np.ndarray:
+    """Which rows of a truth log (n,) [ns] tell where the machine stood at a look: those of its rest before it."""
+    before_ns = t_look_ns - t_plc_ns
+    return (before_ns >= 0) & (before_ns < REST_NS)
 
 
 def bench(preset: str, method: str, n: int, seed: int, folder: Path, console: Console) -> list[Case]:

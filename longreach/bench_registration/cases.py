@@ -70,7 +70,7 @@ def draw_case(path: str, kind: str, seed: int) -> RegistrationCase:
 
     Model:   odometry = scale (1 + 0.3 % sd) x true camera path (+ warp) + random walk, at its end 0.5 % of the path per
              axis, + jitter of 1 mm per axis; outliers: every tenth position off by 5 cm sd per axis; offset: stamps of
-             the camera 0.15 s late; warp: a smooth random field over space, its peak as named.
+             the camera 0.15 s early, its clock is behind; warp: a smooth random field over space, its peak as named.
              The orientation is held; the mounting is 4 deg off its nominal about a random axis.
     Args:    path: of `PATHS`; kind: of `KINDS`; seed: of this trial.
     Source:  machine.md section 5, "Experiments".

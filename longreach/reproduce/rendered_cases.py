@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from longreach.bench_position import REST_NS, resting
 from longreach.fleet_client import Finished, JobClient, JobRefusedError
 from longreach.processes import StackPorts
 from longreach.reproduce.cases import Case
@@ -22,7 +23,6 @@ from sim_plc.presets import PresetError
 from sim_plc.world import World
 
 READY_S = 300.0
-SETTLED_NS = 500_000_000  # of rest before a look that the truth is averaged over
 STAND_OFF_M = 0.1
 TRUTH = ("x_ooi_tool_m", "y_ooi_tool_m", "z_ooi_tool_m", "qw_ooi_tool", "qx_ooi_tool", "qy_ooi_tool", "qz_ooi_tool")
 
@@ -97,9 +97,11 @@ def read_truth(path: Path) -> Array:
 
 
 def _step(world: World, name: str, error: dict[str, float], t_plc_ns: int, truth: Array) -> StepErrors:
-    near = truth[np.abs(truth[:, 0] - t_plc_ns) < SETTLED_NS]
+    near = truth[resting(truth[:, 0], t_plc_ns)]
     if len(near) == 0:
-        raise ValueError(f"look '{name}': the truth log has nothing within 0.5 s of PLC time {t_plc_ns} ns")
+        raise ValueError(
+            f"look '{name}': the truth log has nothing in the {REST_NS * 1e-9:g} s before PLC time {t_plc_ns} ns"
+        )
     R_ooi_tool = rotation_from_quat_wxyz(near[len(near) // 2, 4:])
     T_base_tool = world.scene.T_base_ooi @ pose(R_ooi_tool, near[:, 1:4].mean(axis=0))
     T_goal = pose(np.eye(3), np.array([0.0, 0.0, STAND_OFF_M]))

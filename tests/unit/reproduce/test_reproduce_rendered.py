@@ -53,10 +53,17 @@ def test_truth_is_joined_at_the_look_and_at_the_goal_it_is_zero(tmp_path):
     at_goal = [0.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0]
     far = [0.3, 0.2, 0.5, 1.0, 0.0, 0.0, 0.0]
     truth_file(
-        path, [[t_ns - 2_000_000_000, *far], [t_ns - 20_000_000, *at_goal], [t_ns, *at_goal], [t_ns, "", *[""] * 6]]
+        path,
+        [
+            [t_ns - 350_000_000, *far],  # still coming
+            [t_ns - 20_000_000, *at_goal],
+            [t_ns, *at_goal],
+            [t_ns + 20_000_000, *far],  # the next motion
+            [t_ns, "", *[""] * 6],
+        ],
     )
     truth = read_truth(path)
-    assert truth.shape == (3, 8)
+    assert truth.shape == (4, 8)
     step = _step(world("paper", 2), "move 1", ERROR, t_ns, truth)
     np.testing.assert_allclose(step.goal_true_mm, 0.0, atol=1e-6)
     assert step.rotation_true_deg == pytest.approx(0.0, abs=1e-5)
