@@ -3,6 +3,7 @@
 import re
 import shlex
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,27 @@ def test_links_lead_somewhere(page):
     text = (DOCS / page).read_text(encoding="utf-8")
     links = [target.split("#")[0] for target in re.findall(r"\]\(([^)]+)\)", text) if "://" not in target]
     assert [target for target in links if target and not (DOCS / target).exists()] == []
+
+
+def uneven(text: str) -> list[str]:
+    """Rows of a page's tables with more or fewer cells than their header; a bar in a cell is one only as `\\|`."""
+    wrong, wanted = [], 0
+    for line, below in pairwise([*text.splitlines(), ""]):
+        cells = len(re.findall(r"(?<!\\)\|", line)) - 1 if line.startswith("|") else 0
+        wanted = cells if re.fullmatch(r"\|[-:| ]+\|", below) else wanted if cells else 0
+        wrong += [line] if cells != wanted else []
+    return wrong
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.rglob("*.md")), ids=lambda page: str(page.relative_to(DOCS)))
+def test_every_row_of_a_table_has_the_cells_of_its_header(page):
+    assert uneven(page.read_text(encoding="utf-8")) == []
+
+
+def test_a_row_with_a_cell_too_many_is_found():
+    table = "| a | b |\n|---|---|\n| \\|x\\| | 2 |\n"
+    assert uneven(table) == []
+    assert uneven(table + "| |x| | 2 |\n") == ["| |x| | 2 |"]
 
 
 def test_the_tutorial_is_for_a_real_machine():
