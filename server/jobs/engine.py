@@ -6,6 +6,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
@@ -86,6 +87,8 @@ class JobEngine:
         self._task: asyncio.Task[None] | None = None
         self._told_to_stop: Job | None = None
         self._listeners: list[Callable[[Job, JobEvent], None]] = []
+        # a thread of its own: a step of a plan must not queue behind file lists and results in the default executor
+        self._planner = ThreadPoolExecutor(1, thread_name_prefix="plan")
         self.current: Job | None = None
         self.jobs: deque[Job] = deque(earlier, maxlen=200)
 
@@ -97,7 +100,10 @@ class JobEngine:
         self.leases.book.fencing = max(self.leases.book.fencing, fencing)
 
     def on_event(self, listener: Callable[[Job, JobEvent], None]) -> None:
-        """Call `listener(job, event)` for everything that happens to any job, on the event loop."""
+        """Call `listener(job, event)` for everything that happens to any job, on the event loop.
+
+        One that raises is logged and passed over: no listener keeps a job from its end, or the machine from its stop.
+        """
         self._listeners.append(listener)
 
     def find(self, job_id: str) -> Job | None:
@@ -152,26 +158,38 @@ class JobEngine:
 
     def _begin(self, job: Job, plan: Plan) -> None:
         self._task = asyncio.create_task(self._run(job, plan), name=f"job-{job.kind}-{job.job_id}")
+        self._task.add_done_callback(lambda _: self._ended_before_its_first_step(job, plan))
 
     async def stop(self, reason: str, only: Job | None = None) -> None:
         """Stop the motion and whatever job runs; always allowed. Returns when the job has ended.
 
+        The ramp is asked for before anything else: the job may be in a step that cannot be interrupted.
         With `only`, nothing is stopped unless it is that job which runs.
         """
         job, task = self.current, self._task
         if only is not None and (job is not only or only.ended):
             return
-        if job is not None and not job.ended:
-            first = self._told_to_stop is not job  # a closed tab stops by its socket, its lease and its last word
-            self._told_to_stop = job
-            if first:
-                job.state, job.reason = JobState.STOPPING, reason
-                self._tell(job, "stopping", 0.0, 1.0, "", reason)
-            if task is not None:
-                if first:
-                    task.cancel()
-                await asyncio.wait({task}, timeout=STOP_BOUND_S)
-        await self._performer.stop_motion(reason)
+        running = job if job is not None and not job.ended else None
+        first = running is not None and self._told_to_stop is not running  # a closed tab stops by its socket and lease
+        self._told_to_stop = running or self._told_to_stop
+        if running is not None and first:
+            running.state, running.reason = JobState.STOPPING, reason
+        ramp = asyncio.ensure_future(self._performer.stop_motion(reason))
+        if running is not None:
+            await self._stop_job(running, task, reason if first else None)
+        await ramp
+        if running is not None and self._performer.may_be_moving:  # begun by the job's last step, after the ramp
+            await self._performer.stop_motion(reason)
+
+    async def _stop_job(self, job: Job, task: asyncio.Task[None] | None, reason: str | None) -> None:
+        """Cancel the job (a reason: it is the first to ask) and wait for its end, after the ramp has been asked for."""
+        if task is not None and reason is not None:
+            task.cancel()
+        await asyncio.sleep(0.0)
+        if reason is not None:
+            self._tell(job, "stopping", 0.0, 1.0, "", reason)
+        if task is not None:
+            await asyncio.wait({task}, timeout=STOP_BOUND_S)
 
     async def hold_until(self, t_mono_ns: int | None) -> None:
         """Let motion go on until then only [monotonic ns], whatever this process does; None: it need not be held."""
@@ -179,11 +197,14 @@ class JobEngine:
 
     async def close(self) -> None:
         """End everything: the machine is left holding."""
-        await self.stop("server is closing")
+        try:
+            await self.stop("server is closing")
+        finally:
+            self._planner.shutdown(wait=False)
 
     async def _run(self, job: Job, plan: Plan) -> None:
-        self._tell(job, "started", 0.0, 1.0, "", f"{job.kind} started for {job.owner}")
         try:
+            self._tell(job, "started", 0.0, 1.0, "", f"{job.kind} started for {job.owner}")
             job.result = await self._drive(job, plan)
             self._end(job, JobState.DONE, "")
         except asyncio.CancelledError:
@@ -200,14 +221,19 @@ class JobEngine:
             job.code = "internal"
             self._end(job, JobState.FAILED, f"internal error: {error!r}; see the server's log")
         finally:
-            if not job.ended:
-                self._end(job, JobState.STOPPED, job.reason or "cancelled")
+            self._performer.release()
             plan.close()
+
+    def _ended_before_its_first_step(self, job: Job, plan: Plan) -> None:
+        """A task that is cancelled before it begins never enters `_run`: its job needs an end all the same."""
+        if not job.ended:
+            plan.close()
+            self._end(job, JobState.STOPPED, job.reason or "cancelled")
 
     async def _drive(self, job: Job, plan: Plan) -> object:
         reply: object = None
         while True:
-            request, result = await _advanced(plan, reply)
+            request, result = await self._advanced(plan, reply)
             if request is None:
                 return result
             if isinstance(request, Progress):
@@ -234,6 +260,18 @@ class JobEngine:
         if error is not None:
             log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
 
+    async def _advanced(self, plan: Plan, reply: object) -> tuple[Request | None, object]:
+        """The plan's next request, or (None, its result). Planning is heavy, so it runs beside the event loop.
+
+        A cancelled job waits for the step to finish: a generator cannot be closed while it runs.
+        """
+        step = asyncio.get_running_loop().run_in_executor(self._planner, _advance, plan, reply)
+        try:
+            return await asyncio.shield(step)
+        except asyncio.CancelledError:
+            await asyncio.wait({step})
+            raise
+
     def _end(self, job: Job, state: JobState, reason: str) -> None:
         job.state, job.reason, job.ended_mono_s = state, reason, time.monotonic()
         self._tell(job, "ended", 1.0, 1.0, "", f"{state.value}{': ' + reason if reason else ''}")
@@ -242,20 +280,10 @@ class JobEngine:
         event = JobEvent(len(job.events) + 1, round(job.elapsed_s, 3), name, current, target, unit, text)
         job.events.append(event)
         for listener in self._listeners:
-            listener(job, event)
-
-
-async def _advanced(plan: Plan, reply: object) -> tuple[Request | None, object]:
-    """The plan's next request, or (None, its result). Planning is heavy, so it runs beside the event loop.
-
-    A cancelled job waits for the step to finish: a generator cannot be closed while it runs.
-    """
-    step = asyncio.ensure_future(asyncio.to_thread(_advance, plan, reply))
-    try:
-        return await asyncio.shield(step)
-    except asyncio.CancelledError:
-        await asyncio.wait({step})
-        raise
+            try:
+                listener(job, event)
+            except Exception:  # a full disk or a defect beside the job: the machine must still come to its end
+                log.exception("job %s: what should have taken note of %r failed", job.job_id, name)
 
 
 def _advance(plan: Plan, reply: object) -> tuple[Request | None, object]:

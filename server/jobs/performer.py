@@ -2,6 +2,7 @@
 
 import asyncio
 import time
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -37,6 +38,7 @@ SILENT_S = 1.0  # a job gives up then; motion is stopped by link process and PLC
 REST_WINDOW_S = 0.4
 REST_SPEED_RAD_S = 2e-4  # 0.8 mm/s at 4 m
 REST_LAG_RAD_S = 1e-4
+WATCHED_MAX = 180 * 60  # pairs: as long as encoders are kept to join them with, at 60 a second
 ARMING_RAD = 1e-4  # four counts of an 18-bit encoder: 0.4 mm at 4 m
 
 
@@ -48,7 +50,7 @@ class Performer:
         self._odometry_from_ns = 0
         self._steering = Steering(cell)
         self._watching_from_ns = 0
-        self._watched: list[tuple[float, PairObservation]] | None = None
+        self._watched: deque[tuple[float, PairObservation]] | None = None
         cell.vision.on_report(self._watch)
         self.may_be_moving = False
 
@@ -95,6 +97,11 @@ class Performer:
         await self._steering.forget()
         self.may_be_moving = False
 
+    def release(self) -> None:
+        """Switch off what a job left on: a plan that is cut short never comes to its own StopOdometry."""
+        self._watched = None
+        self._cell.vision.drop_odometry()
+
     def _fresh_samples(self, window_s: float) -> list[PlcSample]:
         now = time.monotonic_ns()
         samples = self._cell.link.samples_since(now - int(window_s * 1e9))
@@ -131,9 +138,9 @@ class Performer:
         self.may_be_moving = True
         trajectory = self._from_reference(request.trajectory)
         ended = await self._cell.link.run(trajectory)
-        self.may_be_moving = False
-        if not ended.reached:
+        if not ended.reached:  # why it ended may be wrong or not the last word: a stop follows, until it is at rest
             raise JobFailedError(f"{request.purpose}: motion ended early: {ended.reason}", "motion_ended_early")
+        self.may_be_moving = False
 
     async def _steer(self, request: Steer) -> object:
         match request:
@@ -196,14 +203,14 @@ class Performer:
     async def _start_watching(self, request: StartWatching) -> None:
         await self._cell.vision.set_pose_source(request.source)
         self._watching_from_ns = time.monotonic_ns()
-        self._watched = []
+        self._watched = deque(maxlen=WATCHED_MAX)
 
     def _watch(self, report: FrameReport) -> None:
         if self._watched is not None and report.usable:
             self._watched.append((report.t_exposure_mapped_ns * 1e-9, report.observation))
 
     def _stop_watching(self) -> object:
-        watched, self._watched = self._watched or [], None
+        watched, self._watched = self._watched or (), None
         samples = self._cell.link.samples_since(self._watching_from_ns - int(0.5e9))
         return sighted_of(watched), self._encoder_track(samples)
 

@@ -61,7 +61,7 @@ class LinkClient:
         self._health, self._t_health_ns = _NO_HEALTH, 0
         self._offset_ns: int | None = None
         self._changed = asyncio.Event()
-        self._traj_id = 0
+        self._traj_id = self._stops = 0
         self._motion: asyncio.Future[MotionEnded] | None = None
         self._tail: asyncio.Future[TailReport] | None = None
         self._restart: asyncio.Task[None] | None = None
@@ -154,8 +154,10 @@ class LinkClient:
             raise LinkRefusedError("a trajectory is under way; wait for its end or stop it")
         if self.health.phase is not LinkPhase.ARMED:
             raise LinkRefusedError(f"PLC link is {self.health.phase.value}, must be armed and at rest; arm first")
-        knots = knots_of(trajectory, len(self._table.axes))
+        knots, stops = knots_of(trajectory, len(self._table.axes)), self._stops
         await self._judge(knots)
+        if stops != self._stops:  # a STOP in the meantime must not be followed by the motion it was meant for
+            raise LinkRefusedError("the machine was stopped before the trajectory was sent; plan again")
         self._traj_id += 1
         motion = self._motion = asyncio.get_running_loop().create_future()
         try:
@@ -218,6 +220,7 @@ class LinkClient:
         If the PLC is not heard or the process is gone, its watchdog stops the machine: that is logged, not raised.
         """
         motion = self._motion
+        self._stops += 1
 
         def at_rest() -> bool:
             return self.health.phase not in _MOVING and (motion is None or motion.done())

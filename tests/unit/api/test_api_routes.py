@@ -64,6 +64,9 @@ class StandInPerformer:
     async def stop_motion(self, reason):
         await self._link.stop(reason)
 
+    def release(self):
+        pass
+
     async def hold_until(self, t_mono_ns):
         await self._link.hold_until(t_mono_ns)
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -18,6 +19,7 @@ class StandIn:
         self.script = script or {}
         self.performed, self.stops = [], []
         self.may_be_moving = False
+        self.released = 0
 
     async def perform(self, request):
         self.performed.append(type(request).__name__)
@@ -36,6 +38,9 @@ class StandIn:
     async def stop_motion(self, reason):
         self.stops.append(reason)
         self.may_be_moving = False
+
+    def release(self):
+        self.released += 1
 
 
 def plan(*requests, result="done"):
@@ -187,3 +192,100 @@ async def test_a_job_that_is_stopped_again_while_it_ramps_still_ends(again):
     assert (job.state, job.reason) == (JobState.STOPPED, "button up")
     engine.submit("look", plan(), "me")  # the next one may begin
     await finish(engine)
+
+
+async def test_a_stop_reaches_the_machine_before_the_step_under_way_has_ended():
+    release = threading.Event()
+
+    def heavy():
+        yield Settle()
+        release.wait(2.0)  # the machine moves meanwhile: a closed loop plans its new tail
+        yield MOVE
+
+    stand_in = StandIn()
+    engine = JobEngine(stand_in)
+    job = engine.submit("servo", heavy(), "me")
+    await asyncio.sleep(0.05)
+    stopping = asyncio.create_task(engine.stop("operator pressed stop"))
+    await asyncio.sleep(0.05)
+    assert stand_in.stops == ["operator pressed stop"]
+    assert job.state is JobState.STOPPING
+    release.set()
+    await stopping
+    assert job.state is JobState.STOPPED
+    assert stand_in.performed == ["Settle"]  # what the step asked for is not carried out any more
+    assert not stand_in.may_be_moving
+
+
+async def test_what_the_last_step_set_in_motion_after_the_ramp_is_stopped_again():
+    class Late(StandIn):
+        async def perform(self, request):
+            try:
+                await asyncio.get_running_loop().create_future()
+            finally:
+                await asyncio.sleep(0.05)
+                self.may_be_moving = True  # its trajectory was on its way already
+
+    stand_in = Late()
+    engine = JobEngine(stand_in)
+    job = engine.submit("position", plan(MOVE), "me")
+    await asyncio.sleep(0.05)
+    await engine.stop("enough")
+    assert job.state is JobState.STOPPED
+    assert not stand_in.may_be_moving
+    assert stand_in.stops[-1] == "enough"
+
+
+async def test_a_step_does_not_wait_for_a_busy_default_executor():
+    asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(1))
+    free = threading.Event()
+    listing = asyncio.create_task(asyncio.to_thread(free.wait, 5.0))
+    await asyncio.sleep(0.02)
+    engine = JobEngine(StandIn())
+    job = engine.submit("look", plan(Settle()), "me")
+    await asyncio.wait({engine._task}, timeout=2.0)
+    assert job.state is JobState.DONE
+    free.set()
+    await listing
+
+
+@pytest.mark.parametrize("deaf_to", ["started", "ended"])
+async def test_a_listener_that_raises_does_not_keep_a_job_from_its_end(deaf_to):
+    """A full disk under the recording must not block the machine, nor turn a done job into a failed one."""
+    heard = []
+
+    def full(job, event):
+        if event.name == deaf_to:
+            raise OSError(28, "No space left on device")
+
+    engine = JobEngine(StandIn())
+    engine.on_event(full)
+    engine.on_event(lambda job, event: heard.append(event.name))
+    job = engine.submit("look", plan(Settle()), "me")
+    await finish(engine)
+    assert (job.state, job.result) == (JobState.DONE, "done")
+    assert heard == ["started", "ended"]
+    engine.submit("look", plan(), "me")
+    await finish(engine)
+
+
+async def test_a_job_that_is_stopped_before_its_first_step_ends():
+    stand_in = StandIn()
+    engine = JobEngine(stand_in)
+    job = engine.submit("look", plan(Settle()), "me")
+    await engine.stop("at once")  # in the same turn of the loop
+    assert (job.state, job.reason, stand_in.performed) == (JobState.STOPPED, "at once", [])
+    again = engine.submit("look", plan(Settle()), "me")
+    await finish(engine)
+    assert again.state is JobState.DONE
+
+
+@pytest.mark.parametrize("answer", [None, "forever", JobFailedError("poor", "calibration_failed"), ValueError("bug")])
+async def test_what_a_job_left_on_is_released_on_every_ending(answer):
+    stand_in = StandIn({Settle: answer})
+    engine = JobEngine(stand_in)
+    job = engine.submit("calibrate", plan(Settle()), "me")
+    await asyncio.sleep(0.05)
+    await engine.stop("enough")
+    assert job.ended
+    assert stand_in.released == 1

@@ -157,3 +157,30 @@ def test_a_folder_that_cannot_be_written_is_told_not_raised(tmp_path: Path) -> N
     recorder.sample(sample(0))
     recorder.event("info", "nothing is written")
     assert recorder.stop() is None
+
+
+class FullDisk:
+    """A writer whose disk is full: at the first byte, or at the last."""
+
+    path = Path("full.mcap")
+
+    def __init__(self, *args, at_start=False):
+        if at_start:
+            raise OSError(28, "No space left on device")
+
+    def close(self, run):
+        raise OSError(28, "No space left on device")
+
+    def __getattr__(self, name):
+        return lambda *args, **kwargs: None
+
+
+@pytest.mark.parametrize("at_start", [True, False])
+def test_a_full_disk_is_told_and_ends_no_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_start: bool) -> None:
+    monkeypatch.setattr("server.recorder.RunWriter", lambda *args: FullDisk(*args, at_start=at_start))
+    recorder = Recorder(tmp_path, MACHINE)
+    recorder.start("a", "{}", MACHINE_TOML)
+    recorder.sample(sample(1))
+    assert recorder.stop() is None
+    assert "No space left on device; free the disk" in recorder.problem
+    recorder.start("b", "{}", MACHINE_TOML)  # the next one may try again

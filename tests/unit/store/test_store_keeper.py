@@ -33,6 +33,9 @@ class StandIn:
     async def stop_motion(self, reason):
         pass
 
+    def release(self):
+        pass
+
 
 def plan():
     yield Settle()
