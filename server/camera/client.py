@@ -1,6 +1,7 @@
 """The server's end of the vision process: starts it, keeps it alive, and turns its reports into looks and tracks."""
 
 import asyncio
+import contextlib
 import logging
 import multiprocessing
 import threading
@@ -171,6 +172,14 @@ class VisionClient:
         self._send(OdometryCommand(on=False))
         self.last_odometry, self.last_map = tuple(track.poses), None
         return track.track()
+
+    def drop_odometry(self) -> None:
+        """Switch odometry off if it is on; nobody wants its track."""
+        if self._track is None:
+            return
+        self._track = None
+        with contextlib.suppress(CameraError):  # no process, no odometry
+            self._send(OdometryCommand(on=False))
 
     async def _wait_for_process(self) -> None:
         """Until the vision process has said something: a picture's report, or what its source lacks."""

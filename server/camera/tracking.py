@@ -1,5 +1,6 @@
 """Odometry poses of one run, and the camera track that calibration wants."""
 
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,13 +9,15 @@ from server.calibration.contracts import CameraTrack
 from server.camera.contracts import FrameReport
 from server.vision.contracts import OdometryPose, OdometryStatus
 
+POSES_MAX = 180 * 60  # as long as encoders are kept to match them with, at 60 pairs a second
+
 
 @dataclass(slots=True)
 class TrackCollector:
-    """Takes reports while odometry runs."""
+    """Takes reports while odometry runs; the newest POSES_MAX poses are kept."""
 
-    poses: list[OdometryPose] = field(default_factory=list)
-    _offsets_ns: list[int] = field(default_factory=list)
+    poses: deque[OdometryPose] = field(default_factory=lambda: deque(maxlen=POSES_MAX))
+    _offsets_ns: deque[int] = field(default_factory=lambda: deque(maxlen=POSES_MAX))
 
     def add(self, report: FrameReport) -> None:
         """Keep this report's odometry, if it has one."""

@@ -81,11 +81,14 @@ async def _leg(site: Site, name: str, axis_cam: Array) -> Leg:
     start = await rest(site)
     trajectory = _trajectory(site, start, name, axis_cam)
     seen_before = mean_pose([report.observation.ooi for report in await fresh_pairs(site, PAIRS, f"{name}: before")])
-    await vision.start_odometry()
-    played = await play(site, trajectory, name)
-    end = await rest(site)
-    pairs = await fresh_pairs(site, PAIRS, f"{name}: after")
-    track = await vision.stop_odometry()
+    try:
+        await vision.start_odometry()
+        played = await play(site, trajectory, name)
+        end = await rest(site)
+        pairs = await fresh_pairs(site, PAIRS, f"{name}: after")
+        track = await vision.stop_odometry()
+    finally:
+        vision.drop_odometry()
     seen_after = mean_pose([report.observation.ooi for report in pairs])
     await play_gently(site, start.q_ref, f"{name}: back")
     if not played.ended.reached:
