@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
+from protocol.client_counters import ClientCounters
 from protocol.client_events import (
     ClientEvent,
     ClientPhase,
@@ -64,18 +65,6 @@ class _Wish(Enum):
     ARM = "arm"
     RESET = "reset"
     DISARM = "disarm"
-
-
-@dataclass(slots=True)
-class ClientCounters:
-    """What this end has seen."""
-
-    sent: int = 0
-    received: int = 0
-    lost: int = 0
-    stale: int = 0  # duplicates and late ones
-    bad: int = 0
-    rejected: int = 0
 
 
 @dataclass(slots=True)
@@ -334,6 +323,8 @@ class ClientLink:
                 events.append(TailAnswered(run.traj_id, True, "taken"))
             over = run.end(state, stop)
             events += self._ended(*over, state) if over else []
+        elif state.plc_state is PlcState.RUN:  # its run was given up here, or the PLC makes a mistake
+            self.request_stop("the PLC plays a motion that is not under way here")
         if stop and not self._run and state.plc_state not in MOVING and is_at_or_after(state.ack_seq, stop.first_seq):
             self._stop = None
         return events

@@ -10,6 +10,7 @@ from protocol.servo_target import ServoTarget
 
 MOVING = (PlcState.RUN, PlcState.STOPPING)
 _OF_KNOTS = range(RejectCode.LIMIT_Q, RejectCode.OVERRIDE + 1)  # refusals that blame what a command carries
+_OF_OTHERS = (RejectCode.SOURCE, RejectCode.SESSION)  # refusals of somebody else's datagrams, with their numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +90,15 @@ class Run:
             return False, f"PLC went to {state.plc_state.name}"
         if stop and is_at_or_after(state.ack_seq, stop.first_seq):
             return False, stop.reason
-        refused = bool(state.reject_count) and is_at_or_after(state.reject_seq, self.first_seq)
+        refused = self._refused(state)
         if self.started and state.traj_id == self.traj_id:
             return False, self._why_stopped(state, stop, refused)
         return (False, f"the PLC refused the motion: {reject_text(state.reject_code)}") if refused else None
+
+    def _refused(self, state: State) -> bool:
+        """Whether the PLC's newest refusal is of a command of this motion."""
+        ours = bool(state.reject_count) and state.reject_code not in _OF_OTHERS
+        return ours and is_at_or_after(state.reject_seq, self.first_seq)
 
     def _why_stopped(self, state: State, stop: Stop | None, refused: bool) -> str:
         if stop:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import pytest
 from link_toy_plc import MS, RAMP_NS, TABLE, ToyPlc, smooth_knots
 
-from protocol.client_events import ClientPhase, Closed, StateReceived, TrajectoryEnded
+from protocol.client_events import ClientPhase, Closed, RejectSeen, StateReceived, TrajectoryEnded
 from protocol.client_link import ClientLink
 from protocol.codes import PlcState
 from protocol.errors import LocalProtocolError
@@ -253,6 +253,19 @@ def test_a_second_pc_is_refused_while_the_first_is_in_session() -> None:
         loop.until(lambda: False, 0.05)
     assert loop.plc.link.session == loop.pc.session
     assert loop.pc.phase(loop.t_ns) is ClientPhase.ARMED
+
+
+def test_an_idle_second_pc_that_counts_higher_ends_no_motion() -> None:
+    loop = Loop().armed()
+    second = ClientLink(TABLE, RawFraming(), 4711, _seq=36_000)
+    loop.run()
+    while not any(isinstance(event, TrajectoryEnded) for event in loop.events):
+        hello = second.send(loop.t_ns)
+        if hello:
+            loop.plc.receive(hello, loop.plc_ns(loop.t_ns), "other")
+        loop.step()
+    assert loop.ended(0.0).reached
+    assert any(isinstance(event, RejectSeen) for event in loop.events)  # it was seen, and passed over
 
 
 def test_requests_that_make_no_sense_are_our_own_mistake() -> None:

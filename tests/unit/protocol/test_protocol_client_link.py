@@ -179,6 +179,34 @@ def test_a_refusal_by_the_plc_is_quoted() -> None:
     assert "leaves the joint range" in events[-1].reason
 
 
+@pytest.mark.parametrize("code", [RejectCode.SESSION, RejectCode.SOURCE])
+def test_a_refusal_of_somebody_else_s_datagram_ends_nothing(code: RejectCode) -> None:
+    """Another PC numbers its HELLOs, too, and may be far ahead of us."""
+    refusal = {"reject_code": code, "reject_count": 1, "reject_seq": 36003}
+    pc = Pc().holding()
+    pc.link.request_run(1, KNOTS, pc.t_ns)
+    pc.next()
+    assert [type(event) for event in pc.feed(**refusal)] == [StateReceived, RejectSeen]
+    pc.feed(plc_state=PlcState.RUN, traj_id=1, knot_last=5)
+    assert pc.next().mode is Mode.TRAJECTORY
+    assert "the PLC stopped by itself" in pc.feed(plc_state=PlcState.HOLD)[-1].reason
+
+
+def test_a_motion_that_was_given_up_and_plays_all_the_same_is_stopped() -> None:
+    pc = Pc().holding()
+    pc.link.request_run(1, KNOTS, pc.t_ns)
+    seq = pc.next().seq
+    assert isinstance(pc.feed(reject_code=RejectCode.LIMIT_Q, reject_count=1, reject_seq=seq)[-1], TrajectoryEnded)
+    pc.feed(plc_state=PlcState.RUN, traj_id=1, knot_last=5)  # the START before it had been taken
+    stop = pc.next()
+    assert stop.mode is Mode.STOP
+    assert pc.link.busy
+    pc.feed(plc_state=PlcState.STOPPING, traj_id=1, ack_seq=stop.seq)
+    pc.feed(plc_state=PlcState.HOLD)
+    assert pc.next().mode is Mode.HEARTBEAT
+    assert not pc.link.busy
+
+
 def test_a_start_that_never_comes_is_given_up_with_a_stop() -> None:
     pc = Pc().holding()
     pc.link.request_run(1, KNOTS, pc.t_ns)
