@@ -119,7 +119,8 @@ class ClosedLoopSettings(_Strict):
     distance_max_mm: Annotated[float, Field(gt=0.0, le=300.0)] = 150.0
     pairs_in_a_row: Annotated[int, Field(ge=3, le=200)] = 10
     sigma_max_mm: Annotated[float, Field(gt=0.0, le=10.0)] = 1.5
-    silence_max_ms: Annotated[float, Field(ge=30.0, le=170.0)] = 150.0  # with 25 ms of link: a ramp within 200 ms
+    # with 25 ms of link a ramp within 200 ms; 30 ms later where the server stalls and the link stops by itself
+    silence_max_ms: Annotated[float, Field(ge=30.0, le=170.0)] = 150.0
     passes_max: Annotated[int, Field(ge=1, le=5)] = 3
 
 

@@ -178,7 +178,8 @@ class JobEngine:
         if running is not None:
             await self._stop_job(running, task, reason if first else None)
         await ramp
-        if running is not None and self._performer.may_be_moving:  # begun by the job's last step, after the ramp
+        ours = running is not None and self.current is running
+        if ours and self._performer.may_be_moving:  # begun by the job's last step, after the ramp
             await self._performer.stop_motion(reason)
 
     async def _stop_job(self, job: Job, task: asyncio.Task[None] | None, reason: str | None) -> None:

@@ -93,8 +93,10 @@ class Performer:
 
     async def stop_motion(self, reason: str) -> None:
         """Ramp down and hold."""
-        await self._cell.link.stop(reason)
-        await self._steering.forget()
+        try:
+            await self._cell.link.stop(reason)
+        finally:
+            await self._steering.forget()
         self.may_be_moving = False
 
     def release(self) -> None:

@@ -32,7 +32,7 @@ class NextPair:
 class PairSeen:
     """One pair as it came, with the encoders at its exposure and how the motion stands.
 
-    `fault`: why it must not be acted upon (silent camera, unfit picture, no encoders for it); empty when it may.
+    `fault`: why it must not be acted upon (silent camera, old or unfit picture, no encoders for it); empty when it may.
     `tail`: what became of the last `Correct`; taken and refused are told once.
     """
 

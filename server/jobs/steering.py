@@ -5,6 +5,7 @@ Nothing here waits for the link while a pair may be lost: corrections are answer
 
 import asyncio
 import time
+from collections import deque
 from typing import Literal
 
 import numpy as np
@@ -21,6 +22,9 @@ from server.motion.contracts import JointTrajectory
 ENCODER_GAP_S = 0.05  # an exposure further than this from any encoder sample cannot be joined with them
 HISTORY_S = 1.0
 ENDING_S = 0.1  # a stopped motion tells its end at once
+LATENCY_PAIRS = 300  # pairs over which the smallest latency is known: 5 s at 60 a second, 20 s at 15
+FIRST_PAIR_S = 0.25  # from asking for the motion to the first pair that is judged: one step of the plan
+GRACE_S = 0.03  # the link's own stop comes after the plan's, which says why
 
 
 class Steering:
@@ -32,6 +36,7 @@ class Steering:
         self._tail: asyncio.Task[None] | None = None
         self._listening = False
         self._number, self._t_arrival_s = 0, 0.0
+        self._latencies_s: deque[float] = deque(maxlen=LATENCY_PAIRS)
         self._report: FrameReport | None = None
         self._arrived = asyncio.Event()
 
@@ -39,12 +44,22 @@ class Steering:
         """Hand the trajectory to the link; its refusal is told by `end` or shows as an ended motion."""
         self._listen()
         self._tail = None
+        await self._let_go_on(FIRST_PAIR_S)
         self._motion = asyncio.create_task(self._cell.link.run(trajectory), name="steered-motion")
         await asyncio.sleep(0.0)
 
     async def next_pair(self, request: NextPair) -> PairSeen:
-        """The newest pair after a number, or a silence, or the motion's end, whichever comes first."""
+        """The newest pair after a number, or a silence, or the motion's end, whichever comes first.
+
+        A pair without a fault lets the motion go on; without one the link ends it, whatever this process does.
+        """
         self._listen()
+        seen = await self._awaited(request)
+        if not seen.fault and not seen.ended:
+            await self._let_go_on(request.silence_max_s + GRACE_S)
+        return seen
+
+    async def _awaited(self, request: NextPair) -> PairSeen:
         deadline_s = max(self._t_arrival_s, time.monotonic() - request.silence_max_s) + request.silence_max_s
         while self._number <= request.after:
             left_s = deadline_s - time.monotonic()
@@ -68,7 +83,10 @@ class Steering:
         motion, self._motion = self._motion, None
         if motion is None:
             raise JobFailedError("no motion was begun", "motion_ended_early")
-        ended = await motion
+        try:
+            ended = await motion
+        finally:
+            await self._cell.link.steer_until(None)
         if not ended.reached:
             raise JobFailedError(f"closed loop: motion ended early: {ended.reason}", "motion_ended_early")
 
@@ -81,6 +99,10 @@ class Steering:
                 task.cancel()
                 task.add_done_callback(_looked_at)
         self._motion = self._tail = None
+        await self._cell.link.steer_until(None)
+
+    async def _let_go_on(self, for_s: float) -> None:
+        await self._cell.link.steer_until(time.monotonic_ns() + int(for_s * 1e9))
 
     def _listen(self) -> None:
         if not self._listening:
@@ -89,6 +111,7 @@ class Steering:
 
     def _on_report(self, report: FrameReport) -> None:
         self._number, self._report, self._t_arrival_s = self._number + 1, report, time.monotonic()
+        self._latencies_s.append(self._t_arrival_s - report.t_exposure_mapped_ns * 1e-9)
         self._arrived.set()
         self._arrived = asyncio.Event()
 
@@ -97,7 +120,8 @@ class Steering:
         q = None
         if report is not None:
             q = self._joints_at(report.t_exposure_mapped_ns * 1e-9 + request.time_offset_s)
-            fault = "; ".join(report.warnings) or ("" if q is not None else "no encoders at the pair's exposure")
+            fault = "; ".join(report.warnings) or self._too_old(report, request.silence_max_s)
+            fault = fault or ("" if q is not None else "no encoders at the pair's exposure")
         return PairSeen(
             number=number,
             fault=fault,
@@ -109,6 +133,18 @@ class Steering:
             tail=tail,
             tail_text=tail_text,
         )
+
+    def _too_old(self, report: FrameReport, silence_max_s: float) -> str:
+        """Why the pair is no longer news: it may lack what has come into view since. Empty when it is.
+
+        Its age counts from its exposure: a process that stalls takes an old pair for one that has just come.
+        """
+        age_s = time.monotonic() - report.t_exposure_mapped_ns * 1e-9
+        fastest_s = max(min(self._latencies_s), 0.0)
+        if age_s <= silence_max_s + fastest_s:
+            return ""
+        limit_ms = 1e3 * (silence_max_s + fastest_s)
+        return f"the newest pair is {1e3 * age_s:.0f} ms old (limit {limit_ms:.0f} ms); this computer is overloaded"
 
     def _tail_state(self) -> tuple[Literal["none", "pending", "taken", "refused"], str]:
         """What became of the last correction; told once."""

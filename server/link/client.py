@@ -28,6 +28,7 @@ from server.link.contracts import (
     RunRequest,
     SamplesReport,
     SilenceRequest,
+    SteerRequest,
     StopRequest,
     TailReport,
 )
@@ -200,6 +201,11 @@ class LinkClient:
         """Let motion go on until then only [monotonic ns]; None: it need not be held any more."""
         with contextlib.suppress(LinkSilentError):  # no process, no motion
             await self._request(HoldRequest(t_mono_ns))
+
+    async def steer_until(self, t_mono_ns: int | None) -> None:
+        """Let steered motion go on until then only [monotonic ns]; None: nothing is steered any more."""
+        with contextlib.suppress(LinkSilentError):  # no process, no motion
+            await self._request(SteerRequest(t_mono_ns))
 
     async def quick_stop(self, reason: str) -> None:
         """Every joint to rest as fast as it may; like `stop` otherwise."""

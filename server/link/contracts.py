@@ -130,6 +130,16 @@ class HoldRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class SteerRequest:
+    """Motion that is steered by what the camera sees may go on until then only [monotonic ns]; None: nothing steers.
+
+    Renewed with every pair that is judged: a server that stalls can neither judge a pair nor send a stop.
+    """
+
+    until_ns: int | None
+
+
+@dataclass(frozen=True, slots=True)
 class ResetRequest:
     """Clear a latched fault; never restarts motion."""
 
@@ -173,6 +183,14 @@ class TailReport:
 
 
 LinkRequest = (
-    ArmRequest | RunRequest | CorrectRequest | StopRequest | SilenceRequest | HoldRequest | ResetRequest | DisarmRequest
+    ArmRequest
+    | RunRequest
+    | CorrectRequest
+    | StopRequest
+    | SilenceRequest
+    | HoldRequest
+    | SteerRequest
+    | ResetRequest
+    | DisarmRequest
 )
 LinkReport = SamplesReport | HealthReport | MotionEnded | RunRefused | TailReport

@@ -44,9 +44,11 @@ from server.link.contracts import (
     RunRefused,
     RunRequest,
     SilenceRequest,
+    SteerRequest,
     StopRequest,
     TailReport,
 )
+from server.link.deadline import Deadline
 from server.link.knots import knots_from, refusals_text
 from server.link.lateness import Lateness, LatenessFigures
 from server.link.outbox import Outbox
@@ -60,6 +62,7 @@ _HEALTH_NS = 100_000_000
 _RESOLVE_NS = 1_000_000_000
 _REJECTS_KEPT = 10
 _HOLD_LOST = "hold-to-run: no proof that the button is held reached the link in time; press it again"
+_SIGHT_LOST = "closed loop: no pair was judged in time, the server or this computer is busy with something else"
 _AGE_SHOWN_NS = 3_600_000_000_000  # "never" is shown as an hour
 
 
@@ -81,8 +84,7 @@ class LinkProcess:
         self._rejects: deque[str] = deque(maxlen=_REJECTS_KEPT)
         self._silent_until_ns = 0
         self._arm_until_ns: int | None = None
-        self._held_until_ns: int | None = None
-        self._hold_lost = False
+        self._hold, self._sight = Deadline(_HOLD_LOST), Deadline(_SIGHT_LOST)
         self._next_health_ns = self._next_resolve_ns = 0
         self._leaving: str | None = None
 
@@ -134,7 +136,7 @@ class LinkProcess:
         if self._arm_until_ns is not None and now_ns > self._arm_until_ns:
             self._arm_until_ns = None
             self._link.cancel_wish()
-        self._watch_hold(now_ns)
+        self._watch_deadlines(now_ns)
         self._handle(self._link.poll(now_ns), now_ns)
         self._find_plc(now_ns)
         silent = now_ns < self._silent_until_ns
@@ -150,11 +152,11 @@ class LinkProcess:
         if os.getppid() != self._parent_pid or self._outbox.broken:
             self.leave("the server is gone")
 
-    def _watch_hold(self, now_ns: int) -> None:
-        """The button's proofs come through the server; when they stop coming for any reason, motion stops, too."""
-        if self._held_until_ns is not None and now_ns > self._held_until_ns:
-            self._held_until_ns, self._hold_lost = None, True
-            self._link.request_stop(_HOLD_LOST)
+    def _watch_deadlines(self, now_ns: int) -> None:
+        """What the button and the camera prove comes through the server; when it stops coming, motion stops, too."""
+        for deadline in (self._hold, self._sight):
+            if deadline.just_missed(now_ns):
+                self._link.request_stop(deadline.missed_text)
 
     def _find_plc(self, now_ns: int) -> None:
         """The address may change only while no session is open."""
@@ -193,7 +195,9 @@ class LinkProcess:
             case CorrectRequest():
                 self._correct(request)
             case HoldRequest(until_ns=until_ns):
-                self._held_until_ns, self._hold_lost = until_ns, False
+                self._hold.set(until_ns)
+            case SteerRequest(until_ns=until_ns):
+                self._sight.set(until_ns)
             case SilenceRequest(duration_s=duration_s):
                 self._silent_until_ns = time.monotonic_ns() + round(duration_s * 1e9)
             case ResetRequest():
@@ -204,9 +208,10 @@ class LinkProcess:
                 self._link.request_disarm()
 
     def _start(self, request: RunRequest) -> None:
-        if self._hold_lost:
-            self._outbox.report(RunRefused(request.traj_id, _HOLD_LOST))
-            return
+        for deadline in (self._hold, self._sight):
+            if deadline.missed:
+                self._outbox.report(RunRefused(request.traj_id, deadline.missed_text))
+                return
         try:
             knots = knots_from(request.knots)
             refusals = self._link.request_run(request.traj_id, knots, time.monotonic_ns(), judged=True)

@@ -190,27 +190,30 @@ async def test_killed_link_process_ends_the_motion_and_is_replaced(raw_plc: PlcT
         await link.close()
 
 
-async def test_a_hold_that_nobody_renews_stops_the_motion_without_the_server(
-    raw_plc: PlcThread, machine: Machine
+@pytest.mark.parametrize(("proof", "word"), [("hold_until", "hold-to-run"), ("steer_until", "no pair was judged")])
+async def test_a_proof_that_nobody_renews_stops_the_motion_without_the_server(
+    raw_plc: PlcThread, machine: Machine, proof: str, word: str
 ) -> None:
     """The server's loop is blocked, as by a busy computer; the link process ends the motion by itself."""
     link = LinkClient(settings_for(raw_plc), machine)
+    renew = getattr(link, proof)
     await link.start()
     try:
         await link.arm(timeout_s=10.0)
-        await link.hold_until(time.monotonic_ns() + 2_000_000_000)
+        await renew(time.monotonic_ns() + 2_000_000_000)
         task = asyncio.ensure_future(link.run(long_path(raw_plc)))
         assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 1.5)
-        await link.hold_until(time.monotonic_ns() + 280_000_000)
+        await renew(time.monotonic_ns() + 280_000_000)
         time.sleep(1.5)  # noqa: ASYNC251 this is the blocked loop
         accepted = [e.command.mode.name for e in raw_plc.plc.events if hasattr(e, "command")]
         assert "STOP" in accepted
         assert raw_plc.plc.link.state is not PlcState.RUN
         ended = await asyncio.wait_for(task, 3.0)
         assert not ended.reached
-        with pytest.raises(LinkRefusedError, match="hold-to-run"):  # the rest of a job must not begin after it
+        assert word in ended.reason
+        with pytest.raises(LinkRefusedError, match=word):  # the rest of a job must not begin after it
             await link.run(long_path(raw_plc))
-        await link.hold_until(None)
+        await renew(None)
         task = asyncio.ensure_future(link.run(long_path(raw_plc)))
         assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 3.0)
         await link.stop("test")

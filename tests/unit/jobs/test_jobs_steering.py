@@ -9,7 +9,7 @@ import pytest
 
 from server.errors import JobFailedError
 from server.jobs.steer_requests import Correct, NextPair
-from server.jobs.steering import Steering
+from server.jobs.steering import FIRST_PAIR_S, GRACE_S, Steering
 from server.link.contracts import MotionEnded
 from server.link.errors import LinkRefusedError
 from server.motion.contracts import JointTrajectory
@@ -31,6 +31,10 @@ class Link:
 
     def __init__(self):
         self.motion = self.tail = None
+        self.until = []  # what the motion was let go on to [monotonic ns]
+
+    async def steer_until(self, t_mono_ns):
+        self.until.append(t_mono_ns)
 
     def samples_since(self, t_mono_ns):
         now = time.monotonic_ns()
@@ -171,3 +175,48 @@ async def test_a_stopped_motion_leaves_no_task_behind(cell):
     assert {task.get_name() for task in asyncio.all_tasks()}.isdisjoint({"steered-motion", "new-tail"})
     cell.vision.report(report())
     assert (await steering.next_pair(asked())).ended
+
+
+async def test_a_pair_that_waited_behind_a_stall_is_too_old_to_act_upon(cell):
+    """Silence counts from when a report was taken in: a stalled process would take old pairs for new ones."""
+    steering = await begun(cell)
+    cell.vision.report(report(age_s=0.06))
+    assert (await steering.next_pair(asked(silence_max_s=0.15))).fault == ""
+    cell.vision.report(report(age_s=0.18))  # slow, but within silence and the fastest pair's latency
+    assert (await steering.next_pair(asked(after=1, silence_max_s=0.15))).fault == ""
+    cell.vision.report(report(age_s=0.4))
+    seen = await steering.next_pair(asked(after=2, silence_max_s=0.15))
+    assert seen.number == 3
+    assert "the newest pair is 40" in seen.fault
+    assert "limit 21" in seen.fault
+    await steering.forget()
+
+
+async def test_only_a_pair_without_a_fault_lets_the_motion_go_on(cell):
+    steering = await begun(cell)
+    (first_ns,) = cell.link.until  # before the trajectory is asked for
+    assert 0 < first_ns - time.monotonic_ns() <= FIRST_PAIR_S * 1e9
+    cell.vision.report(report())
+    before_ns = time.monotonic_ns()
+    await steering.next_pair(asked(silence_max_s=0.15))
+    after_ns = time.monotonic_ns()
+    assert before_ns <= cell.link.until[1] - int((0.15 + GRACE_S) * 1e9) <= after_ns
+    cell.vision.report(report(warnings=("left eye is dark",)))
+    await steering.next_pair(asked(after=1))
+    await steering.next_pair(asked(after=2, silence_max_s=0.01))  # silence
+    assert len(cell.link.until) == 2
+    await steering.forget()
+    assert cell.link.until[2:] == [None]
+
+
+async def test_a_motion_at_its_end_needs_no_more_pairs(cell):
+    steering = await begun(cell)
+    cell.link.motion.set_result(MotionEnded(1, True, "reached", 0))
+    await asyncio.sleep(0.0)
+    cell.vision.report(report())
+    await steering.next_pair(asked())
+    await steering.end()
+    assert cell.link.until[1:] == [None]
+    cell.vision.report(report())
+    await steering.next_pair(asked(after=1))  # at rest: nothing to let go on
+    assert cell.link.until[1:] == [None]
