@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from longreach.bench_hold.network import Network
+from longreach.fleet_client import JobClient
 from longreach.kill_drill.plc_process import PlcProcess, free_udp_port
 from longreach.kill_drill.relay import Relay
 from longreach.kill_drill.under_test import START_S, ServerUnderTest
@@ -67,6 +68,8 @@ class HoldDrill:
         self._server = ServerUnderTest(self._relay.port, machine, self._folder)
         self._server.start()
         self._relay.wait(lambda state: state.plc_state is PlcState.LINKED, START_S, "the link")
+        with JobClient(f"http://127.0.0.1:{self._server.http_port}") as client:
+            client.run({"kind": "look"})  # it shows nothing, and so no wall: the page may park
         self._network = Network(self._server.http_port).__enter__()
         return self
 

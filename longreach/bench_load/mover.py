@@ -9,7 +9,7 @@ import httpx
 
 from longreach.fleet_client import JobClient, JobRefusedError
 
-BODIES: tuple[dict[str, Any], ...] = ({"kind": "retract", "distance_mm": 300.0}, {"kind": "park"})
+BODIES: tuple[dict[str, Any], ...] = ({"kind": "retract", "distance_mm": 300.0}, {"kind": "park", "wall_free": True})
 _PAUSE_S = 0.5
 
 

@@ -239,7 +239,7 @@ EXAMPLES: dict[str, Example] = {
     "MarkerViewOut": _MARKER,
     "MoveView": _MOVE,
     "OrientRequest": {"kind": "orient"},
-    "ParkRequest": {"kind": "park"},
+    "ParkRequest": {"kind": "park", "wall_free": False},
     "PathDiagnosis": {"path": "imported/crane-7.mcap"},
     "PlanEntry": {
         "plan_hash": PLAN_HASH,

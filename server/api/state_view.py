@@ -91,7 +91,7 @@ def steps(cell: Cell, engine: JobEngine) -> dict[str, str]:
         "position": common,
         "retract": common,
         "return": common or ("" if cell.knowledge.q_start is not None else "no run has begun yet"),
-        "park": common or why_no_park(cell.machine),
+        "park": common or why_no_park(cell.machine) or ("" if cell.knowledge.looked else "look first"),
         "stop": "",
     }
 

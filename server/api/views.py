@@ -327,6 +327,7 @@ class ReturnRequest(JobRequest):
 
 
 class ParkRequest(JobRequest):
-    """Fold the machine."""
+    """Fold the machine. Refused (`no_wall`) while nobody has looked for a wall, but for `wall_free`."""
 
     kind: Literal["park"]
+    wall_free: bool = Field(default=False, description="there is no wall within reach; needed before the first look")

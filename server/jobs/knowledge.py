@@ -62,6 +62,11 @@ class Knowledge:
     calibration_note: str = ""  # why a kept calibration was not taken up, or is not kept
     unix_minus_mono_s: float = 0.0  # 0 in virtual time
 
+    @property
+    def looked(self) -> bool:
+        """Whether anybody has looked for a wall since the server began: one is known, or the look showed none."""
+        return self.T_base_ooi is not None or self.last_look is not None
+
     def unix_s(self, t_mono_ns: int) -> float:
         """The calendar's time at a moment of the monotonic clock [s]."""
         return t_mono_ns * 1e-9 + self.unix_minus_mono_s

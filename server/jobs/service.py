@@ -129,6 +129,12 @@ class JobService:
             case ReturnRequest():
                 return return_to_start(ctx)
             case ParkRequest():
+                if not (ctx.knowledge.looked or body.wall_free):
+                    raise JobFailedError(
+                        "no wall is known, so folding cannot be checked against it: look first, or park with "
+                        "wall_free = true if there is none within reach",
+                        "no_wall",
+                    )
                 return park(ctx)
 
     def _last_look(self) -> LookTaken:

@@ -60,7 +60,7 @@ def test_a_proposed_experiment_is_planned_driven_and_diagnosed_with_the_first(tm
     )
     with stack, JobClient(stack.url) as client, httpx.Client(base_url=stack.url, timeout=20.0) as http:
         client.wait_ready(READY_S)
-        assert client.run({"kind": "park"}).state == "done"
+        assert client.run({"kind": "park", "wall_free": True}).state == "done"
         first, answer = diagnosed(
             http, http.post("/v1/diagnoses", json={"path": without_camera(runs)}).json()["diagnosis_id"]
         )

@@ -33,6 +33,7 @@ def stack(tmp_path_factory):
     )
     with stack, JobClient(stack.url) as client:
         client.wait_ready(180.0)
+        client.run({"kind": "look"})  # nobody parks before having looked for a wall
         yield stack
 
 

@@ -5,6 +5,7 @@ import time
 from dataclasses import dataclass
 
 import httpx
+import numpy as np
 from fastapi import FastAPI
 from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecorder, StandInVision
 
@@ -84,6 +85,7 @@ def bench(folder, keyed: bool = False) -> Bench:
     (folder / "runs").mkdir(exist_ok=True)
     link = Link()
     cell = Cell(settings, MACHINE, chain_of(MACHINE), "", link, StandInVision(), StandInRecorder())
+    cell.knowledge.T_base_ooi = np.eye(4)  # a wall is known: jobs that move are admitted
     performer = Performer(link)
     keeper = Keeper(Database(folder / "runs" / "longreach.sqlite3"), lambda result: result)
     keeper.database.open()

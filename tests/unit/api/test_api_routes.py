@@ -1,5 +1,6 @@
 """The REST side with a stand-in cell: what it answers to good, bad and impossible requests. No process is started."""
 
+import asyncio
 import json
 import time
 
@@ -117,6 +118,22 @@ async def test_the_state_is_json_even_when_nothing_is_there(client):
     assert body["camera"]["warnings"] == ["no image yet"]
     assert body["link"]["age_ms"] is None
     assert body["steps"]["preview"] == "look first"
+
+
+async def test_nobody_parks_before_having_looked_for_a_wall(client, service):
+    """After a restart at the stand-off the wall is there, but not known: folding would turn into it."""
+    assert (await client.get("/v1/state")).json()["steps"]["park"] == "look first"
+    refused = await client.post("/v1/jobs", json={"kind": "park"})
+    assert (refused.status_code, refused.json()["code"]) == (409, "no_wall")
+    assert "look first, or park with wall_free = true" in refused.json()["detail"]
+    assert not service.engine.jobs
+    told = await client.post("/v1/jobs", json={"kind": "park", "wall_free": True})
+    assert told.status_code == 202
+    await asyncio.wait({service.engine._task}, timeout=5.0)
+    service.cell.knowledge.T_base_ooi = np.eye(4)  # a look
+    assert (await client.get("/v1/state")).json()["steps"]["park"] == ""
+    assert (await client.post("/v1/jobs", json={"kind": "park"})).status_code == 202
+    await asyncio.wait({service.engine._task}, timeout=5.0)
 
 
 async def test_an_unknown_wall_and_a_plan_are_json(client, service):

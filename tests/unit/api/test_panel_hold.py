@@ -125,7 +125,7 @@ async def pressed(service):
     lease = service.engine.leases.acquire("anna", ttl_s=60.0)
     (route,) = hold_router(service, memory).routes
     serving = asyncio.create_task(route.endpoint(socket))
-    socket.say(press={"kind": "park"}, lease_id=lease.lease_id, fencing=lease.fencing)
+    socket.say(press={"kind": "park", "wall_free": True}, lease_id=lease.lease_id, fencing=lease.fencing)
     yield socket, memory, serving
     serving.cancel()
 
@@ -167,7 +167,7 @@ async def test_a_socket_that_breaks_at_the_first_word_leaves_nothing_moving(serv
     socket, memory = Broken(), PanelMemory(service)
     lease = service.engine.leases.acquire("anna", ttl_s=60.0)
     (route,) = hold_router(service, memory).routes
-    socket.say(press={"kind": "park"}, lease_id=lease.lease_id, fencing=lease.fencing)
+    socket.say(press={"kind": "park", "wall_free": True}, lease_id=lease.lease_id, fencing=lease.fencing)
     await route.endpoint(socket)
     assert service.engine.current.state.value == "stopped"
 
@@ -203,7 +203,11 @@ async def test_what_may_not_be_pressed_moves_nothing(service, change, code):
     service.cell.knowledge.last_look, service.cell.knowledge.previewed = looked(), previewed(60.0)
     lease = service.engine.leases.acquire("anna", ttl_s=60.0)
     (route,) = hold_router(service, memory).routes
-    press = {"press": {"kind": "park"}, "lease_id": lease.lease_id, "fencing": lease.fencing} | change
+    press = {
+        "press": {"kind": "park", "wall_free": True},
+        "lease_id": lease.lease_id,
+        "fencing": lease.fencing,
+    } | change
     socket.say(**press)
     await route.endpoint(socket)
     assert (await socket.hear("refused"))["code"] == code
