@@ -3,8 +3,10 @@
 import heapq
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import get_type_hints
 
 from recording.content import Attachment, Recording
 from recording.errors import RecordingError
@@ -12,7 +14,10 @@ from recording.folder import write_folder
 from recording.opening import read_run
 from recording.rows import Row
 from recording.run import RunInfo
-from recording.writer import RunWriter
+from recording.writer import RECOVERABLE, TIME_MOST_NS, RunWriter
+
+COUNT_LEAST, COUNT_MOST = -(2**63), 2**63 - 1  # what the messages' counts hold
+CLOCKS = "mend the row's time, or [clocks] of run.toml"
 
 
 def convert(source: Path, target: Path) -> Recording:
@@ -31,19 +36,49 @@ def convert(source: Path, target: Path) -> Recording:
 
 
 def write_mcap(recording: Recording, path: Path) -> None:
-    """Write a recording's numbers as MCAP. Times become UTC by the run's clock offsets, as far as they are known."""
+    """Write a recording's numbers as MCAP. Times become UTC by the run's clock offsets, as far as they are known.
+
+    Raises: RecordingError: a count or a time that MCAP cannot hold, naming the row; a file that cannot be written.
+    """
+    to_utc_ns = round((recording.run.pc_to_utc_offset_s or 0.0) * 1e9)
+    _require_room(recording, to_utc_ns)
     attachments = [*recording.attachments]
     if recording.machine_toml:
         attachments.insert(0, Attachment("machine.toml", "application/toml", recording.machine_toml.encode()))
-    to_utc_s = recording.run.pc_to_utc_offset_s or 0.0
-    writer = RunWriter(path, recording.run, attachments, recording.metadata, mono_to_utc_ns=round(to_utc_s * 1e9))
+    writer = RunWriter(path, recording.run, attachments, recording.metadata, mono_to_utc_ns=to_utc_ns)
     for entry in recording.log:
-        writer.log(entry.level, entry.text, entry.t_utc_ns - round(to_utc_s * 1e9))
+        writer.log(entry.level, entry.text, entry.t_utc_ns - to_utc_ns)
     for t_ns, row in _in_turn(recording):
         writer.row(row, t_ns)
     report = writer.close(recording.run)
     if report.error:
-        raise RecordingError(report.error)
+        path.unlink(missing_ok=True)  # the source holds all of it
+        raise RecordingError(report.error.removesuffix(f"; {RECOVERABLE}"))
+
+
+def _require_room(recording: Recording, to_utc_ns: int) -> None:
+    """Every count and time has to fit, before anything is written."""
+    counts = {row_type: _counts(row_type) for row_type in {type(row) for row in recording.rows}}
+    numbers: Counter[type[Row]] = Counter()
+    for row in recording.rows:
+        kind = type(row)
+        numbers[kind] += 1
+        for name in counts[kind]:
+            if not COUNT_LEAST <= getattr(row, name) <= COUNT_MOST:
+                told = f"{name} = {getattr(row, name)}, limits {COUNT_LEAST} to {COUNT_MOST}"
+                raise RecordingError(f"{_place(recording, kind, numbers[kind])}: {told}; leave the cell of none empty")
+        t_utc_ns = pc_time_ns(row, recording.run) + to_utc_ns
+        if not 0 <= t_utc_ns <= TIME_MOST_NS:
+            told = f"its time is {t_utc_ns * 1e-9:.6g} s in UTC, limits 0 to {TIME_MOST_NS * 1e-9:.6g} s since 1970"
+            raise RecordingError(f"{_place(recording, kind, numbers[kind])}: {told}; {CLOCKS}")
+
+
+def _counts(row_type: type[Row]) -> list[str]:
+    return [name for name, kind in get_type_hints(row_type).items() if kind is int]
+
+
+def _place(recording: Recording, kind: type[Row], number: int) -> str:
+    return f"{kind.file if recording.form == 'folder' else kind.topic}, row {number}"
 
 
 def _in_turn(recording: Recording) -> Iterator[tuple[int, Row]]:

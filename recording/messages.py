@@ -8,6 +8,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as FieldProto
 from google.protobuf.message import Message
 
+from recording.errors import RecordingError
 from recording.rows import ROW_TYPES, Floats, Row
 
 PACKAGE = "longreach"
@@ -51,8 +52,24 @@ class RowCodec:
         self._message: Callable[..., Message] = message_factory.GetMessageClass(descriptor)
 
     def encode(self, row: Row) -> bytes:
-        """The row as protobuf bytes."""
-        return self._message(**{name: getattr(row, name) for name in self._names}).SerializeToString()
+        """The row as protobuf bytes.
+
+        Raises: RecordingError: a value does not fit its field; names channel, field and value.
+        """
+        try:
+            return self._message(**{name: getattr(row, name) for name in self._names}).SerializeToString()
+        except (ValueError, TypeError) as error:
+            raise RecordingError(f"channel {row.topic}: {self._unfit(row)}") from error
+
+    def _unfit(self, row: Row) -> str:
+        """The first field whose value cannot be written, and why."""
+        for name in self._names:
+            value = getattr(row, name)
+            try:
+                self._message(**{name: value})
+            except (ValueError, TypeError) as error:
+                return f"{name} = {repr(value)[:60]} cannot be written: {error}"
+        return "a value cannot be written"
 
     def decode(self, data: bytes) -> Row:
         """The row of protobuf bytes; fields that are not there take protobuf's defaults."""

@@ -30,6 +30,9 @@ IMAGES_MAX = 16  # waiting images; a disk that is further behind loses images
 CHUNK_BYTES = 256 * 1024
 FLUSH_S = 1.0  # at most this much is lost when the process is killed
 CLOSE_S = 30.0
+RECOVERABLE = "what was written so far can be recovered"
+PUT_S = 0.5  # between two looks at whether the thread that empties the queue is still there
+TIME_MOST_NS = 2**64 - 1  # what MCAP's times hold
 
 IMAGE_TOPIC = "/camera/left"
 CALIBRATION_TOPIC = "/camera/left/calibration"
@@ -76,21 +79,27 @@ class RunWriter:
         self._error = ""
         self._messages = 0
         self.images_dropped = 0
+        self._channels: dict[str, int] = {}
+        self._sequence: dict[str, int] = {}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._stream: BinaryIO = path.open("xb")
+            self._writer = McapWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
+            self._begin([Attachment("run.toml", "application/toml", run_to_toml(run).encode()), *attachments], metadata)
         except OSError as error:
             raise RecordingError(f"recording {path}: {error.strerror}; choose a folder that can be written") from error
-        self._writer = McapWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-        self._channels: dict[str, int] = {}
-        self._sequence: dict[str, int] = {}
-        self._writer.start(profile="", library="longreach")
-        self._attach(Attachment("run.toml", "application/toml", run_to_toml(run).encode()))
-        for attachment in attachments:
-            self._attach(attachment)
-        self._writer.add_metadata("longreach", dict(metadata))
         self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
         self._thread.start()
+
+    def _begin(self, attachments: Sequence[Attachment], metadata: Sequence[tuple[str, str]]) -> None:
+        try:
+            self._writer.start(profile="", library="longreach")
+            for attachment in attachments:
+                self._attach(attachment)
+            self._writer.add_metadata("longreach", dict(metadata))
+        except OSError:
+            self._stream.close()
+            raise
 
     @property
     def error(self) -> str:
@@ -127,13 +136,13 @@ class RunWriter:
 
     def close(self, run: RunInfo | None = None) -> WriterReport:
         """Write what waits, the final run.toml and the index. The file is complete afterwards."""
-        if self._thread.is_alive():
-            self._queue.put(None)
+        if not self._stream.closed:
+            self._put(None)
             self._thread.join(CLOSE_S)
-        if self._thread.is_alive():
-            self._error = self._error or f"writer did not come to its end within {CLOSE_S:.0f} s"
-        elif not self._stream.closed:
-            self._finish(run)
+            if self._thread.is_alive():
+                self._error = self._error or f"writer did not come to its end within {CLOSE_S:.0f} s"
+            else:
+                self._finish(run)
         return WriterReport(self.path, self._messages, self.images_dropped, self._error)
 
     def _finish(self, run: RunInfo | None) -> None:
@@ -143,10 +152,16 @@ class RunWriter:
                     self._attach(Attachment("run.toml", "application/toml", run_to_toml(run).encode()))
                 self._writer.add_metadata("longreach/end", {"images_dropped": str(self.images_dropped)})
                 self._writer.finish()
-        except OSError as error:
+        except Exception as error:  # whatever it is, the report says so and the run's end goes on
             self._fail(error)
         finally:
+            self._close_stream()
+
+    def _close_stream(self) -> None:
+        try:
             self._stream.close()
+        except OSError as error:  # closing writes what its buffer still held
+            self._fail(error)
 
     def _utc(self, t_mono_ns: int) -> int:
         return t_mono_ns + self._mono_to_utc_ns
@@ -157,55 +172,68 @@ class RunWriter:
         if self._error or self._stream.closed:
             return
         publish_ns = t_mono_ns if t_source_mono_ns is None else t_source_mono_ns
-        self._queue.put(_Entry(topic, content, self._utc(t_mono_ns), self._utc(publish_ns)))
+        self._put(_Entry(topic, content, self._utc(t_mono_ns), self._utc(publish_ns)))
+
+    def _put(self, entry: _Entry | None) -> None:
+        """Wait for room as long as there is somebody who makes it."""
+        while self._thread.is_alive():
+            try:
+                return self._queue.put(entry, timeout=PUT_S)
+            except queue.Full:
+                continue
+        self._error = self._error or f"recording {self.path}: the thread that writes it has ended; {RECOVERABLE}"
 
     def _work(self) -> None:
-        """Thread: entries from the queue to the file, a chunk at least every FLUSH_S."""
-        flushed_s = time.monotonic()
-        running = True
+        """Thread: entries from the queue to the file, a chunk at least every FLUSH_S.
+
+        Whatever goes wrong ends the file and never the thread: it empties the queue on, so that nobody waits for it.
+        """
+        running, flushed_s = True, time.monotonic()
         while running:
             try:
-                entry = self._queue.get(timeout=FLUSH_S)
-                running = entry is not None
-                if entry is not None:
-                    self._take(entry)
+                entries = [self._queue.get(timeout=FLUSH_S)]
             except queue.Empty:
-                pass
-            if time.monotonic() - flushed_s >= FLUSH_S and not self._error:
-                flushed_s = time.monotonic()
-                self._guarded_flush()
+                entries = []
+            running = None not in entries
+            try:
+                for entry in entries:
+                    self._take(entry)
+                if time.monotonic() - flushed_s >= FLUSH_S and not self._error:
+                    flushed_s = time.monotonic()
+                    self._writer.flush()
+            except Exception as error:  # a row that cannot be written must not stop the machine that it tells of
+                self._fail(error)
 
-    def _take(self, entry: _Entry) -> None:
+    def _take(self, entry: _Entry | None) -> None:
+        if entry is None:
+            return
         if entry.topic == IMAGE_TOPIC:
             with self._lock:
                 self._images_waiting -= 1
-        if self._error:
-            return  # keep emptying the queue, so that nobody waits for a full disk
-        try:
+        if not self._error:
             self._write(entry)
-        except OSError as error:
-            self._fail(error)
 
-    def _guarded_flush(self) -> None:
-        try:
-            self._writer.flush()
-        except OSError as error:
-            self._fail(error)
-
-    def _fail(self, error: OSError) -> None:
-        self._error = f"recording {self.path}: {error.strerror or error}; what was written so far can be recovered"
+    def _fail(self, error: Exception) -> None:
+        if self._error:
+            return  # what came first is the cause
+        told = error.strerror if isinstance(error, OSError) else str(error)
+        self._error = f"recording {self.path}: {told or repr(error)}; {RECOVERABLE}"
         _log.error(self._error)
 
     def _write(self, entry: _Entry) -> None:
         content = entry.content
         data = CODECS[entry.topic].encode(content) if isinstance(content, Row) else content.SerializeToString()
+        if not 0 <= entry.log_ns <= TIME_MOST_NS:
+            limits = f"outside 0 .. {TIME_MOST_NS} ns since 1970"
+            raise RecordingError(f"channel {entry.topic}: log time {entry.log_ns} ns is {limits}; set the PC's clock")
+        stamped = 0 <= entry.publish_ns <= TIME_MOST_NS  # MCAP: a stamp that is not known is the log time
         number = self._sequence.get(entry.topic, 0)
         self._sequence[entry.topic] = number + 1
         self._writer.add_message(
             channel_id=self._channel(entry),
             log_time=entry.log_ns,
             data=data,
-            publish_time=entry.publish_ns,
+            publish_time=entry.publish_ns if stamped else entry.log_ns,
             sequence=number,
         )
         self._messages += 1

@@ -48,13 +48,18 @@ class Recorder:
         self._open_segment: tuple[str, SegmentKind, str, int] | None = None
         self._transforms_ns = 0
         self._camera_ns = self._image_ns = 0
-        self.problem = ""
+        self._problem = ""
         self.last_report: WriterReport | None = None
 
     @property
     def recording(self) -> bool:
         """Whether a run is on."""
         return self._writer is not None
+
+    @property
+    def problem(self) -> str:
+        """Why the run that is on, or else the last one, is not recorded; empty while it is."""
+        return self._problem or (self._writer.error if self._writer is not None else "")
 
     def start(
         self,
@@ -78,10 +83,10 @@ class Recorder:
         path = self._folder / f"{now:%Y%m%dT%H%M%S}-{run_id}.mcap"
         try:
             self._writer = RunWriter(path, self._run, attachments, self._metadata(seed))
-            self.problem = ""
-        except (RecordingError, OSError) as error:
-            self.problem = _problem(path, error)
-            _log.error("%s; the run goes on without a recording", self.problem)
+            self._problem = ""
+        except RecordingError as error:
+            self._problem = str(error)
+            _log.error("%s; the run goes on without a recording", error)
 
     def _metadata(self, seed: int | None) -> list[tuple[str, str]]:
         return [
@@ -183,32 +188,20 @@ class Recorder:
         if not self._segments and self._first_plc_ns is not None:  # nobody said what it was: a job of the server
             span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
             self._segments.append(Segment(self._run.name, "positioning", *span))
-        try:
-            report = writer.close(self._finished())
-        except OSError as error:
-            self.problem = _problem(writer.path, error)
-            _log.error("%s; what was written so far can be recovered", self.problem)
-            return None
-        self.last_report, self.problem = report, report.error
-        return report.path
-
-    def _finished(self) -> RunInfo:
-        return RunInfo(
-            name=self._run.name,
-            started_utc=self._run.started_utc,
-            seed=self._run.seed,
-            plc_to_pc_offset_s=None if self._plc_offset_ns is None else self._plc_offset_ns * 1e-9,
-            camera_to_pc_offset_s=None if self._camera_offset_ns is None else self._camera_offset_ns * 1e-9,
-            pc_to_utc_offset_s=self._run.pc_to_utc_offset_s,
-            segments=tuple(self._segments),
+        report = writer.close(
+            RunInfo(
+                name=self._run.name,
+                started_utc=self._run.started_utc,
+                seed=self._run.seed,
+                plc_to_pc_offset_s=None if self._plc_offset_ns is None else self._plc_offset_ns * 1e-9,
+                camera_to_pc_offset_s=None if self._camera_offset_ns is None else self._camera_offset_ns * 1e-9,
+                pc_to_utc_offset_s=self._run.pc_to_utc_offset_s,
+                segments=tuple(self._segments),
+            )
         )
+        self.last_report, self._problem = report, report.error
+        return report.path
 
     def _row(self, row: Row, t_mono_ns: int) -> None:
         if self._writer is not None:
             self._writer.row(row, t_mono_ns)
-
-
-def _problem(path: Path, error: RecordingError | OSError) -> str:
-    if isinstance(error, RecordingError):
-        return str(error)
-    return f"recording {path}: {error.strerror or error}; free the disk or choose another folder"

@@ -1,7 +1,8 @@
 """The server's recorder: everything it is told lands in one file per run."""
 
 import json
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -159,28 +160,29 @@ def test_a_folder_that_cannot_be_written_is_told_not_raised(tmp_path: Path) -> N
     assert recorder.stop() is None
 
 
-class FullDisk:
-    """A writer whose disk is full: at the first byte, or at the last."""
+def test_a_file_that_broke_off_is_told_while_the_run_goes_on(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, MACHINE)
+    recorder.start("x", "{}", MACHINE_TOML)
+    recorder.sample(replace(sample(0), seq=2**64))
+    deadline_s = time.monotonic() + 5.0
+    while not recorder.problem and time.monotonic() < deadline_s:
+        recorder.sample(sample(1))
+    assert "seq_received = 18446744073709551616 cannot be written" in recorder.problem
+    assert recorder.recording
+    recorder.stop()
+    assert "seq_received" in recorder.problem
+    recorder.start("y", "{}", MACHINE_TOML)
+    assert recorder.problem == ""
+    recorder.stop()
 
-    path = Path("full.mcap")
 
-    def __init__(self, *args, at_start=False):
-        if at_start:
-            raise OSError(28, "No space left on device")
-
-    def close(self, run):
+def test_a_disk_that_is_full_at_the_start_is_told_not_raised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_args: object, **_kwargs: object) -> None:
         raise OSError(28, "No space left on device")
 
-    def __getattr__(self, name):
-        return lambda *args, **kwargs: None
-
-
-@pytest.mark.parametrize("at_start", [True, False])
-def test_a_full_disk_is_told_and_ends_no_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_start: bool) -> None:
-    monkeypatch.setattr("server.recorder.RunWriter", lambda *args: FullDisk(*args, at_start=at_start))
+    monkeypatch.setattr("recording.writer.McapWriter.add_attachment", full)
     recorder = Recorder(tmp_path, MACHINE)
-    recorder.start("a", "{}", MACHINE_TOML)
-    recorder.sample(sample(1))
+    recorder.start("x", "{}", MACHINE_TOML)
+    assert "No space left" in recorder.problem
+    recorder.sample(sample(0))
     assert recorder.stop() is None
-    assert "No space left on device; free the disk" in recorder.problem
-    recorder.start("b", "{}", MACHINE_TOML)  # the next one may try again

@@ -5,7 +5,8 @@ import os
 import signal
 import subprocess
 import sys
-from dataclasses import fields
+from collections.abc import Callable
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from recording.check import check_recording
-from recording.content import Attachment, column
-from recording.convert import convert
+from recording.content import Attachment, Recording, column
+from recording.convert import convert, write_mcap
 from recording.errors import RecordingError
 from recording.folder import write_folder
 from recording.foxglove import FramePose
@@ -310,6 +311,79 @@ def test_a_full_disk_is_told_and_blocks_nobody(tmp_path: Path) -> None:
     writer.row(plc_state(0), SECOND_NS)
     report = writer.close()
     assert "No space left" in report.error
+
+
+def test_a_row_that_cannot_be_written_ends_the_file_and_blocks_nobody(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES", 20)
+    writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"))
+    for number in range(300):  # of more rows than the queue holds
+        writer.row(replace(plc_state(number), seq_received=2**64 - 1 if number == 10 else number), SECOND_NS)
+    report = writer.close()
+    assert "channel /plc: seq_received = 18446744073709551615 cannot be written" in report.error
+    assert report.messages == 10
+    assert not read_run(tmp_path / "run.mcap").complete
+
+
+def test_a_log_time_that_no_file_holds_is_told(tmp_path: Path) -> None:
+    writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"), mono_to_utc_ns=-1000 * SECOND_NS)
+    writer.row(plc_state(0), SECOND_NS)
+    assert "channel /plc: log time -999000000000 ns is outside 0 .. 18446744073709551615 ns" in writer.close().error
+
+
+def test_a_source_stamp_that_no_file_holds_is_not_known(tmp_path: Path) -> None:
+    writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"), mono_to_utc_ns=0)
+    writer.row(plc_state(0), SECOND_NS, -5)
+    writer.row(plc_state(1), SECOND_NS, 2**64)
+    assert writer.close().error == ""
+    with (tmp_path / "run.mcap").open("rb") as stream:
+        messages = [message for _, _, message in make_reader(stream).iter_messages()]
+    assert [(one.log_time, one.publish_time) for one in messages] == [(SECOND_NS, SECOND_NS)] * 2
+
+
+def test_nobody_waits_for_a_thread_that_has_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES", 2)
+    writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"))
+    writer._queue.put(None)
+    writer._thread.join()
+    for number in range(4):
+        writer.row(plc_state(number), SECOND_NS)
+    assert "the thread that writes it has ended" in writer.close().error
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda row: replace(row, seq_received=2**64 - 1), "seq_received = 18446744073709551615, limits"),
+        (lambda row: replace(row, t_plc_s=1e30), r"its time is 1e\+30 s in UTC, limits 0 to"),
+    ],
+)
+def test_a_row_that_mcap_cannot_hold_is_named_and_nothing_is_written(
+    tmp_path: Path, spoil: Callable[[PlcState], PlcState], told: str
+) -> None:
+    rows = [plc_state(number) for number in range(300)]
+    rows[9] = spoil(rows[9])
+    write_folder(Recording("folder", RunInfo("odd"), "", tuple(rows)), tmp_path / "run")
+    with pytest.raises(RecordingError, match=rf"plc\.csv, row 10: {told}"):
+        convert(tmp_path / "run", tmp_path / "run.mcap")
+    assert not (tmp_path / "run.mcap").exists()
+
+
+def test_an_offset_before_all_time_is_named(tmp_path: Path) -> None:
+    run = RunInfo("odd", pc_to_utc_offset_s=-1000.0)
+    with pytest.raises(RecordingError, match=r"plc\.csv, row 1: its time is -900 s in UTC.*mend .* \[clocks\]"):
+        write_mcap(Recording("folder", run, "", (plc_state(0),)), tmp_path / "run.mcap")
+
+
+def test_a_file_that_broke_off_is_no_conversion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_args: object, **_kwargs: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("recording.writer.McapWriter.add_message", full)
+    with pytest.raises(RecordingError, match="No space left"):
+        write_mcap(Recording("folder", RunInfo("full"), "", (plc_state(0),)), tmp_path / "run.mcap")
+    assert not (tmp_path / "run.mcap").exists()
 
 
 def test_check_of_a_full_recording(tmp_path: Path) -> None:
