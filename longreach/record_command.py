@@ -37,7 +37,7 @@ def convert(recording: Source, target: Target) -> None:
         convert_recording(recording, target)
     except RecordingError as error:
         _refuse(error)
-    console.print(f"written: {target}")
+    console.print(f"written: {escape(str(target))}", soft_wrap=True)
 
 
 @app.command()
@@ -49,7 +49,7 @@ def recover(recording: Source, target: Target) -> None:
         _refuse(error)
     else:
         how = "nothing was broken" if saved.was_complete else f"reading ended at: {escape(saved.reason)}"
-        text = f"saved {saved.messages} messages and {saved.attachments} attachments to {target}; {how}"
+        text = f"saved {saved.messages} messages and {saved.attachments} attachments to {escape(str(target))}; {how}"
         console.print(text, soft_wrap=True)
 
 
@@ -69,5 +69,5 @@ def shown(report: CheckReport, screen: Console) -> None:
 
 
 def _refuse(error: RecordingError) -> None:
-    Console(stderr=True).print(f"[bold red]recording:[/] {error}")
+    Console(stderr=True).print(f"[bold red]recording:[/] {escape(str(error))}", soft_wrap=True)
     raise typer.Exit(2)

@@ -15,6 +15,7 @@ import typer
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from rich.console import Console
+from rich.markup import escape
 
 from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, LOG_TOPIC, TRANSFORM_TOPIC
 
@@ -35,7 +36,8 @@ def rerun(
         blueprint(target.with_suffix(".rbl"))
     except RerunError as error:
         raise typer.BadParameter(str(error)) from error
-    Console().print(f"written; open with: rerun {target} {target.with_suffix('.rbl')}")
+    text = f"written; open with: rerun {target} {target.with_suffix('.rbl')}"
+    Console().print(escape(text), soft_wrap=True)
 
 
 def convert(recording: Path, target: Path) -> None:

@@ -173,6 +173,7 @@ def _problems(recording: Recording) -> list[str]:
     problems: list[str] = []
     if not recording.complete:
         problems.append("the file was cut; `longreach recording recover` writes a whole one of what is left")
+    problems += [f"channel {told}: it is not of this format" for told in recording.foreign]
     for row_type, name in _TIMES:
         times_s = column(recording.of(row_type), name)
         back = int(np.sum(np.diff(times_s) < 0.0))

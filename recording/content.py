@@ -45,6 +45,7 @@ class Recording:
     metadata: tuple[tuple[str, str], ...] = ()
     images: int = 0
     complete: bool = True  # False: the MCAP file was cut, what could be read was read
+    foreign: tuple[str, ...] = ()  # channels of an MCAP file that are not of this format, in words
 
     def of(self, row_type: type[AnyRow]) -> tuple[AnyRow, ...]:
         """The rows of one kind, in order."""

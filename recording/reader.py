@@ -10,9 +10,10 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.records import Attachment as McapAttachment
-from mcap.records import Channel, McapRecord, Message, Metadata
+from mcap.records import Channel, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
+from recording.channels import Channels
 from recording.content import Attachment, LogEntry, Recording
 from recording.errors import RecordingError
 from recording.foxglove import LEVELS
@@ -22,17 +23,33 @@ from recording.run import RunInfo, run_from_toml
 from recording.writer import IMAGE_TOPIC, LOG_TOPIC
 
 # What the MCAP reader raises on bytes that end or are damaged; its decompressors have errors of their own. Overflow and
-# memory: a damaged size of a chunk, which they believe.
-CUT_ERRORS = (McapError, EOFError, struct.error, zlib.error, ValueError, KeyError, OSError, OverflowError, MemoryError)
+# memory: a damaged size of a chunk, which they believe. LZ4 raises plain runtime errors.
+CUT_ERRORS = (
+    McapError,
+    EOFError,
+    struct.error,
+    zlib.error,
+    ValueError,
+    KeyError,
+    OSError,
+    OverflowError,
+    MemoryError,
+    RuntimeError,
+)
 
 LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 
 
 class RecordStream:
-    """The records of an MCAP file in order, until its end or its first damage. `cut` tells which."""
+    """The records of an MCAP file in order, until its end or its first damage. `cut` tells which.
+
+    A message whose channel was never told is damage, too, and left out: nobody can say what it is.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._schemas: set[int] = {0}  # MCAP's number of no schema
+        self._channels: set[int] = set()
         self.cut = False
         self.reason = ""
 
@@ -54,13 +71,31 @@ class RecordStream:
                     self._judge(error)
                     break
                 ended = type(record).__name__ == "Footer"
-                yield record
+                if self._placed(record):
+                    yield record
             self.cut = self.cut or not ended
 
     def _judge(self, error: Exception) -> None:
         if not isinstance(error, CUT_ERRORS) and type(error).__module__.split(".")[0] not in ("zstandard", "lz4"):
             raise error
-        self.cut, self.reason = True, str(error) or type(error).__name__
+        self._damaged(str(error) or type(error).__name__)
+
+    def _damaged(self, reason: str) -> None:
+        self.cut, self.reason = True, self.reason or reason
+
+    def _placed(self, record: McapRecord) -> bool:
+        """Whether what a record refers to was told before it; a channel without its schema still has a topic."""
+        match record:
+            case Schema():
+                self._schemas.add(record.id)
+            case Channel():
+                self._channels.add(record.id)
+                if record.schema_id not in self._schemas:
+                    self._damaged(f"the schema of channel {record.topic} is missing")
+            case Message() if record.channel_id not in self._channels:
+                self._damaged(f"the record of channel {record.channel_id} is missing")
+                return False
+        return True
 
 
 def read_mcap(path: Path) -> Recording:
@@ -79,7 +114,7 @@ def read_mcap(path: Path) -> Recording:
 
 class _Collected:
     def __init__(self) -> None:
-        self._channels: dict[int, Channel] = {}
+        self._channels = Channels()
         self._rows: list[Row] = []
         self._log: list[LogEntry] = []
         self._attachments: dict[str, Attachment] = {}
@@ -89,9 +124,8 @@ class _Collected:
 
     def take(self, record: McapRecord) -> None:
         self.any_record = True
+        self._channels.take(record)
         match record:
-            case Channel():
-                self._channels[record.id] = record
             case Message():
                 self._message(record)
             case McapAttachment():  # a later one of the same name is the better one
@@ -100,7 +134,7 @@ class _Collected:
                 self._metadata += [(f"{record.name}.{key}", value) for key, value in record.metadata.items()]
 
     def _message(self, record: Message) -> None:
-        topic = self._channels[record.channel_id].topic
+        topic = self._channels.topic_of(record)
         try:
             if topic in CODECS:
                 self._rows.append(CODECS[topic].decode(record.data))
@@ -127,6 +161,7 @@ class _Collected:
             metadata=tuple(self._metadata),
             images=self._images,
             complete=complete,
+            foreign=self._channels.foreign,
         )
 
 

@@ -24,18 +24,32 @@ class RecoverReport:
 def recover(source: Path, target: Path) -> RecoverReport:
     """Copy everything readable of `source`, images included, into a whole file with an index.
 
-    Raises: RecordingError when nothing can be read, or the target exists already.
+    Raises: RecordingError when nothing can be read, or the target exists already or cannot be written; nothing is left.
     """
     if target.exists():
         raise RecordingError(f"{target} exists already; choose another name")
+    try:
+        file = target.open("xb")
+    except OSError as error:
+        raise _unwritable(target, error) from error
     stream = RecordStream(source)
     copier = _Copier()
-    with target.open("xb") as file:
-        copier.copy(stream, Writer(file, compression=CompressionType.ZSTD))
-    if copier.messages + copier.attachments == 0:
-        target.unlink()
-        raise RecordingError(f"recording {source}: nothing can be read: {stream.reason or 'it is empty'}")
+    try:
+        with file:
+            copier.copy(stream, Writer(file, compression=CompressionType.ZSTD))
+        if copier.messages + copier.attachments == 0:
+            raise RecordingError(f"recording {source}: nothing can be read: {stream.reason or 'it is empty'}")
+    except OSError as error:
+        target.unlink(missing_ok=True)
+        raise _unwritable(target, error) from error
+    except RecordingError:
+        target.unlink(missing_ok=True)  # an empty one would be in the next one's way
+        raise
     return RecoverReport(copier.messages, copier.attachments, not stream.cut, stream.reason)
+
+
+def _unwritable(target: Path, error: OSError) -> RecordingError:
+    return RecordingError(f"{target} cannot be written: {error.strerror}; choose a folder that can be written")
 
 
 class _Copier:
@@ -52,8 +66,9 @@ class _Copier:
                 case Schema() if record.id not in self._schemas:
                     self._schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
                 case Channel() if record.id not in self._channels:
+                    schema = self._schemas.get(record.schema_id, 0)  # one that is missing: the messages are saved
                     self._channels[record.id] = writer.register_channel(
-                        record.topic, record.message_encoding, self._schemas[record.schema_id], record.metadata
+                        record.topic, record.message_encoding, schema, record.metadata
                     )
                 case Message():
                     self._message(writer, record)

@@ -152,6 +152,10 @@ def _form_findings(recording: Recording, path: Path) -> list[Finding]:
     if not recording.complete:
         text = "the file was cut; what could be read is used, `longreach recording recover` writes a whole one"
         findings.append(Finding("cut_file", "problem", "recording", text))
+    findings += [
+        Finding("unknown_column", "note", path.name, f"channel {told}: it is not of the format")
+        for told in recording.foreign
+    ]
     if recording.run.format_version < FORMAT_VERSION:
         text = f"format_version {recording.run.format_version} is older than {FORMAT_VERSION}; read as its own version"
         findings.append(Finding("format_version", "note", "run.toml", text))

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from mcap.records import Channel, Message
+from mcap.records import Message
 
+from recording.channels import Channels
 from recording.errors import RecordingError
 from recording.messages import CODECS
 from recording.reader import RecordStream
@@ -64,12 +65,11 @@ def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
 
 
 def _messages(path: Path) -> Iterator[tuple[str, Message]]:
-    channels: dict[int, Channel] = {}
+    channels = Channels()
     for record in RecordStream(path):
-        if isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, Message) and channels[record.channel_id].topic in WANTED:
-            yield channels[record.channel_id].topic, record
+        channels.take(record)
+        if isinstance(record, Message) and (topic := channels.topic_of(record)) in WANTED:
+            yield topic, record
 
 
 def _joints(row: Row) -> list[Any]:

@@ -227,3 +227,9 @@ def test_text_of_two_bytes_a_letter_is_told(tmp_path: Path) -> None:
     text = (path / "plc.csv").read_text(encoding="utf-8")
     (path / "plc.csv").write_bytes(text.encode("utf-16-be"))
     assert "save it as UTF-8" in fatal_of(read(path))
+
+
+def test_channels_of_others_are_a_note() -> None:
+    told = "/odometry (json, schema 'nav_msgs/Odometry'): 7 messages were not read"
+    findings = examine(replace(MADE, foreign=(told,)), Path("made")).findings
+    assert [one.severity for one in findings if told in str(one)] == ["note"]

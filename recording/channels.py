@@ -1,0 +1,58 @@
+"""Which channels of an MCAP file are of this format: by topic, encoding and schema together.
+
+Why: others give the same topics to other messages, `/odometry` and `/log` above all.
+"""
+
+from collections import Counter
+
+from mcap.records import Channel, McapRecord, Message, Schema
+
+from recording.messages import CODECS
+from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, LOG_TOPIC, TRANSFORM_TOPIC
+
+ENCODING = "protobuf"
+SCHEMAS = {topic: codec.schema_name for topic, codec in CODECS.items()} | {
+    IMAGE_TOPIC: "foxglove.CompressedImage",
+    CALIBRATION_TOPIC: "foxglove.CameraCalibration",
+    TRANSFORM_TOPIC: "foxglove.FrameTransforms",
+    LOG_TOPIC: "foxglove.Log",
+}
+
+
+class Channels:
+    """Takes a file's records in order; says of each message whose it is."""
+
+    def __init__(self) -> None:
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._foreign: Counter[int] = Counter()
+
+    def take(self, record: McapRecord) -> None:
+        """Learn of a schema or a channel; other records say nothing here."""
+        match record:
+            case Schema():
+                self._schemas[record.id] = record
+            case Channel():
+                self._channels[record.id] = record
+
+    def topic_of(self, message: Message) -> str:
+        """The topic of a message of this format; empty for one of somebody else's, which is counted."""
+        channel = self._channels[message.channel_id]
+        schema = self._schemas.get(channel.schema_id)
+        encodings = (channel.message_encoding, "" if schema is None else schema.encoding)
+        known = schema is not None and SCHEMAS.get(channel.topic) == schema.name
+        if known and encodings == (ENCODING, ENCODING):
+            return channel.topic
+        self._foreign[message.channel_id] += 1
+        return ""
+
+    @property
+    def foreign(self) -> tuple[str, ...]:
+        """Channels whose messages are not of this format, each in words."""
+        return tuple(self._told(number, count) for number, count in self._foreign.items())
+
+    def _told(self, number: int, count: int) -> str:
+        channel = self._channels[number]
+        schema = self._schemas.get(channel.schema_id)
+        name = "no schema" if schema is None else f"schema {schema.name!r}"
+        return f"{channel.topic} ({channel.message_encoding or 'no encoding'}, {name}): {count} messages were not read"
