@@ -18,7 +18,8 @@ from diagnosis.fleet.page import fleet_page
 from diagnosis.fleet.run import diagnose_all, recordings_below
 from diagnosis.fleet.summary import summary_of
 from longreach.one_thread import ONE_THREAD
-from longreach.shipped_machine import file_of_machine
+from longreach.shipped_machine import file_of_machine, text_of_machine
+from machine.errors import MachineFileError
 from server.version import __version__
 
 BAD_INPUT = 2
@@ -36,11 +37,14 @@ def diagnose_fleet(
 ) -> None:
     """Diagnose every recording below a folder, and write what the machines share and how it drifts."""
     screen = Console(stderr=True)
+    if machine_file is not None:
+        try:
+            text_of_machine(machine_file)
+        except MachineFileError as error:
+            raise _refused(str(error), screen) from error
     paths = recordings_below(folder)
     if not paths:
-        text = f"{folder}: no recording below it (MCAP files, folders with run.toml)"
-        screen.print(f"[bold red]longreach:[/] {escape(text)}", soft_wrap=True)
-        raise typer.Exit(BAD_INPUT)
+        raise _refused(f"{folder}: no recording below it (MCAP files, folders with run.toml)", screen)
     columns = (TextColumn("diagnosing"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with _executor(workers, dask) as executor, Progress(*columns, console=screen, transient=True) as shown:
         task = shown.add_task("", total=len(paths))
@@ -62,6 +66,11 @@ def diagnose_fleet(
         if one.drifts:
             typer.echo(f"{one.machine}: {one.name} drifts by {one.per_day:.3g} {one.unit} a day")
     typer.echo(f"{len(paths)} recordings, {len(fleet.unusable)} not usable; report: {out / 'fleet.html'}")
+
+
+def _refused(text: str, screen: Console) -> typer.Exit:
+    screen.print(f"[bold red]longreach:[/] {escape(text)}", soft_wrap=True)
+    return typer.Exit(BAD_INPUT)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from diagnosis.reading.read import Read, read
 from longreach.machine_out import machine_text
 from machine.effects.entries import entries_to_toml
 from machine.effects.registry import effect_of
+from machine.errors import MachineFileError
 from machine.remainder import remainders_to_toml
 from recording.errors import RecordingError
 
@@ -52,7 +53,7 @@ def _usable(path: Path, machine_file: Path | None) -> Read:
 def _nominal(path: Path, machine_file: Path | None) -> str:
     try:
         text = machine_text(path, machine_file)
-    except RecordingError as error:
+    except (RecordingError, MachineFileError) as error:
         raise BaselineError(str(error)) from error
     if not text:
         raise BaselineError(f"{path} holds no machine.toml; give one by --machine")

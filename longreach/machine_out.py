@@ -6,6 +6,7 @@ from diagnosis.baseline.forward import entries_of
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
 from diagnosis.search.candidates import in_words
+from longreach.shipped_machine import text_of_machine
 from machine.effects.entries import EffectEntry, entries_to_toml
 from recording.opening import read_run
 
@@ -43,9 +44,9 @@ def machine_with_effects(text: str, found: Diagnosis) -> str:
 def machine_text(recording: Path, machine_file: Path | None) -> str:
     """The text of a machine file: the one given, else what the recording (a folder or an MCAP file) holds.
 
-    Raises: RecordingError: the recording cannot be read.
+    Raises: RecordingError: the recording cannot be read; MachineFileError: the machine file cannot.
     """
-    return read_run(recording).machine_toml if machine_file is None else machine_file.read_text(encoding="utf-8")
+    return read_run(recording).machine_toml if machine_file is None else text_of_machine(machine_file)
 
 
 def write_machine(text: str, found: Diagnosis, path: Path) -> str:

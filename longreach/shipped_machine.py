@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from machine.errors import MachineFileError
+
 
 def file_of_machine(given: Path | None) -> Path | None:
     """The shipped file where a name such as `hiab033` was given that is no file here; else what was given."""
@@ -11,3 +13,16 @@ def file_of_machine(given: Path | None) -> Path | None:
 
     shipped = shipped_machine(str(given))
     return shipped if shipped.is_file() else given
+
+
+def text_of_machine(path: Path) -> str:
+    """The text of a machine file.
+
+    Raises: MachineFileError: it is not there, cannot be read, or is no UTF-8 text.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise MachineFileError(f"machine file {path} cannot be read: {error.strerror}; give another one") from error
+    except UnicodeDecodeError as error:
+        raise MachineFileError(f"machine file {path} is no UTF-8 text: {error}; save it as UTF-8") from error

@@ -4,6 +4,7 @@ The result is a plain dictionary that depends on the recording, the machine file
 """
 
 import hashlib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -36,10 +37,18 @@ def fingerprint(path: Path, machine_file: Path | None, version: str) -> str:
     digest = hashlib.sha256(version.encode())
     files = sorted(one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
     for one in [*files, *([machine_file] if machine_file is not None else [])]:
-        digest.update(one.name.encode() + b"\0")
-        with one.open("rb") as stream:
-            digest.update(hashlib.file_digest(stream, "sha256").digest())
+        digest.update(os.fsencode(one.name) + b"\0")
+        digest.update(_digest(one))
     return digest.hexdigest()
+
+
+def _digest(file: Path) -> bytes:
+    """Of its content; of a broken link or a file that cannot be read, that it cannot: its answer says why."""
+    try:
+        with file.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").digest()
+    except OSError:
+        return b"unreadable"
 
 
 def _whose(whole: Read) -> dict[str, Any]:

@@ -51,3 +51,14 @@ def test_what_is_no_recording_is_told(fitted: list[int], tmp_path: Path) -> None
     with pytest.raises(fit_baseline.BaselineError, match="no such"):
         fit_baseline.make_baseline([tmp_path / "no such"] * 3, None, tmp_path / "out.toml", SCREEN)
     assert fitted == []
+
+
+@pytest.mark.parametrize("content", [None, b"[machine]\nname = '\xe4'\n"])
+def test_a_machine_file_that_cannot_be_read_is_told(fitted: list[int], tmp_path: Path, content: bytes | None) -> None:
+    given = tmp_path / "nope.toml"
+    if content is not None:
+        given.write_bytes(content)
+    run = folder(tmp_path, recording())
+    with pytest.raises(fit_baseline.BaselineError, match=r"machine file .*nope\.toml"):
+        fit_baseline.make_baseline([run] * 3, given, tmp_path / "out.toml", SCREEN)
+    assert fitted == []

@@ -105,3 +105,23 @@ def test_the_command_says_what_is_missing(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["diagnose-fleet", str(tmp_path)])
     assert done.exit_code == 2
     assert "no recording below it" in done.output
+
+
+@pytest.mark.parametrize("content", [None, b"[machine]\nname = '\xe4'\n"])
+def test_a_machine_file_that_cannot_be_read_is_told_at_once(
+    recordings: Path, tmp_path: Path, content: bytes | None
+) -> None:
+    given = tmp_path / "nope.toml"
+    if content is not None:
+        given.write_bytes(content)
+    done = CliRunner().invoke(app, ["diagnose-fleet", str(recordings), "--machine", str(given), "--out", str(tmp_path)])
+    assert done.exit_code == 2
+    assert f"machine file {given}" in " ".join(done.output.split())
+
+
+def test_a_broken_link_does_not_end_the_fleet(tmp_path: Path) -> None:
+    (tmp_path / "gone.mcap").symlink_to(tmp_path / "nowhere")
+    with ThreadPoolExecutor(1) as pool:
+        (found,) = diagnose_all(recordings_below(tmp_path), tmp_path / "answers", pool, "1")
+    assert found["status"] == "unusable"
+    assert "No such file" in found["findings"][0]["text"]
