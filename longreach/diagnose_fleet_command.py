@@ -2,9 +2,9 @@
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Annotated, cast
@@ -46,15 +46,16 @@ def diagnose_fleet(
     if not paths:
         raise _refused(f"{folder}: no recording below it (MCAP files, folders with run.toml)", screen)
     columns = (TextColumn("diagnosing"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with _executor(workers, dask) as executor, Progress(*columns, console=screen, transient=True) as shown:
+    with _executors(workers, dask) as executor, Progress(*columns, console=screen, transient=True) as shown:
         task = shown.add_task("", total=len(paths))
         results = diagnose_all(
             paths,
             out / "answers",
-            executor,
+            executor(),
             __version__,
             machine_file,
             lambda _name, done, _total: shown.update(task, completed=done),
+            renewed=executor,
         )
     fleet = summary_of(results)
     (out / "fleet.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
@@ -74,16 +75,16 @@ def _refused(text: str, screen: Console) -> typer.Exit:
 
 
 @contextmanager
-def _executor(workers: int, dask: str) -> Iterator[Executor]:
-    """Processes by default; Dask's client gives an executor of the same kind."""
+def _executors(workers: int, dask: str) -> Iterator[Callable[[], Executor]]:
+    """A new pool of processes at each call by default; Dask's client gives an executor of the same kind."""
     os.environ.update({**ONE_THREAD, **os.environ})
     if not dask:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            yield pool
+        with ExitStack() as pools:
+            yield lambda: pools.enter_context(ProcessPoolExecutor(workers, mp_context=get_context("spawn")))
         return
     try:
         from dask.distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise typer.BadParameter("Dask is not installed: pip install -e '.[fleet]'", param_hint="--dask") from error
     with Client(dask) as client:
-        yield cast(Executor, client.get_executor(pure=False))
+        yield lambda: cast(Executor, client.get_executor(pure=False))

@@ -1,12 +1,13 @@
 """A fleet's recordings over an executor: saved one by one, resumed, never stopped by a bad one."""
 
 import json
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
 from diagnosis.fleet.case import diagnosed, fingerprint
+from diagnosis.fleet.workers import Workers
 
 Told = Callable[[str, int, int], None]
 
@@ -26,10 +27,12 @@ def diagnose_all(
     machine_file: Path | None = None,
     told: Told = lambda _name, _done, _total: None,
     at_once: int = 64,
+    renewed: Callable[[], Executor] | None = None,
 ) -> list[dict[str, Any]]:
     """Diagnose every recording, in the order of `paths`, at most `at_once` handed out at a time.
 
     Args: saved: folder in which each answer lies; what is there and still holds is not computed again.
+          renewed: gives an executor in place of one that broke because a worker of it died.
     """
     saved.mkdir(parents=True, exist_ok=True)
     names = _names(paths)
@@ -39,33 +42,21 @@ def diagnose_all(
         known = _loaded(saved / f"{name}.json", marks[name])
         if known is not None:
             results[name] = known
-    todo = [(name, path) for name, path in zip(names, paths, strict=True) if name not in results]
-    for name, result in _computed(todo, executor, machine_file, at_once):
-        results[name] = result
+    file = None if machine_file is None else str(machine_file.resolve())
+    paired = zip(names, paths, strict=True)
+    todo = [(name, (str(path.resolve()), file)) for name, path in paired if name not in results]
+    for name, one in Workers(executor, renewed).run(diagnosed, todo, at_once):
+        results[name] = result = _result(name, one)
         _save(saved / f"{name}.json", marks[name], result)
         told(name, len(results), len(names))
     return [results[name] for name in names]
 
 
-def _computed(
-    todo: list[tuple[str, Path]], executor: Executor, machine_file: Path | None, at_once: int
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    file = None if machine_file is None else str(machine_file.resolve())
-    left = list(reversed(todo))
-    running: dict[Future[dict[str, Any]], str] = {}
-    while left or running:
-        while left and len(running) < at_once:
-            name, path = left.pop()
-            running[executor.submit(diagnosed, str(path.resolve()), file)] = name
-        done, _ = wait(running, return_when=FIRST_COMPLETED)
-        for one in done:
-            yield running.pop(one), _result(one)
-
-
-def _result(one: "Future[dict[str, Any]]") -> dict[str, Any]:
+def _result(name: str, one: Future[dict[str, Any]]) -> dict[str, Any]:
     """A worker that died takes one recording along, not the fleet."""
     error = one.exception()
-    return one.result() if error is None else {"status": "failed", "reason": f"{type(error).__name__}: {error}"}
+    reason = f"{type(error).__name__}: {error}"
+    return one.result() if error is None else {"status": "failed", "recording": name, "reason": reason}
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
