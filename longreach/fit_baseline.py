@@ -1,6 +1,5 @@
 """`longreach diagnose --fit-baseline`: a machine file with the effects that belong to a machine undisturbed."""
 
-import re
 from pathlib import Path
 
 from rich.console import Console
@@ -10,13 +9,14 @@ from diagnosis.baseline.baseline import Baseline, fit_baseline
 from diagnosis.errors import DiagnosisError
 from diagnosis.known.days import FITTED_MOST, JUDGED_ENOUGH, RECORDINGS_ENOUGH
 from diagnosis.reading.read import Read, read
-from longreach.machine_out import machine_text
+from longreach.machine_out import MachineOutError, machine_text
+from longreach.machine_tables import with_tables, without_lists
 from machine.effects.entries import entries_to_toml
 from machine.effects.registry import effect_of
 from machine.errors import MachineFileError
 from machine.remainder import remainders_to_toml
-from recording.errors import RecordingError
 
+NOTHING = Baseline((), (), (), (), ())
 FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
 
 
@@ -30,6 +30,7 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
     Raises: BaselineError: an unusable recording, too few of them, or a file that cannot be written.
     """
     nominal = _nominal(recordings[0], machine_file)
+    with_baseline(nominal, NOTHING)  # whether it can be written, before minutes of fitting
     wholes = [_usable(path, machine_file) for path in recordings]
     count = min(FITTED_MOST, max(1, round(len(wholes) * FITTED_SHARE)))
     try:
@@ -53,7 +54,7 @@ def _usable(path: Path, machine_file: Path | None) -> Read:
 def _nominal(path: Path, machine_file: Path | None) -> str:
     try:
         text = machine_text(path, machine_file)
-    except (RecordingError, MachineFileError) as error:
+    except MachineOutError as error:
         raise BaselineError(str(error)) from error
     if not text:
         raise BaselineError(f"{path} holds no machine.toml; give one by --machine")
@@ -61,10 +62,15 @@ def _nominal(path: Path, machine_file: Path | None) -> str:
 
 
 def with_baseline(text: str, found: Baseline) -> str:
-    """A machine file's text with this baseline in place of any that it had."""
-    parts = re.split(r"(?m)^(?=[ \t]*\[)", text)  # one part a table
-    kept = [one for one in parts if not re.match(r"[ \t]*\[\[(effect|remainder)\]\]", one)]
-    return "".join(kept).rstrip() + "\n" + entries_to_toml(found.effects) + remainders_to_toml(found.remainders)
+    """A machine file's text with this baseline in place of any that it had.
+
+    Raises: BaselineError: the text is no TOML, or its tables cannot be taken apart.
+    """
+    added = entries_to_toml(found.effects) + remainders_to_toml(found.remainders)
+    try:
+        return with_tables(without_lists(text, ("effect", "remainder")), added)
+    except MachineFileError as error:
+        raise BaselineError(str(error)) from error
 
 
 def told(found: Baseline, fitted: int, count: int) -> str:

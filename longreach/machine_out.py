@@ -6,8 +6,11 @@ from diagnosis.baseline.forward import entries_of
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
 from diagnosis.search.candidates import in_words
+from longreach.machine_tables import with_room_for_effects, with_tables
 from longreach.shipped_machine import text_of_machine
 from machine.effects.entries import EffectEntry, entries_to_toml
+from machine.errors import MachineFileError
+from recording.errors import RecordingError
 from recording.opening import read_run
 
 USABLE = ("effects", "none")
@@ -25,10 +28,21 @@ def effects_found(found: Diagnosis) -> tuple[EffectEntry, ...]:
         raise MachineOutError(str(error)) from error
 
 
+def require_room(text: str) -> None:
+    """That effects can be added to a machine file's text: to be asked before a diagnosis, not after it.
+
+    Raises: MachineOutError.
+    """
+    try:
+        with_room_for_effects(text)
+    except MachineFileError as error:
+        raise MachineOutError(str(error)) from error
+
+
 def machine_with_effects(text: str, found: Diagnosis) -> str:
     """A machine file's text with the diagnosed effects behind it; its baseline, if it has one, stays.
 
-    Raises: MachineOutError: the diagnosis is undecided, or outside the catalogue.
+    Raises: MachineOutError: the diagnosis is undecided, or outside the catalogue; or the text cannot be added to.
     """
     word = found.verdict.word
     if word not in USABLE:
@@ -38,15 +52,21 @@ def machine_with_effects(text: str, found: Diagnosis) -> str:
         )
     probability = found.hypotheses[0].probability if found.hypotheses else 1.0
     line = f"\n# longreach diagnose: verdict {word}, probability {probability:.3g}\n"
-    return text.rstrip() + "\n" + line + entries_to_toml(effects_found(found))
+    try:
+        return with_tables(with_room_for_effects(text), line + entries_to_toml(effects_found(found)))
+    except MachineFileError as error:
+        raise MachineOutError(str(error)) from error
 
 
 def machine_text(recording: Path, machine_file: Path | None) -> str:
     """The text of a machine file: the one given, else what the recording (a folder or an MCAP file) holds.
 
-    Raises: RecordingError: the recording cannot be read; MachineFileError: the machine file cannot.
+    Raises: MachineOutError: the recording or the machine file cannot be read.
     """
-    return read_run(recording).machine_toml if machine_file is None else text_of_machine(machine_file)
+    try:
+        return read_run(recording).machine_toml if machine_file is None else text_of_machine(machine_file)
+    except (RecordingError, MachineFileError) as error:
+        raise MachineOutError(str(error)) from error
 
 
 def write_machine(text: str, found: Diagnosis, path: Path) -> str:

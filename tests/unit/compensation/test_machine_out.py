@@ -9,7 +9,7 @@ import pytest
 from diagnosis.diagnose import Diagnosis
 from diagnosis.search.candidates import named
 from diagnosis.search.fit import Fit
-from longreach.machine_out import MachineOutError, machine_with_effects
+from longreach.machine_out import MachineOutError, machine_with_effects, require_room
 from machine.description import parse_machine_toml
 from server.settings import read_machine_text
 
@@ -41,3 +41,17 @@ def test_the_effects_are_read_back():
 def test_nothing_is_written_of_an_unsettled_diagnosis(word):
     with pytest.raises(MachineOutError, match=f"the diagnosis is '{word}'"):
         machine_with_effects(TEXT, diagnosis(word))
+
+
+@pytest.mark.parametrize(
+    "before", ["effect = []\n", "effect = [{ name = 'backlash', joint = 1, parameters = { width_rad = 0.001 } }]\n"]
+)
+def test_a_list_in_one_line_is_added_to(before: str) -> None:
+    effects = parse_machine_toml(machine_with_effects(before + TEXT, diagnosis("effects"))).effects
+    assert [one.name for one in effects][-2:] == ["gravity_sag", "hand_eye_rotation"]
+    assert len(effects) == 2 + before.count("backlash")
+
+
+def test_a_text_that_would_be_no_toml_is_refused_before_the_diagnosis() -> None:
+    with pytest.raises(MachineOutError, match="effect = 3 is not a list"):
+        require_room("effect = 3\n" + TEXT)

@@ -62,3 +62,14 @@ def test_a_machine_file_that_cannot_be_read_is_told(fitted: list[int], tmp_path:
     with pytest.raises(fit_baseline.BaselineError, match=r"machine file .*nope\.toml"):
         fit_baseline.make_baseline([run] * 3, given, tmp_path / "out.toml", SCREEN)
     assert fitted == []
+
+
+def test_a_machine_file_that_cannot_be_taken_apart_is_told_before_anything_is_fitted(
+    fitted: list[int], tmp_path: Path
+) -> None:
+    text = 'notes = """\n[[effect]]\n"""\n' + MACHINE_TOML
+    run = folder(tmp_path, replace(recording(), machine_toml=text))
+    with pytest.raises(fit_baseline.BaselineError, match=r"\[\[effect\]\]"):
+        fit_baseline.make_baseline([run] * 3, None, tmp_path / "out.toml", SCREEN)
+    assert fitted == []
+    assert not (tmp_path / "out.toml").exists()
