@@ -1,6 +1,7 @@
 """`longreach diagnose`: where the sim-to-real gap lies, which effect causes it, how far it shrinks."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -20,7 +21,7 @@ from diagnosis.report.curves import CellCurves, curves_of
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
 from longreach.fit_baseline import BaselineError, make_baseline
-from longreach.machine_out import MachineOutError, machine_text, write_machine
+from longreach.machine_out import MachineOutError, machine_text, require_room, write_machine
 from longreach.shipped_machine import file_of_machine
 from machine.effects.registry import NAMES
 
@@ -58,6 +59,9 @@ def diagnose(
     screen = Console(stderr=True)
     for place in (json_file, html_file, machine_out, out):
         _within_reach(place, screen)  # before minutes of work, not after
+    others = {"--json": json_file, "--html": html_file, "--without": lacking, "--leave-named-out": leaving}
+    others |= {"--machine-out": machine_out, "--simulate": simulate}
+    _require_sense(fitting, out, [name for name, given in others.items() if given], screen)
     if fitting:
         _fit_baseline(recordings, machine_file, out, screen)
         return
@@ -65,32 +69,57 @@ def diagnose(
     if unknown:
         raise typer.BadParameter(f"--without {unknown[0]}: no such effect; see docs/effects.md")
     recording = recordings[0]
-    whole = _read(recordings, machine_file, screen)
-    for finding in whole.findings:
-        screen.print(f"[yellow]{finding.severity}[/] {escape(str(finding))}", soft_wrap=True)
-    if not whole.usable:
-        raise typer.Exit(BAD_INPUT)
     try:
+        whole = read_together(recordings, machine_file)
+        if not whole.usable:
+            _set_aside((json_file, html_file, machine_out), screen)
+        for finding in whole.findings:
+            screen.print(f"[yellow]{finding.severity}[/] {escape(str(finding))}", soft_wrap=True)
+        if not whole.usable:
+            raise typer.Exit(BAD_INPUT)
+        text = machine_text(recording, machine_file) if simulate or machine_out is not None else ""
+        if machine_out is not None:
+            require_room(text)
         found, result, curves = _with_progress(whole, screen, tuple(lacking or ()), leaving)
-    except DiagnosisError as error:
+    except (DiagnosisError, MachineOutError) as error:
+        _set_aside((json_file, html_file, machine_out), screen)
         raise _refused(error, screen) from error
     result["recordings"] = [path.name for path in recordings]
-    for text in lines(result):
-        typer.echo(text)
+    for line in lines(result):
+        typer.echo(line)
     if simulate:
-        _simulate(machine_text(recording, machine_file), found, result, screen)
+        _simulate(text, found, result, screen)
     _write(json_file, json.dumps(result, indent=1, allow_nan=False) + "\n", screen)
     _write(html_file, page(result, recording.name, curves), screen)
     if machine_out is not None:
-        _machine_out(recording, machine_file, found, machine_out, screen)
+        _machine_out(text, found, machine_out, screen)
 
 
-def _read(recordings: list[Path], machine_file: Path | None, screen: Console) -> Read:
-    """One recording, or several of one machine together."""
-    try:
-        return read_together(recordings, machine_file)
-    except DiagnosisError as error:
-        raise _refused(error, screen) from error
+def _require_sense(fitting: bool, out: Path | None, given: list[str], screen: Console) -> None:
+    """Refuse options of which one would do nothing beside the other."""
+    told = ""
+    if fitting and given:
+        told = f"{given[0]} does nothing beside --fit-baseline, which only writes --out; leave one of them out"
+    elif out is not None and not fitting:
+        told = "--out is where --fit-baseline writes; give it as well, or --machine-out in place of --out"
+    elif "--leave-named-out" in given and "--json" not in given:
+        told = "--leave-named-out tells in the JSON only; give --json FILE as well"
+    if told:
+        raise _refused(ValueError(told), screen)
+
+
+def _set_aside(places: Sequence[Path | None], screen: Console) -> None:
+    """Files of an earlier run get another name where this run writes none, so that nobody takes them for its own."""
+    for place in places:
+        if place is None or not place.is_file():
+            continue
+        aside = place.with_name(f"{place.name}.earlier")
+        try:
+            place.replace(aside)
+            told = f"{place} is not written; the one of an earlier run is {aside.name} now"
+        except OSError as error:
+            told = f"{place} is not written; what is there is of an earlier run ({error.strerror})"
+        screen.print(f"[yellow]longreach:[/] {escape(told)}", soft_wrap=True)
 
 
 def _refused(error: Exception, screen: Console) -> typer.Exit:
@@ -99,11 +128,12 @@ def _refused(error: Exception, screen: Console) -> typer.Exit:
     return typer.Exit(BAD_INPUT)
 
 
-def _machine_out(recording: Path, machine_file: Path | None, found: Diagnosis, out: Path, screen: Console) -> None:
+def _machine_out(text: str, found: Diagnosis, out: Path, screen: Console) -> None:
     """The machine file with the diagnosed effects added."""
     try:
-        typer.echo(write_machine(machine_text(recording, machine_file), found, out))
+        typer.echo(write_machine(text, found, out))
     except MachineOutError as error:
+        _set_aside((out,), screen)
         raise _refused(error, screen) from error
 
 

@@ -28,6 +28,39 @@ def test_a_file_that_could_not_be_written_in_the_end(tmp_path: Path, option: str
     assert "is a folder; name a file in it" in said(["diagnose", str(tmp_path), option, str(tmp_path)], 2)
 
 
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--fit-baseline", "--json", "FILE"], "--json does nothing beside --fit-baseline"),
+        (["--fit-baseline", "--html", "FILE"], "--html does nothing beside --fit-baseline"),
+        (["--fit-baseline", "--machine-out", "FILE"], "--machine-out does nothing beside --fit-baseline"),
+        (["--fit-baseline", "--simulate"], "--simulate does nothing beside --fit-baseline"),
+        (["--fit-baseline", "--without", "no such"], "--without does nothing beside --fit-baseline"),
+        (["--fit-baseline", "--leave-named-out"], "--leave-named-out does nothing beside --fit-baseline"),
+        (["--out", "FILE"], "--out is where --fit-baseline writes; give it as well"),
+        (["--leave-named-out"], "--leave-named-out tells in the JSON only; give --json FILE as well"),
+    ],
+)
+def test_an_option_that_would_do_nothing_is_refused(tmp_path: Path, options: list[str], told: str) -> None:
+    file = str(tmp_path / "file")
+    arguments = [file if one == "FILE" else one for one in options]
+    out = ["--out", str(tmp_path / "out.toml")] if "--fit-baseline" in options else []
+    assert told in said(["diagnose", str(tmp_path), *arguments, *out], 2)
+
+
+def test_an_answer_of_an_earlier_run_is_not_left_for_this_ones(tmp_path: Path) -> None:
+    answer, page = tmp_path / "answer.json", tmp_path / "page.html"
+    answer.write_text("of an earlier run", encoding="utf-8")
+    told = said(["diagnose", str(tmp_path / "none"), "--json", str(answer), "--html", str(page)], 2)
+    assert "answer.json is not written; the one of an earlier run is answer.json.earlier now" in told
+    assert "page.html" not in told
+    assert told.endswith("No such file or directory")  # the last line is why: the server shows it
+    assert not answer.exists()
+    assert (tmp_path / "answer.json.earlier").read_text(encoding="utf-8") == "of an earlier run"
+    twice = said(["diagnose", str(tmp_path / "none"), str(tmp_path / "none"), "--json", str(answer)], 2)
+    assert "is given twice" in twice
+
+
 def test_a_folder_of_recordings_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "20260131T101500-look.mcap").write_bytes(b"")
     told = said(["diagnose", str(tmp_path)], 2)
