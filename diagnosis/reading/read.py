@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -70,26 +71,40 @@ def read(path: Path, machine_file: Path | None = None) -> Read:
 
     Args: machine_file: used in place of the recording's own machine.toml.
     """
-    findings: list[Finding] = []
-    if _is_folder(path):
-        findings += _guarded(lambda: header_findings(path), path.name)
+    findings = column_findings(path)
     try:
         recording = read_run(path)
     except RecordingError as error:
         return Read(path, None, None, (), (*findings, _unreadable(path, error)))
     whole = examine(recording, path, machine_file, findings)
-    return whole if _is_folder(path) else replace(whole, findings=tuple(by_channel(one) for one in whole.findings))
+    return whole if is_folder(path) else replace(whole, findings=tuple(by_channel(one) for one in whole.findings))
 
 
-def examine(recording: Recording, path: Path, machine_file: Path | None = None, before: Sequence[Finding] = ()) -> Read:
-    """What a recording in memory gives. `path`: what it is called; `before`: what its form already showed."""
-    findings = [*before, *_form_findings(recording, path)]
+def column_findings(path: Path) -> list[Finding]:
+    """What the names of a folder's columns and files show before they are read; nothing of an MCAP file."""
+    return _guarded(lambda: header_findings(path), path.name) if is_folder(path) else []
+
+
+def examine(
+    recording: Recording,
+    path: Path,
+    machine_file: Path | None = None,
+    before: Sequence[Finding] = (),
+    others: Sequence[Path] = (),
+) -> Read:
+    """What a recording in memory gives. `path`: what it is called; `before`: what its form already showed; `others`:
+    where the rest of it was read, if it is laid together of several.
+    """
+    folders = [one for one in (path, *others) if is_folder(one)]
+    findings = [*before, *_form_findings(recording, path, others)]
     tables, by_number = with_reference(tables_of(recording))
     findings += by_number
     nominal = _nominal(path, recording, tables, machine_file, findings)
     findings += _checks(tables, nominal)
-    if _is_folder(path) and nominal is not None:
-        findings += _guarded(lambda: metre_findings(path, nominal.sliding), path.name)
+    if nominal is not None:
+        for one in folders:
+            found = _guarded(partial(metre_findings, one, nominal.sliding), one.name)
+            findings += in_recording(found, one) if others else found
     stretches: tuple[Stretch, ...] = ()
     if not fatal(findings):
         stretches, left_out = stretches_of(tables, None if nominal is None else nominal.actuators)
@@ -123,7 +138,13 @@ def _without_wild_points(
     return replace(tables, static=static, tracker=tracker), findings
 
 
-def _is_folder(path: Path) -> bool:
+def in_recording(findings: Sequence[Finding], path: Path) -> list[Finding]:
+    """The same, saying of which of several recordings."""
+    return [replace(one, text=f"of {path.name}: {one.text}") for one in findings]
+
+
+def is_folder(path: Path) -> bool:
+    """Whether a recording has the form of a folder."""
     try:
         return path.is_dir()
     except OSError:  # a name that nothing can have: opening it says so
@@ -144,11 +165,13 @@ def _guarded(check: Callable[[], list[Finding]], subject: str) -> list[Finding]:
         return [Finding("unreadable", "fatal", subject, f"cannot be read: {error.strerror}")]
 
 
-def _form_findings(recording: Recording, path: Path) -> list[Finding]:
-    findings = []
-    if _is_folder(path) and not (path / "run.toml").is_file():
-        text = "is not there: no segments, no repeats, no clocks are known"
-        findings.append(Finding("no_run_file", "note", "run.toml", text))
+def _form_findings(recording: Recording, path: Path, others: Sequence[Path]) -> list[Finding]:
+    findings: list[Finding] = []
+    for one in (path, *others):
+        if is_folder(one) and not (one / "run.toml").is_file():
+            text = "is not there: no segments, no repeats, no clocks are known"
+            found = [Finding("no_run_file", "note", "run.toml", text)]
+            findings += in_recording(found, one) if others else found
     if not recording.complete:
         text = "the file was cut; what could be read is used, `longreach recording recover` writes a whole one"
         findings.append(Finding("cut_file", "problem", "recording", text))

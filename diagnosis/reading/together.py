@@ -9,13 +9,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from diagnosis.errors import DiagnosisError
-from diagnosis.reading.read import Read, examine, read
+from diagnosis.log.findings import by_channel
+from diagnosis.log.tables import JOINT_SIGNALS
+from diagnosis.reading.read import Read, column_findings, examine, in_recording, is_folder, read
 from recording.content import Recording
 from recording.errors import RecordingError
 from recording.opening import read_run
-from recording.rows import MarkerCorners, OdometryRow, PlcState, Row, Sent, StaticPoint, TrackerPoint
+from recording.rows import MISSING_COUNT, MarkerCorners, OdometryRow, PlcState, Row, Sent, StaticPoint, TrackerPoint
 from recording.run import RunInfo, Segment
 
+NUMBER_MOST = 2**53  # of a datagram: beyond it are numbers that say "none"
 APART_S = 10.0  # between the end of one and the start of the next
 
 
@@ -45,7 +48,11 @@ def read_together(paths: Sequence[Path], machine_file: Path | None = None) -> Re
         recordings = [read_run(path) for path in paths]
     except RecordingError as error:
         raise DiagnosisError(str(error)) from error
-    return examine(together(recordings, machine_file is not None), paths[0], machine_file)
+    before = [one for path in paths for one in in_recording(column_findings(path), path)]
+    whole = examine(together(recordings, machine_file is not None), paths[0], machine_file, before, paths[1:])
+    if any(is_folder(path) for path in paths):
+        return whole
+    return replace(whole, findings=tuple(by_channel(one) for one in whole.findings))
 
 
 def together(recordings: Sequence[Recording], machine_given: bool = False) -> Recording:
@@ -53,6 +60,7 @@ def together(recordings: Sequence[Recording], machine_given: bool = False) -> Re
 
     Raises: DiagnosisError: other machine files, other numbers of joints, or an offset of clocks known in one only.
     """
+    _require_as_many_joints(recordings)
     first = recordings[0]
     rows: list[Row] = list(first.rows)
     segments = list(first.run.segments or _whole(first, ""))
@@ -66,6 +74,22 @@ def together(recordings: Sequence[Recording], machine_given: bool = False) -> Re
     return replace(first, run=replace(first.run, segments=tuple(segments)), rows=tuple(rows), complete=whole)
 
 
+def _require_as_many_joints(recordings: Sequence[Recording]) -> None:
+    counts = {number: _joints(one) for number, one in enumerate(recordings, start=1)}
+    told = {number: count for number, count in counts.items() if count}
+    for number, count in told.items():
+        first, others = next(iter(told.items()))
+        if count != others:
+            text = f"recording {number} has {count} joints, recording {first} has {others}"
+            raise DiagnosisError(f"{text}; give recordings of one machine with the same columns")
+
+
+def _joints(one: Recording) -> int:
+    """How many joints its rows tell of; 0 where they tell of none."""
+    fields = {PlcState: [field for _, field, _ in JOINT_SIGNALS], Sent: ["q_sent_rad"], StaticPoint: ["q_rad"]}
+    return max((len(getattr(row, name)) for row in one.rows for name in fields.get(type(row), ())), default=0)
+
+
 def _shift(first: Recording, one: Recording, rows: list[Row], number: int) -> _Shift:
     """So that a recording begins after all rows so far, with the first one's offsets between the clocks.
 
@@ -76,9 +100,25 @@ def _shift(first: Recording, one: Recording, rows: list[Row], number: int) -> _S
     s = end + APART_S - start
     pc = s + _difference(first, one, number, "plc_to_pc_offset_s")
     camera = pc - _difference(first, one, number, "camera_to_pc_offset_s")
-    seq = 1 + max((row.seq for row in rows if isinstance(row, Sent)), default=0)
+    seq = 1 + max((number for row in rows if 0 <= (number := _number_of(row)) <= NUMBER_MOST), default=0)
     pose = 1 + max((row.pose_index for row in rows if isinstance(row, StaticPoint)), default=0)
     return _Shift(s, pc, camera, seq, pose, f" ({number})")
+
+
+def _number_of(row: Row) -> int:
+    """The number of the datagram that a row tells of."""
+    match row:
+        case Sent():
+            return row.seq
+        case PlcState():
+            return row.seq_received
+        case _:
+            return MISSING_COUNT
+
+
+def _later_number(number: int, by: int) -> int:
+    """A row without a number stays without one."""
+    return number + by if 0 <= number <= NUMBER_MOST else number
 
 
 def _difference(first: Recording, one: Recording, number: int, name: str) -> float:
@@ -109,14 +149,14 @@ def _plc_times(run: RunInfo, rows: Sequence[Row]) -> list[float]:
 def _moved(row: Row, by: _Shift) -> Row:
     match row:
         case PlcState():
-            seq = row.seq_received + by.seq if row.seq_received >= 0 else row.seq_received
+            seq = _later_number(row.seq_received, by.seq)
             return replace(row, t_plc_s=row.t_plc_s + by.plc_s, seq_received=seq)
         case Sent():
-            return replace(row, t_pc_s=row.t_pc_s + by.pc_s, seq=row.seq + by.seq)
+            return replace(row, t_pc_s=row.t_pc_s + by.pc_s, seq=_later_number(row.seq, by.seq))
         case TrackerPoint():
             return replace(row, t_plc_s=row.t_plc_s + by.plc_s)
         case StaticPoint():
-            return replace(row, pose_index=row.pose_index + by.pose)
+            return replace(row, pose_index=_later_number(row.pose_index, by.pose))
         case MarkerCorners() | OdometryRow():
             return replace(row, t_camera_s=row.t_camera_s + by.camera_s)
         case _:
