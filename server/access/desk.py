@@ -20,9 +20,10 @@ class LeaseDesk:
         self._clock = clock
         self._listeners: list[Callable[[], None]] = []
 
-    def on_change(self, listener: Callable[[], None]) -> None:
-        """Call when the holder changes."""
+    def on_change(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call when the holder changes; the answer unsubscribes."""
         self._listeners.append(listener)
+        return lambda: self._listeners.remove(listener)
 
     @property
     def now_s(self) -> float:
@@ -67,7 +68,7 @@ class LeaseDesk:
         return self.book.lost(fencing, self.now_s)
 
     def _told(self, lease: Lease) -> Lease:
-        for listener in self._listeners:
+        for listener in tuple(self._listeners):
             listener()
         return lease
 

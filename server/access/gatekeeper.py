@@ -1,14 +1,17 @@
 """Who is calling and whether they may: host, origin, lock-out, key or cookie, role. Pure but for the key file."""
 
+import logging
 from dataclasses import dataclass, field
 
 from server.access.errors import AccessError, RoleError
 from server.access.hosts import host_allowed, origin_allowed
-from server.access.keys import KeyRing
+from server.access.keys import ApiKey, KeyRing
 from server.access.lockout import Lockout
 from server.access.roles import ANYBODY, SAFE_METHODS, Role, needed
 from server.access.sessions import Sessions
 from server.store.audit_rows import Caller
+
+log = logging.getLogger(__name__)
 
 
 class HostError(AccessError):
@@ -76,7 +79,7 @@ class Gatekeeper:
             raise HostError(f"host '{request.host[:64]}' is none of this server's names")
         if request.method not in SAFE_METHODS and not origin_allowed(request.origin, request.host):
             raise OriginError(f"a page of {(request.origin or '')[:64]} may not command this machine")
-        roles = needed("GET" if request.method == "WEBSOCKET" else request.method, request.path)
+        roles = _needed(request)
         if self.open:
             return self._role(Caller("local", Role.OPERATOR, request.address), roles, request)
         if roles == ANYBODY and not (request.bearer or request.cookie):
@@ -84,39 +87,69 @@ class Gatekeeper:
         caller = self._known(request, now_s, required=roles != ANYBODY)
         return self._role(caller, roles, request)
 
+    def admits_still(self, request: Credentials, now_s: float) -> bool:
+        """Whether a connection that was admitted may go on: its key is in force, its session lives, its role may.
+
+        A key that has been revoked since is no guess: nothing is counted for the lock-out.
+        """
+        roles = _needed(request)
+        if self.open or roles == ANYBODY:
+            return True
+        key = self.keys.find(request.bearer, now_s) if request.bearer else self._by_session(request.cookie, now_s)
+        return key is not None and key.role in roles
+
     def log_in(self, secret: str, address: str, now_s: float) -> str:
         """A cookie for a key. Raises: LockedOutError, KeyRequiredError."""
-        caller = self._by_key(secret, address, now_s)
-        return self.sessions.open(caller.name, Role(caller.role), now_s)
+        return self.sessions.open(self._by_key(secret, address, now_s).sha256, now_s)
 
     def _known(self, request: Credentials, now_s: float, required: bool) -> Caller:
         try:
-            if request.bearer:
-                return self._by_key(request.bearer, request.address, now_s)
-            session = self.sessions.find(request.cookie, now_s)
-            if session is not None and self.keys.in_force(session.name, now_s):
-                return Caller(session.name, session.role, request.address)
-            raise KeyRequiredError("no key, or a session that has ended")
-        except AccessError:
+            key = self._presented(request, now_s)
+            return Caller(key.name, key.role, request.address, by_key=True)
+        except Exception as error:  # a defect of ours too: a stop is a stop, whatever key it carries
             if required:
                 raise
-            return Caller("nobody", "", request.address)  # a stop is a stop, whatever key it carries
+            if not isinstance(error, AccessError):
+                log.exception("the caller of %s is not known", request.path)
+            return Caller("nobody", "", request.address)
 
-    def _by_key(self, secret: str, address: str, now_s: float) -> Caller:
+    def _presented(self, request: Credentials, now_s: float) -> ApiKey:
+        if request.bearer:
+            return self._by_key(request.bearer, request.address, now_s)
+        key = self._by_session(request.cookie, now_s)
+        if key is None:
+            raise KeyRequiredError(self._none_in_force() or "no key, or a session that has ended")
+        return key
+
+    def _by_session(self, cookie: str, now_s: float) -> ApiKey | None:
+        session = self.sessions.find(cookie, now_s)
+        return self.keys.in_force(session.key_sha256, now_s) if session is not None else None
+
+    def _none_in_force(self) -> str:
+        """Told to whoever asks: the reason itself names a file, and stands in log, faults and /readyz."""
+        return "the server cannot read its key file, and no key is in force until it can" if self.keys.problem else ""
+
+    def _by_key(self, secret: str, address: str, now_s: float) -> ApiKey:
         left_s = self._lockout.locked_s(address, now_s)
         if left_s > 0.0:
             raise LockedOutError(
                 f"too many wrong keys from {address}; {left_s:.0f} s left", {"retry_s": f"{left_s:.0f}"}
             )
         key = self.keys.find(secret, now_s)
+        if key is None and self.keys.problem:  # no guess: it may be a good one
+            raise KeyRequiredError(self._none_in_force())
         if key is None:
             self._lockout.failed(address, now_s)
             raise KeyRequiredError("the key is wrong or was revoked")
         self._lockout.passed(address)
-        return Caller(key.name, key.role, address)
+        return key
 
     def _role(self, caller: Caller, roles: frozenset[Role], request: Credentials) -> Caller:
         if roles and caller.role not in roles:
             wanted = ", ".join(sorted(roles))
             raise RoleError(f"role {caller.role} may not {request.method} {request.path}; it takes {wanted}")
         return caller
+
+
+def _needed(request: Credentials) -> frozenset[Role]:
+    return needed("GET" if request.method == "WEBSOCKET" else request.method, request.path)

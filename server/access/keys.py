@@ -3,6 +3,7 @@
 import hashlib
 import hmac
 import json
+import logging
 import os
 import secrets
 import time
@@ -12,8 +13,11 @@ from pathlib import Path
 from server.access.roles import Role
 from server.errors import SettingsError
 
+log = logging.getLogger(__name__)
+
 PREFIX = "longreach_"
 NAME_MAX = 64
+LOOK_S = 0.4  # with the guard's period a revoked key is out of force within a second, open connections included
 
 
 class KeysError(SettingsError):
@@ -44,9 +48,13 @@ def digest_of(key: str) -> str:
 
 
 def found(keys: tuple[ApiKey, ...], presented: str) -> ApiKey | None:
-    """The key that was presented, unless revoked; every kept one is compared, in constant time."""
-    digest = digest_of(presented)
-    match = [key for key in keys if hmac.compare_digest(key.sha256, digest) and key.revoked_unix_s is None]
+    """The key that was presented, unless revoked."""
+    return found_by_digest(keys, digest_of(presented))
+
+
+def found_by_digest(keys: tuple[ApiKey, ...], sha256: str) -> ApiKey | None:
+    """The key of that SHA-256, unless revoked; every kept one is compared, in constant time."""
+    match = [key for key in keys if hmac.compare_digest(key.sha256, sha256) and key.revoked_unix_s is None]
     return match[0] if match else None
 
 
@@ -92,7 +100,7 @@ def read_keys(path: Path) -> tuple[ApiKey, ...]:
 
 
 def write_keys(path: Path, keys: tuple[ApiKey, ...]) -> None:
-    """In one step, readable by the owner only.
+    """In one step. A new file is readable by its owner only; one that was there keeps owner and mode.
 
     Raises: KeysError: it cannot be written.
     """
@@ -100,7 +108,7 @@ def write_keys(path: Path, keys: tuple[ApiKey, ...]) -> None:
 
 
 def write_private(path: Path, text: str) -> None:
-    """A file that only its owner reads.
+    """A file that only its owner reads; one that is replaced keeps owner and mode where this user may give them.
 
     Raises: KeysError: it cannot be written.
     """
@@ -110,9 +118,24 @@ def write_private(path: Path, text: str) -> None:
         fresh.unlink(missing_ok=True)
         with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
             file.write(text)
+        _as_before(fresh, path)
         os.replace(fresh, path)
     except OSError as error:
         raise KeysError(f"{path}: {error.strerror}; give a folder that can be written") from error
+
+
+def _as_before(fresh: Path, path: Path) -> None:
+    """Owner and mode of the file that is replaced: root's `keys revoke` must leave it readable to the server's user."""
+    try:
+        before = path.stat()
+    except FileNotFoundError:
+        return
+    try:
+        os.chown(fresh, before.st_uid, before.st_gid)
+    except OSError:  # only root gives files away; the mode is not widened for another group then
+        log.warning("%s: owner %s:%s could not be kept", path, before.st_uid, before.st_gid)
+        return
+    fresh.chmod(before.st_mode & 0o777)
 
 
 def first_key(path: Path, role: Role, secret_path: Path) -> bool:
@@ -127,42 +150,64 @@ def first_key(path: Path, role: Role, secret_path: Path) -> bool:
 
 
 class KeyRing:
-    """The keys in force: the file is read again when it changes, so that a revoked key is out within a second."""
+    """The keys in force: the file is read again when it changes. While it cannot be read, no key is in force."""
 
     def __init__(self, path: Path | None) -> None:
+        """Raises: KeysError: there is a file that cannot be read; a server does not start with it."""
         self._path = path
-        self._stamp: tuple[int, int] | None = None
-        self._looked_s = float("-inf")
+        self._stamp: tuple[int, ...] | None = None
+        self._looked_s = time.monotonic()
         self._keys: tuple[ApiKey, ...] = ()
-        self.refresh(time.monotonic())
+        self._problem = ""
+        if path is not None:
+            self._read(path)
 
     @property
     def path(self) -> Path | None:
         """Where they are kept; None: there are none."""
         return self._path
 
+    @property
+    def problem(self) -> str:
+        """Why no key is in force although there may be some in the file; empty when all is well."""
+        return self._problem
+
     def refresh(self, now_s: float) -> None:
-        """Read again at most once a second, when the file has changed. A file that went away leaves no key."""
-        if self._path is None or now_s - self._looked_s < 1.0:
+        """Look at the file again, at most every LOOK_S, and read it when it has changed.
+
+        A file that went away or cannot be read leaves no key: a revocation that could not be read is one.
+        """
+        if self._path is None or now_s - self._looked_s < LOOK_S:
             return
         self._looked_s = now_s
+        problem = self._problem
         try:
-            state = self._path.stat()
-            stamp = (state.st_mtime_ns, state.st_ino)
+            self._read(self._path)
+        except KeysError as error:
+            self._keys, self._stamp = (), None
+            self._problem = f"no key is in force: {error}"
+        if self._problem != problem:
+            log.error(self._problem or f"key file {self._path} is read again")
+
+    def _read(self, path: Path) -> None:
+        """Raises: KeysError: it cannot be read or is no key file."""
+        try:
+            state = path.stat()
+            stamp = (state.st_mtime_ns, state.st_ctime_ns, state.st_ino)
         except OSError:
             stamp = None
-        if stamp != self._stamp or stamp is None:
-            self._keys, self._stamp = read_keys(self._path), stamp
+        if stamp is None or stamp != self._stamp:
+            self._keys, self._stamp = read_keys(path), stamp
+        self._problem = "" if stamp else f"no key is in force: key file {path} is not there; `longreach keys add`"
 
     def find(self, presented: str, now_s: float) -> ApiKey | None:
         """The key that was presented, if it is in force."""
-        self.refresh(now_s)
-        return found(self._keys, presented)
+        return self.in_force(digest_of(presented), now_s)
 
-    def in_force(self, name: str, now_s: float) -> bool:
-        """Whether a key of that name is."""
+    def in_force(self, sha256: str, now_s: float) -> ApiKey | None:
+        """The key of that SHA-256, if it is in force; another key of the same name is another key."""
         self.refresh(now_s)
-        return any(key.name == name and key.revoked_unix_s is None for key in self._keys)
+        return found_by_digest(self._keys, sha256)
 
     @property
     def empty(self) -> bool:

@@ -4,8 +4,6 @@ import hashlib
 import secrets
 from dataclasses import dataclass
 
-from server.access.roles import Role
-
 LIFE_S = 12 * 3600.0
 SESSIONS_MAX = 1000
 COOKIE = "longreach_session"
@@ -13,10 +11,9 @@ COOKIE = "longreach_session"
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """Whose cookie it is; it ends with its key."""
+    """Which key it stands for: it ends with that key, and has that key's role."""
 
-    name: str
-    role: Role
+    key_sha256: str
     ends_s: float
 
 
@@ -26,16 +23,16 @@ class Sessions:
     def __init__(self) -> None:
         self._kept: dict[str, Session] = {}
 
-    def open(self, name: str, role: Role, now_s: float) -> str:
-        """The new cookie's value."""
+    def open(self, key_sha256: str, now_s: float) -> str:
+        """The new cookie's value, for the key of that SHA-256."""
         token = secrets.token_urlsafe(32)
-        self._kept[_digest(token)] = Session(name, role, now_s + LIFE_S)
+        self._kept[_digest(token)] = Session(key_sha256, now_s + LIFE_S)
         if len(self._kept) > SESSIONS_MAX:
             self._kept.pop(next(iter(self._kept)))
         return token
 
     def find(self, token: str, now_s: float) -> Session | None:
-        """Whose it is, while it lives."""
+        """Which it is, while it lives."""
         session = self._kept.get(_digest(token))
         return session if session is not None and now_s < session.ends_s else None
 

@@ -1,7 +1,5 @@
 """All of REST on one application: guard, routes, errors, document. Used by the server and by its tests."""
 
-import asyncio
-import contextlib
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -27,10 +25,12 @@ from server.api.runs import runs_router
 from server.api.session import session_router
 from server.api.state import state_router
 from server.api.state_cache import StateCache, straight_route
+from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
 from server.jobs.diagnosing import Diagnoses
-from server.jobs.lease_guard import guard_lease
+from server.jobs.lease_guard import guard_lease, stop_unguarded
 from server.jobs.service import JobService
 from server.store.keeper import Keeper
+from server.supervised_tasks import SupervisedTasks
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,24 +54,22 @@ class Running:
     @asynccontextmanager
     async def tasks(self) -> AsyncIterator[None]:
         """Event feed, lease guard and store watch, for as long as the application lives."""
-        running = [
-            asyncio.create_task(self.feed.run(), name="event-feed"),
-            asyncio.create_task(guard_lease(self.served.service.engine), name="lease-guard"),
-            asyncio.create_task(self.served.keeper.watch(), name="store-watch"),
-        ]
+        service, running = self.served.service, SupervisedTasks()
+        service.inner_faults.watch(PART_FAILED, lambda: running.problem)
+        running.start("event-feed", self.feed.run)
+        running.start("lease-guard", lambda: guard_lease(service.engine), lambda: stop_unguarded(service.engine))
+        running.start("store-watch", self.served.keeper.watch)
         try:
             yield
         finally:
-            for task in running:
-                task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await asyncio.gather(*running, return_exceptions=True)
+            await running.close()
             await self.diagnoses.close()
 
 
 def application(app: FastAPI, served: Served) -> Running:
     """Add everything; what it returns runs in the application's lifespan."""
-    service = served.service
+    service, keys = served.service, served.gatekeeper.keys
+    service.inner_faults.watch(KEYS_UNREADABLE, lambda: keys.problem)
     folder = Path(service.cell.settings.recording.folder)
     log, cache, diagnoses = EventLog(uuid4().hex[:8]), StateCache(service), service.diagnoses
     app.add_middleware(Guard, gatekeeper=served.gatekeeper)

@@ -5,6 +5,7 @@ from typing import Literal
 
 from server.api.state_view import CAMERA_SILENT_MS
 from server.api.views import View
+from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
 from server.jobs.service import JobService
 
 
@@ -19,7 +20,7 @@ class FaultView(View):
 
 def fault_views(service: JobService) -> list[FaultView]:
     """All of them, the gravest first."""
-    found = [*_link(service), *_store(service), *_camera(service), *_recorder(service)]
+    found = [*_link(service), *_inner(service), *_store(service), *_camera(service), *_recorder(service)]
     return sorted(found, key=lambda fault: fault.level != "URGENT")
 
 
@@ -34,6 +35,15 @@ def _link(service: JobService) -> list[FaultView]:
         return []
     fault_id, text, hint = texts[phase]
     return [FaultView(fault_id=fault_id, level="URGENT", text=text, hint=hint)]
+
+
+def _inner(service: JobService) -> list[FaultView]:
+    hints = {
+        KEYS_UNREADABLE: "make the file readable to the server's user, or write it anew with `longreach keys`",
+        PART_FAILED: "see the server's log and report it; restart the server if it goes on",
+    }
+    told = service.inner_faults.told
+    return [FaultView(fault_id=one, level="URGENT", text=told[one], hint=hints[one]) for one in hints if one in told]
 
 
 def _store(service: JobService) -> list[FaultView]:

@@ -12,7 +12,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.access.errors import AccessError
 from server.access.gatekeeper import Credentials, Gatekeeper, KeyRequiredError
+from server.access.roles import SAFE_METHODS
 from server.access.sessions import COOKIE
+from server.api.admission import read_while, socket_while
 from server.api.problems import problem_of
 
 log = logging.getLogger(__name__)
@@ -57,14 +59,22 @@ class Guard:
         try:
             scope.setdefault("state", {})["caller"] = self._gatekeeper.admit(credentials_of(scope), time.monotonic())
             scope["state"]["request_id"] = request_id
-            if scope["type"] == "websocket":
-                return await self._app(scope, receive, send)
-            _check_length(headers)
-            if "content-length" in headers or "transfer-encoding" in headers:  # without either no body can come
-                receive = (await _arrived(receive)).receive
-            await self._app(scope, receive, _with_headers(send, request_id))
+            if scope["type"] == "http":
+                _check_length(headers)
+                if "content-length" in headers or "transfer-encoding" in headers:  # without either no body can come
+                    receive = (await _arrived(receive)).receive
+                send = _with_headers(send, request_id)
+            await self._carry(scope, receive, send)
         except AccessError as error:
             await _refuse(error, scope, receive, send, request_id)
+
+    async def _carry(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Through to the application; what may last, only while its caller is admitted."""
+        if self._gatekeeper.open or (scope["type"] == "http" and scope["method"] not in SAFE_METHODS):
+            return await self._app(scope, receive, send)
+        asked = credentials_of(scope)
+        carried = socket_while if scope["type"] == "websocket" else read_while
+        await carried(lambda: self._gatekeeper.admits_still(asked, time.monotonic()), self._app, scope, receive, send)
 
 
 class _Body:

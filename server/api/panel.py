@@ -1,7 +1,5 @@
 """The panel on the API's port: our page at /, its files at /static, and everything that feeds it."""
 
-import asyncio
-import contextlib
 from collections.abc import Awaitable, Callable
 
 import httpx
@@ -16,7 +14,9 @@ from server.api.panel_recordings import recordings_router
 from server.api.panel_routes import panel_router
 from server.api.panel_scene import SceneFeed, scene_router
 from server.api.video import video_router
+from server.inner_faults import PART_FAILED
 from server.jobs.service import JobService
+from server.supervised_tasks import SupervisedTasks
 from web import STATIC_FOLDER
 
 PAGE_CSP = (
@@ -61,16 +61,13 @@ def install_panel(app: FastAPI, service: JobService) -> Callable[[FastAPI], Awai
 
     async def start(running: FastAPI) -> StopPanel:
         running.state.viser_http = httpx.AsyncClient(timeout=10.0)
-        tasks = [
-            asyncio.create_task(feed.run(), name="live-feed"),
-            asyncio.create_task(scene.run(), name="scene-feed"),
-        ]
+        tasks = SupervisedTasks()
+        service.inner_faults.watch(PART_FAILED, lambda: tasks.problem)
+        tasks.start("live-feed", feed.run)
+        tasks.start("scene-feed", scene.run)
 
         async def stop() -> None:
-            for task in tasks:
-                task.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await asyncio.gather(*tasks, return_exceptions=True)
+            await tasks.close()
             await running.state.viser_http.aclose()
 
         return stop

@@ -127,6 +127,22 @@ _KINDS = (
         OPERATOR,
     ),
     AlarmKind(
+        "keys_unreadable",
+        "high",
+        "The key file cannot be read",
+        "The file with the keys changed and cannot be read any more, or is gone: no key and no session is in force.",
+        "Make it readable to the server's user, or write it anew with `longreach keys`. Then log in again.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "server_part_failed",
+        "high",
+        "A part of the server failed",
+        "One of the loops that the server always runs ended by a defect. A job was stopped if it was the lease guard.",
+        "It is started again by itself. Report what the server's log says; restart the server if it comes back.",
+        OPERATOR,
+    ),
+    AlarmKind(
         "recording_failed",
         "medium",
         "The run is not being recorded",

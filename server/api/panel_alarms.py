@@ -1,7 +1,7 @@
 """The alarm list: latched until acknowledged, gone when acknowledged and no longer so. Pure; time is an argument."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from protocol.codes import FaultBit
 from server.api.panel_alarm_catalogue import CATALOGUE
@@ -90,7 +90,7 @@ class AlarmBook:
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What is not in the state view: disk, recorder, 3D view, recent loss."""
+    """What is not in the state view: disk, recorder, 3D view, recent loss, the server itself."""
 
     disk_free_bytes: int | None
     recorder_problem: str
@@ -100,6 +100,7 @@ class Surroundings:
     unfit_for_s: float
     up_s: float  # since the server started
     set_mode: str = "SIM"  # as the settings have it
+    inner_faults: Mapping[str, str] = field(default_factory=dict)  # of the server's own parts, by alarm code
 
 
 def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
@@ -113,6 +114,7 @@ def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
         | ({"scene_ended": around.scene_problem} if around.scene_problem else {})
         | _calibration(state)
         | _mode(state, around)
+        | dict(around.inner_faults)
     )
 
 

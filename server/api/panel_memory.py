@@ -120,6 +120,7 @@ class PanelMemory:
             unfit_for_s=now_s - self._fit_s,
             up_s=now_s - self._started_s,
             set_mode=self.service.cell.settings.mode,
+            inner_faults=self.service.inner_faults.told,
         )
 
     def _refresh(self, now_s: float) -> None:

@@ -62,6 +62,7 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
             reasons.append(camera)
         if service.keeper is not None and service.keeper.problem:
             reasons.append(f"nothing can be written down: {service.keeper.problem}")
+        reasons += service.inner_faults.told.values()
         told = ReadyView(ready=not reasons, reasons=reasons)
         return JSONResponse(told.model_dump(), status_code=503 if reasons else 200)
 

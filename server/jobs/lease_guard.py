@@ -14,12 +14,25 @@ PERIOD_S = 0.1
 async def guard_lease(engine: JobEngine) -> None:
     """Until cancelled: look at every change of the holder, and ten times a second for staleness."""
     changed = asyncio.Event()
-    engine.leases.on_change(changed.set)
-    while True:
-        changed.clear()
-        await enforce_lease(engine)
-        with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(changed.wait(), PERIOD_S)
+    unsubscribe = engine.leases.on_change(changed.set)
+    try:
+        while True:
+            changed.clear()
+            await enforce_lease(engine)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(changed.wait(), PERIOD_S)
+    finally:
+        unsubscribe()
+
+
+async def stop_unguarded(engine: JobEngine) -> None:
+    """Stop the job that ran under a lease while the guard failed: nobody knows whether that lease still held.
+
+    Raises: LinkError: the stop was not confirmed; the PLC ramps by its own watchdog.
+    """
+    job = engine.current
+    if job is not None and not job.ended and job.fencing != 0 and job.state.value != "stopping":
+        await engine.stop("the server's lease guard failed; its log says how")
 
 
 async def enforce_lease(engine: JobEngine) -> None:

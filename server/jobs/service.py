@@ -23,6 +23,7 @@ from server.api.views import (
 from server.cell import Cell
 from server.compensation.reading import compensation_from
 from server.errors import JobFailedError
+from server.inner_faults import InnerFaults
 from server.jobs.calibration_store import CalibrationStore, machine_id_of
 from server.jobs.commands import INSIDE_COMMAND, Command, began
 from server.jobs.context import PlanContext
@@ -69,6 +70,7 @@ class JobService:
         self.cell = cell
         self.keeper = keeper
         self.engine = engine
+        self.inner_faults = InnerFaults()
         self._store = store or CalibrationStore(None)
         machine_id = machine_id_of(cell.machine_text)
         known = compensation_from(cell.settings, cell.machine)

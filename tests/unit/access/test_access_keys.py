@@ -4,7 +4,7 @@ import pytest
 from typer.testing import CliRunner
 
 from longreach.cli import app
-from server.access.keys import KeyRing, KeysError, first_key, found, read_keys
+from server.access.keys import KeyRing, KeysError, first_key, found, read_keys, write_keys
 from server.access.roles import Role
 
 
@@ -54,3 +54,49 @@ def test_the_first_key_is_made_once_and_read_by_its_owner_only(tmp_path):
     assert not first_key(file, Role.OPERATOR, secret)
     assert secret.stat().st_mode & 0o077 == 0
     assert found(read_keys(file), secret.read_text().strip()).name == "first"
+
+
+def test_a_ring_that_cannot_read_its_file_holds_no_key_until_it_can(tmp_path):
+    file = tmp_path / "keys.json"
+    secret = secret_of(keys("add", "anna", "--file", file))
+    ring, whole = KeyRing(file), file.read_text()
+    file.write_text(whole[:40])
+    for now_s in (1e9, 1e9 + 0.1, 1e9 + 10.0):
+        assert ring.find(secret, now_s) is None
+        assert "keys.json" in ring.problem
+    file.write_text(whole)
+    assert ring.find(secret, 1e9 + 20.0).name == "anna"
+    assert ring.problem == ""
+    file.unlink()
+    assert ring.find(secret, 1e9 + 30.0) is None
+    assert "not there" in ring.problem
+
+
+def test_a_server_does_not_start_with_a_key_file_that_cannot_be_read(tmp_path):
+    (tmp_path / "keys.json").write_text("{")
+    with pytest.raises(KeysError):
+        KeyRing(tmp_path / "keys.json")
+
+
+def test_a_file_that_is_written_again_keeps_owner_and_mode(tmp_path, monkeypatch):
+    file = tmp_path / "keys.json"
+    keys("add", "anna", "--file", file)
+    assert file.stat().st_mode & 0o777 == 0o600
+    file.chmod(0o640)
+    given = []
+    monkeypatch.setattr("os.chown", lambda path, uid, gid: given.append((path.name, uid, gid)))
+    assert keys("revoke", "anna", "--file", file).exit_code == 0
+    assert file.stat().st_mode & 0o777 == 0o640
+    assert given == [("keys.new", file.stat().st_uid, file.stat().st_gid)]
+
+
+def test_where_the_owner_cannot_be_kept_the_mode_is_not_widened_for_another_group(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(1, "Operation not permitted")
+
+    file = tmp_path / "keys.json"
+    keys("add", "anna", "--file", file)
+    file.chmod(0o640)
+    monkeypatch.setattr("os.chown", refuse)
+    write_keys(file, ())
+    assert file.stat().st_mode & 0o777 == 0o600

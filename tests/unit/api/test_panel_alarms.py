@@ -8,6 +8,7 @@ import pytest
 from protocol.codes import FaultBit
 from server.api.panel_alarm_catalogue import CATALOGUE, index_markdown, page_markdown
 from server.api.panel_alarms import FAULT_CODES, AlarmBook, Surroundings, active_alarms
+from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
 
 DOCS = Path(__file__).parents[3] / "docs"
 CALM = Surroundings(10**12, "", "", "", 0.0, 0.0, 1e4)
@@ -42,6 +43,7 @@ def test_every_code_that_can_be_raised_is_in_the_catalogue():
         *active_alarms(state(), replace(CALM, disk_free_bytes=10**6, recorder_problem="full", loss_pct=7.0)),
         *active_alarms(state(simulation=False), CALM),
         *active_alarms(state(calibration=Part(valid=False, expiry_reason="too old")), CALM),
+        *active_alarms(state(), replace(CALM, inner_faults={KEYS_UNREADABLE: "x", PART_FAILED: "x"})),
         *(code for _, code in FAULT_CODES),
     }
     assert raised | {"job_failed", "hold_lost"} == set(CATALOGUE)

@@ -1,0 +1,26 @@
+"""What is wrong inside the server itself. Its parts tell; the fault list, the panel's alarms and /readyz show it."""
+
+from collections.abc import Callable
+
+KEYS_UNREADABLE = "keys_unreadable"
+PART_FAILED = "server_part_failed"
+
+
+class InnerFaults:
+    """Mutable on purpose: parts join while the server is put together."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[str, Callable[[], str]]] = []
+
+    def watch(self, fault_id: str, told: Callable[[], str]) -> None:
+        """Ask this part for its trouble from now on; it answers with an empty text while all is well."""
+        self._parts.append((fault_id, told))
+
+    @property
+    def told(self) -> dict[str, str]:
+        """Fault id -> what is wrong now, of all parts that have something to tell."""
+        found: dict[str, str] = {}
+        for fault_id, part in self._parts:
+            if text := part():
+                found[fault_id] = f"{found[fault_id]}; {text}" if fault_id in found else text
+        return found

@@ -1,0 +1,66 @@
+"""Loops that must go on while the server runs: one that ends is logged, told as a fault, and started again."""
+
+import asyncio
+import logging
+import time
+from collections.abc import Awaitable, Callable
+
+log = logging.getLogger(__name__)
+FIRST_S, MAX_S = 0.1, 2.0  # back-off: a defect at every start must not fill the log, nor leave a gap of minutes
+WELL_S = 10.0  # without another failure it is told no more
+
+Loop = Callable[[], Awaitable[None]]
+
+
+class SupervisedTasks:
+    """Belongs to one event loop."""
+
+    def __init__(self) -> None:
+        self._tasks: list[asyncio.Task[None]] = []
+        self._failed: dict[str, tuple[float, str]] = {}
+
+    @property
+    def problem(self) -> str:
+        """Which of them failed within the last WELL_S, and how; empty when all is well."""
+        since_s = time.monotonic() - WELL_S
+        return "; ".join(text for failed_s, text in self._failed.values() if failed_s > since_s)
+
+    def start(self, name: str, loop: Loop, on_failure: Loop | None = None) -> None:
+        """Run `loop` until `close`. `on_failure` comes after each failure, before the next start."""
+        self._tasks.append(asyncio.create_task(self._keep(name, loop, on_failure), name=name))
+
+    async def close(self) -> None:
+        """End all of them."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._tasks.clear()
+
+    async def _keep(self, name: str, loop: Loop, on_failure: Loop | None) -> None:
+        wait_s = FIRST_S
+        while True:
+            begun_s = time.monotonic()
+            why = await _ended(name, loop)
+            ended_s = time.monotonic()
+            self._failed[name] = ended_s, f"{name} failed ({why}) and is started again; the server's log says more"
+            if on_failure is not None:
+                await _ended(f"what follows a failure of {name}", on_failure)
+            wait_s = FIRST_S if ended_s - begun_s > WELL_S else wait_s
+            await asyncio.sleep(wait_s)
+            wait_s = min(2.0 * wait_s, MAX_S)
+
+
+async def _ended(name: str, loop: Loop) -> str:
+    """Run it; why it ended. Only our own cancellation goes through."""
+    try:
+        await loop()
+    except asyncio.CancelledError:
+        task = asyncio.current_task()
+        if task is None or task.cancelling():
+            raise
+        log.exception("%s was cancelled from within", name)
+        return "cancelled from within"
+    except Exception as error:  # the outermost loop of a part of the server
+        log.exception("%s failed", name)
+        return type(error).__name__
+    return "it returned"
