@@ -18,7 +18,9 @@ def position(
     key_file: Annotated[
         Path | None, typer.Option(help="file with the API key", envvar="LONGREACH_KEY_FILE", exists=True)
     ] = None,
-    kind: Annotated[str, typer.Option(help="control as operator, fleet or engineer")] = "operator",
+    kind: Annotated[
+        str, typer.Option(help="control as operator, fleet (a fleet's key, or none) or engineer")
+    ] = "operator",
     wait_s: Annotated[float, typer.Option(help="how long to wait for the server to be ready")] = 30.0,
 ) -> None:
     """Position the tool on its target: look, orient, calibrate, then look and move until inside tolerance."""

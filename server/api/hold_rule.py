@@ -1,11 +1,13 @@
-"""Which commands must be held: on a real machine everything that an operator moves from the panel."""
+"""Which commands must be held: on a real machine everything that a person moves."""
 
 from typing import Literal
 
 from server.access.errors import AccessError
 from server.access.lease import Lease, LeaseKind
+from server.access.roles import Role
 from server.jobs.service import JobBody
 from server.link.contracts import PlcSample
+from server.store.audit_rows import Caller
 
 Mode = Literal["SIM", "REAL"]
 STILL = frozenset({"look", "preview", "plan_experiment"})
@@ -16,7 +18,7 @@ class HoldRequiredError(AccessError):
 
     code = "hold_required"
     status = 409
-    hint = "send the job over the WebSocket /v1/hold and keep answering its challenges; a fleet's lease needs no hold"
+    hint = "send the job over the WebSocket /v1/hold and keep answering its challenges; a fleet's key needs no hold"
 
 
 def mode_of(set_mode: Mode, latest: PlcSample | None) -> Mode:
@@ -27,7 +29,13 @@ def mode_of(set_mode: Mode, latest: PlcSample | None) -> Mode:
     return "REAL" if latest is not None and not latest.simulation else set_mode
 
 
-def require_hold(mode: str, body: JobBody, lease: Lease) -> None:
-    """Raises: HoldRequiredError: an operator's motion on a REAL machine that was not pressed over /v1/hold."""
-    if mode == "REAL" and lease.kind is LeaseKind.OPERATOR and body.kind not in STILL:
-        raise HoldRequiredError(f"{body.kind} moves a REAL machine: the operator holds the button while it moves")
+def require_hold(mode: str, body: JobBody, lease: Lease, caller: Caller) -> None:
+    """Whether this may move without being pressed over /v1/hold: only a program may, under a fleet's lease.
+
+    A person's key is a person, whatever lease it found; without keys the lease alone says what it is.
+
+    Raises: HoldRequiredError: a person's motion on a REAL machine.
+    """
+    person = caller.by_key and caller.role != Role.FLEET
+    if mode == "REAL" and body.kind not in STILL and (person or lease.kind is not LeaseKind.FLEET):
+        raise HoldRequiredError(f"{body.kind} moves a REAL machine: a person holds the button while it moves")

@@ -85,7 +85,7 @@ class JobCommands:
         lease = self._service.engine.leases.check(sent.lease_id, sent.fencing)
         _require_key(sent, lease)
         cell = self._service.cell
-        require_hold(mode_of(cell.settings.mode, cell.link.latest), body, lease)
+        require_hold(mode_of(cell.settings.mode, cell.link.latest), body, lease, sent.caller)
         kept: list[Answered] = []
 
         def answer(job: Job) -> Answered:

@@ -8,13 +8,20 @@ from fastapi.responses import JSONResponse
 from server.access.desk import LeaseDesk
 from server.access.errors import AccessError, RoleError
 from server.access.lease import Lease
+from server.access.roles import Role
 from server.api.callers import caller_of, request_id_of
 from server.api.lease_views import lease_view
 from server.store.audit_rows import AuditEntry
 from server.store.errors import StoreError
 from server.store.keeper import Keeper
 
-KINDS_OF_ROLE = {"operator": ("operator", "fleet"), "fleet": ("fleet",)}  # engineers and admins: every kind
+KINDS_OF_ROLE = {
+    Role.OPERATOR: ("operator",),
+    Role.FLEET: ("fleet",),
+    Role.ENGINEER: ("operator", "engineer"),
+    Role.ADMIN: ("operator", "engineer"),
+}
+WITHOUT_KEY = ("operator", "fleet")  # whoever is at this computer: a person, or a program of theirs
 
 
 class ControlLog:
@@ -28,8 +35,9 @@ class ControlLog:
 
         Raises: RoleError: not with this role. StoreError: it could not be written down.
         """
-        role = caller_of(request).role
-        if kind not in KINDS_OF_ROLE.get(role, ("operator", "fleet", "engineer")):
+        caller = caller_of(request)
+        role = caller.role
+        if kind not in (KINDS_OF_ROLE.get(Role(role), ()) if caller.by_key else WITHOUT_KEY):
             raise RoleError(f"role {role} may not hold control as {kind}", {"role": role, "kind": kind})
         if self._keeper is not None:
             self._keeper.check()

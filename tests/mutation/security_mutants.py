@@ -6,9 +6,11 @@ import os
 from server.access import gatekeeper, keys
 from server.access.desk import LeaseDesk
 from server.access.gatekeeper import Gatekeeper
+from server.access.keys import read_keys
 from server.access.lockout import Lockout
+from server.access.roles import Role
 from server.access.sessions import Sessions
-from server.api import diagnoses, guard, job_commands, runs
+from server.api import diagnoses, guard, job_commands, lease_log, runs
 from server.api.lease_log import ControlLog
 from server.store.audit_rows import Caller
 
@@ -49,7 +51,30 @@ def listens_anywhere():
 
 
 def keys_outlive_their_revocation():
-    keys.KeyRing.in_force = lambda *_: True
+    keys.KeyRing.in_force = lambda self, sha256, _now_s: next(
+        (key for key in read_keys(self.path) if key.sha256 == sha256), None
+    )
+
+
+def sessions_by_name():
+    def by_name(self, cookie, now_s):
+        session, kept = self.sessions.find(cookie, now_s), read_keys(self.keys.path)
+        names = {key.name for key in kept if session is not None and key.sha256 == session.key_sha256}
+        return next((key for key in kept if key.name in names and key.revoked_unix_s is None), None)
+
+    Gatekeeper._by_session = by_name
+
+
+def keys_outlive_their_file():
+    read = keys.KeyRing._read
+
+    def kept(self, path):
+        try:
+            read(self, path)
+        except keys.KeysError:
+            return
+
+    keys.KeyRing._read = kept
 
 
 def write_for_all():
@@ -104,6 +129,15 @@ MUTANTS = {
     "a session outlives its key": (
         keys_outlive_their_revocation,
         "test_a_browser_logs_in_with_a_cookie_that_no_script_and_no_other_site_uses",
+    ),
+    "a session belongs to a name": (sessions_by_name, "test_a_name_that_is_given_again_revives_no_cookie"),
+    "keys outlive their file": (
+        keys_outlive_their_file,
+        "test_a_key_file_that_cannot_be_read_puts_every_key_out_of_force_but_never_a_stop",
+    ),
+    "a person may be a fleet": (
+        put(lease_log, "KINDS_OF_ROLE", dict.fromkeys(Role, ("operator", "fleet", "engineer"))),
+        "test_a_persons_key_gets_no_control_as_a_fleet_and_so_no_motion_without_the_hold",
     ),
     "logging out does nothing": (put(Sessions, "close", lambda *_: None), "test_logging_out_ends_the_session"),
     "it listens anyway": (listens_anywhere, "test_listening_beyond_this_computer_without_keys_does_not_start"),

@@ -12,7 +12,12 @@ from security_mutants import MUTANTS
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 TESTS = ROOT / "tests" / "unit" / "api" / "test_api_security.py"
-ELSEWHERE = {"test_api_commands.py", "tests/system/test_rest_slow_clients.py"}
+ELSEWHERE = {
+    "test_api_commands.py",
+    "tests/system/test_rest_slow_clients.py",
+    "test_api_open_connections.py",
+    "test_panel_hold.py",
+}
 
 
 def rows() -> list[tuple[str, list[str]]]:

@@ -10,6 +10,7 @@ from server.api.hold_rule import HoldRequiredError, require_hold
 from server.api.views import ExperimentRequest, PlanExperimentRequest
 from server.errors import BusyError
 from server.jobs.diagnosing import Diagnoses
+from server.store.audit_rows import Caller
 
 SAY = "import json, sys, pathlib; a = sys.argv; pathlib.Path(a[a.index('--json') + 1]).write_text(json.dumps(a[1:]))"
 WAIT = "import time; time.sleep(60)"
@@ -79,8 +80,8 @@ def test_on_a_real_machine_an_operator_holds_the_button_for_an_experiment(open_b
     body = ExperimentRequest(kind="experiment", diagnosis_id="0" * 12, plan_hash="0" * 16)
     operator = open_bench.service.engine.leases.acquire("anna", LeaseKind.OPERATOR, 60.0)
     with pytest.raises(HoldRequiredError):
-        require_hold("REAL", body, operator)
-    require_hold("SIM", body, operator)
+        require_hold("REAL", body, operator, Caller())
+    require_hold("SIM", body, operator, Caller())
 
 
 async def test_an_experiment_is_a_job_whose_diagnosis_must_be_known_and_planning_it_needs_no_hand(open_bench):
@@ -95,7 +96,7 @@ async def test_an_experiment_is_a_job_whose_diagnosis_must_be_known_and_planning
         for wrong in ({"diagnosis_id": "x"}, {"keep": "speed"}, {"wall_free": 1}, {"surprise": 1}):
             assert (await client.post("/v1/jobs", json=plan | wrong)).status_code == 422
     operator = open_bench.service.engine.leases.held
-    require_hold("REAL", PlanExperimentRequest(**plan), operator)
+    require_hold("REAL", PlanExperimentRequest(**plan), operator, Caller())
 
 
 def test_the_jobs_diagnoses_are_those_that_rest_lists(open_bench):

@@ -6,8 +6,10 @@ import logging
 import pytest
 from served import HOST
 
-from server.access.keys import KeyRing, read_keys, without_key, write_keys
+from server.access.keys import KeyRing, new_key, read_keys, with_key, without_key, write_keys
+from server.access.roles import Role
 from server.api import guard as guard_module
+from server.api.fault_list import fault_views
 from server.app import gatekeeper_of
 from server.errors import SettingsError
 from server.settings import HttpSettings
@@ -79,6 +81,13 @@ async def test_a_fleet_key_gets_control_as_a_fleet_only_and_takes_it_from_nobody
             assert (await client.post("/v1/lease/take", json=forged)).status_code == 403
     async with keyed.client("operator") as client:
         assert (await client.post("/v1/lease", json={"owner": "anna", "kind": "engineer"})).status_code == 403
+
+
+@pytest.mark.parametrize("role", ["operator", "engineer", "admin"])
+async def test_a_persons_key_gets_no_control_as_a_fleet_and_so_no_motion_without_the_hold(keyed, role):
+    async with keyed.client(role) as client:
+        answer = await client.post("/v1/lease", json={"owner": "anna", "kind": "fleet"})
+        assert (answer.status_code, answer.json()["code"]) == (403, "forbidden")
 
 
 async def test_a_stolen_stale_lease_moves_nothing(keyed):
@@ -221,6 +230,49 @@ async def test_a_browser_logs_in_with_a_cookie_that_no_script_and_no_other_site_
         file = keyed.gatekeeper.keys.path
         write_keys(file, without_key(read_keys(file), "operator 1", 1.0))
         keyed.gatekeeper.keys._looked_s = float("-inf")  # a second later
+        assert (await client.get("/v1/state")).status_code == 401
+
+
+def a_second_later(keyed):
+    keyed.gatekeeper.keys._looked_s = float("-inf")
+
+
+async def test_a_key_file_that_cannot_be_read_puts_every_key_out_of_force_but_never_a_stop(keyed, caplog):
+    file = keyed.gatekeeper.keys.path
+    async with keyed.client() as client:
+        await client.post("/v1/session", data={"key": keyed.keys["operator"]})
+        file.write_text('{"keys": [')
+        a_second_later(keyed)
+        assert (await client.post("/v1/stop")).status_code == 200  # the first one after it: the file is read for it
+        for headers in ({}, {"Authorization": f"Bearer {keyed.keys['admin']}"}):
+            answer = await client.post("/v1/jobs", json=PARK, headers=headers)
+            assert (answer.status_code, answer.json()["code"]) == (401, "unauthorized")
+            assert "cannot read its key file" in answer.json()["detail"]
+            assert (await client.post("/v1/stop", headers=headers)).status_code == 200
+        assert "keys.json" in (await client.get("/readyz")).text
+        assert next(fault.fault_id for fault in fault_views(keyed.service)) == "keys_unreadable"
+        assert caplog.text.count("no key is in force") == 1
+        write_keys(file, ())  # a file again, without a key
+        a_second_later(keyed)
+        assert (await client.get("/v1/state")).status_code == 401
+    assert "keys_unreadable" not in {fault.fault_id for fault in fault_views(keyed.service)}
+    assert len(keyed.service.cell.link.stops) == 3
+
+
+async def test_nothing_keeps_a_stop_away(keyed, monkeypatch):
+    monkeypatch.setattr(keyed.gatekeeper.sessions, "find", lambda *_: 1 / 0)
+    async with keyed.client(Cookie="longreach_session=anything") as client:
+        assert (await client.post("/v1/stop")).status_code == 200
+
+
+async def test_a_name_that_is_given_again_revives_no_cookie(keyed):
+    file = keyed.gatekeeper.keys.path
+    async with keyed.client() as client:
+        await client.post("/v1/session", data={"key": keyed.keys["operator"]})
+        kept = without_key(read_keys(file), "operator 1", 1.0)
+        write_keys(file, with_key(kept, "operator 1", Role.VIEWER, new_key(), 2.0))
+        a_second_later(keyed)
+        assert (await client.post("/v1/jobs", json=PARK)).status_code == 401
         assert (await client.get("/v1/state")).status_code == 401
 
 

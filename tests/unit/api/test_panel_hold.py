@@ -1,6 +1,7 @@
 """Hold-to-run's shell with a stand-in socket and machine: who may press, what keeps it going, what ends it."""
 
 import asyncio
+import contextlib
 import json
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecor
 
 from machine.chain import chain_of
 from server.access.lease import LeaseKind
+from server.access.roles import PERSONS
 from server.api import hold as module
 from server.api.hold import hold_router
 from server.api.hold_rule import HoldRequiredError, mode_of, require_hold
@@ -21,7 +23,9 @@ from server.jobs.hold import reply_to
 from server.jobs.requests import MachineReading
 from server.jobs.service import JobService
 from server.settings import RecordingSettings, ServerSettings
+from server.store.audit_rows import Caller
 
+HERE = Caller()
 CHAIN = chain_of(MACHINE)
 MIDDLE = 0.5 * (CHAIN.q_min + CHAIN.q_max)
 
@@ -217,11 +221,27 @@ async def test_what_may_not_be_pressed_moves_nothing(service, change, code):
 def test_on_a_real_machine_an_operators_click_moves_nothing(service):
     operator = service.engine.leases.acquire("anna", LeaseKind.OPERATOR, 60.0)
     for still in (LookRequest(kind="look"), PreviewRequest(kind="preview")):
-        require_hold("REAL", still, operator)
-    require_hold("SIM", ParkRequest(kind="park"), operator)
+        require_hold("REAL", still, operator, HERE)
+    require_hold("SIM", ParkRequest(kind="park"), operator, HERE)
     for moving in (ParkRequest(kind="park"), ExecuteRequest(kind="execute", plan_hash="0" * 16)):
         with pytest.raises(HoldRequiredError):
-            require_hold("REAL", moving, operator)
+            require_hold("REAL", moving, operator, HERE)
+
+
+@pytest.mark.parametrize(
+    ("caller", "kind", "held"),
+    [
+        (HERE, LeaseKind.FLEET, False),  # without keys the lease alone says what it is
+        (HERE, LeaseKind.ENGINEER, True),
+        (Caller("truck 7", "fleet", by_key=True), LeaseKind.FLEET, False),
+        (Caller("truck 7", "fleet", by_key=True), LeaseKind.OPERATOR, True),
+        *((Caller("anna", role, by_key=True), kind, True) for role in PERSONS for kind in LeaseKind),
+    ],
+)
+def test_a_person_holds_on_a_real_machine_whatever_the_lease_is_called(service, caller, kind, held):
+    lease = service.engine.leases.acquire("anna", kind, 60.0)
+    with pytest.raises(HoldRequiredError) if held else contextlib.nullcontext():
+        require_hold("REAL", ParkRequest(kind="park"), lease, caller)
 
 
 def test_a_forgotten_line_in_the_settings_does_not_make_steel_move_by_a_click():
