@@ -57,7 +57,7 @@ class VisionClient:
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._restart: asyncio.TimerHandle | None = None
+        self._restart: asyncio.Task[None] | None = None
         self._pose_source: PoseSourceName = "stereo"
         self._track: TrackCollector | None = None
         self.stream_text = STARTING
@@ -99,6 +99,7 @@ class VisionClient:
         self._loop = None
         if self._restart is not None:
             self._restart.cancel()
+            await asyncio.gather(self._restart, return_exceptions=True)
         process, pipe = self._process, self._pipe
         self._process = self._pipe = None
         if process is None or pipe is None:
@@ -277,4 +278,18 @@ class VisionClient:
         self.restarts += 1
         self._pose_source = "stereo"
         self._track = None if self._track is None else TrackCollector()  # its start frame is lost
-        self._restart = self._loop.call_later(RESTART_S, self._spawn)
+        self._restart = self._loop.create_task(self._respawn(), name="vision-restart")
+
+    async def _respawn(self) -> None:
+        """Start another, as often as it takes; when cancelled, the one that is being started is there to be ended."""
+        while True:
+            await asyncio.sleep(RESTART_S)
+            spawning = asyncio.ensure_future(asyncio.to_thread(self._spawn))
+            try:
+                return await asyncio.shield(spawning)
+            except asyncio.CancelledError:
+                await asyncio.wait({spawning})
+                raise
+            except Exception as error:  # no processes, files or threads left, or a defect: without it nothing is seen
+                self.stream_text = f"vision process ended and could not be started again ({error}); trying again"
+                _log.exception(self.stream_text)

@@ -321,12 +321,16 @@ class LinkClient:
         self._restart = asyncio.ensure_future(self._respawn(process))
 
     async def _respawn(self, dead: SupervisedProcess) -> None:
-        await dead.end()
+        try:
+            await dead.end()
+        except Exception:  # whatever is left of it, without a new one nothing is ever commanded again
+            _LOG.exception("the dead link process could not be cleared away")
         while not self._closing:
             await asyncio.sleep(_RESTART_S)
             try:
                 return await self._spawn()
-            except OSError:
+            except Exception as error:  # as above: no processes, no files, no threads left, or a defect of ours
+                self._health = replace(self._health, error=f"link process could not be started ({error}), trying again")
                 _LOG.exception("the link process could not be started; trying again in %s s", _RESTART_S)
 
     def _end_motion(self, reason: str) -> None:
