@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError
 
 from machine.boards import board_markers
 from machine.errors import MachineFileError
+from machine.field_units import unit_of
 from machine.lens import distorted_radius_max
 from machine.marker_sections import REMEDIES, BoardSection, MarkerSection, MarkersSection, Pose16, Strict, check_markers
 from machine.remainder import Remainder, parse_baseline, parse_remainders
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 SHOWN_MAX = 120  # characters of a wrong value in a message
 PLACE_MAX_M = 20.0  # of a marker or board on its object
-UNITS = {"_m": "m", "_px": "px", "_deg": "deg", "_s": "s", "_hz": "Hz", "_kg": "kg"}  # by a field's ending
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,7 +306,7 @@ def _first_error(error: ValidationError, sections: dict[str, object]) -> str:
     given = repr(first["input"])
     given = given if len(given) <= SHOWN_MAX else f"{given[: SHOWN_MAX - 4]} ..."
     value = "" if first["type"] in ("missing", "model_type", "value_error") else f" = {given}"
-    unit = next((f" [{unit}]" for ending, unit in UNITS.items() if field.endswith(ending)), "")
+    unit = f" [{unit_of(field)}]" if unit_of(field) else ""
     remedy = f"; {REMEDIES[field]}" if names[:1] == ["markers"] and field in REMEDIES else ""
     return f"{'.'.join(names)}{value}: {first['msg'].removeprefix('Value error, ')}{unit}{remedy}"
 
@@ -323,7 +323,7 @@ def parse_machine_toml(text: str) -> Machine:
     Raises: MachineFileError naming the field, its value and the bound.
     """
     try:
-        tables = tomllib.loads(text)
+        tables = tomllib.loads(text.removeprefix("\ufeff"))  # Windows' editors write a byte order mark
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise MachineFileError(f"machine file is not TOML: {error}") from error
     try:

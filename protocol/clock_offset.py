@@ -36,6 +36,11 @@ class ClockOffset:
             self._best[-1] = _Best(second, self.delay_ns, offset_ns)
 
     @property
+    def delay_min_ns(self) -> int:
+        """The quickest round trip of the last half minute; 0 before the first exchange."""
+        return min((best.delay_ns for best in self._best), default=0)
+
+    @property
     def offset_ns(self) -> int | None:
         """t_pc = t_plc + offset; None before the first exchange."""
         return min(self._best, key=lambda best: best.delay_ns).offset_ns if self._best else None

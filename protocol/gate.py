@@ -216,7 +216,7 @@ def _at_rest(knot: Knot, code: RejectCode, which: str) -> Iterator[Refusal]:
     for name, values, unit in (("speed", knot.qd, "rad/s"), ("acceleration", knot.qdd, "rad/s^2")):
         worst = max(map(abs, values))
         if not worst <= _REST:
-            yield Refusal(code, f"{name} of the {which} knot", worst, 0, unit, "begin and end at rest")
+            yield Refusal(code, f"{name} of the {which} knot", worst, _REST, unit, "begin and end at rest")
 
 
 def _knots(knots: Sequence[Knot], before: Knot | None, table: LimitTable) -> Iterator[Refusal]:
@@ -267,9 +267,9 @@ def _step(a: Knot, b: Knot, table: LimitTable) -> Iterator[Refusal]:
         if _over(mean, axis.qd_max):
             yield Refusal(RejectCode.IMPLIED_SPEED, f"{at}: implied speed", mean, axis.qd_max, "rad/s", "plan slower")
         qd, qdd = _quintic_peak(a, b, i, dt_s)
-        if _over(qd, axis.qd_max * _BETWEEN) or _over(qdd, axis.qdd_max * _BETWEEN):
-            fast = _over(qd, axis.qd_max * _BETWEEN)
-            value, limit, unit = (qd, axis.qd_max, "rad/s") if fast else (qdd, axis.qdd_max, "rad/s^2")
+        qd_most, qdd_most = axis.qd_max * _BETWEEN, axis.qdd_max * _BETWEEN
+        if _over(qd, qd_most) or _over(qdd, qdd_most):
+            value, limit, unit = (qd, qd_most, "rad/s") if _over(qd, qd_most) else (qdd, qdd_most, "rad/s^2")
             remedy = "the knots' q, qd and qdd do not belong to one smooth motion"
             yield Refusal(RejectCode.CONTINUITY, f"{at}: peak of the quintic", value, limit, unit, remedy)
 

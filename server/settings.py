@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.description import Machine, parse_machine_toml
+from machine.field_units import unit_of
 from server.calibration.calibration_life import Expiry
 from server.errors import SettingsError
 from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings
@@ -185,15 +186,8 @@ def first_problem(error: ValidationError) -> str:
     """What is wrong with settings, in one line: field, value, bound, unit."""
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"])
-    return f"{field} = {first['input']!r}: {first['msg']}{_unit_of(field)}"
-
-
-def _unit_of(field: str) -> str:
-    units = {"_mm": "mm", "_deg": "deg", "_s": "s", "_hz": "Hz", "_frac": "fraction 0..1"}
-    for ending, unit in units.items():
-        if field.endswith(ending):
-            return f" [{unit}]"
-    return ""
+    unit = unit_of(field)
+    return f"{field} = {first['input']!r}: {first['msg']}{f' [{unit}]' if unit else ''}"
 
 
 def shipped_machine(name: str) -> Path:

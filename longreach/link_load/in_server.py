@@ -82,6 +82,7 @@ class InServerLink:
             last_reject=self._last_reject,
             session=self._link.session,
             warning="in the server's process, at normal priority",
+            round_trip_min_ms=self._link.clock.delay_min_ns / 1e6,
         )
 
     async def arm(self, timeout_s: float = 5.0) -> None:

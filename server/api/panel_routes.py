@@ -7,6 +7,7 @@ from fastapi import APIRouter, Depends
 from fastapi.responses import HTMLResponse, JSONResponse
 from pydantic import Field
 
+from machine.field_units import unit_of
 from server.access.lease import Lease
 from server.api.lease import leased
 from server.api.panel_alarm_catalogue import CATALOGUE, AlarmKind
@@ -76,21 +77,6 @@ def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
     return router
 
 
-UNITS = {
-    "_mm": "mm",
-    "_m": "m",
-    "_deg": "deg",
-    "_ms": "ms",
-    "_s": "s",
-    "_h": "h",
-    "_hz": "Hz",
-    "_k": "K",
-    "_px": "px",
-    "_frac": "0..1",
-    "_mm_s": "mm/s",
-}
-
-
 def setting_rows(settings: dict[str, Any], prefix: str = "") -> list[SettingRow]:
     """One row a setting, sections in the name, units from the name's ending (the longest that fits)."""
     rows: list[SettingRow] = []
@@ -98,8 +84,8 @@ def setting_rows(settings: dict[str, Any], prefix: str = "") -> list[SettingRow]
         if isinstance(value, dict):
             rows += setting_rows(value, f"{prefix}{name}.")
             continue
-        unit = next((UNITS[end] for end in sorted(UNITS, key=len, reverse=True) if name.endswith(end)), "")
-        rows.append(SettingRow(name=prefix + name, value="not set" if value is None else str(value), unit=unit))
+        told = "not set" if value is None else str(value)
+        rows.append(SettingRow(name=prefix + name, value=told, unit=unit_of(name)))
     return rows
 
 

@@ -69,7 +69,8 @@ class Diagnoses:
         running = next((one for one in self.all if one.state in UNDER_WAY), None)
         if running is not None:
             raise BusyError(
-                f"diagnosis {running.diagnosis_id} of {running.recording} runs since {running.elapsed_s:.0f} s",
+                f"diagnosis {running.diagnosis_id} of {running.recording} runs since {running.elapsed_s:.0f} s; wait "
+                "for its end or end it (GET or DELETE /v1/diagnoses/{diagnosis_id})",
                 {"diagnosis_id": running.diagnosis_id},
             )
         return self._begun(Diagnosis(uuid4().hex[:12], recordings))

@@ -64,7 +64,8 @@ class Steering:
         while self._number <= request.after:
             left_s = deadline_s - time.monotonic()
             if left_s <= 0.0:
-                return self._seen(request.after, f"no pair for {1e3 * request.silence_max_s:.0f} ms", None, request)
+                silent = f"no pair for {1e3 * request.silence_max_s:.0f} ms; check the camera, its cable and its rate"
+                return self._seen(request.after, silent, None, request)
             try:
                 await asyncio.wait_for(self._arrived.wait(), left_s)
             except TimeoutError:

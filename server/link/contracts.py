@@ -1,5 +1,6 @@
 """What the link process tells the server, and what the server asks of it: plain frozen data between processes."""
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 
@@ -44,6 +45,12 @@ class PlcSample:
     simulation: bool
     dry_run: bool = False
 
+    @property
+    def oil_told_c(self) -> float | None:
+        """The oil's temperature, where the machine measures it: a PLC without the sensor sends 0 or NaN."""
+        told = self.oil_temperature_c
+        return told if math.isfinite(told) and told != 0.0 else None
+
 
 @dataclass(frozen=True, slots=True)
 class LinkHealth:
@@ -58,7 +65,7 @@ class LinkHealth:
     lateness_p50_us: float
     lateness_p99_us: float
     lateness_max_us: float
-    round_trip_ms: float
+    round_trip_ms: float  # the newest one
     last_reject: str
     session: int
     warning: str = ""  # why timing may be worse than it should be; empty: nothing to say
@@ -68,6 +75,8 @@ class LinkHealth:
     dry_run: bool = False  # the PLC plays everything, but its valves stay neutral
     cfg_id: int = 0  # of the limits in the PLC, as it says
     recent_rejects: tuple[str, ...] = ()  # the newest ten: code, remedy, field and value, command number
+    round_trip_min_ms: float = 0.0  # the quickest of the last half minute
+    samples_dropped: int = 0  # states that the server did not fetch in time, since the link process began
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +160,10 @@ class DisarmRequest:
 
 @dataclass(frozen=True, slots=True)
 class SamplesReport:
-    """The PLC states received since the last report, oldest first; `dropped` were lost in a full queue."""
+    """The PLC states received since the last report, oldest first.
+
+    `dropped`: so many were lost in a full queue since the link process began.
+    """
 
     samples: tuple[PlcSample, ...]
     dropped: int = 0

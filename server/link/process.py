@@ -304,6 +304,7 @@ class LinkProcess:
             dry_run=state is not None and HeaderFlag.DRY_RUN in state.flags,
             cfg_id=state.cfg_id if state is not None else 0,
             recent_rejects=tuple(self._rejects),
+            round_trip_min_ms=self._link.clock.delay_min_ns / 1e6,
         )
 
 

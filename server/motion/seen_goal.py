@@ -26,10 +26,10 @@ class SeenGoal:
     T_first: Array
     _seen: deque[tuple[Array, float]] = field(default_factory=lambda: deque(maxlen=KEPT))
 
-    def jump(self, T_base_goal: Array, sigma_m: float, way_m: float) -> float:
-        """How far a look's goal is off the present one, over what is allowed; above 1 it must not be used."""
+    def jump(self, T_base_goal: Array, sigma_m: float, way_m: float) -> tuple[float, float]:
+        """How far a look's goal is off the present one, and how far it may be [m]; beyond it must not be used."""
         apart_m = float(np.linalg.norm(T_base_goal[:3, 3] - self.pose[:3, 3]))
-        return apart_m / max(JUMP_FLOOR_M, JUMP_SIGMAS * _sigma(sigma_m, way_m))
+        return apart_m, max(JUMP_FLOOR_M, JUMP_SIGMAS * _sigma(sigma_m, way_m))
 
     def add(self, T_base_goal: Array, sigma_m: float, way_m: float) -> None:
         """Take in a look's goal (4, 4): its own sigma [m] and the way that was left then [m]."""

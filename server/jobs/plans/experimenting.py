@@ -89,8 +89,11 @@ def check_experiment(
             f"{planned.diagnosis_id}); plan again"
         )
     if t_now_ns > planned.expires_ns:
-        age_s = (t_now_ns - planned.t_made_ns) * 1e-9
-        raise PlanRefusedError(f"plan {wanted_hash} is {age_s:.0f} s old and has expired; plan again")
+        age_s, most_s = (t_now_ns - planned.t_made_ns) * 1e-9, (planned.expires_ns - planned.t_made_ns) * 1e-9
+        raise PlanRefusedError(
+            f"plan {wanted_hash} is {age_s:.0f} s old and has expired (limit {most_s:.0f} s, [position] plan_expires_s)"
+            "; plan again"
+        )
     return planned
 
 

@@ -121,8 +121,11 @@ def check_executable(previewed: PreviewedPlan | None, wanted_hash: str, t_now_ns
     if previewed.plan_hash != wanted_hash:
         raise PlanRefusedError(f"plan {wanted_hash} is not the previewed one ({previewed.plan_hash}); preview again")
     if t_now_ns > previewed.expires_ns:
-        age_s = (t_now_ns - previewed.t_made_ns) * 1e-9
-        raise PlanRefusedError(f"plan {wanted_hash} is {age_s:.0f} s old and has expired; look and preview again")
+        age_s, most_s = (t_now_ns - previewed.t_made_ns) * 1e-9, (previewed.expires_ns - previewed.t_made_ns) * 1e-9
+        raise PlanRefusedError(
+            f"plan {wanted_hash} is {age_s:.0f} s old and has expired (limit {most_s:.0f} s, [position] plan_expires_s)"
+            "; look and preview again"
+        )
     return previewed
 
 

@@ -41,9 +41,12 @@ class Steered:
 def off_goal(ctx: PlanContext, steered: Steered, seen: PairSeen) -> str:
     """Take a good pair in; or why its goal cannot be believed."""
     T_goal, sigma_m, way_m = _goal_seen(ctx, seen)
-    over = steered.goal.jump(T_goal, sigma_m, way_m)
-    if over > 1.0:
-        return f"the goal jumped by {over:.1f} times what is allowed"
+    apart_m, most_m = steered.goal.jump(T_goal, sigma_m, way_m)
+    if apart_m > most_m:
+        return (
+            f"the goal jumped by {1e3 * apart_m:.1f} mm (limit {1e3 * most_m:.1f} mm, "
+            f"{1e3 * way_m:.0f} mm before it); look whether target or camera moved, then look and calibrate again"
+        )
     steered.goal.add(T_goal, sigma_m, way_m)
     steered.pairs += 1
     return ""

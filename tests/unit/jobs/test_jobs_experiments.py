@@ -208,7 +208,7 @@ def test_only_the_named_fresh_plan_is_executable():
         (None, ID, plan.plan_hash, 0, "no experiment was planned"),
         (plan, ID, "f" * 16, 0, "is not the planned one"),
         (plan, "f" * 12, plan.plan_hash, 0, "is not the planned one"),
-        (plan, ID, plan.plan_hash, int(61e9), "has expired"),
+        (plan, ID, plan.plan_hash, int(61e9), r"has expired \(limit 60 s"),
     ):
         with pytest.raises(PlanRefusedError, match=text):
             check_experiment(kept, diagnosis_id, wanted, t_ns)

@@ -190,7 +190,7 @@ def test_another_hash_an_expired_plan_and_a_moved_machine_are_refused():
     world, ctx, plan = previewed()
     with pytest.raises(PlanRefusedError, match="is not the previewed one"):
         check_executable(plan, "0" * 16, 10)
-    with pytest.raises(PlanRefusedError, match="has expired"):
+    with pytest.raises(PlanRefusedError, match=r"has expired \(limit 60 s, \[position\] plan_expires_s\)"):
         check_executable(plan, plan.plan_hash, plan.expires_ns + 1)
     world.q_ref = world.q_ref + 1e-3
     with pytest.raises(PlanRefusedError, match="reference moved"):

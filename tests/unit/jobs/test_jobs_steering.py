@@ -111,7 +111,11 @@ async def test_silence_is_a_fault_that_counts_from_the_last_pair(cell):
     steering = await begun(cell)
     cell.vision.report(report())
     seen = await steering.next_pair(asked(after=1, silence_max_s=0.03))
-    assert (seen.number, seen.fault, seen.q_rad) == (1, "no pair for 30 ms", None)
+    assert (seen.number, seen.fault, seen.q_rad) == (
+        1,
+        "no pair for 30 ms; check the camera, its cable and its rate",
+        None,
+    )
     await steering.forget()
 
 

@@ -47,6 +47,9 @@ WRONG = [
     ("DICT_4X4_50", "DICT_APRILTAG", "markers.dictionary = 'DICT_APRILTAG': String should match pattern"),
     ("cycle_s = 0.001", "cycle_s = 0.0", "plc.cycle_s = 0.0: Input should be greater than 0"),
     ("[plc]", "[plcs]", "plc: Field required"),
+    ("velocity_gain_rad_s = ", "velocity_gain_rad_s = -", "Input should be greater than 0 [rad/s]"),
+    ("qd_max_deg_s = ", "qd_max_deg_s = -", "Input should be greater than 0 [deg/s]"),
+    ("tcp_speed_max_m_s = ", "tcp_speed_max_m_s = -", "Input should be greater than 0 [m/s]"),
     ('name = "hiab033"', "name = ", "machine file is not TOML"),
     ('name = "hiab033"', 'name = "a"\nserial = 7', "machine.serial = 7: Input should be a valid string"),
     ('name = "hiab033"', 'name = "a"\nserial = "a\\u0007"', "machine.serial = 'a\\x07': String should match pattern"),
@@ -85,6 +88,10 @@ def test_machines_of_one_name_are_told_apart_by_their_serial_number():
     assert MACHINE.serial == ""
     numbered = parse_machine_toml(TEXT.replace('name = "hiab033"', 'name = "hiab033"\nserial = "HC-0042 b"', 1))
     assert (numbered.name, numbered.serial) == (MACHINE.name, "HC-0042 b")
+
+
+def test_a_byte_order_mark_of_a_windows_editor_is_passed_over():
+    assert parse_machine_toml("\ufeff" + TEXT).name == MACHINE.name
 
 
 def test_nominal_machine_in_si():

@@ -18,6 +18,7 @@ LIFT = AxisLimits("lift", -0.5, 1.5, 0.25, 1.0)
 TABLE = LimitTable((SLEW, LIFT))
 AXES = tuple(enumerate(TABLE.axes))
 ROUNDING = 1e-9
+AT_REST_MOST, BETWEEN = 1e-6, 1.05
 Answer = tuple[tuple[Any, ...], ...]
 R = RejectCode
 
@@ -145,7 +146,14 @@ def implied(axis: AxisLimits, a_ms: int, b_ms: int, value: float) -> tuple[Any, 
 
 def peak(axis: AxisLimits, a_ms: int, b_ms: int, value: float, limit: float, unit: str) -> tuple[Any, ...]:
     subject = f"{axis.name} between {a_ms} and {b_ms} ms: peak of the quintic"
-    return R.CONTINUITY, subject, value, limit, unit, "the knots' q, qd and qdd do not belong to one smooth motion"
+    return (
+        R.CONTINUITY,
+        subject,
+        value,
+        limit * BETWEEN,
+        unit,
+        "the knots' q, qd and qdd do not belong to one smooth motion",
+    )
 
 
 def spacing(b_ms: int, dt_ns: int, limit_ms: float) -> tuple[Any, ...]:
@@ -158,7 +166,7 @@ def unused(axis: int, q: float) -> tuple[Any, ...]:
 
 def moving_at(code: RejectCode, which: str, what: str, value: float) -> tuple[Any, ...]:
     unit = "rad/s" if what == "speed" else "rad/s^2"
-    return code, f"{what} of the {which} knot", value, 0, unit, "begin and end at rest"
+    return code, f"{what} of the {which} knot", value, AT_REST_MOST, unit, "begin and end at rest"
 
 
 def off_start(axis: AxisLimits, step: float) -> tuple[Any, ...]:

@@ -217,6 +217,7 @@ def test_window_at_the_end_carries_the_end_flag() -> None:
 def test_offset_follows_the_fastest_exchange() -> None:
     clock = ClockOffset()
     assert clock.offset_ns is None
+    assert clock.delay_min_ns == 0
     offset_ns = -5_000_000_000
     for i, (out_ns, back_ns) in enumerate([(9_000_000, 1_000_000), (100_000, 120_000), (2_000_000, 30_000_000)]):
         t1 = i * 20_000_000
@@ -224,6 +225,7 @@ def test_offset_follows_the_fastest_exchange() -> None:
         t3 = t2 + 3_000_000
         clock.add(t1, t2, t3, t3 + offset_ns + back_ns)
         assert clock.delay_ns == out_ns + back_ns
+    assert clock.delay_min_ns == 220_000  # of all of them, not the newest
     assert clock.offset_ns is not None
     assert abs(clock.offset_ns - offset_ns) <= 10_000  # ns: half the asymmetry of the fastest one
 
