@@ -8,7 +8,6 @@ from server.api.views import CalibrationView
 from server.calibration.calibration_life import LocalCalibration, Validity, ValidityStatus, observability_text
 from server.cell import Cell
 from server.jobs.context import PlanContext
-from server.link.contracts import PlcSample
 
 NOW_UNKNOWN = Validity(ValidityStatus.VALID, "where the machine stands is not known: the PLC has not been heard")
 
@@ -45,12 +44,7 @@ def validity_now(cell: Cell, ctx: PlanContext, life: LocalCalibration, t_mono_ns
         found = life.valid_at(t_unix_s, life.made.q, life.made.T_base_tcp)
         return NOW_UNKNOWN if found.ok else found
     q = np.array(latest.q_rad)
-    return life.valid_at(t_unix_s, q, ctx.tcp(q), _oil(latest))
-
-
-def _oil(sample: PlcSample) -> float | None:
-    told = sample.oil_temperature_c
-    return told if np.isfinite(told) and told != 0.0 else None
+    return life.valid_at(t_unix_s, q, ctx.tcp(q), latest.oil_told_c)
 
 
 def _distance_mm(cell: Cell, ctx: PlanContext, life: LocalCalibration) -> float | None:

@@ -73,6 +73,7 @@ def _link(service: JobService) -> Figures:
         ("plc_round_trip_seconds", "link round trip", health.round_trip_ms * 1e-3),
         ("plc_states_received", "PLC states received", health.received),
         ("plc_states_lost", "PLC states lost", health.lost),
+        ("plc_states_dropped", "PLC states that the server did not fetch in time", health.samples_dropped),
         ("plc_lateness_p99_seconds", "99th percentile of the sender's lateness", health.lateness_p99_us * 1e-6),
     ]
 

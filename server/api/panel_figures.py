@@ -4,13 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from protocol.codes import FaultBit
 from server.api.panel_view import CalibrationFigures, LinkFigures, SafetyView, VisionFigures
 from server.calibration.calibration_life import LocalCalibration
 from server.camera.client import VisionClient
 from server.link.contracts import LinkHealth, LinkPhase, PlcSample
 
 EDGES_MS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
-ESTOP, ENABLE_LOST = 1, 2
 
 
 def link_figures(samples: Sequence[PlcSample], health: LinkHealth, loss_pct: float) -> LinkFigures:
@@ -28,6 +28,7 @@ def link_figures(samples: Sequence[PlcSample], health: LinkHealth, loss_pct: flo
         sent=health.sent,
         received=health.received,
         rejected=health.rejected,
+        samples_dropped=health.samples_dropped,
         buffer_ms=round(samples[-1].buffer_us * 1e-3, 1) if samples else 0.0,
         buffer_min_ms=round(health.buffer_min_us * 1e-3, 1),
     )
@@ -44,9 +45,9 @@ def safety_view(health: LinkHealth, latest: PlcSample | None, faults: list[str])
     if latest is None or health.phase is LinkPhase.OFFLINE:
         return SafetyView(estop="not told", enable="not told", faults=[])
     armed = health.phase in (LinkPhase.ARMED, LinkPhase.RUNNING, LinkPhase.STOPPING)
-    lost = bool(latest.fault_bits & ENABLE_LOST)
+    lost = bool(latest.fault_bits & FaultBit.LOCAL_ENABLE_LOST)
     return SafetyView(
-        estop="PRESSED" if latest.fault_bits & ESTOP else "not pressed",
+        estop="PRESSED" if latest.fault_bits & FaultBit.ESTOP else "not pressed",
         enable="LOST" if lost else "given" if armed else "needed to arm",
         faults=faults,
     )

@@ -3,7 +3,7 @@
 import shutil
 import time
 from collections import deque
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +22,13 @@ from server.api.panel_view import (
     PanelView,
     SceneState,
 )
-from server.api.state_view import state_view
-from server.api.views import ErrorView, StateView
+from server.api.state_view import error_view, state_view
+from server.api.views import StateView
 from server.jobs.engine import Job, JobEvent, JobState
 from server.jobs.hold import SILENCE_NS
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.positioning import inside
 from server.jobs.plans.unmoved import MOVED_RAD
-from server.jobs.records import ErrorMm
 from server.jobs.service import JobService
 
 HISTORY_KEPT = 100
@@ -151,9 +150,7 @@ class PanelMemory:
             after=self._job_kind,
             status=taken.record.status,
             reason=taken.record.reason,
-            error=None
-            if taken.error is None
-            else ErrorView(**{k: round(v, 3) for k, v in asdict(taken.error).items()}),
+            error=error_view(taken.error),
             inside=taken.error is not None and inside(self.service.context, taken),
         )
         if again and self.history:  # the same look against another goal
@@ -185,10 +182,6 @@ class PanelMemory:
     def scrub(self, frac: float) -> None:
         """Where on the previewed path the ghost stands, 0..1; shown to everybody, moves nothing."""
         self.scene = self.scene.model_copy(update={"scrub_frac": min(1.0, max(0.0, frac))})
-
-
-def _rounded(error: ErrorMm) -> ErrorView:
-    return ErrorView(**{name: round(value, 3) for name, value in asdict(error).items()})
 
 
 def _alarm_view(alarm: Alarm) -> AlarmView:

@@ -1,7 +1,6 @@
 """Recordings for the page: list, download, and the replay of one finished run."""
 
 import asyncio
-import re
 import struct
 import sys
 from dataclasses import dataclass
@@ -12,10 +11,10 @@ from fastapi import APIRouter
 from fastapi.responses import FileResponse, JSONResponse, Response
 
 from server.api.problems import problem
+from server.api.run_files import run_path
 from server.api.views import View
 from server.jobs.service import JobService
 
-NAME = re.compile(r"^[0-9A-Za-z][0-9A-Za-z_.-]{0,120}\.mcap$")
 LISTED = 100
 READING_S = 60.0
 LAYOUT = files("recording") / "viewers" / "foxglove-layout.json"
@@ -102,7 +101,7 @@ async def _read(path: Path) -> tuple[int | None, bytes, str]:
 
 def _listed(folder: Path) -> list[RecordingView]:
     try:
-        found = [(path, path.stat()) for path in folder.glob("*.mcap")]
+        found = [(path, path.stat()) for path in folder.glob("*.mcap") if run_path(folder, path.stem)]
     except OSError:
         return []
     newest = sorted(found, key=lambda one: -one[1].st_mtime)[:LISTED]
@@ -113,9 +112,8 @@ def _listed(folder: Path) -> list[RecordingView]:
 
 
 def _path(folder: Path, name: str) -> Path | None:
-    """A recording of that plain name; nothing outside the folder can be named."""
-    path = folder / name
-    return path if NAME.match(name) and path.is_file() else None
+    """A recording by its file's name; nothing outside the folder can be named, or linked."""
+    return run_path(folder, name.removesuffix(".mcap")) if name.endswith(".mcap") else None
 
 
 def _unknown(name: str) -> JSONResponse:

@@ -63,6 +63,7 @@ class LinkFigures(View):
     sent: int
     received: int
     rejected: int
+    samples_dropped: int = Field(description="states that the server did not fetch in time: missing in recordings")
     buffer_ms: float
     buffer_min_ms: float
 

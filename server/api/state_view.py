@@ -56,7 +56,7 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext) -> StateView:
         link=_link(cell),
         camera=_camera(cell),
         markers=_markers(cell),
-        live_error=_error(live_error(cell, ctx)),
+        live_error=error_view(live_error(cell, ctx)),
         look=_look(cell),
         calibration=calibration_view(cell, ctx, time.monotonic_ns()),
         calibration_note=knowledge.calibration_note,
@@ -184,14 +184,15 @@ def _look(cell: Cell) -> LookView | None:
     return LookView(
         status=record.status,
         reason=record.reason,
-        error=_error(record.error),
+        error=error_view(record.error),
         n_used=record.n_used,
         spread_mm=round(float(np.nan_to_num(record.spread_mm)), 3),
         age_s=round((time.monotonic_ns() - record.t_mono_ns) * 1e-9, 1),
     )
 
 
-def _error(error: ErrorMm | None) -> ErrorView | None:
+def error_view(error: ErrorMm | None) -> ErrorView | None:
+    """An error of the tool as it is shown, to a micrometre."""
     if error is None:
         return None
     return ErrorView(**{name: round(value, 3) for name, value in asdict(error).items()})

@@ -11,6 +11,7 @@ from machine.rotations import Array
 from server.commissioning.site import Site
 from server.link.contracts import LinkPhase, MotionEnded, PlcSample
 from server.link.errors import LinkError
+from server.link.standing import stood_still
 from server.motion.contracts import JointTrajectory, PathPlan
 from server.motion.point_to_point import plan_joint_move
 from server.motion.settings import PlanSettings
@@ -98,14 +99,7 @@ async def rest(site: Site, timeout_s: float = REST_TIMEOUT_S) -> Reading:
 
 def at_rest(samples: list[PlcSample]) -> bool:
     """Whether encoders and reference stood still over at least 80 % of the window."""
-    if len(samples) < 2:
-        return False
-    span_s = (samples[-1].t_plc_ns - samples[0].t_plc_ns) * 1e-9
-    if span_s < 0.8 * _REST_WINDOW_S:
-        return False
-    qs = np.array([sample.q_rad for sample in samples])
-    resting = max(abs(value) for value in samples[-1].qd_ref_rad_s) < _REST_SPEED_RAD_S
-    return resting and float((qs.max(axis=0) - qs.min(axis=0)).max()) / span_s < _REST_SPEED_RAD_S
+    return stood_still(samples, _REST_WINDOW_S, _REST_SPEED_RAD_S, _REST_SPEED_RAD_S)
 
 
 def gentle_plan(site: Site, q_ref: Array, q_goal: Array, duration_s: float = 3.0) -> PathPlan:

@@ -30,6 +30,7 @@ from server.jobs.steer_requests import Correct, EndMove, NextPair, StartMove, St
 from server.jobs.steering import Steering
 from server.jobs.watching import StartWatching, StopWatching, sighted_of
 from server.link.contracts import LinkPhase, PlcSample
+from server.link.standing import stood_still
 from server.motion.contracts import JointTrajectory
 from server.vision.contracts import PairObservation
 
@@ -123,7 +124,7 @@ class Performer:
             q_ref_rad=np.array(samples[-1].q_ref_rad),
             t_plc_ns=samples[-1].t_plc_ns,
             t_mono_ns=samples[-1].t_mono_ns,
-            oil_temperature_c=_told(samples[-1].oil_temperature_c),
+            oil_temperature_c=samples[-1].oil_told_c,
         )
 
     async def _arm(self) -> None:
@@ -177,7 +178,7 @@ class Performer:
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             samples = self._fresh_samples(REST_WINDOW_S)
-            if _at_rest(samples):
+            if stood_still(samples, REST_WINDOW_S, REST_SPEED_RAD_S, REST_LAG_RAD_S):
                 return self._reading()
             await asyncio.sleep(0.05)
         raise JobFailedError(
@@ -221,19 +222,3 @@ class Performer:
         t_s = np.array([(sample.t_plc_ns + offset_ns) * 1e-9 for sample in samples])
         qs: Array = np.array([sample.q_rad for sample in samples])
         return EncoderTrack(t_s=t_s, Ts_base_tcp=tcp_poses(self._cell.chain, qs), qs=qs)
-
-
-def _told(temperature_c: float) -> float | None:
-    """A temperature that the machine measures: a PLC without the sensor sends 0 or NaN."""
-    return temperature_c if np.isfinite(temperature_c) and temperature_c != 0.0 else None
-
-
-def _at_rest(samples: list[PlcSample]) -> bool:
-    """Whether encoders moved less than the rest speed over at least 80 % of the window, references included."""
-    span_s = (samples[-1].t_plc_ns - samples[0].t_plc_ns) * 1e-9
-    if span_s < 0.8 * REST_WINDOW_S:
-        return False
-    qs = np.array([sample.q_rad for sample in samples])
-    moved = float(np.max(qs.max(axis=0) - qs.min(axis=0)))
-    referenced = max(abs(value) for value in samples[-1].qd_ref_rad_s)
-    return moved / span_s < REST_SPEED_RAD_S and referenced < REST_LAG_RAD_S

@@ -58,6 +58,7 @@ class LinkClient:
         self._settings = settings
         self._table = limits_of(machine.joints)
         self._ring = SampleRing()
+        self._dropped = 0
         self._process: SupervisedProcess | None = None
         self._health, self._t_health_ns = _NO_HEALTH, 0
         self._offset_ns: int | None = None
@@ -294,10 +295,11 @@ class LinkClient:
 
     def _on_report(self, report: LinkReport) -> None:
         match report:
-            case SamplesReport(samples=samples):
+            case SamplesReport(samples=samples, dropped=dropped):
+                self._dropped = dropped
                 self._ring.extend(samples)
             case HealthReport(health=health, plc_to_pc_offset_ns=offset_ns):
-                self._health, self._t_health_ns = health, time.monotonic_ns()
+                self._health, self._t_health_ns = replace(health, samples_dropped=self._dropped), time.monotonic_ns()
                 self._offset_ns = offset_ns if offset_ns is not None else self._offset_ns
             case MotionEnded(traj_id=traj_id):
                 if self._motion and not self._motion.done() and traj_id == self._traj_id:

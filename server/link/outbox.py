@@ -4,19 +4,21 @@ import threading
 from collections import deque
 from multiprocessing.connection import Connection
 
-from server.link.contracts import LinkReport, PlcSample, SamplesReport
+from server.link.contracts import HealthReport, LinkReport, PlcSample, SamplesReport
 
 _SAMPLES_MAX = 3000  # half a minute of a stalled server
 
 
 class Outbox:
-    """Bounded: samples are dropped (oldest first, counted) when the server does not read; other reports are kept."""
+    """What waits while the server does not read: the newest samples (others are dropped, counted), of health reports
+    in a row the newest one, and every other report: each answers a request of the server, which sends none then.
+    """
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe
         self._lock = threading.Condition()
         self._samples: deque[PlcSample] = deque()
-        self._reports: deque[LinkReport] = deque(maxlen=1000)
+        self._reports: deque[LinkReport] = deque()
         self._dropped = 0
         self.broken = False
         threading.Thread(target=self._work, name="link-outbox", daemon=True).start()
@@ -32,6 +34,8 @@ class Outbox:
     def report(self, report: LinkReport) -> None:
         """Send a report, after the samples that came before it."""
         with self._lock:
+            if isinstance(report, HealthReport) and self._reports and isinstance(self._reports[-1], HealthReport):
+                self._reports.pop()
             self._reports.append(report)
             self._lock.notify()
 

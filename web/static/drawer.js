@@ -51,7 +51,7 @@ function showLink({ link, panel }) {
         [t("buffer"), `${f.buffer_ms.toFixed(0)} ms`],
         [t("buffer_min"), `${f.buffer_min_ms.toFixed(0)} ms`],
         [t("loss"), `${f.loss_pct.toFixed(2)} %`],
-        [t("counts"), `${f.sent} / ${f.received} / ${f.rejected}`],
+        [t("counts"), `${f.sent} / ${f.received} / ${f.rejected} / ${f.samples_dropped}`],
         [t("rejects"), link.recent_rejects.slice(-3).join("; ") || t("none")],
         [t("warnings"), link.warning || t("none")],
       ]),

@@ -68,7 +68,7 @@ export const TEXTS = {
   engineering: "Engineering", close: "Close", tab_link: "Link", tab_vision: "Vision", tab_calibration: "Calibration", tab_gap: "Gap",
   tab_recordings: "Recordings", tab_settings: "Settings", version: "version",
   lateness: "How late states come behind the earliest, last 10 s", buffer: "buffer in the PLC", buffer_min: "smallest while moving", loss: "lost, last 10 s",
-  send_late: "commands sent late, p50 / p99 / max", round_trip: "round trip", counts: "sent / received / rejected", rejects: "last rejects", none: "none",
+  send_late: "commands sent late, p50 / p99 / max", round_trip: "round trip", counts: "sent / received / rejected / not fetched in time", rejects: "last rejects", none: "none",
   sharpness: "sharpness", process: "work a pair", skipped: "pairs passed over", restarts: "restarts of vision", tool_seen: "tool", target_seen: "target", warnings: "warnings",
   not_calibrated: "Not calibrated.", cal_known: "camera rotation known to (1 sigma)", cal_residual: "residual", cal_age: "age", cal_place: "from where it was made",
   cal_valid: "holds here", cal_expired: "EXPIRED: {why}", cal_offset: "add to camera time", cal_nominal: "off the nominal mount", cal_weakest: "least known about the axis (TCP)",

@@ -3,6 +3,6 @@
 from server.camera.health.blur import sharpness
 from server.camera.health.findings import FaultCode, Finding
 from server.camera.health.image_health import ImageHealth
-from server.camera.health.stamps import eyes_apart, silence
+from server.camera.health.stamps import silence
 
-__all__ = ["FaultCode", "Finding", "ImageHealth", "eyes_apart", "sharpness", "silence"]
+__all__ = ["FaultCode", "Finding", "ImageHealth", "sharpness", "silence"]

@@ -19,7 +19,6 @@ class FaultCode(Enum):
     STAMP_STANDS = "stamp_stands"
     STAMP_BACKWARDS = "stamp_backwards"
     STAMP_JUMPED = "stamp_jumped"
-    EYES_APART = "eyes_apart"
     FLICKER = "flicker"
     UNEVEN_EXPOSURE = "uneven_exposure"
     BLURRED = "blurred"

@@ -15,7 +15,7 @@ from server.camera.health.markers import MarkerMonitor
 from server.camera.health.pair import Monitor, Pair
 from server.camera.health.rig import RigMonitor
 from server.camera.health.spot import SpotMonitor
-from server.camera.health.stamps import StampMonitor, eyes_apart
+from server.camera.health.stamps import StampMonitor
 from server.camera.health.thumbnail import EyeMemory
 from server.vision.contracts import PairObservation
 
@@ -51,26 +51,18 @@ class ImageHealth:
         """Warnings about this pair by its images and stamps; empty when it is fit for use."""
         return tuple(finding.text for finding in self.inspect(frame) if finding.forbids_look)
 
-    def inspect(
-        self,
-        frame: StereoFrame,
-        observation: PairObservation | None = None,
-        eye_stamps_ns: tuple[int, int] | None = None,
-    ) -> tuple[Finding, ...]:
+    def inspect(self, frame: StereoFrame, observation: PairObservation | None = None) -> tuple[Finding, ...]:
         """All that is wrong with this pair, and what was wrong until just now: `before_use` and `after_markers`."""
-        return (*self.before_use(frame, eye_stamps_ns), *self.after_markers(observation))
+        return (*self.before_use(frame), *self.after_markers(observation))
 
-    def before_use(self, frame: StereoFrame, eye_stamps_ns: tuple[int, int] | None = None) -> tuple[Finding, ...]:
-        """What stamps and images tell by themselves, before anybody works on them. Once per pair, in order.
-
-        Args: eye_stamps_ns: exposure of left and right eye, where the camera stamps them apart.
-        """
+    def before_use(self, frame: StereoFrame) -> tuple[Finding, ...]:
+        """What stamps and images tell by themselves, before anybody works on them. Once per pair, in order."""
         sick = wrong_size(frame, self._camera)
         if sick:
             self._pair, self._shape = None, ()
             return self._images.hold(sick)
         pair = self._pair = self._seen(frame)
-        findings = [*self._stamps.check(pair), *(eyes_apart(*eye_stamps_ns) if eye_stamps_ns else ())]
+        findings = [*self._stamps.check(pair)]
         for monitor in self._first:
             findings += monitor.check(pair)
         if not any(finding.code in USELESS for finding in findings):

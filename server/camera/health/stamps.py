@@ -14,7 +14,6 @@ AHEAD_SETTLED_FROM = 30  # pairs after which the smallest latency is known well
 AHEAD_MAX_S = 0.100  # stamps ahead of their arrival by more, against the smallest latency seen: before that ...
 AHEAD_SETTLED_MAX_S = 0.025  # ... and from then on
 LATE_MAX_S = 0.5  # a picture this much later than the fastest is old, or its stamp is
-EYES_APART_MAX_S = 0.002  # 0.3 mm at 0.15 m/s
 SILENCE_MAX_S = 0.5
 
 
@@ -104,18 +103,6 @@ class StampMonitor:
 def _periods(before: StereoFrame, frame: StereoFrame) -> int:
     """Exposures from one to the other, those passed over counted; 1 for a camera whose count does not go on."""
     return max(1, frame.sequence - before.sequence)
-
-
-def eyes_apart(left_ns: int, right_ns: int) -> tuple[Finding, ...]:
-    """What two stamps of one pair say, for sources that stamp each eye."""
-    apart_s = abs(left_ns - right_ns) * 1e-9
-    if apart_s <= EYES_APART_MAX_S:
-        return ()
-    text = (
-        f"the eyes were exposed {1e3 * apart_s:.1f} ms apart (limit {1e3 * EYES_APART_MAX_S:g} ms); "
-        "switch on the camera's synchronisation"
-    )
-    return (Finding(FaultCode.EYES_APART, text),)
 
 
 def silence(t_last_receive_mono_ns: int, t_now_mono_ns: int) -> tuple[Finding, ...]:

@@ -15,6 +15,7 @@ async def client(tmp_path):
     folder.mkdir()
     (folder / "look-1.mcap").write_bytes(b"picture")
     (tmp_path / "secret.mcap").write_bytes(b"not yours")
+    (folder / "link.mcap").symlink_to(tmp_path / "secret.mcap")
     settings = SimpleNamespace(recording=SimpleNamespace(folder=str(folder)))
     app = FastAPI()
     app.include_router(recordings_router(SimpleNamespace(cell=SimpleNamespace(settings=settings))))
@@ -28,9 +29,10 @@ async def test_what_lies_in_the_folder_is_listed_and_handed_out(client):
     assert (await client.get("/v1/panel/recordings/look-1.mcap/file")).content == b"picture"
 
 
-@pytest.mark.parametrize("name", ["..%2Fsecret.mcap", "../secret.mcap", "nothing.mcap", "look-1.txt"])
+@pytest.mark.parametrize("name", ["..%2Fsecret.mcap", "../secret.mcap", "nothing.mcap", "look-1.txt", "link.mcap"])
 async def test_nothing_else_is(client, name):
-    assert (await client.get(f"/v1/panel/recordings/{name}/file")).status_code == 404
+    for what in ("file", "replay"):
+        assert (await client.get(f"/v1/panel/recordings/{name}/{what}")).status_code == 404
 
 
 async def test_the_layout_for_foxglove_is_downloaded(client):

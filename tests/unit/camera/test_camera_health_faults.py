@@ -8,7 +8,7 @@ import pytest
 from health_pictures import CAMERA, HEIGHT, MS, PERIOD_MS, WIDTH, Camera, moved_stamp, walk
 
 from server.camera.contracts import StereoFrame
-from server.camera.health import FaultCode, Finding, ImageHealth, eyes_apart, silence
+from server.camera.health import FaultCode, Finding, ImageHealth, silence
 from server.camera.health.latch import GOOD_PAIRS
 from server.vision.contracts import Image
 
@@ -160,13 +160,9 @@ def test_an_old_picture_is_said_to_be_old_and_a_stall_is_no_jump() -> None:
     assert health.before_use(camera.next()) == ()
 
 
-def test_silence_and_eyes_that_are_not_together() -> None:
+def test_silence() -> None:
     assert silence(1_000 * MS, 1_400 * MS) == ()
     assert "no picture for 0.6 s" in silence(1_000 * MS, 1_600 * MS)[0].text
-    assert eyes_apart(5 * MS, 6 * MS) == ()
-    assert "11.0 ms apart" in eyes_apart(16 * MS, 5 * MS)[0].text
-    camera, health = Camera(), ImageHealth(CAMERA)
-    assert codes(health.before_use(camera.next(), (0, 11 * MS))) == {FaultCode.EYES_APART}
 
 
 @pytest.mark.parametrize(

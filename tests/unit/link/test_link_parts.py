@@ -2,6 +2,7 @@
 
 import multiprocessing
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from protocol.codes import HeaderFlag, PlcState
 from protocol.errors import LocalProtocolError
 from protocol.framing import EapFraming, RawFraming
 from protocol.messages import State
+from server.api.panel_figures import link_figures
 from server.link import udp_end
-from server.link.contracts import MotionEnded, PlcSample, SamplesReport
+from server.link.client import LinkClient
+from server.link.contracts import HealthReport, LinkHealth, LinkPhase, MotionEnded, PlcSample, SamplesReport
 from server.link.errors import LinkRefusedError
 from server.link.knots import knots_of
 from server.link.lateness import Lateness
@@ -19,8 +22,10 @@ from server.link.outbox import Outbox
 from server.link.sample import sample_of
 from server.link.samples import SampleRing
 from server.link.settings import LinkSettings, framing_of
+from server.link.standing import stood_still
 from server.link.udp_end import UdpEnd
 from server.motion.contracts import JointTrajectory
+from server.settings import read_machine
 
 
 def sample(t_mono_ns: int) -> PlcSample:
@@ -102,6 +107,61 @@ def test_a_server_that_does_not_read_costs_samples_not_reports() -> None:
         reader.close()
         outbox.report(ended)  # wakes the thread, which sees the broken pipe and ends
         outbox.report(ended)
+
+
+def test_a_long_stall_loses_no_answer_and_leaves_one_health_in_a_row() -> None:
+    """The pipe is full and nobody reads: health comes ten times a second, the motion's end once."""
+    reader, writer = multiprocessing.Pipe()
+    outbox = Outbox(writer)
+    base = LinkHealth(LinkPhase.RUNNING, 1.0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, "", 1, last_words := "x" * 4_000_000)
+    ended = MotionEnded(1, False, "lag", 5)
+    try:
+        outbox.report(HealthReport(base, None))  # fills the pipe
+        time.sleep(0.2)
+        outbox.report(ended)
+        for number in range(5000):
+            outbox.report(HealthReport(replace(base, sent=number, warning=""), None))
+        got = []
+        for _ in range(3):
+            assert reader.poll(5.0)
+            got.append(reader.recv())
+        assert got[0].health.warning == last_words
+        assert got[1] == ended
+        assert got[2].health.sent == 4999
+        assert not reader.poll(0.2)
+    finally:
+        reader.close()
+        outbox.report(ended)
+        outbox.report(ended)
+
+
+def test_what_the_server_did_not_fetch_is_counted_in_the_health_figures() -> None:
+    client = LinkClient(LinkSettings(), read_machine("hiab033"))
+    client._on_report(SamplesReport((sample(1),), 7))
+    client._on_report(HealthReport(LinkHealth(LinkPhase.LINKED, 1.0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, "", 0), None))
+    assert client.health.samples_dropped == 7
+    assert link_figures([], client.health, 0.0).samples_dropped == 7
+
+
+def test_an_oil_temperature_is_told_only_where_it_is_measured() -> None:
+    told = [replace(sample(1), oil_temperature_c=value).oil_told_c for value in (45.0, 0.0, float("nan"))]
+    assert told == [45.0, None, None]
+
+
+@pytest.mark.parametrize(
+    ("span_s", "moved_rad", "referenced", "still"),
+    [(0.4, 0.0, 0.0, True), (0.3, 0.0, 0.0, False), (0.4, 1e-3, 0.0, False), (0.4, 0.0, 1e-3, False)],
+)
+def test_standing_still_is_encoders_and_reference_for_most_of_the_window(span_s, moved_rad, referenced, still) -> None:
+    first = sample(0)
+    last = replace(
+        sample(round(span_s * 1e9)),
+        q_rad=tuple(value + moved_rad for value in first.q_rad),
+        qd_ref_rad_s=(referenced,) * 6,
+        t_plc_ns=first.t_plc_ns + round(span_s * 1e9),
+    )
+    assert stood_still([first, last], 0.4, 2e-4, 1e-4) == still
+    assert not stood_still([last], 0.4, 2e-4, 1e-4)
 
 
 def test_a_process_held_up_between_two_clocks_stamps_nothing_late(monkeypatch: pytest.MonkeyPatch) -> None:
