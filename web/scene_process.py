@@ -6,6 +6,8 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import cast
@@ -17,6 +19,7 @@ log = logging.getLogger(__name__)
 
 START_S = 180.0  # on a busy small computer
 END_S = 2.0
+TOKEN_S = 0.2  # how soon the sender sees that it is to end
 
 
 class SceneGoneError(Exception):
@@ -24,12 +27,16 @@ class SceneGoneError(Exception):
 
 
 class SceneProcess:
-    """Starts it, hands it views, ends it. `start` blocks until viser listens."""
+    """Starts it, hands it views, ends it. `start` and `close` block, `show` never does."""
 
     def __init__(self, machine: Machine) -> None:
         self._machine = machine
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
+        self._newest: SceneView | None = None
+        self._changed = threading.Condition()
+        self._sender: threading.Thread | None = None
+        self._closing = self._broken = False
         self.port = 0
 
     @property
@@ -52,26 +59,48 @@ class SceneProcess:
         except (EOFError, OSError) as error:
             self.close()
             raise SceneGoneError("the 3D view's process did not start") from error
+        self._sender = threading.Thread(target=self._hand_over, args=(ours,), name="scene-sender", daemon=True)
+        self._sender.start()
 
     def show(self, view: SceneView) -> None:
-        """Hand over the newest view, unless the last one has not been fetched yet: then this one is left out.
+        """Leave the newest view for the sender and return at once; one that it has not sent yet is left out.
 
         Raises: SceneGoneError: the process has ended.
         """
-        pipe = self._pipe
-        if pipe is None or self.process_id is None:
+        if self._broken or self.process_id is None:
             raise SceneGoneError("the 3D view's process has ended")
+        with self._changed:
+            if self._newest is not None and view.picture_jpeg is None:  # pictures are rare: none is left out with it
+                view = replace(view, picture_jpeg=self._newest.picture_jpeg)
+            self._newest = view
+            self._changed.notify()
+
+    def _hand_over(self, pipe: Connection) -> None:
+        """Thread: one view for each token. A process that is frozen after its token holds up this thread only."""
         try:
-            if pipe.poll():  # a token for each view it has drawn
+            while True:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._newest is not None or self._closing)
+                if self._closing:
+                    return
+                if not pipe.poll(TOKEN_S):  # a token for each view it has drawn
+                    continue
                 pipe.recv()
+                with self._changed:
+                    view, self._newest = self._newest, None
                 pipe.send(view)
-        except (EOFError, OSError) as error:
-            raise SceneGoneError("the 3D view's process has ended") from error
+        except (EOFError, OSError, TypeError):  # TypeError: the pipe was closed under a send
+            self._broken = True
 
     def close(self) -> None:
         """End it, by force if it does not listen."""
         process, pipe = self._process, self._pipe
         self._process = self._pipe = None
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        if self._sender is not None:
+            self._sender.join(2.0 * TOKEN_S)  # while it listens, the other end would not see the pipe's end
         if pipe is not None:
             pipe.close()
         if process is not None:
