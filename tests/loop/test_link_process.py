@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +23,9 @@ from protocol.framing import EapFraming, RawFraming
 from protocol.limits import limits_of
 from protocol.messages import axes8
 from protocol.plc_states import PlcEvent
+from server.errors import JobFailedError
+from server.jobs.steer_requests import NextPair
+from server.jobs.steering import Steering
 from server.link.client import LinkClient
 from server.link.contracts import LinkPhase
 from server.link.errors import LinkRefusedError, LinkSilentError
@@ -215,6 +219,45 @@ async def test_a_proof_that_nobody_renews_stops_the_motion_without_the_server(
             await link.run(long_path(raw_plc))
         await renew(None)
         task = asyncio.ensure_future(link.run(long_path(raw_plc)))
+        assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 3.0)
+        await link.stop("test")
+        await task
+    finally:
+        await link.close()
+
+
+class Camera:
+    """Tells a good pair whenever the test says so."""
+
+    def on_report(self, callback: Callable[[object], None]) -> None:
+        self.tell = callback
+
+    def pair(self) -> None:
+        seen = SimpleNamespace(tool=None, ooi=None)
+        exposed_ns = time.monotonic_ns() - 60_000_000
+        self.tell(SimpleNamespace(t_exposure_mapped_ns=exposed_ns, warnings=(), observation=seen))
+
+
+async def test_a_steered_motion_goes_on_by_its_pairs_and_not_past_a_stall(raw_plc: PlcThread, machine: Machine) -> None:
+    link, camera = LinkClient(settings_for(raw_plc), machine), Camera()
+    steering = Steering(SimpleNamespace(link=link, vision=camera))  # type: ignore[arg-type]
+    await link.start()
+    try:
+        await link.arm(timeout_s=10.0)
+        await steering.start(long_path(raw_plc))
+        number, until_s = 0, time.monotonic() + 1.5  # more than one silence: the pairs carry it
+        while time.monotonic() < until_s:
+            camera.pair()
+            seen = await steering.next_pair(NextPair(number, 0.6, 0.0))
+            assert (seen.fault, seen.ended) == ("", False)
+            number = seen.number
+            await asyncio.sleep(0.05)
+        assert raw_plc.plc.link.state is PlcState.RUN
+        time.sleep(1.5)  # noqa: ASYNC251 the server is busy with something else
+        assert raw_plc.plc.link.state is not PlcState.RUN
+        with pytest.raises(JobFailedError, match="no pair was judged in time"):
+            await asyncio.wait_for(steering.end(), 3.0)
+        task = asyncio.ensure_future(link.run(long_path(raw_plc)))  # the next job is not held to it
         assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 3.0)
         await link.stop("test")
         await task
