@@ -49,6 +49,7 @@ class Performer:
     def __init__(self, cell: Cell) -> None:
         self._cell = cell
         self._odometry_from_ns = 0
+        self._odometry_on = False
         self._steering = Steering(cell)
         self._watching_from_ns = 0
         self._watched: deque[tuple[float, PairObservation]] | None = None
@@ -103,7 +104,9 @@ class Performer:
     def release(self) -> None:
         """Switch off what a job left on: a plan that is cut short never comes to its own StopOdometry."""
         self._watched = None
-        self._cell.vision.drop_odometry()
+        if self._odometry_on:
+            self._odometry_on = False
+            self._cell.vision.drop_odometry()
 
     def _fresh_samples(self, window_s: float) -> list[PlcSample]:
         now = time.monotonic_ns()
@@ -195,11 +198,12 @@ class Performer:
         return taken
 
     async def _start_odometry(self) -> None:
-        self._odometry_from_ns = time.monotonic_ns()
+        self._odometry_from_ns, self._odometry_on = time.monotonic_ns(), True
         await self._cell.vision.start_odometry()
 
     async def _stop_odometry(self) -> object:
         camera = await self._cell.vision.stop_odometry()
+        self._odometry_on = False
         samples = self._cell.link.samples_since(self._odometry_from_ns - int(0.5e9))
         return camera, self._encoder_track(samples)
 

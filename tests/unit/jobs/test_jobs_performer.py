@@ -11,7 +11,7 @@ from server.camera.sources.settings import HttpSource
 from server.camera.tracking import POSES_MAX, TrackCollector
 from server.errors import JobFailedError
 from server.jobs.performer import WATCHED_MAX, Performer
-from server.jobs.requests import Move
+from server.jobs.requests import Move, StartOdometry
 from server.jobs.watching import StartWatching
 from server.link.contracts import MotionEnded
 from server.motion.contracts import JointTrajectory
@@ -31,6 +31,9 @@ class Vision:
 
     async def set_pose_source(self, name):
         self.source = name
+
+    async def start_odometry(self):
+        pass
 
     def drop_odometry(self):
         self.dropped += 1
@@ -53,12 +56,15 @@ def made(link=None):
 
 async def test_a_job_cut_short_leaves_neither_odometry_nor_a_growing_list():
     performer, vision = made()
+    await performer.perform(StartOdometry())
     await performer.perform(StartWatching("stereo"))
     vision.report(SEEN)
     assert len(performer._watched) == 1
     performer.release()
     vision.report(SEEN)
     assert (performer._watched, vision.dropped) == (None, 1)
+    performer.release()  # the next job has left nothing on
+    assert vision.dropped == 1
 
 
 async def test_what_is_watched_is_bounded():
