@@ -143,7 +143,7 @@ def _read_csv(path: Path, row_type: type[Row]) -> list[Row]:
 
 def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[[int, list[str]], Row]:
     hints = get_type_hints(row_type)
-    places = {name: _places(pattern, header) for name, pattern in csv_fields(row_type)}
+    places = {name: _places(path, pattern, header) for name, pattern in csv_fields(row_type)}
     first = next(iter(places))
     if not places[first]:
         for separator, called in SEPARATORS.items():
@@ -199,22 +199,37 @@ def column_finder(pattern: str) -> re.Pattern[str]:
     return re.compile(re.escape(pattern).replace(re.escape("{j}"), r"(\d{1,2})").replace("_rad", "_(?:rad|m)"))
 
 
-def _places(pattern: str, header: list[str]) -> list[int]:
+def _places(path: Path, pattern: str, header: list[str]) -> list[int]:
     """Where a field's columns are; for joints in the order of their numbers, without gaps."""
     if "{j}" not in pattern:
-        return [header.index(pattern)] if pattern in header else []
+        there = [place for place, name in enumerate(header) if name == pattern]
+        if len(there) > 1:
+            raise _twice(path, header, there)
+        return there
     finder = column_finder(pattern)
-    matching = [(int(match[1]), place) for place, name in enumerate(header) if (match := finder.fullmatch(name))]
-    found = dict(matching)
-    twice = sorted(
-        {header[place] for joint, place in matching if found[joint] != place}
-        - {header[place] for place in found.values()}
-    )
-    if twice:
-        raise RecordingError(f"column '{twice[0]}' is there in two units; keep the one of the joint's type")
+    found: dict[int, int] = {}
+    for place, name in enumerate(header):
+        match = finder.fullmatch(name)
+        if match is not None and found.setdefault(int(match[1]), place) != place:
+            raise _twice(path, header, [found[int(match[1])], place])
     if set(found) != set(range(1, len(found) + 1)):
-        raise RecordingError(f"columns '{pattern}': joints {sorted(found)}; they must count from 1 without gaps")
+        raise RecordingError(
+            f"{path}: columns '{pattern}': joints {sorted(found)}; they must count from 1 without gaps"
+        )
     return [found[joint] for joint in sorted(found)]
+
+
+def _twice(path: Path, header: list[str], places: list[int]) -> RecordingError:
+    """Two columns of one field: nobody can say which of them it is."""
+    first, second = places[:2]
+    one, other = header[first], header[second]
+    where, columns = f"{path}: column", f"(columns {first + 1} and {second + 1} of the file)"
+    if ("_rad" in one) != ("_rad" in other):
+        return RecordingError(f"{where} '{other}' is there in two units {columns}; keep the one of the joint's type")
+    beside = "" if one == other else f", as '{one}' and as '{other}'"
+    return RecordingError(
+        f"{where} '{one}' is there twice{beside} {columns}; name each as what it holds, or remove one"
+    )
 
 
 def _value(kind: object, texts: list[str], where: str) -> object:

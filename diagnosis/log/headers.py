@@ -84,7 +84,8 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
         if absent:
             text = f"column {pattern.replace('{j}', str(absent[0]))!r} is missing between its neighbours; add it"
             findings.append(Finding("missing_column", "fatal", path.name, text))
-    for name in sorted({name for name in names if name and names.count(name) > 1}):
+    own = [name for name in names if name and not any(finder.fullmatch(name) for finder in finders)]
+    for name in sorted({name for name in own if own.count(name) > 1}):  # of those of the format reading says so
         findings.append(Finding("unknown_column", "problem", path.name, f"column {name!r} is there twice; remove one"))
     return findings
 

@@ -233,3 +233,25 @@ def test_channels_of_others_are_a_note() -> None:
     told = "/odometry (json, schema 'nav_msgs/Odometry'): 7 messages were not read"
     findings = examine(replace(MADE, foreign=(told,)), Path("made")).findings
     assert [one.severity for one in findings if told in str(one)] == ["note"]
+
+
+def test_a_column_that_is_there_twice_is_read_as_neither(tmp_path: Path) -> None:
+    """A header pasted over the valve's column: its commands had been read as the encoder."""
+    path = folder(tmp_path, MADE)
+    text = (path / "plc.csv").read_text(encoding="utf-8")
+    (path / "plc.csv").write_text(text.replace("u_1_frac", "q_1_rad", 1), encoding="utf-8")
+    told = [str(one) for one in read(path).findings if one.severity == "fatal"]
+    assert any("column 'q_1_rad' is there twice (columns " in one for one in told)
+
+
+def test_a_column_of_somebodys_own_may_be_there_twice(tmp_path: Path) -> None:
+    path = folder(tmp_path, MADE)
+    text = (path / "plc.csv").read_text(encoding="utf-8")
+    (path / "plc.csv").write_text(
+        text.replace("t_oil_c", "mine", 1).replace("p_supply_pa", "mine", 1), encoding="utf-8"
+    )
+    result = read(path)
+    assert "column 'mine' is there twice; remove one" in [
+        one.text for one in result.findings if one.severity == "problem"
+    ]
+    assert result.usable

@@ -176,6 +176,19 @@ def test_a_foreign_folder_with_few_columns(tmp_path: Path) -> None:
         ("t_plc_s,q_1_rad\n1.0,0,\nx,1\n", "line 3.*'x' is not a number"),
         ("t_plc_s,q_1_rad,q_3_rad\n1.0,0,5\n", r"joints \[1, 3\]"),
         ("time,q_1_rad\n1.0,0\n", "column 't_plc_s' is missing"),
+        (
+            "t_plc_s,q_1_rad,q_2_rad,q_1_rad\n1.0,0,1,2\n",
+            r"plc\.csv: column 'q_1_rad' is there twice \(columns 2 and 4 of the file\)",
+        ),
+        (
+            "t_plc_s,q_1_rad,q_01_rad\n1.0,0,1\n",
+            r"column 'q_1_rad' is there twice, as 'q_1_rad' and as 'q_01_rad' \(columns 2 and 3",
+        ),
+        (
+            "t_plc_s,p_supply_pa,q_1_rad,p_supply_pa\n1.0,0,1,2\n",
+            r"column 'p_supply_pa' is there twice \(columns 2 and 4",
+        ),
+        ("t_plc_s,q_1_rad,q_1_m\n1.0,0,1\n", r"'q_1_m' is there in two units \(columns 2 and 3"),
     ],
 )
 def test_bad_csv_names_the_place(tmp_path: Path, text: str, match: str) -> None:
