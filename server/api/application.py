@@ -1,5 +1,6 @@
 """All of REST on one application: guard, routes, errors, document. Used by the server and by its tests."""
 
+import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -69,7 +70,12 @@ class Running:
 def application(app: FastAPI, served: Served) -> Running:
     """Add everything; what it returns runs in the application's lifespan."""
     service, keys = served.service, served.gatekeeper.keys
-    service.inner_faults.watch(KEYS_UNREADABLE, lambda: keys.problem)
+
+    def keys_problem() -> str:
+        keys.refresh(time.monotonic())  # also while nobody comes with a key, /readyz tells what is so now
+        return keys.problem
+
+    service.inner_faults.watch(KEYS_UNREADABLE, keys_problem)
     folder = Path(service.cell.settings.recording.folder)
     log, cache, diagnoses = EventLog(uuid4().hex[:8]), StateCache(service), service.diagnoses
     app.add_middleware(Guard, gatekeeper=served.gatekeeper)

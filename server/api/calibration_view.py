@@ -8,6 +8,7 @@ from server.api.views import CalibrationView
 from server.calibration.calibration_life import LocalCalibration, Validity, ValidityStatus, observability_text
 from server.cell import Cell
 from server.jobs.context import PlanContext
+from server.link.contracts import oil_told_c
 
 NOW_UNKNOWN = Validity(ValidityStatus.VALID, "where the machine stands is not known: the PLC has not been heard")
 
@@ -44,7 +45,7 @@ def validity_now(cell: Cell, ctx: PlanContext, life: LocalCalibration, t_mono_ns
         found = life.valid_at(t_unix_s, life.made.q, life.made.T_base_tcp)
         return NOW_UNKNOWN if found.ok else found
     q = np.array(latest.q_rad)
-    return life.valid_at(t_unix_s, q, ctx.tcp(q), latest.oil_told_c)
+    return life.valid_at(t_unix_s, q, ctx.tcp(q), oil_told_c(latest))
 
 
 def _distance_mm(cell: Cell, ctx: PlanContext, life: LocalCalibration) -> float | None:

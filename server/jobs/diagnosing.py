@@ -52,6 +52,12 @@ class Diagnosis:
         return (self.ended_s or time.monotonic()) - self.started_s
 
 
+class DiagnosisBusyError(BusyError):
+    """Another diagnosis has the processors."""
+
+    hint = "wait for its end (GET /v1/diagnoses/{diagnosis_id}) or end it (DELETE /v1/diagnoses/{diagnosis_id})"
+
+
 class Diagnoses:
     """Belongs to the event loop. One at a time: the processors are the machine's."""
 
@@ -65,12 +71,12 @@ class Diagnoses:
         return next((one for one in self.all if one.diagnosis_id == diagnosis_id), None)
 
     def start(self, *recordings: Path) -> Diagnosis:
-        """Begin. Raises: BusyError naming the one that runs, or waits to."""
+        """Begin. Raises: DiagnosisBusyError naming the one that runs, or waits to."""
         running = next((one for one in self.all if one.state in UNDER_WAY), None)
         if running is not None:
-            raise BusyError(
+            raise DiagnosisBusyError(
                 f"diagnosis {running.diagnosis_id} of {running.recording} runs since {running.elapsed_s:.0f} s; wait "
-                "for its end or end it (GET or DELETE /v1/diagnoses/{diagnosis_id})",
+                "for its end or end it",
                 {"diagnosis_id": running.diagnosis_id},
             )
         return self._begun(Diagnosis(uuid4().hex[:12], recordings))

@@ -29,7 +29,7 @@ from server.jobs.requests import (
 from server.jobs.steer_requests import Correct, EndMove, NextPair, StartMove, Steer, StopMove
 from server.jobs.steering import Steering
 from server.jobs.watching import StartWatching, StopWatching, sighted_of
-from server.link.contracts import LinkPhase, PlcSample
+from server.link.contracts import LinkPhase, PlcSample, oil_told_c
 from server.link.standing import stood_still
 from server.motion.contracts import JointTrajectory
 from server.vision.contracts import PairObservation
@@ -127,7 +127,7 @@ class Performer:
             q_ref_rad=np.array(samples[-1].q_ref_rad),
             t_plc_ns=samples[-1].t_plc_ns,
             t_mono_ns=samples[-1].t_mono_ns,
-            oil_temperature_c=samples[-1].oil_told_c,
+            oil_temperature_c=oil_told_c(samples[-1]),
         )
 
     async def _arm(self) -> None:

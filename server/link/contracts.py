@@ -45,11 +45,11 @@ class PlcSample:
     simulation: bool
     dry_run: bool = False
 
-    @property
-    def oil_told_c(self) -> float | None:
-        """The oil's temperature, where the machine measures it: a PLC without the sensor sends 0 or NaN."""
-        told = self.oil_temperature_c
-        return told if math.isfinite(told) and told != 0.0 else None
+
+def oil_told_c(sample: PlcSample) -> float | None:
+    """The oil's temperature, where the machine measures it: a PLC without the sensor sends 0 or NaN."""
+    told = sample.oil_temperature_c
+    return told if math.isfinite(told) and told != 0.0 else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -178,7 +178,7 @@ async def test_a_diagnosis_that_fails_says_why_and_one_that_is_stopped_leaves_no
     hanging = Diagnoses(tmp_path, command("import time; time.sleep(60)"))
     two = hanging.start(tmp_path / "a.mcap")
     await asyncio.sleep(0.05)
-    with pytest.raises(Exception, match=r"runs since .* wait for its end or end it \(GET or DELETE"):
+    with pytest.raises(Exception, match=r"runs since .* wait for its end or end it"):
         hanging.start(tmp_path / "b.mcap")
     await hanging.close()
     assert two.state == "stopped"
