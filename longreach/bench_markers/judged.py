@@ -1,4 +1,7 @@
-"""One cell of looks judged: ratio to the bound, flips, flags, coverage. Counts, so that cells can be pooled."""
+"""One cell of looks judged: ratio to the bound, flips, flags, coverage. Counts, so that cells can be pooled.
+
+The estimator is judged twice: told the noise of the corners, which no server knows, and as it is shipped.
+"""
 
 from dataclasses import dataclass
 
@@ -17,7 +20,7 @@ PARTS = {"tilt": (0, 1), "lateral": (3, 4), "depth": (5,)}  # of `split_axes`
 
 @dataclass(frozen=True, slots=True)
 class CellResult:
-    """What came out of one cell; all counts are of looks."""
+    """What came out of one cell; all counts are of looks. `known`, `shipped`: as `counts` tells them."""
 
     side_m: float
     distance_m: float
@@ -27,14 +30,10 @@ class CellResult:
     tilt_bound_deg: float  # rms of the angle of the normal
     ratios: dict[str, dict[str, float]]  # method -> part -> rms over bound
     biases: dict[str, list[float]]  # part -> sums of error over its bound's sigma, one per axis
-    flagged: int
     flagged_optimal: int
-    flips: int  # not flagged, nearer to the mirrored truth, and the truth outside the pose's own 99.9 %
-    nearer_to_mirror: int  # not flagged, nearer to the mirrored truth, whatever the covariance says
     flips_opencv: int
-    inside_position: int
-    inside_tilt: int
-    n_tilt: int
+    known: dict[str, int]  # with the noise known
+    shipped: dict[str, int]  # with the server's own setting
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +64,28 @@ def normalised_bias(Ts: Array, truths: Array, bounds: Array) -> dict[str, list[f
     sigmas = np.sqrt(np.einsum("nii->ni", split_covariances(bounds, truths)))
     sums = np.sum(errors / sigmas, axis=0)
     return {name: [float(sums[axis]) for axis in axes] for name, axes in PARTS.items()}
+
+
+def counts(looks: Looks, truths: Array, tilt_deg: float, eye_middle: Array) -> dict[str, int]:
+    """What the poses say of themselves, counted.
+
+    Returns: n: poses; flagged: as ambiguous, or no pose; nearer_to_mirror: sure, and nearer to the mirrored truth;
+             flips: of these, with the truth outside the pose's own 99.9 %; inside_position, inside_tilt: the truth
+             inside its 95 %, the latter of n_tilt poses that are sure.
+    """
+    there = np.isfinite(looks.Ts).all(axis=(1, 2))
+    found = Looks(looks.Ts[there], looks.covariances[there], looks.flagged[there])
+    sure, tilts = ~found.flagged, tilt_chi2(found, truths[there])
+    mirror = sure & nearer_to_mirror(found.Ts, truths[there], eye_middle) & (tilt_deg > 0.0)
+    return {
+        "n": int(there.sum()),
+        "flagged": int(looks.flagged.sum()),
+        "flips": int((mirror & (tilts > CHI2_999_TILT)).sum()),
+        "nearer_to_mirror": int(mirror.sum()),
+        "inside_position": int((position_chi2(found, truths[there]) < CHI2_95[3]).sum()),
+        "inside_tilt": int((tilts[sure] < CHI2_95[2]).sum()),
+        "n_tilt": int(sure.sum()),
+    }
 
 
 def tilt_bound_deg(truths: Array, bounds: Array) -> float:

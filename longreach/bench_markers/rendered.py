@@ -8,20 +8,24 @@ from longreach.bench_markers.cells import Cell, random_pose
 from longreach.bench_markers.corner_noise import corner_covariances
 from longreach.bench_markers.exact import look
 from longreach.bench_markers.images import MARKER_ID, SensorSettings, Studio, sensed
-from longreach.bench_markers.judged import normalised_bias, ratios, tilt_bound_deg
+from longreach.bench_markers.judged import counts, normalised_bias, ratios, tilt_bound_deg
 from longreach.bench_markers.opencv_rivals import ippe_left
 from longreach.bench_markers.optimal import correlated_bounds, predict
 from machine.description import Machine
 from machine.markers import marker_corners
 from machine.rotations import Array
 from server.vision.marker_search import dictionary_by_name, find_markers, refined
+from server.vision.object_pose import PoseSettings
 
 _BACKGROUND_GREY = 128
 
 
 @dataclass(frozen=True, slots=True)
 class RenderedCell:
-    """What came out of one rendered cell. corner_sigma_px: rms of the corner errors, of one coordinate."""
+    """What came out of one rendered cell. corner_sigma_px: rms of the corner errors, of one coordinate.
+
+    "ours" and `known` are told that noise, "ours, shipped" and `shipped` are the server's own setting.
+    """
 
     side_m: float
     distance_m: float
@@ -34,6 +38,8 @@ class RenderedCell:
     tilt_bound_deg: float
     ratios: dict[str, dict[str, float]]
     biases: dict[str, list[float]]
+    known: dict[str, int]
+    shipped: dict[str, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +100,7 @@ def run_rendered_cell(
         nothing = {"tilt": float("nan"), "lateral": float("nan"), "depth": float("nan")}
         return RenderedCell(
             cell.side_m, cell.distance_m, cell.tilt_deg, n, found.missed, float("nan"), [], float("nan"),
-            float("nan"), {"ours": nothing}, {},
+            float("nan"), {"ours": nothing}, {}, {}, {},
         )  # fmt: skip
     bias = errors.mean(axis=(0, 1, 2))
     sigma = float(np.sqrt(np.mean((errors - bias) ** 2)))
@@ -103,7 +109,9 @@ def run_rendered_cell(
     away /= np.linalg.norm(away, axis=3, keepdims=True)
     covariances = corner_covariances(errors, exact)
     best = correlated_bounds(machine.camera, found.truths, marker_corners(cell.side_m), covariances)
-    ours = look(machine.camera, cell.side_m, found.seen, sigma)
+    ours = look(machine.camera, cell.side_m, found.seen, PoseSettings(sigma_px=sigma))
+    shipped = look(machine.camera, cell.side_m, found.seen)
+    eyes = np.array([0.5 * machine.camera.baseline_m, 0.0, 0.0])
     good = np.isfinite(ours.Ts).all(axis=(1, 2))
     rivals = np.array([ippe_left(machine.camera, cell.side_m, one[:8].reshape(4, 2)) for one in found.seen])
     return RenderedCell(
@@ -118,10 +126,13 @@ def run_rendered_cell(
         tilt_bound_deg=tilt_bound_deg(found.truths, best),
         ratios={
             "ours": ratios(ours.Ts, found.truths, best),
+            "ours, shipped": ratios(shipped.Ts, found.truths, best),
             "IPPE": ratios(rivals[:, 0], found.truths, best),
             "IPPE+LM": ratios(rivals[:, 1], found.truths, best),
         },
         biases=normalised_bias(ours.Ts[good], found.truths[good], best[good]),
+        known=counts(ours, found.truths, cell.tilt_deg, eyes),
+        shipped=counts(shipped, found.truths, cell.tilt_deg, eyes),
     )
 
 

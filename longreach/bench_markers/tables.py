@@ -7,9 +7,18 @@ from rich.table import Table
 
 from longreach.bench_markers.judged import CellResult
 from longreach.bench_markers.rendered import RenderedCell
+from server.vision.object_pose import PoseSettings
 
+KNOWN, SHIPPED = "noise known", f"shipped setting, {PoseSettings().sigma_px:g} px"
 TILT_BOUND_MAX_DEG = 1.0  # rms of the angle of the normal
 _PARTS = ("tilt", "lateral", "depth")
+_HELD = (("inside_position", "n"), ("inside_tilt", "n_tilt"))
+
+
+def _held(found: dict[str, int]) -> str:
+    """Flagged, and the shares of position and tilt that their own 95 % hold."""
+    shares = (100.0 * found[part] / found[n] if found[n] else np.nan for part, n in _HELD)
+    return f"{found['flagged']:3d} " + " ".join(f"{share:5.1f}" for share in shares)
 
 
 def _three(values: dict[str, float]) -> str:
@@ -21,16 +30,15 @@ def exact_table(cells: Sequence[CellResult]) -> Table:
     table = Table(title="exact projections: rms over the two-view bound (tilt, lateral, depth)", title_justify="left")
     for heading in (
         "side mm", "z m", "tilt", "px", "n", "bound deg", "ours (tilt not flagged)", "IPPE left", "IPPE+LM left",
-        "flagged", "optimal", "flips", "OpenCV", "position in 95 %", "tilt in 95 %",
+        "flagged optimal", "flips", "OpenCV", *(f"flagged, position, tilt in 95 %: {how}" for how in (KNOWN, SHIPPED)),
     ):  # fmt: skip
         table.add_column(heading)
     for one in cells:
-        tilt = f"{100.0 * one.inside_tilt / one.n_tilt:.1f}" if one.n_tilt else ""
         table.add_row(
             f"{one.side_m * 1e3:.0f}", f"{one.distance_m:.1f}", f"{one.tilt_deg:.0f}", f"{one.sigma_px:g}", f"{one.n}",
             f"{one.tilt_bound_deg:.2f}", _three(one.ratios["ours"]), _three(one.ratios["IPPE"]),
-            _three(one.ratios["IPPE+LM"]), f"{one.flagged}", f"{one.flagged_optimal}", f"{one.flips}",
-            f"{one.flips_opencv}", f"{100.0 * one.inside_position / one.n:.1f}", tilt,
+            _three(one.ratios["IPPE+LM"]), f"{one.flagged_optimal}", f"{one.known['flips']}",
+            f"{one.flips_opencv}", _held(one.known), _held(one.shipped),
         )  # fmt: skip
     return table
 
@@ -49,27 +57,38 @@ def exact_lines(cells: Sequence[CellResult]) -> list[str]:
                 f"3.2 (i) {method}: ratio to the bound median {np.median(values):.3f}, worst {max(values):.2f} "
                 f"({len(bounded)} cells whose bound on tilt is <= {TILT_BOUND_MAX_DEG:g} deg)"
             )
-    flagged, optimal = sum(one.flagged for one in cells), sum(one.flagged_optimal for one in cells)
-    lines.append(
-        f"3.3 flips taken as true (outside the pose's own 99.9 %): {sum(one.flips for one in cells)} of {n}; sure and "
-        f"nearer to the mirrored truth at all: {sum(one.nearer_to_mirror for one in cells)}; OpenCV's first solution, "
-        f"left eye: {sum(one.flips_opencv for one in cells)}"
-    )
-    share = f"{flagged / optimal:.3f} times" if optimal else "no look of"
-    lines.append(f"3.3 flagged {flagged}, {share} the optimal fit's {optimal} with a margin below 9")
+    for how, found in ((KNOWN, [one.known for one in cells]), (SHIPPED, [one.shipped for one in cells])):
+        flips, mirror = _sum(found, "flips"), _sum(found, "nearer_to_mirror")
+        lines.append(
+            f"3.3 flips taken as true (outside the pose's own 99.9 %), {how}: {flips} of {n}; sure and nearer to the "
+            f"mirrored truth at all: {mirror}; OpenCV's first solution, left eye: "
+            f"{sum(one.flips_opencv for one in cells)}"
+        )
+        flagged, optimal = _sum(found, "flagged"), sum(one.flagged_optimal for one in cells)
+        share = f"{flagged / optimal:.3f} times" if optimal else "no look of"
+        lines.append(f"3.3 flagged, {how}: {flagged}, {share} the optimal fit's {optimal} with a margin below 9")
     clear = [one for one in bounded if one.tilt_deg >= 20.0]
     lines.append(
-        f"3.3 flagged where the bound is <= 1 deg and the tilt >= 20 deg: {sum(one.flagged for one in clear)} of "
-        f"{sum(one.n for one in clear)} (optimal fit's margin below 9: {sum(one.flagged_optimal for one in clear)})"
+        f"3.3 flagged where the bound is <= 1 deg and the tilt >= 20 deg, {KNOWN}: "
+        f"{_sum([one.known for one in clear], 'flagged')} of {sum(one.n for one in clear)} "
+        f"(optimal fit's margin below 9: {sum(one.flagged_optimal for one in clear)})"
     )
-    for name, chosen in [
-        *((f"{sigma:g} px", [one for one in cells if one.sigma_px == sigma]) for sigma in sigmas(cells)),
-        ("pooled", list(cells)),
-    ]:
-        inside = _share(sum(one.inside_position for one in chosen), sum(one.n for one in chosen))
-        tilt = _share(sum(one.inside_tilt for one in chosen), sum(one.n_tilt for one in chosen))
-        lines.append(f"3.4 95 % ellipsoids, {name}: position {inside}, tilt where not flagged {tilt}")
+    for sigma in sigmas(cells):
+        lines += _coverage(f"{sigma:g} px", [one for one in cells if one.sigma_px == sigma])
+    return [*lines, *_coverage("pooled", cells)]
+
+
+def _coverage(name: str, cells: Sequence[CellResult | RenderedCell]) -> list[str]:
+    """What the 95 % ellipsoids hold, told the noise and as shipped."""
+    lines = []
+    for how, found in ((KNOWN, [one.known for one in cells]), (SHIPPED, [one.shipped for one in cells])):
+        inside, tilt = (_share(_sum(found, part), _sum(found, n)) for part, n in _HELD)
+        lines.append(f"3.4 95 % ellipsoids, {name}, {how}: position {inside}, tilt where not flagged {tilt}")
     return lines
+
+
+def _sum(found: Sequence[dict[str, int]], name: str) -> int:
+    return sum(one[name] for one in found)
 
 
 def sigmas(cells: Sequence[CellResult]) -> list[float]:
@@ -89,14 +108,17 @@ def _share(count: int, n: int) -> str:
 def rendered_table(cells: Sequence[RenderedCell]) -> Table:
     """Every cell of part (ii)."""
     table = Table(title="rendered: rms over the bound of the measured corners (tilt, lateral, depth)")
-    for heading in ("side mm", "z m", "tilt", "n", "missed", "corner px", "outward px", "bound deg", "ours", "IPPE+LM"):
+    for heading in (
+        "side mm", "z m", "tilt", "n", "missed", "corner px", "outward px", "bound deg", f"ours, {KNOWN}", "IPPE+LM",
+        f"flagged, position, tilt in 95 %: {SHIPPED}",
+    ):  # fmt: skip
         table.add_column(heading)
     for one in cells:
         rival = one.ratios.get("IPPE+LM")
         table.add_row(
             f"{one.side_m * 1e3:.0f}", f"{one.distance_m:.1f}", f"{one.tilt_deg:.0f}", f"{one.n}", f"{one.missed}",
             f"{one.corner_sigma_px:.4f}", f"{one.outward_bias_px:+.4f}", f"{one.tilt_bound_deg:.3f}",
-            _three(one.ratios["ours"]), _three(rival) if rival else "",
+            _three(one.ratios["ours"]), _three(rival) if rival else "", _held(one.shipped) if one.shipped else "",
         )  # fmt: skip
     return table
 
@@ -108,11 +130,11 @@ def rendered_lines(cells: Sequence[RenderedCell]) -> list[str]:
     lines = [
         f"looks: {n} in {len(cells)} cells, {sum(one.missed for one in cells)} without a clean marker in both eyes"
     ]
-    for method in ("ours", "IPPE", "IPPE+LM"):
+    for method in ("ours", "ours, shipped", "IPPE", "IPPE+LM"):
         values = [one.ratios[method][part] for one in found for part in _PARTS]
         lines.append(f"3.2 (ii) {method}: ratio to the bound median {np.median(values):.3f}, worst {max(values):.2f}")
     for part in _PARTS:
         sums = np.sum([one.biases[part] for one in found], axis=0) / n
         text = ", ".join(f"{value:+.3f}" for value in sums)
         lines.append(f"3.2 (ii) pooled normalised bias, {part}: {text} (+-{1.0 / np.sqrt(n):.3f})")
-    return lines
+    return [*lines, *_coverage("rendered", found)]
