@@ -1,0 +1,56 @@
+"""A URDF's chain: what lies on it is read or refused by name, what lies beside it does not matter."""
+
+import numpy as np
+import pytest
+
+from machine.effects.arm_urdf import arm_from_urdf
+from machine.effects.urdf_xml import urdf_chain
+from machine.errors import MachineError
+
+CHAIN = """<robot name="r"><link name="base"/><link name="boom"><inertial><mass value="40"/><origin xyz="1 0 0"/>
+</inertial></link><link name="tip"/><link name="wheel"/>
+<joint name="j1" type="revolute"><parent link="base"/><child link="boom"/><origin xyz="0 0 1" rpy="0 0 0"/>
+<axis xyz="0 1 0"/><limit lower="-1" upper="1.5"/></joint>
+<joint name="j2" type="prismatic"><parent link="boom"/><child link="tip"/><axis xyz="1 0 0"/><limit upper="2"/></joint>
+<joint name="loose" type="floating"><parent link="base"/><child link="wheel"/><origin xyz="0 0"/></joint></robot>"""
+
+
+def test_limits_and_masses_are_the_urdfs_own() -> None:
+    first, second = urdf_chain(CHAIN, "base", "tip")
+    assert (first.lower, first.upper, first.mass) == (-1.0, 1.5, 40.0)
+    assert (second.lower, second.upper, second.mass) == (0.0, 2.0, None)
+    turned = urdf_chain(CHAIN.replace('lower="-1" upper="1.5"', 'effort="9"'), "base", "tip")[0]
+    assert (turned.lower, turned.upper) == (-np.inf, np.inf)
+
+
+def test_gravity_may_point_anywhere() -> None:
+    arm, _ = arm_from_urdf(CHAIN, "base", "tip", gravity=np.array([9.81, 0.0, 0.0]))
+    assert arm.gravity.tolist() == [9.81, 0.0, 0.0]
+
+
+def test_a_wheel_beside_the_chain_does_not_matter() -> None:
+    assert arm_from_urdf(CHAIN, "base", "tip")[1] == ("j1", "j2")
+    with pytest.raises(MachineError, match="joint 'loose' has type 'floating'; on the chain give revolute"):
+        arm_from_urdf(CHAIN, "wheel", "tip")
+
+
+@pytest.mark.parametrize(
+    ("given", "spoilt", "told"),
+    [
+        ('xyz="0 0 1"', 'xyz="0 0"', "joint 'j1': xyz='0 0' has 2 numbers; give 3 finite ones"),
+        ('rpy="0 0 0"', 'rpy="0 0"', "joint 'j1': rpy='0 0' has 2 numbers; give 3 finite ones"),
+        ('rpy="0 0 0"', 'rpy="0 0 nan"', "joint 'j1': rpy='0 0 nan' has 3 numbers; give 3 finite ones"),
+        ('rpy="0 0 0"', 'rpy="0,0,0"', "joint 'j1': rpy='0,0,0' holds something that is not a number"),
+        ('<axis xyz="0 1 0"', '<axis xyz="0 1"', "joint 'j1': xyz='0 1' has 2 numbers"),
+        ('lower="-1"', 'lower=""', "joint 'j1': lower='' has 0 numbers; give 1 finite ones"),
+        ('value="40"', 'value=""', "link 'boom': inertial: value='' has 0 numbers; give 1 finite ones"),
+        ('value="40"', 'value="-4"', "link 'boom': inertial: value=-4 is below 0 kg"),
+        ('xyz="1 0 0"/>\n', 'xyz="1"/>\n', "link 'boom': inertial: xyz='1' has 1 numbers"),
+    ],
+)
+def test_numbers_that_are_none_are_told_with_their_joint_or_link(given: str, spoilt: str, told: str) -> None:
+    text = CHAIN.replace(given, spoilt, 1)
+    assert text != CHAIN
+    with pytest.raises(MachineError) as error:
+        arm_from_urdf(text, "base", "tip")
+    assert told in str(error.value)
