@@ -242,7 +242,8 @@ def _marker(section: MarkerSection) -> Marker:
     return Marker(marker_id=section.id, side_m=section.side_m, on=section.on, T_on_marker=T)
 
 
-def _board(section: BoardSection) -> Board:
+def board_of(section: BoardSection) -> Board:
+    """The board that a section tells of. Raises: MachineFileError: its place is no pose, or far off."""
     return Board(
         kind=section.kind,
         on=section.on,
@@ -256,7 +257,7 @@ def _board(section: BoardSection) -> Board:
     )
 
 
-def _grid_markers(boards: tuple[Board, ...]) -> tuple[Marker, ...]:
+def grid_markers(boards: tuple[Board, ...]) -> tuple[Marker, ...]:
     """Every marker of the grids: for the measurement they are markers like all others."""
     return tuple(marker for board in boards if board.kind == "grid" for marker in board_markers(board))
 
@@ -334,7 +335,7 @@ def parse_machine_toml(text: str) -> Machine:
     if len(set(names)) != len(names):
         raise MachineFileError(f"joint: names {names} repeat; every joint needs a name of its own")
     check_markers(sections.markers)
-    boards = tuple(_board(section) for section in sections.markers.board)
+    boards = tuple(board_of(section) for section in sections.markers.board)
     return Machine(
         name=sections.machine.name,
         serial=sections.machine.serial,
@@ -346,7 +347,7 @@ def parse_machine_toml(text: str) -> Machine:
         camera=_camera(sections.camera),
         T_tcp_cam_left=_pose(sections.camera.T_tcp_cam_left, "camera.T_tcp_cam_left"),
         dictionary=sections.markers.dictionary,
-        markers=tuple(_marker(section) for section in sections.markers.marker) + _grid_markers(boards),
+        markers=tuple(_marker(section) for section in sections.markers.marker) + grid_markers(boards),
         boards=boards,
         plc_cycle_s=sections.plc.cycle_s,
         plc_log_cycle_s=sections.plc.log_cycle_s,

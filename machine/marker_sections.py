@@ -1,6 +1,7 @@
 """The part of a machine file that tells of markers and boards: strict sections, and the checks across them."""
 
 import re
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -97,22 +98,29 @@ def dictionary_size(name: str) -> int | None:
 
 
 def check_markers(section: MarkersSection) -> None:
-    """Refuse repeated ids, ids that the dictionary does not have, bad boards, and a tool or an OOI without a target.
+    """Refuse what `check_ids` refuses, and a tool or an OOI without a target.
 
     Raises: MachineFileError naming field, value, limit and remedy.
     """
-    for k, board in enumerate(section.board):
-        _check_board(f"markers.board.{k}", board)
-    ids = [marker.id for marker in section.marker]
-    if len(set(ids)) != len(ids):
-        raise MachineFileError(f"markers.marker: ids {ids} repeat; every marker needs an id of its own")
-    _check_board_ids(section, set(ids))
-    size = dictionary_size(section.dictionary)
-    if size is not None:
-        _check_range(section, size)
+    check_ids([marker.id for marker in section.marker], section.board, section.dictionary)
     for on in ("tool", "ooi"):
         if not any(one.on == on for one in (*section.marker, *section.board)):
             raise MachineFileError(f"markers.marker: none has on = {on!r}; give the {on} at least one marker")
+
+
+def check_ids(ids: Sequence[int], boards: Sequence[BoardSection], dictionary: str) -> None:
+    """Refuse repeated ids, ids that the dictionary does not have, and bad boards. `ids`: of the single markers.
+
+    Raises: MachineFileError naming field, value, limit and remedy.
+    """
+    for k, board in enumerate(boards):
+        _check_board(f"markers.board.{k}", board)
+    if len(set(ids)) != len(ids):
+        raise MachineFileError(f"markers.marker: ids {list(ids)} repeat; every marker needs an id of its own")
+    _check_board_ids(boards, set(ids))
+    size = dictionary_size(dictionary)
+    if size is not None:
+        _check_range(ids, boards, dictionary, size)
 
 
 def _check_board(name: str, board: BoardSection) -> None:
@@ -133,8 +141,8 @@ def _check_board(name: str, board: BoardSection) -> None:
         )
 
 
-def _check_board_ids(section: MarkersSection, taken: set[int]) -> None:
-    for k, board in enumerate(section.board):
+def _check_board_ids(boards: Sequence[BoardSection], taken: set[int]) -> None:
+    for k, board in enumerate(boards):
         both = taken & set(board.ids)
         if both:
             raise MachineFileError(
@@ -144,16 +152,16 @@ def _check_board_ids(section: MarkersSection, taken: set[int]) -> None:
         taken = taken | set(board.ids)
 
 
-def _check_range(section: MarkersSection, size: int) -> None:
-    for marker in section.marker:
-        if marker.id >= size:
+def _check_range(ids: Sequence[int], boards: Sequence[BoardSection], dictionary: str, size: int) -> None:
+    for marker_id in ids:
+        if marker_id >= size:
             raise MachineFileError(
-                f"markers.marker: id = {marker.id} is not in {section.dictionary}, which ends at {size - 1}; "
+                f"markers.marker: id = {marker_id} is not in {dictionary}, which ends at {size - 1}; "
                 f"{REMEDIES['id']}, or a larger dictionary"
             )
-    for k, board in enumerate(section.board):
+    for k, board in enumerate(boards):
         if board.ids[-1] >= size:
             raise MachineFileError(
                 f"markers.board.{k}.first_id = {board.first_id}: its last id {board.ids[-1]} is not in "
-                f"{section.dictionary}, which ends at {size - 1}; give a lower first_id or a larger dictionary"
+                f"{dictionary}, which ends at {size - 1}; give a lower first_id or a larger dictionary"
             )

@@ -16,6 +16,7 @@ CODES: dict[str, str] = {
     "no_machine_file": "there is no nominal machine to compare with",
     "machine_file": "the machine file cannot be used",
     "machine_mismatch": "the machine file does not describe the arm that was recorded",
+    "unknown_key": "a key of the machine file that nobody reads",
     "unknown_column": "a column whose name the format does not know",
     "missing_column": "a column that a stage needs",
     "no_data": "nothing that a stage could be judged by",

@@ -1,11 +1,11 @@
 """Column names of a folder of CSV files against the format: unknown and half-missing ones are named."""
 
 import csv
-import difflib
 import re
 from pathlib import Path
 
 from diagnosis.log.findings import Finding
+from diagnosis.log.nearest import did_you_mean
 from recording.folder import SEPARATORS, column_finder
 from recording.rows import CSV_ROW_TYPES, Row, csv_fields
 
@@ -22,7 +22,7 @@ def header_findings(folder: Path) -> list[Finding]:
     known = {row_type.file for row_type in CSV_ROW_TYPES}
     for path in sorted(folder.glob("*.csv")):
         if path.name not in known:
-            text = f"is not a file of the format and was not read{_nearest(path.name, known)}"
+            text = f"is not a file of the format and was not read{did_you_mean(path.name, known)}"
             findings.append(Finding("unknown_column", "note", path.name, text))
     return findings
 
@@ -74,7 +74,7 @@ def _of_file(path: Path, row_type: type[Row]) -> list[Finding]:
     patterns = [pattern for _, pattern in csv_fields(row_type)]
     finders = [column_finder(one) for one in patterns]
     findings = [
-        _unknown(path, name, _nearest(name, _examples(patterns)))
+        _unknown(path, name, did_you_mean(name, _examples(patterns)))
         for name in names
         if name and not any(finder.fullmatch(name) for finder in finders)
     ]
@@ -99,8 +99,3 @@ def _unknown(path: Path, name: str, nearest: str) -> Finding:
 
 def _examples(patterns: list[str]) -> set[str]:
     return {pattern.replace("{j}", str(j)) for pattern in patterns for j in range(1, 10)}
-
-
-def _nearest(name: str, known: set[str]) -> str:
-    close = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.6)
-    return f"; did you mean {close[0]!r}?" if close else ""

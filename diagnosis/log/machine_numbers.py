@@ -1,4 +1,4 @@
-"""Numbers, vectors and poses of a machine file, each with the range that anything on earth has."""
+"""Numbers, vectors, poses and words of a machine file, each with the range that anything on earth has."""
 
 import sys
 from collections.abc import Mapping
@@ -77,6 +77,37 @@ def pose_of(table: Mapping[str, Any], key: str, where: str) -> Array | None:
     if np.abs(T[:3, 3]).max() > FAR_M:
         raise DiagnosisError(f"{subject} lies {np.abs(T[:3, 3]).max():g} m away, limit {FAR_M:g} m; write metres")
     return T
+
+
+def flag_of(table: Mapping[str, Any], key: str, where: str, otherwise: bool) -> bool:
+    """true or false; `otherwise` where it is not given. Raises: DiagnosisError: text or a number in its place."""
+    value = table.get(key, otherwise)
+    if not isinstance(value, bool):
+        raise DiagnosisError(f"machine.toml: {where}: {key} = {_short(value)}; write true or false, without quotes")
+    return value
+
+
+def slides(joint: Mapping[str, Any], where: str) -> bool:
+    """Whether a [[joint]] is written as sliding: by its type, without one it turns. Raises: DiagnosisError: another."""
+    kind = joint.get("type", "revolute")
+    if kind not in ("revolute", "prismatic"):
+        raise DiagnosisError(f"machine.toml: {where}: type = {_short(kind)}; give 'revolute' or 'prismatic'")
+    return kind == "prismatic"
+
+
+def table_of(value: Any, where: str) -> dict[str, Any]:
+    """A section. Raises: DiagnosisError: something else stands in its place."""
+    if not isinstance(value, dict):
+        raise DiagnosisError(f"machine.toml: {where} = {_short(value)} is not a table")
+    return value
+
+
+def list_of(table: Mapping[str, Any], key: str) -> list[Any]:
+    """A list of sections. Raises: DiagnosisError: something else stands in its place."""
+    value = table.get(key, [])
+    if not isinstance(value, list):
+        raise DiagnosisError(f"machine.toml: {key} is not a list; write [[{key}]]")
+    return value
 
 
 def _inside(value: object, key: str, subject: str) -> float:

@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from diagnosis.behind.lost_points import without_spikes, without_zeros
 from diagnosis.behind.misplaced_markers import misplaced_markers
@@ -22,6 +21,7 @@ from diagnosis.log.pairing import pairing_findings
 from diagnosis.log.quality import plc_findings, time_findings
 from diagnosis.log.tables import Tables, tables_of
 from diagnosis.log.units import unit_findings
+from diagnosis.log.urdf_files import UrdfFiles
 from diagnosis.replay.merge import merge_of
 from diagnosis.replay.repeats import repeat_findings
 from diagnosis.replay.stretches import Stretch, stretches_of
@@ -203,18 +203,15 @@ def _nominal(
         lack = "there is no machine.toml; give one by --machine, or put it into the recording"
         findings.append(Finding("no_machine_file", "fatal", path.name, lack))
         return None
+    urdfs = UrdfFiles(recording.attachments, None if machine_file is None else machine_file.parent)
     try:
-        return nominal_of(text, _urdf(recording), tables.n or None)
+        nominal = nominal_of(text, urdfs, tables.n or None)
     except DiagnosisError as error:
         told = str(error).removeprefix("machine.toml").removeprefix(":").strip()
         findings.append(Finding("machine_file", "fatal", name, told))
         return None
-
-
-def _urdf(recording: Recording) -> str | None:
-    """The text of the recording's (last) URDF."""
-    found: list[Any] = [one.data for one in recording.attachments if one.name.endswith(".urdf")]
-    return found[-1].decode("utf-8", errors="replace") if found else None
+    findings += [replace(one, subject=name) for one in nominal.findings]
+    return nominal
 
 
 def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:

@@ -1,0 +1,25 @@
+"""A name that is not known beside those that are: which one may have been meant."""
+
+import difflib
+from collections.abc import Iterable
+
+CLOSE = 0.6  # of difflib's likeness
+PREFIX_MIN = 2  # letters of a name that was cut short
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """The likeliest known name: what this one begins, else what is spelt like it, small and capital letters alike."""
+    by_lower = {one.lower(): one for one in sorted(known)}
+    wanted = name.lower()
+    if wanted in by_lower:
+        return by_lower[wanted]
+    begun = [one for one in by_lower if len(wanted) >= PREFIX_MIN and one.startswith(wanted)]
+    close = difflib.get_close_matches(wanted, list(by_lower), n=1, cutoff=CLOSE)
+    found = close or begun
+    return by_lower[found[0]] if found else None
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """The end of a sentence that names it; empty where none is near."""
+    found = nearest(name, known)
+    return "" if found is None else f"; did you mean {found!r}?"

@@ -1,0 +1,49 @@
+"""Where the URDF of a machine file lies: among the recording's files, else beside the machine file."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PureWindowsPath
+
+from diagnosis.errors import DiagnosisError
+from recording.content import Attachment
+
+ENDING = ".urdf"
+SHOWN = 6
+
+
+@dataclass(frozen=True, slots=True)
+class UrdfFiles:
+    """`recorded`: the recording's attachments. `beside`: the folder of a machine file that was given; None without."""
+
+    recorded: Sequence[Attachment] = ()
+    beside: Path | None = None
+
+    def text(self, file: str) -> str | None:
+        """The URDF of that name, whatever folder its machine file has it in; None where there is none.
+
+        Raises: DiagnosisError: it is there and cannot be read.
+        """
+        name = PureWindowsPath(file).name  # cuts at both kinds of slashes
+        for one in self.recorded:
+            if one.name == name:
+                return one.data.decode("utf-8", errors="replace")
+        path = None if self.beside is None else self.beside / name
+        if path is None or not path.is_file():
+            return None
+        try:
+            return path.read_text(encoding="utf-8", errors="replace")
+        except OSError as error:
+            raise DiagnosisError(f"the URDF {path.name} cannot be read: {error.strerror}") from error
+
+    def why_none(self, file: str) -> str:
+        """That it is not there, where it was looked for, and which URDFs there are."""
+        places = "the recording" if self.beside is None else "the recording or beside the machine file"
+        known = sorted({one.name for one in self.recorded if one.name.endswith(ENDING)} | self._beside())
+        there = f"there is {', '.join(known[:SHOWN])}: give its name in [urdf] file" if known else "put it there"
+        return f"the URDF {file!r} is not in {places}; {there}"
+
+    def _beside(self) -> set[str]:
+        try:
+            return set() if self.beside is None else {path.name for path in self.beside.glob(f"*{ENDING}")}
+        except OSError:
+            return set()
