@@ -16,6 +16,8 @@ from machine.effects.structure import link_poses
 from machine.poses import pose, transform_points
 from machine.rotations import Array
 
+ROWS_MIN = 6  # of points, for a cell of them
+
 
 @dataclass(frozen=True, slots=True)
 class PointData:

@@ -9,6 +9,7 @@ from diagnosis.behind.corner_residual import CornerResidual, Frames, nuisance_of
 from diagnosis.behind.link_angles import Path, candidates_behind, inside, link_angles, paths_of, without_encoders
 from diagnosis.behind.loose_marker import loose_marker
 from diagnosis.behind.saturated import saturated_noise
+from diagnosis.behind.seen_corners import MARGIN_S, ROWS_MIN, seen_rows
 from diagnosis.behind.views import mean_pose, views_of
 from diagnosis.behind.views_one_eye import one_eye_views
 from diagnosis.cells.camera_clock import UNTOLD, late_by_motion_s
@@ -27,7 +28,6 @@ from machine.rotations import Array
 
 FRAMES_MAX = 160
 TIME_TOLERANCE_S = 1e-6
-MARGIN_S = 0.6  # a stretch's ends: the clock's offset may lie this far off
 SIGMA_MIN_PX = 0.03
 STILL_RAD = 3e-3
 VISITS_S = 3.0
@@ -66,10 +66,10 @@ def frames_of(
     """At most 160 frames, spread evenly over those that lie within stretches."""
     markers = tuple(one for one in nominal.markers if one.on == on)
     number = {one.marker_id: k for k, one in enumerate(markers)}
-    usable = np.array([int(i) in number for i in table.ids]) & (table.eye >= 0) & np.isfinite(table.t_s)
+    usable = seen_rows(nominal, table, on)
     if on == "ooi":
         usable &= inside(paths, table.t_s, MARGIN_S) >= 0
-    if not markers or int(usable.sum()) < 8:
+    if not markers or int(usable.sum()) < ROWS_MIN:
         return None
     rows = np.nonzero(usable)[0]
     rows = rows[np.argsort(table.t_s[rows], kind="stable")]

@@ -8,7 +8,7 @@ from diagnosis.behind.link_angles import Path, candidates_behind, inside, paths_
 from diagnosis.behind.loose_point import off_its_link
 from diagnosis.behind.point_noise import noise_by_repeats, point_scatter
 from diagnosis.behind.point_residual import unweighed
-from diagnosis.behind.points import PointData, static_data, tracked_data
+from diagnosis.behind.points import ROWS_MIN, PointData, static_data, tracked_data
 from diagnosis.log.nominal import Nominal
 from diagnosis.noise.of_repeated_points import RepeatedPoints
 from diagnosis.reading.read import Read
@@ -21,7 +21,6 @@ from machine.rotations import Array
 ROWS_MAX = 300
 FOLDS = 4
 SIGMA_MIN_M = 2e-5
-POINT_ROWS_MIN = 6
 
 
 def point_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None = None) -> list[Cell]:
@@ -31,10 +30,10 @@ def point_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None
         return []
     cells = []
     static = static_data(nominal, tables.static) if tables.static is not None else None
-    if static is not None and len(static.xyz) >= POINT_ROWS_MIN:
+    if static is not None and len(static.xyz) >= ROWS_MIN:
         cells.append(_told(_cell(nominal, _thinned(static), (), base), nominal, static))
     tracked = tracked_data(nominal, tables.tracker, whole.stretches) if tables.tracker is not None else None
-    if tracked is not None and len(tracked.xyz) >= POINT_ROWS_MIN:
+    if tracked is not None and len(tracked.xyz) >= ROWS_MIN:
         courses = paths_of(whole.stretches) if paths is None else paths
         repeats = noise_by_repeats(nominal, tracked, courses, base, whole.stretches)
         cell = _cell(nominal, _thinned(tracked), courses, base, repeats, clocked=tables.markers is None)

@@ -16,12 +16,14 @@ from diagnosis.log.exchanged import exchanged_loops
 from diagnosis.log.findings import Finding, by_channel, fatal
 from diagnosis.log.fitting_file import corner_findings, machine_findings
 from diagnosis.log.headers import header_findings, metre_findings
+from diagnosis.log.missing import missing_columns
 from diagnosis.log.nominal import Nominal, nominal_of
 from diagnosis.log.pairing import pairing_findings
 from diagnosis.log.quality import plc_findings, time_findings
 from diagnosis.log.tables import Tables, tables_of
 from diagnosis.log.units import unit_findings
 from diagnosis.log.urdf_files import UrdfFiles
+from diagnosis.reading.usable import enough_corners, enough_points, odometry_usable, why_unused
 from diagnosis.replay.merge import merge_of
 from diagnosis.replay.repeats import repeat_findings
 from diagnosis.replay.stretches import Stretch, stretches_of
@@ -224,7 +226,7 @@ def _checks(tables: Tables, nominal: Nominal | None) -> list[Finding]:
     for subject, table, to_pc_s in offsets:
         if table is not None:
             findings += time_findings(subject, table.t_s + to_pc_s - to_plc_s, None, tables.run.segments)
-    findings += corner_findings(tables)
+    findings += missing_columns(tables) + corner_findings(tables)
     if not any(one.code == "degrees" or (one.code, one.severity) == ("time_backwards", "fatal") for one in findings):
         findings += pairing_findings(tables)
         findings += machine_findings(tables, nominal) if nominal is not None else []
@@ -247,6 +249,7 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
     if nominal is None or tables is None:
         return ()
     driven, moved = nominal.actuators is not None, any(one.enc is not None for one in some)
+    mounted = nominal.arm is not None and nominal.T_tcp_cam_left is not None
     tests = (
         ("link", any(one.sent is not None and one.ref is not None for one in some) and driven),
         (
@@ -255,17 +258,19 @@ def stages_present(whole: Read) -> tuple[Stage, ...]:
         ),
         ("actuator", moved and driven and any(one.u is not None for one in some)),
         ("actuator", moved and nominal.has_controller and merge_of(some) is not None),
-        ("structure", nominal.arm is not None and (tables.static is not None or tables.tracker is not None)),
-        ("camera", nominal.arm is not None and nominal.camera is not None and tables.markers is not None),
+        ("structure", nominal.arm is not None and enough_points(nominal, tables, some)),
+        ("camera", mounted and nominal.camera is not None and enough_corners(nominal, tables, some)),
     )
     found = tuple(name for name, there in tests if there)
-    by_odometry = nominal.arm is not None and nominal.T_tcp_cam_left is not None and tables.odometry is not None
-    return (*found, "camera") if by_odometry and some and "camera" not in found else found
+    return (*found, "camera") if mounted and odometry_usable(tables, some) and "camera" not in found else found
 
 
 def _nothing(whole: Read) -> Finding:
     text = "no stage can be judged: record valve commands and encoders, or points measured by a tracker or camera"
     tables = whole.tables
+    unused = [] if tables is None else why_unused(whole.nominal, tables, whole.stretches)
+    if unused:
+        text = f"no stage can be judged: {'; '.join(unused)}"
     if tables is not None and tables.plc is not None and tables.plc.enc is None:
         text = f"the PLC's log holds no number of any encoder (q_<j>_rad), and {text}"
     lacking = "; ".join(f"{part}: {why}" for part, why in whole.lacking)

@@ -1,0 +1,19 @@
+"""Which rows of markers.csv can be used for an object: known markers, a named eye, corners, and a time that counts."""
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.log.nominal import Nominal
+from diagnosis.log.tables import MarkerTable
+
+MARGIN_S = 0.6  # a stretch's ends: the clock's offset may lie this far off
+ROWS_MIN = 8
+
+
+def seen_rows(nominal: Nominal, table: MarkerTable, on: Literal["tool", "ooi"]) -> NDArray[np.bool_]:
+    """Rows (m,) of a marker on that object, by a known eye, with a time and at least one corner."""
+    known = [one.marker_id for one in nominal.markers if one.on == on]
+    corner = np.isfinite(table.corners).all(axis=2).any(axis=1)
+    return np.asarray(np.isin(table.ids, known) & (table.eye >= 0) & np.isfinite(table.t_s) & corner, dtype=bool)

@@ -1,0 +1,58 @@
+"""Columns without which no row of a file can be used: named, in a folder and in an MCAP file alike."""
+
+import numpy as np
+
+from diagnosis.log.findings import Finding
+from diagnosis.log.tables import MarkerTable, OdometryTable, PointTable, Tables
+from machine.rotations import Array
+
+PLACE = ("x_m", "y_m", "z_m")
+TURN = ("qw", "qx", "qy", "qz")
+CORNERS = tuple(f"{axis}{corner}_px" for corner in range(4) for axis in "uv")
+
+
+def missing_columns(tables: Tables) -> list[Finding]:
+    """Of points, markers and odometry, the columns in which no row has anything."""
+    found = []
+    for subject, table in (("static.csv", tables.static), ("tracker.csv", tables.tracker)):
+        if table is not None:
+            found += _told(subject, _of_points(table, subject == "static.csv"), "no point can be used")
+    if tables.markers is not None:
+        found += _told("markers.csv", _of_markers(tables.markers), "no marker can be used whole")
+    if tables.odometry is not None:
+        found += _of_odometry(tables.odometry)
+    return found
+
+
+def _empty(values: Array, names: tuple[str, ...]) -> list[str]:
+    """The names of the columns (m, k) without a finite number."""
+    there = np.isfinite(values).any(axis=0)
+    return [name for name, any_there in zip(names, there, strict=True) if not any_there]
+
+
+def _of_points(table: PointTable, at_rest: bool) -> list[str]:
+    columns = [] if any(table.names) else ["point"]
+    columns += _empty(table.xyz, PLACE)
+    if at_rest and table.q is None:
+        columns.append("q_<j>_rad")
+    elif at_rest and table.q is not None:
+        columns += _empty(table.q, tuple(f"q_{j}_rad" for j in range(1, table.q.shape[1] + 1)))
+    return columns
+
+
+def _of_markers(table: MarkerTable) -> list[str]:
+    columns = [] if (table.ids >= 0).any() else ["marker_id"]
+    return columns + _empty(table.corners.reshape(len(table.corners), -1), CORNERS)
+
+
+def _of_odometry(table: OdometryTable) -> list[Finding]:
+    found = _told("odometry.csv", _empty(table.position, PLACE), "no path of the camera is known")
+    turned = _told("odometry.csv", _empty(table.quat_wxyz, TURN), "how the camera turned is not known")
+    return found + [Finding(one.code, "note", one.subject, one.text, one.count) for one in turned]  # lengths do without
+
+
+def _told(subject: str, columns: list[str], costs: str) -> list[Finding]:
+    if not columns:
+        return []
+    text = f"{', '.join(columns)}: missing, or empty in every row; {costs}: add it"
+    return [Finding("missing_column", "problem", subject, text, len(columns))]
