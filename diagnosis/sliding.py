@@ -1,10 +1,28 @@
-"""Joints that slide: what an answer says of them in rad is in m."""
+"""Joints that slide: what is said of them in rad is in m. One table of units for findings, places, plots, answers."""
 
+from collections.abc import Sequence
 from typing import Any
 
-METRES = {"rad": "m", "rad/s": "m/s"}
+#: Unit of a joint that turns: of one that slides. Its load is a force, so that its compliance is a length by it.
+METRES = {"rad": "m", "rad/s": "m/s", "rad/(N m)": "m/N"}
 TILTS = ("joint_axis_tilt",)  # of a sliding joint's axis, an angle all the same
 ANGLES = ("tilt_rad", "phase_rad")
+
+
+def slides(sliding: Sequence[bool], j: int) -> bool:
+    """Whether joint j (0-based) slides; what nobody says turns."""
+    return j < len(sliding) and sliding[j]
+
+
+def unit_of(unit: str, sliding: Sequence[bool], j: int) -> str:
+    """The unit that a number of joint j (0-based) has, which is written in `unit` of joints that turn."""
+    return METRES.get(unit, unit) if slides(sliding, j) else unit
+
+
+def column_of(pattern: str, sliding: Sequence[bool], j: int) -> str:
+    """The name of joint j's (0-based) column: `q_{j}_rad` is q_1_rad, or q_1_m of a joint that slides."""
+    name = pattern.replace("{j}", str(j + 1))
+    return name.replace("_rad", "_m") if slides(sliding, j) else name
 
 
 def in_metres(told: Any, sliding: tuple[bool, ...], joint: int | None = None) -> Any:
@@ -14,8 +32,7 @@ def in_metres(told: Any, sliding: tuple[bool, ...], joint: int | None = None) ->
     if not isinstance(told, dict):
         return told
     own = None if told.get("name") in TILTS else told.get("joint", joint)
-    slides = isinstance(own, int) and sliding[own - 1]
     out = {key: value if key in ANGLES else in_metres(value, sliding, own) for key, value in told.items()}
-    if slides and isinstance(unit := out.get("unit"), str):
-        out["unit"] = METRES.get(unit, unit)
+    if isinstance(own, int) and isinstance(unit := out.get("unit"), str):
+        out["unit"] = unit_of(unit, sliding, own - 1)
     return out

@@ -34,6 +34,7 @@ CODES: dict[str, str] = {
     "uneven_stamps": "stamps jitter about rows that were taken evenly",
     "degrees": "angles in degrees where radians belong",
     "percent": "commands in percent where fractions belong",
+    "beyond_full": "commands beyond the full one",
     "metres": "a position in metres of a joint that turns",
     "millimetres": "lengths in millimetres where metres belong",
     "milliseconds": "times in thousandths, millionths or billionths of a second where seconds belong",

@@ -9,6 +9,7 @@ from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.tables import MarkerTable, PointTable, Tables
 from diagnosis.log.units import LIMIT_MARGIN_RAD
+from diagnosis.sliding import column_of, unit_of
 from machine.rotations import Array
 
 EYES_LEAST, EYES_SHARE = 5, 0.9  # markers seen by both eyes, and how many of them have to say the same
@@ -50,8 +51,9 @@ def _limits(enc: Array, nominal: Nominal) -> list[Finding]:
         inside = (shares[j] < INSIDE_MAX) & (shares[:, j] < INSIDE_MAX) & (np.diag(shares) >= OUTSIDE_MIN)
         partner = np.nonzero(inside)[0].tolist()
         low, high = nominal.q_min[j], nominal.q_max[j]
-        reach = f"q_{j + 1}_rad lies at {np.nanmin(enc[:, j]):.3g} .. {np.nanmax(enc[:, j]):.3g} rad"
-        text = f"{reach}, outside its limits {low:.3g} .. {high:.3g} rad"
+        name, unit = column_of("q_{j}_rad", nominal.sliding, j), unit_of("rad", nominal.sliding, j)
+        reach = f"{name} lies at {np.nanmin(enc[:, j]):.3g} .. {np.nanmax(enc[:, j]):.3g} {unit}"
+        text = f"{reach}, outside its limits {low:.3g} .. {high:.3g} {unit}"
         if partner:
             told.add(partner[0])
             name = nominal.joint_names[partner[0]]

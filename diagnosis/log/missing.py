@@ -26,8 +26,7 @@ def missing_columns(tables: Tables) -> list[Finding]:
 
 def _empty(values: Array, names: tuple[str, ...]) -> list[str]:
     """The names of the columns (m, k) without a finite number."""
-    there = np.isfinite(values).any(axis=0)
-    return [name for name, any_there in zip(names, there, strict=True) if not any_there]
+    return [name for k, name in enumerate(names) if not np.isfinite(values[:, k]).any()]
 
 
 def _of_points(table: PointTable, at_rest: bool) -> list[str]:

@@ -6,6 +6,7 @@ from diagnosis.log.findings import Finding
 from diagnosis.log.nominal import Nominal
 from diagnosis.log.quality import ROWS_MIN
 from diagnosis.log.tables import PlcTable, PointTable, Tables, filled, largest
+from diagnosis.sliding import column_of, slides
 from machine.rotations import Array
 
 LIMIT_MARGIN_RAD = 0.2
@@ -13,32 +14,61 @@ FULL_TURN_RAD = 6.6  # without limits: more than a turn to either side is no joi
 DEGREES_MIN_RAD = 3.3  # below it a value may be either
 DEGREES = (40.0, 80.0)  # a ratio of 57.3, give or take the effects that scale signals
 PERCENT_MIN = 1.5
+COMMAND_MIN = 0.5  # half a full command, or half a percent, which is noise
+SPIKES_MAX, BEYOND_MIN = 0.01, 3  # share of all rows, and rows, that are more than spikes
 BAR_MAX_PA = 2e3  # pressures of a crane are above 1e5 Pa; 400 bar stay below
 ARM_MAX_M = 60.0
+SPREAD_MIN_M = 1e-3  # between points: less is one place
 SECONDS = ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds"))
 SECONDS_SHARE = 1.5  # spans of one recording differ by less, where one clock began earlier or rows are missing
 
 
 def unit_findings(tables: Tables, nominal: Nominal | None) -> list[Finding]:
-    """Degrees for radians, by the joint's limits, by comparison of two columns, by the speed at full command."""
+    """Degrees for radians, by the joint's limits, by comparison of two columns, by the speed at full command; of joints
+    that slide millimetres for metres. Percent, bar, millimetres of points, milliseconds.
+    """
     plc, found = tables.plc, []
+    sliding = () if nominal is None else nominal.sliding
     found += _milliseconds(tables, nominal)
-    signals: list[tuple[str, str, Array]] = []
-    if plc is not None:
-        named = (("q_ref_{j}_rad", plc.ref), ("q_{j}_rad", plc.enc))
-        signals += [("plc.csv", name, values) for name, values in named if values is not None]
-    if tables.sent is not None:
-        signals.append(("sent.csv", "q_sent_{j}_rad", tables.sent.q))
-    if tables.static is not None and tables.static.q is not None:
-        signals.append(("static.csv", "q_{j}_rad", tables.static.q))
-    for subject, pattern, values in signals:
-        columns = [j for j in range(values.shape[1]) if _beyond_turn(values[:, j], _limit(nominal, j))]
+    for subject, pattern, values in _positions(tables):
+        columns = [j for j in _turning(values, sliding) if _beyond_turn(values[:, j], _limit(nominal, j))]
         if columns:
             found.append(_degrees(subject, pattern, columns, f"reach {largest(values[:, columns]):.4g}"))
+        found += _slid_in_millimetres(subject, pattern, values, sliding)
     if not any(one.code == "degrees" for one in found) and plc is not None:
-        found += _degrees_by_comparison(plc) or _degrees_by_speed(plc, nominal)
+        found += _degrees_by_comparison(plc, sliding) or _degrees_by_speed(plc, nominal)
     found += [] if plc is None else _percent(plc) + _bar(plc)
-    return found + [one for table in (tables.static, tables.tracker) for one in _millimetres(table)]
+    placed = nominal is not None and nominal.T_base_tracker is not None
+    return found + [one for table in (tables.static, tables.tracker) for one in _millimetres(table, placed)]
+
+
+def _positions(tables: Tables) -> list[tuple[str, str, Array]]:
+    """Every signal that is a position of each joint: its file, its columns, its numbers (m, n)."""
+    plc, sent, static = tables.plc, tables.sent, tables.static
+    found = (
+        ("plc.csv", "q_ref_{j}_rad", None if plc is None else plc.ref),
+        ("plc.csv", "q_{j}_rad", None if plc is None else plc.enc),
+        ("sent.csv", "q_sent_{j}_rad", None if sent is None else sent.q),
+        ("static.csv", "q_{j}_rad", None if static is None else static.q),
+    )
+    return [(subject, pattern, values) for subject, pattern, values in found if values is not None]
+
+
+def _turning(values: Array, sliding: tuple[bool, ...]) -> list[int]:
+    """The joints (0-based) whose columns may be in degrees."""
+    return [j for j in range(values.shape[1]) if not slides(sliding, j)]
+
+
+def _slid_in_millimetres(subject: str, pattern: str, values: Array, sliding: tuple[bool, ...]) -> list[Finding]:
+    """Strokes that no machine has in metres."""
+    found = []
+    for j in range(values.shape[1]):
+        if slides(sliding, j) and _high(values[:, j]) > ARM_MAX_M:
+            reach = f"{column_of(pattern, sliding, j)} reaches {largest(values[:, j]):.4g} m (limit {ARM_MAX_M:g} m)"
+            found.append(
+                Finding("millimetres", "fatal", subject, f"{reach}, which looks like millimetres; write metres")
+            )
+    return found
 
 
 def _milliseconds(tables: Tables, nominal: Nominal | None) -> list[Finding]:
@@ -86,11 +116,14 @@ def _limit(nominal: Nominal | None, j: int) -> float:
 
 def _beyond_turn(values: Array, limit: float) -> bool:
     """Too large for radians, and right for degrees."""
-    finite = np.abs(values[np.isfinite(values)])
-    if len(finite) == 0:
-        return False
-    high = float(np.quantile(finite, 0.95))
+    high = _high(values)
     return high > max(limit, DEGREES_MIN_RAD) and np.deg2rad(high) <= limit
+
+
+def _high(values: Array) -> float:
+    """How far a column (m,) reaches, but for a few rows; 0 without any number."""
+    finite = np.abs(values[np.isfinite(values)])
+    return float(np.quantile(finite, 0.95)) if len(finite) else 0.0
 
 
 def _degrees(subject: str, pattern: str, columns: list[int], why: str) -> Finding:
@@ -98,13 +131,14 @@ def _degrees(subject: str, pattern: str, columns: list[int], why: str) -> Findin
     return Finding("degrees", "fatal", subject, f"{names} {why}: these look like degrees; write radians", len(columns))
 
 
-def _degrees_by_comparison(plc: PlcTable) -> list[Finding]:
+def _degrees_by_comparison(plc: PlcTable, sliding: tuple[bool, ...]) -> list[Finding]:
     if plc.ref is None or plc.enc is None:
         return []
     spans = [np.ptp(filled(x), axis=0) for x in (plc.ref, plc.enc)]
     findings = []
     for pattern, mine, other in (("q_ref_{j}_rad", *spans), ("q_{j}_rad", *spans[::-1])):
-        columns = [j for j in range(len(mine)) if other[j] > 1e-6 and DEGREES[0] < mine[j] / other[j] < DEGREES[1]]
+        turning = [j for j in _turning(plc.ref, sliding) if other[j] > 1e-6]
+        columns = [j for j in turning if DEGREES[0] < mine[j] / other[j] < DEGREES[1]]
         if columns:
             ratio = float(np.median(mine[columns] / other[columns]))
             findings.append(
@@ -119,7 +153,7 @@ def _degrees_by_speed(plc: PlcTable, nominal: Nominal | None) -> list[Finding]:
     if plc.enc.shape[1] != nominal.actuators.n:
         return []
     gains = measured_gains(plc.t_s, plc.enc, plc.u) / nominal.actuators.joints[:, 0]
-    columns = [int(j) for j in np.nonzero((gains > DEGREES[0]) & (gains < DEGREES[1]))[0]]
+    columns = [j for j in _turning(plc.enc, nominal.sliding) if DEGREES[0] < gains[j] < DEGREES[1]]
     return (
         [_degrees("plc.csv", "q_{j}_rad", columns, "move 57 times as fast as nominal at the same command")]
         if columns
@@ -141,13 +175,26 @@ def measured_gains(t_s: Array, enc: Array, u: Array) -> Array:
 
 
 def _percent(plc: PlcTable) -> list[Finding]:
+    """Columns of commands in percent, and single commands beyond the full one, which are no unit's fault.
+
+    Model: in percent most commands that are anything are above 1.5; as fractions none is, but for spikes.
+    """
     if plc.u is None:
         return []
-    most = largest(plc.u)
-    if most <= PERCENT_MIN:
-        return []
-    text = f"u reaches {most:.3g}, beyond full command 1; a column in percent is to be divided by 100"
-    return [Finding("percent", "fatal", "plc.csv", text)]
+    findings = []
+    for j, column in enumerate(plc.u.T):
+        u = np.abs(column[np.isfinite(column)])
+        beyond = int((u > PERCENT_MIN).sum())
+        if not beyond:
+            continue
+        reach = f"u_{j + 1}_frac reaches {u.max():.3g}, beyond full command 1"
+        if beyond >= max(SPIKES_MAX * len(u), BEYOND_MIN) and 2 * beyond > int((u > COMMAND_MIN).sum()):
+            text = f"{reach}; a column in percent is to be divided by 100"
+            findings.append(Finding("percent", "fatal", "plc.csv", text, beyond))
+        else:
+            text = f"{reach}, in {beyond} of {len(u)} rows; taken as written: look where these commands come from"
+            findings.append(Finding("beyond_full", "note", "plc.csv", text, beyond))
+    return findings
 
 
 def _bar(plc: PlcTable) -> list[Finding]:
@@ -159,12 +206,27 @@ def _bar(plc: PlcTable) -> list[Finding]:
     return findings
 
 
-def _millimetres(table: PointTable | None) -> list[Finding]:
+def _millimetres(table: PointTable | None, placed: bool) -> list[Finding]:
+    """Points farther away than an arm reaches. `placed`: whether the tracker's frame is known in the base's.
+
+    Without it the tracker may stand anywhere and count in a town's coordinates: only how far the points lie apart says
+    how large the arm is. Points in one place alone lie nowhere apart, and are taken as seen from the base.
+    """
     if table is None or not np.isfinite(table.xyz).any():
         return []
-    most = largest(table.xyz)
+    spread = 0.0 if placed else _spread_m(table.xyz)
+    most = spread if spread > SPREAD_MIN_M else largest(table.xyz)
     if most < ARM_MAX_M:
         return []
     subject = "static.csv" if table.q is not None else "tracker.csv"
-    text = f"points lie up to {most:.4g} m away (limit {ARM_MAX_M:g} m), which looks like millimetres; write metres"
+    lie = "lie up to {:.4g} m from their middle" if spread > SPREAD_MIN_M else "lie up to {:.4g} m away"
+    text = f"points {lie.format(most)} (limit {ARM_MAX_M:g} m), which looks like millimetres; write metres"
     return [Finding("millimetres", "fatal", subject, text)]
+
+
+def _spread_m(xyz: Array) -> float:
+    """How far points (m, 3) lie from their middle, but for a few; where a prism was lost, zeros are no points."""
+    good = xyz[np.isfinite(xyz).all(axis=1) & (xyz != 0.0).any(axis=1)]
+    if not len(good):
+        return 0.0
+    return float(np.quantile(np.linalg.norm(good - np.median(good, axis=0), axis=1), 0.95))
