@@ -18,6 +18,7 @@ from diagnosis.replay.merge import merged_drives
 from diagnosis.replay.repeats import overlaid
 from diagnosis.replay.replayer import Prepared, Replayer, replayer_of
 from diagnosis.replay.stretches import Stretch, repeat_groups
+from diagnosis.sliding import unit_of
 from machine.effects.entries import pack
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.structure import tcp_poses
@@ -111,7 +112,8 @@ def _dynamic(
                 continue  # a column that was not recorded
             gap = excess(pooled, float(floor[j]))
             tcp_mm = gap * float(carried[j])
-            places.append(Place(stage, j + 1, None, regime, gap, float(floor[j]), STAGE_UNITS[stage], tcp_mm))
+            unit = unit_of(STAGE_UNITS[stage], replayer.nominal.sliding, j)
+            places.append(Place(stage, j + 1, None, regime, gap, float(floor[j]), unit, tcp_mm))
     return places
 
 
@@ -290,21 +292,33 @@ def _part(
 
 
 def totals_of(places: tuple[Place, ...]) -> tuple[Place, ...]:
-    """One place a stage, of all of its joints or axes and motions together, largest share first.
+    """One place a stage and unit, of all of its joints or axes and motions together, largest share first.
 
-    Model: gap and floor are RMS over joints; of axes, those in m, the root of their sum of squares, RMS over "at rest",
-           "tracked", "tool marker" and "ooi".
+    Model: gap and floor are RMS over joints, those that turn and those that slide apart: what is in rad/s and what is
+           in m/s has no mean, and only the shares, which are motions of the tcp, go over both. Of axes, those in m, the
+           root of their sum of squares, RMS over "at rest", "tracked", "tool marker" and "ooi".
     """
     out = []
     for stage in dict.fromkeys(place.stage for place in places):
         all_of = [one for one in places if one.stage == stage and one.regime not in PARTS]
-        same = [one for one in all_of if one.unit == all_of[0].unit]
-        count = len(same) if same[0].axis is None else len({one.regime for one in same})
-        gap = math.sqrt(sum(one.gap**2 for one in same) / count)
-        floor = math.sqrt(sum(one.floor**2 for one in same) / count)
-        tcp_mm, share = math.hypot(*(one.tcp_mm for one in all_of)), sum(one.share_frac for one in all_of)
-        out.append(Place(stage, None, None, "all", gap, floor, same[0].unit, tcp_mm, share))
+        for unit in dict.fromkeys(_counted_under(one, all_of) for one in all_of):
+            together = [one for one in all_of if _counted_under(one, all_of) == unit]
+            out.append(_total(stage, unit, together))
     return tuple(sorted(out, key=lambda place: -place.share_frac))
+
+
+def _counted_under(place: Place, of_stage: list[Place]) -> str:
+    """The unit of the total that a place belongs to: a joint's own; of axes the first one's, rotations beside m."""
+    return place.unit if place.joint is not None else of_stage[0].unit
+
+
+def _total(stage: str, unit: str, together: list[Place]) -> Place:
+    same = [one for one in together if one.unit == unit]
+    count = len(same) if same[0].axis is None else len({one.regime for one in same})
+    gap = math.sqrt(sum(one.gap**2 for one in same) / count)
+    floor = math.sqrt(sum(one.floor**2 for one in same) / count)
+    tcp_mm, share = math.hypot(*(one.tcp_mm for one in together)), sum(one.share_frac for one in together)
+    return Place(stage, None, None, "all", gap, floor, unit, tcp_mm, share)
 
 
 def merged_stages(whole: Read) -> tuple[tuple[tuple[str, ...], str], ...]:

@@ -14,11 +14,13 @@ from diagnosis.replay.stage_replay import SKIPPED, Replay, part_of, white_rows
 from diagnosis.replay.stretches import Stretch
 from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, candidates_of, named
 from diagnosis.search.cell import FORM_SHARE, Cell, Rows, blocks_of, folds_of
+from diagnosis.sliding import unit_of
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
 
 UNIT = {"link": "rad", "controller": "1", "actuator": "rad/s"}
+MIXED_UNIT = "noise floors"  # of joints that turn beside joints that slide
 FORM_SHARE_OIL = 0.03  # friction and dead bands of real valves are no single number
 
 
@@ -80,7 +82,9 @@ def cell_of(
     series = [k * len(chosen) + one for k, one in enumerate(channel)]
     rows = Rows(*(np.concatenate(one).astype(np.int64) for one in (folds, spread, series, channel)))
     per_second = 1.0 / BLOCK_S if stage == "actuator" else 1.0
-    scale = (floor.increment_rms[chosen] * per_second)[rows.channel]
+    units = {unit_of(UNIT[stage], replayer.nominal.sliding, j) for j in joints}
+    one_unit = len(units) == 1
+    scale = (floor.increment_rms[chosen] * per_second)[rows.channel] if one_unit else np.ones(rows.count)
     regressors, t_s = regressors_of(parts, chosen, white.order, SKIPPED, per_channel)
     one_based = tuple(j + 1 for j in joints)
     whole = stage == "link" or len(joints) > 1
@@ -92,7 +96,7 @@ def cell_of(
     return Cell(
         stage=stage,
         joint=None if whole else one_based[0],
-        unit=UNIT[stage],
+        unit=units.pop() if one_unit else MIXED_UNIT,
         candidates=_candidates(stage, one_based, prepared, replayer),
         base=base,
         whitened=replay,

@@ -69,7 +69,7 @@ def _proposed(found: Diagnosis, nominal: Nominal, pairs: list[Pair]) -> dict[str
             {"separates": _told(pair), "expected_nats": _digits(nats)}
             for pair, nats in zip(pairs, table[best.name], strict=True)
         ],
-        "execute": described(best),
+        "execute": described(best, nominal.sliding),
     }
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.experiments.library import LOOK_S, SAMPLE_S, Experiment, Motion, Postures
+from diagnosis.sliding import unit_of
 from machine.rotations import Array
 
 KNOT_ROWS = 10  # a knot every 0.1 s
@@ -14,11 +15,18 @@ DIGITS = 6
 MOVED_RAD = 1e-6
 
 
-def described(experiment: Experiment) -> dict[str, Any]:
+def described(experiment: Experiment, sliding: tuple[bool, ...] = ()) -> dict[str, Any]:
     """For the answer's JSON. Motions: joints that move, and their knots; the others stay where they start.
 
     `t_knot_s`: between two knots; the course between them is the cubic spline with zero speed at both ends.
+    `joint_units`: of every joint's numbers in `start_rad` and `q_rad`, where some joint slides: these are in m.
     """
+    told = _described(experiment)
+    units = [unit_of("rad", sliding, j) for j in range(len(sliding))]
+    return {**told, "joint_units": units} if any(sliding) else told
+
+
+def _described(experiment: Experiment) -> dict[str, Any]:
     if isinstance(experiment, Postures):
         postures = np.round(experiment.q, DIGITS).tolist()
         return {"kind": "looks", "name": experiment.name, "q_rad": postures, "look_s": LOOK_S, "from_below": True}

@@ -37,11 +37,14 @@ def chain(result: dict[str, Any]) -> str:
 
 def stage_shares(result: dict[str, Any]) -> dict[str, float]:
     """Share of the gap on each judged stage, of which the first rows tell."""
-    return {one["stage"]: float(one["share_frac"] or 0.0) for one in result["localisation"] if is_total(one)}
+    shares: dict[str, float] = {}
+    for one in filter(is_total, result["localisation"]):  # one a unit, where some joints turn and others slide
+        shares[one["stage"]] = shares.get(one["stage"], 0.0) + float(one["share_frac"] or 0.0)
+    return shares
 
 
 def is_total(one: dict[str, Any]) -> bool:
-    """Whether a row of the localisation is of a stage as a whole."""
+    """Whether a row of the localisation is of a stage as a whole, or of all of its joints that turn or slide."""
     return one["joint"] is None and one["axis"] is None
 
 

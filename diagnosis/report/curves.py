@@ -9,6 +9,7 @@ from diagnosis.diagnose import Diagnosis
 from diagnosis.replay.stage_replay import LAST, OUTPUT, Part, Replay
 from diagnosis.search.candidates import put
 from diagnosis.search.score import Score
+from diagnosis.sliding import slides, unit_of
 from diagnosis.verdict.cell_answer import CellAnswer
 from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets
@@ -16,6 +17,7 @@ from machine.rotations import Array
 
 CELLS_MAX = 4
 SIGNALS = {"link": "reference received", "controller": "valve command", "actuator": "joint angle"}
+SLID = {"joint angle": "joint position"}  # of a joint that slides
 SIGNAL_UNITS = {"link": "rad", "controller": "of full command", "actuator": "rad"}
 
 
@@ -59,23 +61,24 @@ class CellCurves:
 def curves_of(found: Diagnosis) -> tuple[CellCurves, ...]:
     """Of the cells with the largest gaps, at most four; those with a named effect first."""
     ranked = sorted(found.cells, key=lambda one: (not one.chosen.fit.hypothesis, -_energy(one)))
-    return tuple(_cell(one) for one in ranked[:CELLS_MAX])
+    sliding = () if found.whole.nominal is None else found.whole.nominal.sliding
+    return tuple(_cell(one, sliding) for one in ranked[:CELLS_MAX])
 
 
 def _energy(one: CellAnswer) -> float:
     return float(np.mean(one.search.none.held_out**2))
 
 
-def _cell(one: CellAnswer) -> CellCurves:
+def _cell(one: CellAnswer, sliding: tuple[bool, ...]) -> CellCurves:
     cell = one.search.cell
     named = " + ".join(effect.name for effect in one.chosen.fit.hypothesis)
     order = np.argsort(cell.t_s, kind="stable")
     before, after = one.search.none.held_out, one.chosen.held_out
     white = Residuals(cell.t_s[order], before[order], after[order], cell.rows.series[order])
-    return CellCurves(cell.label, named, white, _replayed(one))
+    return CellCurves(cell.label, named, white, _replayed(one, sliding))
 
 
-def _replayed(one: CellAnswer) -> Replayed | None:
+def _replayed(one: CellAnswer, sliding: tuple[bool, ...]) -> Replayed | None:
     """The stretch and joint on which the effect matters most, replayed by numbers fitted without that stretch's kind.
 
     Without a named effect: where the gap is largest; nominal and explained are then the same.
@@ -91,12 +94,13 @@ def _replayed(one: CellAnswer) -> Replayed | None:
     theta = one.chosen.folds.theta_without(fold)
     base = one.search.cell.base
     traces = [_output(replay, part, sets, int(channel)) for sets in (base, put(base, one.chosen.fit.hypothesis, theta))]
-    rows = len(traces[0])
+    rows, joint = len(traces[0]), replay.joints[int(channel)]
+    signal = SIGNALS[replay.stage]
     return Replayed(
         part.stretch.kind,
-        replay.joints[int(channel)] + 1,
-        SIGNALS[replay.stage],
-        SIGNAL_UNITS[replay.stage],
+        joint + 1,
+        SLID.get(signal, signal) if slides(sliding, joint) else signal,
+        unit_of(SIGNAL_UNITS[replay.stage], sliding, joint),
         part.stretch.t_s[:rows] - part.stretch.t_s[0],
         part.measured[:rows, int(channel)],
         *traces,
