@@ -182,6 +182,7 @@ def _localisation(found: Diagnosis) -> list[dict[str, Any]]:
             "gap": _round(place.gap),
             "floor": _round(place.floor),
             "unit": place.unit,
+            "gap_tcp_mm": _round(place.tcp_mm),
             "share_frac": _round(place.share_frac),
         }
         for place in (*totals_of(places), *places)

@@ -36,7 +36,8 @@ PARTS = ("still", "forward", "backward", "reversal", "first half", "second half"
 class Place:
     """Gap of one stage, joint (1-based) or axis, and regime: sqrt(max(0, MSE - floor^2)) in `unit`.
 
-    `tcp_mm`: the gap carried to the tcp [mm, RMS]; `share_frac`: that over the sum of all stages.
+    `tcp_mm`: the gap carried to the tcp [mm, RMS]; `share_frac`: of the whole gap, by what was found wrong there where
+    something was, else by `tcp_mm` over the sum of all stages.
     """
 
     stage: str

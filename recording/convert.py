@@ -45,7 +45,7 @@ def write_mcap(recording: Recording, path: Path) -> None:
     attachments = [*recording.attachments]
     if recording.machine_toml:
         attachments.insert(0, Attachment("machine.toml", "application/toml", recording.machine_toml.encode()))
-    writer = RunWriter(path, recording.run, attachments, recording.metadata, mono_to_utc_ns=to_utc_ns)
+    writer = RunWriter(path, recording.run, attachments, recording.metadata, mono_to_utc_ns=to_utc_ns, patient=True)
     for entry in recording.log:
         writer.log(entry.level, entry.text, entry.t_utc_ns - to_utc_ns)
     for t_ns, row in _in_turn(recording):

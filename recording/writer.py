@@ -1,6 +1,7 @@
 """Writing one run as MCAP: a queue, a thread, one file that is readable up to its last chunk whatever happens.
 
-Under pressure images are dropped first and counted; numbers never: a full queue makes their giver wait.
+Under pressure images are dropped first and counted. Numbers never: where minutes of them wait for a disk, a conversion
+waits too, and a live recording ends there and says so, since a machine is commanded by the process that gives them.
 """
 
 import logging
@@ -61,7 +62,10 @@ class WriterReport:
 
 
 class RunWriter:
-    """One run's file. Times given are the PC's monotonic clock [ns]; the file carries UTC."""
+    """One run's file. Times given are the PC's monotonic clock [ns]; the file carries UTC.
+
+    `patient`: whether a giver waits for a disk that is behind by QUEUE_ENTRIES.
+    """
 
     def __init__(
         self,
@@ -70,8 +74,10 @@ class RunWriter:
         attachments: Sequence[Attachment] = (),
         metadata: Sequence[tuple[str, str]] = (),
         mono_to_utc_ns: int | None = None,
+        *,
+        patient: bool = False,
     ) -> None:
-        self.path = path
+        self.path, self._patient = path, patient
         self._mono_to_utc_ns = time.time_ns() - time.monotonic_ns() if mono_to_utc_ns is None else mono_to_utc_ns
         self._queue: queue.Queue[_Entry | None] = queue.Queue(QUEUE_ENTRIES)
         self._images_waiting = 0
@@ -172,7 +178,13 @@ class RunWriter:
         if self._error or self._stream.closed:
             return
         publish_ns = t_mono_ns if t_source_mono_ns is None else t_source_mono_ns
-        self._put(_Entry(topic, content, self._utc(t_mono_ns), self._utc(publish_ns)))
+        entry = _Entry(topic, content, self._utc(t_mono_ns), self._utc(publish_ns))
+        if self._patient:
+            return self._put(entry)
+        try:
+            self._queue.put_nowait(entry)
+        except queue.Full:
+            self._fail(RecordingError(f"{QUEUE_ENTRIES} entries wait for the disk, and no more are taken: free it"))
 
     def _put(self, entry: _Entry | None) -> None:
         """Wait for room as long as there is somebody who makes it."""

@@ -1,4 +1,4 @@
-"""The chain of stages with the gap on each: seven boxes, the size of the gap at the tcp as a bar in each."""
+"""The chain of stages with the gap on each: seven boxes, the stage's share of the whole gap as a bar in each."""
 
 from html import escape
 from typing import Any
@@ -31,7 +31,7 @@ def chain(result: dict[str, Any]) -> str:
         f"<li>{escape(' and '.join(one['stages']))} count as one: {escape(one['missing'])}</li>"
         for one in result["merged_stages"]
     )
-    note = "<p>Bar: share of the whole gap, carried to the tcp. A stage is judged by its own measured input.</p>"
+    note = "<p>Bar: share of the whole gap, by what was found wrong there. A stage is judged by its own measured input.</p>"
     return wide(svg) + note + (f"<ul>{merged}</ul>" if merged else "")
 
 

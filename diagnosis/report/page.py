@@ -72,7 +72,8 @@ PLACES = (
     ("gap", "gap"),
     ("floor", "noise floor"),
     ("unit", "unit"),
-    ("share_frac", "share at the tcp"),
+    ("gap_tcp_mm", "gap at the tcp, mm"),
+    ("share_frac", "share"),
 )
 LIMITS = (("name", "effect"), ("joint", "joint"), ("parameter", "parameter"), ("size", "size"), ("unit", "unit"))
 SHRINK = (

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -330,7 +331,7 @@ def test_a_row_that_cannot_be_written_ends_the_file_and_blocks_nobody(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("recording.writer.QUEUE_ENTRIES", 20)
-    writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"))
+    writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"), patient=True)
     for number in range(300):  # of more rows than the queue holds
         writer.row(replace(plc_state(number), seq_received=2**64 - 1 if number == 10 else number), SECOND_NS)
     report = writer.close()
@@ -355,9 +356,26 @@ def test_a_source_stamp_that_no_file_holds_is_not_known(tmp_path: Path) -> None:
     assert [(one.log_time, one.publish_time) for one in messages] == [(SECOND_NS, SECOND_NS)] * 2
 
 
+def test_a_live_recording_never_waits_for_its_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("recording.writer.QUEUE_ENTRIES", 5)
+    writer, stalled = RunWriter(tmp_path / "run.mcap", RunInfo("stalled")), threading.Event()
+    write = writer._writer.add_message
+
+    def late(*args: object, **kwargs: object) -> None:
+        stalled.wait(30.0)
+        write(*args, **kwargs)  # pyright: ignore[reportArgumentType]
+
+    writer._writer.add_message = late  # pyright: ignore[reportAttributeAccessIssue]
+    for number in range(20):
+        writer.row(plc_state(number), SECOND_NS)
+    assert "5 entries wait for the disk, and no more are taken" in writer.error
+    stalled.set()
+    assert "wait for the disk" in writer.close().error
+
+
 def test_nobody_waits_for_a_thread_that_has_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("recording.writer.QUEUE_ENTRIES", 2)
-    writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"))
+    writer = RunWriter(tmp_path / "run.mcap", RunInfo("odd"), patient=True)
     writer._queue.put(None)
     writer._thread.join()
     for number in range(4):
