@@ -15,7 +15,7 @@ SPEEDS = ("qd_max_deg_s", "qdd_max_deg_s2", "qd_max_m_s", "qdd_max_m_s2")  # of 
 
 JOINT = (
     *("name", "type", "dh_convention", *GEOMETRY, *LIMITS[False], *LIMITS[True], *SPEEDS, *VALVE),
-    *("kp_frac_per_rad", "pt1_tau_s", "mass_kg", "com_m", "encoder_counts_rev"),
+    *("kp_frac_per_rad", "pt1_tau_s", "mass_kg", "com_m", "encoder_counts_rev", "park_deg"),
 )
 #: Sections that are one table, and their keys. Effects and remainders have readers of their own, which refuse.
 TABLES: dict[str, tuple[str, ...]] = {
