@@ -103,7 +103,7 @@ def _no_plan(cell: Cell) -> str:
         return "preview first"
     if time.monotonic_ns() > plan.expires_ns:
         return "the preview has expired: preview again"
-    return "" if latest is None else moved_since_look(cell.machine, np.array(latest.q_rad), plan.q_look)
+    return "" if latest is None else moved_since_look(cell.machine, latest.q_rad, plan.q_look)
 
 
 def _blocked(cell: Cell, engine: JobEngine) -> str:

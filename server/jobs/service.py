@@ -41,6 +41,7 @@ from server.jobs.plans.orienting import orient
 from server.jobs.plans.positioning import position
 from server.jobs.plans.returning import park, retract, return_to_start
 from server.jobs.plans.servoing import servo
+from server.jobs.plans.unmoved import moved_since_look
 from server.jobs.requests import Plan, Progress, Request
 from server.store.keeper import Keeper
 
@@ -149,6 +150,10 @@ class JobService:
             raise JobFailedError(
                 f"the last look is {age_s:.0f} s old (limit {limit_s:.0f} s); look again", "stale_look"
             )
+        latest = self.cell.link.latest
+        moved = moved_since_look(self.cell.machine, latest.q_rad, taken.reading.q_rad) if latest else ""
+        if moved:
+            raise JobFailedError(moved, "stale_look")
         return taken
 
     def _record(self, job: Job, event: JobEvent) -> None:

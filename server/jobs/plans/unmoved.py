@@ -1,6 +1,7 @@
 """Does a machine still stand where a look was taken and a plan was made from it?"""
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from machine.description import Machine
 from machine.rotations import Array
@@ -25,16 +26,16 @@ def require_unmoved(machine: Machine, reading: MachineReading, previewed: Previe
         raise PlanRefusedError(stale)
 
 
-def moved_since_look(machine: Machine, q_rad: Array, q_look: Array) -> str:
+def moved_since_look(machine: Machine, q_rad: ArrayLike, q_look: Array) -> str:
     """Why a look at q_look (n,) [rad] says nothing of a machine at q_rad (n,) [rad]; empty when it does.
 
     In HOLD the reference stays what it is however far a joint sinks, so the encoders are asked.
     """
-    moved = q_rad - q_look
+    moved = np.asarray(q_rad) - q_look
     worst = int(np.argmax(np.abs(moved)))
     if abs(moved[worst]) <= MOVED_RAD:
         return ""
     return (
         f"joint {machine.joints[worst].name} moved by {np.rad2deg(moved[worst]):+.3f} deg since the look "
-        f"(limit {np.rad2deg(MOVED_RAD):.3f} deg); look and preview again"
+        f"(limit {np.rad2deg(MOVED_RAD):.3f} deg); look again"
     )

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import time
+from types import SimpleNamespace
 
 import httpx
 import numpy as np
@@ -194,6 +195,15 @@ async def test_bytes_that_are_no_json_are_refused(client):
     answer = await client.post("/v1/jobs", content=b"\xff\xfe{", headers={"content-type": "application/json"})
     assert answer.status_code == 400
     assert answer.headers["content-type"] == "application/problem+json"
+
+
+@pytest.mark.parametrize("kind", ["orient", "calibrate", "preview"])
+async def test_no_motion_on_a_look_that_a_joint_has_left(client, service, kind):
+    service.cell.knowledge.last_look = looked()
+    service.cell.link.latest = SimpleNamespace(q_rad=np.deg2rad([0.0, 0.0, -0.2, 0.0, 0.0, 0.0]), simulation=True)
+    answer = await client.post("/v1/jobs", json={"kind": kind})
+    assert (answer.status_code, answer.json()["code"]) == (409, "stale_look")
+    assert "joint tilt moved by -0.200 deg since the look (limit 0.115 deg); look again" in answer.json()["detail"]
 
 
 @pytest.mark.parametrize("kind", ["orient", "calibrate", "preview"])

@@ -213,7 +213,7 @@ def test_a_joint_that_sank_after_the_look_is_named_and_nothing_moves():
     world.q = plan.q_look - np.deg2rad([0.0, 0.1, 0.0, 0.0, 0.0, 0.0])
     require_unmoved(ctx.machine, world.perform(ReadMachine()), plan)
     world.q = plan.q_look - np.deg2rad([0.0, 0.13, 0.0, 0.0, 0.0, 0.0])  # held: the reference is where it was
-    told = r"lift moved by -0\.130 deg since the look \(limit 0\.115 deg\); look and preview again"
+    told = r"lift moved by -0\.130 deg since the look \(limit 0\.115 deg\); look again"
     with pytest.raises(PlanRefusedError, match=told):
         run(execute(ctx, plan, 1), world)
     assert world.moved == 0
