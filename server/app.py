@@ -85,7 +85,8 @@ def build_app(settings: ServerSettings) -> FastAPI:
     folder = Path(settings.recording.folder)
     keeper = Keeper(Database(folder / DATABASE_NAME), result_data)
     keeper.database.open()
-    engine = JobEngine(Performer(cell))
+    performer = Performer(cell)
+    engine = JobEngine(performer)
     keeper.on_restored(engine.restore)
     keeper.restore()
     service = JobService(cell, engine, CalibrationStore(folder / FILE_NAME), keeper)
@@ -102,6 +103,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     @asynccontextmanager
     async def machine_side() -> AsyncIterator[None]:
         cell.link.on_sample(cell.recorder.sample)
+        cell.link.on_sample(performer.heard)
         cell.vision.on_report(cell.recorder.report)
         await cell.link.start()
         await cell.vision.start()

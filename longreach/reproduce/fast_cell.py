@@ -16,6 +16,8 @@ from machine.chain import chain_of
 from machine.kinematics import tcp_poses
 from machine.rotations import Array
 from server.calibration.contracts import CameraTrack, EncoderTrack
+from server.calibration.kinematic_errors import usual_play
+from server.calibration.play import PlayFollower
 from server.jobs.context import Method, PlanContext
 from server.jobs.knowledge import Knowledge
 from server.jobs.requests import (
@@ -62,6 +64,13 @@ class FastCell:
     _odometry_from_s: float = 0.0
     _watching_from_s: float = 0.0
     _watching: Source = "mono"
+    _play: PlayFollower = field(init=False)
+    _followed_to_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._play = PlayFollower(usual_play(len(self.world.nominal.joints)))
+        self._play.see(self.machine.t_s, self.machine.q_encoder)
+        self._followed_to_s = self.machine.t_s
 
     @property
     def clock_ns(self) -> int:
@@ -98,7 +107,16 @@ class FastCell:
         raise FastWorldError(f"no way to perform {type(request).__name__}")
 
     def _reading(self) -> MachineReading:
-        return MachineReading(self.machine.q_encoder, self.machine.q_ref, self.clock_ns, self.clock_ns)
+        t_ns = self.clock_ns
+        return MachineReading(self.machine.q_encoder, self.machine.q_ref, t_ns, t_ns, side=self._side())
+
+    def _side(self) -> Array:
+        """Where the joints rest in their play, as the encoders told it since the last time."""
+        trace = self.machine.trace(np.nextafter(self._followed_to_s, np.inf))
+        for t_s, q in zip(trace.t_s, trace.q_encoder, strict=True):
+            self._play.see(t_s, q)
+        self._followed_to_s = self.machine.t_s
+        return self._play.side
 
     def _move(self, request: Move) -> None:
         away = float(np.abs(request.trajectory.q[0] - self.machine.q_ref).max())

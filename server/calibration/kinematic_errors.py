@@ -52,6 +52,11 @@ class ErrorPrior:
     sigma_play_rad: tuple[float, ...] = (4.5e-4, 0.0, 0.0, 1.3e-3, 1.3e-3, 1.3e-3)
 
 
+def usual_play(n_joints: int) -> Array:
+    """About how wide the play of each joint of this class is (n,) [rad]."""
+    return np.concatenate([ErrorPrior().mean_play_rad, np.zeros(n_joints)])[:n_joints]
+
+
 _STEPS = {
     ErrorKind.LENGTH_A: 1e-4,
     ErrorKind.LENGTH_D: 1e-4,

@@ -1,24 +1,67 @@
-"""On which side of its play a joint rests: it lags behind the way it last came, once it came far enough."""
+"""On which side of its play a joint rests: it lags behind the way it last came, once it came far enough.
+
+A side that is not known is told as the middle of where it may be: 0 is "anywhere", and the share 1 - |side| of half the
+play's width, evenly, is what is left open. So a way of the whole width, and no shorter one, makes a side known.
+"""
 
 import numpy as np
 
 from server.calibration.contracts import Array
 
+UNKNOWN = 0.0
+
 
 def play_sides(qs: Array, widths_rad: Array, start: Array) -> Array:
     """Side of every joint along a path.
 
-    Model:   play operator: the side grows by 2 dq / width and stays within -1 to 1; +1 after a way up, when what the
-             encoder turns is half a width behind. Joints without play stay at 0.
+    Model:   two play operators, begun at both ends of where the joint may be: a side grows by 2 dq / width and stays
+             within -1 to 1; +1 after a way up, when what the encoder turns is half a width behind. Told is their mean.
+             Joints without play stay at 0.
     Args:    qs: encoders (m, n) [rad] in order. widths_rad: about how wide each joint's play is (n,). start: sides
              before the first sample (n,), 0 where nothing is known.
     Returns: (m, n), -1 to 1.
     """
     sides = np.empty_like(qs)
-    side = np.where(widths_rad > 0.0, start, 0.0)
-    gain = np.divide(2.0, widths_rad, out=np.zeros_like(widths_rad), where=widths_rad > 0.0)
+    bounds = _bounds(start, widths_rad)
     before = qs[0] if len(qs) else start
     for i, q in enumerate(qs):
-        side = np.clip(side + gain * (q - before), -1.0, 1.0)
-        sides[i], before = side, q
+        bounds = _pushed(bounds, q - before, widths_rad)
+        sides[i], before = bounds.mean(axis=0), q
     return sides
+
+
+class PlayFollower:
+    """The sides as the encoders tell them, sample by sample, whoever moves the machine and however a motion ends.
+
+    Args: widths_rad: about how wide each joint's play is (n,). gap_max_s: after a longer silence, or when the times
+          run backwards, nothing is known any more: what the machine did meanwhile nobody saw.
+    """
+
+    def __init__(self, widths_rad: Array, gap_max_s: float = 0.25) -> None:
+        self._widths, self._gap_max_s = np.array(widths_rad, dtype=np.float64), gap_max_s
+        self._bounds = _bounds(np.full(len(self._widths), UNKNOWN), self._widths)
+        self._t_s, self._q = float("nan"), np.zeros(len(self._widths))
+
+    @property
+    def side(self) -> Array:
+        """Where each joint rests in its play (n,), -1 to 1, 0 where that is not known."""
+        return np.asarray(self._bounds.mean(axis=0), dtype=np.float64)
+
+    def see(self, t_s: float, q: Array) -> None:
+        """Take in the encoders (n,) [rad] at a time of their own clock [s]."""
+        if not 0.0 <= t_s - self._t_s <= self._gap_max_s:
+            self._bounds = _bounds(np.full(len(self._widths), UNKNOWN), self._widths)
+        else:
+            self._bounds = _pushed(self._bounds, q - self._q, self._widths)
+        self._t_s, self._q = t_s, np.array(q, dtype=np.float64)
+
+
+def _bounds(side: Array, widths_rad: Array) -> Array:
+    """Least and greatest side (2, n) that a told side leaves open."""
+    told, left = np.where(widths_rad > 0.0, side, 0.0), np.where(widths_rad > 0.0, 1.0 - np.abs(side), 0.0)
+    return np.array([told - left, told + left])
+
+
+def _pushed(bounds: Array, dq: Array, widths_rad: Array) -> Array:
+    gain = np.divide(2.0, widths_rad, out=np.zeros_like(widths_rad), where=widths_rad > 0.0)
+    return np.asarray(np.clip(bounds + gain * dq, -1.0, 1.0), dtype=np.float64)

@@ -57,7 +57,7 @@ class Knowledge:
     runs: list[OdometryRun] = field(default_factory=list)
     looks: list[LookAt] = field(default_factory=list)
     joint: JointEstimate | None = None
-    side: Array | None = None  # where each joint rests in its play (n,), -1 to 1
+    side: Array | None = None  # where each joint rested in its play (n,), -1 to 1, when the encoders last told it
     life: LocalCalibration | None = None  # the calibration as a thing that is kept, shown and expires
     calibration_note: str = ""  # why a kept calibration was not taken up, or is not kept
     unix_minus_mono_s: float = 0.0  # 0 in virtual time

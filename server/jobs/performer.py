@@ -9,6 +9,8 @@ import numpy as np
 
 from machine.kinematics import tcp_poses
 from server.calibration.contracts import Array, EncoderTrack
+from server.calibration.kinematic_errors import usual_play
+from server.calibration.play import PlayFollower
 from server.camera.contracts import FrameReport
 from server.cell import Cell
 from server.errors import JobFailedError
@@ -53,6 +55,7 @@ class Performer:
         self._steering = Steering(cell)
         self._watching_from_ns = 0
         self._watched: deque[tuple[float, PairObservation]] | None = None
+        self._play = PlayFollower(usual_play(cell.chain.n))
         cell.vision.on_report(self._watch)
         self.may_be_moving = False
 
@@ -88,6 +91,10 @@ class Performer:
     def record(self, request: Record) -> None:
         """Hand a finding to the recorder."""
         self._cell.recorder.record(request.item, request.text)
+
+    def heard(self, sample: PlcSample) -> None:
+        """Every PLC sample, also between jobs: where the joints rest in their play is told by all that ever moved."""
+        self._play.see(sample.t_plc_ns * 1e-9, np.array(sample.q_rad))
 
     async def hold_until(self, t_mono_ns: int | None) -> None:
         """Let motion go on until then only; None: it need not be held."""
@@ -128,6 +135,7 @@ class Performer:
             t_plc_ns=samples[-1].t_plc_ns,
             t_mono_ns=samples[-1].t_mono_ns,
             oil_temperature_c=oil_told_c(samples[-1]),
+            side=self._play.side,
         )
 
     async def _arm(self) -> None:

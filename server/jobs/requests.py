@@ -29,6 +29,9 @@ class MachineReading:
     t_plc_ns: int
     t_mono_ns: int
     oil_temperature_c: float | None = None  # None where the machine does not tell
+    side: Array | None = (
+        None  # where each joint rests in its play (n,), -1 to 1; None where nobody follows the encoders
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.diagnosed import believed_mount, believed_track
-from server.jobs.plans.learning import remember_motion, remember_run, side_now
+from server.jobs.plans.learning import remember_run, remember_side, side_now
 from server.jobs.plans.living import born
 from server.jobs.plans.planning import onto_reference, plan_settings
 from server.jobs.records import CalibrationRecord
@@ -36,14 +36,14 @@ from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
 def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, CalibrationRecord]:
     """Drive the path with odometry on, match, and keep the result as the mount's rotation here."""
     reading = expect((yield Settle()), MachineReading)
+    remember_side(ctx, reading)
+    before = side_now(ctx)
     plan, trajectory = possible_path(ctx, reading)
     text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s while the camera measures its own way"
     yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
     yield Arm()
     yield StartOdometry()
-    before = side_now(ctx)
     yield Move(trajectory, "calibration path")
-    remember_motion(ctx, trajectory)
     rested = expect((yield Settle()), MachineReading)
     tracks = expect((yield StopOdometry()), tuple)
     camera, encoder = tracks

@@ -11,7 +11,6 @@ import numpy as np
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.plans.integrating import integrate
-from server.jobs.plans.learning import remember_motion
 from server.jobs.plans.planning import trim_settings
 from server.jobs.requests import Arm, MachineReading, Move, Progress, Request, Settle, expect
 from server.motion.approach import play_of
@@ -48,7 +47,6 @@ def drive(
         text = f"{purpose}: coming again, encoders lack up to {worst:.2f} deg"
         yield Progress("trim", count, trims_max, "trims", text)
         yield Move(again.trajectory, f"{purpose}: trim {count}")
-        remember_motion(ctx, again.trajectory)
         direction = last_direction(again.trajectory)
 
 
@@ -60,5 +58,4 @@ def play(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Request, o
     text = f"{purpose}: {plan.length_m * 1e3:.0f} mm in {plan.duration_s:.1f} s"
     yield Progress("move", 0.0, plan.duration_s, "s", text)
     yield Move(plan.trajectory, purpose)
-    remember_motion(ctx, plan.trajectory)
     return plan.trajectory

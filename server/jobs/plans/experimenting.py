@@ -12,7 +12,6 @@ from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.experiment_records import ExperimentDriven, ExperimentPlan
 from server.jobs.plans.experiment_planning import PlannedExperiment, Step, planned_experiment, told_plan
-from server.jobs.plans.learning import remember_motion
 from server.jobs.proposals import LooksProposal, MotionProposal, require_same_machine
 from server.jobs.requests import (
     Arm,
@@ -139,7 +138,6 @@ def _driven(ctx: PlanContext, planned: PlannedExperiment, step: Step) -> Generat
     if step.then == "segment":
         yield BeginSegment(planned.what, planned.segment)
     yield Move(step.trajectory, step.purpose)
-    remember_motion(ctx, step.trajectory)
     if step.then == "segment":
         yield EndSegment()
     expect((yield Settle()), MachineReading)

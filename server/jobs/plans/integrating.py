@@ -11,7 +11,6 @@ import numpy as np
 
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
-from server.jobs.plans.learning import remember_motion
 from server.jobs.plans.planning import trim_settings
 from server.jobs.requests import MachineReading, Move, Progress, Request, Settle, expect
 from server.motion.contracts import PathPlan
@@ -40,5 +39,4 @@ def integrate(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Reque
         text = f"{purpose}: integrating, encoders lack up to {np.rad2deg(np.abs(lacking).max()):.2f} deg"
         yield Progress("integrate", count + 1, STEPS_MAX, "steps", text)
         yield Move(step.trajectory, f"{purpose}: integration step {count + 1}")
-        remember_motion(ctx, step.trajectory)
     return STEPS_MAX

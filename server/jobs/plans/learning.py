@@ -5,11 +5,11 @@ import numpy as np
 from server.calibration.contracts import Array, CalibrationStatus, CameraTrack, EncoderTrack
 from server.calibration.joint_estimate import JointEstimate, estimate_jointly
 from server.calibration.joint_observations import JointTrack, LookAt, OdometryRun
-from server.calibration.kinematic_errors import ErrorPrior
+from server.calibration.kinematic_errors import usual_play
 from server.calibration.play import play_sides
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.motion.contracts import JointTrajectory
+from server.jobs.requests import MachineReading
 
 LOOKS_MAX = 12
 RUNS_MAX = 3
@@ -17,20 +17,22 @@ RUNS_MAX = 3
 
 def play_width(ctx: PlanContext) -> Array:
     """About how wide the play of each joint is (n,) [rad]."""
-    widths = ErrorPrior().mean_play_rad
-    n = ctx.chain.n
-    return np.concatenate([widths, np.zeros(n)])[:n]
+    return usual_play(ctx.chain.n)
 
 
 def side_now(ctx: PlanContext) -> Array:
-    """Where each joint rests in its play (n,), 0 where that is not known yet."""
+    """Where each joint rested in its play when that was last told (n,), 0 where it was not known."""
     side = ctx.knowledge.side
     return np.zeros(ctx.chain.n) if side is None else side
 
 
-def remember_motion(ctx: PlanContext, trajectory: JointTrajectory) -> None:
-    """Every motion leaves the joints on a side of their play."""
-    ctx.knowledge.side = play_sides(trajectory.q, play_width(ctx), side_now(ctx))[-1]
+def remember_side(ctx: PlanContext, reading: MachineReading) -> None:
+    """Where the joints rest in their play, as the encoders tell it at rest; unknown where nobody follows them.
+
+    Never from what was asked for: a motion may be stopped on its way, the local lever moves the machine too, and a
+    reference turns back by the stall of its valve, several times a play's width, where the joint behind it does not.
+    """
+    ctx.knowledge.side = reading.side
 
 
 def remember_look(ctx: PlanContext, taken: LookTaken) -> None:
@@ -46,15 +48,10 @@ def remember_look(ctx: PlanContext, taken: LookTaken) -> None:
 
 
 def remember_run(ctx: PlanContext, camera: CameraTrack, encoder: EncoderTrack, before: Array) -> None:
-    """A calibration path becomes an observation; `before`: the sides of the joints when it began.
-
-    Where the joints rest in their play afterwards is told by the encoders: the reference turns back by the stall of a
-    valve, several times a play's width, where the joint behind it does not.
-    """
+    """A calibration path becomes an observation; `before`: the sides of the joints when it began."""
     if encoder.qs is None or len(encoder.qs) == 0:
         return
     sides = play_sides(encoder.qs, play_width(ctx), before)
-    ctx.knowledge.side = sides[-1]
     ctx.knowledge.runs.append(OdometryRun(camera, JointTrack(encoder.t_s, encoder.qs, sides)))
     del ctx.knowledge.runs[:-RUNS_MAX]
     ctx.knowledge.joint = None

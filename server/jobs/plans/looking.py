@@ -8,7 +8,7 @@ from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.learning import remember_look
+from server.jobs.plans.learning import remember_look, remember_side
 from server.jobs.plans.living import watch_slip
 from server.jobs.records import ErrorMm, LookRecord
 from server.jobs.requests import MachineReading, Progress, Request, Settle, TakeLook, expect
@@ -22,6 +22,7 @@ def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, obje
     A previewed plan ends here: what was measured since may speak against it.
     """
     reading = expect((yield Settle()), MachineReading)
+    remember_side(ctx, reading)
     yield Progress("look", 0.0, 1.0, "", "looking: tool and object of interest in both eyes")
     paper = ctx.method == "paper"
     pairs = 1 if paper else ctx.settings.look.pairs * pairs_share

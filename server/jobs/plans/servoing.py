@@ -14,7 +14,6 @@ from machine.rotations import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
-from server.jobs.plans.learning import remember_motion
 from server.jobs.plans.living import require_valid, validity
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.pair_gate import PairGate
@@ -140,7 +139,6 @@ def _driven(ctx: PlanContext, steered: Steered, purpose: str) -> Generator[Reque
     yield StartMove(steered.current, purpose)
     yield from _follow(ctx, steered)
     yield EndMove()
-    remember_motion(ctx, steered.current)
 
 
 def _follow(ctx: PlanContext, steered: Steered) -> Generator[Request, object, None]:
