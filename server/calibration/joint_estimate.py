@@ -28,17 +28,16 @@ from server.calibration.joint_observations import (
     thinned,
 )
 from server.calibration.joint_state import JointState, state_steps
+from server.calibration.joint_verdict import Fitted, verdict, widened
 from server.calibration.kinematic_errors import ErrorModel, ErrorPrior, error_model
 
 ROUNDS_MAX = 8
 STEP_DONE = 1e-3  # of a standard deviation
-HUBER_SIGMA = 2.5
-OUTLIERS_MAX_FRAC = 0.4
+OUTLIER_SIGMA = 2.5
 SCATTER_ROUNDS_MAX, SCATTER_SAME = 3, 0.15
 TAKEN_BY_FIT = 20  # of a run's freedoms, about
 PATH_MIN_M = 0.15
 UNKNOWN_OOI = np.array([np.pi] * 3 + [10.0] * 3)
-MISFIT_MAX = 4.0  # mean square of the whitened residuals, above which observations and model contradict each other
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +65,7 @@ class JointEstimate:
     covariance: Array | None
     residual_rms_mm: float  # of the odometry's positions
     residual_max_mm: float
-    misfit: float  # mean square of the whitened residuals, about 1
+    misfit: float  # worst mean square of whitened residuals, of looks and of any run; above 1 it widens the covariance
     n_samples: int
     n_looks: int
     path_length_m: float
@@ -87,6 +86,11 @@ class _Problem:
     bending: Array
     weights: list[Array]
 
+    @property
+    def mount(self) -> slice:
+        """Of the camera's rotation among the unknowns."""
+        return slice(self.model.n, self.model.n + 3)
+
 
 def estimate_jointly(
     machine: Machine,
@@ -98,8 +102,9 @@ def estimate_jointly(
     """Fit everything to everything seen so far.
 
     Model:   min over x of |x - x_prior|^2 / P0 + sum over runs of r^T C^-1 r (positions with their correlated errors;
-             rotations; samples reweighted by Huber) + sum over looks of r^T C_look^-1 r; Gauss-Newton with numerical
-             derivatives. Covariance: inverse of the normal matrix.
+             rotations; outliers outweighed) + sum over looks of r^T C_look^-1 r; Gauss-Newton with numerical
+             derivatives. Covariance: inverse of the normal matrix, times the misfit where that is above 1. Each look
+             and each run is judged by itself (`joint_verdict.py`).
     Args:    runs: at least one, or none for an estimate from looks alone. looks: at least one; the last one is where
              the machine stands.
     Returns: JointEstimate; a status with a reason where the data do not carry one.
@@ -118,7 +123,7 @@ def estimate_jointly(
     problem = _Problem(
         model=model,
         noise=accuracy,
-        believed=start,
+        believed=_believed(machine, start),
         sigma=_sigma(model, believed),
         runs=[
             (run, samples, _inverse(run_covariance(samples, accuracy, Scatter(accuracy.sigma_position_m))))
@@ -136,7 +141,7 @@ def estimate_jointly(
         bending=odometry_sensitivity(machine.camera, looks[-1].T_cam_ooi),
         weights=[np.ones(len(samples.t_s) - 1) for _, samples in usable],
     )
-    state, information = _settled(problem)
+    state, information = _settled(problem, start)
     if state is None:
         return _refused(model, CalibrationStatus.DEGENERATE, "the normal matrix is singular", length)
     layout = layout_covariance(machine, looks[-1].T_cam_ooi, believed.lens)
@@ -168,6 +173,11 @@ def _start(machine: Machine, model: ErrorModel, look: LookAt) -> JointState:
     return JointState(model.mean.copy(), T_tcp_cam, machine.T_tcp_tool.copy(), T_base_ooi, 1.0, 0.0)
 
 
+def _believed(machine: Machine, start: JointState) -> JointState:
+    """The mean of the prior: the machine file's mount, not the look's, which is an observation and counts once."""
+    return replace(start, T_tcp_cam=machine.T_tcp_cam_left.copy())
+
+
 def _inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
@@ -184,9 +194,9 @@ def _residuals(problem: _Problem, state: JointState) -> tuple[list[tuple[Array, 
     return runs, [look_residual(problem.model, state, look, S) for look, _, S in problem.looks]
 
 
-def _settled(problem: _Problem) -> tuple[JointState | None, Array]:
+def _settled(problem: _Problem, start: JointState) -> tuple[JointState | None, Array]:
     """The fit with each run's scatter as the run itself shows it."""
-    state, information = _minimise(problem, problem.believed)
+    state, information = _minimise(problem, start)
     for _ in range(SCATTER_ROUNDS_MAX):
         if state is None or not _scatter_renewed(problem, state):
             break
@@ -223,17 +233,17 @@ def _scatter_renewed(problem: _Problem, state: JointState) -> bool:
 
 
 def _minimise(problem: _Problem, start: JointState) -> tuple[JointState | None, Array]:
-    state, gone = start, start.less(problem.believed)
+    state = start
     information = np.eye(len(problem.sigma))
     for _ in range(ROUNDS_MAX):
-        information, gradient = _normal_equations(problem, state, gone)
+        information, gradient = _normal_equations(problem, state, state.less(problem.believed))
         try:
             step: Array = np.asarray(-np.linalg.solve(information, gradient), dtype=np.float64)
         except np.linalg.LinAlgError:
             return None, information
         if not np.isfinite(step).all():
             return None, information
-        state, gone = state.moved(step), gone + step
+        state = state.moved(step)
         if float(np.max(np.abs(step) / problem.sigma)) < STEP_DONE:
             break
     return state, information
@@ -249,7 +259,7 @@ def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tupl
         position, turn = runs[i]
         Jp = np.stack([(other[0][i][0] - position) / h for other, h in zip(shifted, steps, strict=True)], axis=-1)
         Jt = np.stack([(other[0][i][1] - turn) / h for other, h in zip(shifted, steps, strict=True)], axis=-1)
-        problem.weights[i] = _huber(position, turn, problem.noise)
+        problem.weights[i] = _outweighing(position, turn, problem.noise)
         root = np.sqrt(problem.weights[i])
         Wr = root[:, None] * W * root[None, :]
         information += np.einsum("iap,ij,jaq->pq", Jp, Wr, Jp, optimize=True)
@@ -264,13 +274,18 @@ def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tupl
     return information, gradient
 
 
-def _huber(position: Array, turn: Array, noise: NoiseModel) -> Array:
-    """Weight of each sample: 1 unless it lies off its neighbours by more than noise can put it."""
+def _outweighing(position: Array, turn: Array, noise: NoiseModel) -> Array:
+    """Weight of each sample: 1 unless it lies off its neighbours by more than noise can put it.
+
+    Model:   r^2 up to k, k^2 (1 + 2 log(r / k)) beyond, so the weight is (k / r)^2: a jump of centimetres, as odometry
+             makes where something moves in the picture, would keep too much with Huber's k / r. The scale of r is the
+             first guess of the scatter, not the run's own, which the jumps themselves would raise until they pass.
+    """
     smooth = np.median(position, axis=0) if len(position) < 5 else _running_median(position)
     off = np.linalg.norm(position - smooth, axis=1) / (np.sqrt(3.0) * 1.5 * noise.sigma_position_m)
     turned = np.linalg.norm(turn, axis=1) / (np.sqrt(3.0) * 3.0 * noise.sigma_turn_rad)
     worst = np.maximum(off, turned)
-    return np.where(worst > HUBER_SIGMA, (HUBER_SIGMA / np.maximum(worst, 1e-12)) ** 2, 1.0)
+    return np.where(worst > OUTLIER_SIGMA, (OUTLIER_SIGMA / np.maximum(worst, 1e-12)) ** 2, 1.0)
 
 
 def _running_median(values: Array) -> Array:
@@ -280,22 +295,21 @@ def _running_median(values: Array) -> Array:
 
 def _judged(problem: _Problem, state: JointState, information: Array, length_m: float) -> JointEstimate:
     covariance = _inverse(information)
-    runs, looks = _residuals(problem, state)
-    misfit = _misfit(problem, runs, looks)
+    fitted = _fitted(problem, state)
+    runs, _ = _residuals(problem, state)
     distances = np.concatenate([np.linalg.norm(position, axis=1) for position, _ in runs]) if runs else np.zeros(1)
-    mount = slice(problem.model.n, problem.model.n + 3)
-    left = np.trace(covariance[mount, mount]) / float(np.sum(problem.sigma[mount] ** 2))
-    status, reason = _verdict(problem, misfit)
+    left = np.trace(covariance[problem.mount, problem.mount]) / float(np.sum(problem.sigma[problem.mount] ** 2))
+    status, reason = verdict(fitted)
     good = status is CalibrationStatus.OK
     return JointEstimate(
         status=status,
         reason=reason,
         model=problem.model,
         state=state if good else None,
-        covariance=0.5 * (covariance + covariance.T) if good else None,
+        covariance=widened(covariance, fitted.misfit) if good else None,
         residual_rms_mm=1e3 * float(np.sqrt(np.mean(distances**2))),
         residual_max_mm=1e3 * float(distances.max()),
-        misfit=misfit,
+        misfit=fitted.misfit,
         n_samples=int(sum(len(samples.t_s) for _, samples, _ in problem.runs)),
         n_looks=len(problem.looks),
         path_length_m=length_m,
@@ -304,31 +318,22 @@ def _judged(problem: _Problem, state: JointState, information: Array, length_m: 
     )
 
 
-def _misfit(problem: _Problem, runs: list[tuple[Array, Array]], looks: list[Array]) -> float:
-    squares, count = 0.0, 0
-    for (position, _), (_, _, W), weights in zip(runs, problem.runs, problem.weights, strict=True):
+def _fitted(problem: _Problem, state: JointState) -> Fitted:
+    runs, looks = _residuals(problem, state)
+    positions, turns = [], []
+    for (position, turn), (_, _, W), weights in zip(runs, problem.runs, problem.weights, strict=True):
         weighted = np.sqrt(weights)[:, None] * position
-        squares += float(np.einsum("ia,ij,ja->", weighted, W, weighted))
-        count += position.size
-    for residual, (_, W, _) in zip(looks, problem.looks, strict=True):
-        squares += float(residual @ W @ residual)
-        count += residual.size
-    return squares / max(count, 1)
-
-
-def _verdict(problem: _Problem, misfit: float) -> tuple[CalibrationStatus, str]:
-    outliers = float(np.mean(np.concatenate(problem.weights) < 0.5)) if problem.weights else 0.0
-    if not misfit <= MISFIT_MAX:
-        return CalibrationStatus.POOR_FIT, (
-            f"what was seen and the machine file contradict each other: misfit {misfit:.1f} (limit {MISFIT_MAX:g}); "
-            "check machine file, camera file and clocks"
-        )
-    if outliers > OUTLIERS_MAX_FRAC:
-        return CalibrationStatus.POOR_FIT, (
-            f"{100 * outliers:.0f} % of the odometry's samples are outliers (limit {100 * OUTLIERS_MAX_FRAC:.0f} %); "
-            "mask what moves in the picture, or drive more slowly"
-        )
-    return CalibrationStatus.OK, ""
+        positions.append(float(np.einsum("ia,ij,ja->", weighted, W, weighted)) / position.size)
+        turns.append(float(np.sum(weights[:, None] * turn**2)) / (turn.size * problem.noise.sigma_turn_rad**2))
+    mount = state.less(problem.believed)[problem.mount]
+    return Fitted(
+        look_chi2=[float(residual @ W @ residual) for residual, (_, W, _) in zip(looks, problem.looks, strict=True)],
+        run_position=positions,
+        run_turn=turns,
+        weights=problem.weights,
+        mount_chi2=float(np.sum((mount / problem.sigma[problem.mount]) ** 2)),
+        mount_rad=float(np.linalg.norm(mount)),
+    )
 
 
 def _refused(model: ErrorModel, status: CalibrationStatus, reason: str, length_m: float) -> JointEstimate:

@@ -61,16 +61,17 @@ def joint_estimate(ctx: PlanContext) -> JointEstimate | None:
     """The estimate from all that is remembered, or None before a calibration.
 
     Where it contradicts itself, the OOI was moved or something slipped since the older looks: they go, and it is tried
-    once more with the last look alone.
+    once more with the last look alone, then with the last path alone.
     """
     known = ctx.knowledge
     if not known.runs or not known.looks:
         return None
     if known.joint is None:
         known.joint = _estimated(ctx)
-        if known.joint.status is CalibrationStatus.POOR_FIT and len(known.looks) > 1:
-            del known.looks[:-1]
-            known.joint = _estimated(ctx)
+        for older in (known.looks, known.runs):
+            if known.joint.status is CalibrationStatus.POOR_FIT and len(older) > 1:
+                del older[:-1]
+                known.joint = _estimated(ctx)
     return known.joint
 
 

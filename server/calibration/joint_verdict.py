@@ -1,0 +1,96 @@
+"""Whether the joint estimate may be believed: every look and every run by itself, not their mean.
+
+A pool hides a contradiction: two looks at an object that was moved between them are 24 numbers beside 200 of a path
+that fits, and a path's scatter is what its own residuals say. So each is judged alone, and what is left over widens
+the covariance.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from server.calibration.contracts import Array, CalibrationStatus
+
+SURE = 0.999  # a sound look in a thousand is refused by chance
+LOOK_FREEDOMS, OOI_FREEDOMS = 12, 6  # of the looks together, as many go into where the OOI is
+RUN_MISFIT_MAX = 2.0  # scatter is renewed until right within a third, so twice is neither that nor chance
+MOUNT_SURE = 0.9999  # with a prior of 3 deg per axis: 14 deg from the machine file
+OUTLIERS_MAX_FRAC = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Fitted:
+    """What is left of each observation after the fit, whitened.
+
+    look_chi2: of each look's 12 numbers. run_position, run_turn: mean square of each run's whitened positions, turns.
+    weights: of each run's samples. mount_chi2 (3 freedoms), mount_rad: camera's rotation against its prior.
+    """
+
+    look_chi2: Sequence[float]
+    run_position: Sequence[float]
+    run_turn: Sequence[float]
+    weights: Sequence[Array]
+    mount_chi2: float
+    mount_rad: float
+
+    @property
+    def misfit(self) -> float:
+        """The worst of all mean squares, about 1 or less where everything agrees."""
+        freedoms = max(1, LOOK_FREEDOMS * len(self.look_chi2) - OOI_FREEDOMS)
+        return float(max(sum(self.look_chi2) / freedoms, *self.run_position, *self.run_turn, 0.0))
+
+
+def verdict(fitted: Fitted) -> tuple[CalibrationStatus, str]:
+    """OK, or POOR_FIT with what contradicts what."""
+    reason = _looks(fitted.look_chi2) or _runs(fitted) or _mount(fitted)
+    return (CalibrationStatus.POOR_FIT, reason) if reason else (CalibrationStatus.OK, "")
+
+
+def widened(covariance: Array, misfit: float) -> Array:
+    """The covariance times the misfit where that is above 1: what was not explained may be anywhere."""
+    return 0.5 * max(1.0, misfit) * (covariance + covariance.T)
+
+
+def _looks(look_chi2: Sequence[float]) -> str:
+    together = _bound(LOOK_FREEDOMS * len(look_chi2) - OOI_FREEDOMS)
+    cases = [(f"look {i + 1} of {len(look_chi2)}", one, _bound(LOOK_FREEDOMS)) for i, one in enumerate(look_chi2)]
+    for what, value, limit in [*cases, ("all looks together", float(sum(look_chi2)), together)]:
+        if not value <= limit:
+            return (
+                f"what was seen contradicts itself: {what} by chi2 {value:.0f} (limit {limit:.0f}); "
+                "the object of interest was moved, something slipped, or machine or camera file is of another machine"
+            )
+    return ""
+
+
+def _runs(fitted: Fitted) -> str:
+    for what, values in (("positions", fitted.run_position), ("turns", fitted.run_turn)):
+        for i, value in enumerate(values):
+            if not value <= RUN_MISFIT_MAX:
+                return (
+                    f"calibration path {i + 1} of {len(values)} and the machine file contradict each other: misfit of "
+                    f"its {what} {value:.1f} (limit {RUN_MISFIT_MAX:g}); check machine file, camera file and clocks"
+                )
+    outliers = float(np.mean(np.concatenate(fitted.weights) < 0.5)) if fitted.weights else 0.0
+    if outliers > OUTLIERS_MAX_FRAC:
+        return (
+            f"{100 * outliers:.0f} % of the odometry's samples are outliers (limit {100 * OUTLIERS_MAX_FRAC:.0f} %); "
+            "mask what moves in the picture, or drive more slowly"
+        )
+    return ""
+
+
+def _mount(fitted: Fitted) -> str:
+    limit = float(chi2.ppf(MOUNT_SURE, 3))
+    if fitted.mount_chi2 <= limit:
+        return ""
+    return (
+        f"the camera stands {np.rad2deg(fitted.mount_rad):.0f} deg from the machine file (chi2 {fitted.mount_chi2:.0f} "
+        f"against what a mount may be off, limit {limit:.0f}); correct the mount in the machine file"
+    )
+
+
+def _bound(freedoms: int) -> float:
+    return float(chi2.ppf(SURE, freedoms))

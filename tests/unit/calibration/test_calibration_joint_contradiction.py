@@ -1,0 +1,104 @@
+"""What contradicts itself is never told as known: an object that was moved, two mounts, a mount far from its file."""
+
+import re
+
+import numpy as np
+import pytest
+from joint_scenes import GOAL, Q_START, drawn_machine, machine, odometry_run, path_joints, scene
+
+from machine.chain import chain_of
+from machine.rotations import geodesic_angle, rotation_from_rotvec
+from server.calibration.contracts import CalibrationStatus
+from server.calibration.joint_estimate import estimate_jointly
+from server.calibration.joint_goal import joints_for_goal
+from server.calibration.joint_verdict import Fitted, verdict, widened
+
+
+def seen(seed: int):
+    rng = np.random.default_rng(seed)
+    play_rad = rng.uniform([5e-4, 0, 0, 9e-4, 9e-4, 9e-4], [2e-3, 0, 0, 5e-3, 5e-3, 5e-3])
+    here = scene(rng, play_rad=play_rad)
+    return here, odometry_run(here.true, path_joints(), rng, play_rad=play_rad)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("shift_mm", [5.0, 10.0, 20.0])
+def test_an_object_that_was_moved_between_two_looks_is_no_estimate(seed, shift_mm):
+    here, run = seen(seed)
+    first = here.look(Q_START)
+    way = here.rng.normal(size=3)
+    here.T_base_ooi = here.T_base_ooi.copy()
+    here.T_base_ooi[:3, 3] += 1e-3 * shift_mm * way / np.linalg.norm(way)
+    both = estimate_jointly(machine(), [run], [first, here.look(Q_START)])
+    assert both.status is CalibrationStatus.POOR_FIT
+    assert both.state is None
+    assert "contradicts itself" in both.reason
+    alone = estimate_jointly(machine(), [run], [here.look(Q_START)])
+    assert alone.status is CalibrationStatus.OK, alone.reason
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_looks_at_one_place_agree(seed):
+    here, run = seen(seed)
+    looks = [here.look(Q_START) for _ in range(4)]
+    assert estimate_jointly(machine(), [run], looks).status is CalibrationStatus.OK
+
+
+def test_what_is_left_over_widens_the_covariance():
+    covariance = np.diag([1.0, 4.0])
+    assert np.allclose(widened(covariance, 0.6), covariance)
+    assert np.allclose(widened(covariance, 1.7), 1.7 * covariance)
+    fitted = Fitted([10.0], [1.6], [0.2], [np.ones(60)], 1.0, 0.01)
+    assert fitted.misfit == pytest.approx(10.0 / 6.0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "word"),
+    [
+        ({"look_chi2": [4.0, 40.0, 3.0]}, "look 2 of 3"),
+        ({"look_chi2": [30.0, 30.0]}, "all looks together"),
+        ({"run_position": [0.9, 2.5]}, "path 2 of 2.*positions"),
+        ({"run_turn": [3.0, 0.1]}, "path 1 of 2.*turns"),
+        ({"run_turn": [float("nan")]}, "turns nan"),
+        ({"weights": [np.full(60, 0.1)]}, "outliers"),
+        ({"mount_chi2": 70.0, "mount_rad": np.deg2rad(25.0)}, "25 deg from the machine file"),
+    ],
+)
+def test_one_bad_observation_is_not_hidden_by_many_good_ones(changed, word):
+    good = {
+        "look_chi2": [3.0] * 3,
+        "run_position": [0.9, 1.0],
+        "run_turn": [0.1, 0.1],
+        "weights": [np.ones(60)] * 2,
+        "mount_chi2": 2.0,
+        "mount_rad": 0.03,
+    }
+    assert verdict(Fitted(**good))[0] is CalibrationStatus.OK
+    status, reason = verdict(Fitted(**{**good, **changed}))
+    assert status is CalibrationStatus.POOR_FIT
+    assert re.search(word, reason), reason
+
+
+def with_mount_off(deg: float, seed: int):
+    rng = np.random.default_rng(seed)
+    true = drawn_machine(rng)
+    axis = rng.normal(size=3)
+    turn = rotation_from_rotvec(np.deg2rad(deg) * axis / np.linalg.norm(axis))
+    true.T_tcp_cam[:3, :3] = machine().T_tcp_cam_left[:3, :3] @ turn
+    here = scene(rng, true=true)
+    return here, estimate_jointly(machine(), [odometry_run(true, path_joints(), rng)], [here.look(Q_START)])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_mount_five_degrees_off_its_file_works(seed):
+    here, found = with_mount_off(5.0, seed)
+    assert found.state is not None, found.reason
+    assert geodesic_angle(found.state.T_tcp_cam[:3, :3], here.true.T_tcp_cam[:3, :3]) < np.deg2rad(1.0)
+    goal = joints_for_goal(chain_of(machine()), found, Q_START, GOAL)
+    assert np.linalg.norm(here.tool(goal.q)[:3, 3] - GOAL[:3, 3]) < 0.005
+
+
+def test_a_mount_far_from_its_file_is_judged_against_the_prior():
+    _, found = with_mount_off(25.0, 1)
+    assert found.status is CalibrationStatus.POOR_FIT
+    assert "deg from the machine file" in found.reason
