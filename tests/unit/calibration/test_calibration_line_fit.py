@@ -119,6 +119,25 @@ def test_a_clock_offset_is_found_on_the_move():
         assert goal_miss(found.fit, case.p_goal) < 0.002
 
 
+@pytest.mark.parametrize("offset_s", [-0.25, -0.24, 0.22, 0.24, 0.25])
+def test_all_of_the_stated_range_of_offsets_is_found(offset_s):
+    case, encoder, t_look, vectors = moving_case(1, offset_s)
+    found = fit_line_moving(case.T_init, encoder, t_look, vectors, R_TCP_CAM)
+    assert found.observable
+    assert found.time_offset_s == pytest.approx(offset_s, abs=0.01)
+    assert goal_miss(found.fit, case.p_goal) < 0.002
+
+
+@pytest.mark.parametrize("offset_s", [-0.4, -0.3, 0.28, 0.3, 0.5])
+def test_an_offset_beyond_the_search_is_refused_and_not_taken_for_none(offset_s):
+    case, encoder, t_look, vectors = moving_case(1, offset_s)
+    found = fit_line_moving(case.T_init, encoder, t_look, vectors, R_TCP_CAM)
+    assert found.fit.status is CalibrationStatus.POOR_FIT
+    assert found.fit.T_base_tcp_ref is None
+    assert found.fit.covariance is None
+    assert "beyond +-0.25 s; check the clocks" in found.fit.reason
+
+
 def test_an_offset_that_nothing_shows_is_not_invented():
     case, encoder, t_look, vectors = moving_case(1, 0.0)
     rest = t_look < 0.2
