@@ -84,6 +84,18 @@ def watch_slip(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object,
         yield Progress("slip", verdict.chi2, 0.0, "", verdict.reason)
 
 
+def forget_slipped(ctx: PlanContext) -> None:
+    """After a slip only the last look is of the mount as it is now: paths and looks before it are of another one.
+
+    The calibration itself stays, and with it what refuses every motion by it, until a new one is made.
+    """
+    if ctx.knowledge.life is None or not ctx.knowledge.life.slip:
+        return
+    ctx.knowledge.runs.clear()
+    del ctx.knowledge.looks[:-1]
+    ctx.knowledge.joint = None
+
+
 def validity(ctx: PlanContext, reading: MachineReading) -> Validity:
     """Whether the calibration may be used with the machine as it was read; valid where there is none."""
     return validity_at(ctx, reading, reading.q_rad, ctx.tcp(reading.q_rad))

@@ -108,6 +108,29 @@ def test_after_a_slip_nothing_moves_until_somebody_calibrates():
     assert not ctx.knowledge.life.slip
 
 
+def test_a_calibration_after_a_slip_does_not_mix_the_old_mount_with_the_new_one():
+    world, ctx = positioned()
+    run(retract(ctx, 400.0), world)
+    world.T_tcp_cam = world.T_tcp_cam @ pose(
+        rotation_from_rotvec(np.deg2rad([0.0, 4.0, 0.0])), np.array([0.0, 0.01, 0])
+    )
+    run(good_look(ctx), world)
+    assert ctx.knowledge.life.slip
+    taken, _ = run(good_look(ctx), world)  # as told: tighten, look, calibrate, look
+    run(assurance.calibrate(ctx, taken), world)
+    taken, _ = run(good_look(ctx), world)
+    assert (len(ctx.knowledge.runs), len(ctx.knowledge.looks)) == (1, 2)
+    assert not ctx.knowledge.life.slip
+    run(execute(ctx, preview(ctx, taken, world.t_ns), 1), world)
+    assert np.abs(world.error_mm()).max() < 3.0
+
+
+def test_without_a_slip_a_further_calibration_adds_to_what_is_known():
+    world, ctx, taken = calibrated()
+    run(assurance.calibrate(ctx, taken), world)
+    assert (len(ctx.knowledge.runs), len(ctx.knowledge.looks)) == (2, 2)
+
+
 def test_a_slip_seen_between_preview_and_execute_stops_the_move():
     world, ctx = positioned()
     world.T_base_ooi = world.T_base_ooi @ pose(np.eye(3), np.array([0.02, 0.0, 0.0]))
