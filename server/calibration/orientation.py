@@ -37,8 +37,8 @@ def orientation_reference(R_base_tcp: Array, R_tcp_tool: Array, R_cam_tool: Arra
     Model:   R_ref = R_BT X (R_CT^T R_CO) X^T, X = R_tcp_tool: the error is taken in tool axes, then carried to the TCP.
              The camera's own mounting cancels; an error in X leaves only its commutator with the step, and iterating
              removes it.
-    Args:    R_base_tcp: TCP as last commanded; R_tcp_tool: nominal tool mounting; R_cam_tool, R_cam_ooi: as seen; each
-             (3, 3).
+    Args:    R_base_tcp: TCP by the encoders at the look; R_tcp_tool: nominal tool mounting; R_cam_tool,
+             R_cam_ooi: as seen; each (3, 3).
     Returns: R_base_tcp_ref, (3, 3).
     Raises:  CalibrationInputError: an argument is no rotation.
     Source:  Makinen et al. 2023, eq. 7-8, with the frames made consistent.

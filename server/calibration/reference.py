@@ -27,29 +27,29 @@ def position_reference_paper(
 
 
 def reference_from_look(
-    T_base_tcp_ref: Array, R_tcp_cam: Array, T_tcp_tool: Array, T_cam_tool: Array, T_cam_ooi: Array, T_ooi_goal: Array
+    T_base_tcp: Array, R_tcp_cam: Array, T_tcp_tool: Array, T_cam_tool: Array, T_cam_ooi: Array, T_ooi_goal: Array
 ) -> Array:
-    """Reference pose that puts the tool marker on its goal, measured as a step from where the TCP was last commanded.
+    """Reference pose that puts the tool marker on its goal, measured as a step from where the encoders put the TCP.
 
-    Model:   R_base_cam = R_base_tcp_ref R_tcp_cam; T_cam_goal = T_cam_ooi T_ooi_goal; step of the marker d = R_base_cam
-             (p_goal - p_tool); turn Q = R_base_cam R_cam_goal R_cam_tool^T R_base_cam^T; R_goal = Q R_base_tcp_ref;
+    Model:   R_base_cam = R_base_tcp R_tcp_cam; T_cam_goal = T_cam_ooi T_ooi_goal; step of the marker d = R_base_cam
+             (p_goal - p_tool); turn Q = R_base_cam R_cam_goal R_cam_tool^T R_base_cam^T; R_goal = Q R_base_tcp;
              p_goal = p_base_tool + d - R_goal p_tcp_tool: the turn is about the marker, so it does not move it.
-    Args:    T_base_tcp_ref: nominal kinematics of the last commanded joints (4, 4); R_tcp_cam: the local calibration
-             (3, 3); T_tcp_tool: nominal, its lever arm is used; T_cam_tool, T_cam_ooi: the look; T_ooi_goal: the
-             tool's wanted pose, R = I, p = (x, y, b).
-    Returns: T_base_tcp_goal, (4, 4), in the same (commanded) space.
+    Args:    T_base_tcp: kinematics of the encoders at the look (4, 4); R_tcp_cam: the local calibration (3, 3);
+             T_tcp_tool: nominal, its lever arm is used; T_cam_tool, T_cam_ooi: the look; T_ooi_goal: the tool's wanted
+             pose, R = I, p = (x, y, b).
+    Returns: T_base_tcp_goal, (4, 4), in the same space: where the encoders are to end.
     Raises:  CalibrationInputError: not a pose or rotation.
     Source:  Makinen et al. 2023, eq. 7-8 and 20-22, joined and made frame-consistent.
     """
-    T_ref = require_pose(T_base_tcp_ref, "T_base_tcp_ref")
+    T = require_pose(T_base_tcp, "T_base_tcp")
     T_cam_goal = require_pose(T_cam_ooi, "T_cam_ooi") @ require_pose(T_ooi_goal, "T_ooi_goal")
     T_tool = require_pose(T_cam_tool, "T_cam_tool")
     lever = require_pose(T_tcp_tool, "T_tcp_tool")[:3, 3]
-    R_base_cam = T_ref[:3, :3] @ require_rotation(R_tcp_cam, "R_tcp_cam")
+    R_base_cam = T[:3, :3] @ require_rotation(R_tcp_cam, "R_tcp_cam")
     step = R_base_cam @ (T_cam_goal[:3, 3] - T_tool[:3, 3])
     turn = R_base_cam @ T_cam_goal[:3, :3] @ T_tool[:3, :3].T @ R_base_cam.T
-    R_goal = turn @ T_ref[:3, :3]
-    p_base_tool = transform_points(T_ref, lever[None])[0]
+    R_goal = turn @ T[:3, :3]
+    p_base_tool = transform_points(T, lever[None])[0]
     return pose(R_goal, p_base_tool + step - R_goal @ lever)
 
 

@@ -81,7 +81,7 @@ def plan_calibration_path(
              are.
     Args:    q_start: present reference (joints,) [rad]; T_base_ooi_estimate: for view and distance, or None;
              R_tcp_cam_nominal: of the camera, the machine's own if None; path: margins and the paper's lengths.
-    Returns: the plan; the first refusal met at the smallest scale when nothing is feasible.
+    Returns: the plan; the last refusal met, at the smallest scale, when nothing is feasible.
     Raises:  MotionInputError: shapes, values that are not finite, unknown kind.
     """
     if kind not in ("folded", "paper"):
