@@ -31,7 +31,7 @@ def chain(result: dict[str, Any]) -> str:
         f"<li>{escape(' and '.join(one['stages']))} count as one: {escape(one['missing'])}</li>"
         for one in result["merged_stages"]
     )
-    note = "<p>Bar: share of the whole gap, by what was found wrong there. A stage is judged by its own measured input.</p>"
+    note = "<p>Bar: share of the gap, by what was found wrong there. A stage is judged by its own measured input.</p>"
     return wide(svg) + note + (f"<ul>{merged}</ul>" if merged else "")
 
 

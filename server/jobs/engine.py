@@ -264,13 +264,16 @@ class JobEngine:
     async def _advanced(self, plan: Plan, reply: object) -> tuple[Request | None, object]:
         """The plan's next request, or (None, its result). Planning is heavy, so it runs beside the event loop.
 
-        A cancelled job waits for the step to finish: a generator cannot be closed while it runs.
+        A cancelled job waits for the step to finish, however often it is cancelled: a generator cannot be closed while
+        it runs.
         """
         step = asyncio.get_running_loop().run_in_executor(self._planner, _advance, plan, reply)
         try:
             return await asyncio.shield(step)
         except asyncio.CancelledError:
-            await asyncio.wait({step})
+            while not step.done():
+                with contextlib.suppress(asyncio.CancelledError):
+                    await asyncio.wait({step})
             raise
 
     def _end(self, job: Job, state: JobState, reason: str) -> None:
