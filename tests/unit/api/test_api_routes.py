@@ -14,6 +14,7 @@ from machine.chain import chain_of
 from server.api.jobs import jobs_router
 from server.api.problems import install_problem_handlers
 from server.api.state import camera_reason, state_router
+from server.api.state_cache import FRESH_S
 from server.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
@@ -132,6 +133,7 @@ async def test_nobody_parks_before_having_looked_for_a_wall(client, service):
     assert told.status_code == 202
     await asyncio.wait({service.engine._task}, timeout=5.0)
     service.cell.knowledge.T_base_ooi = np.eye(4)  # a look
+    await asyncio.sleep(2.0 * FRESH_S)
     assert (await client.get("/v1/state")).json()["steps"]["park"] == ""
     assert (await client.post("/v1/jobs", json={"kind": "park"})).status_code == 202
     await asyncio.wait({service.engine._task}, timeout=5.0)

@@ -50,7 +50,7 @@ class Link:
 
 
 def made(link=None):
-    cell = SimpleNamespace(link=link or Link(), vision=Vision())
+    cell = SimpleNamespace(link=link or Link(), vision=Vision(), chain=SimpleNamespace(n=6))
     return Performer(cell), cell.vision
 
 
