@@ -31,7 +31,7 @@ function show() {
   line.hidden = !silent || live.refused;
   setText(line, silent ? (state ? t("server_silent", { age: ageText(silence()) }) : t("reconnecting")) : "");
   guarded(showCameraAge);
-  if (state) PARTS.forEach(guarded);
+  if (state) PARTS.forEach((part) => guarded(part));
 }
 
 // A defect in one part of the page must not leave the others standing with what they last showed.
