@@ -22,10 +22,10 @@ def play_sides(qs: Array, widths_rad: Array, start: Array) -> Array:
     Returns: (m, n), -1 to 1.
     """
     sides = np.empty_like(qs)
-    bounds = _bounds(start, widths_rad)
+    bounds, gain = _bounds(start, widths_rad), _gain(widths_rad)
     before = qs[0] if len(qs) else start
     for i, q in enumerate(qs):
-        bounds = _pushed(bounds, q - before, widths_rad)
+        bounds = _pushed(bounds, q - before, gain)
         sides[i], before = bounds.mean(axis=0), q
     return sides
 
@@ -38,9 +38,10 @@ class PlayFollower:
     """
 
     def __init__(self, widths_rad: Array, gap_max_s: float = 0.25) -> None:
-        self._widths, self._gap_max_s = np.array(widths_rad, dtype=np.float64), gap_max_s
-        self._bounds = _bounds(np.full(len(self._widths), UNKNOWN), self._widths)
-        self._t_s, self._q = float("nan"), np.zeros(len(self._widths))
+        widths, self._gap_max_s = np.array(widths_rad, dtype=np.float64), gap_max_s
+        self._nothing_known, self._gain = _bounds(np.full(len(widths), UNKNOWN), widths), _gain(widths)
+        self._bounds = self._nothing_known
+        self._t_s, self._q = float("nan"), np.zeros(len(widths))
 
     @property
     def side(self) -> Array:
@@ -50,9 +51,9 @@ class PlayFollower:
     def see(self, t_s: float, q: Array) -> None:
         """Take in the encoders (n,) [rad] at a time of their own clock [s]."""
         if not 0.0 <= t_s - self._t_s <= self._gap_max_s:
-            self._bounds = _bounds(np.full(len(self._widths), UNKNOWN), self._widths)
+            self._bounds = self._nothing_known
         else:
-            self._bounds = _pushed(self._bounds, q - self._q, self._widths)
+            self._bounds = _pushed(self._bounds, q - self._q, self._gain)
         self._t_s, self._q = t_s, np.array(q, dtype=np.float64)
 
 
@@ -62,6 +63,10 @@ def _bounds(side: Array, widths_rad: Array) -> Array:
     return np.array([told - left, told + left])
 
 
-def _pushed(bounds: Array, dq: Array, widths_rad: Array) -> Array:
-    gain = np.divide(2.0, widths_rad, out=np.zeros_like(widths_rad), where=widths_rad > 0.0)
+def _gain(widths_rad: Array) -> Array:
+    """How far a side goes by a turn of 1 rad (n,); 0 without play."""
+    return np.divide(2.0, widths_rad, out=np.zeros_like(widths_rad), where=widths_rad > 0.0)
+
+
+def _pushed(bounds: Array, dq: Array, gain: Array) -> Array:
     return np.asarray(np.clip(bounds + gain * dq, -1.0, 1.0), dtype=np.float64)
