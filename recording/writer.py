@@ -4,6 +4,7 @@ Under pressure images are dropped first and counted. Numbers never: where minute
 waits too, and a live recording ends there and says so, since a machine is commanded by the process that gives them.
 """
 
+import contextlib
 import logging
 import queue
 import threading
@@ -79,7 +80,9 @@ class RunWriter:
     ) -> None:
         self.path, self._patient = path, patient
         self._mono_to_utc_ns = time.time_ns() - time.monotonic_ns() if mono_to_utc_ns is None else mono_to_utc_ns
-        self._queue: queue.Queue[_Entry | None] = queue.Queue(QUEUE_ENTRIES)
+        self._queue: queue.Queue[_Entry | None] = queue.Queue(QUEUE_ENTRIES)  # None: nothing but a wake-up
+        self._closing = threading.Event()
+        self._final_run: RunInfo | None = None
         self._images_waiting = 0
         self._lock = threading.Lock()
         self._error = ""
@@ -140,22 +143,31 @@ class RunWriter:
         self._put_number(IMAGE_TOPIC, image_message(jpeg, self._utc(t_source_mono_ns)), t_mono_ns, t_source_mono_ns)
         return True
 
-    def close(self, run: RunInfo | None = None) -> WriterReport:
-        """Write what waits, the final run.toml and the index. The file is complete afterwards."""
-        if not self._stream.closed:
-            self._put(None)
-            self._thread.join(CLOSE_S)
-            if self._thread.is_alive():
-                self._error = self._error or f"writer did not come to its end within {CLOSE_S:.0f} s"
-            else:
-                self._finish(run)
-        return WriterReport(self.path, self._messages, self.images_dropped, self._error)
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more comes into the file: after `close`, and after a wait that was too short once it did."""
+        return not self._thread.is_alive()
 
-    def _finish(self, run: RunInfo | None) -> None:
+    def close(self, run: RunInfo | None = None, wait_s: float = CLOSE_S) -> WriterReport:
+        """Write what waits, the final run.toml and the index. The file is complete afterwards.
+
+        A disk may take longer than `wait_s`: the report says so then, the file is written to its end all the same, and
+        `ended` and `error` tell when and how.
+        """
+        if not self._closing.is_set():
+            self._final_run = run
+            self._closing.set()
+            with contextlib.suppress(queue.Full):  # who has so much to write need not be woken
+                self._queue.put_nowait(None)
+        self._thread.join(wait_s)
+        slow = "" if self.ended else f"recording {self.path}: the disk has not taken all of it within {wait_s:g} s"
+        return WriterReport(self.path, self._messages, self.images_dropped, self._error or slow)
+
+    def _finish(self) -> None:
         try:
             if not self._error:
-                if run is not None:
-                    self._attach(Attachment("run.toml", "application/toml", run_to_toml(run).encode()))
+                if self._final_run is not None:
+                    self._attach(Attachment("run.toml", "application/toml", run_to_toml(self._final_run).encode()))
                 self._writer.add_metadata("longreach/end", {"images_dropped": str(self.images_dropped)})
                 self._writer.finish()
         except Exception as error:  # whatever it is, the report says so and the run's end goes on
@@ -175,7 +187,7 @@ class RunWriter:
     def _put_number(
         self, topic: str, content: Row | Message, t_mono_ns: int, t_source_mono_ns: int | None = None
     ) -> None:
-        if self._error or self._stream.closed:
+        if self._error or self._closing.is_set():
             return
         publish_ns = t_mono_ns if t_source_mono_ns is None else t_source_mono_ns
         entry = _Entry(topic, content, self._utc(t_mono_ns), self._utc(publish_ns))
@@ -186,7 +198,7 @@ class RunWriter:
         except queue.Full:
             self._fail(RecordingError(f"{QUEUE_ENTRIES} entries wait for the disk, and no more are taken: free it"))
 
-    def _put(self, entry: _Entry | None) -> None:
+    def _put(self, entry: _Entry) -> None:
         """Wait for room as long as there is somebody who makes it."""
         while self._thread.is_alive():
             try:
@@ -196,25 +208,33 @@ class RunWriter:
         self._error = self._error or f"recording {self.path}: the thread that writes it has ended; {RECOVERABLE}"
 
     def _work(self) -> None:
-        """Thread: entries from the queue to the file, a chunk at least every FLUSH_S.
+        """Thread: entries from the queue to the file, a chunk at least every FLUSH_S, then the file's end.
 
         Whatever goes wrong ends the file and never the thread: it empties the queue on, so that nobody waits for it.
         """
-        running, flushed_s = True, time.monotonic()
-        while running:
-            try:
-                entries = [self._queue.get(timeout=FLUSH_S)]
-            except queue.Empty:
-                entries = []
-            running = None not in entries
-            try:
-                for entry in entries:
-                    self._take(entry)
-                if time.monotonic() - flushed_s >= FLUSH_S and not self._error:
-                    flushed_s = time.monotonic()
-                    self._writer.flush()
-            except Exception as error:  # a row that cannot be written must not stop the machine that it tells of
-                self._fail(error)
+        try:
+            flushed_s = time.monotonic()
+            while not (self._closing.is_set() and self._queue.empty()):
+                flushed_s = self._step(flushed_s)
+        except BaseException:  # the interpreter ends it: nothing more is taken, and the file has no index
+            self._fail(RecordingError("the thread that writes it has ended"))
+            raise
+        finally:
+            self._finish()
+
+    def _step(self, flushed_s: float) -> float:
+        try:
+            entry = self._queue.get(timeout=FLUSH_S)
+        except queue.Empty:
+            entry = None
+        try:
+            self._take(entry)
+            if time.monotonic() - flushed_s >= FLUSH_S and not self._error:
+                flushed_s = time.monotonic()
+                self._writer.flush()
+        except Exception as error:  # a row that cannot be written must not stop the machine that it tells of
+            self._fail(error)
+        return flushed_s
 
     def _take(self, entry: _Entry | None) -> None:
         if entry is None:

@@ -117,7 +117,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
             await engine.close()
             await cell.vision.close()
             await cell.link.close()
-            cell.recorder.stop()
+            await asyncio.to_thread(cell.recorder.finish)
             await asyncio.to_thread(keeper.database.close)
 
     app = FastAPI(

@@ -14,7 +14,7 @@ from recording.content import Attachment
 from recording.errors import RecordingError
 from recording.rows import NAN, Floats, Row
 from recording.run import RunInfo, Segment, SegmentKind
-from recording.writer import RunWriter, WriterReport
+from recording.writer import RunWriter
 from server.calibration.contracts import CameraRotationEstimate
 from server.camera.contracts import FrameReport
 from server.link.contracts import PlcSample
@@ -25,6 +25,7 @@ from server.vision.contracts import Look
 
 TRANSFORM_PERIOD_NS = 100_000_000
 IMAGE_PERIOD_NS = 100_000_000
+CLOSE_WAIT_S = 0.5  # longest that a slow disk may hold the event loop at a run's end; the file is written on behind it
 CAMERA_PERIOD_NS = 1_000_000_000  # the camera's intrinsics are repeated, so that a reader may start anywhere
 
 _log = logging.getLogger(__name__)
@@ -39,6 +40,7 @@ class Recorder:
         self._chain = chain_of(machine)
         self._images = images
         self._writer: RunWriter | None = None
+        self._late: RunWriter | None = None  # the last run's, which its disk had not taken in time
         self._run = RunInfo(name="")
         self._plc_offset_ns: int | None = None
         self._camera_offset_ns: int | None = None
@@ -49,7 +51,6 @@ class Recorder:
         self._transforms_ns = 0
         self._camera_ns = self._image_ns = 0
         self._problem = ""
-        self.last_report: WriterReport | None = None
 
     @property
     def recording(self) -> bool:
@@ -59,6 +60,8 @@ class Recorder:
     @property
     def problem(self) -> str:
         """Why the run that is on, or else the last one, is not recorded; empty while it is."""
+        if self._late is not None and self._late.ended:
+            self._problem, self._late = self._late.error, None
         return self._problem or (self._writer.error if self._writer is not None else "")
 
     def start(
@@ -83,7 +86,7 @@ class Recorder:
         path = self._folder / f"{now:%Y%m%dT%H%M%S}-{run_id}.mcap"
         try:
             self._writer = RunWriter(path, self._run, attachments, self._metadata(seed))
-            self._problem = ""
+            self._problem, self._late = "", None
         except RecordingError as error:
             self._problem = str(error)
             _log.error("%s; the run goes on without a recording", error)
@@ -180,7 +183,7 @@ class Recorder:
             self._open_segment = None
 
     def stop(self) -> Path | None:
-        """Close the run's file and return it; None when no run was on."""
+        """Close the run's file and return it; None when no run was on, or its disk is late (see `problem`)."""
         writer, self._writer = self._writer, None
         if writer is None:
             return None
@@ -188,19 +191,24 @@ class Recorder:
         if not self._segments and self._first_plc_ns is not None:  # nobody said what it was: a job of the server
             span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
             self._segments.append(Segment(self._run.name, "positioning", *span))
-        report = writer.close(
-            RunInfo(
-                name=self._run.name,
-                started_utc=self._run.started_utc,
-                seed=self._run.seed,
-                plc_to_pc_offset_s=None if self._plc_offset_ns is None else self._plc_offset_ns * 1e-9,
-                camera_to_pc_offset_s=None if self._camera_offset_ns is None else self._camera_offset_ns * 1e-9,
-                pc_to_utc_offset_s=self._run.pc_to_utc_offset_s,
-                segments=tuple(self._segments),
-            )
+        final = RunInfo(
+            name=self._run.name,
+            started_utc=self._run.started_utc,
+            seed=self._run.seed,
+            plc_to_pc_offset_s=None if self._plc_offset_ns is None else self._plc_offset_ns * 1e-9,
+            camera_to_pc_offset_s=None if self._camera_offset_ns is None else self._camera_offset_ns * 1e-9,
+            pc_to_utc_offset_s=self._run.pc_to_utc_offset_s,
+            segments=tuple(self._segments),
         )
-        self.last_report, self._problem = report, report.error
-        return report.path
+        self._problem = writer.close(final, CLOSE_WAIT_S).error
+        self._late = None if writer.ended else writer
+        return writer.path if writer.ended else None
+
+    def finish(self) -> None:
+        """Close the run's file, and wait for the disk as long as a writer waits: for the server's own end."""
+        self.stop()
+        if self._late is not None:
+            self._late.close()
 
     def _row(self, row: Row, t_mono_ns: int) -> None:
         if self._writer is not None:

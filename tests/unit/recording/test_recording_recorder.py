@@ -1,12 +1,14 @@
 """The server's recorder: everything it is told lands in one file per run."""
 
 import json
+import threading
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import Writer as McapWriter
 
 from machine.description import parse_machine_toml
 from recording.check import check_recording
@@ -186,3 +188,27 @@ def test_a_disk_that_is_full_at_the_start_is_told_not_raised(tmp_path: Path, mon
     assert "No space left" in recorder.problem
     recorder.sample(sample(0))
     assert recorder.stop() is None
+
+
+def test_a_disk_that_is_late_at_the_end_holds_nobody_and_is_told_until_it_came(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.recorder.CLOSE_WAIT_S", 0.05)
+    finish, stalled = McapWriter.finish, threading.Event()
+
+    def late(writer: McapWriter) -> None:
+        stalled.wait(30.0)
+        finish(writer)
+
+    monkeypatch.setattr("recording.writer.McapWriter.finish", late)
+    recorder = Recorder(tmp_path, MACHINE)
+    recorder.start("x", "{}", MACHINE_TOML)
+    recorder.sample(sample(0))
+    assert recorder.stop() is None
+    assert not recorder.recording
+    assert "the disk has not taken all of it within 0.05 s" in recorder.problem
+    stalled.set()
+    recorder.finish()
+    assert recorder.problem == ""
+    (path,) = tmp_path.glob("*.mcap")
+    assert read_run(path).complete
