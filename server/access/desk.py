@@ -18,6 +18,7 @@ class LeaseDesk:
     def __init__(self, fencing: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
         self.book = LeaseBook(fencing)
         self._clock = clock
+        self._still: Callable[[], bool] = _always
         self._listeners: list[Callable[[], None]] = []
 
     def on_change(self, listener: Callable[[], None]) -> Callable[[], None]:
@@ -37,11 +38,22 @@ class LeaseDesk:
 
     def acquire(self, owner: str, kind: LeaseKind = LeaseKind.OPERATOR, ttl_s: float = TTL_S) -> Lease:
         """As LeaseBook.acquire, with a new secret."""
-        return self._told(self.book.acquire(owner, kind, ttl_s, new_lease_id(), self.now_s))
+        return self._given(self.book.acquire(owner, kind, ttl_s, new_lease_id(), self.now_s))
 
     def take(self, owner: str, kind: LeaseKind, reason: str, ttl_s: float = TTL_S) -> Lease:
         """As LeaseBook.take, with a new secret."""
-        return self._told(self.book.take(owner, kind, ttl_s, reason, new_lease_id(), self.now_s))
+        return self._given(self.book.take(owner, kind, ttl_s, reason, new_lease_id(), self.now_s))
+
+    def vouch(self, still: Callable[[], bool]) -> None:
+        """The present holder came by this admission: when `still` is over (key, session, role), so is their control."""
+        self._still = still
+
+    def expel_unadmitted(self) -> Lease | None:
+        """Take control from a holder who would not be admitted now; the lease that ended, if one did."""
+        if self.book.held is None or self._still():
+            return None
+        ended = self.book.expel(f"the key of {self.book.held.owner} is out of force, or their session has ended")
+        return None if ended is None else self._told(ended)
 
     def release(self, lease_id: str) -> Lease:
         """As LeaseBook.release."""
@@ -67,10 +79,18 @@ class LeaseDesk:
         """As LeaseBook.lost."""
         return self.book.lost(fencing, self.now_s)
 
+    def _given(self, lease: Lease) -> Lease:
+        self._still = _always  # until somebody vouches for the new holder
+        return self._told(lease)
+
     def _told(self, lease: Lease) -> Lease:
         for listener in tuple(self._listeners):
             listener()
         return lease
+
+
+def _always() -> bool:
+    return True
 
 
 def new_lease_id() -> str:

@@ -97,6 +97,13 @@ class LeaseBook:
         self._end(held, f"{held.owner} released it")
         return held
 
+    def expel(self, why: str) -> Lease | None:
+        """Nobody has control, because the holder may not have it any more; the lease that ended, if there was one."""
+        held = self.held
+        if held is not None:
+            self._end(held, why)
+        return held
+
     def _give(self, owner: str, kind: LeaseKind, ttl_s: float, lease_id: str, now_s: float, why: str) -> Lease:
         if self.held is not None:
             self._end(self.held, why)

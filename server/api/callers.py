@@ -1,5 +1,7 @@
 """Who sent a request: set by the guard in front of the application, read by the routes that write the audit."""
 
+from collections.abc import Callable
+
 from starlette.requests import HTTPConnection
 
 from server.store.audit_rows import Caller
@@ -11,6 +13,12 @@ def caller_of(request: HTTPConnection) -> Caller:
     if isinstance(known, Caller):
         return known
     return Caller(address=request.client.host if request.client else "")
+
+
+def admission_of(request: HTTPConnection) -> Callable[[], bool]:
+    """Whether this caller would be admitted now; always, without a guard."""
+    still = getattr(request.state, "admitted_still", None)
+    return still if callable(still) else lambda: True
 
 
 def request_id_of(request: HTTPConnection) -> str:

@@ -4,6 +4,7 @@ import asyncio
 import logging
 import re
 import time
+from collections.abc import Callable
 from http.cookies import CookieError, SimpleCookie
 from uuid import uuid4
 
@@ -59,6 +60,7 @@ class Guard:
         try:
             scope.setdefault("state", {})["caller"] = self._gatekeeper.admit(credentials_of(scope), time.monotonic())
             scope["state"]["request_id"] = request_id
+            scope["state"]["admitted_still"] = self._admits_still(scope)
             if scope["type"] == "http":
                 _check_length(headers)
                 if "content-length" in headers or "transfer-encoding" in headers:  # without either no body can come
@@ -72,9 +74,14 @@ class Guard:
         """Through to the application; what may last, only while its caller is admitted."""
         if self._gatekeeper.open or (scope["type"] == "http" and scope["method"] not in SAFE_METHODS):
             return await self._app(scope, receive, send)
-        asked = credentials_of(scope)
         carried = socket_while if scope["type"] == "websocket" else read_while
-        await carried(lambda: self._gatekeeper.admits_still(asked, time.monotonic()), self._app, scope, receive, send)
+        await carried(scope["state"]["admitted_still"], self._app, scope, receive, send)
+
+    def _admits_still(self, scope: Scope) -> Callable[[], bool]:
+        if self._gatekeeper.open:
+            return lambda: True
+        asked = credentials_of(scope)
+        return lambda: self._gatekeeper.admits_still(asked, time.monotonic())
 
 
 class _Body:

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from server.access.desk import TTL_S, LeaseDesk
 from server.access.lease import Lease, LeaseKind
+from server.api.callers import admission_of
 from server.api.lease_log import ControlLog
 from server.api.lease_views import Kind, LeaseView, control_view, lease_view
 from server.api.views import ControlView, Problem, Strict
@@ -84,9 +85,11 @@ def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
         return control_view(desk)
 
     @router.put("/{lease_id}", response_model=LeaseView, responses=REFUSED)
-    async def keep_alive(lease_id: LeaseId) -> LeaseView:
+    async def keep_alive(lease_id: LeaseId, request: Request) -> LeaseView:
         """Keep alive; revives a stale lease that nobody else has acquired."""
-        return lease_view(desk, desk.keep_alive(lease_id))
+        lease = desk.keep_alive(lease_id)
+        desk.vouch(admission_of(request))
+        return lease_view(desk, lease)
 
     @router.delete("/{lease_id}", status_code=204, response_class=Response, responses=REFUSED)
     async def release(lease_id: LeaseId, request: Request) -> Response:

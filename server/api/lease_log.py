@@ -9,7 +9,7 @@ from server.access.desk import LeaseDesk
 from server.access.errors import AccessError, RoleError
 from server.access.lease import Lease
 from server.access.roles import Role
-from server.api.callers import caller_of, request_id_of
+from server.api.callers import admission_of, caller_of, request_id_of
 from server.api.lease_views import lease_view
 from server.store.audit_rows import AuditEntry
 from server.store.errors import StoreError
@@ -47,6 +47,7 @@ class ControlLog:
 
         Raises: StoreError: it is not; nobody has control then.
         """
+        self._desk.vouch(admission_of(request))
         if self._keeper is not None:
             try:
                 await self._keeper.control(self._entry(request, lease, action, detail))

@@ -18,11 +18,19 @@ async def guard_lease(engine: JobEngine) -> None:
     try:
         while True:
             changed.clear()
+            expel_unadmitted(engine)
             await enforce_lease(engine)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(changed.wait(), PERIOD_S)
     finally:
         unsubscribe()
+
+
+def expel_unadmitted(engine: JobEngine) -> None:
+    """A key that was revoked, or a session that ended, takes its control along."""
+    ended = engine.leases.expel_unadmitted()
+    if ended is not None:
+        log.warning("control of %s (%s) has ended: no longer admitted", ended.owner, ended.kind)
 
 
 async def stop_unguarded(engine: JobEngine) -> None:

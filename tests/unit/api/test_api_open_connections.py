@@ -1,4 +1,4 @@
-"""Connections that last: a revoked key or a session that ended closes them within a second, a hold stops."""
+"""What lasts: a revoked key or a session that ended closes connections within a second, a hold and a lease end."""
 
 import asyncio
 import time
@@ -8,6 +8,7 @@ from served import HOST
 
 from server.access.keys import read_keys, without_key, write_keys
 from server.api import admission
+from server.jobs.lease_guard import guard_lease
 
 
 @pytest.fixture(autouse=True)
@@ -100,6 +101,58 @@ async def test_a_motion_that_a_revoked_key_holds_is_stopped(keyed):
     await connection.over()
     assert keyed.service.engine.current.ended
     assert "hold-to-run" in keyed.service.engine.current.reason
+
+
+async def leased_and_parking(keyed, client):
+    """Control for two minutes, and a job under it that goes on until it is stopped."""
+    keyed.performer.hold = asyncio.Event()
+    body = {"owner": "truck 7", "kind": "operator" if client.cookies else "fleet", "ttl_s": 120.0}
+    lease = (await client.post("/v1/lease", json=body)).json()
+    headers = {"Longreach-Lease": lease["lease_id"], "Longreach-Fencing": str(lease["fencing"])}
+    headers["Idempotency-Key"] = "k1"
+    job = {"kind": "park", "wall_free": True}
+    assert (await client.post("/v1/jobs", json=job, headers=headers)).status_code == 202
+    await until(lambda: keyed.performer.performed)
+    return lease
+
+
+@pytest.fixture
+async def guarded(keyed):
+    guard = asyncio.create_task(guard_lease(keyed.service.engine))
+    yield keyed
+    guard.cancel()
+    await asyncio.gather(guard, return_exceptions=True)
+
+
+async def test_a_revoked_key_loses_its_control_and_its_job_is_stopped(guarded):
+    async with guarded.client("fleet") as client:
+        await leased_and_parking(guarded, client)
+        await asyncio.sleep(0.3)
+        assert not guarded.service.engine.current.ended
+        revoke(guarded, "fleet 1")
+        await until(lambda: guarded.service.engine.current.ended)
+    assert "the key of truck 7 is out of force" in guarded.service.engine.current.reason
+    assert guarded.service.engine.leases.held is None
+
+
+async def test_logging_out_gives_up_control(guarded):
+    async with guarded.client() as client:
+        await client.post("/v1/session", data={"key": guarded.keys["operator"]})
+        await leased_and_parking(guarded, client)
+        await client.delete("/v1/session")
+        await until(lambda: guarded.service.engine.current.ended)
+    assert "their session has ended" in guarded.service.engine.current.reason
+
+
+async def test_control_kept_alive_by_another_key_outlives_the_first(guarded):
+    async with guarded.client("fleet") as client, guarded.client("operator") as other:
+        lease = await leased_and_parking(guarded, client)
+        assert (await other.put(f"/v1/lease/{lease['lease_id']}")).status_code == 200
+        revoke(guarded, "fleet 1")
+        await asyncio.sleep(0.3)
+        assert not guarded.service.engine.current.ended
+        revoke(guarded, "operator 1")
+        await until(lambda: guarded.service.engine.current.ended)
 
 
 async def test_without_keys_nothing_is_looked_at_again(open_bench, monkeypatch):

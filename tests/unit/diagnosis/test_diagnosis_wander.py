@@ -42,6 +42,11 @@ def days() -> list[Read]:
     return out
 
 
+@pytest.fixture(scope="module")
+def known(days: list[Read]) -> tuple[Remainder, ...]:
+    return with_wanders(remainders_of(days), days)
+
+
 def actuator(whole: Read, joint: int) -> Cell:
     return next(one for one in cells_of(whole) if one.label == f"actuator {joint}")
 
@@ -54,8 +59,7 @@ def test_the_number_that_wanders_is_named_with_its_size_and_its_neighbours_are_n
     assert wander_of([actuator(day, 2) for day in days[:5]]) == ()
 
 
-def test_a_day_within_the_wander_has_no_name_and_a_fault_beyond_it_has(days: list[Read]) -> None:
-    known = with_wanders(remainders_of(days), days)
+def test_a_day_within_the_wander_has_no_name_and_a_fault_beyond_it_has(known: tuple[Remainder, ...]) -> None:
     plain = tuple(Remainder(one.stage, one.joint, one.on, one.sigma, one.rms, one.ar) for one in known)
     usual = examine(recording(KINDS, (gain(1.2 * WANDER),), 20), Path("usual"))
     named = search(actuator(with_baseline(usual, (), plain), 2)).chosen.fit.hypothesis
@@ -76,8 +80,7 @@ def test_what_is_beside_the_wanders_direction_is_left_as_it_was() -> None:
     assert white @ along == pytest.approx((r @ along) / np.sqrt(size))
 
 
-def test_days_that_wander_come_out_white(days: list[Read]) -> None:
-    known = with_wanders(remainders_of(days), days)
+def test_days_that_wander_come_out_white(days: list[Read], known: tuple[Remainder, ...]) -> None:
     before = [float(np.sum(neutral_fit(actuator(day, 2)).residual ** 2)) for day in days]
     after = [float(np.sum(neutral_fit(actuator(with_baseline(day, (), known), 2)).residual ** 2)) for day in days]
     assert sum(after) < 0.5 * sum(before)
@@ -96,8 +99,7 @@ def test_a_set_is_made_white_alike_alone_and_among_others() -> None:
         np.testing.assert_array_equal(day.white(one[None])[0], white)
 
 
-def test_an_experiment_is_foretold_with_the_wander_along(days: list[Read]) -> None:
-    known = with_wanders(remainders_of(days), days)
+def test_an_experiment_is_foretold_with_the_wander_along(known: tuple[Remainder, ...]) -> None:
     effect = effect_named("valve_asymmetry")
     assert effect is not None
     small = make_entry(effect, 2, {"gain_frac": 0.04})
