@@ -93,7 +93,8 @@ class InServerLink:
                 raise LinkRefusedError(f"not armed: {self._last_reject or self.health.phase.value}")
             self._link.request_arm()
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._changed.wait(), 0.3)
+                async with asyncio.timeout(0.3):
+                    await self._changed.wait()
             self._changed.clear()
 
     async def run(self, trajectory: JointTrajectory) -> MotionEnded:

@@ -17,8 +17,8 @@ def caller_of(request: HTTPConnection) -> Caller:
 
 def admission_of(request: HTTPConnection) -> Callable[[], bool]:
     """Whether this caller would be admitted now; always, without a guard."""
-    still = getattr(request.state, "admitted_still", None)
-    return still if callable(still) else lambda: True
+    still: Callable[[], bool] | None = getattr(request.state, "admitted_still", None)
+    return still or (lambda: True)
 
 
 def request_id_of(request: HTTPConnection) -> str:

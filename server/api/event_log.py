@@ -70,7 +70,8 @@ class EventLog:
                     yield "".join(late)
                     continue
                 try:
-                    await asyncio.wait_for(fresh.wait(), KEEP_ALIVE_S)
+                    async with asyncio.timeout(KEEP_ALIVE_S):
+                        await fresh.wait()
                 except TimeoutError:
                     yield ": still here\n\n"
         finally:

@@ -85,7 +85,8 @@ def hold_router(service: JobService, memory: PanelMemory) -> APIRouter:
 
 async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) -> None:
     try:
-        text = await asyncio.wait_for(socket.receive_text(), PRESS_WAIT_S)
+        async with asyncio.timeout(PRESS_WAIT_S):
+            text = await socket.receive_text()
         press = Press.model_validate_json(text)
         lease = service.engine.leases.check(press.lease_id, press.fencing)
         job = await service.start(press.press, lease, Command(caller_of(socket), request_id_of(socket)))
@@ -133,7 +134,8 @@ async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed:
                 return held.release("the page's socket closed")
         wait_s = min(TICK_S, max(0.0, (held.next_ns - time.monotonic_ns()) * 1e-9))
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(changed.wait(), wait_s)
+            async with asyncio.timeout(wait_s):
+                await changed.wait()
         changed.clear()
 
 

@@ -91,7 +91,8 @@ async def _read(path: Path) -> tuple[int | None, bytes, str]:
     command = (sys.executable, "-m", "server.api.panel_replay_reading", str(path))
     process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=pipe)
     try:
-        out, error = await asyncio.wait_for(process.communicate(), READING_S)
+        async with asyncio.timeout(READING_S):
+            out, error = await process.communicate()
     except TimeoutError:
         process.kill()
         await process.wait()

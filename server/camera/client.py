@@ -139,7 +139,8 @@ class VisionClient:
 
         self._listeners.append(collect)
         try:
-            return await asyncio.wait_for(finished, timeout_s)
+            async with asyncio.timeout(timeout_s):
+                return await finished
         except TimeoutError:
             return collector.at_timeout(timeout_s, self._silence_text())
         finally:
@@ -154,7 +155,8 @@ class VisionClient:
         self._track = track = TrackCollector()
         self._send(OdometryCommand(on=True))
         try:
-            await asyncio.wait_for(self._until(lambda: bool(track.poses)), ODOMETRY_START_S)
+            async with asyncio.timeout(ODOMETRY_START_S):
+                await self._until(lambda: bool(track.poses))
         except TimeoutError:
             raise CameraError(
                 f"odometry gave no pose within {ODOMETRY_START_S:.0f} s; {self._silence_text() or 'check the camera'}"
@@ -166,7 +168,8 @@ class VisionClient:
         if track is None:
             raise CameraError("odometry was not started; start it first")
         try:
-            await asyncio.wait_for(self._until(lambda: self._has_mapped(t_end_ns)), FRESH_S)
+            async with asyncio.timeout(FRESH_S):
+                await self._until(lambda: self._has_mapped(t_end_ns))
         except TimeoutError:
             _log.warning("no pair after the end of the odometry run within %.1f s", FRESH_S)
         self._track = None
@@ -185,7 +188,8 @@ class VisionClient:
     async def _wait_for_process(self) -> None:
         """Until the vision process has said something: a picture's report, or what its source lacks."""
         try:
-            await asyncio.wait_for(self._until(lambda: self.stream_text != STARTING), PROCESS_START_S)
+            async with asyncio.timeout(PROCESS_START_S):
+                await self._until(lambda: self.stream_text != STARTING)
         except TimeoutError:
             raise CameraError(f"vision process has not started within {PROCESS_START_S:.0f} s; see its log") from None
 

@@ -53,7 +53,8 @@ async def run_and_stop(
     trigger = asyncio.ensure_future(_trigger(site, trajectory.duration_s * share, kind, text))
     try:
         played = await play(site, trajectory, text, guard)
-        t_trigger_ns = await asyncio.wait_for(trigger, SILENCE_S)
+        async with asyncio.timeout(SILENCE_S):
+            t_trigger_ns = await trigger
     finally:
         trigger.cancel()
     await wait(site, SILENCE_S if kind is StopKind.SILENCE else _AFTER_STOP_S, f"{text}: watching it come to rest")

@@ -235,6 +235,8 @@ class JobEngine:
         reply: object = None
         while True:
             request, result = await self._advanced(plan, reply)
+            if job.state is JobState.STOPPING:  # whatever became of the cancellation: nothing follows a stop
+                raise asyncio.CancelledError
             if request is None:
                 return result
             if isinstance(request, Progress):

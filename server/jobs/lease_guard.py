@@ -21,7 +21,8 @@ async def guard_lease(engine: JobEngine) -> None:
             expel_unadmitted(engine)
             await enforce_lease(engine)
             with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(changed.wait(), PERIOD_S)
+                async with asyncio.timeout(PERIOD_S):
+                    await changed.wait()
     finally:
         unsubscribe()
 

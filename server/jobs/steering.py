@@ -67,7 +67,8 @@ class Steering:
                 silent = f"no pair for {1e3 * request.silence_max_s:.0f} ms; check the camera, its cable and its rate"
                 return self._seen(request.after, silent, None, request)
             try:
-                await asyncio.wait_for(self._arrived.wait(), left_s)
+                async with asyncio.timeout(left_s):
+                    await self._arrived.wait()
             except TimeoutError:
                 continue
         return self._seen(self._number, "", self._report, request)

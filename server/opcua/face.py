@@ -59,7 +59,8 @@ class OpcUaFace:
     async def stop(self) -> None:
         """Stop listening."""
         if self._server is not None:
-            await asyncio.wait_for(self._server.stop(), STOP_S)
+            async with asyncio.timeout(STOP_S):
+                await self._server.stop()
 
     async def _add(self, index: int, one: Shown) -> None:
         parent = self._server.nodes.objects

@@ -77,7 +77,8 @@ class Database:
     async def written(self, work: Work[T]) -> T:
         """As `write`, for the event loop."""
         try:
-            return await asyncio.wait_for(asyncio.wrap_future(self.submit(work)), WRITE_S)
+            async with asyncio.timeout(WRITE_S):
+                return await asyncio.wrap_future(self.submit(work))
         except TimeoutError:
             raise StoreError(f"the disk did not take a write within {WRITE_S:.0f} s") from None
 

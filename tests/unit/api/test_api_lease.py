@@ -142,6 +142,15 @@ async def test_keep_alive_revives_and_a_stale_one_starts_nothing(client, clock, 
     assert (started.status_code, started.json()["owner"]) == (202, "anna")
 
 
+async def test_the_guard_ends_also_when_control_changes_in_the_same_moment(client, service):
+    guard = asyncio.create_task(guard_lease(service.engine))
+    await asyncio.sleep(0.01)
+    service.engine.leases.acquire("anna")
+    guard.cancel()
+    done, _ = await asyncio.wait({guard}, timeout=2.0)
+    assert done
+
+
 @pytest.mark.parametrize("how", ["taken", "stale", "released", "handed over"])
 async def test_the_job_of_a_lost_lease_is_stopped_and_says_why(client, clock, service, how):
     desk = service.engine.leases

@@ -112,6 +112,25 @@ async def test_stop_at_any_request_ends_the_job_and_stops_the_machine(stuck_in):
     assert not stand_in.may_be_moving
 
 
+async def test_nothing_follows_a_stop_whose_cancellation_was_lost():
+    """As Python 3.11's wait_for loses it, when what is waited for comes in the same moment."""
+
+    class Losing(StandIn):
+        async def perform(self, request):
+            try:
+                await super().perform(request)
+            except asyncio.CancelledError:
+                asyncio.current_task().uncancel()
+
+    stand_in = Losing({Arm: "forever"})
+    engine = JobEngine(stand_in)
+    job = engine.submit("position", plan(Arm(), MOVE), "me")
+    await asyncio.sleep(0.05)
+    await engine.stop("operator pressed stop")
+    assert (job.state, job.reason) == (JobState.STOPPED, "operator pressed stop")
+    assert stand_in.performed == ["Arm"]
+
+
 async def test_stop_without_a_job_still_stops_the_machine():
     stand_in = StandIn()
     await JobEngine(stand_in).stop("from the wall")
