@@ -27,17 +27,9 @@ ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 # Real processes in real time; all else is pure or in virtual time.
 REAL := tests/system tests/loop/test_link_process.py tests/loop/test_relay_udp.py
 
-PURE := $(ONE_THREAD) nice -n 19 $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile --timeout 900 $(REAL:%=--ignore %)
-PROCESSES := $(BIN)/python -m pytest -m "not slow" $(REAL)
-
-# Both at once: real processes mostly wait for their time, and what is pure takes what they leave, at the lowest priority.
-test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores, beside them those with real processes, one by one
-	@log=$$(mktemp); trap 'rm -f "$$log"' EXIT; \
-	$(PROCESSES) --durations 20 >"$$log" 2>&1 & processes=$$!; \
-	$(PURE) --durations 20; pure=$$?; \
-	echo "the tests with real processes, which ran beside these:"; \
-	wait $$processes; failed=$$?; cat "$$log"; \
-	exit $$((pure != 0 ? pure : failed))
+test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores, then those with real processes one by one
+	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile --durations 20 $(REAL:%=--ignore %)
+	$(BIN)/python -m pytest -m "not slow" --durations 20 $(REAL)
 
 test-slow: $(VENV)/dev.stamp  ## compose, long drills
 	$(BIN)/python -m pytest -m slow
