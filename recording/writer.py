@@ -205,7 +205,6 @@ class RunWriter:
                 return self._queue.put(entry, timeout=PUT_S)
             except queue.Full:
                 continue
-        self._error = self._error or f"recording {self.path}: the thread that writes it has ended; {RECOVERABLE}"
 
     def _work(self) -> None:
         """Thread: entries from the queue to the file, a chunk at least every FLUSH_S, then the file's end.

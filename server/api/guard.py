@@ -78,8 +78,6 @@ class Guard:
         await carried(scope["state"]["admitted_still"], self._app, scope, receive, send)
 
     def _admits_still(self, scope: Scope) -> Callable[[], bool]:
-        if self._gatekeeper.open:
-            return lambda: True
         asked = credentials_of(scope)
         return lambda: self._gatekeeper.admits_still(asked, time.monotonic())
 
