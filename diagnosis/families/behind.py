@@ -45,10 +45,10 @@ def acceleration_columns(measured: PointResidual) -> Array:
     return _each(_motion(measured.paths, measured.at, measured.data.when)[1], 3)
 
 
-def swing_columns(measured: PointResidual, base: ParameterSets) -> dict[str, Array]:
-    """(3 m, k) for each joint: what its motion sets swinging behind it, at each of some frequencies; white.
+def swing_columns(measured: PointResidual | CornerResidual, base: ParameterSets) -> dict[str, Array]:
+    """(N, k) for each joint: what its motion sets swinging behind it, at each of some frequencies; white.
 
-    Why: measured points are too rare for the autocorrelation that tells of a swing in a driven stage.
+    Why: points and frames are too rare for the autocorrelation that tells of a swing in a driven stage.
     """
     if not followed(measured.paths):
         return {}

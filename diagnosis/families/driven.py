@@ -3,6 +3,7 @@
 Never of what was measured at their end: that holds the very noise which the residual is made of.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,10 +72,17 @@ def driven_columns(cell: Cell) -> dict[str, Array]:
     replay = cell.whitened
     if not isinstance(replay, Replay):
         return {}
+    return families_white(cell, replay, lambda courses: families_of(cell.stage, courses))
+
+
+def families_white(
+    cell: Cell, replay: Replay, families: Callable[[list[Course]], list[dict[str, Array]]]
+) -> dict[str, Array]:
+    """Families of signals (N, k), white as the cell's residual. Args: families: of one joint, for each stretch."""
     out: dict[str, list[Array]] = {}
     modelled = modelled_of(cell, replay)
     for channel in range(len(replay.joints)):
-        per_part = families_of(cell.stage, courses_of(cell, replay, modelled, channel))
+        per_part = families(courses_of(cell, replay, modelled, channel))
         for name in per_part[0]:
             columns = [
                 white_columns(replay.whitener, channel, part.stretch.dt_s, f[name])

@@ -12,7 +12,8 @@ from diagnosis.families.behind import FIXED, IN_TURN, SWINGS_OF, corner_columns,
 from diagnosis.families.common import COMMON_LEAST, Numbers, common_share, repeated_rows
 from diagnosis.families.driven import SINCE, driven_columns
 from diagnosis.families.gain import foretold, held_out_nats
-from diagnosis.families.narrow import ANGLE_OF, LENS, NARROW, narrow_corner_columns, narrow_point_columns
+from diagnosis.families.narrow import ANGLE_OF, LENS, NARROW, WAY_OF, narrow_corner_columns, narrow_point_columns
+from diagnosis.families.valve import VALVE, valve_columns
 from diagnosis.refusal.remainder import BEHIND_NATS, BEHIND_TIMES, Fired
 from diagnosis.search.cell import DRIVEN_STAGES, EXCEEDED_TIMES, Cell
 from diagnosis.search.fit import costs
@@ -28,8 +29,11 @@ TEST = "shape"
 STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
 SHAKEN = (SWINGS_OF, *NARROW)  # no test where a joint's unusual motion shakes what is seen
-LATER = (SINCE, IN_TURN, *SHAKEN)  # a baseline fitted before these were sought refuses nothing by them
-APART = tuple(usual_shape(name) for name in (SINGLE_MOMENTS, *NARROW))  # hold no other course back
+FEW = (*NARROW, *VALVE)  # families of a few numbers
+LATER = (SINCE, IN_TURN, SWINGS_OF, *FEW)  # a baseline fitted before these were sought refuses nothing by them
+APART = tuple(usual_shape(name) for name in (SINGLE_MOMENTS, *FEW))  # hold no other course back
+APART_IN_PICTURES = (*APART, usual_shape(SWINGS_OF))  # where no other course shows a third of what swings there
+OF_ANY_JOINT = {"structure": (WAY_OF,), "camera": (WAY_OF, SWINGS_OF)}  # by stage: held to what any joint showed
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
 Place = tuple[str, int | None, str]
@@ -107,7 +111,7 @@ def _is_test(cell: Cell, shape: Shape, known: dict[str, float]) -> bool:
         return False
     if cell.stuck and shape.goes_with == SINGLE_MOMENTS and swings:  # each jump of that joint is one
         return False
-    if shape.goes_with.startswith(NARROW) and USUAL_ENERGY not in known:  # few days do not tell what the most is
+    if shape.goes_with.startswith(FEW) and USUAL_ENERGY not in known:  # few days do not tell what the most is
         return False
     return not shape.goes_with.startswith(LATER) or usual_shape(shape.goes_with) in known
 
@@ -131,23 +135,31 @@ def _refused_from(usual: dict[str, float], shape: Shape) -> float:
 
     Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, of
     time since the start, which no motion goes with, of families of few numbers, and of what stays with a point, a
-    marker or a place in the image. An angle's error of what swings: that of any joint, since few days show it of each.
-    The distance from the middle of what swings: it is where the swing is.
+    marker or a place in the image. An angle's error of what swings, which way a joint went, swings in pictures: that of
+    any joint, since few days show it of each. The distance from the middle of what swings: it is where the swing is.
     """
     own, still = usual.get(usual_shape(shape.goes_with), 0.0), shape.measurement in STILL
     if shape.goes_with.startswith(ANGLE_OF) and not still:  # booms follow a large fault of the actuators, too
-        joints = [nats for name, nats in usual.items() if name.startswith(usual_shape(ANGLE_OF))]
-        return BEHIND_NATS + BEHIND_TIMES * max(joints, default=0.0)
+        return BEHIND_NATS + BEHIND_TIMES * _most_of_any_joint(usual, ANGLE_OF)
+    family = next((one for one in OF_ANY_JOINT.get(shape.stage, ()) if shape.goes_with.startswith(one)), None)
+    if family is not None:
+        return REFUSED_NATS + EXCEEDED_TIMES * _most_of_any_joint(usual, family)
     own_only = still or (shape.goes_with.startswith(LATER) and shape.goes_with != LENS)
     if own_only and shape.goes_with != SINGLE_MOMENTS:
         return REFUSED_NATS + EXCEEDED_TIMES * own
-    courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and not name.startswith(APART)]
+    apart = APART_IN_PICTURES if shape.stage == "camera" else APART
+    courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and not name.startswith(apart)]
     most = own if shape.goes_with in FIXED else max([own, *courses])
     if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most
     if shape.stage not in DRIVEN_STAGES and shape.goes_with != LENS:
         return BEHIND_NATS + BEHIND_TIMES * most
     return REFUSED_NATS + EXCEEDED_TIMES * most
+
+
+def _most_of_any_joint(usual: dict[str, float], family: str) -> float:
+    """What undisturbed days showed of a family's joints at the most."""
+    return max((nats for name, nats in usual.items() if name.startswith(usual_shape(family))), default=0.0)
 
 
 def _usual(cell: Cell) -> dict[Place, dict[str, float]]:
@@ -159,6 +171,8 @@ def _known(usual: dict[str, float]) -> bool:
 
 
 def _allowed(shape: Shape, usual: dict[str, float], form_nats: float) -> float:
+    if shape.goes_with in VALVE and usual_shape(shape.goes_with) not in usual:
+        return math.inf  # the valve's wide families say it there
     if not _known(usual):
         return LEAST_NATS
     return LEAST_NATS + EXCEEDED_TIMES * usual.get(usual_shape(shape.goes_with), 0.0) + form_nats
@@ -183,8 +197,10 @@ def _columns(part: Cell) -> dict[str, Array]:
         wide = {**point_columns(part.whitened), **swing_columns(part.whitened, part.base)}
         return wide | narrow_point_columns(part.whitened, part.base)
     if isinstance(part.whitened, CornerResidual):
-        return corner_columns(part.whitened) | narrow_corner_columns(part.whitened, part.base)
-    return driven_columns(part)
+        wide = corner_columns(part.whitened)
+        wide |= swing_columns(part.whitened, part.base) if part.whitened.on == "ooi" else {}
+        return wide | narrow_corner_columns(part.whitened, part.base)
+    return driven_columns(part) | valve_columns(part)
 
 
 def _odd_nats(residual: Array) -> float:
