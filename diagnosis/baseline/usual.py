@@ -70,16 +70,17 @@ def _beyond(gains: dict[str, tuple[float, float]], spread: float) -> dict[str, f
 
 
 def _note_tests(cell: Cell, residual: Array, usual: Usual) -> None:
-    for part, own in cell.by_part(np.clip(residual, -30.0, 30.0)):
-        sizes = usual.setdefault((part.stage, part.joint, measurement_of(part)), {})
+    left, drowned = np.clip(residual, -30.0, 30.0), {}
+    for part, own in cell.by_part(left):
+        place = (part.stage, part.joint, measurement_of(part))
+        sizes, drowned[place] = usual.setdefault(place, {}), max(part.left_share, SHARE_MIN)  # as `usual_at` reads it
         for fired in tests_of(part, own, 1):
             sizes[key_of(fired)] = max(sizes.get(key_of(fired), 0.0), fired.size)
         sizes[USUAL_ENERGY] = max(sizes.get(USUAL_ENERGY, 0.0), steady_energy(part, own))
-        drowned = max(part.left_share, SHARE_MIN)  # as `usual_at` reads it
-        sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), pattern_nats(part, own) / drowned)
-        for one in shapes_of(part, own, 0.0):
-            key = usual_shape(one.goes_with)
-            sizes[key] = max(sizes.get(key, 0.0), one.nats / drowned)
+        sizes[USUAL_NATS] = max(sizes.get(USUAL_NATS, 0.0), pattern_nats(part, own) / drowned[place])
+    for one in shapes_of(cell, left, 0.0):
+        place, key = (one.stage, one.joint, one.measurement), usual_shape(one.goes_with)
+        usual[place][key] = max(usual[place].get(key, 0.0), one.nats / drowned[place])
 
 
 def with_usual(one: Remainder, usual: Usual, days: int) -> Remainder:

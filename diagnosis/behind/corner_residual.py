@@ -101,6 +101,16 @@ class CornerResidual:
         q = link_angles(self.paths, sets, k, self.at, t) + more_rad
         return np.asarray(T_cam_tcp @ np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k)), dtype=float)
 
+    def moved_by(self, sets: ParameterSets, joint: int, angle_rad: float) -> Array:
+        """How far an angle more at a joint (0-based) takes each number (N,) [px]: the residual of such an error."""
+        plain, more = without_encoders(sets), np.zeros(self.nominal.n)
+        more[joint] = angle_rad
+        here, there = (
+            self.difference(plain, 0, self.poses(sets, plain, 0, 0.0, turned), None, self.T_base_ooi)
+            for turned in (0.0, more)
+        )
+        return here - there
+
     def difference(self, plain: ParameterSets, k: int, Ts: Array, later: Array | None, T_object: Array) -> Array:
         """Measured less foreseen of the corners that were seen (N,) [px]."""
         camera = self.nominal.camera

@@ -1,4 +1,4 @@
-"""Families of a few numbers each behind the encoders: an error of one joint's angle, its play, a clock, a lens.
+"""Families of a few numbers each behind the encoders: an error of one joint's angle, a camera's clock, a lens.
 
 Why beside the wide ones: a name that stands in for a kindred one takes most of it along, and what it leaves drowns in
 thirty numbers where it shows in five. Each holds effects of the catalogue (a zero and a scale are functions of the
@@ -7,23 +7,19 @@ angle, too) and whatever else is such a function.
 
 import numpy as np
 from numpy.polynomial.legendre import legvander
-from numpy.typing import NDArray
 
 from diagnosis.behind.corner_residual import CornerResidual
-from diagnosis.behind.link_angles import Path, followed, link_angles, without_encoders
+from diagnosis.behind.link_angles import link_angles, without_encoders
 from diagnosis.behind.point_residual import PointResidual
-from diagnosis.families.ways import last_way
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 ANGLE_OF = "an error of the angle of joint"  # that is a function of this angle: a coder, a gear, a bent shaft
-WAY_OF = "which way joint"  # ... last went: play, a brake that drags, a spring that has to be turned round
 LATE = "lateness that changes"
 LENS = "the distance from the image's middle"
-NARROW = (ANGLE_OF, WAY_OF, LATE, LENS)
+NARROW = (ANGLE_OF, LATE, LENS)
 ANGLE_ORDER, LATE_ORDER = 5, 1
 NUDGE_RAD, NUDGE_S = 1e-4, 1e-3
-WIDTHS_RAD = (3e-4, 1.2e-3)  # 1.5 mm and 6 mm of the tip of a boom of 5 m
 STILL_RAD = 2e-3  # within it an angle shows its encoder's noise, and no course; of time, in seconds, far less than any
 
 
@@ -38,10 +34,6 @@ def narrow_point_columns(measured: PointResidual, base: ParameterSets) -> dict[s
         of_angle = _smooth(measured.data.q[:, j], ANGLE_ORDER)
         columns = (moved[:, :, None] * of_angle[:, None, :]).reshape(-1, of_angle.shape[1])
         out[f"{ANGLE_OF} {j + 1}"] = measured.noise.white(columns.T).T
-        if followed(measured.paths):
-            of_way = _ways(measured.paths, measured.at, measured.data.when, j)
-            columns = (moved[:, :, None] * of_way[:, None, :]).reshape(-1, of_way.shape[1])
-            out[way_of(j)] = measured.noise.white(columns.T).T
     return out
 
 
@@ -56,33 +48,15 @@ def narrow_corner_columns(seen: CornerResidual, base: ParameterSets) -> dict[str
         plain, n = without_encoders(base), seen.nominal.n
         q = link_angles(seen.paths, base, 0, seen.at, seen.frames.t_s)
 
-        def at(later_s: float, more_rad: Array | float = 0.0) -> Array:
-            return seen.difference(plain, 0, seen.poses(base, plain, 0, later_s, more_rad), None, seen.T_base_ooi)
-
-        here = at(0.0)
-        late = (at(NUDGE_S) - here) / NUDGE_S
+        later, here = (
+            seen.difference(plain, 0, seen.poses(base, plain, 0, s), None, seen.T_base_ooi) for s in (NUDGE_S, 0.0)
+        )
+        late = (later - here) / NUDGE_S
         out[LATE] = late[:, None] * _smooth(seen.frames.t_s, LATE_ORDER)[frame]
-        for j, nudge in enumerate(NUDGE_RAD * np.eye(n)):
-            turned = (at(0.0, nudge) - here) / NUDGE_RAD
+        for j in range(n):
+            turned = seen.moved_by(base, j, NUDGE_RAD) / NUDGE_RAD
             out[f"{ANGLE_OF} {j + 1}"] = turned[:, None] * _smooth(q[:, j], ANGLE_ORDER)[frame]
-            if followed(seen.paths):
-                out[way_of(j)] = turned[:, None] * _ways(seen.paths, seen.at, seen.frames.t_s, j)[frame]
     return {name: seen.placeless(columns) for name, columns in out.items()}
-
-
-def way_of(joint: int) -> str:
-    """The name of a joint's (0-based) family."""
-    return f"{WAY_OF} {joint + 1} last went"
-
-
-def _ways(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array, joint: int) -> Array:
-    """Which way a joint (0-based) last went (m, widths), at times (m,) in paths `at` (m,)."""
-    out = np.zeros((len(t_s), len(WIDTHS_RAD)))
-    for k in np.unique(at):
-        rows, path = at == k, paths[k]
-        for column, width in zip(out.T, WIDTHS_RAD, strict=True):
-            column[rows] = np.interp(t_s[rows], path.t_s, last_way(path.enc[:, joint], width))
-    return out
 
 
 def _smooth(x: Array, order: int) -> Array:

@@ -11,8 +11,9 @@ from diagnosis.cells.behind import measurement_of
 from diagnosis.families.behind import FIXED, IN_TURN, SWINGS_OF, corner_columns, point_columns, swing_columns
 from diagnosis.families.common import COMMON_LEAST, Numbers, common_share, repeated_rows
 from diagnosis.families.driven import SINCE, driven_columns
-from diagnosis.families.gain import foretold, held_out_nats
-from diagnosis.families.narrow import ANGLE_OF, LENS, NARROW, WAY_OF, narrow_corner_columns, narrow_point_columns
+from diagnosis.families.gain import foretold, held_out_nats, steady_nats
+from diagnosis.families.narrow import ANGLE_OF, LENS, NARROW, narrow_corner_columns, narrow_point_columns
+from diagnosis.families.of_joints import OF_JOINTS, columns_of_joints
 from diagnosis.families.valve import VALVE, valve_columns
 from diagnosis.refusal.remainder import BEHIND_NATS, BEHIND_TIMES, Fired
 from diagnosis.search.cell import DRIVEN_STAGES, EXCEEDED_TIMES, Cell
@@ -22,18 +23,17 @@ from machine.rotations import Array
 
 LEAST_NATS = 12.0  # twice the margin of a name
 REFUSED_NATS = 16.0  # none of 60 recordings of the undisturbed plant were refused by it; 12 refused one
+STEADY_NATS = 24.0  # twice what is told: of 97 undisturbed days none showed a joint's way by 23
 RARE_NATS = 60.0  # the same for single moments
 RARE_TIMES = 3.0  # of what moments show undisturbed: the sixteenth day's largest one is far larger
 FORM_TIMES = 3.0  # of the share of its gain that a name's form may be wrong by: it asks for the name, this for all else
 TEST = "shape"
 STILL = ("static", "tool")  # measured where no boom swings: poses at rest, a marker that goes along with the camera
 SINGLE_MOMENTS = "single moments"
-SHAKEN = (SWINGS_OF, *NARROW)  # no test where a joint's unusual motion shakes what is seen
-FEW = (*NARROW, *VALVE)  # families of a few numbers
+SHAKEN = (SWINGS_OF, *NARROW, *OF_JOINTS)  # no test where a joint's unusual motion shakes what is seen
+FEW = (*NARROW, *VALVE, *OF_JOINTS)  # families of a few numbers, or of one cause
 LATER = (SINCE, IN_TURN, SWINGS_OF, *FEW)  # a baseline fitted before these were sought refuses nothing by them
 APART = tuple(usual_shape(name) for name in (SINGLE_MOMENTS, *FEW))  # hold no other course back
-APART_IN_PICTURES = (*APART, usual_shape(SWINGS_OF))  # where no other course shows a third of what swings there
-OF_ANY_JOINT = {"structure": (WAY_OF,), "camera": (WAY_OF, SWINGS_OF)}  # by stage: held to what any joint showed
 ODD_SHARE = 0.02
 ODD = 4.5  # floors: of ten thousand rows of noise, one in fourteen recordings
 Place = tuple[str, int | None, str]
@@ -55,7 +55,7 @@ class Shape:
 
 def shapes_of(cell: Cell, residual: Array, least_nats: float = LEAST_NATS) -> tuple[Shape, ...]:
     """Every shape of at least so many nats in a residual (N,), the largest first."""
-    found = [one for part, own in cell.by_part(residual) for one in _of_part(part, own)]
+    found = [one for part, own in cell.by_part(residual) for one in _of_part(part, own)] + _of_joints(cell, residual)
     return tuple(sorted((one for one in found if one.nats >= least_nats), key=lambda one: -one.nats))
 
 
@@ -135,20 +135,19 @@ def _refused_from(usual: dict[str, float], shape: Shape) -> float:
 
     Where nothing swings only its own: what goes with another course on another day is a swing. So of swings, too, of
     time since the start, which no motion goes with, of families of few numbers, and of what stays with a point, a
-    marker or a place in the image. An angle's error of what swings, which way a joint went, swings in pictures: that of
+    marker or a place in the image. An angle's error of what swings, and what all measurements show of a joint: that of
     any joint, since few days show it of each. The distance from the middle of what swings: it is where the swing is.
     """
     own, still = usual.get(usual_shape(shape.goes_with), 0.0), shape.measurement in STILL
     if shape.goes_with.startswith(ANGLE_OF) and not still:  # booms follow a large fault of the actuators, too
         return BEHIND_NATS + BEHIND_TIMES * _most_of_any_joint(usual, ANGLE_OF)
-    family = next((one for one in OF_ANY_JOINT.get(shape.stage, ()) if shape.goes_with.startswith(one)), None)
+    family = next((one for one in OF_JOINTS if shape.goes_with.startswith(one)), None)
     if family is not None:
-        return REFUSED_NATS + EXCEEDED_TIMES * _most_of_any_joint(usual, family)
+        return STEADY_NATS + EXCEEDED_TIMES * _most_of_any_joint(usual, family)
     own_only = still or (shape.goes_with.startswith(LATER) and shape.goes_with != LENS)
     if own_only and shape.goes_with != SINGLE_MOMENTS:
         return REFUSED_NATS + EXCEEDED_TIMES * own
-    apart = APART_IN_PICTURES if shape.stage == "camera" else APART
-    courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and not name.startswith(apart)]
+    courses = [nats for name, nats in usual.items() if name.startswith(USUAL_SHAPE) and not name.startswith(APART)]
     most = own if shape.goes_with in FIXED else max([own, *courses])
     if shape.goes_with == SINGLE_MOMENTS:
         return RARE_NATS + RARE_TIMES * most
@@ -192,14 +191,18 @@ def _of_part(part: Cell, residual: Array) -> list[Shape]:
     return [Shape(*_place(part), name, one) for name, one in nats.items()]
 
 
+def _of_joints(cell: Cell, residual: Array) -> list[Shape]:
+    """What all measurements behind the joints show of one joint alike, told of the first of them."""
+    part, columns = columns_of_joints(cell)
+    return [Shape(*_place(part), name, steady_nats(B, residual, cell.rows)) for name, B in columns.items()]
+
+
 def _columns(part: Cell) -> dict[str, Array]:
     if isinstance(part.whitened, PointResidual):
         wide = {**point_columns(part.whitened), **swing_columns(part.whitened, part.base)}
         return wide | narrow_point_columns(part.whitened, part.base)
     if isinstance(part.whitened, CornerResidual):
-        wide = corner_columns(part.whitened)
-        wide |= swing_columns(part.whitened, part.base) if part.whitened.on == "ooi" else {}
-        return wide | narrow_corner_columns(part.whitened, part.base)
+        return corner_columns(part.whitened) | narrow_corner_columns(part.whitened, part.base)
     return driven_columns(part) | valve_columns(part)
 
 

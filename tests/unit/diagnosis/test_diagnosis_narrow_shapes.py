@@ -10,19 +10,9 @@ from diagnosis.baseline.left_over import cells_of
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.cells.behind import measurement_of
-from diagnosis.families.behind import SWINGS_OF
-from diagnosis.families.narrow import (
-    ANGLE_OF,
-    LATE,
-    LENS,
-    NARROW,
-    WAY_OF,
-    narrow_corner_columns,
-    narrow_point_columns,
-    way_of,
-)
+from diagnosis.families.narrow import ANGLE_OF, LATE, LENS, narrow_corner_columns, narrow_point_columns
 from diagnosis.reading.read import read
-from diagnosis.refusal.shapes import REFUSED_NATS, SINGLE_MOMENTS, Shape, _refused_from, refusing, shapes_of
+from diagnosis.refusal.shapes import FEW, REFUSED_NATS, SINGLE_MOMENTS, Shape, _refused_from, refusing, shapes_of
 from diagnosis.search.cell import Cell
 from machine.remainder import USUAL_ENERGY, usual_shape
 
@@ -49,15 +39,7 @@ def bent(part: Cell, column: np.ndarray, energy: float) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("measurement", "family"),
-    [
-        ("static", f"{ANGLE_OF} 2"),
-        ("tracker", f"{ANGLE_OF} 2"),
-        ("ooi", f"{ANGLE_OF} 2"),
-        ("tracker", way_of(1)),
-        ("ooi", way_of(1)),
-        ("ooi", LATE),
-        ("ooi", LENS),
-    ],
+    [("static", f"{ANGLE_OF} 2"), ("tracker", f"{ANGLE_OF} 2"), ("ooi", f"{ANGLE_OF} 2"), ("ooi", LATE), ("ooi", LENS)],
 )
 def test_a_small_course_of_a_family_is_found_by_that_family(
     parts: dict[str, Cell], measurement: str, family: str
@@ -66,7 +48,7 @@ def test_a_small_course_of_a_family_is_found_by_that_family(
     column = columns_of(part)[family]
     found = {one.goes_with: one.nats for one in shapes_of(part, bent(part, column[:, -1], 80.0))}
     assert found[family] > 20.0
-    wide = [nats for name, nats in found.items() if not name.startswith(NARROW)]
+    wide = [nats for name, nats in found.items() if not name.startswith(FEW)]
     assert found[family] >= max(wide, default=0.0)
 
 
@@ -89,25 +71,6 @@ def test_a_family_refuses_beyond_its_own_usual_size_and_only_where_that_is_known
     usual = {usual_shape("motion"): 60.0, usual_shape(LATE): 10.0}
     assert shape.nats > _refused_from(usual, shape)
     assert shape.nats < _refused_from({**usual, usual_shape(LATE): 20.0}, shape)
-
-
-def test_which_way_a_joint_went_is_held_to_what_any_joint_showed() -> None:
-    shape = Shape("structure", None, "tracker", way_of(0), 30.0)
-    usual = {usual_shape("motion"): 60.0, usual_shape(way_of(0)): 0.0, usual_shape(way_of(1)): 8.0}
-    assert shape.nats > _refused_from(usual, shape)
-    assert shape.nats < _refused_from({**usual, usual_shape(way_of(2)): 10.0}, shape)
-
-
-def test_poses_at_rest_do_not_say_which_way_a_joint_went(parts: dict[str, Cell]) -> None:
-    assert not any(name.startswith(WAY_OF) for name in columns_of(parts["static"]))
-
-
-def test_what_swings_in_the_pictures_every_day_holds_no_other_course_back() -> None:
-    usual = {usual_shape("motion"): 5.0, usual_shape(f"{SWINGS_OF} 1"): 44.0}
-    seen = Shape("camera", None, "ooi", "posture", 60.0)
-    tracked = Shape("structure", None, "tracker", "posture", 60.0)
-    assert seen.nats > _refused_from(usual, seen)
-    assert tracked.nats < _refused_from(usual, tracked)
 
 
 def test_an_angles_error_of_what_moves_is_held_to_what_booms_may_do() -> None:
