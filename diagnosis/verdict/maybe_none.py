@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from diagnosis.verdict.verdict import Verdict
+from diagnosis.verdict.verdict import Verdict, known_well
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -42,12 +42,19 @@ def maybe_none(
             if effect.name == PLAY and own[0].value < step_rad:
                 text = f"{effect.name}{where} of {1e3 * own[0].value:.3g} mrad is less than one step of the encoder, "
                 return Verdict("undecided", f"{text}{1e3 * step_rad:.3g} mrad: what rounds may look like a play")
-            if not _reaches_none(own[0]):
+            if not _reaches_none(own[0]) or _never_waited(one):
                 continue
             text = f"{effect.name}{where} explains some of the gap, but may be none: {effect.slots[0].parameter} = "
             text += f"{own[0].value:.3g}, 90 % {own[0].low:.3g} to {own[0].high:.3g}"
             return Verdict("undecided", f"{text}; log every PLC cycle, or record more, to tell")
     return verdict
+
+
+def _never_waited(one: CellAnswer) -> bool:
+    """Whether it is a link whose undisturbed days are known: a wait for the next cycle that they never showed is a
+    delay of up to a cycle, however little of it can be told.
+    """
+    return one.search.cell.stage == "link" and known_well(one.search.cell)
 
 
 def _reaches_none(size: Interval) -> bool:

@@ -150,6 +150,19 @@ def test_a_name_whose_size_may_be_none_is_not_told(low: float, high: float, word
     assert mirrored.word == word
 
 
+@pytest.mark.parametrize(
+    ("stage", "usual", "word"),
+    [("link", True, "effects"), ("link", False, "undecided"), ("actuator", True, "undecided")],
+)
+def test_a_wait_that_no_undisturbed_day_showed_is_a_delay_however_short(stage: str, usual: bool, word: str) -> None:
+    found = _answer(search(made_up((0.3, 0.0, 0.0))), 1)
+    known = ((USUAL_ENERGY, 1.0),) if usual else ()
+    search_there = replace(found.search, cell=replace(found.search.cell, stage=stage, usual=known))
+    found = replace(found, search=search_there)
+    sizes = {id(found.chosen): (Interval(0.3, 0.0, 0.6),)}
+    assert maybe_none(Verdict("effects", "as found"), (found,), sizes, {}).word == word
+
+
 @pytest.mark.parametrize(("step_rad", "word"), [(0.0, "effects"), (2e-3, "effects"), (5e-3, "undecided")])
 def test_a_play_within_one_step_of_its_encoder_is_not_told(step_rad: float, word: str) -> None:
     (play,) = named(("backlash",), (1,))
