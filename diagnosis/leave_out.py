@@ -12,7 +12,7 @@ from diagnosis.search.search import searched_without
 def leave_named_out(found: Diagnosis) -> list[dict[str, Any]]:
     """Verdict, names and first stage without each named effect in turn; everything fitted without it is reused."""
     named = dict.fromkeys(one.name for cell in found.cells for one in cell.chosen.fit.hypothesis)
-    return [_told(name, without_effect(found, name)) for name in named]
+    return [_told(name, without_effect(found, name), found) for name in named]
 
 
 def without_effect(found: Diagnosis, name: str) -> Diagnosis:
@@ -30,7 +30,7 @@ def _holds(candidates: tuple[Any, ...], name: str) -> bool:
     return any(one.name == name for one in candidates)
 
 
-def _told(name: str, left: Diagnosis) -> dict[str, Any]:
+def _told(name: str, left: Diagnosis, found: Diagnosis) -> dict[str, Any]:
     result = judgement(left)
     best = result["hypotheses"][0]["effects"] if result["hypotheses"] else []
     return {
@@ -38,6 +38,7 @@ def _told(name: str, left: Diagnosis) -> dict[str, Any]:
         "verdict": result["verdict"],
         "why": result["why"],
         "named": best,
+        "lost_nats": sum(one.chosen.total for one in found.cells) - sum(one.chosen.total for one in left.cells),
         "outside_probability": result["outside_probability"],
         "localisation": [one for one in result["localisation"] if one["regime"] == "all" or one["joint"] is None],
     }

@@ -32,6 +32,11 @@ class Frames:
     markers: tuple[Marker, ...]
     groups: NDArray[np.int64]
 
+    @property
+    def frame_of_each(self) -> NDArray[np.int64]:
+        """The frame of each number that was seen (N,)."""
+        return np.nonzero(np.isfinite(self.pixels))[0]
+
     @classmethod
     def of(cls, t_s: Array, pixels: Array, markers: tuple[Marker, ...]) -> Self:
         """With its groups."""
@@ -101,15 +106,15 @@ class CornerResidual:
         q = link_angles(self.paths, sets, k, self.at, t) + more_rad
         return np.asarray(T_cam_tcp @ np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k)), dtype=float)
 
-    def moved_by(self, sets: ParameterSets, joint: int, angle_rad: float) -> Array:
-        """How far an angle more at a joint (0-based) takes each number (N,) [px]: the residual of such an error."""
-        plain, more = without_encoders(sets), np.zeros(self.nominal.n)
-        more[joint] = angle_rad
-        here, there = (
-            self.difference(plain, 0, self.poses(sets, plain, 0, 0.0, turned), None, self.T_base_ooi)
-            for turned in (0.0, more)
-        )
-        return here - there
+    def moved_by_each(self, sets: ParameterSets) -> Array:
+        """How far an angle more at each joint takes each number (n, N) [px/rad]: the residual of such an error."""
+        plain = without_encoders(sets)
+
+        def left(more_rad: Array | float) -> Array:
+            return self.difference(plain, 0, self.poses(sets, plain, 0, 0.0, more_rad), None, self.T_base_ooi)
+
+        here = left(0.0)
+        return np.array([here - left(more_rad) for more_rad in NUDGE * np.eye(self.nominal.n)]) / NUDGE
 
     def difference(self, plain: ParameterSets, k: int, Ts: Array, later: Array | None, T_object: Array) -> Array:
         """Measured less foreseen of the corners that were seen (N,) [px]."""

@@ -103,10 +103,11 @@ def noise_by_repeats(
 
 def _stairs_m(rough: PointResidual, base: ParameterSets) -> Array:
     """RMS (3,) [m] of what coarse encoders leave of their stairs, radial, tangential and up."""
-    steps, squares = coarsest(rough.paths, rough.nominal.n), np.zeros(3)
-    for j in np.nonzero(steps)[0]:
-        squares += (rough.moved_by(base, int(j), LEFT * float(steps[j])) ** 2).mean(axis=0)
-    return np.sqrt(squares)
+    steps = coarsest(rough.paths, rough.nominal.n)
+    if not steps.any():
+        return np.zeros(3)
+    of_a_step = rough.moved_by_each(base) * LEFT * steps[:, None, None]
+    return np.sqrt((of_a_step**2).mean(axis=1).sum(axis=0))
 
 
 def _alike_in_time(rough: PointResidual, base: ParameterSets, noise_m: float) -> float:

@@ -16,6 +16,8 @@ from machine.effects.seen import true_times
 from machine.poses import transform_points
 from machine.rotations import Array
 
+NUDGE_RAD = 1e-4
+
 
 @dataclass(frozen=True, slots=True)
 class PointResidual:
@@ -54,15 +56,16 @@ class PointResidual:
         p = transform_points(T, data.xyz)
         return np.hypot(p[:, 0], p[:, 1])
 
-    def moved_by(self, sets: ParameterSets, joint: int, angle_rad: float) -> Array:
-        """How far an angle more at a joint (0-based) takes each point (m, 3) [m]: radial, tangential, up."""
+    def moved_by_each(self, sets: ParameterSets) -> Array:
+        """How far an angle more at each joint takes each point (n, m, 3) [m/rad]: radial, tangential, up."""
         plain, data = without_encoders(sets), replace(self.data, q=self._angles(sets, 0))
         found = fit_points(self.nominal, plain, data)
-        turned = data.q.copy()
-        turned[:, joint] += angle_rad
-        there = modelled(self.nominal, plain, replace(data, q=turned), found.places)
         here = modelled(self.nominal, plain, data, found.places)
-        return _about_upright(replace(found, residual=there - here), self.data.xyz)
+        moved = [
+            modelled(self.nominal, plain, replace(data, q=data.q + more_rad), found.places) - here
+            for more_rad in NUDGE_RAD * np.eye(self.nominal.n)
+        ]
+        return np.array([_about_upright(replace(found, residual=one / NUDGE_RAD), self.data.xyz) for one in moved])
 
     def _angles(self, sets: ParameterSets, which: int, side: float = 0.0) -> Array:
         if not self.paths:

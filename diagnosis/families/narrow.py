@@ -17,9 +17,10 @@ from machine.rotations import Array
 ANGLE_OF = "an error of the angle of joint"  # that is a function of this angle: a coder, a gear, a bent shaft
 LATE = "lateness that changes"
 LENS = "the distance from the image's middle"
-NARROW = (ANGLE_OF, LATE, LENS)
+LOOKS = "how large each marker looks"  # printed in another size, taught by a wrong one
+NARROW = (ANGLE_OF, LATE, LENS, LOOKS)
 ANGLE_ORDER, LATE_ORDER = 5, 1
-NUDGE_RAD, NUDGE_S = 1e-4, 1e-3
+NUDGE_S = 1e-3
 STILL_RAD = 2e-3  # within it an angle shows its encoder's noise, and no course; of time, in seconds, far less than any
 
 
@@ -29,8 +30,7 @@ def narrow_point_columns(measured: PointResidual, base: ParameterSets) -> dict[s
     What a tracker's frame or points' places that nobody knows would take up is not taken off: there they foretell less.
     """
     out = {}
-    for j in range(measured.nominal.n):
-        moved = measured.moved_by(base, j, NUDGE_RAD) / NUDGE_RAD
+    for j, moved in enumerate(measured.moved_by_each(base)):
         of_angle = _smooth(measured.data.q[:, j], ANGLE_ORDER)
         columns = (moved[:, :, None] * of_angle[:, None, :]).reshape(-1, of_angle.shape[1])
         out[f"{ANGLE_OF} {j + 1}"] = measured.noise.white(columns.T).T
@@ -42,10 +42,12 @@ def narrow_corner_columns(seen: CornerResidual, base: ParameterSets) -> dict[str
     camera = seen.nominal.camera
     if camera is None:
         return {}
-    out = {LENS: _lens(seen.frames.pixels, np.array([camera.cx_px, camera.cy_px]), camera.fx_px)}
+    out = {
+        LENS: _lens(seen.frames.pixels, np.array([camera.cx_px, camera.cy_px]), camera.fx_px),
+        LOOKS: _looks(seen.frames.pixels, camera.fx_px),
+    }
     if seen.on == "ooi":
-        frame = np.nonzero(np.isfinite(seen.frames.pixels))[0]
-        plain, n = without_encoders(base), seen.nominal.n
+        frame, plain = seen.frames.frame_of_each, without_encoders(base)
         q = link_angles(seen.paths, base, 0, seen.at, seen.frames.t_s)
 
         later, here = (
@@ -53,8 +55,7 @@ def narrow_corner_columns(seen: CornerResidual, base: ParameterSets) -> dict[str
         )
         late = (later - here) / NUDGE_S
         out[LATE] = late[:, None] * _smooth(seen.frames.t_s, LATE_ORDER)[frame]
-        for j in range(n):
-            turned = seen.moved_by(base, j, NUDGE_RAD) / NUDGE_RAD
+        for j, turned in enumerate(seen.moved_by_each(base)):
             out[f"{ANGLE_OF} {j + 1}"] = turned[:, None] * _smooth(q[:, j], ANGLE_ORDER)[frame]
     return {name: seen.placeless(columns) for name, columns in out.items()}
 
@@ -75,3 +76,13 @@ def _lens(pixels: Array, centre: Array, scale: float) -> Array:
     across = np.stack([-x[..., 1], x[..., 0]], axis=-1)
     shifts = [np.broadcast_to(row, x.shape) for row in np.eye(2)]
     return np.stack([field[there] for field in (*shifts, x, across, r2 * x, r2**2 * x)], axis=1)
+
+
+def _looks(pixels: Array, scale: float) -> Array:
+    """(N, markers): the way from each marker's own middle, alike for both eyes."""
+    there = np.isfinite(pixels)
+    corners = np.maximum(there.sum(axis=3, keepdims=True), 1)
+    middle = np.where(there, pixels, 0.0).sum(axis=3, keepdims=True) / corners
+    _, _, marker, _, _ = np.nonzero(there)
+    own = ((pixels - middle) / scale)[there]
+    return np.asarray(own[:, None] * np.eye(pixels.shape[2])[marker], dtype=float)

@@ -11,7 +11,6 @@ from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.link_angles import Path, followed
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.families.behind import swing_columns
-from diagnosis.families.narrow import NUDGE_RAD
 from diagnosis.families.ways import last_way
 from diagnosis.search.cell import Cell
 from machine.effects.layout import ParameterSets
@@ -43,9 +42,9 @@ def columns_of_joints(cell: Cell) -> tuple[Cell, dict[str, Array]]:
         return cell, {}
     parts, out = cell.parts or (cell,), {}
     seen = any(isinstance(one, CornerResidual) for one in moving.values())  # tracked points alone: `swing_columns`
+    ways = {k: _way_columns(one, parts[k].base) for k, one in moving.items()}
     for joint in range(cell.base.joint.shape[1]):
-        blocks = {k: _way_columns(one, parts[k].base, joint) for k, one in moving.items()}
-        out[way_of(joint)] = _end_to_end(parts, blocks)
+        out[way_of(joint)] = _end_to_end(parts, {k: columns[joint] for k, columns in ways.items()})
     swings = {k: swing_columns(one, parts[k].base) for k, one in moving.items()} if seen else {}
     for number, name in enumerate(next(iter(swings.values()), {})):
         out[swing_of(number)] = _end_to_end(parts, {k: columns[name] for k, columns in swings.items()})
@@ -59,22 +58,23 @@ def _moving(part: Cell) -> Moving | None:
     return seen if isinstance(seen, PointResidual) and followed(seen.paths) else None
 
 
-def _way_columns(seen: Moving, base: ParameterSets, joint: int) -> Array:
-    """(N, 1), white as the part's residual."""
-    moved = seen.moved_by(base, joint, NUDGE_RAD) / NUDGE_RAD
+def _way_columns(seen: Moving, base: ParameterSets) -> Array:
+    """For each joint (n, N, 1), white as the part's residual."""
+    moved = seen.moved_by_each(base)
     if isinstance(seen, PointResidual):
-        ways = _ways(seen.paths, seen.at, seen.data.when, joint)
-        return seen.noise.white((moved * ways[:, None]).reshape(1, -1)).T
-    frame = np.nonzero(np.isfinite(seen.frames.pixels))[0]
-    return seen.placeless((moved * _ways(seen.paths, seen.at, seen.frames.t_s, joint)[frame])[:, None])
+        columns = moved * _ways(seen.paths, seen.at, seen.data.when)[:, :, None]
+        return seen.noise.white(columns.reshape(len(columns), -1))[:, :, None]
+    columns = moved * _ways(seen.paths, seen.at, seen.frames.t_s)[:, seen.frames.frame_of_each]
+    return seen.placeless(columns.T).T[:, :, None]
 
 
-def _ways(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array, joint: int) -> Array:
-    """Which way a joint (0-based) last went (m,), at times (m,) in paths `at` (m,)."""
-    out = np.zeros(len(t_s))
+def _ways(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array) -> Array:
+    """Which way each joint last went (n, m), at times (m,) in paths `at` (m,)."""
+    out = np.zeros((paths[0].enc.shape[1], len(t_s)))
     for k in np.unique(at):
         rows, path = at == k, paths[k]
-        out[rows] = np.interp(t_s[rows], path.t_s, last_way(path.enc[:, joint], WIDTH_RAD))
+        for joint, angles in enumerate(path.enc.T):
+            out[joint, rows] = np.interp(t_s[rows], path.t_s, last_way(angles, WIDTH_RAD))
     return out
 
 

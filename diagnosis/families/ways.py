@@ -3,20 +3,22 @@
 import numpy as np
 from numba import njit
 
+from machine.effects.kernel import play_operator
 from machine.rotations import Array
 
 
 def last_way(x: Array, width: float) -> Array:
     """-1 to 1 (m,): which way a signal (m,) last went further than twice a width; 0 where it begins.
 
-    Model: the stop operator s' = clip(s + dx, -width, width), over width; what is between its ends came by turning.
+    Model: how far it is ahead of what follows it with such a play, over width; between its ends it has just turned.
     """
-    return _stopped(np.ascontiguousarray(x, dtype=float), width) / width
+    return _ahead(np.ascontiguousarray(x, dtype=float), width) / width
 
 
 @njit(cache=True)
-def _stopped(x: Array, width: float) -> Array:
-    out = np.zeros_like(x)
-    for i in range(1, len(x)):
-        out[i] = min(width, max(-width, out[i - 1] + x[i] - x[i - 1]))
+def _ahead(x: Array, width: float) -> Array:
+    out, follower = np.zeros_like(x), x[0]
+    for i in range(len(x)):
+        follower = play_operator(x[i], follower, width)
+        out[i] = x[i] - follower
     return out

@@ -10,6 +10,7 @@ from longreach.reproduce.summary import Share, share
 
 Cases = Sequence[dict[str, Any]]
 LARGE = 2.0  # times the detection limit: from there on names are expected
+TOLD_APART_NATS = 16.0  # a family refuses beyond it: one that held the missing effect alone would be silent below
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,11 @@ def left_out(cases: Cases) -> list[Line]:
         _line("refused or undecided, and the right stage", ">= 85 %", good),
         _line("no other name claimed", "", [not row["claimed"] for row in rows]),
         _line("named its equal (T < 9)", "", [bool(row.get("twin")) for row in rows]),
+        _line(
+            f"of what was named in its place: held-out data lose less than {TOLD_APART_NATS:g} nats by it",
+            "",
+            [row["lost_nats"] < TOLD_APART_NATS for row in rows if row["claimed"] and row.get("lost_nats") is not None],
+        ),
     ]
     names = dict.fromkeys(row["name"] for row, fine in zip(rows, good, strict=True) if not fine)
     return lines + [

@@ -63,7 +63,7 @@ def _kept(m: int, loss: float, seed: int) -> NDArray[np.int64]:
 
 
 @njit(cache=True, inline="always")
-def _play(x: float, y: float, half: float) -> float:
+def play_operator(x: float, y: float, half: float) -> float:
     """Play operator: y follows x at a distance of at most `half`."""
     if x - y > half:
         return x - half
@@ -170,7 +170,7 @@ def _flow(x: float, deadband: float, gains: Gains, droop: float, load: float) ->
 def _follow(behind: Array, q: float, p: Array, swing: Array, cycle_s: float) -> None:
     """One PLC cycle of a link behind its joint: play, then the swings that the link's side is kicked into."""
     before, before_d = behind[SIDE], behind[SIDE_D]
-    behind[SIDE] = _play(q, before, 0.5 * p[BACKLASH])
+    behind[SIDE] = play_operator(q, before, 0.5 * p[BACKLASH])
     behind[SIDE_D] = (behind[SIDE] - before) / cycle_s
     kicked = behind[BEND_D] - p[FLEX_GAIN] * (behind[SIDE_D] - before_d)
     behind[BEND_D] = swing[2] * behind[BEND] + swing[3] * kicked
@@ -307,7 +307,7 @@ def _alone(
         if first <= ACTUATOR and last >= ACTUATOR:
             pull = load[row, 0] + payload * load_kg[row, 0]
             for _ in range(substeps):
-                play = _play(u, play, hysteresis)
+                play = play_operator(u, play, hysteresis)
                 slow = _lagged(play, slow, slow_share)
                 spool_d = _spool_speed(spool_d, slow - spool, wn, zeta, dt)
                 spool += dt * spool_d
@@ -387,7 +387,7 @@ def _together(
             total = 0.0
             for j in range(n):
                 wn, zeta = nominal[j, WN], nominal[j, ZETA]
-                play[j] = _play(u[j], play[j], P[j, HYSTERESIS])
+                play[j] = play_operator(u[j], play[j], P[j, HYSTERESIS])
                 slow[j] = _lagged(play[j], slow[j], slow_share[j])
                 spool_d[j] = _spool_speed(spool_d[j], slow[j] - spool[j], wn, zeta, dt)
                 spool[j] += dt * spool_d[j]

@@ -227,6 +227,7 @@ def _left_out(
                 "refused": one["verdict"] in ("outside", "undecided"),
                 "claimed": [list(key) for key in named],
                 "twin": _twin(true, list(named), named, separation_of),
+                "lost_nats": one.get("lost_nats"),
                 "stage_right": stage_right(truth, one),
             }
         )

@@ -227,10 +227,12 @@ def test_what_is_named_for_the_true_name_left_out_is_told_apart_where_it_can_be(
     other = answered("effects", ("flow_gain_error", 1))
     named = other["hypotheses"][0]["effects"]
     said = {"without": "valve_lag", "verdict": "effects", "named": named, "localisation": other["localisation"]}
+    said["lost_nats"] = 3.5
     (row,) = judged(truth, {**answered("outside"), "left_out": [said]}, ())["left_out"]
     assert row["claimed"] == [["flow_gain_error", 1]]
     assert not row["refused"]
     assert row["twin"] is twin
+    assert row["lost_nats"] == 3.5
 
 
 def _imported(folder: Path) -> set[str]:

@@ -147,6 +147,13 @@ def test_leave_out_needs_the_refusal_and_the_stage() -> None:
     assert shown(figures.left_out([case("single", 3.0, left_out=[equal])]), "named its equal (T < 9)") == (1, 1)
 
 
+def test_what_held_out_data_cannot_tell_apart_is_counted_among_the_names_in_its_place() -> None:
+    row = {"name": "encoder_bias", "refused": False, "stage_right": True}
+    rows = [{**row, "claimed": [["encoder_scale", 2]], "lost_nats": nats} for nats in (3.0, 70.0, None)]
+    told = figures.left_out([case("single", 3.0, left_out=[one]) for one in (*rows, {**row, "claimed": []})])
+    assert shown(told, "of what was named in its place: held-out data lose less than 16 nats by it") == (1, 2)
+
+
 def test_what_is_on_file_is_told_with_its_count(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     asked = Campaign("own", 7, tmp_path)
     folder = asked.place / "case00001"

@@ -10,7 +10,8 @@ from diagnosis.baseline.left_over import cells_of
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.cells.behind import measurement_of
-from diagnosis.families.narrow import ANGLE_OF, LATE, LENS, narrow_corner_columns, narrow_point_columns
+from diagnosis.families.gain import held_out_nats
+from diagnosis.families.narrow import ANGLE_OF, LATE, LENS, LOOKS, narrow_corner_columns, narrow_point_columns
 from diagnosis.reading.read import read
 from diagnosis.refusal.shapes import FEW, REFUSED_NATS, SINGLE_MOMENTS, Shape, _refused_from, refusing, shapes_of
 from diagnosis.search.cell import Cell
@@ -39,7 +40,10 @@ def bent(part: Cell, column: np.ndarray, energy: float) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("measurement", "family"),
-    [("static", f"{ANGLE_OF} 2"), ("tracker", f"{ANGLE_OF} 2"), ("ooi", f"{ANGLE_OF} 2"), ("ooi", LATE), ("ooi", LENS)],
+    [
+        *((measurement, f"{ANGLE_OF} 2") for measurement in ("static", "tracker", "ooi")),
+        *(("ooi", family) for family in (LATE, LENS, LOOKS)),
+    ],
 )
 def test_a_small_course_of_a_family_is_found_by_that_family(
     parts: dict[str, Cell], measurement: str, family: str
@@ -64,6 +68,21 @@ def test_what_the_objects_place_does_is_no_course(parts: dict[str, Cell]) -> Non
     own = seen.noise.white(seen.nuisance.T, seen.frames.groups).T
     for name, columns in columns_of(parts["ooi"]).items():
         assert np.abs(own.T @ columns).max() < 1e-6 * np.linalg.norm(own) * np.linalg.norm(columns), name
+
+
+def test_a_marker_that_was_printed_larger_looks_larger(parts: dict[str, Cell]) -> None:
+    """What its pixels would be, seen from the camera: not the very column that is asked."""
+    part = parts["ooi"]
+    seen = part.whitened
+    assert isinstance(seen, CornerResidual)
+    first, *others = seen.frames.markers
+    grown = (replace(first, side_m=1.02 * first.side_m), *others)
+    wrong = replace(seen, frames=replace(seen.frames, markers=grown))
+    moved = wrong(part.base)[0] - seen(part.base)[0]
+    noise = np.random.default_rng(5).normal(size=part.rows.count)
+    found = {one.goes_with: one.nats for one in shapes_of(part, noise + moved)}
+    assert found[LOOKS] == max(found.values())
+    assert found[LOOKS] > 0.8 * held_out_nats(moved[:, None], noise + moved, part.rows) > 30.0
 
 
 def test_a_family_refuses_beyond_its_own_usual_size_and_only_where_that_is_known() -> None:

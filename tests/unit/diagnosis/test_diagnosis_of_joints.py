@@ -91,9 +91,9 @@ def test_both_ways_of_seeing_an_angle_agree_with_an_arm_that_is_off_by_it(sound:
     for part, own in sound.by_part(moved):
         seen = part.whitened
         if isinstance(seen, PointResidual):
-            expected = seen.noise.white(seen.moved_by(part.base, LOOSE, 1e-4).reshape(1, -1))[0]
+            expected = seen.noise.white(seen.moved_by_each(part.base)[LOOSE].reshape(1, -1))[0]
         elif isinstance(seen, CornerResidual) and seen.on == "ooi":
-            expected = seen.placeless(seen.moved_by(part.base, LOOSE, 1e-4)[:, None])[:, 0]
+            expected = seen.placeless(seen.moved_by_each(part.base)[LOOSE][:, None])[:, 0]
         else:
             continue
         along = float(own @ expected) / float(np.linalg.norm(own) * np.linalg.norm(expected))

@@ -12,7 +12,7 @@ from diagnosis.chain.unlike import UNLIKE_NATS, marked, told_who_sticks
 from diagnosis.diagnose import Diagnosis, diagnose
 from diagnosis.families.driven import Course
 from diagnosis.known.form import Otherwise
-from diagnosis.leave_out import without_effect
+from diagnosis.leave_out import leave_named_out, without_effect
 from diagnosis.reading.read import Read, examine
 from diagnosis.refusal.remainder import tests_of as fired_tests
 from diagnosis.replay.stage_replay import Replay
@@ -67,6 +67,9 @@ def test_without_its_name_nobody_is_excused_by_it(stuck: Diagnosis) -> None:
     left = without_effect(stuck, "stiction")
     assert not any(one.search.cell.stuck for one in left.cells)
     assert left.verdict.word in ("outside", "undecided")
+    (told,) = leave_named_out(stuck)
+    assert (told["without"], told["verdict"]) == ("stiction", left.verdict.word)
+    assert told["lost_nats"] > 16.0  # by which the two can be told apart
 
 
 def test_where_nothing_sticks_nobody_is_told() -> None:
