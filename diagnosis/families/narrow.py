@@ -1,4 +1,5 @@
-"""Families of a few numbers each behind the encoders: an error of one joint's angle, a camera's clock, a lens.
+"""Families of a few numbers each behind the encoders: an error of one joint's angle, a camera's clock, a lens,
+the size of a marker.
 
 Why beside the wide ones: a name that stands in for a kindred one takes most of it along, and what it leaves drowns in
 thirty numbers where it shows in five. Each holds effects of the catalogue (a zero and a scale are functions of the

@@ -17,8 +17,7 @@ def last_way(x: Array, width: float) -> Array:
 
 @njit(cache=True)
 def _ahead(x: Array, width: float) -> Array:
-    out, follower = np.zeros_like(x), x[0]
-    for i in range(len(x)):
-        follower = play_operator(x[i], follower, width)
-        out[i] = x[i] - follower
+    out = np.zeros_like(x)
+    for i in range(1, len(x)):
+        out[i] = x[i] - play_operator(x[i], x[i - 1] - out[i - 1], width)
     return out

@@ -6,11 +6,11 @@ from itertools import pairwise
 from statistics import median
 from typing import Any
 
+from diagnosis.refusal.shapes import REFUSED_NATS
 from longreach.reproduce.summary import Share, share
 
 Cases = Sequence[dict[str, Any]]
 LARGE = 2.0  # times the detection limit: from there on names are expected
-TOLD_APART_NATS = 16.0  # a family refuses beyond it: one that held the missing effect alone would be silent below
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,10 @@ def by_factor(cases: Cases) -> list[Line]:
 
 
 def left_out(cases: Cases) -> list[Line]:
-    """Line 5.4: the true name taken out of the library, over all effects and for the worst of them."""
+    """Line 5.4: the true name taken out of the library, over all effects and for the worst of them.
+
+    Where held-out data lose less than a family refuses by, one that held the missing effect alone would be silent.
+    """
     rows = [row for one in large(cases) for row in one.get("left_out", [])]
     good = [row["refused"] and bool(row["stage_right"]) for row in rows]
     lines = [
@@ -92,9 +95,9 @@ def left_out(cases: Cases) -> list[Line]:
         _line("no other name claimed", "", [not row["claimed"] for row in rows]),
         _line("named its equal (T < 9)", "", [bool(row.get("twin")) for row in rows]),
         _line(
-            f"of what was named in its place: held-out data lose less than {TOLD_APART_NATS:g} nats by it",
+            f"of what was named in its place: held-out data lose less than {REFUSED_NATS:g} nats by it",
             "",
-            [row["lost_nats"] < TOLD_APART_NATS for row in rows if row["claimed"] and row.get("lost_nats") is not None],
+            [row["lost_nats"] < REFUSED_NATS for row in rows if row["claimed"] and row.get("lost_nats") is not None],
         ),
     ]
     names = dict.fromkeys(row["name"] for row, fine in zip(rows, good, strict=True) if not fine)
