@@ -16,7 +16,8 @@ IN_TURN = "the order of the poses"  # of poses at rest: a tracker's frame that d
 ORDERS = 4  # of waves over an angle, a turn
 MINUTE_S = 60.0
 SWINGS_OF = "swings of joint"
-FIXED = WHICH_POINT, WHICH_MARKER, PLACE = "which point", "which marker", "place in the image"  # no swing goes with it
+FIXED = WHICH_POINT, WHICH_MARKER = "which point", "which marker"  # no swing goes with it
+PLACE = "place in the image"
 SWINGS_HZ = np.geomspace(0.6, 6.0, 14)
 SWUNG, DAMPING = 0.05, 0.1  # of a unit swing, and wide enough that one between two frequencies is a sum of both
 

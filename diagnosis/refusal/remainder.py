@@ -16,6 +16,7 @@ from machine.rotations import Array
 
 LEVEL = 1e-3  # of all tests of a recording together (Bonferroni)
 LAGS = 20
+UNLIKE_TIMES = 2.0  # of what is asked of a joint that moved as no undisturbed recording shows, or beside one
 REMAINDER_VARIES = 1.0  # a swing's energy may be twice as large in one motion as it is on the average
 # A test counts only if what it finds is also large: with thousands of rows everything is significant.
 ENERGY_MIN = 0.7  # chi2/n beyond 1: a gap of 0.84 floors; a few repeats know the floor to a quarter
@@ -75,7 +76,8 @@ def tests_of(cell: Cell, r: Array, cells: int) -> tuple[Fired, ...]:
     level = LEVEL / max(n_tests, 1)
     found = [*_energy(cell, r), *_unrest(cell, r)]
     if cell.joint not in cell.moved_unlike:  # what it leaves of another motion goes on in another way
-        found += _patterns(cell, r, 1.0)
+        beside = cell.stage == "actuator" and bool(cell.moved_unlike)  # one oil feeds them all
+        found += _patterns(cell, r, UNLIKE_TIMES if beside else 1.0)
     usual = dict(cell.usual)
     least, times = (PATTERN_NATS, USUAL_TIMES)
     if usual and cell.stage not in DRIVEN_STAGES:
@@ -128,6 +130,7 @@ def _energy(cell: Cell, r: Array) -> list[Fired]:
     """More energy than the floor has; none behind joints that moved unlike: so did the booms that they set swinging.
 
     What booms do differs from day to day by more than what oil does: there twice the most that was ever left is asked.
+    So it is of a joint that moved unlike itself: behind commands cut to square waves oil left 2.3 and 2.8.
     """
     behind = cell.stage not in DRIVEN_STAGES
     if cell.moved_unlike and behind:
@@ -137,6 +140,8 @@ def _energy(cell: Cell, r: Array) -> list[Fired]:
     least = 1.0 + ENERGY_MIN + REMAINDER_VARIES * cell.left_share
     if behind:
         least = max(least, USUAL_TIMES * dict(cell.usual).get(USUAL_ENERGY, 0.0))
+    elif cell.joint in cell.moved_unlike:
+        least *= UNLIKE_TIMES
     if ratio < least or not cell.floor_known:
         return []
     few = cell.floor_squares  # six pairs of poses know a floor to an eighth: such a ratio is no chi2

@@ -111,6 +111,11 @@ class Cell:
         """Whether a baseline says of any part what it shows on the undisturbed machine."""
         return any(part.usual for part in self.parts or (self,))
 
+    @property
+    def known_well(self) -> bool:
+        """Whether a baseline says what this cell shows on the undisturbed machine, all of its parts."""
+        return all(part.usual for part in self.parts or (self,))
+
     def usual_nats(self, effect: Candidate, numbers: Array) -> float:
         """What an effect of these numbers (slots,) may gain on the undisturbed machine, beyond the margin that every
         name is asked for [nats, not divided].

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from diagnosis.verdict.verdict import Verdict, known_well
+from diagnosis.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -54,7 +54,7 @@ def _never_waited(one: CellAnswer) -> bool:
     """Whether it is a link whose undisturbed days are known: a wait for the next cycle that they never showed is a
     delay of up to a cycle, however little of it can be told.
     """
-    return one.search.cell.stage == "link" and known_well(one.search.cell)
+    return one.search.cell.stage == "link" and one.search.cell.known_well
 
 
 def _reaches_none(size: Interval) -> bool:

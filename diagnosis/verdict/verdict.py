@@ -11,17 +11,16 @@ import numpy as np
 from diagnosis.cells.behind import guessed_scatter_m, measurement_of
 from diagnosis.families.behind import IN_TURN
 from diagnosis.families.driven import SINCE
-from diagnosis.known.days import RECORDINGS_ENOUGH
 from diagnosis.refusal.remainder import CORRELATION, EDGE, ENERGY_MIN, Fired
+from diagnosis.refusal.shapes import SINGLE_MOMENTS, Shape
 from diagnosis.refusal.shapes import TEST as SHAPE
-from diagnosis.refusal.shapes import Shape
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.score import FORM_SHARE_STUCK, STICKS
 from diagnosis.search.undoing import Undoing, undoing
 from diagnosis.verdict.certain import certain_in_words, probability_of_names
+from diagnosis.verdict.closed import closes_little, closing_little
 from diagnosis.verdict.late_log import late_log
-from diagnosis.verdict.shrink import by_noise, closing, together
-from machine.remainder import USUAL_ENERGY
+from diagnosis.verdict.shrink import by_noise, together
 
 if TYPE_CHECKING:
     from diagnosis.verdict.cell_answer import CellAnswer
@@ -36,6 +35,7 @@ UNDONE_IN_A_CROWD = 0.8  # of three names of one joint that stood for one bent c
 CROWD = 3  # names at once on a machine whose usual state is known: one cause that the catalogue lacks is likelier
 WITH_TIME, DRIFT_NATS = "time", 25.0  # twice what is told as a lead: of 40 sound recordings none showed it
 CHANGED_NATS = 30.0  # of a joint: of 150 recordings of machines that stayed as they were none showed 15
+COURSE_NATS = 45.0  # of one: of 30 sound foreign recordings without a baseline none showed 34; a gear's ripple, 62
 LOUD = 4.0  # energy of what is left over a noise that was only estimated
 BRIEF_S, BRIEF_ENERGY = 12.0, 4.0  # without repeats: sound machines of 5 to 11 s showed up to 2.1, and names of it
 SCATTER_TOLD_M = 2e-3  # more than most trackers: it may hide a fault where no pose was measured twice
@@ -129,10 +129,10 @@ def verdict_of(
         one = loud[0]
         text = f"{one.search.cell.label}: the best names leave {_over_noise(one)}"
         return Verdict("undecided", f"{text}: more is wrong than they say")
-    little = [one for one in answers if _closed(one) < LEFT_LARGE]
+    little = [one for one in answers if closes_little(one)]
     if little:
-        return Verdict("undecided", _closing_little(little[0]))
-    if len(named) >= CROWD and all(known_well(one.search.cell) for one in answers):
+        return Verdict("undecided", closing_little(little[0]))
+    if len(named) >= CROWD and all(one.search.cell.known_well for one in answers):
         names = ", ".join(dict.fromkeys(effect.name for effect in named))
         return Verdict("undecided", f"{len(named)} faults at once ({names}): look for one cause of all of them first")
     undone = next((pair for one in answers if (pair := _undone(one)) is not None), None)
@@ -155,7 +155,7 @@ def _undone(one: CellAnswer) -> Undoing | None:
     of one joint's names.
     """
     pair = undoing(one.search.cell, one.chosen.fit, one.search.none.fit.residual)
-    if pair is None or known_well(one.search.cell):
+    if pair is None or one.search.cell.known_well:
         return pair
     by_joint = Counter(effect.joint for effect in one.chosen.fit.hypothesis if effect.joint is not None)
     crowd = max(by_joint.values(), default=0) >= CROWD
@@ -174,7 +174,7 @@ def _is_trace(one: CellAnswer, gained_nats: float) -> bool:
          finding of the tracker was taken back for 44 nats of an actuator. With repeats or a baseline it would count.
     """
     cell = one.search.cell
-    if cell.stage not in DRIVEN_STAGES or one.chosen.fit.hypothesis or cell.floor_known or known_well(cell):
+    if cell.stage not in DRIVEN_STAGES or one.chosen.fit.hypothesis or cell.floor_known or cell.known_well:
         return False
     whole = 0.5 * float(sum(of.before.sum() for of in one.squares))
     fired = max(own.size if own.test == SHAPE else own.share * whole for own in one.fired)
@@ -184,7 +184,7 @@ def _is_trace(one: CellAnswer, gained_nats: float) -> bool:
 def _brief(one: CellAnswer) -> bool:
     """Whether a driven cell of guessed noise is too short for a gap that stands out of it as little as this."""
     cell = one.search.cell
-    if cell.stage not in DRIVEN_STAGES or cell.floor_known or known_well(cell):
+    if cell.stage not in DRIVEN_STAGES or cell.floor_known or cell.known_well:
         return False
     return _duration_s(cell) < BRIEF_S and float(np.mean(one.search.none.held_out**2)) < BRIEF_ENERGY
 
@@ -194,7 +194,7 @@ def _may_answer_noise(one: CellAnswer) -> bool:
     no repeats tell; what is left has the size that the noise was guessed to have.
     """
     cell = one.search.cell
-    if cell.stage not in DRIVEN_STAGES or cell.floor_known or known_well(cell) or one.chosen.fit.hypothesis:
+    if cell.stage not in DRIVEN_STAGES or cell.floor_known or cell.known_well or one.chosen.fit.hypothesis:
         return False
     small = _energy(one) < 1.0 + ENERGY_MIN
     return small and bool(one.fired) and all(fired.test == CORRELATION for fired in one.fired)
@@ -227,66 +227,25 @@ def _over_noise(one: CellAnswer) -> str:
 
 
 def _drifts(one: CellAnswer, shape: Shape) -> bool:
-    """Whether what was measured behind the encoders moved with time, or what drives a joint changed from the start on,
-    where no baseline says that it always does.
+    """Whether what was measured behind the encoders moved with time, or what drives a joint changed from the start on
+    or has a course without a name, where no baseline says that it always does.
     """
     if shape.stage in DRIVEN_STAGES:
-        return shape.goes_with == SINCE and shape.nats > CHANGED_NATS and not known_well(one.search.cell)
+        least = CHANGED_NATS if shape.goes_with == SINCE else COURSE_NATS
+        return shape.goes_with != SINGLE_MOMENTS and shape.nats > least and not one.search.cell.known_well
     behind = shape.goes_with in (WITH_TIME, IN_TURN)
     parts = one.search.cell.parts or (one.search.cell,)
     alike = max((part.spread_least for part in parts if measurement_of(part) == shape.measurement), default=1.0)
-    return behind and shape.nats > alike * DRIFT_NATS and not known_well(one.search.cell)
+    return behind and shape.nats > alike * DRIFT_NATS and not one.search.cell.known_well
 
 
 def _drifting_in_words(one: CellAnswer, shape: Shape) -> str:
     if shape.stage in DRIVEN_STAGES:
         where = shape.stage if shape.joint is None else f"{shape.stage} {shape.joint}"
-        return f"{where}: what is left goes with {shape.goes_with}; something changed while it was recorded"
+        why = "something changed while it was recorded" if shape.goes_with == SINCE else "nothing in the catalogue does"
+        return f"{where}: what is left goes with {shape.goes_with}; {why}"
     text = f"{one.search.cell.label}: what is left of the {shape.measurement} points goes with {shape.goes_with}"
     return f"{text}; something moved that should not: a frame, a mount, a marker"
-
-
-def _closed(one: CellAnswer) -> float:
-    """The share of the gap that a cell's names close; 1 where nothing was named. Where none can be told, since nothing
-    stands out of the noise: 0 without a baseline if what drives the cell is a guess between logged rows, else 1.
-
-    Its upper limit, for what is left would have refused the names otherwise. The share itself beside a baseline, where
-    what is usually left is allowed for, and where the gap is what the catalogue foretells, whose limit is 1: a name
-    could close next to nothing there, and nothing else would refuse it.
-    """
-    if not one.chosen.fit.hypothesis:
-        return 1.0
-    told, _ = _share_asked(one)
-    if told is None:
-        return 0.0 if one.search.cell.coarse and not one.search.cell.usual_known else 1.0
-    return told
-
-
-def _share_asked(one: CellAnswer) -> tuple[float | None, bool]:
-    """The share closed that counts, and whether it is an upper limit."""
-    _, _, _, (share, _, high), by = closing(together(one.squares))
-    at_most = by == "noise" and not one.search.cell.usual_known
-    return (high if at_most else share), at_most
-
-
-def _closing_little(one: CellAnswer) -> str:
-    """Why names that close little of a cell's gap are not told as its cause."""
-    label, (share, at_most) = one.search.cell.label, _share_asked(one)
-    if share is None:
-        text = f"{label}: nothing stands out of what repeats differ by, and names gain there all the same"
-        return f"{text}; log every PLC cycle, or repeat more, to tell whether they are a fault"
-    text = f"{label}: the best names close {100.0 * share:.3g} % of the gap"
-    if _known_by_few(one.search.cell):
-        return (
-            f"{text}, and the machine's usual state is known of too few days to say whether the rest is usual; "
-            f"fit it on {RECORDINGS_ENOUGH} recordings or more"
-        )
-    return f"{text}{' at the most' if at_most else ''}: more of it is something else"
-
-
-def _known_by_few(cell: Cell) -> bool:
-    """Whether a baseline was judged on too few recordings to say how much is ever left."""
-    return any(part.usual and USUAL_ENERGY not in dict(part.usual) for part in cell.parts or (cell,))
 
 
 def _energy(one: CellAnswer) -> float:
@@ -296,11 +255,6 @@ def _energy(one: CellAnswer) -> float:
 
 def _allowed(one: CellAnswer) -> float:
     return LEFT_STUCK if any(effect.name == STICKS for effect in one.chosen.fit.hypothesis) else LEFT_SMALL
-
-
-def known_well(cell: Cell) -> bool:
-    """Whether a baseline says what this cell shows on the undisturbed machine."""
-    return all(part.usual for part in cell.parts or (cell,))
 
 
 def _left(one: CellAnswer) -> float:
