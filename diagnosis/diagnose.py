@@ -229,8 +229,7 @@ def _named(cell: Cell, chosen: Score, ranked: tuple[Weighed, ...]) -> Score:
     that were. Of what drives the joints, without repeats and without a baseline: ten times; of 48 foreign
     recordings one name stood below that, and was not there.
     """
-    guessed = cell.stage in DRIVEN_STAGES and not cell.floor_known and not cell.known_well
-    odds = TOLD_ODDS_GUESSED if guessed else TOLD_ODDS
+    odds = TOLD_ODDS_GUESSED if cell.noise_guessed else TOLD_ODDS
     while names := {effect.key for effect in chosen.fit.hypothesis}:
         fewer = sum(one.probability for one in ranked if len(one.score.fit.hypothesis) < len(names))
         if fewer * odds <= 1.0 - fewer:

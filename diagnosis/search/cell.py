@@ -116,6 +116,11 @@ class Cell:
         """Whether a baseline says what this cell shows on the undisturbed machine, all of its parts."""
         return all(part.usual for part in self.parts or (self,))
 
+    @property
+    def noise_guessed(self) -> bool:
+        """Whether it drives a joint and nobody measured its noise: nothing was repeated, and no baseline knows it."""
+        return self.stage in DRIVEN_STAGES and not self.floor_known and not self.known_well
+
     def usual_nats(self, effect: Candidate, numbers: Array) -> float:
         """What an effect of these numbers (slots,) may gain on the undisturbed machine, beyond the margin that every
         name is asked for [nats, not divided].

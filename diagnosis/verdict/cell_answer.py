@@ -27,3 +27,9 @@ class CellAnswer:
     limits: tuple[Limit, ...]
     same: tuple[tuple[Key, ...], ...]
     shapes: tuple[Shape, ...]
+
+
+def joints_asked(answers: tuple[CellAnswer, ...], name: str) -> set[int]:
+    """Joints (1-based) that an effect was looked for on: one cause of all of them shows on each."""
+    candidates = (one for answer in answers for one in answer.search.cell.candidates)
+    return {one.joint for one in candidates if one.name == name and one.joint is not None}

@@ -7,12 +7,10 @@ Why: a filter of 40 ms before the log looks like a valve's lag of 38 ms in every
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from diagnosis.verdict.cell_answer import CellAnswer
+from diagnosis.verdict.cell_answer import CellAnswer, joints_asked
 
 LAG, CLOCK = "valve_lag", "clock_offset"
 ALIKE = 0.1  # share by which the joints' lags differ at most
@@ -48,9 +46,12 @@ def late_log(answers: tuple[CellAnswer, ...]) -> LateLog | None:
                 lags[effect.joint] = float(theta[0])
             elif effect.name == CLOCK:
                 clocks.append(float(theta[0]))
-    driven = {one.joint for answer in answers for one in answer.search.cell.candidates if one.name == LAG and one.joint}
     by_s = float(np.median(list(lags.values()))) if lags else 0.0
-    if len(lags) < JOINTS_MIN or set(lags) != driven or max(abs(one - by_s) for one in lags.values()) > ALIKE * by_s:
+    if (
+        len(lags) < JOINTS_MIN
+        or set(lags) != joints_asked(answers, LAG)
+        or max(abs(one - by_s) for one in lags.values()) > ALIKE * by_s
+    ):
         return None
     agreeing = any(abs(-one - by_s) < ALIKE_CLOCK * by_s for one in clocks)
     return LateLog(by_s, tuple(sorted(lags)), agreeing)

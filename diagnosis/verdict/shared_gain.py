@@ -10,19 +10,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from diagnosis.search.limits import QUANTILE_95, Interval
+from diagnosis.verdict.cell_answer import CellAnswer, joints_asked
 from diagnosis.verdict.verdict import Verdict
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from diagnosis.search.limits import Interval
-    from diagnosis.verdict.cell_answer import CellAnswer
-
 GAIN = "flow_gain_error"
 JOINTS_MIN = 2
 SHARED_NATS = 2.0  # seven times as likely by one cause as by one of each joint
 APART = 0.02  # of the gain: how far joints that share a cause may differ, since they move at other times
-PER_90 = 3.29  # standard errors between the limits of 90 %
 
 
 def shared_gain(
@@ -33,8 +31,11 @@ def shared_gain(
     Args: numbers: limits of every number by its score's identity.
     """
     gains = _gains(answers, numbers) if verdict.word == "effects" else {}
-    driven = {one.joint for answer in answers for one in answer.search.cell.candidates if one.name == GAIN}
-    if len(gains) < JOINTS_MIN or set(gains) != driven or shared_nats(tuple(gains.values())) < SHARED_NATS:
+    if (
+        len(gains) < JOINTS_MIN
+        or set(gains) != joints_asked(answers, GAIN)
+        or shared_nats(tuple(gains.values())) < SHARED_NATS
+    ):
         return verdict
     percent = 100.0 * float(np.mean([one.value for one in gains.values()]))
     joints = ", ".join(map(str, sorted(gains)))
@@ -49,7 +50,7 @@ def shared_gain(
 def shared_nats(gains: tuple[Interval, ...]) -> float:
     """By how much one gain for all is likelier than one of each, drawn as widely as they are large [nats]."""
     value = np.array([one.value for one in gains])
-    own = np.array([(one.high - one.low) / PER_90 for one in gains])
+    own = np.array([(one.high - one.low) / (2.0 * QUANTILE_95) for one in gains])
     size = float(np.abs(value).mean())
     if size == 0.0:
         return 0.0

@@ -174,7 +174,7 @@ def _is_trace(one: CellAnswer, gained_nats: float) -> bool:
          finding of the tracker was taken back for 44 nats of an actuator. With repeats or a baseline it would count.
     """
     cell = one.search.cell
-    if cell.stage not in DRIVEN_STAGES or one.chosen.fit.hypothesis or cell.floor_known or cell.known_well:
+    if not cell.noise_guessed or one.chosen.fit.hypothesis:
         return False
     whole = 0.5 * float(sum(of.before.sum() for of in one.squares))
     fired = max(own.size if own.test == SHAPE else own.share * whole for own in one.fired)
@@ -184,7 +184,7 @@ def _is_trace(one: CellAnswer, gained_nats: float) -> bool:
 def _brief(one: CellAnswer) -> bool:
     """Whether a driven cell of guessed noise is too short for a gap that stands out of it as little as this."""
     cell = one.search.cell
-    if cell.stage not in DRIVEN_STAGES or cell.floor_known or cell.known_well:
+    if not cell.noise_guessed:
         return False
     return _duration_s(cell) < BRIEF_S and float(np.mean(one.search.none.held_out**2)) < BRIEF_ENERGY
 
@@ -194,7 +194,7 @@ def _may_answer_noise(one: CellAnswer) -> bool:
     no repeats tell; what is left has the size that the noise was guessed to have.
     """
     cell = one.search.cell
-    if cell.stage not in DRIVEN_STAGES or cell.floor_known or cell.known_well or one.chosen.fit.hypothesis:
+    if not cell.noise_guessed or one.chosen.fit.hypothesis:
         return False
     small = _energy(one) < 1.0 + ENERGY_MIN
     return small and bool(one.fired) and all(fired.test == CORRELATION for fired in one.fired)
