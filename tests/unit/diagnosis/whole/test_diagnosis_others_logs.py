@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import changed, recording
+from diagnosis_cases import changed, entry, recording
 from foreign_plant import Fault, write
 from one_joint_cases import Machine, recorded
-from test_diagnosis_localise import entry
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose

@@ -18,7 +18,7 @@ from recording.content import Attachment, Recording
 from recording.rows import PlcState, Row, StaticPoint
 from recording.run import RunInfo
 
-DATA = Path(__file__).parents[4] / "shared" / "data" / "gap"
+DATA = Path(__file__).parents[5] / "shared" / "data" / "gap"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="recordings of others are not here: no ../shared/data/gap")
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML
-from test_diagnosis_points import POINTS, examined, packed, static_recording
+from static_points import POINTS, examined, packed, static_recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose

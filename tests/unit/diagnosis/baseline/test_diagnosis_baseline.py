@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML, entry
+from made_up_cell import made_up
 from scipy.signal import lfilter
-from test_diagnosis_search import made_up
 
 from diagnosis.baseline.forward import entries_of, forward
 from diagnosis.cells.behind import joined, told_behind, without

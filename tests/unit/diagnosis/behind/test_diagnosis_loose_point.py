@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_diagnosis_search import made_up
+from made_up_cell import made_up
 
 from diagnosis.behind.loose_point import loose_point
 from diagnosis.refusal.remainder import tests_of as fired_tests

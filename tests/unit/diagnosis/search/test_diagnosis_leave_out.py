@@ -1,6 +1,6 @@
 """An effect left out of the library: cached fits are reused and the name is gone."""
 
-from test_diagnosis_search import made_up
+from made_up_cell import made_up
 
 from diagnosis.search.fit import Fit
 from diagnosis.search.score import score

@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_up_cell import ASYMMETRY, COLUMNS, GAIN, LAG, T, made_up
 
 from diagnosis.baseline.forward import forward
 from diagnosis.diagnose import _answer
 from diagnosis.errors import DiagnosisError
 from diagnosis.refusal.remainder import Fired, at_edge, remainder
 from diagnosis.search.candidates import candidates_of, named, put
-from diagnosis.search.cell import Cell, Rows, blocks_of, folds_of
+from diagnosis.search.cell import Cell, blocks_of, folds_of
 from diagnosis.search.fit import evaluated, fit, jacobian, neutral_fit
 from diagnosis.search.limits import detection_limit, intervals
 from diagnosis.search.scan import scan
@@ -19,43 +20,8 @@ from diagnosis.search.search import search
 from diagnosis.verdict.shrink import closed_share, shrinks, squares
 from diagnosis.verdict.verdict import verdict_of
 from diagnosis.verdict.weigh import Weighed, calibration, combined, same_here, weighed
-from machine.effects.layout import ParameterSets, neutral_sets, slots_of
+from machine.effects.layout import ParameterSets, neutral_sets
 from machine.remainder import usual_name
-
-GAIN, ASYMMETRY, LAG = (slots_of(name, 1)[0] for name in ("flow_gain_error", "valve_asymmetry", "valve_lag"))
-N = 600
-T = np.arange(N) * 0.05
-COLUMNS = np.stack([np.sin(1.3 * T), np.maximum(np.sin(1.3 * T), 0.0) + 0.3 * np.cos(3.1 * T), np.cos(1.3 * T)])
-
-
-def made_up(truth: tuple[float, float, float], seed: int = 4, noise: float = 1.0) -> Cell:
-    """Residual: noise + sum of (truth - size) columns, 40 noise levels per unit."""
-    rng = np.random.default_rng(seed)
-    base_noise = rng.normal(0.0, noise, N)
-
-    def whitened(sets: ParameterSets) -> np.ndarray:
-        sizes = np.stack([sets.joint[:, 0, slot.column] for slot in (GAIN, ASYMMETRY, LAG)], axis=1)
-        return base_noise + (np.array(truth) - sizes) @ (40.0 * COLUMNS)
-
-    block, _ = blocks_of([N // 2, N // 2])
-    fold, same = folds_of(["steps", "workcycle"], [N // 2, N // 2], block)
-    assert not same
-    zero = np.zeros(N, np.int64)
-    return Cell(
-        stage="actuator",
-        joint=1,
-        unit="rad/s",
-        candidates=named(("flow_gain_error", "valve_asymmetry", "valve_lag"), (1,)),
-        base=neutral_sets(1),
-        whitened=whitened,
-        rows=Rows(fold, block, zero, zero),
-        scale=np.ones(N),
-        quiet=1.0,
-        floor_known=True,
-        same_kind=False,
-        regressors=(("command", np.sin(1.9 * T)),),
-        t_s=T,
-    )
 
 
 def test_a_fit_finds_the_sizes_of_a_linear_residual() -> None:

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_diagnosis_search import made_up, named
+from made_up_cell import made_up
 
 from diagnosis.baseline.baseline import Baseline
 from diagnosis.diagnose import _answer
 from diagnosis.refusal.remainder import Fired
 from diagnosis.refusal.shapes import TEST
+from diagnosis.search.candidates import named
 from diagnosis.search.limits import Interval
 from diagnosis.search.search import search
 from diagnosis.verdict.cell_answer import CellAnswer

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis_cases import MACHINE, MACHINE_TOML
-from test_diagnosis_points import ARM, POINTS, TRACKER, static_recording
+from static_points import ARM, POINTS, TRACKER, static_recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign_plant import Fault, write
-from test_diagnosis_points import examined, static_recording
+from static_points import examined, static_recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose

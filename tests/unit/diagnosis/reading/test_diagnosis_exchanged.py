@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML, changed, recording
-from test_diagnosis_points import POINTS, TRACKER, examined, packed, static_recording
+from static_points import POINTS, TRACKER, examined, packed, static_recording
 
 from diagnosis.log.pairing import pairing_findings
 from diagnosis.log.tables import tables_of

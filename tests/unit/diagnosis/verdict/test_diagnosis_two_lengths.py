@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML
-from test_diagnosis_points import examined, packed, static_recording
+from static_points import examined, packed, static_recording
 
 from diagnosis.answer import answer
 from diagnosis.diagnose import diagnose

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from diagnosis_cases import MACHINE_TOML
-from test_diagnosis_points import packed
+from static_points import packed
 
 from diagnosis.behind.misplaced_markers import misplaced_markers
 from diagnosis.log.nominal import nominal_of

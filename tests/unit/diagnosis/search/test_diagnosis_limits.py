@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_diagnosis_search import COLUMNS, GAIN, LAG, N, made_up
+from made_up_cell import COLUMNS, GAIN, LAG, N, made_up
 
 from diagnosis.search.candidates import named
 from diagnosis.search.cell import Cell
