@@ -30,6 +30,7 @@ from recording.run import RunInfo, run_to_toml
 QUEUE_ENTRIES = 50_000  # minutes of numbers
 IMAGES_MAX = 16  # waiting images; a disk that is further behind loses images
 CHUNK_BYTES = 256 * 1024
+OPEN_S = 30.0
 FLUSH_S = 1.0  # at most this much is lost when the process is killed
 CLOSE_S = 30.0
 RECOVERABLE = "what was written so far can be recovered"
@@ -66,6 +67,9 @@ class RunWriter:
     """One run's file. Times given are the PC's monotonic clock [ns]; the file carries UTC.
 
     `patient`: whether a giver waits for a disk that is behind by QUEUE_ENTRIES.
+    `open_wait_s`: how long the giver waits for the file to be there; after that what is given waits for it.
+
+    Raises: RecordingError where the file cannot be made, if that is known within `open_wait_s`; else `error` says so.
     """
 
     def __init__(
@@ -77,6 +81,7 @@ class RunWriter:
         mono_to_utc_ns: int | None = None,
         *,
         patient: bool = False,
+        open_wait_s: float = OPEN_S,
     ) -> None:
         self.path, self._patient = path, patient
         self._mono_to_utc_ns = time.time_ns() - time.monotonic_ns() if mono_to_utc_ns is None else mono_to_utc_ns
@@ -90,25 +95,31 @@ class RunWriter:
         self.images_dropped = 0
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._stream: BinaryIO = path.open("xb")
-            self._writer = McapWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
-            self._begin([Attachment("run.toml", "application/toml", run_to_toml(run).encode()), *attachments], metadata)
-        except OSError as error:
-            raise RecordingError(f"recording {path}: {error.strerror}; choose a folder that can be written") from error
-        self._thread = threading.Thread(target=self._work, name="recording", daemon=True)
+        self._stream: BinaryIO | None = None
+        begun, opened = (
+            [Attachment("run.toml", "application/toml", run_to_toml(run).encode()), *attachments],
+            threading.Event(),
+        )
+        self._thread = threading.Thread(
+            target=self._work, args=(begun, metadata, opened), name="recording", daemon=True
+        )
         self._thread.start()
+        if opened.wait(open_wait_s) and self._error:
+            raise RecordingError(self._error)
 
-    def _begin(self, attachments: Sequence[Attachment], metadata: Sequence[tuple[str, str]]) -> None:
+    def _open(self, attachments: Sequence[Attachment], metadata: Sequence[tuple[str, str]]) -> None:
+        """Thread: make the file and what stands at its head; `error` says where that failed."""
         try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._stream = self.path.open("xb")
+            self._writer = McapWriter(self._stream, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD)
             self._writer.start(profile="", library="longreach")
             for attachment in attachments:
                 self._attach(attachment)
             self._writer.add_metadata("longreach", dict(metadata))
-        except OSError:
-            self._stream.close()
-            raise
+        except OSError as error:
+            self._error = f"recording {self.path}: {error.strerror}; choose a folder that can be written"
+            _log.error(self._error)
 
     @property
     def error(self) -> str:
@@ -144,6 +155,11 @@ class RunWriter:
         return True
 
     @property
+    def opened(self) -> bool:
+        """Whether there is a file."""
+        return self._stream is not None
+
+    @property
     def ended(self) -> bool:
         """Whether nothing more comes into the file: after `close`, and after a wait that was too short once it did."""
         return not self._thread.is_alive()
@@ -176,6 +192,8 @@ class RunWriter:
             self._close_stream()
 
     def _close_stream(self) -> None:
+        if self._stream is None:
+            return
         try:
             self._stream.close()
         except OSError as error:  # closing writes what its buffer still held
@@ -206,12 +224,14 @@ class RunWriter:
             except queue.Full:
                 continue
 
-    def _work(self) -> None:
-        """Thread: entries from the queue to the file, a chunk at least every FLUSH_S, then the file's end.
+    def _work(self, begun: Sequence[Attachment], metadata: Sequence[tuple[str, str]], opened: threading.Event) -> None:
+        """Thread: the file's head, entries from the queue, a chunk at least every FLUSH_S, then the file's end.
 
         Whatever goes wrong ends the file and never the thread: it empties the queue on, so that nobody waits for it.
         """
         try:
+            self._open(begun, metadata)
+            opened.set()
             flushed_s = time.monotonic()
             while not (self._closing.is_set() and self._queue.empty()):
                 flushed_s = self._step(flushed_s)

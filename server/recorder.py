@@ -25,7 +25,7 @@ from server.vision.contracts import Look
 
 TRANSFORM_PERIOD_NS = 100_000_000
 IMAGE_PERIOD_NS = 100_000_000
-CLOSE_WAIT_S = 0.5  # longest that a slow disk may hold the event loop at a run's end; the file is written on behind it
+DISK_WAIT_S = 0.5  # longest that a slow disk may hold the event loop at a run's begin, and at its end
 CAMERA_PERIOD_NS = 1_000_000_000  # the camera's intrinsics are repeated, so that a reader may start anywhere
 
 _log = logging.getLogger(__name__)
@@ -40,7 +40,8 @@ class Recorder:
         self._chain = chain_of(machine)
         self._images = images
         self._writer: RunWriter | None = None
-        self._late: RunWriter | None = None  # the last run's, which its disk had not taken in time
+        self._last: RunWriter | None = None  # the last run's, while its disk has not taken all of it
+        self._late: list[RunWriter] = []  # of all runs of which that is so
         self._run = RunInfo(name="")
         self._plc_offset_ns: int | None = None
         self._camera_offset_ns: int | None = None
@@ -60,8 +61,8 @@ class Recorder:
     @property
     def problem(self) -> str:
         """Why the run that is on, or else the last one, is not recorded; empty while it is."""
-        if self._late is not None and self._late.ended:
-            self._problem, self._late = self._late.error, None
+        if self._last is not None and self._last.ended:
+            self._problem, self._last = self._last.error, None
         return self._problem or (self._writer.error if self._writer is not None else "")
 
     def start(
@@ -85,8 +86,8 @@ class Recorder:
         ]
         path = self._folder / f"{now:%Y%m%dT%H%M%S}-{run_id}.mcap"
         try:
-            self._writer = RunWriter(path, self._run, attachments, self._metadata(seed))
-            self._problem, self._late = "", None
+            self._writer = RunWriter(path, self._run, attachments, self._metadata(seed), open_wait_s=DISK_WAIT_S)
+            self._problem, self._last = "", None
         except RecordingError as error:
             self._problem = str(error)
             _log.error("%s; the run goes on without a recording", error)
@@ -200,15 +201,16 @@ class Recorder:
             pc_to_utc_offset_s=self._run.pc_to_utc_offset_s,
             segments=tuple(self._segments),
         )
-        self._problem = writer.close(final, CLOSE_WAIT_S).error
-        self._late = None if writer.ended else writer
-        return writer.path if writer.ended else None
+        self._problem = writer.close(final, DISK_WAIT_S).error
+        self._late = [one for one in (*self._late, writer) if not one.ended]
+        self._last = writer if writer in self._late else None
+        return writer.path if writer.ended and writer.opened else None
 
     def finish(self) -> None:
-        """Close the run's file, and wait for the disk as long as a writer waits: for the server's own end."""
+        """Close the run's file, and wait for every disk as long as a writer waits: for the server's own end."""
         self.stop()
-        if self._late is not None:
-            self._late.close()
+        for one in self._late:
+            one.close()
 
     def _row(self, row: Row, t_mono_ns: int) -> None:
         if self._writer is not None:

@@ -190,17 +190,23 @@ def test_a_disk_that_is_full_at_the_start_is_told_not_raised(tmp_path: Path, mon
     assert recorder.stop() is None
 
 
+def held_up(monkeypatch: pytest.MonkeyPatch, step: str) -> threading.Event:
+    """A disk that takes this step of a file only when the event is set."""
+    taken, stalled = getattr(McapWriter, step), threading.Event()
+
+    def late(writer: McapWriter, *args: object, **kwargs: object) -> None:
+        stalled.wait(30.0)
+        taken(writer, *args, **kwargs)
+
+    monkeypatch.setattr(f"recording.writer.McapWriter.{step}", late)
+    return stalled
+
+
 def test_a_disk_that_is_late_at_the_end_holds_nobody_and_is_told_until_it_came(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("server.recorder.CLOSE_WAIT_S", 0.05)
-    finish, stalled = McapWriter.finish, threading.Event()
-
-    def late(writer: McapWriter) -> None:
-        stalled.wait(30.0)
-        finish(writer)
-
-    monkeypatch.setattr("recording.writer.McapWriter.finish", late)
+    monkeypatch.setattr("server.recorder.DISK_WAIT_S", 0.05)
+    stalled = held_up(monkeypatch, "finish")
     recorder = Recorder(tmp_path, MACHINE)
     recorder.start("x", "{}", MACHINE_TOML)
     recorder.sample(sample(0))
@@ -212,3 +218,55 @@ def test_a_disk_that_is_late_at_the_end_holds_nobody_and_is_told_until_it_came(
     assert recorder.problem == ""
     (path,) = tmp_path.glob("*.mcap")
     assert read_run(path).complete
+
+
+def test_a_disk_that_is_late_at_the_begin_holds_nobody_and_gets_all_that_was_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.recorder.DISK_WAIT_S", 0.05)
+    stalled = held_up(monkeypatch, "start")
+    recorder = Recorder(tmp_path, MACHINE)
+    recorder.start("x", "{}", MACHINE_TOML)
+    assert (recorder.recording, recorder.problem) == (True, "")
+    for number in range(3):
+        recorder.sample(sample(number))
+    stalled.set()
+    recorder.finish()
+    (path,) = tmp_path.glob("*.mcap")
+    recording = read_run(path)
+    assert (recording.complete, len(recording.of(PlcState))) == (True, 3)
+
+
+def test_a_file_that_could_not_be_made_after_all_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.recorder.DISK_WAIT_S", 0.05)
+    stalled, opened = threading.Event(), Path.open
+
+    def full(path: Path, *mode: str) -> object:
+        if path.suffix != ".mcap":
+            return opened(path, *mode)
+        stalled.wait(30.0)
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "open", full)
+    recorder = Recorder(tmp_path, MACHINE)
+    recorder.start("x", "{}", MACHINE_TOML)
+    recorder.sample(sample(0))
+    stalled.set()
+    recorder.finish()
+    assert "No space left on device; choose a folder that can be written" in recorder.problem
+    assert recorder.stop() is None
+
+
+def test_the_servers_end_waits_for_every_run_that_its_disk_had_not_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("server.recorder.DISK_WAIT_S", 0.05)
+    stalled = held_up(monkeypatch, "finish")
+    recorder = Recorder(tmp_path, MACHINE)
+    for name in ("first", "second"):
+        recorder.start(name, "{}", MACHINE_TOML)
+        recorder.sample(sample(0))
+        assert recorder.stop() is None
+    stalled.set()
+    recorder.finish()
+    assert [read_run(path).complete for path in sorted(tmp_path.glob("*.mcap"))] == [True, True]
