@@ -21,13 +21,14 @@ from server.camera.contracts import (
     PoseSourceCommand,
     PoseSourceName,
     QuitCommand,
+    SignOfLife,
     VisionCommand,
     VisionMessage,
     VisionSettings,
 )
 from server.camera.errors import CameraError
 from server.camera.looking import LookCollector
-from server.camera.process import run_vision
+from server.camera.process import LIFE_S, run_vision
 from server.camera.tracking import TrackCollector
 from server.vision.contracts import Look, OdometryPose
 
@@ -35,6 +36,7 @@ KEEP_REPORTS = 600  # 40 s at 15 Hz
 FRESH_S = 0.5  # a stream without a report for longer is silent
 QUIT_S = 4.0
 RESTART_S = 1.0
+HUNG_LOOKS = 30  # so many seconds in which a process that had begun says nothing: it is ended, and begun anew
 ODOMETRY_START_S = 20.0
 PROCESS_START_S = 240.0  # on a new machine everything is compiled first
 
@@ -58,8 +60,11 @@ class VisionClient:
         self._pipe: Connection | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
         self._restart: asyncio.Task[None] | None = None
+        self._overseer: asyncio.Task[None] | None = None
+        self._begun = self._heard = False
         self._pose_source: PoseSourceName = "stereo"
         self._track: TrackCollector | None = None
+        self._runs = self._map_wanted = 0  # of odometry
         self.stream_text = STARTING
         self.latest_preview: tuple[bytes, int] | None = None
         self.last_odometry: tuple[OdometryPose, ...] = ()
@@ -93,13 +98,15 @@ class VisionClient:
         """Start the vision process; does not wait for the camera."""
         self._loop = asyncio.get_running_loop()
         await asyncio.to_thread(self._spawn)
+        self._overseer = self._loop.create_task(self._oversee(), name="vision-oversight")
 
     async def close(self) -> None:
         """End the vision process, by force if it does not listen."""
         self._loop = None
-        if self._restart is not None:
-            self._restart.cancel()
-            await asyncio.gather(self._restart, return_exceptions=True)
+        tasks = [task for task in (self._restart, self._overseer) if task is not None]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
         process, pipe = self._process, self._pipe
         self._process = self._pipe = None
         if process is None or pipe is None:
@@ -152,8 +159,9 @@ class VisionClient:
         Raises: CameraError when no pair comes.
         """
         await self._wait_for_process()
-        self._track = track = TrackCollector()
-        self._send(OdometryCommand(on=True))
+        self._runs += 1
+        self._track = track = TrackCollector(self._runs)
+        self._send(OdometryCommand(on=True, run=track.run))
         try:
             async with asyncio.timeout(ODOMETRY_START_S):
                 await self._until(lambda: bool(track.poses))
@@ -173,17 +181,18 @@ class VisionClient:
         except TimeoutError:
             _log.warning("no pair after the end of the odometry run within %.1f s", FRESH_S)
         self._track = None
-        self._send(OdometryCommand(on=False))
+        self._send(OdometryCommand(on=False, run=track.run))
+        self._map_wanted = track.run
         self.last_odometry, self.last_map = tuple(track.poses), None
         return track.track()
 
     def drop_odometry(self) -> None:
         """Switch odometry off if it is on; nobody wants its track."""
-        if self._track is None:
+        track, self._track = self._track, None
+        if track is None:
             return
-        self._track = None
         with contextlib.suppress(CameraError):  # no process, no odometry
-            self._send(OdometryCommand(on=False))
+            self._send(OdometryCommand(on=False, run=track.run))
 
     async def _wait_for_process(self) -> None:
         """Until the vision process has said something: a picture's report, or what its source lacks."""
@@ -226,7 +235,9 @@ class VisionClient:
         )
         process.start()
         theirs.close()
-        self._process, self._pipe = process, ours
+        with contextlib.suppress(OSError):  # it has ended at once: its reader will say so
+            ours.send(PoseSourceCommand(self._pose_source))  # as asked for, perhaps of the process before it
+        self._process, self._pipe, self._begun = process, ours, False
         threading.Thread(target=self._read, args=(ours, process), name="vision-reports", daemon=True).start()
 
     def _read(self, pipe: Connection, process: BaseProcess) -> None:
@@ -247,13 +258,31 @@ class VisionClient:
             if message is None:
                 return
 
+    async def _oversee(self) -> None:
+        """End a process that hangs: its reader then says that it is gone, and another is started.
+
+        Counted in looks of our own: while this whole computer stands still, neither side says anything.
+        """
+        silent = 0
+        while True:
+            await asyncio.sleep(LIFE_S)
+            silent, self._heard = 0 if self._heard or not self._begun else silent + 1, False
+            if silent >= HUNG_LOOKS and self._process is not None:
+                _log.error("vision process has said nothing for %.0f s; it is ended", silent * LIFE_S)
+                self._process.kill()
+                silent = 0
+
     def _receive(self, message: VisionMessage | None, pipe: Connection) -> None:
         if message is None:
-            self._lost(pipe)
-        elif isinstance(message, FrameReport):
+            return self._lost(pipe)
+        self._begun = self._heard = True
+        if isinstance(message, SignOfLife):
+            return
+        if isinstance(message, FrameReport):
             self._take(message)
         elif isinstance(message, OdometryMap):
-            self.last_map = message
+            if message.run == self._map_wanted:
+                self.last_map = message
         else:
             self.stream_text = message.text
             self._arrived.set()
@@ -280,8 +309,7 @@ class VisionClient:
         self._pipe = None
         pipe.close()
         self.restarts += 1
-        self._pose_source = "stereo"
-        self._track = None if self._track is None else TrackCollector()  # its start frame is lost
+        self._track = None if self._track is None else TrackCollector(self._track.run)  # its start frame is lost
         self._restart = self._loop.create_task(self._respawn(), name="vision-restart")
 
     async def _respawn(self) -> None:

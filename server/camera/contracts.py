@@ -23,7 +23,6 @@ class VisionSettings:
     preview_width_px: int = 960
     preview_quality: int = 75
     preview_rate_hz: float = 10.0
-    clock_window_s: float = 20.0
     mask_scale: float = 2.0
     exposure_slack_s: float = 0.2
 
@@ -75,7 +74,8 @@ class FrameReport:
     """One processed pair.
 
     `t_exposure_mapped_ns`: the exposure on the PC's monotonic clock, late by the camera's smallest latency.
-    `warnings` forbid the use of this pair in a look; `skipped` counts since the start of the process.
+    `warnings` forbid the use of this pair in a look; `skipped` counts since the start of the process; `odometry_run` is
+    the number under which the odometry was switched on, 0 before the first.
     """
 
     observation: PairObservation
@@ -91,6 +91,7 @@ class FrameReport:
     sharpness: float
     preview_jpeg: bytes | None
     preview_width_px: int = 0
+    odometry_run: int = 0
 
     @property
     def usable(self) -> bool:
@@ -107,17 +108,24 @@ class StreamNotice:
 
 
 @dataclass(frozen=True, slots=True)
+class SignOfLife:
+    """The process goes on, whether or not its camera gives pictures."""
+
+
+@dataclass(frozen=True, slots=True)
 class OdometryMap:
     """Where the points lie that an odometry run was fitted to, thinned: (n, 3) in its own vo frame [m]."""
 
     points_vo: Array
+    run: int
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryCommand:
-    """Switch odometry on (from a fresh start frame) or off."""
+    """Switch odometry on (from a fresh start frame) or off. `run`: a number that its poses and its map carry."""
 
     on: bool
+    run: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,4 +141,4 @@ class QuitCommand:
 
 
 VisionCommand = OdometryCommand | PoseSourceCommand | QuitCommand
-VisionMessage = FrameReport | StreamNotice | OdometryMap
+VisionMessage = FrameReport | StreamNotice | OdometryMap | SignOfLife

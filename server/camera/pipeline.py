@@ -59,7 +59,8 @@ class VisionPipeline:
         self._pose_source: PoseSourceName = "stereo"
         self._odometry: Odometry | None = None
         self._odometry_started = False
-        self._clock = CameraClock(settings.clock_window_s)
+        self._odometry_run = 0
+        self._clock = CameraClock()
         self._health = ImageHealth(camera)
         self._mask = ToolMask(tool_ids, settings.mask_scale)
         self._receive_ns: deque[int] = deque(maxlen=RATE_FRAMES)
@@ -70,12 +71,14 @@ class VisionPipeline:
         """Find marker poses in this way from the next pair on."""
         self._pose_source = name
 
-    def switch_odometry(self, on: bool) -> OdometryMap | None:
+    def switch_odometry(self, on: bool, run: int = 0) -> OdometryMap | None:
         """On: a new odometry with a start frame of its own; off: none. Returns the map of the one switched off."""
-        ended, started = self._odometry, self._odometry_started
+        ended, started, ended_run = self._odometry, self._odometry_started, self._odometry_run
         self._odometry = self._make_odometry() if on else None
-        self._odometry_started = False
-        return OdometryMap(ended.map_points(MAP_POINTS)) if ended is not None and started and not on else None
+        self._odometry_started, self._odometry_run = False, run
+        if ended is None or not started or on:
+            return None
+        return OdometryMap(ended.map_points(MAP_POINTS), ended_run)
 
     def close(self) -> None:
         """End the odometry's thread."""
@@ -86,7 +89,9 @@ class VisionPipeline:
         started_s = time.perf_counter()
         findings = self._health.before_use(frame)
         forbidden = any(finding.forbids_odometry for finding in findings)
-        mapped_ns = self._clock.map(frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection)
+        mapped_ns = self._clock.map(
+            frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection, self._health.stamp_short_ns
+        )
         following = None if forbidden else self._follow_beside(frame)
         observation = self._pose_sources[self._pose_source].observe(frame.left, frame.right, frame.t_exposure_ns)
         self._mask.update(observation.views)
@@ -104,6 +109,7 @@ class VisionPipeline:
             sequence=frame.sequence,
             pose_source=self._pose_source,
             odometry=odometry,
+            odometry_run=self._odometry_run,
             fps=self._rate_hz(),
             process_ms=(time.perf_counter() - started_s) * 1e3,
             skipped=skipped,

@@ -19,6 +19,7 @@ from server.camera.contracts import (
     PoseSourceCommand,
     PoseSourceName,
     QuitCommand,
+    SignOfLife,
     StereoFrame,
     StereoSource,
     StreamNotice,
@@ -33,6 +34,7 @@ from server.vision.contracts import ObjectPoseSource
 
 HANDOVER_S = 0.0005  # how soon a thread hands the interpreter on; Python's 5 ms are a third of a pair's time
 WARM_UP_STEP_NS = 66_000_000
+LIFE_S = 1.0  # a sign of life comes as often
 READ_TIMEOUT_S = 0.1  # how soon a command is heard when no pictures come
 
 _log = logging.getLogger(__name__)
@@ -112,6 +114,7 @@ class VisionLoop:
         self._source = source
         self._pipeline = pipeline
         self._state = ""
+        self._life_s = time.monotonic()
         self._quit = False
 
     def run(self) -> None:
@@ -126,9 +129,12 @@ class VisionLoop:
         frame = None if self._quit else self._source.read(timeout_s)
         if self._source.ended and frame is None and not self._quit:
             self._quit = self._pipe.poll(timeout_s) and self._obey(self._pipe.recv())
-        self._tell_state()
         if frame is not None:
             self._pipe.send(self._pipeline.process(frame, self._source.skipped))
+        if time.monotonic() - self._life_s >= LIFE_S:
+            self._life_s = time.monotonic()
+            self._pipe.send(SignOfLife())
+        self._tell_state()  # after the pair: a stream may have ended behind it
 
     def _tell_state(self) -> None:
         state = self._source.state
@@ -138,8 +144,8 @@ class VisionLoop:
 
     def _obey(self, command: VisionCommand) -> bool:
         match command:
-            case OdometryCommand(on=on):
-                ended = self._pipeline.switch_odometry(on)
+            case OdometryCommand():
+                ended = self._pipeline.switch_odometry(command.on, command.run)
                 if ended is not None:
                     self._pipe.send(ended)
             case PoseSourceCommand(name=name):

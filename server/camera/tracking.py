@@ -14,14 +14,15 @@ POSES_MAX = 180 * 60  # as long as encoders are kept to match them with, at 60 p
 
 @dataclass(slots=True)
 class TrackCollector:
-    """Takes reports while odometry runs; the newest POSES_MAX poses are kept."""
+    """Takes reports of one odometry run while it lasts; the newest POSES_MAX poses are kept."""
 
+    run: int
     poses: deque[OdometryPose] = field(default_factory=lambda: deque(maxlen=POSES_MAX))
     _offsets_ns: deque[int] = field(default_factory=lambda: deque(maxlen=POSES_MAX))
 
     def add(self, report: FrameReport) -> None:
-        """Keep this report's odometry, if it has one."""
-        if report.odometry is not None:
+        """Keep this report's odometry, if it has one and it is of this run."""
+        if report.odometry is not None and report.odometry_run == self.run:
             self.poses.append(report.odometry)
             self._offsets_ns.append(report.t_exposure_mapped_ns - report.observation.t_exposure_ns)
 

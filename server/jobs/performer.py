@@ -53,7 +53,7 @@ class Performer:
         self._odometry_from_ns = 0
         self._odometry_on = False
         self._steering = Steering(cell)
-        self._watching_from_ns = 0
+        self._watching_from_ns, self._watching_by = 0, "stereo"
         self._watched: deque[tuple[float, PairObservation]] | None = None
         self._play = PlayFollower(usual_play(cell.chain.n))
         cell.vision.on_report(self._watch)
@@ -217,11 +217,12 @@ class Performer:
 
     async def _start_watching(self, request: StartWatching) -> None:
         await self._cell.vision.set_pose_source(request.source)
+        self._watching_by = request.source
         self._watching_from_ns = time.monotonic_ns()
         self._watched = deque(maxlen=WATCHED_MAX)
 
     def _watch(self, report: FrameReport) -> None:
-        if self._watched is not None and report.usable:
+        if self._watched is not None and report.usable and report.pose_source == self._watching_by:
             self._watched.append((report.t_exposure_mapped_ns * 1e-9, report.observation))
 
     def _stop_watching(self) -> object:

@@ -19,6 +19,8 @@ class FaultCode(Enum):
     STAMP_STANDS = "stamp_stands"
     STAMP_BACKWARDS = "stamp_backwards"
     STAMP_JUMPED = "stamp_jumped"
+    LATE = "late"
+    STARTING = "starting"
     FLICKER = "flicker"
     UNEVEN_EXPOSURE = "uneven_exposure"
     BLURRED = "blurred"

@@ -66,7 +66,8 @@ class FrozenMonitor:
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
         """Compare with the pair before, and the eyes with each other."""
-        found = [] if pair.first else [text for text in (self._repeat(name, eye) for name, eye in pair.eyes) if text]
+        comparable = not pair.first or pair.resumed
+        found = [text for text in (self._repeat(name, eye) for name, eye in pair.eyes) if text] if comparable else []
         findings = [Finding(FaultCode.FROZEN, text) for text in found]
         copied = _copied(pair)
         return (*findings, copied) if copied is not None else tuple(findings)

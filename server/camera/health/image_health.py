@@ -47,6 +47,11 @@ class ImageHealth:
         self._first: tuple[Monitor, ...] = (ExposureMonitor(), FrozenMonitor(), self._garbage)
         self._then: tuple[Monitor, ...] = (LightMonitor(), RigMonitor(camera), SpotMonitor(), self._blur)
 
+    @property
+    def stamp_short_ns(self) -> int:
+        """By how much the last pair's stamp came too soon after the one before [ns]."""
+        return self._stamps.short_ns
+
     def check(self, frame: StereoFrame) -> tuple[str, ...]:
         """Warnings about this pair by its images and stamps; empty when it is fit for use."""
         return tuple(finding.text for finding in self.inspect(frame) if finding.forbids_look)
@@ -59,6 +64,7 @@ class ImageHealth:
         """What stamps and images tell by themselves, before anybody works on them. Once per pair, in order."""
         sick = wrong_size(frame, self._camera)
         if sick:
+            self._stamps.short_ns = 0  # judged with the next pair of the right size
             self._pair, self._shape = None, ()
             return self._images.hold(sick)
         pair = self._pair = self._seen(frame)
@@ -80,10 +86,12 @@ class ImageHealth:
         return self._marked.hold((*self._blur.at_markers(pair), *self._markers.check(pair)))
 
     def _seen(self, frame: StereoFrame) -> Pair:
-        if frame.connection != self._connection:
+        known, same_shape = self._connection == frame.connection, self._shape == frame.left.shape
+        if not known:
             self._images.clear()
             self._marked.clear()
-        first = frame.connection != self._connection or frame.left.shape != self._shape
         self._connection, self._shape = frame.connection, frame.left.shape
         left, right = self._left.look(frame.left), self._right.look(frame.right)
-        return Pair(frame, left, right, self._left.step, first)
+        return Pair(
+            frame, left, right, self._left.step, first=not (known and same_shape), resumed=same_shape and not known
+        )

@@ -9,6 +9,8 @@ GOOD_PAIRS_OF = {  # where more must be seen
     FaultCode.STAMP_BACKWARDS: 10,  # the clock's map needs 8 pairs to find itself
     FaultCode.STAMP_JUMPED: 10,
     FaultCode.STAMP_STANDS: 10,
+    FaultCode.LATE: 10,
+    FaultCode.STARTING: 0,  # counts by itself
 }
 
 

@@ -11,13 +11,17 @@ from server.vision.contracts import PairObservation
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """One pair. `first`: nothing before it to compare with (start, new connection, new size)."""
+    """One pair. `first`: nothing before it to compare with (start, new connection, new size).
+
+    `resumed`: the first of a new connection, of the size of the pictures before: it may be the last of those again.
+    """
 
     frame: StereoFrame
     left: EyeCells
     right: EyeCells
     step: int
     first: bool
+    resumed: bool = False
     observation: PairObservation | None = None
 
     @property

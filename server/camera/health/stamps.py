@@ -5,11 +5,12 @@ from collections import deque
 from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Finding
 from server.camera.health.pair import Pair
+from server.camera.smallest_offset import SmallestOffset
 
-WINDOW = 120  # pairs over which the smallest latency and the period are taken
+WINDOW = 120  # pairs over which the period is taken
 PERIOD_MIN_FRAC = 0.5  # a step shorter than this of the usual one is none of the camera's
 PERIOD_KNOWN_FROM = 8
-STARTING_PAIRS = 8  # the first pictures of a stream may have waited in a buffer: until then lateness is learnt anew
+STARTING_PAIRS = 8  # the first of a stream may have waited in a buffer: for no look, and lateness is learnt anew
 AHEAD_SETTLED_FROM = 30  # pairs after which the smallest latency is known well
 AHEAD_MAX_S = 0.100  # stamps ahead of their arrival by more, against the smallest latency seen: before that ...
 AHEAD_SETTLED_MAX_S = 0.025  # ... and from then on
@@ -18,43 +19,69 @@ SILENCE_MAX_S = 0.5
 
 
 class StampMonitor:
-    """Stamps against each other and against their arrival."""
+    """Stamps against each other and against their arrival.
+
+    `short_ns`: by how much the last stamp came too soon after the one before: what a clock was set back by, at most.
+    """
 
     def __init__(self) -> None:
-        self._forget()
+        self.short_ns = 0
+        self._begin(None)
 
-    def _forget(self) -> None:
-        self._before: StereoFrame | None = None
+    def _begin(self, before: StereoFrame | None) -> None:
+        self._before = before
+        self._seen = 0  # of this connection
         self._periods_ns: deque[int] = deque(maxlen=WINDOW)
-        self._offsets_ns: deque[int] = deque(maxlen=WINDOW)
+        self._smallest = SmallestOffset()
+        self._learnt = 0  # offsets since it began, or since its clock was set
 
     def check(self, pair: Pair) -> tuple[Finding, ...]:
-        """Compare with the pair before; after a jump everything is learnt anew."""
+        """Compare with the pair before; after a clock was set, periods are learnt anew."""
         frame, before = pair.frame, self._before
-        if before is None or before.connection != frame.connection:
-            self._forget()
+        self.short_ns = 0
+        fresh = before is None or before.connection != frame.connection
+        if fresh:
+            self._begin(before)
+        found = [found for found in (self._compared(frame, before, fresh), self._starting(frame)) if found is not None]
+        self._before = frame
+        return tuple(found)
+
+    def _compared(self, frame: StereoFrame, before: StereoFrame | None, fresh: bool) -> Finding | None:
+        if before is None or (fresh and before.t_exposure_ns != frame.t_exposure_ns):
             self._learn(frame, None)
-            return ()
+            return None
         finding = self._step(before, frame)
-        arrival = self._arrival(frame) if finding is None else None
-        if finding is None and arrival is None:
-            self._learn(frame, (frame.t_exposure_ns - before.t_exposure_ns) // _periods(before, frame))
-            return ()
-        moved_ns = frame.t_exposure_ns - before.t_exposure_ns
         if finding is not None and finding.code is FaultCode.STAMP_STANDS:
-            self._before = frame  # nothing to learn from
-        elif finding is not None or (arrival is not None and arrival.code is FaultCode.STAMP_JUMPED and moved_ns > 0):
-            self._offsets_ns.clear()
-            self._periods_ns.clear()  # a camera that was short of time and is so no longer is faster from now on
-            self._learn(frame, None)
-        found = finding or arrival
-        return () if found is None else (found,)
+            return finding  # nothing to learn from
+        finding = finding or self._arrival(frame)
+        if finding is None:
+            self._learn(frame, (frame.t_exposure_ns - before.t_exposure_ns) // _periods(before, frame))
+            return None
+        self._periods_ns.clear()  # a camera that was short of time and is so no longer is faster from now on
+        if finding.code is not FaultCode.LATE:  # a picture that is old says nothing of the clock
+            self._clock_was_set(frame)
+        return finding
+
+    def _starting(self, frame: StereoFrame) -> Finding | None:
+        """A line that was opened just now may give pictures that waited in a buffer, or the last one for ever."""
+        self._seen += 1
+        if frame.connection == 0 or self._seen > STARTING_PAIRS:
+            return None
+        text = f"picture {self._seen} of a new connection: the first {STARTING_PAIRS} may have waited in a buffer; wait"
+        return Finding(FaultCode.STARTING, text, forbids_odometry=False)
 
     def _learn(self, frame: StereoFrame, period_ns: int | None) -> None:
-        self._before = frame
-        self._offsets_ns.append(frame.t_receive_mono_ns - frame.t_exposure_ns)
+        self._smallest.learn(frame.t_receive_mono_ns, frame.t_receive_mono_ns - frame.t_exposure_ns)
+        self._learnt += 1
         if period_ns is not None:
             self._periods_ns.append(period_ns)
+
+    def _clock_was_set(self, frame: StereoFrame) -> None:
+        """By no more than its stamps fell short: a picture may be late besides."""
+        now_ns = frame.t_receive_mono_ns
+        most_ns = self._smallest.at(now_ns) + self.short_ns
+        self._smallest.begin(now_ns, min(now_ns - frame.t_exposure_ns, most_ns))
+        self._learnt = 1
 
     def _step(self, before: StereoFrame, frame: StereoFrame) -> Finding | None:
         step_ns = frame.t_exposure_ns - before.t_exposure_ns
@@ -62,13 +89,14 @@ class StampMonitor:
             text = "camera frozen: its stamp does not advance; restart the camera"
             return Finding(FaultCode.STAMP_STANDS, text)
         if step_ns < 0:
+            self.short_ns = -step_ns + self._usual_ns(before, frame)
             text = f"camera stamps run backwards by {-step_ns / 1e6:.1f} ms; its clock was set: restart the stream"
             return Finding(FaultCode.STAMP_BACKWARDS, text)
         if len(self._periods_ns) < PERIOD_KNOWN_FROM:
             return None
-        usual_ns = sorted(self._periods_ns)[len(self._periods_ns) // 2]
-        usual_ns *= _periods(before, frame)
+        usual_ns = self._usual_ns(before, frame)
         if step_ns < PERIOD_MIN_FRAC * usual_ns:
+            self.short_ns = usual_ns - step_ns
             text = (
                 f"camera stamps jumped: a step of {step_ns / 1e6:.1f} ms where {usual_ns / 1e6:.1f} ms are usual "
                 f"(limit {PERIOD_MIN_FRAC * usual_ns / 1e6:.1f} ms): its clock was set, or it is faster from now on; "
@@ -77,13 +105,18 @@ class StampMonitor:
             return Finding(FaultCode.STAMP_JUMPED, text)
         return None
 
+    def _usual_ns(self, before: StereoFrame, frame: StereoFrame) -> int:
+        """From one to the other as the last ones came; 0 while too few are known."""
+        if len(self._periods_ns) < PERIOD_KNOWN_FROM:
+            return 0
+        return sorted(self._periods_ns)[len(self._periods_ns) // 2] * _periods(before, frame)
+
     def _arrival(self, frame: StereoFrame) -> Finding | None:
-        if not self._offsets_ns:
-            return None
-        later_s = (frame.t_receive_mono_ns - frame.t_exposure_ns - min(self._offsets_ns)) * 1e-9
-        ahead_max_s = AHEAD_SETTLED_MAX_S if len(self._offsets_ns) >= AHEAD_SETTLED_FROM else AHEAD_MAX_S
-        if -later_s > ahead_max_s and len(self._offsets_ns) < STARTING_PAIRS:
-            self._offsets_ns.clear()
+        now_ns = frame.t_receive_mono_ns
+        later_s = (now_ns - frame.t_exposure_ns - self._smallest.at(now_ns)) * 1e-9
+        ahead_max_s = AHEAD_SETTLED_MAX_S if self._learnt >= AHEAD_SETTLED_FROM else AHEAD_MAX_S
+        if -later_s > ahead_max_s and self._learnt < STARTING_PAIRS:
+            self._learnt = 0
             return None
         if -later_s > ahead_max_s:
             text = (
@@ -94,9 +127,9 @@ class StampMonitor:
         if later_s > LATE_MAX_S:
             text = (
                 f"picture is {1e3 * later_s:.0f} ms older than the fastest (limit {1e3 * LATE_MAX_S:.0f} ms); the "
-                "network or this computer is overloaded, or the camera's clock was set"
+                "network or this computer is overloaded, or the camera's clock was set: restart the stream if it stays"
             )
-            return Finding(FaultCode.STAMP_JUMPED, text)
+            return Finding(FaultCode.LATE, text)
         return None
 
 

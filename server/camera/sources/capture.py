@@ -114,19 +114,29 @@ class CapturedSource(ABC):
         back_off_s = BACK_OFF_FIRST_S
         while not self._stop.is_set():
             try:
-                capture = self._open()
+                back_off_s = BACK_OFF_FIRST_S if self._captured() else back_off_s
+                reason = f"{self._subject}: gives no pictures"
             except CameraError as error:
                 reason = str(error)
-            else:
-                back_off_s = BACK_OFF_FIRST_S if self._pump(capture) else back_off_s
-                capture.release()
-                reason = f"{self._subject}: gives no pictures"
+            except (
+                Exception
+            ) as error:  # outermost loop of the thread: whatever OpenCV raises, the camera is tried again
+                _log.exception(self._subject)
+                reason = f"{self._subject}: {error!r}"
             if self._stop.is_set():
                 return
             self._state = f"{reason}; trying again"
             _log.info("%s in %.1f s", self._state, back_off_s)
             self._stop.wait(back_off_s)
             back_off_s = min(2.0 * back_off_s, BACK_OFF_MAX_S)
+
+    def _captured(self) -> bool:
+        """One capture from its opening to its end; whether it gave any picture."""
+        capture = self._open()
+        try:
+            return self._pump(capture)
+        finally:
+            capture.release()
 
     def _pump(self, capture: Capture) -> bool:
         """Read until it gives no more; whether it gave any."""

@@ -13,7 +13,6 @@ from server.camera.sources.side_by_side import decode_side_by_side, split_side_b
 from server.vision.contracts import Image
 
 RATE_OFF_MAX_FRAC = 0.02
-STAMP_OLD_MAX_NS = 1_000_000_000  # a driver's stamp further back than this is no monotonic time
 
 
 def open_v4l2(index: int | str) -> Capture:
@@ -22,7 +21,8 @@ def open_v4l2(index: int | str) -> Capture:
 
 
 class DeviceStereoSource(CapturedSource):
-    """A UVC camera. Frames carry the driver's own stamp (CLOCK_MONOTONIC, when the frame came in over USB).
+    """A UVC camera. Frames carry the driver's own stamp (when the frame came in over USB, mostly by CLOCK_MONOTONIC;
+    whichever clock it is, it is mapped as any camera's).
 
     OpenCV is told not to convert: MJPG arrives as JPEG bytes and is decoded to grey at once, YUYV gives its
     luminance; neither makes a detour through colour.
@@ -75,7 +75,7 @@ class DeviceStereoSource(CapturedSource):
     def _stamp(self, capture: Capture) -> tuple[int, int]:
         now_ns = time.monotonic_ns()
         driver_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-        return (driver_ns if 0 <= now_ns - driver_ns < STAMP_OLD_MAX_NS else now_ns), now_ns
+        return (driver_ns if driver_ns > 0 else now_ns), now_ns  # an old one is an old picture's: never made younger
 
     def _eyes(self, picture: Picture) -> tuple[Image, Image]:
         wanted = self._settings

@@ -10,7 +10,7 @@ import socket
 import threading
 import time
 from dataclasses import dataclass
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
@@ -39,7 +39,7 @@ class HttpStereoSource:
 
     def __init__(self, settings: HttpSource) -> None:
         self._address = urlsplit(settings.url)
-        if self._address.scheme != "http" or not self._address.hostname:
+        if self._address.scheme != "http" or not self._address.hostname or not _has_port(self._address):
             raise CameraError(f"camera url '{settings.url}' is not http://host[:port]/path")
         self._url = settings.url
         self._newest: Newest[_Received] = Newest()
@@ -105,6 +105,9 @@ class HttpStereoSource:
                 reason = "the camera ended the stream"
             except (OSError, http.client.HTTPException, StreamError) as error:
                 reason = str(error) or type(error).__name__
+            except Exception as error:  # outermost loop of the thread: whatever a camera sends, it is asked again
+                _log.exception("camera %s", self._url)
+                reason = repr(error)
             if self._stop.is_set():
                 return
             self._state = f"camera {self._url}: {reason}; trying again"
@@ -142,3 +145,11 @@ class HttpStereoSource:
                 self._counted += 1
                 self._newest.put(_Received(part, self._counted, self._connection))
         return any_part
+
+
+def _has_port(address: SplitResult) -> bool:
+    """Whether its port, if it names one, is one."""
+    try:
+        return address.port is None or address.port > 0
+    except ValueError:
+        return False

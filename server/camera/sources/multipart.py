@@ -1,10 +1,12 @@
 """multipart/x-mixed-replace without IO: bytes in, parts out. Parts must carry Content-Length."""
 
+import re
 from dataclasses import dataclass
 
 from server.camera.errors import StreamError
 
 HEADER_LIMIT_BYTES = 8192
+WHOLE_NUMBER = re.compile(rb"-?[0-9]{1,19}")
 BODY_LIMIT_BYTES = 32 << 20  # an uncompressed 2 x 4 megapixel picture fits
 
 
@@ -30,7 +32,7 @@ def _number(fields: dict[bytes, bytes], name: bytes) -> int | None:
     text = fields.get(name)
     if text is None:
         return None
-    if not text.lstrip(b"-").isdigit() or len(text) > 20:
+    if not WHOLE_NUMBER.fullmatch(text):
         raise StreamError(f"camera stream: header {name.decode()} = {text[:40]!r} is not a whole number")
     return int(text)
 

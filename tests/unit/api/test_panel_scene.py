@@ -33,7 +33,7 @@ def test_the_way_and_its_points_lie_where_the_camera_was_when_it_ended(feed, vis
     assert feed._map_shown() is None  # it comes a little later
     point_base = np.array([3.0, 0.2, 1.1])
     point_vo = T_VO_CAM_END @ inverse_pose(T_BASE_CAM) @ np.append(point_base, 1.0)
-    vision.last_map = OdometryMap(point_vo[None, :3])
+    vision.last_map = OdometryMap(point_vo[None, :3], 1)
     elsewhere = pose(np.eye(3), np.array([9.0, 9.0, 9.0]))
     assert feed._track_shown(elsewhere) is track  # the machine has moved on; the way stays where it was
     assert feed._map_shown()[0] == pytest.approx(point_base)
@@ -41,7 +41,7 @@ def test_the_way_and_its_points_lie_where_the_camera_was_when_it_ended(feed, vis
 
 def test_a_new_run_takes_the_old_points_away(feed, vision):
     vision.last_odometry = (SimpleNamespace(T_vo_cam=np.eye(4)),)
-    vision.last_map = OdometryMap(np.ones((4, 3)))
+    vision.last_map = OdometryMap(np.ones((4, 3)), 1)
     feed._track_shown(T_BASE_CAM)
     assert feed._map_shown().shape == (4, 3)
     vision.last_odometry, vision.last_map = (SimpleNamespace(T_vo_cam=T_VO_CAM_END),), None

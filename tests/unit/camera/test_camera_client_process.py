@@ -19,6 +19,7 @@ from camera_stand_in import CameraStandIn, jpeg_of, part_of
 from machine.description import parse_machine_toml
 from server.camera.client import VisionClient
 from server.camera.contracts import VisionSettings
+from server.camera.health.stamps import STARTING_PAIRS
 from server.camera.sources.settings import HttpSource
 from server.vision.contracts import LookStatus
 
@@ -69,7 +70,7 @@ async def test_reports_look_death_and_restart() -> None:
             feeding = asyncio.create_task(feed(camera, bodies(4), stop))
             seen: list[int] = []
             client.on_report(lambda report: seen.append(report.sequence))
-            await until(lambda: len(seen) > 3)
+            await until(lambda: len(seen) > STARTING_PAIRS)
             report = client.latest
             assert report is not None
             assert report.usable, report.warnings
@@ -92,6 +93,7 @@ async def test_reports_look_death_and_restart() -> None:
             feeding = asyncio.create_task(feed(camera, bodies(4), stop))
             await until(lambda: len(seen) > count + 2)
             assert client.process_id != first
+            assert client.latest.pose_source == "mono"  # as asked for, of the process before
             stop.set()
             await feeding
         assert client.process_id is None
@@ -103,6 +105,19 @@ async def test_a_silent_camera_gives_no_images() -> None:
         look = await client.look(3, 0.3, 1.0)
     assert look.status is LookStatus.NO_IMAGES
     assert "refused" in look.reason
+
+
+async def test_a_process_that_hangs_is_ended_and_another_one_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("server.camera.client.HUNG_LOOKS", 3)
+    async with running_client("http://127.0.0.1:9/stream") as client:
+        await until(lambda: "refused" in client.stream_text)
+        first = client.process_id
+        assert first is not None
+        await asyncio.sleep(5.0)  # a camera that is off is no process that hangs
+        assert (client.process_id, client.restarts) == (first, 0)
+        os.kill(first, signal.SIGSTOP)
+        await until(lambda: client.restarts == 1, 30.0)
+        await until(lambda: client.process_id not in (None, first), 30.0)
 
 
 def test_the_process_ends_with_its_parent() -> None:

@@ -136,17 +136,18 @@ def test_time_up_says_why() -> None:
 
 
 def test_track_leaves_out_lost_poses_and_uses_one_offset() -> None:
-    taking = TrackCollector()
+    taking = TrackCollector(0)
     for number, latency_ms in enumerate((40, 30, 30, 30)):
         status = OdometryStatus.LOST if number == 2 else OdometryStatus.OK
         pose = odometry_pose(number * 66 * MS, status)
         mapped_ns = number * 66 * MS + latency_ms * MS
         taking.add(report(number, odometry=pose, t_exposure_mapped_ns=mapped_ns))
     taking.add(report(9))
+    taking.add(report(9, odometry=odometry_pose(594 * MS, OdometryStatus.OK), odometry_run=7))  # of another run
     track = taking.track()
     np.testing.assert_allclose(track.t_s, [0.030, 0.096, 0.228], atol=1e-12)
     np.testing.assert_allclose(track.Ts_vo_cam[:, 0, 3], [0.0, 0.066, 0.198], atol=1e-12)
-    assert TrackCollector().track().Ts_vo_cam.shape == (0, 4, 4)
+    assert TrackCollector(0).track().Ts_vo_cam.shape == (0, 4, 4)
 
 
 class _Source:

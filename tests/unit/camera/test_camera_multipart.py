@@ -40,6 +40,8 @@ def test_receive_time_is_that_of_the_header() -> None:
         b"--x\r\nContent-Length: 4e3\r\n\r\n",
         b"--x\r\nContent-Length: %d\r\n\r\n" % (BODY_LIMIT_BYTES + 1),
         b"--x\r\nContent-Length: 4\r\nX-Exposure-Ns: soon\r\n\r\n",
+        b"--x\r\nContent-Length: 4\r\nX-Sequence: --5\r\n\r\n",
+        b"--x\r\nContent-Length: 4\r\nX-Sequence: -\r\n\r\n",
         b"-" * 9000,
     ],
 )

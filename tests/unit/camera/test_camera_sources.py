@@ -92,9 +92,10 @@ def test_http_passes_over_a_broken_picture() -> None:
         source.close()
 
 
-def test_http_url_is_checked() -> None:
+@pytest.mark.parametrize("url", ["rtsp://camera/stream", "http://camera:80801/stream", "http://camera:x/stream"])
+def test_http_url_is_checked(url: str) -> None:
     with pytest.raises(CameraError, match="not http"):
-        HttpStereoSource(HttpSource("rtsp://camera/stream"))
+        HttpStereoSource(HttpSource(url))
 
 
 def test_newest_keeps_one_and_counts() -> None:

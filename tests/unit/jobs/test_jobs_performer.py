@@ -19,7 +19,7 @@ from server.settings import read_machine
 
 STILL = np.zeros((3, 6))
 PATH = JointTrajectory(np.array([0.0, 0.05, 0.1]), STILL, STILL, STILL)
-SEEN = SimpleNamespace(usable=True, t_exposure_mapped_ns=1, observation="a pair")
+SEEN = SimpleNamespace(usable=True, pose_source="stereo", t_exposure_mapped_ns=1, observation="a pair")
 
 
 class Vision:
@@ -67,6 +67,15 @@ async def test_a_job_cut_short_leaves_neither_odometry_nor_a_growing_list():
     assert vision.dropped == 1
 
 
+async def test_only_poses_found_as_asked_for_are_watched():
+    """A vision process that was started again may begin with the other way."""
+    performer, vision = made()
+    await performer.perform(StartWatching("mono"))
+    vision.report(SEEN)
+    vision.report(SimpleNamespace(**(vars(SEEN) | {"pose_source": "mono"})))
+    assert len(performer._watched) == 1
+
+
 async def test_what_is_watched_is_bounded():
     performer, vision = made()
     await performer.perform(StartWatching("stereo"))
@@ -76,8 +85,9 @@ async def test_what_is_watched_is_bounded():
 
 
 def test_an_odometry_that_nobody_ends_is_bounded():
-    taking, pose = TrackCollector(), SimpleNamespace()
-    seen = SimpleNamespace(odometry=pose, t_exposure_mapped_ns=2, observation=SimpleNamespace(t_exposure_ns=1))
+    taking, pose = TrackCollector(0), SimpleNamespace()
+    stamped = SimpleNamespace(t_exposure_ns=1)
+    seen = SimpleNamespace(odometry=pose, odometry_run=0, t_exposure_mapped_ns=2, observation=stamped)
     for _ in range(POSES_MAX + 5):
         taking.add(seen)
     assert (len(taking.poses), len(taking._offsets_ns)) == (POSES_MAX, POSES_MAX)
@@ -85,11 +95,11 @@ def test_an_odometry_that_nobody_ends_is_bounded():
 
 def test_odometry_is_switched_off_once_and_without_a_process_too():
     client, sent = VisionClient(VisionSettings(HttpSource("http://127.0.0.1:9/stream")), read_machine("hiab033")), []
-    client._track = TrackCollector()
+    client._track = TrackCollector(0)
     client.drop_odometry()  # no process
     assert client._track is None
     client._pipe = SimpleNamespace(send=sent.append)
-    client._track = TrackCollector()
+    client._track = TrackCollector(0)
     client.drop_odometry()
     client.drop_odometry()
     assert [command.on for command in sent] == [False]
