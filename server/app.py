@@ -2,8 +2,10 @@
 
 import asyncio
 import gc
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+import logging
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
 
 import uvicorn
@@ -37,10 +39,12 @@ from server.store.keeper import Keeper
 from server.version import __version__
 from server.warm_up import warm_up
 
+log = logging.getLogger(__name__)
 DATABASE_NAME = "longreach.sqlite3"
 # Control is kept alive every 5 s (a third of its time to live), and 5 s are also uvicorn's default: a renewal could
 # meet a connection just closing. PatientProtocol ends an idle one after 10 to 20 s; this is the outer bound.
 KEEP_ALIVE_S = 20
+STOP_S = 5.0  # longest wait for a running job's end before everything else is closed
 
 
 def build_cell(settings: ServerSettings) -> Cell:
@@ -105,20 +109,18 @@ def build_app(settings: ServerSettings) -> FastAPI:
         cell.link.on_sample(cell.recorder.sample)
         cell.link.on_sample(performer.heard)
         cell.vision.on_report(cell.recorder.report)
-        await cell.link.start()
-        await cell.vision.start()
-        await asyncio.to_thread(warm_up, cell.machine, cell.chain)
-        panel = await install_panel_tasks(app)
-        try:
-            async with running.tasks():
-                yield
-        finally:
-            await panel()
-            await engine.close()
-            await cell.vision.close()
-            await cell.link.close()
-            await asyncio.to_thread(cell.recorder.finish)
-            await asyncio.to_thread(keeper.database.close)
+        async with AsyncExitStack() as ending:  # in turn from the last one, whatever fails
+            ending.push_async_callback(asyncio.to_thread, keeper.database.close)
+            ending.push_async_callback(asyncio.to_thread, cell.recorder.finish)
+            ending.push_async_callback(cell.link.close)
+            await cell.link.start()
+            ending.push_async_callback(cell.vision.close)
+            await cell.vision.start()
+            await asyncio.to_thread(warm_up, cell.machine, cell.chain)
+            ending.push_async_callback(await install_panel_tasks(app))
+            await ending.enter_async_context(running.tasks())
+            ending.push_async_callback(engine.close)  # first of all: the lease guard is there as long as a job is
+            yield
 
     app = FastAPI(
         title="longreach",
@@ -128,6 +130,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
         docs_url=None,  # their pages load scripts from elsewhere
         redoc_url=None,
     )
+    app.state.stop_motion = engine.close
     running = application(app, Served(service, keeper, gatekeeper, secure_cookie=settings.http.behind_proxy))
     install_panel_tasks = install_panel(app, service)
     return app
@@ -141,7 +144,24 @@ def serve(settings: ServerSettings, begun: Callable[[], None] = lambda: None) ->
     with alone_in(Path(settings.recording.folder)):
         app = build_app(settings)
         begun()
-        asyncio.run(uvicorn.Server(config_of(app, settings.http)).serve())
+        asyncio.run(StoppingServer(config_of(app, settings.http), app.state.stop_motion).serve())
+
+
+class StoppingServer(uvicorn.Server):
+    """Ends the motion before anything else: uvicorn closes its port at once, and then waits for readers for seconds."""
+
+    def __init__(self, config: uvicorn.Config, stop_motion: Callable[[], Awaitable[None]]) -> None:
+        super().__init__(config)
+        self._stop_motion = stop_motion
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """While the machine ramps down every caller is still answered."""
+        try:
+            async with asyncio.timeout(STOP_S):
+                await self._stop_motion()
+        except Exception as error:  # the link process ends the motion, too, when it is closed
+            log.warning("stop was not confirmed: %r; the PLC ramps by its own watchdog", error)
+        await super().shutdown(sockets)
 
 
 def config_of(app: FastAPI, http: HttpSettings) -> uvicorn.Config:

@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from server.access.desk import LeaseDesk
 from server.access.lease import Lease
-from server.errors import BusyError, ServerError
+from server.errors import BusyError, JobFailedError, ServerError
 from server.jobs.performer import Performer
 from server.jobs.requests import Plan, Progress, Record, Request
 from server.link.errors import LinkError
@@ -86,6 +86,7 @@ class JobEngine:
         self.leases = leases or LeaseDesk()
         self._task: asyncio.Task[None] | None = None
         self._told_to_stop: Job | None = None
+        self._closing = False
         self._listeners: list[Callable[[Job, JobEvent], None]] = []
         # a thread of its own: a step of a plan must not queue behind file lists and results in the default executor
         self._planner = ThreadPoolExecutor(1, thread_name_prefix="plan")
@@ -113,7 +114,7 @@ class JobEngine:
     def submit(self, kind: str, plan: Plan, owner: str, lease: Lease | None = None) -> Job:
         """Start a plan now, under a lease; without one it is the server's own.
 
-        Raises: BusyError naming the running job and its owner.
+        Raises: BusyError naming the running job and its owner; JobFailedError: the server is closing.
         """
         job = self._reserved(kind, plan, owner, lease)
         self._begin(job, plan)
@@ -143,6 +144,9 @@ class JobEngine:
         return job
 
     def _reserved(self, kind: str, plan: Plan, owner: str, lease: Lease | None) -> Job:
+        if self._closing:
+            plan.close()
+            raise JobFailedError("the server is closing; ask again when it is back", "closing")
         if self.current is not None and not self.current.ended:
             plan.close()
             busy = self.current
@@ -197,7 +201,8 @@ class JobEngine:
         await self._performer.hold_until(t_mono_ns)
 
     async def close(self) -> None:
-        """End everything: the machine is left holding."""
+        """End everything: the machine is left holding, and no job begins any more."""
+        self._closing = True
         try:
             await self.stop("server is closing")
         finally:

@@ -308,3 +308,14 @@ async def test_what_a_job_left_on_is_released_on_every_ending(answer):
     await engine.stop("enough")
     assert job.ended
     assert stand_in.released == 1
+
+
+async def test_once_it_is_closing_the_running_job_ends_and_none_begins():
+    engine = JobEngine(StandIn({Settle: "forever"}))
+    job = engine.submit("position", plan(Settle()), "operator")
+    await asyncio.sleep(0.05)
+    await engine.close()
+    assert (job.state, job.reason) == (JobState.STOPPED, "server is closing")
+    with pytest.raises(JobFailedError, match="the server is closing"):
+        engine.submit("look", plan(Settle()), "fleet")
+    assert engine.current is job
