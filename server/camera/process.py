@@ -100,8 +100,8 @@ def _tell_and_wait(pipe: Connection, text: str) -> None:
     """A source that can never work: say so, and stay until told to quit instead of being started again and again."""
     try:
         pipe.send(StreamNotice(time.monotonic_ns(), text))
-        while not isinstance(pipe.recv(), QuitCommand):
-            pass
+        while not (pipe.poll(LIFE_S) and isinstance(pipe.recv(), QuitCommand)):
+            pipe.send(SignOfLife())
     except (EOFError, BrokenPipeError, ConnectionResetError):
         return
 

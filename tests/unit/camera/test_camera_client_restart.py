@@ -1,13 +1,16 @@
 """Starting the vision process again: as often as it takes."""
 
 import asyncio
+import multiprocessing
+import threading
 
 import pytest
 from test_camera_client_process import MACHINE
 
 from server.camera import client as module
+from server.camera import process
 from server.camera.client import VisionClient
-from server.camera.contracts import VisionSettings
+from server.camera.contracts import PoseSourceCommand, QuitCommand, SignOfLife, VisionSettings
 from server.camera.sources.settings import HttpSource
 
 
@@ -54,3 +57,17 @@ async def test_closing_ends_the_tries(client, monkeypatch):
     await asyncio.sleep(0.05)
     await client.close()
     assert client._restart.done()
+
+
+def test_a_source_that_can_never_work_is_told_once_and_lives_on(monkeypatch):
+    """Else it would be taken for a process that hangs, and be started again and again."""
+    monkeypatch.setattr(process, "LIFE_S", 0.01)
+    ours, theirs = multiprocessing.Pipe()
+    telling = threading.Thread(target=process._tell_and_wait, args=(theirs, "no such folder"))
+    telling.start()
+    assert ours.recv().text == "no such folder"
+    ours.send(PoseSourceCommand("stereo"))
+    assert [type(ours.recv()) for _ in range(5)] == [SignOfLife] * 5
+    ours.send(QuitCommand())
+    telling.join(10.0)
+    assert not telling.is_alive()
