@@ -1,4 +1,8 @@
-"""The answer as JSON: names, units and meanings are the contract's and never change."""
+"""The answer as JSON: its names are the contract's and never change. What each field means: docs/diagnosis-answer.md.
+
+One meaning has changed: `share_frac` was of the gaps carried to the tcp, and is of what was found wrong where anything
+was (decision 30). Those gaps are `gap_tcp_mm`.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -26,10 +30,11 @@ from machine.rotations import Array
 FORMAT = 1
 MASS_90 = 0.9
 HYPOTHESES_MAX = 10
-METRICS = {
-    "link": "RMS of 20 Hz increments on held-out trajectories",
-    "structure": "RMS of measured points on held-out poses",
-    "camera": "RMS of marker corners on held-out frames",
+METRIC_DRIVEN = "RMS of 20 Hz increments on held-out trajectories"
+METRICS = {  # by stage and unit
+    ("structure", "m"): "RMS of measured points on held-out poses or pieces of a motion",
+    ("camera", "px"): "RMS of marker corners on held-out frames",
+    ("camera", "m"): "RMS of path lengths of a second on held-out pieces of a motion",
 }
 
 
@@ -196,7 +201,7 @@ def _shrink(found: Diagnosis) -> dict[str, Any]:
             {
                 "stage": s.stage,
                 "joint": s.joint,
-                "metric": METRICS.get(s.stage, METRICS["link"]),
+                "metric": METRICS.get((s.stage, s.unit), METRIC_DRIVEN),
                 "unit": s.unit,
                 "before": _round(s.before),
                 "after": _round(s.after),

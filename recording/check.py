@@ -67,13 +67,13 @@ _NEEDS: tuple[tuple[str, Callable[[Recording], bool], str, str], ...] = (
     (
         "plc.csv q_ref",
         lambda recording: _has(recording, "q_ref_rad"),
-        "stages link, controller and actuator merge",
+        "stages link and controller merge, and the actuator with them where no valve command is logged",
         "log the reference that the PLC works with",
     ),
     (
         "plc.csv q",
         lambda recording: _has(recording, "q_rad"),
-        "no stage after link can be looked at",
+        "controller and actuator cannot be looked at, nor points and the object's markers in motion; poses at rest can",
         "log the encoders",
     ),
     (
@@ -81,18 +81,6 @@ _NEEDS: tuple[tuple[str, Callable[[Recording], bool], str, str], ...] = (
         lambda recording: _has(recording, "u_frac"),
         "stages controller and actuator merge: dead band and controller gain cannot be told apart",
         "log the valve commands",
-    ),
-    (
-        "plc.csv p_a, p_b",
-        lambda recording: _has(recording, "p_a_pa") and _has(recording, "p_b_pa"),
-        "inside stage actuator, friction cannot be told from flow effects",
-        "log the pressures of both chambers",
-    ),
-    (
-        "plc.csv p_supply",
-        lambda recording: _has(recording, "p_supply_pa"),
-        "pump sharing and flow gain cannot be told apart",
-        "log the supply pressure",
     ),
     (
         "markers.csv, tracker.csv or static.csv",
@@ -116,7 +104,7 @@ _NEEDS: tuple[tuple[str, Callable[[Recording], bool], str, str], ...] = (
         "segments with repeat_of",
         lambda recording: any(segment.repeat_of for segment in recording.run.segments),
         "the noise floor must be guessed: no command was repeated",
-        "repeat at least one command three times and name it in run.toml",
+        "drive at least one command four times and name its runs in run.toml",
     ),
     (
         "machine.toml",

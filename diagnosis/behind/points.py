@@ -38,7 +38,6 @@ class PointFit:
     residual: Array
     T_base_tracker: Array
     places: Array
-    frame_known: bool
 
 
 def static_data(nominal: Nominal, table: PointTable) -> PointData | None:
@@ -106,7 +105,7 @@ def fit_points(nominal: Nominal, sets: ParameterSets, data: PointData, set_numbe
     measured = transform_points(T, data.xyz)
     if nominal.T_base_tracker is not None:
         places = _places(T_base_link, measured, data.which, places, known)
-    return PointFit(measured - _put(T_base_link, places[data.which]), T, places, nominal.T_base_tracker is not None)
+    return PointFit(measured - _put(T_base_link, places[data.which]), T, places)
 
 
 def modelled(nominal: Nominal, sets: ParameterSets, data: PointData, places: Array) -> Array:

@@ -89,9 +89,7 @@ def _foretold(whole: Read, replayer: Replayer, motion: Motion, truth: ParameterS
     out = simulate(plant, truth, drive, DynamicStage.ACTUATOR)
     ref, u = (None if getattr(like, name) is None else getattr(out, name)[0] for name in ("ref", "u"))
     sent = None if like.sent is None else Sent(t_sent, motion.q)
-    return Stretch(
-        motion.name, motion.kind, "", 0.0, plant.log_cycle_s, t_log, ref, out.enc[0], u, None, None, None, sent
-    )
+    return Stretch(motion.name, motion.kind, "", 0.0, plant.log_cycle_s, t_log, ref, out.enc[0], u, sent)
 
 
 def rows_of_postures(whole: Read, cell: Cell, postures: Postures, truth: ParameterSets) -> Rows | None:

@@ -55,7 +55,7 @@ class Whitener:
 
 @dataclass(frozen=True, slots=True)
 class Floor:
-    """Noise of one signal: rms of its deviation (n,), rms of its increments (n,), the whitener, and what it rests on.
+    """Noise of one signal: rms of its deviation (n,), rms of its increments (n,), the whitener.
 
     `known`: from repeats; else a bound from the signal's fastest part, to be said in the report.
     """
@@ -63,8 +63,6 @@ class Floor:
     rms: Array
     increment_rms: Array
     whitener: Whitener
-    repeats: int
-    rows: int
     known: bool
 
 
@@ -100,7 +98,7 @@ def floor_of_repeats(repeats: Array, dt_s: float) -> Floor:
         )
     whitener = fit_whitener(steps)
     rms = np.sqrt(np.mean(np.stack([block_means(one, dt_s) for one in deviations]) ** 2, axis=(0, 1)))
-    return Floor(rms, np.sqrt(np.mean(np.stack(steps) ** 2, axis=(0, 1))), whitener, len(values), len(steps[0]), True)
+    return Floor(rms, np.sqrt(np.mean(np.stack(steps) ** 2, axis=(0, 1))), whitener, True)
 
 
 def with_remainder(floor: Floor, steps: list[Array], ar: Array, sigma: Array, rms: Array) -> Floor:
@@ -192,7 +190,7 @@ def floor_without_repeats(signal: Array, dt_s: float) -> Floor:
     if len(d) < 4:
         raise DiagnosisError(f"the signal has {len(d)} increments at 20 Hz; give at least a second of data")
     sigma = np.maximum(np.median(np.abs(np.diff(d, n=2, axis=0)), axis=0) / 0.6745 / np.sqrt(6.0), SIGMA_MIN)
-    return Floor(sigma / np.sqrt(2.0), sigma, Whitener(np.zeros((0, d.shape[1])), sigma), 1, len(d), False)
+    return Floor(sigma / np.sqrt(2.0), sigma, Whitener(np.zeros((0, d.shape[1])), sigma), False)
 
 
 def fit_whitener(runs: list[Array]) -> Whitener:
@@ -222,18 +220,3 @@ def _autoregression(runs: list[Array], p: int) -> tuple[Array, Array, int]:
             y = y - X @ a[:, j]
         sigma[j] = np.sqrt(np.mean(y**2))
     return a, sigma, count
-
-
-def effective_count(residual: Array) -> float:
-    """Independent samples in a series (m,): m / (1 + 2 sum of its autocorrelations up to the first negative one)."""
-    x = np.asarray(residual, dtype=float) - np.mean(residual)
-    power = float(x @ x)
-    if power == 0.0:
-        return float(len(x))
-    total = 0.0
-    for lag in range(1, len(x) // 2):
-        rho = float(x[lag:] @ x[:-lag]) / power
-        if rho <= 0.0:
-            break
-        total += rho
-    return len(x) / (1.0 + 2.0 * total)

@@ -17,10 +17,9 @@ START_COMMAND = 0.0  # stretches begin at rest
 
 @dataclass(frozen=True, slots=True)
 class Merge:
-    """The stages that one cell holds, and the signals whose absence merges them."""
+    """The stages that one cell holds, since the signals between them were not logged."""
 
     stages: tuple[str, ...]
-    missing: tuple[str, ...]
 
 
 def merge_of(stretches: tuple[Stretch, ...]) -> Merge | None:
@@ -28,9 +27,9 @@ def merge_of(stretches: tuple[Stretch, ...]) -> Merge | None:
     if any(one.u is not None for one in stretches):
         return None
     if stretches and all(one.ref is not None for one in stretches):
-        return Merge(("controller", "actuator"), ("u_<j>_frac",))
+        return Merge(("controller", "actuator"))
     if stretches and all(one.sent is not None for one in stretches):
-        return Merge(("link", "controller", "actuator"), ("q_ref_<j>_rad", "u_<j>_frac"))
+        return Merge(("link", "controller", "actuator"))
     return None
 
 

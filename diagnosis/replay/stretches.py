@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ class Stretch:
     """One unbroken piece of one segment, evenly sampled on the PLC's clock.
 
     `t_s`: (m,), a step of `dt_s`; `t_segment_s`: of the segment's start, so that repeats can be laid over each other.
-    Signals (m, n), `p_supply` (m,); None where not recorded. `sent`: see `Sent`; None where the link cannot be judged.
+    Signals (m, n); None where not recorded. `sent`: see `Sent`; None where the link cannot be judged.
     `enc_step`: (n,) resolution of the encoders as they were logged, 0 where they show none. `ref_logged`: False where
     `ref` is what was sent.
     """
@@ -42,9 +42,6 @@ class Stretch:
     ref: Array | None
     enc: Array | None
     u: Array | None
-    p_a: Array | None
-    p_b: Array | None
-    p_supply: Array | None
     sent: Sent | None = None
     enc_step: Array | None = None
     ref_logged: bool = True
@@ -227,11 +224,7 @@ def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64]
     elif taken_evenly(None if plc.enc is None else plc.enc[rows], t, nearest := even_grid(t)):
         when = grid = nearest
         dt = float(nearest[1] - nearest[0])
-    signals = {
-        field.name: _even(getattr(plc, field.name), rows, when, grid)
-        for field in fields(PlcTable)
-        if field.name in ("ref", "enc", "u", "p_a", "p_b", "p_supply")
-    }
+    signals = {name: _even(getattr(plc, name), rows, when, grid) for name in ("ref", "enc", "u")}
     repeat = segment.repeat_of
     return Stretch(
         name, segment.kind, repeat, segment.t_start_plc_s, dt, grid, **signals, sent=sent, ref_logged=plc.ref_logged
@@ -239,15 +232,13 @@ def _stretch(plc: PlcTable, segment: Segment, name: str, rows: NDArray[np.int64]
 
 
 def _even(values: Array | None, rows: NDArray[np.int64], when: Array, grid: Array) -> Array | None:
-    """A signal's rows, taken at `when` (m,), on the grid."""
+    """A signal's rows (m, n), taken at `when` (m,), on the grid."""
     if values is None:
         return None
-    cut = values[rows]
-    table = cut if cut.ndim == 2 else cut[:, None]
+    table = values[rows]
     if when is not grid or not np.isfinite(table).all():
         table = np.stack([_line(column, when, grid) for column in table.T], axis=1)
-    table = np.ascontiguousarray(table)
-    return table if cut.ndim == 2 else table[:, 0]
+    return np.ascontiguousarray(table)
 
 
 def _line(column: Array, t: Array, grid: Array) -> Array:

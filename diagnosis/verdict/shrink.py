@@ -33,8 +33,9 @@ UNKNOWN: Closed = (None, None, None)
 
 @dataclass(frozen=True, slots=True)
 class Shrink:
-    """The gap on held-out trajectories: RMS before, after, floor in `unit`; share closed with 90 % limits. `floor_by`:
-    the noise, or what no effect of the catalogue foretells.
+    """The gap on held-out trajectories: RMS before, after, floor in `unit`; share closed with 90 % limits.
+
+    `floor`: what the share is told above. `floor_by`: the noise, or what no effect of the catalogue foretells.
     """
 
     stage: str
@@ -118,12 +119,13 @@ def _shrunk(cell: Cell, sums: Squares) -> Shrink:
 
 
 def closing(sums: Squares, seed: int = 0) -> tuple[float, float, float, Closed, Floor]:
-    """RMS before, after and of the floor [floors]; share closed with its limits; which floor that is.
+    """RMS before, after and of the floor that the share is told above [floors]; share closed with its limits; which
+    floor that is.
 
     The noise where the gap stands clear of it; below that the catalogue, if it foretells any; else the noise again.
     """
     by: Floor = "noise"
-    floor, closed = sums.noise, by_noise(sums, seed)
+    floor, closed = _above_noise(sums, seed)
     if float(sums.before.sum() - sums.noise.sum()) <= CLEAR_SHARE * sums.rows:
         beside = sums.before - sums.foretold
         told = _foretold_share(sums, beside, seed)
@@ -141,7 +143,12 @@ def _told(closed: float | None, low: float | None, high: float | None) -> Closed
 
 
 def by_noise(sums: Squares, seed: int = 0) -> Closed:
-    """Share closed above the noise, whatever the catalogue says.
+    """Share closed above the noise, whatever the catalogue says."""
+    return _above_noise(sums, seed)[1]
+
+
+def _above_noise(sums: Squares, seed: int) -> tuple[Array, Closed]:
+    """The noise's sums by block that the share is told above, and the share.
 
     Where less is left than the noise is said to be, the noise is that at most, and anything down to none: all of the
     gap is closed, but for what is left at the most.
@@ -149,9 +156,10 @@ def by_noise(sums: Squares, seed: int = 0) -> Closed:
     closed, low, high = closed_share(sums.before, sums.after, sums.noise, sums.rows, seed)
     before, after, noise = (float(one.sum()) for one in (sums.before, sums.after, sums.noise))
     if low is None or after >= (1.0 - FLOOR_SHARE) * noise:
-        return closed, low, high
-    closed, low, high = closed_share(sums.before, sums.after, after / noise * sums.noise, sums.rows, seed)
-    return (closed, min(low, 1.0 - after / before), high) if low is not None else UNKNOWN
+        return sums.noise, (closed, low, high)
+    lowered = after / noise * sums.noise
+    closed, low, high = closed_share(sums.before, sums.after, lowered, sums.rows, seed)
+    return lowered, (closed, min(low, 1.0 - after / before), high) if low is not None else UNKNOWN
 
 
 def closed_share(before: Array, after: Array, count: Array, rows: int, seed: int) -> Closed:

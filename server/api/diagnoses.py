@@ -90,7 +90,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
 
     @router.get("/{diagnosis_id}/result", response_model=None, responses=UNFINISHED)
     async def diagnosis_result(diagnosis_id: Id) -> JSONResponse:
-        """The whole answer as JSON; its form is described in docs/diagnosis.md."""
+        """The whole answer as JSON; docs/diagnosis-answer.md describes it field by field."""
         one = diagnoses.find(diagnosis_id)
         if one is None or one.state != "done":
             return _unfinished(one) if one else _unknown(diagnosis_id)

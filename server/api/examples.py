@@ -291,14 +291,35 @@ EXAMPLES: dict[str, Example] = {
 }
 
 FREE_FORM: dict[str, Example] = {
-    "GET /v1/diagnoses/{diagnosis_id}/result": {  # shortened: docs/diagnosis.md tells all of it
+    "GET /v1/diagnoses/{diagnosis_id}/result": {  # of a real answer, shortened: docs/diagnosis-answer.md
         "format_version": 1,
         "verdict": "effects",
-        "why": "one effect closes 91 % of the gap at joint 2",
-        "hypotheses": [{"effects": [{"effect": "backlash", "joint": 2}], "probability": 0.84}],
-        "outside_probability": 0.05,
-        "unseen_probability": 0.08,
-        "missing": [],
+        "why": "catalogue effects explain the gap",
+        "hypotheses": [
+            {
+                "effects": [
+                    {
+                        "name": "valve_lag",
+                        "joint": 2,
+                        "stage": "actuator",
+                        "parameters": {
+                            "time_constant_s": {"value": 0.0296517, "unit": "s", "low": 0.0290358, "high": 0.0302959}
+                        },
+                    }
+                ],
+                "probability": 0.877339,
+                "probability_with_equals": 0.877339,
+            }
+        ],
+        "outside_probability": 0.0399,
+        "unseen_probability": 0.0827606,
+        "indistinguishable": [],
+        "missing": [
+            {
+                "signal": "nothing was measured behind the encoders",
+                "costs": "nothing was measured behind the encoders: no camera, no tracker",
+            }
+        ],
     },
 }
 

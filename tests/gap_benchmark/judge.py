@@ -1,4 +1,4 @@
-"""`python -m tests.gap_benchmark.judge --case K --seed S --machine FILE --folder DIR`: one answer against its truth.
+"""`python -m tests.gap_benchmark.judge --folder DIR --machine FILE [--plant own]`: one answer against its truth.
 
 Opens the sealed truth, checks its hash, and writes DIR/score.json. Names count as one only where the scorer's own
 separation T on that recording is below 9.

@@ -56,6 +56,7 @@ def test_a_foreign_folder_with_few_columns(tmp_path: Path) -> None:
     lacking = {lack.signal for lack in report.lacks}
     assert {"sent.csv", "plc.csv u", "machine.toml"} <= lacking
     assert "plc.csv q" not in lacking
+    assert not any("p_a" in one or "p_supply" in one for one in lacking)  # the diagnosis reads no pressure
     assert not report.usable
 
 

@@ -66,7 +66,7 @@ def test_settings_are_taken(page):
             ServerSettings.model_validate(tomllib.loads(block))
 
 
-@pytest.mark.parametrize("page", [*PAGES, "reference.md"])
+@pytest.mark.parametrize("page", [*PAGES, "diagnosis.md", "diagnosis-answer.md", "reference.md"])
 def test_links_lead_somewhere(page):
     text = (DOCS / page).read_text(encoding="utf-8")
     links = [target.split("#")[0] for target in re.findall(r"\]\(([^)]+)\)", text) if "://" not in target]

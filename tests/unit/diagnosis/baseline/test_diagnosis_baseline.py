@@ -83,7 +83,7 @@ def test_remainder_and_noise_come_out_white_together(size: float) -> None:
     """Whichever is the larger: a swing (autoregressive) with coloured noise on top of it."""
     rng = np.random.default_rng(1)
     noise = [lfilter([1.0], [1.0, 0.0, 0.6], rng.normal(0.0, size, (4000, 1)), axis=0) for _ in range(2)]
-    plain = Floor(np.ones(1), np.ones(1), Whitener(np.zeros((0, 1)), np.ones(1)), 2, 4000, True)
+    plain = Floor(np.ones(1), np.ones(1), Whitener(np.zeros((0, 1)), np.ones(1)), True)
     ar, sigma = np.array([[0.9], [-0.5]]), np.array([2.0])
     raised = with_remainder(plain, noise, ar, sigma, np.array([3.0]))
     swing = lfilter([1.0], [1.0, -0.9, 0.5], rng.normal(0.0, 2.0, (4000, 1)), axis=0)
@@ -96,7 +96,7 @@ def test_remainder_and_noise_come_out_white_together(size: float) -> None:
 
 
 def test_a_joint_without_a_remainder_keeps_its_floor() -> None:
-    plain = Floor(np.ones(2), np.ones(2), Whitener(np.full((1, 2), 0.3), np.ones(2)), 2, 4000, True)
+    plain = Floor(np.ones(2), np.ones(2), Whitener(np.full((1, 2), 0.3), np.ones(2)), True)
     noise = [np.random.default_rng(2).normal(0.0, 1.0, (4000, 2))]
     raised = with_remainder(plain, noise, np.array([[0.5, 0.0]]), np.array([2.0, 0.0]), np.array([3.0, 0.0]))
     assert raised.whitener.sigma[1] == 1.0

@@ -7,7 +7,6 @@ from diagnosis_cases import NOISE_RAD, folder, recording
 from diagnosis.errors import DiagnosisError
 from diagnosis.noise.floor import (
     block_means,
-    effective_count,
     fit_whitener,
     floor_of_repeats,
     floor_without_repeats,
@@ -74,13 +73,6 @@ def test_the_floor_of_a_recording_is_its_encoder_noise(tmp_path) -> None:
     assert enc is not None
     assert enc.shape == (4, 1200, 6)
     assert floor_of_repeats(enc, 0.01).rms == pytest.approx(NOISE_RAD / np.sqrt(5.0), rel=0.15)
-
-
-def test_effective_count_of_a_slow_series_is_small() -> None:
-    rng = np.random.default_rng(6)
-    assert effective_count(rng.normal(size=4000)) == pytest.approx(4000, rel=0.2)
-    slow = autoregression(rng, (0.95,), 1.0, 4000, 1)[:, 0]
-    assert effective_count(slow) == pytest.approx(4000 * 0.05 / 1.95, rel=0.5)
 
 
 def test_bad_repeats_are_refused() -> None:

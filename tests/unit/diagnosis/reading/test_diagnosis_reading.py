@@ -32,7 +32,6 @@ def test_a_sound_recording_has_no_findings_and_its_stages(tmp_path) -> None:
     assert first.dt_s == pytest.approx(0.01)
     assert first.ref is not None
     assert first.u is not None
-    assert first.p_a is None
     assert first.sent is not None
     assert first.sent.t_s[0] == pytest.approx(0.0)  # PLC's clock
     assert first.rows == 1200

@@ -17,7 +17,7 @@ T_S = 0.01 * np.arange(400)
 
 def stretch(enc: Any = None, ref: Any = None) -> Stretch:
     """4 s of these signals."""
-    return Stretch("one", "dwell", "", 0.0, 0.01, T_S, ref, enc, None, None, None, None)
+    return Stretch("one", "dwell", "", 0.0, 0.01, T_S, ref, enc, None)
 
 
 def held(moved_rad: float = 0.0) -> np.ndarray:

@@ -33,7 +33,7 @@ def test_no_comb_is_seen_where_there_is_none() -> None:
 def stretch(ref: np.ndarray, lost: np.ndarray | None = None) -> Stretch:
     t_s = 0.005 * np.arange(len(ref))
     sent = Sent(t_s, ref, lost)
-    return Stretch("a", "steps", "", 0.0, 0.005, t_s, ref, None, None, None, None, None, sent)
+    return Stretch("a", "steps", "", 0.0, 0.005, t_s, ref, None, None, sent)
 
 
 def sizes(ref: np.ndarray, lost: np.ndarray | None, name: str) -> dict[int | None, list[float]]:

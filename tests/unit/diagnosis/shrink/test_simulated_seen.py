@@ -32,7 +32,7 @@ def driven():
     plain = plain_world(MACHINE, False)
     course = follow_reference(offline(plain, ()), T_S, Q_START + way, Q_START)
     nothing: Any = None
-    stretch = Stretch("s", "sweep", "", 0.0, 0.01, T_S, nothing, course.q_encoder, nothing, nothing, nothing, nothing)
+    stretch = Stretch("s", "sweep", "", 0.0, 0.01, T_S, nothing, course.q_encoder, nothing)
     return plain, course, stretch
 
 

@@ -53,3 +53,17 @@ def test_a_gap_that_stands_clear_is_held_against_the_noise() -> None:
     _, _, _, closed, floor_by = closing(sums(gap=105.0, closed=95.0, foretold=2.0))
     assert floor_by == "noise"
     assert closed[0] == pytest.approx(0.95, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("gap", "closed", "foretold"),
+    [
+        (4.0, 3.8, 4.0),  # below the noise
+        (105.0, 95.0, 2.0),  # clear of it
+        (105.0, 108.0, 2.0),  # a little less left than the noise is said to be
+        (600.0, 650.0, 600.0),  # far less
+    ],
+)
+def test_the_share_is_the_one_of_the_printed_numbers(gap: float, closed: float, foretold: float) -> None:
+    before, after, floor, (share, _, _), _ = closing(sums(gap, closed, foretold))
+    assert share == pytest.approx(1.0 - (after**2 - floor**2) / (before**2 - floor**2), abs=1e-9)

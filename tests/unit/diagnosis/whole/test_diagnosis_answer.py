@@ -1,7 +1,10 @@
 """Whole diagnoses of recordings made by a plant that shares no code with the diagnosis."""
 
 import json
+import re
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +21,7 @@ from diagnosis.search.limits import Interval
 from diagnosis.verdict.equals import equals_of, probability_with_equals
 from longreach.cli import app
 from machine.effects.registry import NAMES, effect_named
+from server.api.examples import FREE_FORM
 
 KINDS = ("repeat", "repeat", "repeat", "steps", "workcycle")
 SHORT = {"seconds": 10.0, "kinds": KINDS}
@@ -37,15 +41,43 @@ KEYS = {
 }
 
 
+FIELDS = Path(__file__).parents[4] / "docs" / "diagnosis-answer.md"
+
+
 def diagnosed(tmp_path: Path, fault: Fault, seed: int = 3, **options) -> tuple[Diagnosis, dict]:
     whole = read(write(tmp_path / "run", fault, seed, **(options or SHORT)))
     assert whole.usable, [str(one) for one in whole.findings]
     found = diagnose(whole)
-    return found, answer(found)
+    result = answer(found)
+    assert untold(result) == set()
+    return found, result
+
+
+def untold(result: dict[str, Any]) -> set[str]:
+    """Fields of an answer that the document of its fields does not name."""
+    return set(_fields(result)) - set(re.findall(r"`(\w+)`", FIELDS.read_text(encoding="utf-8")))
+
+
+def _fields(told: Any) -> Iterator[str]:
+    """Every key but those that are names themselves: of a parameter, of an experiment."""
+    if isinstance(told, list):
+        for one in told:
+            yield from _fields(one)
+    if isinstance(told, dict):
+        yield from told
+        for key, value in told.items():
+            named = isinstance(value, dict) and key in ("parameters", "alternatives")
+            yield from _fields(list(value.values()) if named else value)
 
 
 def names(result: dict) -> list[tuple[str, int | None]]:
     return [(one["name"], one["joint"]) for one in result["hypotheses"][0]["effects"]]
+
+
+def test_the_example_of_rest_has_the_fields_of_an_answer() -> None:
+    example = FREE_FORM["GET /v1/diagnoses/{diagnosis_id}/result"]
+    assert untold(example) == set()
+    assert untold({"hypotheses": [{"effects": [{"effect": "backlash"}]}]}) == {"effect"}
 
 
 @pytest.mark.parametrize("limit", [0.00123456789, -0.00123456789, 123456.7, 0.99999999, -5e-9, 0.0])
@@ -93,6 +125,10 @@ def test_one_effect_is_named_with_its_joint_and_size(
     assert abs(found["value"] - size) < tolerance
     assert found["low"] <= found["value"] <= found["high"]
     assert result["shrink"]["overall"]["closed_frac"] > 0.9
+    rows = [result["shrink"]["overall"], *result["shrink"]["stages"]]
+    for row in (one for one in rows if one["closed_frac"] is not None):
+        before, after, floor = (row[name] ** 2 for name in ("before", "after", "floor"))
+        assert row["closed_frac"] == pytest.approx(1.0 - (after - floor) / (before - floor), abs=1e-3)
 
 
 def test_two_effects_on_different_stages_are_both_named(tmp_path: Path) -> None:
@@ -178,6 +214,7 @@ def test_the_command_writes_json_and_a_page(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     result = json.loads(files[0].read_text())
     assert set(result) >= KEYS
+    assert untold(result) == set()
     assert {one["name"] for one in result["hypotheses"][0]["effects"]} <= set(NAMES)
     text = files[1].read_text()
     assert "gravity_sag" in text
