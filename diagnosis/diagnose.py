@@ -1,6 +1,5 @@
 """From a recording to an answer: cells, search, refusal, probabilities. Reads like the method."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from diagnosis.cells.behind import behind_cells, energies, fitting, told_behind, without
@@ -19,7 +18,7 @@ from diagnosis.refusal.gear import gears
 from diagnosis.refusal.oil import swinging
 from diagnosis.refusal.remainder import Fired, at_edge, remainder
 from diagnosis.refusal.shapes import instead, left_shapes, refusing
-from diagnosis.replay.replayer import replayer_of
+from diagnosis.replay.replayer import Replayer, replayer_of
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.replay.stretches import encoder_steps, stood_still
 from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, put
@@ -27,6 +26,7 @@ from diagnosis.search.cell import DRIVEN_STAGES, FORM_SHARE, Cell
 from diagnosis.search.limits import Interval, detection_limit, intervals
 from diagnosis.search.score import Score
 from diagnosis.search.search import Search, searched_again
+from diagnosis.search.work import Progress, Work, silent
 from diagnosis.verdict.cell_answer import CellAnswer
 from diagnosis.verdict.maybe_none import maybe_none
 from diagnosis.verdict.shared_gain import shared_gain
@@ -37,7 +37,6 @@ from diagnosis.verdict.weigh import Weighed, Whole, combined, same_here, settled
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
-Progress = Callable[[str, int, int], None]
 FORM_SHARE_LEAST = 0.0002  # of what was gained before, that a guessed input is wrong by in any case
 SHARED = 0.15  # of what a joint's actuator gains: the next joint's has to gain more to have a cause of its own
 SHARED_UNKNOWN = 0.02  # the same where no baseline is known: there every joint has its own faults
@@ -59,23 +58,26 @@ class Diagnosis:
     localisation: Localisation
 
 
-def diagnose(
-    whole: Read, progress: Progress = lambda _text, _done, _total: None, lacking: tuple[str, ...] = ()
-) -> Diagnosis:
+def diagnose(whole: Read, progress: Progress = silent, lacking: tuple[str, ...] = ()) -> Diagnosis:
     """Diagnose a recording that is usable. `lacking`: effects taken out of the library, to test its refusals."""
-    behind = _behind(whole, progress, lacking)
-    dynamic = _dynamic(whole, progress, behind, lacking)
-    return concluded(whole, dynamic + told_beyond(behind, dynamic), progress)
+    nominal, work = whole.nominal, Work(progress)
+    replayer = replayer_of(nominal, whole.stretches) if nominal is not None and whole.stretches else None
+    if nominal is not None and replayer is not None:
+        work.expect_driven(nominal.n, sum(float(one.t_s[-1] - one.t_s[0]) for one in whole.stretches))
+    behind = _behind(whole, work, lacking)
+    dynamic = _dynamic(whole, replayer, work, behind, lacking)
+    return concluded(whole, dynamic + told_beyond(behind, dynamic), work)
 
 
 def concluded(
     whole: Read,
     searches: list[Search],
-    progress: Progress = lambda _text, _done, _total: None,
+    work: Work | None = None,
     known: tuple[CellAnswer, ...] = (),
 ) -> Diagnosis:
     """The answer from the cells' searches. `known`: answers of as many searches, reused where a search is the same."""
-    progress("weighing", 0, 1)
+    work = work or Work()
+    work.conclude("weighing", 0.0)
     by_search = {id(one.search): one for one in known}
     answers = tuple(by_search.get(id(one)) or _answer(one, len(searches)) for one in searches)
     hypotheses = _hypotheses(answers)
@@ -85,19 +87,20 @@ def concluded(
     word = verdict_of(answers, holes, still, whole.log_unused, frozen)
     told = maybe_none(word, answers, numbers, encoder_steps(whole.stretches))
     verdict = shared_gain(told, answers, numbers)
-    progress("localising", 1, 1)
+    work.conclude("localising", 0.85)
     energy = energies([(one.cell, one.none.fit.residual) for one in searches])
     return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, nats_by_stage(answers)))
 
 
-def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tuple[str, ...]) -> list[Search]:
+def _dynamic(
+    whole: Read, replayer: Replayer | None, work: Work, behind: list[Search], lacking: tuple[str, ...]
+) -> list[Search]:
     """Link, controller, actuator in this order: what is found of one says how the next one's input really moved.
 
     What was found of the encoders from behind is no news to the actuators: they are replayed with it.
     """
     nominal = whole.nominal
-    replayer = replayer_of(nominal, whole.stretches) if nominal is not None else None
-    if nominal is None or replayer is None or not whole.stretches:
+    if nominal is None or replayer is None:
         return []
     base = _with_encoders(pack_under(nominal.baseline, nominal.n), behind)
     stretches = whole.stretches
@@ -108,14 +111,13 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
         cells = fitting(with_known(stage_cells(stage, replayer, stretches, base, course), nominal), nominal)
         cells = without(cells, unseen)
         cells = [marked(replace(one, least_nats=_least(one, searches)), unlike) for one in cells]
-        found = _searched(cells, progress)
+        found = _searched(cells, work)
         unlike = (*unlike, *far_off(found))
         if stage == "link":
             found = [at_its_cycle(one, replayer, stretches, base) for one in found]
             course = next((unseen_wait(one, replayer, stretches, base) for one in found), course)
         if stage == "actuator" and found:
             found = told_who_sticks(_beside_each_other(found))
-            progress("what couples the joints", 0, 1)
             coupled = coupled_cell(replayer, stretches, base, course)
             coupled = marked(with_known([coupled], nominal)[0], unlike) if coupled is not None else None
             found = with_coupling(found, coupled if DROOP not in lacking else None)
@@ -125,7 +127,7 @@ def _dynamic(whole: Read, progress: Progress, behind: list[Search], lacking: tup
             stretches = on_their_line(stretches, replayer, base, course)
         searches += found
     one_by_one, together = merged_cells(replayer, stretches, base, course)
-    merged = [_worth_a_name(one) for one in _searched(without(fitting(one_by_one, nominal), unseen), progress)]
+    merged = [_worth_a_name(one) for one in _searched(without(fitting(one_by_one, nominal), unseen), work)]
     return searches + with_coupling(merged, together if DROOP not in lacking else None)
 
 
@@ -169,20 +171,22 @@ def _with_encoders(base: ParameterSets, behind: list[Search]) -> ParameterSets:
     return base
 
 
-def _behind(whole: Read, progress: Progress, lacking: tuple[str, ...]) -> list[Search]:
+def _behind(whole: Read, work: Work, lacking: tuple[str, ...]) -> list[Search]:
     """What was measured behind the encoders: points, marker corners."""
     if whole.nominal is None:
         return []
     base = pack_under(whole.nominal.baseline, whole.nominal.n)
     cells = behind_cells(whole, base, with_odometry=not whole.nominal.remainders)
-    return _searched(without(fitting(cells, whole.nominal), lacking), progress)
+    return _searched(without(fitting(cells, whole.nominal), lacking), work)
 
 
-def _searched(cells: list[Cell], progress: Progress) -> list[Search]:
+def _searched(cells: list[Cell], work: Work) -> list[Search]:
     out = []
-    for number, cell in enumerate(cells):
-        progress(f"searching {cell.label}", number, len(cells))
-        out.append(searched(cell))
+    work.stage(cells)
+    for cell in cells:
+        work.begin(f"searching {cell.label}")
+        out.append(searched(cell, work))
+        work.end()
     return out
 
 

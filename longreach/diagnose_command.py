@@ -20,6 +20,7 @@ from diagnosis.reading.together import read_together
 from diagnosis.report.curves import CellCurves, curves_of
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
+from longreach.diagnosis_outlook import outlook
 from longreach.fit_baseline import BaselineError, make_baseline
 from longreach.machine_out import MachineOutError, machine_text, require_room, write_machine
 from longreach.shipped_machine import file_of_machine
@@ -171,16 +172,12 @@ def _fit_baseline(recordings: list[Path], machine_file: Path | None, out: Path |
 def _with_progress(
     whole: Read, screen: Console, lacking: tuple[str, ...], leaving: bool
 ) -> tuple[Diagnosis, dict[str, Any], tuple[CellCurves, ...]]:
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=screen, transient=True) as shown:
-        task = shown.add_task("preparing", total=None)
-        found = run_diagnosis(
-            whole, lambda text, done, total: shown.update(task, description=text, completed=done, total=total), lacking
-        )
-        shown.update(task, description="next experiment")
+    with outlook(screen) as shown:
+        found = run_diagnosis(whole, shown.heard, lacking)
+        shown.also("next experiment")
         result = answer(found)
         if leaving:
-            shown.update(task, description="without each name")
+            shown.also("without each name")
             result["left_out"] = leave_named_out(found)
         return found, result, curves_of(found)
 

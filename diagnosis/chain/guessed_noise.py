@@ -17,6 +17,7 @@ from diagnosis.search.candidates import put
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit, evaluated_at, neutral_fit
 from diagnosis.search.search import Search, search
+from diagnosis.search.work import Work
 from machine.rotations import Array
 
 ROUNDS = 3
@@ -26,19 +27,21 @@ SHARE_MAX = 0.2  # of the motion's own increments: what is more is no noise, but
 TAKEN = ("whitened", "rows", "scale", "quiet", "regressors", "t_s")  # by the noise, of a cell
 
 
-def searched(cell: Cell) -> Search:
+def searched(cell: Cell, work: Work | None = None) -> Search:
     """Search a cell for what is no echo of its noise; where that was never measured, by what all effects together leave
-    about the best model.
+    about the best model. `work`: is told of it.
     """
     noise = None if cell.at_noise is None else noise_about(cell, neutral_fit(cell))
     if cell.at_noise is None or noise is None:
-        return without_echoes(search(cell))
-    found = without_echoes(search(_by(cell, cell.at_noise(noise))))
+        return without_echoes(search(cell, work=work))
+    found = without_echoes(search(_by(cell, cell.at_noise(noise)), work=work))
     for _ in range(ROUNDS - 1):
         again = noise_about(cell, max(found.scored, key=lambda one: one.total).fit)
         if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
             break
-        noise, found = again, without_echoes(search(_by(cell, cell.at_noise(again))))
+        if work is not None:
+            work.again()
+        noise, found = again, without_echoes(search(_by(cell, cell.at_noise(again)), work=work))
     return found
 
 

@@ -15,6 +15,7 @@ from diagnosis.search.rare import with_the_event_cut
 from diagnosis.search.scan import Scan, orders_settled, refined, scan, variants_settled
 from diagnosis.search.score import Score, better, chosen_nats, score
 from diagnosis.search.several import ROUNDS_PAIR, Book, burdened, pairs_of, read_off_beside, triples_of
+from diagnosis.search.work import Work
 
 SCAN_GAIN_NATS = 1.0  # a candidate whose best scanned size gains less is not fitted: it cannot reach the margin
 SINGLES_MAX = 16  # fitted, the best of the scan
@@ -38,8 +39,8 @@ class Search:
     spread: float
 
 
-def search(cell: Cell, further: bool = True) -> Search:
-    """Search one cell. `further`: for more than three names, too, where no baseline is known.
+def search(cell: Cell, further: bool = True, work: Work | None = None) -> Search:
+    """Search one cell. `further`: for more than three names, too, where no baseline is known. `work`: is told of it.
 
     Model: every candidate is scanned over its range; those that gain are fitted; all pairs of fitted singles are
            screened by their finite columns, the best refined; triples go on from the best pair; further names, if any
@@ -48,8 +49,12 @@ def search(cell: Cell, further: bool = True) -> Search:
     cell = replace(cell, candidates=beside(cell.base, cell.candidates))
     nothing = neutral_fit(cell)
     cell = with_the_event_cut(cell, nothing.residual)
-    none = score(cell, nothing)
-    return _searched(cell, none, orders_settled([scan(cell, one, none.fit) for one in cell.candidates]), {}, further)
+    none, work = score(cell, nothing), work or Work()
+    scans = []
+    for number, one in enumerate(cell.candidates):
+        work.scanned(number / len(cell.candidates))
+        scans.append(scan(cell, one, none.fit))
+    return _searched(cell, none, orders_settled(scans), {}, further, work)
 
 
 def searched_again(found: Search, least_nats: float) -> Search:
@@ -73,19 +78,27 @@ def known_of(scored: Iterable[Score]) -> dict[frozenset[Variant], Score]:
 
 
 def _searched(
-    cell: Cell, none: Score, variants: list[Scan], known: dict[frozenset[Variant], Score], further: bool = True
+    cell: Cell,
+    none: Score,
+    variants: list[Scan],
+    known: dict[frozenset[Variant], Score],
+    further: bool = True,
+    work: Work | None = None,
 ) -> Search:
+    work = work or Work()
     book = Book(cell, {**known, frozenset(): none})
     scans = variants_settled(variants)
     changes = _changes(scans if cell.stage in DRIVEN_STAGES else variants)
     singles = _singles(book, scans, none)
+    if singles and singles[0].total - none.total > MARGIN_NATS:
+        work.named()
     pairs = [*pairs_of(book, singles, none), *burdened(book, singles), *read_off_beside(book, singles)]
     pairs.sort(key=lambda one: -one.total)
     triples = triples_of(book, singles, pairs)
     levels = [_with_siblings(book, changes, level) for level in (singles, pairs, triples) if level]
     chosen, spread = _best_that_passes(book, levels)
     if further and chosen is not none and steps_further(cell):
-        levels += [_with_siblings(book, changes, level) for level in _further(book, changes, levels)]
+        levels += [_with_siblings(book, changes, level) for level in _further(book, changes, levels, work)]
         chosen, spread = _best_that_passes(book, levels)
     chosen = backward(book, chosen, spread)
     if cell.stage in DRIVEN_STAGES:
@@ -136,7 +149,7 @@ def _with_siblings(book: Book, changes: list[Change], level: list[Score]) -> lis
     return level if better is best else [better, *level]
 
 
-def _further(book: Book, changes: list[Change], levels: list[list[Score]]) -> list[list[Score]]:
+def _further(book: Book, changes: list[Change], levels: list[list[Score]], work: Work) -> list[list[Score]]:
     """Name after name, as long as each gains the margin of one by the noise that the fit before it leaves.
 
     Why not by the noise of the recording: while half of the names are lacking, all that is left looks like noise.
@@ -145,6 +158,7 @@ def _further(book: Book, changes: list[Change], levels: list[list[Score]]) -> li
     best = swapped(book.scored, changes, max((one for level in levels for one in level), key=lambda one: one.total))
     out.append([best])
     while found := one_more(book.scored, changes, best):
+        work.one_more()
         following = swapped(book.scored, changes, found[0])
         gained = following.total - best.total
         out.append([following, *found])

@@ -203,7 +203,7 @@ EXAMPLES: dict[str, Example] = {
         "job_id": JOB_ID,
         "state": "running",
         "reason": "",
-        "last_line": "joint 2: 4 of 11 effects tried",
+        "last_line": "searching actuator 2: 37 % done, 20 to 60 s left",
         "elapsed_s": 21.4,
     },
     "ErrorView": _ERROR,

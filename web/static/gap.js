@@ -55,7 +55,8 @@ async function fetchResult({ diagnosis_id }) {
 function card(one) {
   const running = one.state === "running";
   const parts = [make("h3", {}, one.recording), make("p", {}, make("b", {}, t(`gap_state_${one.state}`)), ` ${t("gap_after", { s: one.elapsed_s.toFixed(0) })}`)];
-  if (running) parts.push(make("progress", { "aria-label": t("gap_state_running") }), make("p", { class: "soft" }, one.last_line), stopButton(one));
+  const share = /: (\d+) % done/.exec(one.last_line)?.[1]; // none yet: the bar only moves
+  if (running) parts.push(make("progress", { "aria-label": t("gap_state_running"), value: share, max: share && 100 }), make("p", { class: "soft" }, one.last_line), stopButton(one));
   if (one.state === "failed") parts.push(make("p", { class: "bad" }, one.reason));
   const result = results.get(one.diagnosis_id);
   if (one.state === "done" && result) parts.push(...answer(result));
