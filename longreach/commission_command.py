@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import hashlib
 import socket
+import time
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -18,7 +19,7 @@ from machine.chain import chain_of
 from machine.description import Machine, parse_machine_toml
 from protocol.layout import LAYOUT_ID, VERSION_MAJOR, VERSION_MINOR
 from server.camera.client import VisionClient
-from server.commissioning.check_list import ONE_CONTROLLER, STEPS, Need, Step, go_through
+from server.commissioning.check_list import ONE_CONTROLLER, PLC_WAIT_S, STEPS, Need, Step, go_through
 from server.commissioning.contracts import StepResult, Verdict
 from server.commissioning.report import Report, exit_code, from_json, to_json, to_markdown
 from server.commissioning.site import Options, Site
@@ -120,7 +121,9 @@ async def _commission(
         link = LinkClient(link_settings(settings), machine)
         await link.start()
         stack.push_async_callback(link.close)
-        vision = await _vision(settings, machine, steps, stack)
+        if earlier is not None:
+            await _require_same_plc(earlier, settings, link)
+        vision, machine = await _vision(settings, machine, steps, stack)
         operator.tell("getting ready")
         await asyncio.to_thread(warm_up, machine, chain)
         await go_through(Site(settings, machine, chain, link, vision, operator, options), steps, report.earlier, done)
@@ -160,15 +163,44 @@ def _with_result(report: Report, result: StepResult, link: LinkClient, operator:
 
 async def _vision(
     settings: ServerSettings, machine: Machine, steps: tuple[Step, ...], stack: contextlib.AsyncExitStack
-) -> VisionClient | None:
-    """The vision process, only where a step looks."""
+) -> tuple[VisionClient | None, Machine]:
+    """The vision process, only where a step looks; the machine with the camera that its pictures are of."""
     if not any(Need.CAMERA in step.needs for step in steps):
-        return None
+        return None, machine
     source, seen_by = source_and_machine(settings.camera, machine)
     vision = VisionClient(vision_settings(source), seen_by)
     await vision.start()
     stack.push_async_callback(vision.close)
-    return vision
+    return vision, seen_by
+
+
+async def _require_same_plc(earlier: Report, settings: ServerSettings, link: LinkClient) -> None:
+    """What another PLC showed, or a simulated one, proves nothing of this one.
+
+    Raises: SettingsError: it was another one, or nobody can tell.
+    """
+    deadline_s = time.monotonic() + PLC_WAIT_S
+    while (link.latest is None or not link.health.cfg_id) and time.monotonic() < deadline_s:  # noqa: ASYNC110 no event
+        await asyncio.sleep(0.05)
+    latest, cfg_id, host = link.latest, link.health.cfg_id, settings.plc.host
+    if latest is None or not cfg_id:
+        raise SettingsError(
+            f"--resume: the PLC at {host} does not answer, so nobody can tell whether it is the report's"
+        )
+    before = earlier.settings.get("plc", {}).get("host")
+    differ = [
+        f"{name} was {was}, is {now}"
+        for name, was, now in (
+            ("a simulation", earlier.simulation, latest.simulation),
+            ("the PLC's cfg_id", f"{earlier.cfg_id:#010x}", f"{cfg_id:#010x}"),
+            ("its address", before, host),
+        )
+        if was != now
+    ]
+    if differ:
+        raise SettingsError(
+            f"--resume: the report of {earlier.started} is of another PLC: {'; '.join(differ)}; begin anew"
+        )
 
 
 def _carried(earlier: Report | None, machine: Machine, digest: str) -> tuple[StepResult, ...]:

@@ -74,10 +74,16 @@ async def go_through(
         started_s = time.monotonic()
         result = await _one(site, step, results)
         result = replace(result, duration_s=time.monotonic() - started_s)
-        results[step.name] = result
+        results[step.name] = standing(results.get(step.name), result)
         fresh.append(result)
         done(result)
     return fresh
+
+
+def standing(earlier: StepResult | None, later: StepResult) -> StepResult:
+    """Which of two results of a step holds: a failure until the step is gone through again to its end."""
+    ended = later.verdict in (Verdict.PASS, Verdict.FAIL)
+    return later if earlier is None or ended or not _has_failed(earlier) else earlier
 
 
 async def _one(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult:

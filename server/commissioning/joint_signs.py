@@ -11,7 +11,16 @@ from machine.rotations import Array
 from protocol.codes import FaultBit
 from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict, judged
 from server.commissioning.directions import Expected, compare, expected_motion, understood
-from server.commissioning.moving import NotReadyError, Played, arm, gentle_plan, play_gently, require_leave, rest
+from server.commissioning.moving import (
+    NoLeaveError,
+    NotReadyError,
+    Played,
+    arm,
+    gentle_plan,
+    play_gently,
+    require_leave,
+    rest,
+)
 from server.commissioning.site import Site
 from server.link.contracts import PlcSample
 from server.link.errors import LinkError
@@ -48,10 +57,15 @@ async def joint_signs(site: Site) -> StepResult:
     untold: list[str] = []
     rows: list[tuple[str, ...]] = []
     for index, joint in enumerate(site.machine.joints):
-        await require_leave(site, f"{joint.name} will now be jogged slowly; keep the emergency stop in hand")
         try:
+            await require_leave(site, f"{joint.name} will now be jogged slowly; keep the emergency stop in hand")
             jog, expected, answer = await _one_joint(site, index)
-        except (NotReadyError, LinkError) as error:  # what was measured so far is kept
+        except NoLeaveError as error:
+            if not figures:
+                raise
+            untold.append(f"{joint.name}: {error}")  # what was measured so far is kept
+            break
+        except (NotReadyError, LinkError) as error:  # here, too
             untold.append(f"{joint.name}: {error}")
             break
         figures += jog_figures(jog)
@@ -62,8 +76,8 @@ async def joint_signs(site: Site) -> StepResult:
         rows.append(
             (joint.name, step, expected.text, seen, f"{100 * jog.followed:.0f}", f"{100 * jog.valve_frac:+.1f}")
         )
-        if jog.objection or not jog.reached:
-            break  # a joint that runs the wrong way ends this step: the others wait for the remedy
+        if jog.objection or not jog.reached or not all(figure.ok for figure in seen_figure):
+            break  # a joint that goes the wrong way ends this step: the others wait for the remedy
     headings = ("joint", "step deg", "expected", "seen", "followed %", "valve %")
     table = ReportTable("jogs", headings, tuple(rows))
     return _with_skip(judged(NAME, figures, "every joint moves the way it is told to", REMEDY, untold, tables=(table,)))

@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from server.commissioning.moving import (
 )
 from server.commissioning.site import Site
 from server.commissioning.stop_figures import stop_figures
-from server.commissioning.stopping import StopKind, rest_figures, run_and_stop
+from server.commissioning.stopping import EndedByItselfError, StopKind, by_itself, rest_figures, run_and_stop
 from server.link.contracts import LinkPhase, PlcSample
 from server.motion.contracts import JointTrajectory
 from server.motion.trajectory import evaluate
@@ -144,8 +145,21 @@ async def _silence(site: Site) -> list[Figure]:
     start = await rest(site)
     trajectory = await _trajectory(site, dry_goal(site.machine, start.q_ref), SILENT_PLAY_S)
     text = "playing in dry run, then silence"
-    stopped = await run_and_stop(site, trajectory, StopKind.SILENCE, text, guard=dry_guard(start.q))
+    try:
+        stopped = await run_and_stop(site, trajectory, StopKind.SILENCE, text, guard=dry_guard(start.q))
+    except EndedByItselfError as error:
+        return [by_itself("silence", error)]
     stop = stop_figures(stopped.samples, stopped.t_trigger_plc_ns, site.machine)
     back = await wait_for(site, lambda: site.link.health.phase is LinkPhase.LINKED, AFTER_S, "waiting for the link")
-    figures = rest_figures("silence", StopKind.SILENCE, stop)
+    figures = [*rest_figures("silence", StopKind.SILENCE, stop), *closed_figures(stopped.samples, start.q)]
     return [*figures, Figure("new session within 2 s of sending again", float(back), "(1: yes)", at_least=1.0)]
+
+
+def closed_figures(samples: Sequence[PlcSample], q_start: Array) -> list[Figure]:
+    """Whether the valves stayed closed while nobody commanded: nothing moved, from the motion's start to the end."""
+    moved_rad = max((float(np.abs(np.array(one.q_rad) - q_start).max()) for one in samples), default=math.nan)
+    valve = max((abs(v) for one in samples for v in one.valve_frac), default=math.nan)
+    return [
+        Figure("silence: encoders moved", math.degrees(moved_rad), "deg", at_most=math.degrees(STILL_RAD)),
+        Figure("silence: largest valve command", valve, "of full", at_most=0.0),
+    ]

@@ -34,9 +34,11 @@ class Report:
 
     @property
     def all_results(self) -> tuple[StepResult, ...]:
-        """Those of this run, and the earlier ones that it did not repeat."""
+        """Those of this run, and the earlier ones that it did not repeat, or failures that it left open."""
         names = {result.name for result in self.results}
-        return (*self.results, *(result for result in self.earlier if result.name not in names))
+        ended = {result.name for result in self.results if result.verdict in (Verdict.PASS, Verdict.FAIL)}
+        standing = (one for one in self.earlier if one.name not in (ended if one.verdict is Verdict.FAIL else names))
+        return (*self.results, *standing)
 
 
 _ADAPTER = TypeAdapter(Report)

@@ -12,7 +12,14 @@ from server.commissioning.contracts import Figure, ReportTable, StepResult, judg
 from server.commissioning.moving import NotReadyError, arm, play_gently, reading, require_leave, rest
 from server.commissioning.site import Site
 from server.commissioning.stop_figures import StopFigures, stop_figures
-from server.commissioning.stopping import RAMP_SLACK_MS, StopKind, rest_figures, run_and_stop
+from server.commissioning.stopping import (
+    RAMP_SLACK_MS,
+    EndedByItselfError,
+    StopKind,
+    by_itself,
+    rest_figures,
+    run_and_stop,
+)
 from server.link.errors import LinkError
 from server.motion.contracts import JointTrajectory, PathPlan
 from server.motion.point_to_point import plan_joint_move, plan_move
@@ -63,14 +70,16 @@ async def stop_times(site: Site) -> StepResult:
         name = _name(site, case)
         try:
             stop = await _one(site, case, name)
-        except (NotReadyError, ValueError) as error:
+        except EndedByItselfError as error:
+            figures.append(by_itself(name, error))
+        except (NotReadyError, LinkError, ValueError) as error:  # what was measured so far is kept
             untold.append(f"{name}: {error}")
         else:
             figures += [*rest_figures(name, case.kind, stop), *travel_figures(name, stop)]
             rows.append(_row(site, case, stop))
         try:
             await _take_home(site, home)
-        except (NotReadyError, LinkError) as error:  # what was measured so far is kept
+        except (NotReadyError, LinkError) as error:
             untold.append(f"after '{name}' the machine could not be taken back: {error}")
             break
     table = ReportTable(f"stops; ramp at most bound + {RAMP_SLACK_MS:.0f} ms", _HEADINGS, tuple(rows))

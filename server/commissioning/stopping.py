@@ -7,7 +7,7 @@ from enum import Enum
 
 from protocol.timeouts import COMMAND_LOST, COMMAND_PERIOD, SESSION_VOID, STATE_PERIOD
 from server.commissioning.contracts import Figure
-from server.commissioning.moving import Guard, play, wait, wait_for
+from server.commissioning.moving import Guard, NotReadyError, play, wait, wait_for
 from server.commissioning.site import Site
 from server.commissioning.stop_figures import StopFigures
 from server.link.contracts import PlcSample
@@ -36,6 +36,10 @@ class StopKind(Enum):
         return SILENT_REACTION_MAX_MS if self is StopKind.SILENCE else ASKED_REACTION_MAX_MS
 
 
+class EndedByItselfError(NotReadyError):
+    """The motion ended before it was stopped: the text says how."""
+
+
 @dataclass(frozen=True, slots=True)
 class Stopped:
     """The states from the motion's start to standstill, when the stop was asked for, and a guard's objection."""
@@ -48,13 +52,19 @@ class Stopped:
 async def run_and_stop(
     site: Site, trajectory: JointTrajectory, kind: StopKind, text: str, share: float = 0.5, guard: Guard | None = None
 ) -> Stopped:
-    """Play, stop at a share of the duration, and wait for standstill (and in silence for the session's end)."""
+    """Play, stop at a share of the duration, and wait for standstill (and in silence for the session's end).
+
+    Raises: EndedByItselfError: it never came to that share.
+    """
     t_start_ns = time.monotonic_ns()
     trigger = asyncio.ensure_future(_trigger(site, trajectory.duration_s * share, kind, text))
     try:
         played = await play(site, trajectory, text, guard)
-        async with asyncio.timeout(SILENCE_S):
-            t_trigger_ns = await trigger
+        try:
+            async with asyncio.timeout(SILENCE_S):
+                t_trigger_ns = await trigger
+        except TimeoutError:
+            raise EndedByItselfError(played.objection or played.ended.reason or "it was at its end") from None
     finally:
         trigger.cancel()
     await wait(site, SILENCE_S if kind is StopKind.SILENCE else _AFTER_STOP_S, f"{text}: watching it come to rest")
@@ -77,6 +87,11 @@ async def _trigger(site: Site, t_play_s: float, kind: StopKind, text: str) -> in
     else:
         await site.link.stop("commissioning: stop times")
     return t_asked_ns - offset_ns
+
+
+def by_itself(name: str, error: EndedByItselfError) -> Figure:
+    """A failure: what was to be stopped had ended already."""
+    return Figure(f"{name}: motion ended before it was stopped ({error})", 1.0, "times", at_most=0.0)
 
 
 def rest_figures(name: str, kind: StopKind, stop: StopFigures) -> list[Figure]:

@@ -30,9 +30,9 @@ class Compensation:
         """True Ts_base_tcp (m, 4, 4) for encoders (m, n), as diagnosed; `sides` in the play, -1 to 1."""
         return self.diagnosed.tcp_poses(qs, sides)
 
-    def nominal_goal(self, chain: Chain, q_now: Array, T_goal: Array) -> Array:
-        """What to plan for so that the tool ends at T_goal, every joint coming from below (as each approach does)."""
-        return nominal_goal(self.diagnosed, chain, q_now, T_goal, np.ones(chain.n))
+    def nominal_goal(self, chain: Chain, q_now: Array, T_goal: Array, sides: Array) -> Array:
+        """What to plan for so that the tool ends at T_goal; `sides` (n,): where the joints then rest in their play."""
+        return nominal_goal(self.diagnosed, chain, q_now, T_goal, sides)
 
     @property
     def T_tcp_cam(self) -> Array:

@@ -5,7 +5,9 @@ import pytest
 from servo_virtual import MS, VirtualCell, drive
 
 from protocol.codes import PlcState
+from server.calibration.calibration_life import Validity, ValidityStatus
 from server.errors import JobFailedError
+from server.jobs.plans import servoing
 from server.jobs.plans.servoing import servo
 from server.jobs.steer_requests import Correct, NextPair, StopMove
 
@@ -92,3 +94,25 @@ def test_a_gap_at_rest_only_makes_it_wait_for_a_new_row():
     waited = [request.silence_max_s for _, request in late.told if isinstance(request, NextPair)]
     assert waited.count(1.0) >= 2
     assert any(state is PlcState.RUN for _, state in late.states)
+
+
+def test_a_camera_that_slipped_during_a_pass_ends_the_job_before_the_next_one(monkeypatch):
+    cell = VirtualCell(preset="ideal", seed=1, rate_hz=20.0)
+    ctx = cell.context(passes_max=3)
+    passes, asked = [], servoing.validity
+
+    def validity(ctx, reading):
+        slipped = Validity(ValidityStatus.SLIPPED, "tool marker moved by 64.2 mm")
+        return slipped if passes else asked(ctx, reading)
+
+    def one_pass(*args):
+        passes.append(1)
+        return (yield from done(*args))
+
+    done = servoing._one_pass
+    monkeypatch.setattr(servoing, "validity", validity)
+    monkeypatch.setattr(servoing, "_one_pass", one_pass)
+    monkeypatch.setattr(servoing, "inside", lambda _ctx, _taken: False)
+    with pytest.raises(JobFailedError, match=r"64\.2 mm"):
+        steered(cell, ctx)
+    assert len(passes) == 1

@@ -11,7 +11,7 @@ from server.calibration.reference import reference_from_look
 from server.compensation.errors import CompensationError
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
-from server.jobs.plans.learning import play_width, side_now
+from server.jobs.plans.learning import play_width, side_at_goal, side_now
 
 SIGMA_MOUNT_RAD = float(np.deg2rad(0.3))  # of a diagnosed camera mount
 
@@ -29,7 +29,7 @@ def goal_from_look(ctx: PlanContext, q_rad: Array, R_tcp_cam: Array, T_cam_tool:
     if known is None:
         return T_goal
     try:
-        return known.nominal_goal(ctx.chain, q_rad, T_goal)
+        return known.nominal_goal(ctx.chain, q_rad, T_goal, side_at_goal(ctx))
     except CompensationError as error:
         raise JobFailedError(f"preview: {error}", "plan_out_of_reach") from error
 

@@ -11,7 +11,7 @@ from machine.kinematics import tcp_poses
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.experiment_records import ExperimentDriven, ExperimentPlan
-from server.jobs.plans.experiment_planning import PlannedExperiment, Step, planned_experiment, told_plan
+from server.jobs.plans.experiment_planning import PlannedExperiment, Step, check_driven, planned_experiment, told_plan
 from server.jobs.proposals import LooksProposal, MotionProposal, require_same_machine
 from server.jobs.requests import (
     Arm,
@@ -100,6 +100,8 @@ def drive_experiment(ctx: PlanContext, planned: PlannedExperiment) -> Generator[
     """Drive a planned experiment and record it as a segment of its own kind; it ends at rest where the plan ends."""
     reading = expect((yield ReadMachine()), MachineReading)
     _require_there(reading, planned)
+    for step in planned.steps:  # a look since then may have found a wall, or found it nearer
+        check_driven(ctx, step.trajectory)
     if ctx.knowledge.q_start is None:
         ctx.knowledge.q_start = reading.q_rad
     yield Record(

@@ -26,6 +26,15 @@ def side_now(ctx: PlanContext) -> Array:
     return np.zeros(ctx.chain.n) if side is None else side
 
 
+def side_at_goal(ctx: PlanContext) -> Array:
+    """Where each joint will rest in its play when it has come from below, as every approach does (n,).
+
+    By the same convention as `side_now`: of a joint whose play nobody follows both are 0. With one side at the look and
+    another one at the goal every step would be wrong by half of the play, and no further look would mend it.
+    """
+    return (play_width(ctx) > 0.0).astype(float)
+
+
 def remember_side(ctx: PlanContext, reading: MachineReading) -> None:
     """Where the joints rest in their play, as the encoders tell it at rest; unknown where nobody follows them.
 

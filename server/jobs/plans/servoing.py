@@ -50,10 +50,10 @@ def servo(ctx: PlanContext, clock_ns: Callable[[], int] = time.monotonic_ns) -> 
     _require_permitted(ctx)
     started_ns = clock_ns()
     taken = first = yield from good_look(ctx)
-    require_valid(validity(ctx, taken.reading), "closed loop")
     pairs = corrections = passes = 0
     while not inside(ctx, taken) and passes < ctx.settings.closed_loop.passes_max:
         passes += 1
+        require_valid(validity(ctx, taken.reading), "closed loop")  # each look may show that the camera has slipped
         yield from _reliable(ctx)
         before = error_of(taken)
         steered = yield from _one_pass(ctx, taken, passes)

@@ -126,3 +126,18 @@ async def test_a_real_machine_is_not_moved_before_the_link_was_seen_to_stop():
     assert "step 1" in refused.summary
     (allowed,) = await run([moving], site(link), earlier=[passing("link dry run")])
     assert allowed.verdict is Verdict.PASS
+
+
+@pytest.mark.parametrize("later", [Verdict.SKIPPED, Verdict.CANNOT_TELL])
+async def test_a_failure_stands_until_its_step_was_gone_through_again(later):
+    failed = StepResult("joint signs", Verdict.FAIL, "tool went the wrong way")
+
+    async def left_open(_site):
+        return StepResult("joint signs", later, "nobody looked")
+
+    steps = [Step(5, "joint signs", left_open, ()), step(8, "stop times", after=(5,))]
+    again, after = await run(steps, earlier=[failed])
+    assert (again.verdict, after.verdict) == (later, Verdict.CANNOT_TELL)
+    assert "'joint signs' failed" in after.summary
+    mended = [step(5, "joint signs"), step(8, "stop times", after=(5,))]
+    assert [one.verdict for one in await run(mended, earlier=[failed])] == [Verdict.PASS, Verdict.PASS]

@@ -5,12 +5,13 @@ import io
 import os
 import socket
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from commissioning_states import MACHINE
 from rich.console import Console
 
-from longreach.commission_command import _carried, _require_free_port, chosen_steps
+from longreach.commission_command import _carried, _require_free_port, _require_same_plc, chosen_steps
 from longreach.commission_operator import TerminalOperator, read_answers
 from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict
 from server.commissioning.report import Report, exit_code, from_json, to_json, to_markdown
@@ -175,3 +176,41 @@ def test_a_report_of_another_machine_file_is_not_gone_on_from():
     assert _carried(report(), MACHINE, "ab") == RESULTS
     with pytest.raises(SettingsError, match="another machine file"):
         _carried(report(), MACHINE, "cd")
+
+
+@pytest.mark.parametrize("later", [Verdict.SKIPPED, Verdict.CANNOT_TELL])
+def test_an_earlier_failure_that_was_left_open_still_fails(later):
+    failed = StepResult("joint signs", Verdict.FAIL, "tool went the wrong way")
+    left_open = report(results=(StepResult("joint signs", later, "nobody looked"),), earlier=(failed,))
+    assert exit_code(left_open.all_results) == 1
+    mended = report(results=(StepResult("joint signs", Verdict.PASS, "seen"),), earlier=(failed,))
+    assert exit_code(mended.all_results) == 0
+
+
+class Link:
+    """A link that has heard a PLC, or none."""
+
+    def __init__(self, simulation=True, cfg_id=7, heard=True):
+        self.latest = SimpleNamespace(simulation=simulation) if heard else None
+        self.health = SimpleNamespace(cfg_id=cfg_id if heard else 0)
+
+
+@pytest.mark.parametrize(
+    ("link", "host", "told"),
+    [
+        (Link(), "127.0.0.1", None),
+        (Link(simulation=False), "127.0.0.1", "a simulation was True, is False"),
+        (Link(cfg_id=8), "127.0.0.1", "cfg_id was 0x00000007, is 0x00000008"),
+        (Link(), "10.0.0.5", "its address was 127.0.0.1, is 10.0.0.5"),
+        (Link(heard=False), "127.0.0.1", "does not answer"),
+    ],
+)
+async def test_a_report_of_another_plc_proves_nothing_of_this_one(link, host, told, monkeypatch):
+    monkeypatch.setattr("longreach.commission_command.PLC_WAIT_S", 0.0)
+    earlier = dataclasses.replace(report(), cfg_id=7, simulation=True, settings={"plc": {"host": "127.0.0.1"}})
+    settings = ServerSettings.model_validate({"plc": {"host": host}})
+    if told is None:
+        await _require_same_plc(earlier, settings, link)
+        return
+    with pytest.raises(SettingsError, match=told):
+        await _require_same_plc(earlier, settings, link)

@@ -8,14 +8,16 @@ from commissioning_states import CHAIN, MACHINE, NAMES, N, Q, StandInLink, Stand
 
 from protocol.codes import FaultBit
 from protocol.limits import cfg_id, limits_of
+from server.commissioning import stopping
 from server.commissioning.contracts import Verdict, judged
 from server.commissioning.directions import expected_motion
 from server.commissioning.encoder_zeros import compare_zeros, encoder_zeros
 from server.commissioning.joint_ranges import end_figure, range_figures
 from server.commissioning.joint_signs import jog_step, joint_signs, pressures_plausible, runaway
 from server.commissioning.limits_equal import compare_limits
-from server.commissioning.link_dry_run import dry_goal, dry_guard, playback_figures
+from server.commissioning.link_dry_run import closed_figures, dry_goal, dry_guard, playback_figures
 from server.commissioning.moving import NoLeaveError, NotReadyError, Played, Reading, at_rest, gentle_plan
+from server.commissioning.stopping import EndedByItselfError, StopKind, by_itself, run_and_stop
 from server.link.contracts import MotionEnded
 from server.link.errors import LinkRefusedError
 from server.motion.trajectory import evaluate
@@ -125,6 +127,7 @@ async def test_a_tool_seen_to_go_the_wrong_way_fails():
     result = await joint_signs(site(operator=StandInOperator(right_answers(wrong=("lift",)))))
     assert result.verdict is Verdict.FAIL
     assert "lift: tool seen to go the wrong way" in result.summary
+    assert [row[0] for row in result.tables[0].rows] == list(NAMES[:2])  # the others wait for the remedy
 
 
 async def test_a_joint_that_runs_away_is_disarmed_at_once_and_ends_the_step():
@@ -160,6 +163,41 @@ async def test_what_was_measured_is_kept_when_the_plc_refuses_midway():
     assert result.verdict is Verdict.CANNOT_TELL
     assert "lift: ENABLE" in result.summary
     assert len(result.tables[0].rows) == 1
+
+
+async def test_what_was_measured_is_kept_when_leave_ends_midway():
+    """Also a joint that went the wrong way: 'stop here' is what its remedy asks for."""
+
+    class Leaving(StandInOperator):
+        async def confirm(self, text):
+            return not text.startswith("lift")
+
+    result = await joint_signs(site(StandInLink(gain=0.0), Leaving(right_answers())))
+    assert result.verdict is Verdict.FAIL
+    assert "slew: encoder followed" in result.summary
+
+
+def test_valves_that_open_while_nobody_commands_fail_the_dry_run():
+    still = [sample(10.0 * k) for k in range(5)]
+    assert all(figure.ok for figure in closed_figures(still, Q))
+    moved = tuple(Q + np.deg2rad([0.0, 3.0, 0.0, 0.0, 0.0, 0.0]))
+    driven = [*still, sample(60.0, q_rad=moved, plc_state="STOPPING"), sample(70.0, valve_frac=(0.0, 0.3, 0, 0, 0, 0))]
+    assert [figure.ok for figure in closed_figures(driven, Q)] == [False, False]
+    assert not any(figure.ok for figure in closed_figures([], Q))
+
+
+async def test_a_motion_that_ends_before_it_is_stopped_is_told_as_that(monkeypatch):
+    monkeypatch.setattr(stopping, "SILENCE_S", 0.05)
+
+    class Faulty(StandInLink):
+        async def run(self, trajectory):
+            return MotionEnded(1, False, "fault LAG", 0)
+
+    where = site(Faulty())
+    plan = gentle_plan(where, Q, Q + 0.02)
+    with pytest.raises(EndedByItselfError, match="fault LAG") as ended:
+        await run_and_stop(where, plan.trajectory, StopKind.STOP, "tool at 100 %")
+    assert not by_itself("tool at 100 %", ended.value).ok
 
 
 @pytest.mark.parametrize(("leave", "confirms"), [(False, True), (True, False)])

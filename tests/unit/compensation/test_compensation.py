@@ -11,10 +11,14 @@ from machine.effects.entries import EffectEntry, entries_to_toml, make_entry
 from machine.effects.registry import effect_named
 from machine.inverse import inverse_nearest
 from machine.kinematics import tcp_pose
-from machine.poses import pose
+from machine.poses import inverse_pose, pose
 from server.compensation.compensation import compensation_of
 from server.compensation.errors import CompensationError
 from server.compensation.reading import compensation_from, read_compensation
+from server.jobs.context import PlanContext
+from server.jobs.knowledge import Knowledge
+from server.jobs.plans.diagnosed import goal_from_look
+from server.jobs.plans.learning import side_at_goal
 from server.settings import ServerSettings, read_machine, read_machine_text
 from sim_plc.diagnosed import with_effects
 from sim_plc.draw_world import draw_world
@@ -42,14 +46,14 @@ SEVERAL = (
 def test_no_effect_is_the_nominal_machine():
     known = compensation_of(MACHINE, ())
     assert np.allclose(known.tcp_poses(Q[None], np.ones(6))[0], tcp_pose(CHAIN, Q), atol=1e-12)
-    assert np.allclose(known.nominal_goal(CHAIN, Q, tcp_pose(CHAIN, Q)), tcp_pose(CHAIN, Q), atol=1e-12)
+    assert np.allclose(known.nominal_goal(CHAIN, Q, tcp_pose(CHAIN, Q), np.ones(6)), tcp_pose(CHAIN, Q), atol=1e-12)
 
 
 def test_the_diagnosed_machine_stands_at_the_goal_when_the_planner_gets_the_nominal_one():
     known = compensation_of(MACHINE, SEVERAL)
     here = known.tcp_poses(Q[None], np.ones(6))[0]
     T_goal = pose(here[:3, :3], here[:3, 3] + np.array([0.1, -0.15, 0.2]))
-    q_goal = inverse_nearest(CHAIN, known.nominal_goal(CHAIN, Q, T_goal), Q).q
+    q_goal = inverse_nearest(CHAIN, known.nominal_goal(CHAIN, Q, T_goal, np.ones(6)), Q).q
     assert q_goal is not None
     there = known.tcp_poses(q_goal[None], np.ones(6))[0]
     assert np.linalg.norm(there[:3, 3] - T_goal[:3, 3]) < 2e-6
@@ -139,3 +143,24 @@ def test_an_effect_that_the_plant_cannot_have_is_refused():
     effects = (entry("valve_lag", 2, time_constant_s=0.05),)
     with pytest.raises(PresetError, match="valve_lag cannot be simulated"):
         with_effects(replace(world, nominal=replace(MACHINE, effects=effects)))
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3])
+def test_moves_by_a_diagnosed_play_come_to_their_goal_whoever_follows_it(joint):
+    """The side at the look and the side at the goal go by one convention: else half of the play stays for ever."""
+    ctx = PlanContext(MACHINE, CHAIN, ServerSettings(), Knowledge())
+    play = entry("backlash", joint, width_rad=0.004)
+    known = compensation_of(MACHINE, (play,))
+    ctx = replace(ctx, compensation=known)
+    q, R = Q.copy(), MACHINE.T_tcp_cam_left[:3, :3]
+    T_tool = MACHINE.T_tcp_tool
+    T_goal = tcp_pose(CHAIN, Q + 0.05)
+    T_base_ooi = T_goal @ T_tool @ inverse_pose(ctx.T_ooi_goal)
+    for _ in range(3):
+        here = known.tcp_poses(q[None], np.ones(6))[0]  # where it stands, having come from below
+        T_base_cam = here @ MACHINE.T_tcp_cam_left
+        ctx.knowledge.side = side_at_goal(ctx)
+        seen = inverse_pose(T_base_cam) @ here @ T_tool, inverse_pose(T_base_cam) @ T_base_ooi
+        q = inverse_nearest(CHAIN, goal_from_look(ctx, q, R, *seen), q).q
+    there = known.tcp_poses(q[None], np.ones(6))[0]
+    assert np.linalg.norm(there[:3, 3] - T_goal[:3, 3]) < 1e-4

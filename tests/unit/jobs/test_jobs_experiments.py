@@ -146,6 +146,15 @@ def test_the_wall_and_a_range_refuse():
     assert refused.value.code == "plan_joint_limit"
 
 
+def test_a_wall_that_a_look_has_found_since_refuses_the_kept_plan():
+    world, ctx = World(), context()
+    plan, _ = planned(ctx, world, motion(size_rad=0.05, joint=3), keep="size", wall_free=True)
+    ctx.knowledge.T_base_ooi = towards(world, 0.06)
+    with pytest.raises(JobFailedError, match="from the wall") as refused:
+        performed(drive_experiment(ctx, plan), world)
+    assert (refused.value.code, world.moved) == ("plan_wall", 0)
+
+
 def test_a_recording_of_another_machine_file_is_refused(tmp_path):
     folder = tmp_path / "run"
     folder.mkdir()
