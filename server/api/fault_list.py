@@ -47,7 +47,7 @@ def _inner(service: JobService) -> list[FaultView]:
 
 
 def _store(service: JobService) -> list[FaultView]:
-    told = service.keeper.problem if service.keeper is not None else ""
+    told = service.store_problem
     hint = "free space, or make the folder writable; a damaged database is moved away by hand"
     return [FaultView(fault_id="store", level="URGENT", text=told, hint=hint)] if told else []
 

@@ -10,12 +10,14 @@ from server.access.errors import AccessError
 from server.access.lease import Lease, LeaseKind
 from server.api.hold_rule import mode_of, require_hold
 from server.api.state_view import job_view
+from server.api.stop_audit import FoldedStops
 from server.errors import ServerError
 from server.jobs.commands import Command
 from server.jobs.engine import Job, JobState
 from server.jobs.service import JobBody, JobService
 from server.link.errors import LinkError
 from server.store.audit_rows import AuditEntry, Caller
+from server.store.given_answers import GivenAnswers
 from server.store.idempotency import Answered, KeyMissingError, hash_of, read_answer, replay_of
 
 log = logging.getLogger(__name__)
@@ -49,6 +51,8 @@ class JobCommands:
         self._service = service
         self._in_progress: set[tuple[str, str]] = set()
         self._stopping: set[asyncio.Future[None]] = set()
+        self._given = GivenAnswers()
+        self._stops = FoldedStops()
 
     async def start(self, body: JobBody, sent: Sent) -> Answered:
         """The answer to a command, the same one for every retry with its key.
@@ -68,9 +72,13 @@ class JobCommands:
         mine = mark not in self._in_progress
         self._in_progress.add(mark)
         try:
-            known = await self._known(*mark)
+            known = self._given.find(mark, time.monotonic(), time.time()) or await self._known(*mark)
             replay = replay_of(known, not mine, body_hash, time.time())
-            return replay or await self._carried_out(body, sent, body_hash)
+            if replay is not None:
+                return replay
+            answered = await self._carried_out(body, sent, body_hash)
+            self._given.keep(mark, answered, time.monotonic())
+            return answered
         finally:
             if mine:
                 self._in_progress.discard(mark)
@@ -108,17 +116,28 @@ class JobCommands:
     def stopped(self, caller: Caller, request_id: str) -> None:
         """A line about STOP, which itself waits for nothing."""
         job = self._service.engine.current
-        self._audited(caller, request_id, "stop", job.job_id if job is not None and not job.ended else "")
+        running = job is not None and job.state is JobState.RUNNING
+        folded = self._stops.to_write(caller.address, time.monotonic(), matters=running)
+        if folded is not None:
+            detail = f"and {folded} more since the last line" if folded else ""
+            self._audited(caller, request_id, "stop", job.job_id if job is not None and not job.ended else "", detail)
 
     def _stop_done(self, done: "asyncio.Future[None]") -> None:
         self._stopping.discard(done)
         if not done.cancelled() and (error := done.exception()) is not None:
             log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
 
-    def _audited(self, caller: Caller, request_id: str, action: str, job_id: str) -> None:
+    def _audited(self, caller: Caller, request_id: str, action: str, job_id: str, detail: str = "") -> None:
         if self._service.keeper is not None:
             entry = AuditEntry(
-                time.time(), caller.name, caller.role, caller.address, action, request_id=request_id, job_id=job_id
+                time.time(),
+                caller.name,
+                caller.role,
+                caller.address,
+                action,
+                request_id=request_id,
+                job_id=job_id,
+                detail=detail,
             )
             self._service.keeper.audit(entry)
 

@@ -14,6 +14,7 @@ from server.api.job_commands import JobCommands, Sent
 from server.api.lease import FencingHeader, LeaseHeader, leased
 from server.api.problems import problem
 from server.api.state_view import job_view
+from server.api.stop_line import stop_line_router
 from server.api.views import EVENT_STREAM, JobView, Problem
 from server.jobs.engine import Job
 from server.jobs.service import JobBody, JobService
@@ -42,6 +43,8 @@ def jobs_router(service: JobService) -> APIRouter:
     refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (400, 403, 409, 422, 503)}
     cancelled: dict[int | str, dict[str, Any]] = {404: {"model": Problem}, 409: {"model": Problem}}
     control, commands = leased(service.engine.leases), JobCommands(service)
+
+    router.include_router(stop_line_router(service, commands))
 
     @router.post("/jobs", status_code=202, response_model=JobView, responses=refused)
     async def start_job(

@@ -143,6 +143,14 @@ _KINDS = (
         OPERATOR,
     ),
     AlarmKind(
+        "store_failed",
+        "high",
+        "Nothing can be written down",
+        "The database in the recordings' folder cannot be written, so no job may begin and nobody can take control.",
+        "Free space, or make the folder writable; a damaged database is moved away by hand. The server tries again.",
+        OPERATOR,
+    ),
+    AlarmKind(
         "recording_failed",
         "medium",
         "The run is not being recorded",

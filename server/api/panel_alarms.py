@@ -11,6 +11,7 @@ DISK_LOW_BYTES = 10**9
 LOSS_MAX_PCT = 5.0
 UNFIT_AFTER_S = 0.5
 STARTING_S = 90.0  # what has never been heard is no alarm while everything starts; on a new machine it compiles
+STORE_FAILED = "store_failed"
 FAULT_CODES: tuple[tuple[FaultBit, str], ...] = (
     (FaultBit.ESTOP, "plc_estop"),
     (FaultBit.LOCAL_ENABLE_LOST, "plc_enable_lost"),
@@ -56,8 +57,10 @@ class AlarmBook:
             )
         )
 
-    def update(self, active: Mapping[str, str], t_unix_s: float) -> None:
-        """`active`: the alarms whose cause is there now, with their details."""
+    def update(self, active: Mapping[str, str], t_unix_s: float, unknown: frozenset[str] = frozenset()) -> None:
+        """`active`: the alarms whose cause is there now, with their details; `unknown`: those of which nobody can tell,
+        they stay as they are.
+        """
         for code, detail in active.items():
             known = self._alarms.get(code)
             if known is None or known.ended_unix_s is not None:  # it came back: a new one, to be acknowledged anew
@@ -65,7 +68,7 @@ class AlarmBook:
             else:
                 self._alarms[code] = replace(known, detail=detail)
         for code, known in list(self._alarms.items()):
-            if code in active:
+            if code in active or code in unknown:
                 continue
             if known.acknowledged_by:
                 del self._alarms[code]
@@ -100,6 +103,7 @@ class Surroundings:
     unfit_for_s: float
     up_s: float  # since the server started
     set_mode: str = "SIM"  # as the settings have it
+    store_problem: str = ""
     inner_faults: Mapping[str, str] = field(default_factory=dict)  # of the server's own parts, by alarm code
 
 
@@ -115,7 +119,13 @@ def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
         | _calibration(state)
         | _mode(state, around)
         | dict(around.inner_faults)
+        | ({STORE_FAILED: around.store_problem} if around.store_problem else {})
     )
+
+
+def unknown_alarms(state: StateView) -> frozenset[str]:
+    """Of which nobody knows now whether their cause is there: a PLC that is silent tells none of its faults."""
+    return frozenset(code for _, code in FAULT_CODES) if state.link.phase == "offline" else frozenset()
 
 
 def _plc(state: StateView, around: Surroundings) -> dict[str, str]:

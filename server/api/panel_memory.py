@@ -10,7 +10,7 @@ import numpy as np
 
 from server.api.hold_rule import mode_of
 from server.api.panel_alarm_catalogue import CATALOGUE
-from server.api.panel_alarms import Alarm, AlarmBook, Surroundings, active_alarms
+from server.api.panel_alarms import Alarm, AlarmBook, Surroundings, active_alarms, unknown_alarms
 from server.api.panel_figures import calibration_figures, link_figures, loss_pct, safety_view, vision_figures
 from server.api.panel_view import (
     AlarmView,
@@ -69,10 +69,10 @@ class PanelMemory:
     def live(self) -> LiveView:
         """One message, as of now."""
         service, now_s = self.service, time.monotonic()
-        state = state_view(service.cell, service.engine, service.context)
+        state = state_view(service.cell, service.engine, service.context, service.store_problem)
         self._note_look()
         self._refresh(now_s)
-        self.book.update(active_alarms(state, self._surroundings(state, now_s)), time.time())
+        self.book.update(active_alarms(state, self._surroundings(state, now_s)), time.time(), unknown_alarms(state))
         return LiveView(**state.__dict__, panel=self._panel())
 
     # --- parts ------------------------------------------------------------------------------------------------------
@@ -119,6 +119,7 @@ class PanelMemory:
             unfit_for_s=now_s - self._fit_s,
             up_s=now_s - self._started_s,
             set_mode=self.service.cell.settings.mode,
+            store_problem=self.service.store_problem,
             inner_faults=self.service.inner_faults.told,
         )
 

@@ -13,6 +13,11 @@ from server.api.guard import credentials_of
 from server.api.views import Problem, View
 
 LOGIN_CSP = "default-src 'none'; form-action 'self'; frame-ancestors 'none'; base-uri 'none'"
+LOGIN_HEADERS = {
+    "Content-Security-Policy": LOGIN_CSP,
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "same-origin",  # by no-referrer the forms of a page have the origin null
+}
 LOGIN_PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>longreach: log in</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -40,7 +45,7 @@ def session_router(gatekeeper: Gatekeeper, *, secure: bool) -> APIRouter:
 
     @router.get("/login", include_in_schema=False)
     async def login() -> HTMLResponse:
-        return HTMLResponse(LOGIN_PAGE, headers={"Content-Security-Policy": LOGIN_CSP, "Cache-Control": "no-store"})
+        return HTMLResponse(LOGIN_PAGE, headers=LOGIN_HEADERS)
 
     @router.get("/v1/session", response_model=WhoView)
     async def read_who(request: Request) -> WhoView:

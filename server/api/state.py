@@ -56,12 +56,12 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
     @router.get("/readyz", response_model=ReadyView, responses={503: {"model": ReadyView}})
     async def ready() -> JSONResponse:
         """Whether a job could start now; 503 with the reasons when not."""
-        view = state_view(service.cell, service.engine, service.context)
+        view = state_view(service.cell, service.engine, service.context)  # the store's reason comes by itself
         reasons = [reason for reason in [view.steps["look"]] if reason]
         if (camera := camera_reason(view.camera.age_ms)) is not None:
             reasons.append(camera)
-        if service.keeper is not None and service.keeper.problem:
-            reasons.append(f"nothing can be written down: {service.keeper.problem}")
+        if service.store_problem:
+            reasons.append(f"nothing can be written down: {service.store_problem}")
         reasons += service.inner_faults.told.values()
         told = ReadyView(ready=not reasons, reasons=reasons)
         return JSONResponse(told.model_dump(), status_code=503 if reasons else 200)

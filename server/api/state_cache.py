@@ -25,7 +25,9 @@ class StateCache:
         now_s = self._clock()
         if now_s - self._made_s > FRESH_S:
             service = self._service
-            self._text = state_view(service.cell, service.engine, service.context).model_dump_json()
+            self._text = state_view(
+                service.cell, service.engine, service.context, service.store_problem
+            ).model_dump_json()
             self._made_s = now_s
         return self._text
 

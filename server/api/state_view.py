@@ -36,8 +36,8 @@ from server.version import __version__
 CAMERA_SILENT_MS = 1000.0
 
 
-def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext) -> StateView:
-    """The state as of now."""
+def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext, store_problem: str = "") -> StateView:
+    """The state as of now. `store_problem`: why nothing can be written down, and so no job may begin."""
     latest = cell.link.latest
     joints = cell.machine.joints
     n = len(joints)
@@ -68,7 +68,7 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext) -> StateView:
         stand_off_mm=goal.stand_off_mm,
         control=control_view(engine.leases),
         compensation=_compensation(ctx),
-        steps=steps(cell, engine),
+        steps=steps(cell, engine, store_problem),
     )
 
 
@@ -77,9 +77,9 @@ def _compensation(ctx: PlanContext) -> CompensationView:
     return CompensationView() if known is None else CompensationView(active=True, effects=list(known.sorted.told()))
 
 
-def steps(cell: Cell, engine: JobEngine) -> dict[str, str]:
+def steps(cell: Cell, engine: JobEngine, store_problem: str = "") -> dict[str, str]:
     """For each step the reason why it is not possible now; empty when it is."""
-    common = _blocked(cell, engine)
+    common = _blocked(cell, engine) or (f"nothing can be written down: {store_problem}" if store_problem else "")
     look = cell.knowledge.last_look
     no_look = "" if look is not None and look.error is not None else "look first"
     return {

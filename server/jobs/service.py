@@ -87,6 +87,11 @@ class JobService:
             engine.on_event(keeper.note)
             engine.on_event(FindingLog(cell, keeper).note)
 
+    @property
+    def store_problem(self) -> str:
+        """Why nothing can be written down now, and so no job may begin; empty when all is well."""
+        return self.keeper.problem if self.keeper is not None else ""
+
     async def start(self, body: JobBody, lease: Lease | None = None, command: Command = INSIDE_COMMAND) -> Job:
         """Check what can be checked now, write the job down, then start it under `engine.leases.check`'s lease.
 

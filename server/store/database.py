@@ -52,12 +52,14 @@ class Database:
 
     # --- writing ----------------------------------------------------------------------------------------------------
 
-    def submit(self, work: Work[T]) -> Future[T]:
-        """Queue one transaction; its result comes with the future.
+    def submit(self, work: Work[T], spare: int = 0) -> Future[T]:
+        """Queue one transaction; its result comes with the future. `spare`: places that it leaves to others.
 
         Raises: StoreBusyError: the queue is full.
         """
         done: Future[T] = Future()
+        if self._queue.qsize() >= QUEUE_MAX - spare:
+            raise StoreBusyError(f"{QUEUE_MAX - spare} writes are waiting for the disk")
         try:
             self._queue.put_nowait((work, done))
         except queue.Full:

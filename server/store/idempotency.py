@@ -71,6 +71,11 @@ def read_answer(db: sqlite3.Connection, who: str, key: str) -> Answered | None:
     return Answered(row["body_hash"], row["status"], row["location"], row["answer"], row["t_unix_s"])
 
 
+def forget_answer(db: sqlite3.Connection, who: str, key: str) -> None:
+    """What was to be accepted was refused after all."""
+    db.execute("DELETE FROM idempotency WHERE who = ? AND key = ?", (who, key))
+
+
 def save_answer(db: sqlite3.Connection, who: str, key: str, answered: Answered) -> None:
     """Keep an answer; forget those of yesterday."""
     db.execute("DELETE FROM idempotency WHERE t_unix_s <= ?", (answered.t_unix_s - KEPT_S,))

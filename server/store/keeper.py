@@ -13,12 +13,13 @@ from server.jobs.engine import Job, JobEvent
 from server.store.audit_rows import AuditEntry, add_audit, forget_old_audit
 from server.store.database import PROBE, Database, Work
 from server.store.errors import StoreError
-from server.store.idempotency import save_answer
+from server.store.idempotency import forget_answer, save_answer
 from server.store.job_rows import add_job, end_interrupted, end_job, read_jobs
 from server.store.lease_rows import read_fencing, save_fencing
 
 log = logging.getLogger(__name__)
 PROBE_S = 2.0
+SPARE = 64  # places of the queue that jobs and control have for themselves
 
 
 class Keeper:
@@ -75,7 +76,13 @@ class Keeper:
             if began.answered is not None:
                 save_answer(db, began.audit.who, began.key, began.answered)
 
-        await self.database.written(rows)
+        try:
+            await self.database.written(rows)
+        except StoreError:
+            who, key = began.audit.who, began.key
+            if began.answered is not None:  # a disk that was late may write it all the same: the job was refused
+                self.later(lambda db: forget_answer(db, who, key))
+            raise
 
     async def control(self, entry: AuditEntry) -> None:
         """A new holder of control: fencing number and audit in one transaction.
@@ -103,7 +110,7 @@ class Keeper:
     def later(self, work: Work[Any]) -> None:
         """Queue a write whose failure is only logged."""
         try:
-            self.database.submit(work).add_done_callback(_logged)
+            self.database.submit(work, SPARE).add_done_callback(_logged)
         except StoreError as error:
             log.error("not written: %s", error)
 

@@ -4,11 +4,14 @@ import { byId, make, setText } from "./dom.js";
 import { t } from "./texts.js";
 
 let run = null;
+let loading = false; // one at a time: the server reads one, and a browser has six connections for everything
 
 export async function openReplay(name) {
+  if (loading) return;
   told(t("loading"));
   byId("replay").hidden = true;
-  const { ok, data } = await send("GET", `/v1/panel/recordings/${name}/replay`);
+  loading = true;
+  const { ok, data } = await send("GET", `/v1/panel/recordings/${name}/replay`).finally(() => (loading = false));
   if (!ok) return told(t("replay_empty", { name }));
   told("");
   notice("");

@@ -8,6 +8,8 @@ const button = document.getElementById("stop");
 const told = document.getElementById("stop-told");
 const unheard = document.getElementById("stop-unheard");
 const calm = told.textContent;
+const LINE_AGAIN_MS = 2000;
+let line = null;
 let latest = 0;
 let calmTimer = 0;
 
@@ -16,7 +18,7 @@ export async function stop() {
   const mine = ++latest;
   say(SENT, "pressed");
   const impatient = setTimeout(() => tell(mine, false), PATIENCE_MS);
-  const heard = await Promise.any([0, AGAIN_MS].map(sent)).catch(() => false);
+  const heard = await Promise.any([...[0, AGAIN_MS].map(sent), overLine()]).catch(() => false);
   clearTimeout(impatient);
   tell(mine, heard);
 }
@@ -26,6 +28,22 @@ async function sent(wait) {
   const answer = await fetch("/v1/stop", { method: "POST", keepalive: true });
   if (!answer.ok) throw new Error(String(answer.status));
   return true;
+}
+
+// A socket that is open already: a request waits in the browser as long as six others have no answer.
+function open() {
+  line = new WebSocket(`${location.origin.replace(/^http/, "ws")}/v1/stop`);
+  line.addEventListener("close", () => setTimeout(open, LINE_AGAIN_MS));
+}
+
+function overLine() {
+  const socket = line;
+  if (socket.readyState !== WebSocket.OPEN) return Promise.reject(new Error("closed"));
+  return new Promise((heard, lost) => {
+    socket.addEventListener("message", ({ data }) => (data === "stopped" ? heard(true) : lost(new Error(data))), { once: true });
+    socket.addEventListener("close", () => lost(new Error("closed")), { once: true });
+    socket.send("stop");
+  });
 }
 
 // That it was not heard stays in sight until one is.
@@ -48,6 +66,7 @@ function halt() {
   dispatchEvent(new Event("stop-pressed"));
 }
 
+open();
 button.addEventListener("pointerdown", halt);
 button.addEventListener("click", (event) => { if (event.detail === 0) halt(); }); // by Enter, Space or a screen reader
 addEventListener("keydown", (event) => { if (event.key === "Escape" && !event.repeat) halt(); }, true);

@@ -7,7 +7,7 @@ import pytest
 
 from protocol.codes import FaultBit
 from server.api.panel_alarm_catalogue import CATALOGUE, index_markdown, page_markdown
-from server.api.panel_alarms import FAULT_CODES, AlarmBook, Surroundings, active_alarms
+from server.api.panel_alarms import FAULT_CODES, AlarmBook, Surroundings, active_alarms, unknown_alarms
 from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
 
 DOCS = Path(__file__).parents[3] / "docs"
@@ -42,6 +42,7 @@ def test_every_code_that_can_be_raised_is_in_the_catalogue():
         *active_alarms(state(), replace(CALM, vision_problem="vision process ended", scene_problem="gone")),
         *active_alarms(state(), replace(CALM, disk_free_bytes=10**6, recorder_problem="full", loss_pct=7.0)),
         *active_alarms(state(simulation=False), CALM),
+        *active_alarms(state(), replace(CALM, store_problem="no space left on device")),
         *active_alarms(state(calibration=Part(valid=False, expiry_reason="too old")), CALM),
         *active_alarms(state(), replace(CALM, inner_faults={KEYS_UNREADABLE: "x", PART_FAILED: "x"})),
         *(code for _, code in FAULT_CODES),
@@ -117,3 +118,19 @@ def test_the_documents_are_those_of_the_catalogue():
     for kind in CATALOGUE.values():
         assert (DOCS / "alarms" / f"{kind.code}.md").read_text("utf-8") == page_markdown(kind)
     assert {path.stem for path in (DOCS / "alarms").glob("*.md")} == set(CATALOGUE)
+
+
+@pytest.mark.parametrize("acknowledged", [False, True])
+def test_a_plc_that_falls_silent_ends_none_of_its_alarms(acknowledged):
+    """The emergency stop may have cut its supply: that its cause is over, nobody knows."""
+    book, pressed, silent = AlarmBook(), state("fault", bits=int(FaultBit.ESTOP)), state("offline", age_ms=900.0)
+    book.update(active_alarms(pressed, CALM), 100.0, unknown_alarms(pressed))
+    if acknowledged:
+        book.acknowledge("plc_estop", "anna")
+    book.update(active_alarms(silent, CALM), 101.0, unknown_alarms(silent))
+    told = {one.code: one for one in book.alarms}
+    assert set(told) == {"plc_estop", "plc_silent"}
+    assert told["plc_estop"].ended_unix_s is None
+    back = state("disarmed")
+    book.update(active_alarms(back, CALM), 102.0, unknown_alarms(back))
+    assert [one.code for one in book.alarms if one.ended_unix_s is None] == []

@@ -1,6 +1,7 @@
 """The keeper: nothing begins that is not written, every job has an honest end in the next life."""
 
 import asyncio
+import threading
 
 import pytest
 
@@ -12,6 +13,7 @@ from server.jobs.requests import Settle
 from server.store.audit_rows import AuditEntry, Caller, read_audit
 from server.store.database import Database
 from server.store.errors import StoreError
+from server.store.given_answers import MOST, GivenAnswers
 from server.store.idempotency import Answered, KeyInProgressError, KeyReusedError, read_answer, replay_of
 from server.store.keeper import Keeper
 
@@ -157,3 +159,31 @@ def test_a_key_replays_for_a_day_the_same_body_only():
         replay_of(answered, False, "other", 1000.0)
     with pytest.raises(KeyInProgressError):
         replay_of(None, True, "same", 0.0)
+
+
+def test_an_answer_of_this_life_is_good_whatever_the_wall_clock_says():
+    """A computer that begins in 1970 and has its clock set must not move twice."""
+    given, answered = GivenAnswers(), Answered("same", 202, "/v1/jobs/x", "{}", 5.0)
+    given.keep(("truck 7", "k"), answered, now_mono_s=10.0)
+    found = given.find(("truck 7", "k"), now_mono_s=70.0, now_unix_s=1.8e9)
+    assert replay_of(found, False, "same", 1.8e9) == found
+    assert found.answer == answered.answer
+    assert given.find(("truck 8", "k"), 70.0, 1.8e9) is None
+    assert given.find(("truck 7", "k"), 10.0 + 86_400.0, 1.8e9) is None
+    for k in range(MOST + 5):
+        given.keep(("truck 7", f"k{k}"), answered, 20.0)
+    assert len(given._given) == MOST
+
+
+async def test_a_write_that_came_after_its_refusal_leaves_no_acceptance(tmp_path, monkeypatch):
+    engine, keeper = life(tmp_path)
+    monkeypatch.setattr("server.store.database.WRITE_S", 0.05)
+    stalled = threading.Event()
+    keeper.database.submit(lambda _db: stalled.wait(10.0))
+    with pytest.raises(StoreError):
+        await start(engine, keeper, key="k")
+    stalled.set()
+    monkeypatch.setattr("server.store.database.WRITE_S", 10.0)
+    keeper.database.write(lambda _db: None)  # all that was queued before it has been written
+    assert keeper.database.read(lambda db: read_answer(db, FLEET.name, "k")) is None
+    keeper.database.close()
