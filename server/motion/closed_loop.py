@@ -8,7 +8,7 @@ from machine.chain import Chain
 from machine.description import Machine
 from machine.kinematics import tcp_poses
 from server.motion.contracts import Array, JointTrajectory, PlanStatus, Wall
-from server.motion.joint_limits import range_refusal
+from server.motion.joint_limits import range_refusal, singular_refusal
 from server.motion.refusal import Refusal
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
 from server.motion.timing import excess
@@ -19,6 +19,7 @@ KNOT_S = 0.05
 ROUNDS = 12
 DURATION_MAX_S = 60.0
 JOIN_AHEAD_S = 0.3  # the link asks for 0.2 s ahead of the playback; the rest is planning and a late command
+SINGULAR_EVERY = 5  # samples of 0.02 s
 SPEED_SHARE = 0.9  # of the speed limit: the reference is what is planned, the tool may lead it a little
 
 
@@ -62,7 +63,8 @@ def path_to_rest(
              duration grows until TCP speed, joint speeds and accelerations are inside their limits between the knots.
     Args:    start: the knot before. q_goal: reference (n,) [rad]. duration_min_s: not sooner than that: a correction
              that needs no more time keeps the end that was planned.
-    Returns: knots *after* the start, times on the running trajectory's clock; or why not: too fast, range, wall.
+    Returns: knots *after* the start, times on the running trajectory's clock; or why not: too fast, range, singular,
+             wall.
     """
     tcp_share = SPEED_SHARE * speed_max_m_s / machine.tcp_speed_max_m_s
     duration_s = max(duration_min_s, 4.0 * KNOT_S)
@@ -87,6 +89,9 @@ def _checked(
     beyond = range_refusal(machine, motion.q, DEFAULT_PLAN_SETTINGS.joint_margin_rad)
     if beyond is not None:
         return beyond
+    _, near = singular_refusal(machine, chain, motion.q[::-SINGULAR_EVERY], DEFAULT_PLAN_SETTINGS)
+    if near is not None:
+        return near
     _, hit = wall_refusal(tcp_poses(chain, motion.q), machine.T_tcp_tool, wall)
     if hit is not None:
         return hit

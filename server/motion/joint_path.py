@@ -72,7 +72,7 @@ def _of_samples(chain: Chain, qs: Array) -> JointPath:
 
 def joint_line(chain: Chain, q_start: Array, q_end: Array) -> JointPath:
     """Every joint straight from start to end."""
-    m = 1 + max(12, int(np.ceil(np.abs(q_end - q_start).max() / 0.05)))
+    m = 1 + max(12, int(np.ceil(np.abs(q_end - q_start).max() / 0.02)))
     return _of_samples(chain, q_start + np.linspace(0.0, 1.0, m)[:, None] * (q_end - q_start))
 
 

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from machine.chain import Chain
+from machine.kinematics import tcp_jacobian
 from server.motion.contracts import Array, PlanStatus, Wall
 from server.motion.refusal import Refusal
 
@@ -18,14 +20,23 @@ def clearances(Ts_base_tcp: Array, T_tcp_tool: Array, wall: Wall) -> Array:
     return np.minimum((tips - wall.point_base) @ normal, (markers - wall.point_base) @ normal)
 
 
-def wall_refusal(Ts_base_tcp: Array, T_tcp_tool: Array, wall: Wall | None) -> tuple[float, Refusal | None]:
+def stall_reach(chain: Chain, qs: Array, stall_rad: Array, wall: Wall) -> Array:
+    """How much nearer to the wall the tool may be (m,) [m] where joints rest up to a stall (n,) away from qs (m, n)."""
+    normal = np.asarray(wall.normal_base) / np.linalg.norm(wall.normal_base)
+    return np.array([np.abs(normal @ tcp_jacobian(chain, q)[:3]) @ np.abs(stall_rad) for q in qs])
+
+
+def wall_refusal(
+    Ts_base_tcp: Array, T_tcp_tool: Array, wall: Wall | None, nearer_m: Array | float = 0.0
+) -> tuple[float, Refusal | None]:
     """Smallest clearance [m] along a path, and the refusal when it is too small and smaller than where the path starts.
 
-    A path that starts too near may lead away, never nearer.
+    A path that starts too near may lead away, never nearer. `nearer_m`: by how much the tool may be nearer than the
+    path says, (m,) or one number.
     """
     if wall is None:
         return float("inf"), None
-    distance = clearances(Ts_base_tcp, T_tcp_tool, wall)
+    distance = clearances(Ts_base_tcp, T_tcp_tool, wall) - nearer_m
     smallest = float(distance.min())
     if smallest >= min(wall.clearance_min_m, float(distance[0]) - 1e-4) - 1e-9:
         return smallest, None

@@ -29,7 +29,7 @@ from server.motion.refusal import Refusal
 from server.motion.settings import PlanSettings
 from server.motion.timing import tcp_speed
 from server.motion.trajectory import join, sample
-from server.motion.wall_clearance import wall_refusal
+from server.motion.wall_clearance import stall_reach, wall_refusal
 
 THERE_RAD = 1e-6
 AROUND_RAD = 0.35  # a course that stays so near its start is made smaller where it is too fast; a longer one slower
@@ -133,7 +133,7 @@ def _way(ctx: PlanContext, q_from: Array, q_to: Array, purpose: str) -> tuple[St
     plan = plan_joint_move(ctx.machine, q_from, q_to, _settings(ctx), ctx.wall)
     if plan.trajectory is None:
         raise JobFailedError(f"experiment: {purpose}: {plan.reason}", f"plan_{plan.status.value}")
-    _gate(ctx, plan.trajectory)
+    check_driven(ctx, plan.trajectory)
     return (Step(plan.trajectory, purpose),)
 
 
@@ -143,7 +143,7 @@ def _settings(ctx: PlanContext) -> PlanSettings:
 
 
 def check_driven(ctx: PlanContext, trajectory: JointTrajectory) -> None:
-    """Joint ranges, wall and motion gate along a course.
+    """Joint ranges, wall and motion gate along a course of the reference: joints may rest a stall away from it.
 
     Raises: JobFailedError: the first that refuses.
     """
@@ -151,7 +151,8 @@ def check_driven(ctx: PlanContext, trajectory: JointTrajectory) -> None:
     beyond = range_refusal(ctx.machine, motion.q, _settings(ctx).joint_margin_rad)
     if beyond is not None:
         raise _refused(beyond)
-    _, hit = wall_refusal(tcp_poses(ctx.chain, motion.q), ctx.machine.T_tcp_tool, ctx.wall)
+    nearer_m = 0.0 if ctx.wall is None else stall_reach(ctx.chain, motion.q, ctx.stall, ctx.wall)
+    _, hit = wall_refusal(tcp_poses(ctx.chain, motion.q), ctx.machine.T_tcp_tool, ctx.wall, nearer_m)
     if hit is not None:
         raise _refused(hit)
     _gate(ctx, trajectory)

@@ -15,10 +15,14 @@ from server.jobs.plans.pair_gate import PairGate
 from server.jobs.requests import MachineReading
 from server.jobs.steer_requests import Correct, NextPair, PairSeen
 from server.motion.closed_loop import JOIN_AHEAD_S, Join, join_after, path_to_rest, reference_goal, with_tail
-from server.motion.contracts import JointTrajectory
+from server.motion.contracts import JointTrajectory, PlanStatus
+from server.motion.joint_path import joint_line
 from server.motion.refusal import Refusal
 from server.motion.seen_goal import SeenGoal
+from server.motion.settings import DEFAULT_PLAN_SETTINGS
+from server.motion.wall_clearance import wall_refusal
 
+TURN_MAX_RAD = DEFAULT_PLAN_SETTINGS.jump_max_rad  # of any joint: more for a way this short is a change of branch
 CORRECTION_MIN_M = 0.0003  # the goal moved by less: not worth a new tail
 
 
@@ -87,7 +91,21 @@ def correction_for(ctx: PlanContext, steered: Steered, seen: PairSeen) -> Correc
 def path_onto_reference(
     ctx: PlanContext, start: Join, reading: MachineReading, q_goal: Array, duration_s: float
 ) -> JointTrajectory | Refusal:
-    """Knots to where the encoders rest at q_goal, laid onto the reference; a Refusal when it cannot be."""
+    """Knots to where the encoders rest at q_goal, laid onto the reference; a Refusal when it cannot be.
+
+    The wall is asked on the joints' own way, too: they rest a stall away from the reference, and may be nearer.
+    """
+    turned_rad = float(np.abs(q_goal - reading.q_rad).max())
+    if turned_rad > TURN_MAX_RAD:
+        text = (
+            f"a joint would turn by {np.rad2deg(turned_rad):.0f} deg for a few centimetres (limit "
+            f"{np.rad2deg(TURN_MAX_RAD):.0f} deg): too near to a singularity; move there by an ordinary move"
+        )
+        return Refusal(PlanStatus.SINGULAR, text)
+    way = joint_line(ctx.chain, reading.q_rad, q_goal)
+    _, hit = wall_refusal(way.Ts_base_tcp, ctx.machine.T_tcp_tool, ctx.wall)
+    if hit is not None:
+        return hit
     q_ref = reference_goal(q_goal, reading.q_rad, reading.q_ref_rad, ctx.stall)
     speed_m_s = ctx.settings.closed_loop.speed_max_mm_s * 1e-3
     return path_to_rest(ctx.machine, ctx.chain, start, q_ref, speed_m_s, duration_s, ctx.wall)
