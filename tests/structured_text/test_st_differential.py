@@ -158,6 +158,30 @@ def test_an_encoder_lost_while_it_holds_or_moves(broken, reading):
         assert_same(stage.play(script()))
 
 
+@pytest.mark.parametrize("glitch_rad_s", [-300.0, 600.0])
+def test_an_encoder_that_jumps_as_the_fault_comes_does_not_keep_the_valves_open(glitch_rad_s):
+    stage = Stage(Setup(13, fault_frac=0.0))
+    pc, plant = stage.pc, stage.pair.plant
+
+    def script():
+        yield from pc.silent(1)
+        yield from pc.ready()
+        pc.plan(1.0, 50, 0.05)
+        yield from pc.play(25)
+        plant.oil_c, plant.qd[2] = 90.0, glitch_rad_s
+        yield pc.command()
+        plant.qd[2] = 0.0
+        yield from pc.beat(2)
+        assert pc.is_in(PlcState.FAULT)
+        assert pc.state is not None
+        assert pc.state.valve_cmd != (0.0,) * 8
+        yield from pc.beat(75)  # of 10 ms: 1.5 qd_max / qdd_max of the slowest joint
+        assert pc.state.valve_cmd == (0.0,) * 8
+        plant.oil_c = 40.0
+
+    assert_same(stage.play(script()))
+
+
 def test_a_repeated_hello_is_a_heartbeat_whatever_its_mode_says():
     stage = Stage(Setup(12, auto=False, fault_frac=0.0))
 
