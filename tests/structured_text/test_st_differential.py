@@ -14,7 +14,7 @@ from st_plc import DeliveredPlc
 from st_sessions import Pc
 from st_tour import tour, while_linked
 
-from protocol.codes import Mode, PlcState, RejectCode
+from protocol.codes import FaultBit, Mode, PlcState, RejectCode
 
 KEY = bytes(range(32))
 NEAR_THE_WRAP = 2**32 - 60  # sequence numbers pass 2^32 in every session
@@ -156,6 +156,23 @@ def test_an_encoder_lost_while_it_holds_or_moves(broken, reading):
             yield from pc.beat(3, Mode.RESET)
 
         assert_same(stage.play(script()))
+
+
+def test_a_joint_without_a_speed_is_a_sensor_fault_and_nothing_else_however_far_it_lags():
+    stage = Stage(Setup(14, fault_frac=0.0))
+    pc, plant = stage.pc, stage.pair.plant
+
+    def script():
+        yield from pc.silent(1)
+        yield from pc.ready()
+        assert pc.is_in(PlcState.HOLD)
+        plant.q[0] += 1.0  # rad: many times the lag that is a fault
+        plant.qd[0] = np.nan
+        yield from pc.beat(3)
+        assert pc.state is not None
+        assert (pc.state.fault_bits, pc.state.warn_bits) == (FaultBit.SENSOR, 0)
+
+    assert_same(stage.play(script()))
 
 
 @pytest.mark.parametrize("glitch_rad_s", [-300.0, 600.0])
