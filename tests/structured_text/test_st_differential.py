@@ -14,7 +14,7 @@ from st_plc import DeliveredPlc
 from st_sessions import Pc
 from st_tour import tour, while_linked
 
-from protocol.codes import FaultBit, Mode, PlcState, RejectCode
+from protocol.codes import CommandFlag, FaultBit, Mode, PlcState, RejectCode
 
 KEY = bytes(range(32))
 NEAR_THE_WRAP = 2**32 - 60  # sequence numbers pass 2^32 in every session
@@ -156,6 +156,27 @@ def test_an_encoder_lost_while_it_holds_or_moves(broken, reading):
             yield from pc.beat(3, Mode.RESET)
 
         assert_same(stage.play(script()))
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.STOP, Mode.QUICK_STOP])
+def test_a_trajectory_that_waited_for_its_start_when_a_stop_came_never_starts(mode):
+    stage = Stage(Setup(15, fault_frac=0.0))
+    pc = stage.pc
+
+    def script():
+        yield from pc.silent(1)
+        yield from pc.ready()
+        pc.plan(1.0, 50, 0.05)
+        yield from pc.prefill(3)
+        yield from pc.beat(1, mode)
+        for _ in range(5):
+            yield pc.window(CommandFlag.START)
+            assert pc.is_in(PlcState.HOLD)
+        pc.plan(1.0, 50, 0.05)
+        yield from pc.play(5)
+        assert pc.is_in(PlcState.RUN)
+
+    assert_same(stage.play(script()))
 
 
 def test_a_joint_without_a_speed_is_a_sensor_fault_and_nothing_else_however_far_it_lags():
