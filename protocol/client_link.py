@@ -288,8 +288,13 @@ class ClientLink:
         return events + self._close("disarmed" if disarmed else "the PLC has ended the session; connect and arm again")
 
     def _unlinked_state(self, state: State, t_mono_ns: int) -> list[ClientEvent]:
-        """The PLC is there, but not in session with us (yet): show it, and why it refused our HELLO."""
-        if self.state and state.t_send_ns <= self.state.t_send_ns:
+        """The PLC is there, but not in session with us (yet): show it, and why it refused our HELLO.
+
+        A state from before the newest one is late; after a silence it is a PLC that was switched off and on, whose
+        clock begins anew.
+        """
+        silent = self.age_ns(t_mono_ns) > STATE_LOST.ns
+        if self.state and not silent and state.t_send_ns <= self.state.t_send_ns:
             self.counters.stale += 1
             return []
         return [*self._take(state, t_mono_ns), *self._rejects(state)]

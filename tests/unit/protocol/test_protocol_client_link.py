@@ -124,6 +124,19 @@ def test_a_late_state_from_before_the_session_does_not_end_it() -> None:
     assert not pc.link.closed
 
 
+def test_a_plc_that_was_switched_off_and_on_is_seen_again_although_its_clock_began_anew() -> None:
+    pc = Pc()
+    pc.feed(session=0, plc_state=PlcState.FAULT)
+    assert pc.link.phase(pc.t_ns) is ClientPhase.FAULT
+    late = replace(pc.state, t_send_ns=5 * MS)
+    assert pc.link.receive(encode_state(late), pc.t_ns + 250 * MS) == []
+    pc.wait(30_000)
+    assert pc.link.phase(pc.t_ns) is ClientPhase.OFFLINE
+    pc.state = replace(pc.state, seq=0, t_send_ns=0)
+    assert isinstance(pc.feed(session=0, plc_state=PlcState.DISARMED)[0], StateReceived)
+    assert pc.link.phase(pc.t_ns) is ClientPhase.DISARMED
+
+
 def test_without_states_first_no_knots_then_a_stop_then_the_end() -> None:
     pc = Pc().running()
     assert pc.next().mode is Mode.TRAJECTORY
