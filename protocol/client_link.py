@@ -127,8 +127,9 @@ class ClientLink:
         self._wish = _Wish.DISARM
 
     def cancel_wish(self) -> None:
-        """Stop asking for arm, reset or disarm."""
-        self._wish = _Wish.NONE
+        """Stop asking for arm or reset; a disarm that was asked for goes on until it is done."""
+        if self._wish is not _Wish.DISARM:
+            self._wish = _Wish.NONE
 
     def request_run(
         self, traj_id: int, knots: Sequence[Knot], t_mono_ns: int, judged: bool = False

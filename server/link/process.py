@@ -190,7 +190,7 @@ class LinkProcess:
                 self._start(request)
             case StopRequest(reason=reason, quick=quick):
                 self._arm_until_ns = None
-                self._link.cancel_wish()
+                self._link.cancel_wish()  # a disarm goes on: it stops, too
                 self._link.request_stop(reason, quick)
             case CorrectRequest():
                 self._correct(request)

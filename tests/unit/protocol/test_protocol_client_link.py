@@ -104,6 +104,28 @@ def test_reset_only_in_fault_and_disarm_until_the_session_is_gone() -> None:
     assert pc.feed() == []
 
 
+def test_a_stop_comes_before_a_disarm_and_does_not_replace_it() -> None:
+    pc = Pc().running()
+    pc.link.request_disarm()
+    pc.link.cancel_wish()  # as every stop does, so that nothing arms or resets after it
+    pc.link.request_stop("the job was cancelled")
+    stop = pc.next()
+    assert stop.mode is Mode.STOP
+    pc.feed(plc_state=PlcState.STOPPING, ack_seq=stop.seq)
+    pc.feed(plc_state=PlcState.HOLD)
+    assert pc.next().mode is Mode.DISARM
+
+
+def test_a_disarm_outlives_a_gap_in_the_states() -> None:
+    pc = Pc().holding()
+    pc.wait(251)
+    pc.link.request_disarm()
+    assert pc.next().mode is Mode.STOP
+    pc.wait(600)
+    pc.feed()
+    assert pc.next().mode is Mode.DISARM
+
+
 def test_states_are_taken_once_and_in_order() -> None:
     pc = Pc().holding()
     datagram = encode_state(pc.state)
