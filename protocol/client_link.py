@@ -86,7 +86,7 @@ class ClientLink:
     _seq: int = 0
     _t_hello_ns: int | None = None
     _wish: _Wish = _Wish.NONE
-    _t_arm_ns: int | None = None
+    _t_asked_ns: int | None = None  # for arm or reset
     _stop: Stop | None = None
     _run: Run | None = None
     _sent: SentCommands = field(default_factory=SentCommands)
@@ -371,17 +371,17 @@ class ClientLink:
             return self._command(t_mono_ns, Mode.HEARTBEAT)
         if self._run and state.plc_state in (PlcState.HOLD, PlcState.RUN):
             return self._motion(self._run, state, t_mono_ns)
-        if self._wish is _Wish.RESET and state.plc_state is PlcState.FAULT:
+        if self._wish is _Wish.RESET and state.plc_state is PlcState.FAULT and self._asking_due(t_mono_ns):
             return self._command(t_mono_ns, Mode.RESET)
         proven = state.rx_ok >= GOOD_COMMANDS_TO_ARM
-        if self._wish is _Wish.ARM and state.plc_state is PlcState.LINKED and proven and self._arm_due(t_mono_ns):
+        if self._wish is _Wish.ARM and state.plc_state is PlcState.LINKED and proven and self._asking_due(t_mono_ns):
             return self._command(t_mono_ns, Mode.ARM)
         return self._command(t_mono_ns, Mode.HEARTBEAT)
 
-    def _arm_due(self, t_mono_ns: int) -> bool:
-        """Heartbeats in between: a refused ARM feeds no watchdog, and the session must outlive it."""
-        due = self._t_arm_ns is None or t_mono_ns - self._t_arm_ns >= ARM_PERIOD.ns
-        self._t_arm_ns = t_mono_ns if due else self._t_arm_ns
+    def _asking_due(self, t_mono_ns: int) -> bool:
+        """Heartbeats in between: a refused ARM or RESET feeds no watchdog, and the session must outlive it."""
+        due = self._t_asked_ns is None or t_mono_ns - self._t_asked_ns >= ARM_PERIOD.ns
+        self._t_asked_ns = t_mono_ns if due else self._t_asked_ns
         return due
 
     def _motion(self, run: Run, state: State, t_mono_ns: int) -> Command:

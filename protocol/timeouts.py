@@ -27,7 +27,7 @@ HELLO_PERIOD = Timeout(
     "hello period", "PC", 100 * MS, "HELLO again", "quick to connect, 10 datagrams a second while waiting"
 )
 ARM_PERIOD = Timeout(
-    "arm period", "PC", 100 * MS, "ARM again", "heartbeats in between keep the session while ARM is refused"
+    "arm period", "PC", 100 * MS, "ARM or RESET again", "heartbeats in between keep the session while it is refused"
 )
 STATE_PERIOD = Timeout("state period", "PLC", 10 * MS, "next state is sent", "the PLC's log cycle")
 COMMAND_LATE = Timeout(

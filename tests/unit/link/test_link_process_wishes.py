@@ -12,7 +12,7 @@ from protocol.codes import LinkState, Mode, PlcState
 from protocol.limits import limits_of
 from protocol.messages import Command, State
 from server.link import process as module
-from server.link.contracts import ArmRequest, DisarmRequest, LinkRequest, StopRequest
+from server.link.contracts import ArmRequest, DisarmRequest, LinkRequest, ResetRequest, StopRequest
 from server.link.process import LinkProcess
 from server.link.settings import LinkSettings
 from server.settings import read_machine
@@ -85,3 +85,38 @@ def test_a_lapse_or_a_stop_ends_the_wish_to_arm(loop):
     stop = loop.tick(100)
     loop.feed(ack_seq=stop.seq)
     assert loop.tick(100).mode is Mode.HEARTBEAT
+
+
+def test_a_wish_to_reset_outlives_its_session_until_it_lapses(loop):
+    loop.feed(plc_state=PlcState.FAULT)
+    loop.ask(ResetRequest())
+    assert loop.tick().mode is Mode.RESET
+    first = loop.process._link
+    loop.feed(session=0)  # the PLC has ended the session
+    assert loop.process._link is not first
+    loop.feed()
+    assert loop.tick().mode is Mode.RESET
+    for _ in range(16):
+        loop.feed()
+        loop.tick(200)
+    loop.feed()
+    assert loop.tick(100).mode is Mode.HEARTBEAT  # what comes later is not reset unseen
+
+
+def test_a_reset_that_has_come_true_is_not_repeated_for_the_next_fault(loop):
+    loop.feed(plc_state=PlcState.FAULT)
+    loop.ask(ResetRequest())
+    assert loop.tick().mode is Mode.RESET
+    loop.feed(session=0, plc_state=PlcState.DISARMED)
+    loop.feed(plc_state=PlcState.FAULT)
+    assert loop.tick(120).mode is Mode.HEARTBEAT
+
+
+def test_a_machine_that_was_armed_is_not_armed_again_when_its_session_ends(loop):
+    loop.feed()
+    loop.ask(ArmRequest())
+    assert loop.tick().mode is Mode.ARM
+    loop.feed(plc_state=PlcState.HOLD)
+    loop.feed(session=0, plc_state=PlcState.DISARMED)
+    loop.feed(plc_state=PlcState.LINKED)
+    assert loop.tick(120).mode is Mode.HEARTBEAT

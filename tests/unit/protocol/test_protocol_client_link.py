@@ -104,6 +104,19 @@ def test_reset_only_in_fault_and_disarm_until_the_session_is_gone() -> None:
     assert pc.feed() == []
 
 
+def test_reset_is_asked_for_ten_times_a_second_with_heartbeats_in_between() -> None:
+    """A refused RESET feeds no watchdog: the session must outlive a fault whose cause is still there."""
+    pc = Pc()
+    pc.feed(plc_state=PlcState.FAULT)
+    pc.link.request_reset()
+    sent = []
+    for _ in range(50):
+        sent.append(pc.next().mode)
+        pc.feed()
+        pc.feed()
+    assert sent == 10 * [Mode.RESET, *4 * [Mode.HEARTBEAT]]
+
+
 def test_a_stop_comes_before_a_disarm_and_does_not_replace_it() -> None:
     pc = Pc().running()
     pc.link.request_disarm()

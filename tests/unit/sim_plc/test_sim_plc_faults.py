@@ -42,6 +42,20 @@ def test_hot_oil_ramps_down_and_cannot_be_reset_while_it_is_hot():
     assert virtual.plc.state is PlcState.DISARMED
 
 
+def test_a_reset_that_is_refused_for_long_keeps_its_session_and_comes_through_in_the_end():
+    virtual = started()
+    virtual.step(900)
+    virtual.t_oil_c = 90.0
+    virtual.step(700)
+    virtual.client.request_reset()
+    virtual.step(2000)
+    assert virtual.client.state.reject_code == RejectCode.FAULT_PRESENT
+    assert virtual.plc.link.session == 7
+    virtual.t_oil_c = 60.0
+    virtual.step(200)
+    assert virtual.plc.state is PlcState.DISARMED
+
+
 @pytest.mark.parametrize("glitch_rad_s", [-300.0, 600.0])
 def test_an_encoder_that_jumps_as_the_fault_comes_does_not_keep_the_valves_open(glitch_rad_s):
     virtual = started()
