@@ -174,7 +174,11 @@ class ClientLink:
             )
         refusals = check_tail(knots, playback.knots[first - 1], self.table)
         if not refusals:
-            run.replace_tail(playback.with_tail(first, tuple(knots)))
+            replaced = playback.with_tail(first, tuple(knots))
+            if replaced.splice is None:  # knot by knot what is played anyway
+                self._pending.append(TailAnswered(traj_id, True, "taken"))
+            else:
+                run.replace_tail(replaced)
         return refusals
 
     def request_servo(self, traj_id: int, t_mono_ns: int) -> None:
