@@ -86,7 +86,7 @@ class ClientLink:
     _seq: int = 0
     _t_hello_ns: int | None = None
     _wish: _Wish = _Wish.NONE
-    _t_arm_ns: int | None = None
+    _t_asked_ns: int | None = None  # for arm or reset
     _stop: Stop | None = None
     _run: Run | None = None
     _sent: SentCommands = field(default_factory=SentCommands)
@@ -127,8 +127,9 @@ class ClientLink:
         self._wish = _Wish.DISARM
 
     def cancel_wish(self) -> None:
-        """Stop asking for arm, reset or disarm."""
-        self._wish = _Wish.NONE
+        """Stop asking for arm or reset; a disarm that was asked for goes on until it is done."""
+        if self._wish is not _Wish.DISARM:
+            self._wish = _Wish.NONE
 
     def request_run(
         self, traj_id: int, knots: Sequence[Knot], t_mono_ns: int, judged: bool = False
@@ -173,7 +174,11 @@ class ClientLink:
             )
         refusals = check_tail(knots, playback.knots[first - 1], self.table)
         if not refusals:
-            run.replace_tail(playback.with_tail(first, tuple(knots)))
+            replaced = playback.with_tail(first, tuple(knots))
+            if replaced.splice is None:  # knot by knot what is played anyway
+                self._pending.append(TailAnswered(traj_id, True, "taken"))
+            else:
+                run.replace_tail(replaced)
         return refusals
 
     def request_servo(self, traj_id: int, t_mono_ns: int) -> None:
@@ -288,8 +293,13 @@ class ClientLink:
         return events + self._close("disarmed" if disarmed else "the PLC has ended the session; connect and arm again")
 
     def _unlinked_state(self, state: State, t_mono_ns: int) -> list[ClientEvent]:
-        """The PLC is there, but not in session with us (yet): show it, and why it refused our HELLO."""
-        if self.state and state.t_send_ns <= self.state.t_send_ns:
+        """The PLC is there, but not in session with us (yet): show it, and why it refused our HELLO.
+
+        A state from before the newest one is late; after a silence it is a PLC that was switched off and on, whose
+        clock begins anew.
+        """
+        silent = self.age_ns(t_mono_ns) > STATE_LOST.ns
+        if self.state and not silent and state.t_send_ns <= self.state.t_send_ns:
             self.counters.stale += 1
             return []
         return [*self._take(state, t_mono_ns), *self._rejects(state)]
@@ -365,17 +375,17 @@ class ClientLink:
             return self._command(t_mono_ns, Mode.HEARTBEAT)
         if self._run and state.plc_state in (PlcState.HOLD, PlcState.RUN):
             return self._motion(self._run, state, t_mono_ns)
-        if self._wish is _Wish.RESET and state.plc_state is PlcState.FAULT:
+        if self._wish is _Wish.RESET and state.plc_state is PlcState.FAULT and self._asking_due(t_mono_ns):
             return self._command(t_mono_ns, Mode.RESET)
         proven = state.rx_ok >= GOOD_COMMANDS_TO_ARM
-        if self._wish is _Wish.ARM and state.plc_state is PlcState.LINKED and proven and self._arm_due(t_mono_ns):
+        if self._wish is _Wish.ARM and state.plc_state is PlcState.LINKED and proven and self._asking_due(t_mono_ns):
             return self._command(t_mono_ns, Mode.ARM)
         return self._command(t_mono_ns, Mode.HEARTBEAT)
 
-    def _arm_due(self, t_mono_ns: int) -> bool:
-        """Heartbeats in between: a refused ARM feeds no watchdog, and the session must outlive it."""
-        due = self._t_arm_ns is None or t_mono_ns - self._t_arm_ns >= ARM_PERIOD.ns
-        self._t_arm_ns = t_mono_ns if due else self._t_arm_ns
+    def _asking_due(self, t_mono_ns: int) -> bool:
+        """Heartbeats in between: a refused ARM or RESET feeds no watchdog, and the session must outlive it."""
+        due = self._t_asked_ns is None or t_mono_ns - self._t_asked_ns >= ARM_PERIOD.ns
+        self._t_asked_ns = t_mono_ns if due else self._t_asked_ns
         return due
 
     def _motion(self, run: Run, state: State, t_mono_ns: int) -> Command:

@@ -22,9 +22,19 @@ class Window:
         return self.knot_first <= index < self.knot_first + len(self.knots)
 
 
+def _first_difference(old: tuple[Knot, ...], new: tuple[Knot, ...]) -> int | None:
+    """Index of the first knot that the PLC would see replaced; of the end that is none any more, or is one now.
+
+    A command with nothing but knots that the PLC holds already replaces nothing, whatever follows them here.
+    """
+    common = min(len(old), len(new))
+    changed = next((i for i in range(common) if old[i] != new[i]), None)
+    return common - 1 if changed is None and len(old) != len(new) else changed
+
+
 @dataclass(frozen=True, slots=True)
 class Playback:
-    """One trajectory on its way to the PLC. `splice`: the first replaced knot while the PLC may hold the old ones."""
+    """One trajectory on its way to the PLC. `splice`: the first changed knot while the PLC may hold the old ones."""
 
     traj_id: int
     knots: tuple[Knot, ...]
@@ -36,8 +46,9 @@ class Playback:
         return len(self.knots) - 1
 
     def with_tail(self, first: int, knots: tuple[Knot, ...]) -> "Playback":
-        """The same trajectory with everything from `first` on replaced."""
-        return replace(self, knots=(*self.knots[:first], *knots), splice=first)
+        """The same trajectory with everything from `first` on replaced; `splice` stays None if that changes nothing."""
+        new = (*self.knots[:first], *knots)
+        return replace(self, knots=new, splice=_first_difference(self.knots, new))
 
     def spliced(self) -> "Playback":
         """The PLC has taken the new tail."""

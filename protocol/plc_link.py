@@ -95,6 +95,7 @@ _EFFECTS = {
     Mode.RESET: Effect.RESET,
     Mode.DISARM: Effect.DISARM,
 }
+_STOPS = frozenset({Effect.STOP, Effect.QUICK_STOP, Effect.DISARM})
 _EVENTS = {
     Effect.ARM: PlcEvent.ARM,
     Effect.STOP: PlcEvent.SOFT_STOP,
@@ -338,6 +339,8 @@ class PlcLink:
         if mode in _MOTION_MODES:
             return self._take_motion(command, mode, t_plc_ns)
         effect = _EFFECTS.get(mode, Effect.KEEPALIVE)
+        if effect in _STOPS:
+            self._session.spent = True  # also what was only prefilled: the stop was meant for it
         accepted: list[PlcLinkEvent] = [Accepted(command, effect)]
         event = _EVENTS.get(effect)
         return accepted if event is None else [*self.apply(event, t_plc_ns), *accepted]

@@ -27,7 +27,7 @@ HELLO_PERIOD = Timeout(
     "hello period", "PC", 100 * MS, "HELLO again", "quick to connect, 10 datagrams a second while waiting"
 )
 ARM_PERIOD = Timeout(
-    "arm period", "PC", 100 * MS, "ARM again", "heartbeats in between keep the session while ARM is refused"
+    "arm period", "PC", 100 * MS, "ARM or RESET again", "heartbeats in between keep the session while it is refused"
 )
 STATE_PERIOD = Timeout("state period", "PLC", 10 * MS, "next state is sent", "the PLC's log cycle")
 COMMAND_LATE = Timeout(
@@ -103,6 +103,7 @@ FROZEN_NS = 100 * MS  # knots nearer than this ahead of the playback are not rep
 PREFILL_NS = 800 * MS  # a motion starts with so much of it in the PLC: a hard start survives ten lost commands
 TAIL_AHEAD_NS = 200 * MS  # the PC asks for twice that, so that some commands may be lost
 SERVO_REACH_S = 0.25  # a servo target is at most this long at full speed away from the reference: further is a mistake
+FADE_SPEED_FACTOR = 1.5  # of qd_max: no joint is faster, so an encoder that says more while a ramp begins is wrong
 START_TOLERANCE_RAD = 1e-5  # 0.05 mm at 5 m: rounding, not distance
 
 

@@ -141,6 +141,7 @@ def _machine(p: PlcParameters) -> list[Row]:
         ("KNOTS_ROUNDING", "LREAL", 1e-9),
         ("KNOTS_REST", "LREAL", 1e-6),
         ("KNOTS_BETWEEN", "LREAL", 1.10),
+        ("FADE_SPEED_FACTOR", "LREAL", timeouts.FADE_SPEED_FACTOR),
     )
     return [
         ("N_AXES", "UDINT", str(len(axes))),

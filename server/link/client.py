@@ -63,7 +63,7 @@ class LinkClient:
         self._health, self._t_health_ns = _NO_HEALTH, 0
         self._offset_ns: int | None = None
         self._changed = asyncio.Event()
-        self._traj_id = self._stops = 0
+        self._traj_id = self._stops = self._disarms = self._disarming = 0
         self._motion: asyncio.Future[MotionEnded] | None = None
         self._tail: asyncio.Future[TailReport] | None = None
         self._restart: asyncio.Task[None] | None = None
@@ -133,9 +133,10 @@ class LinkClient:
     async def arm(self, timeout_s: float = 5.0) -> None:
         """Open a session and arm; returns when the PLC holds. Needs local enable at the machine.
 
-        Raises: LinkSilentError, LinkRefusedError: with the PLC's last reject.
+        Raises: LinkSilentError, LinkRefusedError: with the PLC's last reject, or because of a disarm meanwhile.
         """
-        deadline_s = time.monotonic() + timeout_s
+        deadline_s, disarms = time.monotonic() + timeout_s, self._disarms
+        self._refuse_if_disarmed(disarms)
         while self.health.phase not in _ARMED:
             if self.health.phase in (LinkPhase.FAULT, LinkPhase.LOCAL):
                 raise LinkRefusedError(self._why_not_armed())
@@ -146,6 +147,7 @@ class LinkClient:
                 raise (LinkSilentError if silent else LinkRefusedError)(self._why_not_armed())
             await self._request(ArmRequest())
             await self._until(lambda: self.health.phase in _ARMED, min(left_s, _ARM_REPEAT_S))
+            self._refuse_if_disarmed(disarms)
 
     async def run(self, trajectory: JointTrajectory) -> MotionEnded:
         """Play a trajectory from the present reference and wait for its end. Cancelled: stops the machine first.
@@ -242,15 +244,22 @@ class LinkClient:
             raise LinkError(f"stop ({reason}): PLC still {phase} after {_STOP_S:.0f} s; use the emergency stop")
 
     async def disarm(self) -> None:
-        """Leave the armed state (ramping down first if it moves).
+        """Leave the armed state (ramping down first if it moves); an arming that is under way ends refused.
 
-        Raises: LinkError: still armed after 3 s.
+        It is always asked for: what was heard last may be old, and an ARM may be on its way. Success is what the PLC
+        says after that.
+
+        Raises: LinkSilentError: the PLC did not answer within 3 s, or the process is gone. LinkError: still armed then.
         """
-        if self.health.phase not in _ARMED:
-            return
-        await self._request(DisarmRequest())
-        if not await self._until(lambda: self.health.phase not in _ARMED, _STOP_S):
-            raise LinkError(f"disarm: PLC still {self.health.phase.value} after {_STOP_S:.0f} s; use the local switch")
+        self._stops += 1
+        self._disarms += 1
+        self._disarming += 1
+        try:
+            await self._request(DisarmRequest())
+            if not await self._until(self._told_unarmed_since(time.monotonic_ns()), _STOP_S):
+                raise self._why_not_disarmed()
+        finally:
+            self._disarming -= 1
 
     async def reset(self) -> None:
         """Clear a latched fault; nothing moves, arm again afterwards.
@@ -279,6 +288,25 @@ class LinkClient:
         except TimeoutError:
             return wanted()
         return True
+
+    def _told_unarmed_since(self, t_asked_ns: int) -> Callable[[], bool]:
+        """Whether a health that came after then says that the PLC is heard and not armed."""
+        other = (*_ARMED, LinkPhase.OFFLINE)
+        return lambda: self._t_health_ns > t_asked_ns and self.health.phase not in other
+
+    def _refuse_if_disarmed(self, disarms: int) -> None:
+        """Arming does not go on past a disarm, nor begin beside one: `disarms` is their number as arming began."""
+        if self._disarming or disarms != self._disarms:
+            raise LinkRefusedError("the machine was disarmed while it was being armed; arm again when all is clear")
+
+    def _why_not_disarmed(self) -> LinkError:
+        health = self.health
+        if health.phase is not LinkPhase.OFFLINE:
+            return LinkError(f"disarm: PLC still {health.phase.value} after {_STOP_S:.0f} s; use the local switch")
+        return LinkSilentError(
+            f"disarm: the PLC did not answer within {_STOP_S:.0f} s ({health.error or 'no state from it'}), so whether "
+            "it is disarmed is not known; use the local switch"
+        )
 
     def _why_not_armed(self) -> str:
         health, settings = self.health, self._settings

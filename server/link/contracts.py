@@ -150,7 +150,9 @@ class SteerRequest:
 
 @dataclass(frozen=True, slots=True)
 class ResetRequest:
-    """Clear a latched fault; never restarts motion."""
+    """Clear a latched fault; never restarts motion. Lapses after `valid_s`: a later fault must be looked at first."""
+
+    valid_s: float = 3.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,7 @@ from protocol.codes import HeaderFlag, PlcState
 from protocol.errors import LocalProtocolError
 from protocol.limits import LimitTable
 from protocol.messages import State
+from protocol.plc_states import ARMED_STATES
 from protocol.timeouts import STOP_ON_EXIT
 from server.link.contracts import (
     ArmRequest,
@@ -83,7 +84,8 @@ class LinkProcess:
         self._buffer_min_us = self._last_knot = 0
         self._rejects: deque[str] = deque(maxlen=_REJECTS_KEPT)
         self._silent_until_ns = 0
-        self._arm_until_ns: int | None = None
+        self._asked: ArmRequest | ResetRequest | None = None  # a wish that has neither come true nor lapsed
+        self._asked_until_ns = 0
         self._hold, self._sight = Deadline(_HOLD_LOST), Deadline(_SIGHT_LOST)
         self._next_health_ns = self._next_resolve_ns = 0
         self._leaving: str | None = None
@@ -133,8 +135,8 @@ class LinkProcess:
 
     def _tick(self, now_ns: int, deadline_ns: int) -> None:
         self._watch_parent()
-        if self._arm_until_ns is not None and now_ns > self._arm_until_ns:
-            self._arm_until_ns = None
+        if self._asked is not None and now_ns > self._asked_until_ns:
+            self._asked = None
             self._link.cancel_wish()
         self._watch_deadlines(now_ns)
         self._handle(self._link.poll(now_ns), now_ns)
@@ -183,14 +185,14 @@ class LinkProcess:
 
     def _request(self, request: LinkRequest) -> None:
         match request:
-            case ArmRequest(valid_s=valid_s):
-                self._arm_until_ns = time.monotonic_ns() + round(valid_s * 1e9)
-                self._link.request_arm()
+            case ArmRequest(valid_s=valid_s) | ResetRequest(valid_s=valid_s):
+                self._asked, self._asked_until_ns = request, time.monotonic_ns() + round(valid_s * 1e9)
+                self._ask()
             case RunRequest():
                 self._start(request)
             case StopRequest(reason=reason, quick=quick):
-                self._arm_until_ns = None
-                self._link.cancel_wish()
+                self._asked = None
+                self._link.cancel_wish()  # a disarm goes on: it stops, too
                 self._link.request_stop(reason, quick)
             case CorrectRequest():
                 self._correct(request)
@@ -200,12 +202,19 @@ class LinkProcess:
                 self._sight.set(until_ns)
             case SilenceRequest(duration_s=duration_s):
                 self._silent_until_ns = time.monotonic_ns() + round(duration_s * 1e9)
-            case ResetRequest():
-                self._arm_until_ns = None
-                self._link.request_reset()
             case DisarmRequest():
-                self._arm_until_ns = None
+                self._asked = None
                 self._link.request_disarm()
+
+    def _ask(self) -> None:
+        """Tell the link what is wished for."""
+        match self._asked:
+            case ArmRequest():
+                self._link.request_arm()
+            case ResetRequest():
+                self._link.request_reset()
+            case None:
+                pass
 
     def _start(self, request: RunRequest) -> None:
         for deadline in (self._hold, self._sight):
@@ -243,6 +252,7 @@ class LinkProcess:
                 case StateReceived(state=state, t_mono_ns=t_received_ns):
                     self._outbox.add_sample(sample_of(state, t_received_ns, len(self._table.axes)))
                     self._note_buffer(state)
+                    self._note_wish(state)
                 case TrajectoryEnded(traj_id=traj_id, reached=reached, reason=reason, t_plc_ns=t_plc_ns):
                     self._report_health(t_mono_ns)
                     self._outbox.report(MotionEnded(traj_id, reached, reason, t_plc_ns))
@@ -264,15 +274,20 @@ class LinkProcess:
         if state.plc_state is PlcState.RUN and state.knot_last < self._last_knot:
             self._buffer_min_us = min(self._buffer_min_us or state.buffer_us, state.buffer_us)
 
+    def _note_wish(self, state: State) -> None:
+        """A wish that has come true is not repeated in the next session."""
+        armed = self._link.linked and state.plc_state in ARMED_STATES
+        done = armed if isinstance(self._asked, ArmRequest) else state.plc_state is not PlcState.FAULT
+        self._asked = None if done else self._asked
+
     def _renew(self) -> None:
-        """A closed link is replaced; a wish to arm that has not lapsed goes on."""
+        """A closed link is replaced; a wish to arm or to reset that has not lapsed goes on."""
         counters = self._link.counters
         self._past_sent += counters.sent
         self._past_received += counters.received
         self._past_lost += counters.lost
         self._link = self._new_link()
-        if self._arm_until_ns is not None:
-            self._link.request_arm()
+        self._ask()
 
     def _report_health(self, now_ns: int) -> None:
         if now_ns >= self._next_health_ns:

@@ -5,6 +5,7 @@ from enum import Enum
 import numpy as np
 
 from machine.rotations import Array
+from protocol.timeouts import FADE_SPEED_FACTOR
 from sim_plc.plc.knot_ring import KnotRing
 from sim_plc.plc.path import AT_REST, SIZE, advance, ramp_down, starves, stop_time
 from sim_plc.plc.servo import Servo
@@ -202,7 +203,8 @@ class Reference:
 
     def _begin_fade(self) -> None:
         """Fade the controllers out over the time that reference and joints need, or faster if they fade already."""
-        joints_s = float(np.max(np.abs(self.qd_joints) / self._settings.qdd_stop))
+        believed = np.minimum(np.abs(self.qd_joints), FADE_SPEED_FACTOR * self._settings.qd_max)  # one raw reading
+        joints_s = float(np.max(believed / self._settings.qdd_stop))
         step = self._settings.cycle_s / max(self._stop_bound_s(), joints_s, self._settings.cycle_s)
         self._fade_step = step if self.fade == 1.0 else max(step, self._fade_step)
 

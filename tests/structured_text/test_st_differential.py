@@ -14,7 +14,7 @@ from st_plc import DeliveredPlc
 from st_sessions import Pc
 from st_tour import tour, while_linked
 
-from protocol.codes import Mode, PlcState, RejectCode
+from protocol.codes import CommandFlag, FaultBit, Mode, PlcState, RejectCode
 
 KEY = bytes(range(32))
 NEAR_THE_WRAP = 2**32 - 60  # sequence numbers pass 2^32 in every session
@@ -156,6 +156,68 @@ def test_an_encoder_lost_while_it_holds_or_moves(broken, reading):
             yield from pc.beat(3, Mode.RESET)
 
         assert_same(stage.play(script()))
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.STOP, Mode.QUICK_STOP])
+def test_a_trajectory_that_waited_for_its_start_when_a_stop_came_never_starts(mode):
+    stage = Stage(Setup(15, fault_frac=0.0))
+    pc = stage.pc
+
+    def script():
+        yield from pc.silent(1)
+        yield from pc.ready()
+        pc.plan(1.0, 50, 0.05)
+        yield from pc.prefill(3)
+        yield from pc.beat(1, mode)
+        for _ in range(5):
+            yield pc.window(CommandFlag.START)
+            assert pc.is_in(PlcState.HOLD)
+        pc.plan(1.0, 50, 0.05)
+        yield from pc.play(5)
+        assert pc.is_in(PlcState.RUN)
+
+    assert_same(stage.play(script()))
+
+
+def test_a_joint_without_a_speed_is_a_sensor_fault_and_nothing_else_however_far_it_lags():
+    stage = Stage(Setup(14, fault_frac=0.0))
+    pc, plant = stage.pc, stage.pair.plant
+
+    def script():
+        yield from pc.silent(1)
+        yield from pc.ready()
+        assert pc.is_in(PlcState.HOLD)
+        plant.q[0] += 1.0  # rad: many times the lag that is a fault
+        plant.qd[0] = np.nan
+        yield from pc.beat(3)
+        assert pc.state is not None
+        assert (pc.state.fault_bits, pc.state.warn_bits) == (FaultBit.SENSOR, 0)
+
+    assert_same(stage.play(script()))
+
+
+@pytest.mark.parametrize("glitch_rad_s", [-300.0, 600.0])
+def test_an_encoder_that_jumps_as_the_fault_comes_does_not_keep_the_valves_open(glitch_rad_s):
+    stage = Stage(Setup(13, fault_frac=0.0))
+    pc, plant = stage.pc, stage.pair.plant
+
+    def script():
+        yield from pc.silent(1)
+        yield from pc.ready()
+        pc.plan(1.0, 50, 0.05)
+        yield from pc.play(25)
+        plant.oil_c, plant.qd[2] = 90.0, glitch_rad_s
+        yield pc.command()
+        plant.qd[2] = 0.0
+        yield from pc.beat(2)
+        assert pc.is_in(PlcState.FAULT)
+        assert pc.state is not None
+        assert pc.state.valve_cmd != (0.0,) * 8
+        yield from pc.beat(75)  # of 10 ms: 1.5 qd_max / qdd_max of the slowest joint
+        assert pc.state.valve_cmd == (0.0,) * 8
+        plant.oil_c = 40.0
+
+    assert_same(stage.play(script()))
 
 
 def test_a_repeated_hello_is_a_heartbeat_whatever_its_mode_says():

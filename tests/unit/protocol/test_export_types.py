@@ -167,6 +167,7 @@ def test_machine_constants_are_the_parameters_to_the_last_bit():
     assert found["CYCLE_NS"] == ("ULINT", 1_000_000)
     assert found["CYCLE_S"] == ("LREAL", 1_000_000 * 1e-9)
     assert found["SUPPLY_FAULT"] == ("REAL", 2e6)
+    assert found["FADE_SPEED_FACTOR"] == ("LREAL", timeouts.FADE_SPEED_FACTOR)
 
 
 def test_cfg_id_is_the_crc_of_the_exported_limits():

@@ -104,6 +104,41 @@ def test_reset_only_in_fault_and_disarm_until_the_session_is_gone() -> None:
     assert pc.feed() == []
 
 
+def test_reset_is_asked_for_ten_times_a_second_with_heartbeats_in_between() -> None:
+    """A refused RESET feeds no watchdog: the session must outlive a fault whose cause is still there."""
+    pc = Pc()
+    pc.feed(plc_state=PlcState.FAULT)
+    pc.link.request_reset()
+    sent = []
+    for _ in range(50):
+        sent.append(pc.next().mode)
+        pc.feed()
+        pc.feed()
+    assert sent == 10 * [Mode.RESET, *4 * [Mode.HEARTBEAT]]
+
+
+def test_a_stop_comes_before_a_disarm_and_does_not_replace_it() -> None:
+    pc = Pc().running()
+    pc.link.request_disarm()
+    pc.link.cancel_wish()  # as every stop does, so that nothing arms or resets after it
+    pc.link.request_stop("the job was cancelled")
+    stop = pc.next()
+    assert stop.mode is Mode.STOP
+    pc.feed(plc_state=PlcState.STOPPING, ack_seq=stop.seq)
+    pc.feed(plc_state=PlcState.HOLD)
+    assert pc.next().mode is Mode.DISARM
+
+
+def test_a_disarm_outlives_a_gap_in_the_states() -> None:
+    pc = Pc().holding()
+    pc.wait(251)
+    pc.link.request_disarm()
+    assert pc.next().mode is Mode.STOP
+    pc.wait(600)
+    pc.feed()
+    assert pc.next().mode is Mode.DISARM
+
+
 def test_states_are_taken_once_and_in_order() -> None:
     pc = Pc().holding()
     datagram = encode_state(pc.state)
@@ -122,6 +157,19 @@ def test_a_late_state_from_before_the_session_does_not_end_it() -> None:
     pc.holding()
     assert pc.link.receive(early, pc.t_ns) == []
     assert not pc.link.closed
+
+
+def test_a_plc_that_was_switched_off_and_on_is_seen_again_although_its_clock_began_anew() -> None:
+    pc = Pc()
+    pc.feed(session=0, plc_state=PlcState.FAULT)
+    assert pc.link.phase(pc.t_ns) is ClientPhase.FAULT
+    late = replace(pc.state, t_send_ns=5 * MS)
+    assert pc.link.receive(encode_state(late), pc.t_ns + 250 * MS) == []
+    pc.wait(30_000)
+    assert pc.link.phase(pc.t_ns) is ClientPhase.OFFLINE
+    pc.state = replace(pc.state, seq=0, t_send_ns=0)
+    assert isinstance(pc.feed(session=0, plc_state=PlcState.DISARMED)[0], StateReceived)
+    assert pc.link.phase(pc.t_ns) is ClientPhase.DISARMED
 
 
 def test_without_states_first_no_knots_then_a_stop_then_the_end() -> None:

@@ -281,6 +281,19 @@ def test_a_prefilled_trajectory_is_void_after_silence_too() -> None:
     assert bench.link.state is PlcState.HOLD
 
 
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.STOP, Mode.QUICK_STOP])
+@pytest.mark.parametrize("motion", [Mode.TRAJECTORY, Mode.SERVO])
+def test_a_prefilled_motion_is_void_after_a_stop_too(mode: Mode, motion: Mode) -> None:
+    bench = Bench().reach(PlcState.HOLD)
+    bench.send(motion, cmd_flags=CommandFlag(0))
+    bench.send(mode)
+    assert bench.link.state is PlcState.HOLD
+    assert bench.send(motion)[0].effect is Effect.KEEPALIVE
+    assert bench.link.state is PlcState.HOLD
+    bench.send(motion, traj_id=2)
+    assert bench.link.state is PlcState.RUN
+
+
 def test_another_trajectory_while_one_runs_stops_and_starts_nothing() -> None:
     bench = Bench().reach(PlcState.RUN)
     events = bench.send(Mode.TRAJECTORY, traj_id=2)

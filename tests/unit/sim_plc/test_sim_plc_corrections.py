@@ -61,6 +61,52 @@ def test_a_correction_is_spliced_onto_the_reference_and_reached(loss):
     assert_no_step(virtual)
 
 
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+@pytest.mark.parametrize("first", [13, 18, 24])
+def test_a_correction_that_begins_like_the_old_tail_reaches_the_plc_all_the_same(first, loss):
+    virtual, knots = running()
+    rng = np.random.default_rng(3)
+    virtual.lose = lambda direction, t_ns: rng.random() < loss
+    shift = np.deg2rad([0.4, -0.2, 0.3, 0.2, -0.2, 0.1])
+    tail = (*knots[first:25], *corrected(knots, 25, shift))
+    assert virtual.client.request_tail(1, first, tail, virtual.t_ns) == ()
+    virtual.step(4000)
+    assert [answer.taken for answer in answers(virtual, TailAnswered)] == [True]
+    assert [(e.reached, e.traj_id) for e in answers(virtual, TrajectoryEnded)] == [(True, 1)]
+    assert virtual.plc.q_ref == pytest.approx(tuple(np.array(Q_END) + shift), abs=1e-9)
+    assert_no_step(virtual)
+
+
+def test_a_correction_that_changes_nothing_is_taken_at_once():
+    virtual, knots = running()
+    assert virtual.client.request_tail(1, 20, knots[20:], virtual.t_ns) == ()
+    virtual.step(20)
+    assert [answer.taken for answer in answers(virtual, TailAnswered)] == [True]
+    shift = np.deg2rad([0.4, -0.2, 0.3, 0.2, -0.2, 0.1])
+    assert virtual.client.request_tail(1, 25, corrected(knots, 25, shift), virtual.t_ns) == ()
+    virtual.step(4000)
+    assert [answer.taken for answer in answers(virtual, TailAnswered)] == [True, True]
+    assert virtual.plc.q_ref == pytest.approx(tuple(np.array(Q_END) + shift), abs=1e-9)
+
+
+@pytest.mark.parametrize("change", ["shorter", "longer"])
+def test_a_correction_that_only_moves_the_end_is_answered_and_ends_at_rest(change):
+    virtual, knots = running()
+    at_rest = tuple(Knot(knots[-1].t_ns + i * 50 * MS, knots[-1].q) for i in range(1, 9))
+    assert virtual.client.request_tail(1, 40, (*knots[40:], *at_rest), virtual.t_ns) == ()  # while the end is not there
+    virtual.step(1400)
+    if change == "shorter":
+        short = (*knots[50:], *at_rest[:3])
+        assert virtual.client.request_tail(1, 50, short, virtual.t_ns) == ()
+    else:
+        later = tuple(Knot(at_rest[-1].t_ns + i * 50 * MS, knots[-1].q) for i in range(1, 3))
+        assert virtual.client.request_tail(1, 50, (*knots[50:], *at_rest, *later), virtual.t_ns) == ()
+    virtual.step(4000)
+    assert len(answers(virtual, TailAnswered)) == 2
+    assert [e.reached for e in answers(virtual, TrajectoryEnded)] == [True]
+    assert virtual.plc.q_ref == pytest.approx(Q_END, abs=1e-9)
+
+
 def test_a_correction_before_the_first_motion_is_refused_and_the_trajectory_still_plays():
     virtual = VirtualPlc()
     virtual.arm()

@@ -1,7 +1,8 @@
 """The PLC program in virtual time: faults, arming, the local panel."""
 
 import numpy as np
-from plc_runs import Q_END, assert_no_step_until_fault, started
+import pytest
+from plc_runs import Q_END, QD_MAX, QDD_MAX, assert_no_step_until_fault, started
 from virtual_plc import Q_START, VirtualPlc, quintic_knots
 
 from protocol.codes import AxisBit, FaultBit, PlcState, RejectCode
@@ -37,6 +38,38 @@ def test_hot_oil_ramps_down_and_cannot_be_reset_while_it_is_hot():
     assert virtual.plc.state is PlcState.FAULT
     assert virtual.client.state.reject_code == RejectCode.FAULT_PRESENT
     virtual.t_oil_c = 60.0
+    virtual.step(400)
+    assert virtual.plc.state is PlcState.DISARMED
+
+
+def test_a_reset_that_is_refused_for_long_keeps_its_session_and_comes_through_in_the_end():
+    virtual = started()
+    virtual.step(900)
+    virtual.t_oil_c = 90.0
+    virtual.step(700)
+    virtual.client.request_reset()
+    virtual.step(2000)
+    assert virtual.client.state.reject_code == RejectCode.FAULT_PRESENT
+    assert virtual.plc.link.session == 7
+    virtual.t_oil_c = 60.0
+    virtual.step(200)
+    assert virtual.plc.state is PlcState.DISARMED
+
+
+@pytest.mark.parametrize("glitch_rad_s", [-300.0, 600.0])
+def test_an_encoder_that_jumps_as_the_fault_comes_does_not_keep_the_valves_open(glitch_rad_s):
+    virtual = started()
+    virtual.step(900)
+    assert max(map(abs, virtual.trace[-1][4])) > 0.0
+    virtual.t_oil_c = 90.0
+    virtual.qd = np.array([0.0, 0.0, glitch_rad_s, 0.0, 0.0, 0.0])
+    virtual.step(1)
+    assert virtual.plc.state is PlcState.FAULT
+    virtual.qd = np.zeros(6)
+    virtual.step(round(1500 * float((QD_MAX / QDD_MAX).max())) + 2)  # docs/plc-link.md: 1.5 qd_max / qdd_max
+    assert max(map(abs, virtual.trace[-1][4])) == 0.0
+    virtual.t_oil_c = 40.0
+    virtual.client.request_reset()
     virtual.step(400)
     assert virtual.plc.state is PlcState.DISARMED
 
