@@ -19,6 +19,7 @@ _JUMP = 1000
 _START, _LINEAR, _QUINTIC = 2, 1, 3
 _STOPS = {Mode.STOP, Mode.QUICK_STOP, Mode.DISARM}
 _MOTIONS = (Mode.TRAJECTORY, Mode.SERVO)
+_SPENDING = frozenset({Mode.STOP, Mode.QUICK_STOP, Mode.DISARM, Mode.HOLD})  # also what was only prefilled
 _LOOKING = {Mode.HEARTBEAT, Mode.HOLD} | _STOPS
 _MODES_TAKEN: dict[int, set[Mode]] = {  # "State | Modes taken"
     PlcState.BOOT: set(),
@@ -82,6 +83,8 @@ class PlcOracle:
             self.ring.clear()
             return PlcState.LINKED if before is PlcState.DISARMED else before
         mode = Mode.HEARTBEAT if command.hello else Mode(command.mode)
+        if mode in _SPENDING:
+            self.spent = True
         if mode in _MOTIONS:
             return self._take_motion(command, mode, before)
         return _after(before, mode)
