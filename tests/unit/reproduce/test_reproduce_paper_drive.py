@@ -150,7 +150,9 @@ def test_the_performer_keeps_usable_pairs_between_start_and_stop():
     performer = Performer(SimpleNamespace(vision=vision, link=link, chain=chain_of(machine())))  # type: ignore[arg-type]
 
     def report(t_s: float, usable: bool = True) -> None:
-        vision.callback(SimpleNamespace(usable=usable, t_exposure_mapped_ns=round(1e9 * t_s), observation=pair))
+        vision.callback(
+            SimpleNamespace(usable=usable, pose_source="mono", t_exposure_mapped_ns=round(1e9 * t_s), observation=pair)
+        )
 
     report(1.0)
     asyncio.run(performer.perform(StartWatching("mono")))
