@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from server.api.callers import caller_of, request_id_of
 from server.api.panel_memory import PanelMemory
-from server.api.panel_origin import same_origin
+from server.api.panel_origin import accepted
 from server.api.views import ExecuteRequest
 from server.errors import ServerError
 from server.jobs.commands import Command
@@ -71,10 +71,8 @@ def hold_router(service: JobService, memory: PanelMemory) -> APIRouter:
 
     @router.websocket("/v1/hold")
     async def hold(socket: WebSocket) -> None:
-        if not same_origin(socket):
-            await socket.close(code=4403, reason="foreign origin")
+        if not await accepted(socket):
             return
-        await socket.accept()
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):
             await _serve(socket, service, memory)
         with contextlib.suppress(WebSocketDisconnect, RuntimeError):

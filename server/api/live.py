@@ -8,7 +8,7 @@ import logging
 from fastapi import APIRouter, WebSocket
 
 from server.api.panel_memory import PanelMemory
-from server.api.panel_origin import same_origin
+from server.api.panel_origin import accepted
 
 log = logging.getLogger(__name__)
 
@@ -57,10 +57,8 @@ def live_router(memory: PanelMemory, feed: LiveFeed) -> APIRouter:
 
     @router.websocket("/v1/live")
     async def live(socket: WebSocket) -> None:
-        if not same_origin(socket):
-            await socket.close(code=4403, reason="foreign origin")
+        if not await accepted(socket):
             return
-        await socket.accept()
         memory.viewers += 1
         room = asyncio.Semaphore(UNDER_WAY_MAX)
         tasks = [asyncio.create_task(_tell(socket, feed, room)), asyncio.create_task(_hear(socket, memory, room))]

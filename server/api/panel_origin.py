@@ -8,3 +8,12 @@ from server.access.hosts import origin_allowed
 def same_origin(socket: WebSocket) -> bool:
     """The guard's own rule, for sockets that are served without a guard."""
     return origin_allowed(socket.headers.get("origin"), socket.headers.get("host", ""))
+
+
+async def accepted(socket: WebSocket) -> bool:
+    """Open a socket for whoever may; it is closed for anybody else."""
+    if not same_origin(socket):
+        await socket.close(code=4403, reason="foreign origin")
+        return False
+    await socket.accept()
+    return True

@@ -6,7 +6,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
 from server.api.callers import caller_of
 from server.api.job_commands import JobCommands
-from server.api.panel_origin import same_origin
+from server.api.panel_origin import accepted
 from server.errors import ServerError
 from server.jobs.service import JobService
 from server.link.errors import LinkError
@@ -20,10 +20,8 @@ def stop_line_router(service: JobService, commands: JobCommands) -> APIRouter:
 
     @router.websocket("/stop")
     async def line(socket: WebSocket) -> None:
-        if not same_origin(socket):
-            await socket.close(code=4403, reason="foreign origin")
+        if not await accepted(socket):
             return
-        await socket.accept()
         with contextlib.suppress(WebSocketDisconnect):
             while (await socket.receive())["type"] != "websocket.disconnect":
                 commands.stopped(caller_of(socket), "")

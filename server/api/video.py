@@ -12,7 +12,7 @@ import time
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
-from server.api.panel_origin import same_origin
+from server.api.panel_origin import accepted
 from server.api.video_overlay import overlay_of
 from server.camera.contracts import FrameReport
 from server.jobs.service import JobService
@@ -61,10 +61,8 @@ def video_router(service: JobService) -> APIRouter:
 
     @router.websocket("/v1/video")
     async def video(socket: WebSocket) -> None:
-        if not same_origin(socket):
-            await socket.close(code=4403, reason="foreign origin")
+        if not await accepted(socket):
             return
-        await socket.accept()
         hub.viewers += 1
         try:
             with contextlib.suppress(WebSocketDisconnect, RuntimeError):

@@ -8,7 +8,7 @@ from enum import Enum
 from server.camera.client import FRESH_S
 from server.camera.errors import CameraError
 from server.commissioning.camera_axes import camera_axes
-from server.commissioning.contracts import StepResult, Verdict, cannot_tell, skipped
+from server.commissioning.contracts import StepResult, Verdict, cannot_tell, skipped, stands
 from server.commissioning.encoder_zeros import encoder_zeros
 from server.commissioning.joint_ranges import joint_ranges
 from server.commissioning.joint_signs import joint_signs
@@ -74,16 +74,11 @@ async def go_through(
         started_s = time.monotonic()
         result = await _one(site, step, results)
         result = replace(result, duration_s=time.monotonic() - started_s)
-        results[step.name] = standing(results.get(step.name), result)
+        earlier_one = results.get(step.name)
+        results[step.name] = earlier_one if earlier_one is not None and stands(earlier_one, result) else result
         fresh.append(result)
         done(result)
     return fresh
-
-
-def standing(earlier: StepResult | None, later: StepResult) -> StepResult:
-    """Which of two results of a step holds: a failure until the step is gone through again to its end."""
-    ended = later.verdict in (Verdict.PASS, Verdict.FAIL)
-    return later if earlier is None or ended or not _has_failed(earlier) else earlier
 
 
 async def _one(site: Site, step: Step, results: dict[str, StepResult]) -> StepResult:

@@ -113,6 +113,11 @@ def skipped(name: str, why: str, remedy: str) -> StepResult:
     return StepResult(name, Verdict.SKIPPED, why, remedy=remedy)
 
 
+def stands(earlier: StepResult, later: StepResult) -> bool:
+    """Whether an earlier result of a step still counts: a failure does until the step is gone through to its end."""
+    return earlier.verdict is Verdict.FAIL and later.verdict not in (Verdict.PASS, Verdict.FAIL)
+
+
 class Operator(Protocol):
     """The engineer at the machine, a file of answers, or nobody."""
 

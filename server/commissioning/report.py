@@ -7,7 +7,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict
+from server.commissioning.contracts import Figure, ReportTable, StepResult, Verdict, stands
 from server.errors import SettingsError
 
 EXIT_PASS, EXIT_FAIL, EXIT_OPEN = 0, 1, 3
@@ -35,10 +35,8 @@ class Report:
     @property
     def all_results(self) -> tuple[StepResult, ...]:
         """Those of this run, and the earlier ones that it did not repeat, or failures that it left open."""
-        names = {result.name for result in self.results}
-        ended = {result.name for result in self.results if result.verdict in (Verdict.PASS, Verdict.FAIL)}
-        standing = (one for one in self.earlier if one.name not in (ended if one.verdict is Verdict.FAIL else names))
-        return (*self.results, *standing)
+        fresh = {result.name: result for result in self.results}
+        return (*self.results, *(one for one in self.earlier if one.name not in fresh or stands(one, fresh[one.name])))
 
 
 _ADAPTER = TypeAdapter(Report)

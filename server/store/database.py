@@ -58,12 +58,12 @@ class Database:
         Raises: StoreBusyError: the queue is full.
         """
         done: Future[T] = Future()
-        if self._queue.qsize() >= QUEUE_MAX - spare:
-            raise StoreBusyError(f"{QUEUE_MAX - spare} writes are waiting for the disk")
         try:
+            if self._queue.qsize() >= QUEUE_MAX - spare:
+                raise queue.Full
             self._queue.put_nowait((work, done))
         except queue.Full:
-            raise StoreBusyError(f"{QUEUE_MAX} writes are waiting for the disk") from None
+            raise StoreBusyError(f"{QUEUE_MAX - spare} writes are waiting for the disk") from None
         return done
 
     def write(self, work: Work[T]) -> T:

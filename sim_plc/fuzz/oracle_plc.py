@@ -19,7 +19,7 @@ _JUMP = 1000
 _START, _LINEAR, _QUINTIC = 2, 1, 3
 _STOPS = {Mode.STOP, Mode.QUICK_STOP, Mode.DISARM}
 _MOTIONS = (Mode.TRAJECTORY, Mode.SERVO)
-_SPENDING = frozenset({Mode.STOP, Mode.QUICK_STOP, Mode.DISARM, Mode.HOLD})  # also what was only prefilled
+_SPENDING = _STOPS | {Mode.HOLD}  # also what was only prefilled
 _LOOKING = {Mode.HEARTBEAT, Mode.HOLD} | _STOPS
 _MODES_TAKEN: dict[int, set[Mode]] = {  # "State | Modes taken"
     PlcState.BOOT: set(),
