@@ -15,6 +15,8 @@ OUTLIER_CHI2 = 16.3  # 3 degrees of freedom, 99.9 %
 CHI2_3_MEDIAN = 2.366
 SCATTER_MIN = 8  # fewer poses do not show their own scatter
 TRACY_WIDOM_99 = 2.02
+CORRELATED_ALL = 2.33 / np.sqrt(6.0)  # standard errors of a correlation that six axes share: 1 %
+CORRELATED_ONE = 1.645  # of one axis alone: 5 %, for a drift that is passed over costs more than a few poses
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,8 @@ def pose_mean(Ts: Array, covariances: Array) -> PoseMean:
              rotation lies beyond chi2_3 = 16.3 (99.9 %), scaled up where the median says that all scatter more; then
              Karcher mean of the rest, unweighted: a covariance depends on its own pose's error, so weights would pull.
              Covariance: mean of the predicted ones, grown where the scatter refutes them at 1 % (as a whole, or along
-             axes), over the effective number of poses, n (1 - r) / (1 + r) where neighbours in time correlate by r.
+             axes), over the effective number of poses, n (1 - r) / (1 + r) where neighbours in time correlate by r, in
+             all axes or in one.
     Args:    Ts: poses (n, 4, 4) in order of time, n >= 1. covariances: their predicted covariances (n, 6, 6).
     Returns: PoseMean.
     Source:  Karcher 1977 (mean of rotations); Johnstone 2001 (largest eigenvalue of a white scatter matrix);
@@ -87,8 +90,8 @@ def _covariance(residuals: Array, covariances: Array) -> Array:
     dof = 6 * (n - 1)
     overall = fitted_scale(float(values.sum()) / 6.0, dof)
     grown = np.where(values > overall * white_eigenvalue_max(n - 1), values, overall)
-    axes = root @ vectors
-    return (axes * grown) @ axes.T / _effective_number(white)
+    axes = root / np.sqrt(_effective_numbers(white)) @ vectors
+    return (axes * grown) @ axes.T
 
 
 def fitted_scale(chi2_per_dof: float, dof: int) -> float:
@@ -103,12 +106,21 @@ def white_eigenvalue_max(dof: int, size: int = 6) -> float:
     return float(((a + b) ** 2 + TRACY_WIDOM_99 * (a + b) * (1.0 / a + 1.0 / b) ** (1.0 / 3.0)) / dof)
 
 
-def _effective_number(white: Array) -> float:
-    """How many independent poses these are worth (n, 6): n unless neighbours in time correlate at the 1 % level."""
+def _effective_numbers(white: Array) -> Array:
+    """How many independent poses these (n, 6) are worth along each whitened axis (6,).
+
+    All six together tell a weak correlation that they share; one axis alone tells its own drift, which six would hide.
+    """
     n = len(white)
-    products = np.sum(white[1:] * white[:-1], axis=1)
-    r = float(np.sum(products) / max(np.sum(white**2), 1e-30))
-    if r + 1.0 / n < 2.33 / np.sqrt(6.0 * n):
+    products, squares = np.sum(white[1:] * white[:-1], axis=0), np.sum(white**2, axis=0)
+    shared = _worth(float(products.sum() / max(squares.sum(), 1e-30)), n, CORRELATED_ALL)
+    own = [_worth(float(p / max(q, 1e-30)), n, CORRELATED_ONE) for p, q in zip(products, squares, strict=True)]
+    return np.minimum(shared, own)
+
+
+def _worth(r: float, n: int, limit: float) -> float:
+    """n independent values, or fewer where neighbours in time correlate by r, if that is beyond limit / sqrt(n)."""
+    if r + 1.0 / n < limit / np.sqrt(n):
         return float(n)
     r = min((r + 1.0 / n) * n / max(n - 3.0, 1.0), 1.0)  # a short series shows less of its correlation: Kendall 1954
     return max(n * (1.0 - r) / (1.0 + r), 1.0)

@@ -53,10 +53,20 @@ def flips(Ts, rng):
         (lambda Ts, rng: None, {}),
         (lambda Ts, rng: None, {"scale": 2.0}),
         (lambda Ts, rng: None, {"rho": 0.7}),
+        (lambda Ts, rng: None, {"rho": np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.95])}),
+        (lambda Ts, rng: None, {"rho": np.array([0.0, 0.8, 0.0, 0.0, 0.0, 0.8])}),
         (outliers, {}),
         (flips, {}),
     ],
-    ids=["as predicted", "twice the noise", "slow noise", "20 % outliers", "flips"],
+    ids=[
+        "as predicted",
+        "twice the noise",
+        "slow noise",
+        "one axis drifts",
+        "two axes drift",
+        "20 % outliers",
+        "flips",
+    ],
 )
 def test_ellipsoids_of_the_mean_are_honest(spoil, more):
     assert 0.89 < share_inside(spoil, **more) <= 0.99
