@@ -133,10 +133,10 @@ class LinkClient:
     async def arm(self, timeout_s: float = 5.0) -> None:
         """Open a session and arm; returns when the PLC holds. Needs local enable at the machine.
 
-        Raises: LinkSilentError, LinkRefusedError: with the PLC's last reject, or because of a disarm meanwhile.
+        Raises: LinkSilentError, LinkRefusedError: with the PLC's last reject, or because of a stop or disarm meanwhile.
         """
-        deadline_s, disarms = time.monotonic() + timeout_s, self._disarms
-        self._refuse_if_disarmed(disarms)
+        deadline_s, stops, disarms = time.monotonic() + timeout_s, self._stops, self._disarms
+        self._refuse_if_stopped(stops, disarms)
         while self.health.phase not in _ARMED:
             if self.health.phase in (LinkPhase.FAULT, LinkPhase.LOCAL):
                 raise LinkRefusedError(self._why_not_armed())
@@ -147,7 +147,7 @@ class LinkClient:
                 raise (LinkSilentError if silent else LinkRefusedError)(self._why_not_armed())
             await self._request(ArmRequest())
             await self._until(lambda: self.health.phase in _ARMED, min(left_s, _ARM_REPEAT_S))
-            self._refuse_if_disarmed(disarms)
+            self._refuse_if_stopped(stops, disarms)
 
     async def run(self, trajectory: JointTrajectory) -> MotionEnded:
         """Play a trajectory from the present reference and wait for its end. Cancelled: stops the machine first.
@@ -294,10 +294,12 @@ class LinkClient:
         other = (*_ARMED, LinkPhase.OFFLINE)
         return lambda: self._t_health_ns > t_asked_ns and self.health.phase not in other
 
-    def _refuse_if_disarmed(self, disarms: int) -> None:
-        """Arming does not go on past a disarm, nor begin beside one: `disarms` is their number as arming began."""
+    def _refuse_if_stopped(self, stops: int, disarms: int) -> None:
+        """Arming does not go on past a stop or disarm, nor begin beside a disarm; it began with these numbers."""
         if self._disarming or disarms != self._disarms:
             raise LinkRefusedError("the machine was disarmed while it was being armed; arm again when all is clear")
+        if stops != self._stops:
+            raise LinkRefusedError("the machine was stopped while it was being armed; arm again when all is clear")
 
     def _why_not_disarmed(self) -> LinkError:
         health = self.health
