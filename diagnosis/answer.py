@@ -22,6 +22,7 @@ from diagnosis.verdict.equals import probability_with_equals
 from diagnosis.verdict.shrink import closing, together
 from diagnosis.verdict.unseen import counted_as, one_more, outside_share, unseen_share
 from diagnosis.verdict.unweighed import unweighed
+from diagnosis.verdict.verdict import DOUBTED
 from diagnosis.verdict.weigh import Key, Whole
 from machine.effects.registry import effect_of
 from machine.effects.spec import Direction
@@ -201,6 +202,7 @@ def _shrink(found: Diagnosis) -> dict[str, Any]:
             {
                 "stage": s.stage,
                 "joint": s.joint,
+                "measurement": s.measurement,
                 "metric": METRICS.get((s.stage, s.unit), METRIC_DRIVEN),
                 "unit": s.unit,
                 "before": _round(s.before),
@@ -292,6 +294,9 @@ def _missing(found: Diagnosis) -> list[dict[str, str]]:
         text = f"no usable repeats{of}: noise floor estimated, probabilities widened"
         out.append({"signal": "repeats", "costs": text})
     known = nominal is not None and bool(nominal.remainders)
+    if not known and found.verdict.word in DOUBTED:
+        text = "the machine file does not tell what this machine is like undisturbed: fit it by --fit-baseline first"
+        out.append({"signal": "baseline", "costs": text})
     if moved := sorted({joint for one in found.cells for joint in one.search.cell.moved_unlike}):
         several = len(moved) > 1
         joints = f"joint{'s' if several else ''} {', '.join(map(str, moved))}"

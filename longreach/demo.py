@@ -35,7 +35,7 @@ def demo(
     console = Console()
     try:
         checked_preset(preset)
-        require_free("127.0.0.1", port, "--port")
+        require_free("127.0.0.1", port, f"{_command()} demo --port {port + 1 if port < 65535 else port - 1}")
     except (PresetError, SettingsError) as error:
         console.print(f"[bold red]not started:[/] {error}")
         raise typer.Exit(1) from error
@@ -65,7 +65,14 @@ def _starting(processes: Mapping[str, Popen[bytes]], status: Status, waited_s: f
     """How far it is; what has ended will never be ready."""
     if ended := _ended(processes):
         raise JobRefusedError(ended)
-    status.update(f"starting, {waited_s:.0f} s: {escape(why)}")
+    status.update(f"starting, {waited_s:.0f} s: {escape(_while_starting(why))}")
+
+
+def _while_starting(why: str) -> str:
+    """What a server waits for means something else while everything only starts: no cable is loose here."""
+    if why.startswith("server does not answer"):
+        return "the server is not up yet"
+    return "no picture of the simulated camera yet" if "the camera" in why else why
 
 
 def _ended(processes: Mapping[str, Popen[bytes]]) -> str:

@@ -31,7 +31,7 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
     """
     nominal = _nominal(recordings[0], machine_file)
     with_baseline(nominal, NOTHING)  # whether it can be written, before minutes of fitting
-    wholes = [_usable(path, machine_file) for path in recordings]
+    wholes = _usable(recordings, machine_file)
     count = min(FITTED_MOST, max(1, round(len(wholes) * FITTED_SHARE)))
     try:
         found = fit_baseline(wholes[:count], wholes[count:], lambda text: screen.print(f"[dim]{escape(text)}[/]"))
@@ -44,11 +44,13 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
     return told(found, count, len(wholes))
 
 
-def _usable(path: Path, machine_file: Path | None) -> Read:
-    whole = read(path, machine_file)
-    if not whole.usable:
-        raise BaselineError(f"{path} cannot be used: {'; '.join(str(one) for one in whole.findings)}")
-    return whole
+def _usable(recordings: list[Path], machine_file: Path | None) -> list[Read]:
+    """All of them read, or one error that names every one that cannot be used."""
+    wholes = [read(path, machine_file) for path in recordings]
+    bad = [f"{one.path}: {'; '.join(map(str, one.findings))}" for one in wholes if not one.usable]
+    if bad:
+        raise BaselineError("cannot be used, leave out or mend: " + "\n".join(bad))
+    return wholes
 
 
 def _nominal(path: Path, machine_file: Path | None) -> str:

@@ -28,7 +28,8 @@ class LeaseHolder:
         """
         answer = self._http.post("/v1/lease", json={"owner": self._owner, "kind": self._kind, "ttl_s": self._ttl_s})
         if answer.status_code != httpx.codes.CREATED:
-            raise ControlRefusedError(answer.json().get("detail", answer.text))
+            told = answer.json()
+            raise ControlRefusedError("; ".join(filter(None, [told.get("detail", answer.text), told.get("hint", "")])))
         self._lease = answer.json()
         self._done.clear()
         self._thread = threading.Thread(target=self._keep_alive, name="lease", daemon=True)

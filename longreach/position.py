@@ -42,7 +42,11 @@ def position(
     finally:
         client.close()
     if run_id:
-        console.print(f"recorded: {run_id}.mcap in the server's runs folder", highlight=False, soft_wrap=True)
+        console.print(
+            f"recorded: {run_id}.mcap in the server's runs folder (a demo's is runs/PRESET-SEED/)",
+            highlight=False,
+            soft_wrap=True,
+        )
     if finished.state != "done":
         console.print(f"[bold red]{finished.state}:[/] {finished.reason}")
         raise typer.Exit(1)

@@ -48,7 +48,7 @@ def convert(recording: Path, target: Path) -> None:
     beside = Path(sys.executable).with_name("rerun")
     program = str(beside) if beside.exists() else shutil.which("rerun")
     if program is None:
-        raise RerunError("Rerun is not installed: pip install rerun-sdk")
+        raise RerunError(f"Rerun is not installed: {sys.executable} -m pip install rerun-sdk")
     command = [program, "mcap", "convert", str(recording), "-o", str(target), "--application-id", APPLICATION]
     _require_mcap(recording)  # of anything else Rerun makes an empty recording without a word
     done = subprocess.run(command, capture_output=True, text=True, check=False)

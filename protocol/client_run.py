@@ -105,4 +105,7 @@ class Run:
             return stop.reason
         if refused:
             return f"the PLC stopped: {reject_text(state.reject_code)}"
-        return "the PLC stopped by itself (underrun or silence); plan again from the present reference"
+        return (
+            "the PLC stopped by itself (underrun or silence: this computer, its network or the PLC is too busy); "
+            "plan again from the present reference"
+        )

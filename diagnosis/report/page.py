@@ -79,6 +79,7 @@ LIMITS = (("name", "effect"), ("joint", "joint"), ("parameter", "parameter"), ("
 SHRINK = (
     ("stage", "stage"),
     ("joint", "joint"),
+    ("measurement", "seen by"),
     ("before", "before"),
     ("after", "after"),
     ("floor", "noise floor"),

@@ -2,9 +2,10 @@
 
 from typing import Any
 
+from diagnosis.verdict.verdict import DOUBTED
+
 SHAPES_MAX = 6
 NAMES_MAX = 5
-DOUBTED = ("outside", "undecided")  # verdicts beside which no hypothesis is a finding
 
 
 def lines(result: dict[str, Any]) -> list[str]:

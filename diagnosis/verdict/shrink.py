@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri  # scipy.stats takes a second to import
 
+from diagnosis.cells.behind import measurement_of
 from diagnosis.families.gain import foretold
 from diagnosis.search.cell import Cell
 from diagnosis.search.score import Score
@@ -35,11 +36,13 @@ UNKNOWN: Closed = (None, None, None)
 class Shrink:
     """The gap on held-out trajectories: RMS before, after, floor in `unit`; share closed with 90 % limits.
 
+    `measurement`: static, tracker, ooi, tool or odometry behind the encoders, else empty.
     `floor`: what the share is told above. `floor_by`: the noise, or what no effect of the catalogue foretells.
     """
 
     stage: str
     joint: int | None
+    measurement: str
     unit: str
     before: float
     after: float
@@ -109,6 +112,7 @@ def _shrunk(cell: Cell, sums: Squares) -> Shrink:
     return Shrink(
         cell.stage,
         cell.joint,
+        measurement_of(cell),
         cell.unit,
         unit_scale * before,
         unit_scale * after,

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from diagnosis.verdict.cell_answer import CellAnswer
 
 Word = Literal["none", "effects", "outside", "undecided"]
+DOUBTED = ("outside", "undecided")  # verdicts beside which no hypothesis is a finding
 LEFT_SMALL = 0.02  # share of the gap: a remainder below it does not take back a name
 TRACE = 0.005  # share of what the names explain: what fired in a cell of guessed noise without one
 LEFT_STUCK = FORM_SHARE_STUCK  # the same where a joint sticks: what rings after each of its jumps has no model
@@ -223,7 +224,12 @@ def _partly(one: CellAnswer) -> str:
 
 
 def _over_noise(one: CellAnswer) -> str:
-    return f"{_energy(one):.2g} times the noise that was estimated"
+    return f"{_two_digits(_energy(one))} times the noise that was estimated"
+
+
+def _two_digits(value: float) -> str:
+    """310, not 3.1e+02."""
+    return f"{float(f'{value:.2g}'):,.12g}".replace(",", " ")
 
 
 def _drifts(one: CellAnswer, shape: Shape) -> bool:

@@ -134,4 +134,5 @@ def test_a_dead_server(anna, stack, tmp_path):
     assert "does not answer" in anna.text("#silent")
     for selector in ("#link b", "#camera b", "#camera-age", "#errors td.now", "#panel-joints td.v"):
         assert crossed(anna, selector), selector
+    assert anna.text("#verdict") == "no answer from server"
     assert anna.page.locator("#main-steps button:enabled").count() == 0

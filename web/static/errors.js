@@ -80,6 +80,7 @@ function showVerdict(state, look, old) {
 }
 
 function verdict(state, look, old) {
+  if (serverSilent()) return [t("why_server"), ""];
   if (!state.look) return [t("verdict_none"), ""];
   if (!look) return [t("verdict_failed", { why: state.look.reason }), "bad"];
   if (old) return [t("verdict_old", { age: ageText(grown(1000 * state.look.age_s)) }), ""];

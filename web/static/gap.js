@@ -6,6 +6,7 @@ import { t } from "./texts.js";
 const AGAIN_MS = 1500;
 const SHOWN = 14; // effects
 const WORDS = new Set(["none", "effects", "outside", "undecided"]);
+const STILL = /-(look|preview)-/; // recordings of jobs that move nothing
 const results = new Map(); // diagnosis id -> answer, once it is done
 let timer = 0;
 
@@ -16,7 +17,11 @@ export function closeGap() {
 export async function openGap() {
   const recordings = await send("GET", "/v1/panel/recordings", undefined, { quiet: true });
   const names = (recordings.data ?? []).map((one) => ({ name: one.name, text: `${one.name} (${one.size_mb.toFixed(1)} MB)` }));
-  whenChanged("gap-run", names, (box) => box.replaceChildren(...names.map((one) => make("option", { value: one.name }, one.text))));
+  const moved = names.find((one) => !STILL.test(one.name)) ?? names[0]; // a look alone tells next to nothing of a machine
+  whenChanged("gap-run", names, (box) => {
+    box.replaceChildren(...names.map((one) => make("option", { value: one.name }, one.text)));
+    if (moved) box.value = moved.name;
+  });
   byId("gap-start").onclick = start;
   await follow();
 }
@@ -79,7 +84,7 @@ function answer({ verdict, why, hypotheses, outside_probability, unseen_probabil
   const others = [likelihoodRow(t("gap_unseen"), unseen_probability), likelihoodRow(t("gap_foreign"), outside_probability)];
   if (hypotheses.length && word !== "none") parts.push(make("table", {}, heading(), make("tbody", {}, ...effectRows(hypotheses), ...others)));
   const closed = shrink.overall?.closed_frac;
-  if (closed !== null && closed !== undefined) parts.push(make("p", {}, t("gap_shrink", { pct: (100 * closed).toFixed(0) })));
+  if (closed !== null && closed !== undefined) parts.push(make("p", {}, t(word === "effects" || word === "none" ? "gap_shrink" : "gap_shrink_doubted", { pct: (100 * closed).toFixed(0) })));
   if (next_experiment?.what) parts.push(make("p", {}, t("gap_next", { what: next_experiment.what, minutes: next_experiment.minutes, why: next_experiment.why })));
   return parts;
 }

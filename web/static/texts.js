@@ -55,7 +55,7 @@ export const TEXTS = {
   plan: "plan", plan_text: "{hash}, good for {s} s more", path: "path", path_text: "{mm} mm in {s} s, at most {v} mm/s",
   clearance: "to the wall", clearance_text: "{mm} mm at the nearest", clearance_none: "wall not known", caution: "caution",
   travel: "joint travel", checks: "checks", checks_text: "joint limits, speed and wall: ok, by the planner",
-  more: "Goal and options", goal_edit: "Goal", stand_off: "in front, mm", offset_x: "shift X, mm", offset_y: "shift Y, mm", set_goal: "Set", retract_mm: "mm back",
+  more: "Goal and options", goal_edit: "Goal", stand_off: "in front, mm", offset_x: "shift X, mm", offset_y: "shift Y, mm", set_goal: "Set", retract_mm: "Retract by, mm",
   // history
   history: "History", alarms_tab: "Alarms", joints: "Joints", story: "Story", n: "#", time: "time", after: "after", inside: "inside",
   accepted_by: "accepted by {who}", yes: "✓ yes", no: "✗ no", trend: "Distance to the goal over the looks, mm, logarithmic; green: tolerance",
@@ -79,7 +79,7 @@ export const TEXTS = {
   gap_none: "NO GAP: the machine does what the model says, within what the recording can show", gap_effects: "EXPLAINED: these effects make the gap",
   gap_outside: "OUTSIDE: a gap is there that nothing in the catalogue explains; do not act on the names below",
   gap_undecided: "UNDECIDED: the recording does not tell the candidates apart; do not act on the names below",
-  gap_foreign: "something outside the catalogue", gap_unseen: "one more, too small to be seen here", gap_shrink: "The most likely ones together take {pct} % of the gap away, on data they were not fitted to.",
+  gap_foreign: "something outside the catalogue", gap_unseen: "one more, too small to be seen here", gap_shrink_doubted: "The names below take {pct} % of the gap away, but are not believed: wrong ones can, too.", gap_shrink: "The most likely ones together take {pct} % of the gap away, on data they were not fitted to.",
   gap_next: "Record next: {what} ({minutes} min), because {why}.", gap_intro: "Where the model and the machine differ, from one recording; runs beside, nothing moves.",
   recordings_intro: "Each job is recorded as MCAP; Foxglove opens it as it is:", download: "download", replay: "replay", layout: "Foxglove layout", rerun: "For Rerun, with a blueprint:",
   disk: "{gb} GB free", recording_on: "recording now", no_recordings: "No recording yet.", settings_intro: "Read-only. Change them in the settings file and start the server again.",

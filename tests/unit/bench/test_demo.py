@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from longreach import demo
 from longreach.cli import app
 from longreach.fleet_client import JobClient, JobRefusedError
+from server.api.state import camera_reason
 
 
 class Started:
@@ -40,4 +41,10 @@ def test_while_it_waits_it_says_for_what() -> None:
     status = Status("starting", console=Console(quiet=True))
     with JobClient(Started.url) as client, pytest.raises(JobRefusedError, match="not ready after 1 s"):
         client.wait_ready(1.0, lambda waited_s, why: demo._starting(Started().processes, status, waited_s, why))
-    assert "server does not answer" in str(status.status)
+    assert "the server is not up yet" in str(status.status)
+
+
+def test_nobody_is_sent_to_look_for_a_cable_while_a_simulated_camera_is_compiled() -> None:
+    status = Status("starting", console=Console(quiet=True))
+    demo._starting(Started().processes, status, 40.0, camera_reason(None) or "")
+    assert str(status.status) == "starting, 40 s: no picture of the simulated camera yet"

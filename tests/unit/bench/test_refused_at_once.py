@@ -74,9 +74,9 @@ def test_a_port_that_somebody_listens_on() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         assert taken("127.0.0.1", port)
-        assert f"port {port} is taken by another program; give another one by --port" in said(
-            ["demo", "--port", str(port)], 1
-        )
+        told = said(["demo", "--port", str(port)], 1)
+        assert f"port {port} is taken by another program; give another one by " in told
+        assert f"demo --port {port + 1}" in told, "make demo takes no option: the whole command"
         served = CliRunner().invoke(app, ["serve", "--port", str(port)])
         assert isinstance(served.exception, SettingsError)
         assert "give another one by --port" in str(served.exception)

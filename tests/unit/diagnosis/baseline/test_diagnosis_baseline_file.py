@@ -53,6 +53,14 @@ def test_what_is_no_recording_is_told(fitted: list[int], tmp_path: Path) -> None
     assert fitted == []
 
 
+def test_every_recording_that_cannot_be_used_is_named_at_once(fitted: list[int], tmp_path: Path) -> None:
+    sound = folder(tmp_path, recording())
+    given = [sound, tmp_path / "first", sound, tmp_path / "second"]
+    with pytest.raises(fit_baseline.BaselineError, match=r"leave out or mend: .*/first: .*\n.*/second: "):
+        fit_baseline.make_baseline(given, None, tmp_path / "out.toml", SCREEN)
+    assert fitted == []
+
+
 @pytest.mark.parametrize("content", [None, b"[machine]\nname = '\xe4'\n"])
 def test_a_machine_file_that_cannot_be_read_is_told(fitted: list[int], tmp_path: Path, content: bytes | None) -> None:
     given = tmp_path / "nope.toml"

@@ -205,6 +205,7 @@ def test_a_tip_that_slides_is_no_effect_of_the_catalogue(tmp_path: Path) -> None
     _, result = diagnosed(tmp_path, Fault(trolley_m=0.01), static=40, kinds=())
     assert result["verdict"] == "outside"
     assert result["outside_probability"] > 0.5
+    assert [one["measurement"] for one in result["shrink"]["stages"]] == ["static"]
 
 
 def test_the_command_writes_json_and_a_page(tmp_path: Path) -> None:

@@ -39,6 +39,7 @@ def test_beside_them_a_small_gain_is_found(tmp_path: Path) -> None:
     found = told(tmp_path, Machine(gain=lambda _t: 1.02))
     assert found["verdict"] == "effects", found["why"]
     assert names(found) == [("flow_gain_error", 1)]
+    assert "baseline" not in {one["signal"] for one in found["missing"]}, "an answer asks for none"
     gain = found["hypotheses"][0]["effects"][0]["parameters"]["gain_frac"]["value"]
     assert gain == pytest.approx(0.02, abs=5e-4)  # 0.0003 are the model's step of 1 ms
 
@@ -101,6 +102,7 @@ def test_a_gears_wave_is_no_encoders(tmp_path: Path) -> None:
 def test_oil_that_swings_after_each_move_is_refused(tmp_path: Path) -> None:
     found = told(tmp_path, Machine(oil_hz=4.0))
     assert found["verdict"] == "outside", found["why"]
+    assert "baseline" in {one["signal"] for one in found["missing"]}, "the oil may always have swung"
     assert any("swings after each move, at about 4" in one["lead"] for one in found["unexplained"]), found[
         "unexplained"
     ]
