@@ -24,7 +24,7 @@ def position(urls: Urls, key_file: KeyFile = None, wait_s: float = 60.0) -> None
     key = read_key(key_file)
     with ThreadPoolExecutor(len(urls)) as pool:
         ends = list(pool.map(lambda url: position_one(url, key, wait_s), urls))
-    table = Table(title=f"{len(urls)} machines", title_justify="left")
+    table = Table(title=f"machines: {len(urls)}", title_justify="left")
     for heading in ("machine", "state", "reason", "s"):
         table.add_column(heading)
     for url, end in zip(urls, ends, strict=True):

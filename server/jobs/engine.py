@@ -191,7 +191,7 @@ class JobEngine:
         if task is not None and reason is not None:
             task.cancel()
         await asyncio.sleep(0.0)
-        if reason is not None:
+        if reason is not None and not job.ended:  # one that did not move has told its end already
             self._tell(job, "stopping", 0.0, 1.0, "", reason)
         if task is not None:
             await asyncio.wait({task}, timeout=STOP_BOUND_S)
