@@ -27,6 +27,7 @@ from server.errors import SettingsError
 from server.link.client import LinkClient
 from server.link.errors import LinkSilentError
 from server.settings import ServerSettings, read_machine_text, read_settings
+from server.settings_camera import with_stream
 from server.settings_source import source_and_machine
 from server.shell_settings import link_settings, vision_settings
 from server.version import __version__
@@ -57,9 +58,8 @@ def commission(
     listen_s: Annotated[float, typer.Option(min=3.0, max=600.0, help="how long step 1 listens [s]")] = 10.0,
 ) -> None:
     """Go through the check list of a new machine. Exit code 0: all pass, 1: something failed, 3: something not told."""
-    camera: dict[str, object] | None = {"kind": "http", "url": camera_url} if camera_url else None
     plc = {"host": plc_host, "port": plc_port, "local_port": plc_local_port, "framing": framing}
-    settings = _with_options(read_settings(settings_file), plc, camera, machine, runs)
+    settings = _with_options(read_settings(settings_file), plc, camera_url, machine, runs)
     console = Console()
     operator = TerminalOperator(console, read_answers(answers), assume_yes=yes, move=move)
     options = Options(
@@ -230,13 +230,13 @@ def _earlier(path: Path | None) -> Report | None:
 def _with_options(
     settings: ServerSettings,
     plc: dict[str, object],
-    camera: dict[str, object] | None,
+    camera_url: str | None,
     machine: str | None,
     runs: Path | None,
 ) -> ServerSettings:
     data = settings.model_dump()
     data["plc"] |= {name: value for name, value in plc.items() if value is not None}
-    data["camera"] = camera or data["camera"]
+    data["camera"] = with_stream(settings.camera, camera_url)
     data["machine_file"] = machine or data["machine_file"]
     data["recording"]["folder"] = str(runs) if runs is not None else data["recording"]["folder"]
     return ServerSettings.model_validate(data)

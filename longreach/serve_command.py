@@ -32,14 +32,16 @@ def serve(
     from server.access.roles import Role
     from server.app import serve as run_server
     from server.settings import read_settings
+    from server.settings_camera import with_stream
     from server.version import __version__
 
+    file = read_settings(settings_file)
     settings = _with_options(
-        read_settings(settings_file),
+        file,
         {
             "http": {"host": host, "port": port, "keys_file": keys, "allowed_hosts": allow_host or None},
             "plc": {"host": plc_host, "port": plc_port, "local_port": plc_local_port},
-            "camera": {"kind": "http", "url": camera_url} if camera_url else {},
+            "camera": with_stream(file.camera, camera_url),
             "recording": {"folder": runs},
         },
     )
@@ -60,7 +62,7 @@ def _with_options(settings: "ServerSettings", options: dict[str, dict[str, objec
     data = settings.model_dump()
     for section, values in options.items():
         given = {name: value for name, value in values.items() if value is not None}
-        data[section] = given if "kind" in given else {**data[section], **given}
+        data[section] = given if section == "camera" else {**data[section], **given}
     try:
         return type(settings).model_validate(data)
     except ValidationError as error:

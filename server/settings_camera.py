@@ -98,3 +98,14 @@ CameraSettings = Annotated[
     | RecordingCameraSettings,
     Field(discriminator="kind"),
 ]
+
+
+def with_stream(section: CameraSettings, url: str | None) -> dict[str, object]:
+    """A section's fields with the stream of another address in place of its source; None or "": as it is.
+
+    What is known of the rig stays: pictures that are not rectified any more would put every pose off without a word.
+    """
+    if not url:
+        return section.model_dump()
+    rig = {name: getattr(section, name) for name in _CameraSection.model_fields}
+    return {**rig, "kind": "http", "url": url}

@@ -20,6 +20,7 @@ from machine.rotations import Array
 
 ENOUGH_NATS = 30.0  # beyond it two hypotheses are told apart; more is not better, sooner is
 POOL_SEED = 5
+TOLD_NATS = 0.5 * SEPARATED_NATS  # of a pair: an experiment that gives less of all of them is none
 CELLS_MAX = 3  # asked about
 MINUTES_COST = 0.01  # nats a minute: of equals the shorter one
 SEEN_BEHIND = ("encoder_scale", "encoder_eccentricity")
@@ -55,16 +56,18 @@ def _proposed(found: Diagnosis, nominal: Nominal, pairs: list[Pair]) -> dict[str
     """The experiment that best separates one cell's open pairs."""
     library = _library(found, nominal, pairs)
     table = {one.name: [_nats(found, pair, one) for pair in pairs] for one in library}
-    best = max(library, key=lambda one: _worth(pairs, table[one.name], one), default=None)
-    if best is None or table[best.name][0] < 0.5 * SEPARATED_NATS:
+    able = [one for one in library if max(table[one.name]) >= TOLD_NATS]
+    best = max(able, key=lambda one: _worth(pairs, table[one.name], one), default=None)
+    if best is None:
         return _nothing(pairs[0], table)
+    told = next(number for number, nats in enumerate(table[best.name]) if nats >= TOLD_NATS)  # the weightiest of them
     return {
         "what": best.name,
         "minutes": round(best.minutes, 2),
-        "separates": _told(pairs[0]),
-        "expected_nats": _digits(table[best.name][0]),
-        "alternatives": {name: _digits(row[0]) for name, row in table.items()},
-        "why": f"the recording does not tell {_word(pairs[0].names[0])} from {_word(pairs[0].names[1])}",
+        "separates": _told(pairs[told]),
+        "expected_nats": _digits(table[best.name][told]),
+        "alternatives": {name: _digits(row[told]) for name, row in table.items()},
+        "why": f"the recording does not tell {_word(pairs[told].names[0])} from {_word(pairs[told].names[1])}",
         "pairs": [
             {"separates": _told(pair), "expected_nats": _digits(nats)}
             for pair, nats in zip(pairs, table[best.name], strict=True)

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.experiments.library import MARGIN_RAD, Postures
+from diagnosis.experiments.library import Postures, bounds
 from diagnosis.log.nominal import Nominal
 from machine.effects.layout import ParameterSets
 from machine.effects.seen import seen_corners
@@ -22,8 +22,7 @@ def pool(nominal: Nominal, centre: Array, rng: np.random.Generator) -> Array:
 
     Of a joint that was recorded outside its range, or has next to none, the nearest place inside.
     """
-    highest = np.maximum(nominal.q_min, nominal.q_max - MARGIN_RAD)
-    lowest = np.minimum(nominal.q_min + MARGIN_RAD, highest)
+    lowest, highest = bounds(nominal)
     centre = np.clip(centre, lowest, highest)
     low, high = np.maximum(lowest, centre - REACH_RAD), np.minimum(highest, centre + REACH_RAD)
     share = np.where(np.arange(POOL) % 2 == 0, 1.0, 0.35)[:, None]

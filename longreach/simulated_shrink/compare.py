@@ -13,11 +13,13 @@ SKIPPED_S = 1.0  # at a stretch's start: what the valve was doing there is not k
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Measured less simulated of one stretch, (m, columns), before and after. `repeat_of`: what it repeats, or ""."""
+    """Measured less simulated of one stretch, (m, columns), before and after. `repeats`: of which command it is a whole
+    repeat, or "".
+    """
 
     before: Array
     after: Array
-    repeat_of: str
+    repeats: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +63,8 @@ def floor_square(errors: Sequence[Errors], pick: slice) -> float | None:
     """Mean square of what repeats of one command differ by from their mean, times R / (R - 1); None without repeats."""
     groups: dict[str, list[Array]] = {}
     for one in errors:
-        if one.repeat_of:
-            groups.setdefault(one.repeat_of, []).append(one.after[:, pick])
+        if one.repeats:
+            groups.setdefault(one.repeats, []).append(one.after[:, pick])
     squares = []
     for members in groups.values():
         if len(members) < 2:

@@ -10,7 +10,7 @@ from diagnosis.baseline.forward import entries_of
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.tables import filled
-from diagnosis.replay.stretches import Stretch
+from diagnosis.replay.stretches import Stretch, repeat_groups
 from longreach.simulated_shrink.compare import SKIPPED_S, Errors, positions, speeds
 from longreach.simulated_shrink.held_out import HeldOut, effects_without
 from longreach.simulated_shrink.points import (
@@ -97,6 +97,7 @@ def _runs(found: Diagnosis, machine: Machine, progress: Progress) -> SimulatedRu
     plain = plain_world(machine, springs)
     sent = any(entry.name in LINK for one in held for entry in one.entries)
     errors: dict[str, list[Errors]] = {JOINTS: [], COMMANDS: [], POINTS: [], SEEN: []}
+    groups = _groups(found.whole.stretches)
     places_seen: tuple[list[Array], list[Array]] = ([], [])
     places = None if found.whole.nominal is None else places_of(found.whole.nominal, machine.T_flange_tcp)
     for number, (stretch, effects) in enumerate(zip(stretches, held, strict=True)):
@@ -104,7 +105,7 @@ def _runs(found: Diagnosis, machine: Machine, progress: Progress) -> SimulatedRu
         two = (machine.effects, (*machine.effects, *effects.entries))
         both = _Both(offline(plain, two[0]), offline(plain, two[1]), two)
         courses = _by_reference(both, stretch, sent)
-        for name, one in _of_stretch(found, stretch, both, courses, places):
+        for name, one in _of_stretch(found, stretch, groups.get(stretch.name, ""), both, courses, places):
             errors[name].append(one)
         for kept, one in zip(places_seen, _seen(found, both, courses, stretch), strict=False):
             kept.append(one)
@@ -146,16 +147,21 @@ def _has_points(found: Diagnosis) -> bool:
     return tables is not None and (tables.tracker is not None or tables.static is not None)
 
 
+def _groups(stretches: tuple[Stretch, ...]) -> dict[str, str]:
+    """Of each whole repeat of a command, which: a piece of one that was cut is no repeat of another piece."""
+    return {one.name: name for name, members in repeat_groups(stretches).items() for one in members}
+
+
 def _of_stretch(
-    found: Diagnosis, stretch: Stretch, both: _Both, courses: tuple[Course, ...], places: Places | None
+    found: Diagnosis, stretch: Stretch, group: str, both: _Both, courses: tuple[Course, ...], places: Places | None
 ) -> Iterator[tuple[str, Errors]]:
-    """Errors of one stretch, by what drove the plant."""
+    """Errors of one stretch, by what drove the plant. `group`: which repeats of one command it belongs to, or none."""
     if stretch.enc is None:
         return
     enc, dt = filled(stretch.enc), stretch.dt_s
     if courses:
         pair = [positions(enc, one.q_encoder, dt) for one in courses]
-        yield JOINTS, Errors(pair[0], pair[1], stretch.repeat_of)
+        yield JOINTS, Errors(pair[0], pair[1], group)
         table = None if found.whole.tables is None else found.whole.tables.tracker
         if places is not None and table is not None:
             rows = rows_during(places, table, stretch, SKIPPED_S)
@@ -167,7 +173,7 @@ def _of_stretch(
         u = filled(stretch.u)
         opened = [follow_commands(one, stretch.t_s, u, enc[0]) for one in (both.before, both.after)]
         pair = [speeds(enc, one.q_encoder, dt) for one in opened]
-        yield COMMANDS, Errors(pair[0], pair[1], stretch.repeat_of)
+        yield COMMANDS, Errors(pair[0], pair[1], group)
 
 
 def _by_reference(both: _Both, stretch: Stretch, sent: bool) -> tuple[Course, ...]:

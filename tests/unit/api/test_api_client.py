@@ -97,7 +97,7 @@ def test_one_who_has_control_is_named_to_the_next(address):
     url, made = address
     key = {"Authorization": f"Bearer {made.keys['operator']}"}
     with httpx.Client(base_url=url, headers=key) as http, LeaseHolder(http, "anna", "operator", ttl_s=1.0):
-        with pytest.raises(ControlRefusedError, match="anna.*; wait"), LeaseHolder(http, "bert", "operator"):
+        with pytest.raises(ControlRefusedError, match=r"anna.*; wait"), LeaseHolder(http, "bert", "operator"):
             pass
         threading.Event().wait(1.5)  # kept alive from its thread, beyond its ttl
         assert http.get("/v1/lease").json()["stale"] is False

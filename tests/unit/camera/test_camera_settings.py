@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from rig_samples import EUROC_LEFT, EUROC_RIGHT, ZED
 
+from longreach.serve_command import _with_options
 from longreach.target_command import live_camera
 from machine.description import parse_machine_toml
 from server.camera.rectification import rectification_of
@@ -22,6 +23,7 @@ from server.camera.sources.settings import (
 )
 from server.errors import SettingsError
 from server.settings import read_machine, read_machine_text, read_settings
+from server.settings_camera import with_stream
 from server.settings_source import machine_text_with, source_and_machine
 
 MACHINE = read_machine("hiab033")
@@ -136,3 +138,18 @@ def test_calibration_of_a_data_set_by_its_folder_or_two_files(tmp_path: Path) ->
     for calibration in (f'"{tmp_path}"', f'["{pair[0]}", "{pair[1]}"]'):
         path.write_text(f'[camera]\nkind = "euroc"\npath = "{tmp_path}"\ncalibration = {calibration}\n')
         assert source_and_machine(read_settings(path).camera, MACHINE)[1].camera.width_px == 752
+
+
+@pytest.mark.parametrize("kind", ['kind = "http"', 'kind = "device"', 'kind = "rtsp"\nurl = "rtsp://cam/both"'])
+def test_a_stream_on_the_command_line_keeps_the_rig_of_the_file(tmp_path: Path, kind: str) -> None:
+    """Pictures that are not rectified any more put every pose off, and nothing says so."""
+    path = tmp_path / "settings.toml"
+    path.write_text(f"[camera]\n{kind}\ncalibration = 'SN1.conf'\neye_width_px = 1280\neye_height_px = 720\n")
+    section = read_settings(path).camera
+    rig = {"calibration": "SN1.conf", "eye_width_px": 1280, "eye_height_px": 720}
+    assert with_stream(section, "http://cam/s") == {"kind": "http", "url": "http://cam/s", **rig}
+    assert with_stream(section, "") == section.model_dump() == with_stream(section, None)
+    served = _with_options(
+        read_settings(path), {"camera": with_stream(section, "http://cam/s"), "http": {"port": None}}
+    )
+    assert served.camera.model_dump() == {"kind": "http", "url": "http://cam/s", **rig}

@@ -1,6 +1,7 @@
 """The library's motions stay within the machine's limits, and survive the way through JSON."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,21 @@ def test_motions_keep_range_speed_and_acceleration(nominal, library):
         assert (np.abs(speed).max(axis=0) <= 1.01 * SPEED_SHARE * gain).all(), one.name
         acceleration = np.abs(np.gradient(speed, SAMPLE_S, axis=0)[2:-2]).max(axis=0)
         assert (acceleration <= 1.3 * PER_S * gain).all(), (one.name, acceleration / gain)
+
+
+@pytest.mark.parametrize("half_range_rad", [3.0, 0.05, 0.02, 0.0])
+def test_they_keep_the_range_wherever_it_was_recorded_and_however_small_it_is(nominal, half_range_rad):
+    rng = np.random.default_rng(7)
+    low, high = nominal.q_min.copy(), nominal.q_max.copy()
+    low[4], high[4] = np.maximum(low[4], -half_range_rad), np.minimum(high[4], half_range_rad)
+    narrow = replace(nominal, q_min=low, q_max=high)
+    sets = neutral_sets(nominal.n)
+    for _ in range(4):
+        centre = rng.uniform(low - 0.05, high + 0.05)
+        loaded = extremes(narrow, sets, pool(narrow, centre, rng), (1, 2, 4))
+        for one in motions(narrow, centre, (1, 2, 4), loaded):
+            assert (one.q >= low - 1e-9).all(), one.name
+            assert (one.q <= high + 1e-9).all(), one.name
 
 
 def test_motions_begin_and_end_at_rest_in_the_same_posture(library):

@@ -12,11 +12,12 @@ from diagnosis.cells.dynamic import stage_cells
 from diagnosis.diagnose import Diagnosis
 from diagnosis.reading.read import examine
 from diagnosis.replay.replayer import replayer_of
+from diagnosis.replay.stretches import Stretch
 from diagnosis.report.simulated import simulated_section
 from diagnosis.search.candidates import named
 from diagnosis.search.fit import Fit
 from diagnosis.search.search import search
-from longreach.simulated_shrink import compare, told
+from longreach.simulated_shrink import compare, run, told
 from longreach.simulated_shrink.held_out import effects_without
 from longreach.simulated_shrink.run import COMMANDS, JOINTS, SimulatedShrinkError, simulated_runs
 from machine.effects.entries import EffectEntry
@@ -123,3 +124,24 @@ def test_the_floor_comes_from_repeats_and_the_share_is_not_clipped():
     alone = compare.closed([compare.Errors(gap, 0.5 * gap, "")])
     assert alone.floor is None
     assert alone.closed_frac == pytest.approx(0.75)
+
+
+def stretch(name, repeat_of):
+    return Stretch(name, "workcycle", repeat_of, 0.0, 0.01, np.arange(3) * 0.01, None, None, None)
+
+
+def test_pieces_of_a_cut_repeat_are_no_repeats():
+    """Two parts of one motion differ by the motion: taken for noise, that closes more of the gap than was closed."""
+    rng = np.random.default_rng(4)
+    gap = 0.01 * np.sin(0.02 * np.arange(1200.0))[:, None]
+
+    def cut(group):
+        noise = [rng.normal(0.0, 1e-4, (600, 1)) for _ in range(4)]
+        parts = [gap[:600], gap[600:], gap[:600], gap[600:]]
+        return [compare.Errors(x + n, 0.5 * x + n, group) for x, n in zip(parts, noise, strict=True)]
+
+    assert compare.closed(cut("A")).floor > 5e-4, "what such a group would do: ten times the noise"
+    stretches = tuple(stretch(name, "A") for name in ("a/1", "a/2", "b/1", "b/2"))
+    assert run._groups(stretches) == {}
+    whole = (stretch("A", ""), stretch("b", "A"), stretch("c/1", "A"))
+    assert run._groups(whole) == {"A": "A", "b": "A"}, "the one that the others repeat is one of them"

@@ -1,0 +1,46 @@
+"""What is proposed is judged by what it tells, not by the weightiest pair alone."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diagnosis.experiments import choice
+from diagnosis.experiments.library import Motion
+
+NAMES = ((("valve_lag", 1), ("transport_delay", None)), (("load_droop", 1), None), (("stiction", 1), None))
+
+
+def proposed(monkeypatch: pytest.MonkeyPatch, nats: dict[str, tuple[float, float, float]]) -> dict[str, Any]:
+    cell = SimpleNamespace(stage="actuator", joint=1)
+    answer = SimpleNamespace(search=SimpleNamespace(cell=cell))
+    pairs = [
+        SimpleNamespace(names=two, weight=w, answer=answer) for two, w in zip(NAMES, (0.2, 0.19, 0.18), strict=True)
+    ]
+    library = tuple(Motion(name, "steps", np.zeros((100, 1))) for name in nats)
+    monkeypatch.setattr(choice, "_library", lambda *_: library)
+    monkeypatch.setattr(choice, "_nats", lambda _, pair, one: nats[one.name][pairs.index(pair)])
+    found: Any = None
+    return choice._proposed(found, SimpleNamespace(sliding=(False,)), pairs)  # type: ignore[arg-type]
+
+
+def test_what_settles_two_of_three_pairs_is_no_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = proposed(monkeypatch, {"X": (0.3, 30.0, 30.0), "Y": (25.0, 1.0, 1.0)})
+    assert told["what"] == "X"
+    assert told["separates"] == [{"name": "load_droop", "joint": 1}]
+    assert told["expected_nats"] == 30.0
+    assert "load_droop from a sound machine" in told["why"]
+    assert [one["expected_nats"] for one in told["pairs"]] == [0.3, 30.0, 30.0]
+
+
+def test_what_tells_nothing_of_any_pair_is_not_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = proposed(monkeypatch, {"X": (4.0, 4.0, 4.0), "Y": (0.0, 1.0, 1.0)})
+    assert told["what"] is None
+    assert "no motion tells valve_lag from transport_delay" in told["why"]
+
+
+def test_the_weightiest_pair_that_is_told_is_what_it_is_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = proposed(monkeypatch, {"X": (0.3, 5.0, 5.0), "Y": (25.0, 1.0, 1.0)})
+    assert told["what"] == "Y"
+    assert told["alternatives"] == {"X": 0.3, "Y": 25.0}
