@@ -102,6 +102,7 @@ class _File(_Part):
     local_map: _Map | None
     expiry: _Expiry
     slip: str
+    shift: str = ""  # files of before had none
     runs: list[_Run]
 
 
@@ -145,6 +146,7 @@ _PLAIN = (
     "path_length_m",
     "observability",
     "slip",
+    "shift",
 )
 
 

@@ -17,6 +17,8 @@ class ValidityStatus(Enum):
 
     VALID = "valid"
     SLIPPED = "slipped"
+    SHIFTED = "shifted"
+    OTHER_METHOD = "other_method"
     TOO_OLD = "too_old"
     CLOCK = "clock"
     TOO_FAR = "too_far"
@@ -84,7 +86,8 @@ class LocalCalibration:
     """The local calibration with all that is needed to judge, keep and hand it on.
 
     `R_tcp_cam` (3, 3) with `covariance` (3, 3) [rad^2] (left perturbation, TCP axes); `p_tcp_cam_m` (3,) of the machine
-    file; `observability` smallest over largest information of the path, 0..1; `slip` why it is void, or empty.
+    file; `observability` smallest over largest information of the path, 0..1; `slip` why it is void until a
+    person has looked, `shift` why it is until it is made anew; or empty.
     """
 
     machine_id: str
@@ -104,6 +107,7 @@ class LocalCalibration:
     local_map: LocalMap | None = None
     expiry: Expiry = field(default_factory=Expiry)
     slip: str = ""
+    shift: str = ""
 
     @property
     def sigmas_rad(self) -> Array:
@@ -131,7 +135,9 @@ class LocalCalibration:
         )
 
     def _slipped(self) -> Validity | None:
-        return Validity(ValidityStatus.SLIPPED, self.slip) if self.slip else None
+        if self.slip:
+            return Validity(ValidityStatus.SLIPPED, self.slip)
+        return Validity(ValidityStatus.SHIFTED, self.shift) if self.shift else None
 
     def _aged(self, t_unix_s: float) -> Validity | None:
         age_s, limit_s = t_unix_s - self.made.t_unix_s, self.expiry.age_max_s

@@ -114,7 +114,8 @@ def estimate_jointly(
     refusal = _broken(runs, looks, model)
     if refusal:
         return _refused(model, *refusal, 0.0)
-    usable = [(run, thinned(run, accuracy)) for run in runs if len(run.camera.t_s) >= 3]
+    thin = [(run, thinned(run, accuracy)) for run in runs if len(run.camera.t_s) >= 3]
+    usable = [(run, samples) for run, samples in thin if len(samples.t_s) >= 3]  # of a camera that stood one is left
     length = float(sum(samples.length_m[-1] for _, samples in usable))
     if runs and length < PATH_MIN_M:
         reason = f"camera moved {1e3 * length:.0f} mm in all (need {1e3 * PATH_MIN_M:.0f} mm); drive a longer path"
@@ -320,16 +321,19 @@ def _judged(problem: _Problem, state: JointState, information: Array, length_m: 
 
 def _fitted(problem: _Problem, state: JointState) -> Fitted:
     runs, looks = _residuals(problem, state)
-    positions, turns = [], []
+    positions, turns, spreads = [], [], []
+    largest = problem.noise.sigma_position_range_m[1] ** 2
     for (position, turn), (_, _, W), weights in zip(runs, problem.runs, problem.weights, strict=True):
         weighted = np.sqrt(weights)[:, None] * position
         positions.append(float(np.einsum("ia,ij,ja->", weighted, W, weighted)) / position.size)
+        spreads.append(float(np.mean(weighted**2)) / largest)
         turns.append(float(np.sum(weights[:, None] * turn**2)) / (turn.size * problem.noise.sigma_turn_rad**2))
     mount = state.less(problem.believed)[problem.mount]
     return Fitted(
         look_chi2=[float(residual @ W @ residual) for residual, (_, W, _) in zip(looks, problem.looks, strict=True)],
         run_position=positions,
         run_turn=turns,
+        run_spread=spreads,
         weights=problem.weights,
         mount_chi2=float(np.sum((mount / problem.sigma[problem.mount]) ** 2)),
         mount_rad=float(np.linalg.norm(mount)),

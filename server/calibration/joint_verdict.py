@@ -25,12 +25,15 @@ class Fitted:
     """What is left of each observation after the fit, whitened.
 
     look_chi2: of each look's 12 numbers. run_position, run_turn: mean square of each run's whitened positions, turns.
+    run_spread: of each run's positions as they are, over the largest variance that a scatter is believed to have: above
+    1 it is no scatter but a drift or a step, which whitening by neighbours would hide.
     weights: of each run's samples. mount_chi2 (3 freedoms), mount_rad: camera's rotation against its prior.
     """
 
     look_chi2: Sequence[float]
     run_position: Sequence[float]
     run_turn: Sequence[float]
+    run_spread: Sequence[float]
     weights: Sequence[Array]
     mount_chi2: float
     mount_rad: float
@@ -39,7 +42,7 @@ class Fitted:
     def misfit(self) -> float:
         """The worst of all mean squares, about 1 or less where everything agrees."""
         freedoms = max(1, LOOK_FREEDOMS * len(self.look_chi2) - OOI_FREEDOMS)
-        return float(max(sum(self.look_chi2) / freedoms, *self.run_position, *self.run_turn, 0.0))
+        return float(max(sum(self.look_chi2) / freedoms, *self.run_position, *self.run_turn, *self.run_spread, 0.0))
 
 
 def verdict(fitted: Fitted) -> tuple[CalibrationStatus, str]:

@@ -15,8 +15,9 @@ CHI2_MAX = 27.86  # 6 degrees of freedom, 99.99 %: a look in ten thousand by cha
 class SlipLimits:
     """From when a change is a slip: beyond chance *and* beyond what a tight mount can do.
 
-    The minima are what spoils a move: 3 mm at the tool are half a tolerance, 1 deg at 0.3 m is 5 mm. The floors are
-    what a mean over pairs does not show: warm lens, light on the print.
+    The minima are what a person has to tighten: 3 mm at the tool, 1 deg. Below them a change beyond chance still spoils
+    a move (0.9 deg at 0.6 m are 9 mm): then the path is driven again. The floors are what a mean over pairs does not
+    show: warm lens, light on the print.
     """
 
     chi2_max: float = CHI2_MAX
@@ -36,9 +37,12 @@ class ToolSeen:
 
 @dataclass(frozen=True, slots=True)
 class SlipVerdict:
-    """How far the tool marker moved in the camera since the calibration, and whether that is a slip."""
+    """How far the tool marker moved in the camera since the calibration; whether that is a slip, or beyond chance only
+    (`shifted`): the calibration is of another mount then, and a new one cures it.
+    """
 
     slipped: bool
+    shifted: bool
     reason: str
     chi2: float
     shift_m: float
@@ -49,7 +53,7 @@ def judge_slip(before: ToolSeen, now: ToolSeen, limits: SlipLimits | None = None
     """Whether mount or marker slipped between two looks.
 
     Model:   d = (log(R_now R_before^T), t_now - t_before); chi2 = d^T (C_before + C_now + floors)^-1 d. Slipped when
-             chi2 is beyond its bound and the shift or the turn beyond its physical minimum.
+             chi2 is beyond its bound and the shift or the turn beyond its physical minimum; shifted if only the first.
     Raises:  CalibrationInputError: not a pose or covariance.
     """
     bounds = limits or SlipLimits()
@@ -61,14 +65,19 @@ def judge_slip(before: ToolSeen, now: ToolSeen, limits: SlipLimits | None = None
     d = np.concatenate([turn, shift])
     chi2 = float(d @ np.linalg.solve(C, d))
     shift_m, turn_rad = float(np.linalg.norm(shift)), float(np.linalg.norm(turn))
-    slipped = chi2 > bounds.chi2_max and (shift_m > bounds.shift_min_m or turn_rad > bounds.turn_min_rad)
-    return SlipVerdict(slipped, _reason(shift_m, turn_rad, chi2, bounds) if slipped else "", chi2, shift_m, turn_rad)
+    if chi2 <= bounds.chi2_max:
+        return SlipVerdict(False, False, "", chi2, shift_m, turn_rad)
+    large = shift_m > bounds.shift_min_m or turn_rad > bounds.turn_min_rad
+    return SlipVerdict(large, not large, _reason(large, shift_m, turn_rad, chi2, bounds), chi2, shift_m, turn_rad)
 
 
-def _reason(shift_m: float, turn_rad: float, chi2: float, bounds: SlipLimits) -> str:
-    return (
-        f"mount or marker slipped: the tool marker moved by {1e3 * shift_m:.1f} mm and {np.rad2deg(turn_rad):.1f} deg "
-        f"in the camera since the calibration (limits {1e3 * bounds.shift_min_m:.0f} mm, "
-        f"{np.rad2deg(bounds.turn_min_rad):.0f} deg; chi2 {chi2:.0f}, limit {bounds.chi2_max:.0f}); "
-        "tighten camera mount and tool marker, then calibrate"
+def _reason(large: bool, shift_m: float, turn_rad: float, chi2: float, bounds: SlipLimits) -> str:
+    found = (
+        f"the tool marker moved by {1e3 * shift_m:.1f} mm and {np.rad2deg(turn_rad):.1f} deg in the camera since the "
+        "calibration"
     )
+    chance = f"chi2 {chi2:.0f}, limit {bounds.chi2_max:.0f}"
+    if not large:
+        return f"{found}, a little, but beyond chance ({chance}); calibrate"
+    limits = f"limits {1e3 * bounds.shift_min_m:.0f} mm, {np.rad2deg(bounds.turn_min_rad):.0f} deg; {chance}"
+    return f"mount or marker slipped: {found} ({limits}); tighten camera mount and tool marker, then calibrate"

@@ -3,7 +3,7 @@
 import hashlib
 import logging
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from server.calibration.calibration_file import (
     calibration_text,
     parse_calibration,
 )
-from server.calibration.calibration_life import LocalCalibration, observability_text
+from server.calibration.calibration_life import Expiry, LocalCalibration, observability_text
 from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate
 from server.jobs.knowledge import Knowledge
 from server.jobs.records import CalibrationRecord
@@ -47,16 +47,24 @@ class CalibrationStore:
             fresh.write_text(calibration_text(SavedCalibration(life, tuple(knowledge.runs))), encoding="utf-8")
             os.replace(fresh, self.path)
             self._kept, knowledge.calibration_note = life, ""
-        except OSError as error:
-            knowledge.calibration_note = f"calibration is not kept: {self.path}: {error.strerror}"
+        except (OSError, ValueError) as error:  # a number that is none cannot be written either
+            why = error.strerror if isinstance(error, OSError) else error
+            knowledge.calibration_note = f"calibration is not kept: {self.path}: {why}"
             log.error(knowledge.calibration_note)
 
-    def restore(self, knowledge: Knowledge, machine_id: str, n_joints: int, t_unix_s: float) -> None:
-        """Take up the kept calibration, or note why not. Where it holds is asked when it is used."""
+    def restore(
+        self, knowledge: Knowledge, machine_id: str, n_joints: int, t_unix_s: float, expiry: Expiry | None = None
+    ) -> None:
+        """Take up the kept calibration, or note why not. Where it holds is asked when it is used.
+
+        Args: expiry: of the settings as they are now, in place of those that the file was written under.
+        """
         if self.path is None or not self.path.exists():
             return
         try:
             saved = parse_calibration(self.path.read_text(encoding="utf-8"))
+            if expiry is not None:
+                saved = replace(saved, calibration=replace(saved.calibration, expiry=expiry))
             self._take_up(knowledge, saved, machine_id, n_joints, t_unix_s)
         except (OSError, UnicodeDecodeError, CalibrationFileError) as error:
             knowledge.calibration_note = f"kept calibration {self.path} was not taken up: {error}"

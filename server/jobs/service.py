@@ -81,7 +81,8 @@ class JobService:
         self.diagnoses = Diagnoses(Path(cell.settings.recording.folder))
         self._experiments = Experiments(self.diagnoses)
         cell.knowledge.unix_minus_mono_s = time.time() - time.monotonic()
-        self._store.restore(cell.knowledge, machine_id, cell.chain.n, time.time())
+        expiry = cell.settings.calibration.expiry()
+        self._store.restore(cell.knowledge, machine_id, cell.chain.n, time.time(), expiry)
         engine.on_event(self._record)
         if keeper is not None:
             engine.on_event(keeper.note)

@@ -14,7 +14,7 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.diagnosed import believed_mount, believed_track
 from server.jobs.plans.learning import remember_run, remember_side, side_now
-from server.jobs.plans.living import born, forget_slipped
+from server.jobs.plans.living import born, forget_expired
 from server.jobs.plans.planning import onto_reference, plan_settings
 from server.jobs.records import CalibrationRecord
 from server.jobs.requests import (
@@ -39,7 +39,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     remember_side(ctx, reading)
     before = side_now(ctx)
     plan, trajectory = possible_path(ctx, reading)
-    forget_slipped(ctx)
+    forget_expired(ctx, reading)
     text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s while the camera measures its own way"
     yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
     yield Arm()

@@ -10,6 +10,7 @@ from server.calibration.calibration_life import LocalCalibration, LocalMap, Made
 from server.calibration.contracts import CameraRotationEstimate
 from server.calibration.joint_estimate import JointEstimate
 from server.calibration.slip_monitor import ToolSeen, judge_slip
+from server.calibration.trajectory_matching_paper import METHOD as PAPER_METHOD
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
@@ -17,6 +18,10 @@ from server.jobs.requests import MachineReading, Progress, Request
 from server.vision.contracts import Look
 
 NONE = Validity(ValidityStatus.VALID)
+BY_PAPER = (
+    "the calibration is one by the paper's method, which takes the mount of the machine file as it is and knows no "
+    "error of it; calibrate"
+)
 
 
 def born(ctx: PlanContext, estimate: CameraRotationEstimate, taken: LookTaken, reading: MachineReading) -> None:
@@ -82,17 +87,23 @@ def watch_slip(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object,
     if verdict.slipped:
         ctx.knowledge.life = replace(life, slip=verdict.reason)
         yield Progress("slip", verdict.chi2, 0.0, "", verdict.reason)
+    elif verdict.shifted and not life.shift:
+        ctx.knowledge.life = replace(life, shift=verdict.reason)
+        yield Progress("shift", verdict.chi2, 0.0, "", verdict.reason)
 
 
-def forget_slipped(ctx: PlanContext) -> None:
-    """After a slip only the last look is of the mount as it is now: paths and looks before it are of another one.
+def forget_expired(ctx: PlanContext, reading: MachineReading) -> None:
+    """Paths of a calibration that does not hold here and now go before a new one is driven: nothing makes them young.
 
-    The calibration itself stays, and with it what refuses every motion by it, until a new one is made.
+    After a slip or a shift only the last look is of the mount as it is now. The calibration itself stays, and with it
+    what refuses every motion by it, until a new one is made.
     """
-    if ctx.knowledge.life is None or not ctx.knowledge.life.slip:
+    found = validity(ctx, reading)
+    if found.ok:
         return
     ctx.knowledge.runs.clear()
-    del ctx.knowledge.looks[:-1]
+    if found.status in (ValidityStatus.SLIPPED, ValidityStatus.SHIFTED):
+        del ctx.knowledge.looks[:-1]
     ctx.knowledge.joint = None
 
 
@@ -106,6 +117,8 @@ def validity_at(ctx: PlanContext, reading: MachineReading, q: Array, T_base_tcp:
     life: LocalCalibration | None = ctx.knowledge.life
     if life is None or ctx.method == "paper":
         return NONE
+    if life.method == PAPER_METHOD:
+        return Validity(ValidityStatus.OTHER_METHOD, BY_PAPER)
     return life.valid_at(ctx.knowledge.unix_s(reading.t_mono_ns), q, T_base_tcp, reading.oil_temperature_c)
 
 

@@ -1,6 +1,7 @@
 """What contradicts itself is never told as known: an object that was moved, two mounts, a mount far from its file."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,8 +49,9 @@ def test_what_is_left_over_widens_the_covariance():
     covariance = np.diag([1.0, 4.0])
     assert np.allclose(widened(covariance, 0.6), covariance)
     assert np.allclose(widened(covariance, 1.7), 1.7 * covariance)
-    fitted = Fitted([10.0], [1.6], [0.2], [np.ones(60)], 1.0, 0.01)
+    fitted = Fitted([10.0], [1.6], [0.2], [0.1], [np.ones(60)], 1.0, 0.01)
     assert fitted.misfit == pytest.approx(10.0 / 6.0)
+    assert replace(fitted, run_spread=[3.1]).misfit == 3.1
 
 
 @pytest.mark.parametrize(
@@ -69,6 +71,7 @@ def test_one_bad_observation_is_not_hidden_by_many_good_ones(changed, word):
         "look_chi2": [3.0] * 3,
         "run_position": [0.9, 1.0],
         "run_turn": [0.1, 0.1],
+        "run_spread": [0.1, 0.1],
         "weights": [np.ones(60)] * 2,
         "mount_chi2": 2.0,
         "mount_rad": 0.03,

@@ -55,3 +55,36 @@ def test_a_step_that_takes_back_the_last_one_is_halved_and_others_are_not():
     assert np.allclose(change, -0.46 * first)
     change, _ = chord_rotation._calmed(0.92 * first, last, sigmas)
     assert np.allclose(change, 0.92 * first)
+
+
+@pytest.mark.parametrize("kind", ["walk", "step"])
+def test_odometry_that_drifts_far_is_not_taken_for_scatter(kind):
+    """What whitening by neighbours hides: 4 mm a metre of way, or a step of 6 mm that stays."""
+    squares = []
+    for seed in range(6):
+        rng = np.random.default_rng(100 + seed)
+        here = scene(rng)
+        run = odometry_run(here.true, path_joints(), rng)
+        Ts = run.camera.Ts_vo_cam.copy()
+        moved_m = np.linalg.norm(np.diff(Ts[:, :3, 3], axis=0), axis=1)
+        walk = np.cumsum(rng.normal(size=(len(moved_m), 3)) * 0.004 * np.sqrt(moved_m)[:, None], axis=0)
+        step = np.where(np.arange(len(moved_m))[:, None] > len(moved_m) // 2, rng.normal(size=3), 0.0)
+        Ts[1:, :3, 3] += walk if kind == "walk" else 0.006 * step / np.linalg.norm(step).clip(1e-9)
+        bent = replace(run, camera=replace(run.camera, Ts_vo_cam=Ts))
+        found = joint_estimate.estimate_jointly(machine(), [bent], [here.look(Q_START)])
+        if found.state is None:
+            continue
+        goal = joints_for_goal(chain_of(machine()), found, Q_START, GOAL)
+        error_m = here.tool(goal.q)[:3, 3] - GOAL[:3, 3]
+        squares.append(float(error_m @ np.linalg.solve(goal.covariance[3:, 3:], error_m)) / 3.0)
+    assert np.mean(squares) < 2.0, squares
+
+
+def test_a_run_whose_camera_stood_is_left_out():
+    rng = np.random.default_rng(5)
+    here = scene(rng)
+    run = odometry_run(here.true, path_joints(), rng)
+    still = replace(run, camera=replace(run.camera, Ts_vo_cam=np.tile(np.eye(4), (len(run.camera.t_s), 1, 1))))
+    alone = joint_estimate.estimate_jointly(machine(), [run], [here.look(Q_START)])
+    beside = joint_estimate.estimate_jointly(machine(), [run, still], [here.look(Q_START)])
+    assert beside.n_samples == alone.n_samples

@@ -94,13 +94,25 @@ def moved(shift_mm=(0.0, 0.0, 0.0), turn_deg=(0.0, 0.0, 0.0), covariance=COVARIA
     return ToolSeen(T, covariance)
 
 
+def test_a_shift_ends_it_until_it_is_made_anew():
+    found = at(calibration(shift="a little"))
+    assert found.status is ValidityStatus.SHIFTED
+    text = calibration_text(SavedCalibration(calibration(shift="a little")))
+    assert parse_calibration(text).calibration.shift == "a little"
+    before = json.loads(text)
+    del before["shift"]
+    assert parse_calibration(json.dumps(before)).calibration.shift == ""
+
+
 def test_noise_is_no_slip():
     rng = np.random.default_rng(4)
     before = ToolSeen(T_CAM_TOOL, COVARIANCE)
     for _ in range(500):
         noise = rng.multivariate_normal(np.zeros(6), 2.0 * COVARIANCE)
         now = moved(shift_mm=noise[3:] * 1e3, turn_deg=np.rad2deg(noise[:3]))
-        assert not judge_slip(before, now).slipped
+        verdict = judge_slip(before, now)
+        assert not verdict.slipped
+        assert not verdict.shifted
 
 
 @pytest.mark.parametrize("change", [{"shift_mm": (3.5, 0.0, 0.0)}, {"turn_deg": (0.0, 0.0, 1.5)}])
@@ -115,11 +127,14 @@ def test_a_sure_but_small_change_and_a_large_but_unsure_one_are_no_slips():
     small = judge_slip(ToolSeen(T_CAM_TOOL, COVARIANCE * 1e-4), moved(shift_mm=(2.9, 0.0, 0.0)))
     assert small.chi2 > 50.0
     assert not small.slipped
+    assert small.shifted, "of another mount all the same: the path is driven again"
+    assert "2.9 mm" in small.reason
     unsure = judge_slip(
         ToolSeen(T_CAM_TOOL, COVARIANCE), moved(shift_mm=(0.0, 0.0, 6.0), covariance=COVARIANCE * 100.0)
     )
     assert unsure.shift_m == pytest.approx(0.006)
     assert not unsure.slipped
+    assert not unsure.shifted
 
 
 def run() -> OdometryRun:

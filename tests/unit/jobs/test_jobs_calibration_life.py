@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_jobs_plans import CHAIN, World, context, run
+from test_jobs_plans import CHAIN, MACHINE, World, context, run
 
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
@@ -142,6 +142,64 @@ def test_a_slip_seen_between_preview_and_execute_stops_the_move():
     with pytest.raises(JobFailedError, match="slipped"):
         run(execute(ctx, plan, 1), world)
     assert world.moved == moved
+
+
+@pytest.mark.parametrize("deg", [0.7, 0.9])
+def test_a_camera_that_turned_a_little_is_calibrated_anew_and_nobody_is_called(deg):
+    """0.9 deg are 9 mm at the end of a long way; the look shows it, and the path of before is of another mount."""
+    world, ctx = positioned()
+    run(retract(ctx, 400.0), world)
+    paths = world.paths
+    about_the_marker = MACHINE.T_tcp_tool @ pose(rotation_from_rotvec(np.deg2rad([0.0, deg, 0.0])), np.zeros(3))
+    world.T_tcp_cam = about_the_marker @ np.linalg.inv(MACHINE.T_tcp_tool) @ world.T_tcp_cam
+    taken, _ = run(good_look(ctx), world)
+    with pytest.raises(JobFailedError, match=r"a little, but beyond chance.*calibrate") as refused:
+        preview(ctx, taken, world.t_ns)
+    assert refused.value.code == "calibration_shifted"
+    result, story = again(world, ctx)
+    assert result.reached
+    assert np.abs(world.error_mm()).max() < 3.0
+    assert world.paths == paths + 1
+    assert len(ctx.knowledge.runs) == 1
+    assert any("calibrating anew: the tool marker moved" in getattr(item, "text", "") for item in story)
+
+
+def test_what_the_papers_method_believes_of_its_mount_is_no_calibration_of_ours():
+    world, ctx = Counted(), context(local_map="rigid")
+    run(position(ctx.with_method("paper"), True, lambda: world.t_ns), world)
+    paths = world.paths
+    assert validity(ctx, world.perform(Settle())).status is ValidityStatus.OTHER_METHOD
+    run(retract(ctx, 400.0), world)
+    result, story = again(world, ctx)
+    assert world.paths > paths
+    assert result.calibration.method != "paper"
+    assert any("by the paper's method" in getattr(item, "text", "") for item in story)
+
+
+def test_a_path_that_has_expired_does_not_become_young_by_another_one():
+    world, ctx, taken = calibrated()
+    world.t_ns += 13 * H
+    taken, _ = run(good_look(ctx), world)
+    run(assurance.calibrate(ctx, taken), world)
+    assert len(ctx.knowledge.runs) == 1
+
+
+def test_the_limits_of_the_settings_are_those_that_count(tmp_path):
+    world, ctx = positioned()
+    file = tmp_path / "calibration.json"
+    CalibrationStore(file).keep(ctx.knowledge)
+    knowledge, strict = Knowledge(), replace(ctx.knowledge.life.expiry, age_max_s=1800.0)
+    CalibrationStore(file).restore(knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9 + 5 * 3600.0, strict)
+    assert "5.0 h old (limit 0.5 h)" in knowledge.calibration_note
+    CalibrationStore(file).restore(knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9, strict)
+    assert knowledge.life.expiry == strict
+
+
+def test_a_number_that_cannot_be_written_ends_no_job(tmp_path):
+    _, ctx = positioned()
+    ctx.knowledge.life = replace(ctx.knowledge.life, residual_rms_mm=float("nan"))
+    CalibrationStore(tmp_path / "calibration.json").keep(ctx.knowledge)
+    assert "not kept" in ctx.knowledge.calibration_note
 
 
 def test_the_papers_method_knows_no_slip():
