@@ -17,12 +17,15 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from diagnosis.fleet.page import fleet_page
 from diagnosis.fleet.run import diagnose_all, recordings_below
 from diagnosis.fleet.summary import summary_of
+from longreach.code_mark import code_mark
 from longreach.one_thread import ONE_THREAD
 from longreach.shipped_machine import file_of_machine, text_of_machine
 from machine.errors import MachineFileError
 from server.version import __version__
 
 BAD_INPUT = 2
+ROOT = Path(__file__).parents[1]
+ANSWERING = ("diagnosis", "machine", "recording")  # code that answers depend on: saved ones are of this code, or none
 
 
 def diagnose_fleet(
@@ -42,6 +45,10 @@ def diagnose_fleet(
             text_of_machine(machine_file)
         except MachineFileError as error:
             raise _refused(str(error), screen) from error
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _refused(f"--out {out}: {error.strerror}; name a folder", screen) from error
     paths = recordings_below(folder)
     if not paths:
         raise _refused(f"{folder}: no recording below it (MCAP files, folders with run.toml)", screen)
@@ -52,10 +59,11 @@ def diagnose_fleet(
             paths,
             out / "answers",
             executor(),
-            __version__,
+            f"{__version__} {code_mark(ROOT, ANSWERING)}",
             machine_file,
             lambda _name, done, _total: shown.update(task, completed=done),
             renewed=executor,
+            base=folder,
         )
     fleet = summary_of(results)
     (out / "fleet.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
@@ -86,5 +94,9 @@ def _executors(workers: int, dask: str) -> Iterator[Callable[[], Executor]]:
         from dask.distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise typer.BadParameter("Dask is not installed: pip install -e '.[fleet]'", param_hint="--dask") from error
-    with Client(dask) as client:
+    try:
+        client = Client(dask)
+    except (OSError, ValueError) as error:
+        raise typer.BadParameter(f"no Dask scheduler at {dask}: {error}", param_hint="--dask") from error
+    with client:
         yield lambda: cast(Executor, client.get_executor(pure=False))

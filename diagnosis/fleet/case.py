@@ -5,6 +5,7 @@ The result is a plain dictionary that depends on the recording, the machine file
 
 import hashlib
 import os
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -52,10 +53,25 @@ def _digest(file: Path) -> bytes:
 
 
 def _whose(whole: Read) -> dict[str, Any]:
-    """Machine, serial number and time of a recording; empty texts where it does not say."""
+    """Machine, serial number, folder and time of a recording; empty texts where it does not say.
+
+    Whose it is says its own machine file, whatever file it is judged by: one file for a whole fleet has one serial.
+    """
     nominal, tables = whole.nominal, whole.tables
+    given = {"name": nominal.name, "serial": nominal.serial} if nominal is not None else {}
+    own = _machine_table(whole.machine_toml) or given
     return {
-        "machine": nominal.name if nominal is not None else "",
-        "serial": nominal.serial if nominal is not None else "",
+        "machine": str(own.get("name") or given.get("name", "")),
+        "serial": str(own.get("serial", "")),
+        "folder": whole.path.parent.name,
         "started_utc": tables.run.started_utc if tables is not None else "",
     }
+
+
+def _machine_table(text: str) -> dict[str, Any]:
+    """The [machine] table of a machine file's text; nothing of one that is no TOML."""
+    try:
+        table = tomllib.loads(text).get("machine", {})
+    except tomllib.TOMLDecodeError:
+        return {}
+    return table if isinstance(table, dict) else {}

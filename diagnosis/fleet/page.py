@@ -12,8 +12,10 @@ def fleet_page(fleet: Fleet, name: str) -> str:
     """Shared effects first, then drift, then machine by machine."""
     total = sum(len(one) for one in fleet.verdicts.values())
     facts = f"{len(fleet.machines)} machines, {total} recordings diagnosed, {len(fleet.unusable)} not usable"
+    if fleet.no_serial:
+        facts += f". {fleet.no_serial} tell no serial: those of one folder count as one machine's; {SERIAL}"
     body = [
-        f"<h1>Sim-to-real gap of a fleet: {escape(name)}</h1><p>{facts}.</p>",
+        f"<h1>Sim-to-real gap of a fleet: {escape(name)}</h1><p>{escape(facts)}.</p>",
         _section("Effects that machines share", [_shared(one) for one in fleet.shared], SHARED),
         _section("Drift", [_drift(one) for one in fleet.drifts], DRIFT),
         _section("Machine by machine", [(m, _verdicts(fleet.verdicts[m])) for m in fleet.machines], MACHINES),
@@ -23,6 +25,7 @@ def fleet_page(fleet: Fleet, name: str) -> str:
     return document(name, "".join(body))
 
 
+SERIAL = "set serial in [machine] of each machine file"
 SHARED = ("effect", "joint", "machines that have it", "looked for and not found on")
 DRIFT = ("machine", "effect", "joint", "change per day", "90 %", "recordings", "")
 MACHINES = ("machine", "verdicts in the order of time")

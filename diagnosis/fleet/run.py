@@ -1,5 +1,6 @@
 """A fleet's recordings over an executor: saved one by one, resumed, never stopped by a bad one."""
 
+import hashlib
 import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
@@ -28,14 +29,18 @@ def diagnose_all(
     told: Told = lambda _name, _done, _total: None,
     at_once: int = 64,
     renewed: Callable[[], Executor] | None = None,
+    base: Path | None = None,
 ) -> list[dict[str, Any]]:
     """Diagnose every recording, in the order of `paths`, at most `at_once` handed out at a time.
 
     Args: saved: folder in which each answer lies; what is there and still holds is not computed again.
           renewed: gives an executor in place of one that broke because a worker of it died.
+          base: folder that the recordings are called by their places below; their own names without one.
     """
     saved.mkdir(parents=True, exist_ok=True)
-    names = _names(paths)
+    shown = [path.name if base is None else path.relative_to(base).as_posix() for path in paths]
+    names = [_name(path, base) for path in paths]
+    called = dict(zip(names, shown, strict=True))
     results: dict[str, dict[str, Any]] = {}
     marks = {name: fingerprint(path, machine_file, version) for name, path in zip(names, paths, strict=True)}
     for name in names:
@@ -46,26 +51,24 @@ def diagnose_all(
     paired = zip(names, paths, strict=True)
     todo = [(name, (str(path.resolve()), file)) for name, path in paired if name not in results]
     for name, one in Workers(executor, renewed).run(diagnosed, todo, at_once):
-        results[name] = result = _result(name, one)
+        results[name] = result = _result(called[name], one)
         _save(saved / f"{name}.json", marks[name], result)
-        told(name, len(results), len(names))
+        told(called[name], len(results), len(names))
     return [results[name] for name in names]
 
 
 def _result(name: str, one: Future[dict[str, Any]]) -> dict[str, Any]:
     """A worker that died takes one recording along, not the fleet."""
     error = one.exception()
-    reason = f"{type(error).__name__}: {error}"
-    return one.result() if error is None else {"status": "failed", "recording": name, "reason": reason}
+    if error is not None:
+        return {"status": "failed", "recording": name, "reason": f"{type(error).__name__}: {error}"}
+    return {**one.result(), "recording": name}
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
-    """A name for each recording that is unique among them."""
-    out: list[str] = []
-    for path in paths:
-        name = path.name.removesuffix(".mcap")
-        out.append(name if name not in out else f"{path.parent.name}-{name}-{len(out)}")
-    return out
+def _name(path: Path, base: Path | None) -> str:
+    """What a recording's answer is kept as: of its own place only, so that one more beside it renames none."""
+    place = path.resolve() if base is None else path.relative_to(base)
+    return f"{path.name.removesuffix('.mcap')}-{hashlib.sha256(place.as_posix().encode()).hexdigest()[:8]}"
 
 
 def _loaded(file: Path, mark: str) -> dict[str, Any] | None:

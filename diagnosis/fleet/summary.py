@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.verdict.equals import equals_of
+
 Z_90 = 1.645
 DRIFT_MIN = 3  # recordings of one effect on one machine, for a drift
 SECONDS_A_DAY = 86400.0
@@ -59,7 +61,9 @@ class Drift:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """The whole: verdicts by machine in the order of time, what is shared, what drifts, what could not be used."""
+    """The whole: verdicts by machine in the order of time, what is shared, what drifts, what could not be used; of how
+    many recordings no serial tells whose they are.
+    """
 
     machines: tuple[str, ...]
     verdicts: dict[str, tuple[tuple[str, str], ...]]
@@ -67,6 +71,7 @@ class Fleet:
     shared: tuple[Shared, ...]
     drifts: tuple[Drift, ...]
     unusable: tuple[tuple[str, str], ...]
+    no_serial: int = 0
 
 
 def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
@@ -80,12 +85,17 @@ def summary_of(results: Sequence[dict[str, Any]]) -> Fleet:
         for machine in machines
     }
     bad = tuple((one.get("recording", "?"), _why(one)) for one in results if one["status"] != "diagnosed")
-    return Fleet(machines, verdicts, found, _shared(good, found), _drifts(found), bad)
+    nameless = sum(not one["serial"] for one in good)
+    return Fleet(machines, verdicts, found, _shared(good, found), _drifts(found), bad, nameless)
 
 
 def machine_of(one: dict[str, Any]) -> str:
-    """Name and serial number; the recording's own name where the machine file says neither."""
-    return " ".join(text for text in (one["machine"], one["serial"]) if text) or one["recording"]
+    """Name and serial number; without a serial, name and folder: cranes of one kind are not one machine, and the
+    recordings of one folder are taken as one's. The recording's own name where the machine file has none.
+    """
+    if one["serial"]:
+        return f"{one['machine']} {one['serial']}".strip()
+    return f"{one['machine']} in {one['folder']}" if one["machine"] else one["recording"]
 
 
 def _why(one: dict[str, Any]) -> str:
@@ -131,9 +141,14 @@ def _shared(good: list[dict[str, Any]], found: tuple[Found, ...]) -> tuple[Share
 
 
 def _could_see(one: dict[str, Any], key: tuple[str, int | None], size: float) -> bool:
-    limits = {(x["name"], x["joint"]): x["size"] for x in one["answer"]["detection_limits"]}
-    limit = limits.get(key)
-    return one["answer"]["verdict"] in ("none", "effects") and limit is not None and limit <= size
+    answer = one["answer"]
+    if answer["verdict"] not in ("none", "effects"):
+        return False
+    named = answer["hypotheses"][0]["effects"] if answer["verdict"] == "effects" else []
+    if key in {(other["name"], other["joint"]) for effect in named for other in equals_of(answer, effect)}:
+        return False  # it may be what was named there: that recording cannot tell the two apart
+    limit = {(x["name"], x["joint"]): x["size"] for x in answer["detection_limits"]}.get(key)
+    return limit is not None and limit <= size
 
 
 def _drifts(found: tuple[Found, ...]) -> tuple[Drift, ...]:

@@ -38,13 +38,17 @@ Stage = str
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """What could be read. `usable`: at least one stage can be judged; else `findings` say why not."""
+    """What could be read. `usable`: at least one stage can be judged; else `findings` say why not.
+
+    `machine_toml`: the recording's own machine file, whatever file it is judged by.
+    """
 
     path: Path
     tables: Tables | None
     nominal: Nominal | None
     stretches: tuple[Stretch, ...]
     findings: tuple[Finding, ...]
+    machine_toml: str = ""
 
     @property
     def usable(self) -> bool:
@@ -116,10 +120,10 @@ def examine(
         if not fatal(findings):
             tables, outside = _without_wild_points(tables, nominal, stretches)
             findings += outside
-    whole = Read(path, tables, nominal, stretches, tuple(findings))
+    whole = Read(path, tables, nominal, stretches, tuple(findings), recording.machine_toml)
     if fatal(findings) or stages_present(whole):
         return whole
-    return Read(path, tables, nominal, stretches, (*findings, _nothing(whole)))
+    return replace(whole, findings=(*findings, _nothing(whole)))
 
 
 def _without_wild_points(

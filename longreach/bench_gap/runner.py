@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis.verdict.equals import rows_alike
-from longreach.bench_gap.code_mark import code_mark
 from longreach.bench_gap.packed import Packed, PackedError, read_packed, write_packed
 from longreach.bench_gap.warm import Warm
+from longreach.code_mark import code_mark
 from longreach.one_thread import ONE_THREAD
 
 ROOT = Path(__file__).parents[2]

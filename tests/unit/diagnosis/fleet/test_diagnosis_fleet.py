@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from diagnosis.fleet.case import diagnosed
 from diagnosis.fleet.page import fleet_page
-from diagnosis.fleet.run import diagnose_all, recordings_below
+from diagnosis.fleet.run import _name, diagnose_all, recordings_below
 from diagnosis.fleet.summary import summary_of
 from longreach.cli import app
 
@@ -65,12 +65,14 @@ def answer_with(recording: str, day: int, size: float | None, serial: str = "7",
         "recording": recording,
         "machine": "hiab033",
         "serial": serial,
+        "folder": "yard",
         "started_utc": f"2026-03-{day:02d}T08:00:00Z",
         "status": "diagnosed",
         "findings": [],
         "answer": {
             "verdict": "none" if size is None else "effects",
             "hypotheses": [{"effects": effects, "probability": 0.9}],
+            "indistinguishable": [],
             "detection_limits": [{"name": "backlash", "joint": 2, "parameter": "width_rad", "size": limit}],
         },
     }
@@ -101,10 +103,58 @@ def test_a_machine_is_without_an_effect_only_if_it_would_have_been_seen() -> Non
     assert "backlash" in text
 
 
+def test_a_machine_that_names_an_equal_is_not_without_the_effect() -> None:
+    """One cause on both machines, which of the two equals comes first is chance: neither denies it."""
+    pair = [{"name": "backlash", "joint": 2}, {"name": "encoder_scale", "joint": 2}]
+    one, other = answer_with("a", 1, 3e-3, "1"), answer_with("b", 1, 3e-3, "2")
+    other["answer"]["hypotheses"][0]["effects"][0]["name"] = "encoder_scale"
+    for told in (one, other):
+        told["answer"]["indistinguishable"] = [pair]
+        told["answer"]["detection_limits"].append({"name": "encoder_scale", "joint": 2, "size": 1e-3})
+    shared = summary_of([one, other]).shared
+    assert [each.without for each in shared] == [(), ()]
+
+
+def test_cranes_of_one_kind_without_a_serial_are_one_machine_a_folder_and_it_is_told() -> None:
+    results = [answer_with(f"r{k}", k, 2e-3 * k, "") for k in (1, 2, 3)]
+    for one, place in zip(results, ("north", "south", "east"), strict=True):
+        one["folder"] = place
+    fleet = summary_of(results)
+    assert fleet.machines == ("hiab033 in east", "hiab033 in north", "hiab033 in south")
+    assert not fleet.drifts
+    assert "3 tell no serial" in fleet_page(fleet, "mine")
+    assert "no serial" not in fleet_page(summary_of([answer_with("a", 1, None)]), "mine")
+
+
+def test_whose_it_is_says_its_own_file_whatever_it_is_judged_by(recordings: Path, tmp_path: Path) -> None:
+    whole = recordings / "a" / "machine.toml"
+    usual = tmp_path / "usual.toml"
+    usual.write_text(whole.read_text(encoding="utf-8").replace("[machine]", '[machine]\nserial = "U"', 1))
+    assert diagnosed(str(recordings / "a"), str(usual))["serial"] == ""
+    assert diagnosed(str(recordings / "a"))["folder"] == recordings.name
+
+
+def test_one_more_recording_renames_no_answer_and_none_is_lost(tmp_path: Path) -> None:
+    places = ["p/a.mcap", "q/y-a-2.mcap", "y/a.mcap", "x/day", "y/day"]
+    names = [_name(tmp_path / one, tmp_path) for one in places]
+    assert len(set(names)) == len(places)
+    (tmp_path / "elsewhere").mkdir()
+    for one in ("crane-1", "crane-2"):
+        (tmp_path / one).mkdir()
+        (tmp_path / one / "day.mcap").write_bytes(b"no recording")
+    with ThreadPoolExecutor(1) as pool:
+        told = diagnose_all(recordings_below(tmp_path), tmp_path / "elsewhere", pool, "1", base=tmp_path)
+    assert [one["recording"] for one in told] == ["crane-1/day.mcap", "crane-2/day.mcap"]
+
+
 def test_the_command_says_what_is_missing(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["diagnose-fleet", str(tmp_path)])
     assert done.exit_code == 2
     assert "no recording below it" in done.output
+    (tmp_path / "file").write_text("")
+    done = CliRunner().invoke(app, ["diagnose-fleet", str(tmp_path), "--out", str(tmp_path / "file")])
+    assert done.exit_code == 2
+    assert "name a folder" in " ".join(done.output.split())
 
 
 @pytest.mark.parametrize("content", [None, b"[machine]\nname = '\xe4'\n"])
