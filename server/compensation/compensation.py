@@ -86,12 +86,15 @@ class Compensation:
 def _believed(
     mean: tuple[float, ...], sigma: tuple[float, ...], found: Array
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Means and standard deviations with the diagnosed sizes (n,) in place of the class's; 0 was not diagnosed."""
+    """Means and standard deviations with the diagnosed sizes (n,) in place of the class's; 0 was not diagnosed.
+
+    Of a joint that has none by its class, a share of what was found: with a sigma of 0 the estimate would drop it.
+    """
     n = len(found)
     m, s = (np.concatenate([values, np.zeros(n)])[:n] for values in (mean, sigma))
     known = found != 0.0
     new_mean = np.where(known, found, m)
-    new_sigma = np.where(known & (s > 0.0), FOUND_SHARE * s, s)
+    new_sigma = np.where(known, FOUND_SHARE * np.where(s > 0.0, s, np.abs(found)), s)
     return tuple(float(x) for x in new_mean), tuple(float(x) for x in new_sigma)
 
 

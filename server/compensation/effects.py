@@ -3,18 +3,21 @@
 from dataclasses import dataclass
 
 from machine.effects.entries import EffectEntry
+from server.calibration.kinematic_errors import usual_play
 
+STEP = "kinematics"
+STEP_ONLY = "kinematics, until a calibration learns its own map"  # the learnt map has no number for it
 #: What the diagnosed machine changes, by effect.
 COMPENSATED = {
-    "gravity_sag": "kinematics",
-    "base_compliance": "kinematics",
-    "base_tilt": "kinematics",
-    "joint_axis_tilt": "kinematics",
-    "link_length_error": "kinematics",
-    "encoder_bias": "kinematics",
-    "encoder_scale": "kinematics",
-    "encoder_eccentricity": "kinematics",
-    "payload_error": "kinematics",
+    "gravity_sag": STEP,
+    "link_length_error": STEP,
+    "encoder_bias": STEP,
+    "base_compliance": STEP_ONLY,
+    "base_tilt": STEP_ONLY,
+    "joint_axis_tilt": STEP_ONLY,
+    "encoder_scale": STEP_ONLY,
+    "encoder_eccentricity": STEP_ONLY,
+    "payload_error": STEP_ONLY,
     "backlash": "side of approach",
     "hand_eye_rotation": "camera mount",
     "hand_eye_translation": "camera mount",
@@ -42,5 +45,12 @@ def _place(one: EffectEntry) -> str:
 
 def sort_effects(entries: tuple[EffectEntry, ...]) -> Sorted:
     """Effects by whether the server can compensate them."""
-    used = tuple(one for one in entries if one.name in COMPENSATED)
-    return Sorted(used, tuple(one for one in entries if one.name not in COMPENSATED))
+    used = tuple(one for one in entries if _compensable(one))
+    return Sorted(used, tuple(one for one in entries if not _compensable(one)))
+
+
+def _compensable(one: EffectEntry) -> bool:
+    """Of a joint whose side in its play nobody follows, a known width helps nothing."""
+    if one.name == "backlash" and one.joint is not None:
+        return bool(usual_play(one.joint)[one.joint - 1] > 0.0)
+    return one.name in COMPENSATED

@@ -4,6 +4,8 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
+
 from machine.description import Machine, parse_machine_toml
 from machine.errors import MachineError
 from server.compensation.compensation import Compensation, compensation_of
@@ -12,6 +14,7 @@ from server.settings import ServerSettings
 
 VERDICT_LINE = re.compile(r"^# longreach diagnose: verdict (\w+)", re.MULTILINE)  # as `--machine-out` writes it
 USABLE = ("effects", "none")
+GEOMETRY = ("a_m", "d_m", "alpha_rad", "theta_offset_rad", "mass_kg", "com_m")  # what diagnosed sizes count from
 
 
 def read_compensation(machine: Machine, machine_file: Path, diagnosis_file: Path | None = None) -> Compensation:
@@ -35,6 +38,7 @@ def read_compensation(machine: Machine, machine_file: Path, diagnosis_file: Path
             f"[compensation] machine_file {machine_file} is of '{diagnosed.name}' with {len(diagnosed.joints)} joints; "
             f"the server drives '{machine.name}' with {len(machine.joints)}"
         )
+    _require_same(machine, diagnosed, machine_file)
     if not diagnosed.effects:
         raise CompensationError(
             f"[compensation] machine_file {machine_file} has no [[effect]]: nothing to compensate; "
@@ -53,6 +57,23 @@ def compensation_from(settings: ServerSettings, machine: Machine) -> Compensatio
         return None
     diagnosis = None if named.diagnosis_file is None else Path(named.diagnosis_file)
     return read_compensation(machine, Path(named.machine_file), diagnosis)
+
+
+def _require_same(machine: Machine, diagnosed: Machine, machine_file: Path) -> None:
+    """Sizes count from the geometry that they were diagnosed with, and belong to one crane of a kind."""
+    if machine.serial and diagnosed.serial and machine.serial != diagnosed.serial:
+        raise CompensationError(
+            f"[compensation] machine_file {machine_file} is of serial '{diagnosed.serial}'; the server drives "
+            f"'{machine.serial}'; give the file that was diagnosed on this machine"
+        )
+    for mine, other in zip(machine.joints, diagnosed.joints, strict=True):
+        for name in GEOMETRY:
+            here, there = getattr(mine, name), getattr(other, name)
+            if not np.allclose(here, there, rtol=0.0, atol=1e-9):
+                raise CompensationError(
+                    f"[compensation] machine_file {machine_file}: {name} of joint '{mine.name}' is {there}, in the "
+                    f"server's machine file {here}; diagnose with the machine file that the server uses"
+                )
 
 
 def _require_usable(verdict: str, path: Path) -> None:

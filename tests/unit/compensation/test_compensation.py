@@ -12,6 +12,7 @@ from machine.effects.registry import effect_named
 from machine.inverse import inverse_nearest
 from machine.kinematics import tcp_pose
 from machine.poses import inverse_pose, pose
+from server.calibration.kinematic_errors import error_model
 from server.compensation.compensation import compensation_of
 from server.compensation.errors import CompensationError
 from server.compensation.reading import compensation_from, read_compensation
@@ -88,6 +89,36 @@ def test_what_cannot_be_compensated_is_said():
     told = known.sorted.told()
     assert "valve_lag, joint 2: not compensated" in told
     assert "gravity_sag, joint 2: kinematics" in told
+
+
+def test_what_the_learnt_map_has_no_number_for_is_told_as_such():
+    plain = error_model(MACHINE)
+    for name, joint, more in (
+        ("gravity_sag", 1, {"compliance_rad_nm": 1e-6}),
+        ("gravity_sag", 5, {"compliance_rad_nm": 1e-6}),
+        ("encoder_scale", 2, {"scale_frac": 0.01}),
+        ("payload_error", None, {"mass_kg": 20.0}),
+        ("backlash", 2, {"width_rad": 0.004}),
+        ("backlash", 4, {"width_rad": 0.004}),
+    ):
+        known = compensation_of(MACHINE, (entry(name, joint, **more),))
+        found = error_model(known.believed_machine(), known.believed_errors())
+        changed = found.n != plain.n or not np.allclose(found.mean, plain.mean)
+        (told,) = known.sorted.told()
+        assert changed is not any(word in told for word in ("until a calibration", "not compensated")), told
+
+
+def test_a_file_of_a_sister_crane_or_of_another_geometry_is_refused(tmp_path):
+    path = machine_file(tmp_path, "effects")
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("[machine]", "[machine]\nserial = 'B-2'", 1), encoding="utf-8")
+    with pytest.raises(CompensationError, match=r"serial 'B-2'; the server drives 'A-1'"):
+        read_compensation(replace(MACHINE, serial="A-1"), path)
+    assert read_compensation(MACHINE, path).sorted.used
+    longer = replace(MACHINE.joints[1], a_m=MACHINE.joints[1].a_m + 0.01)
+    other = replace(MACHINE, joints=(MACHINE.joints[0], longer, *MACHINE.joints[2:]))
+    with pytest.raises(CompensationError, match="a_m of joint 'lift'"):
+        read_compensation(other, path)
 
 
 def machine_file(tmp_path, verdict: str, effects: tuple[EffectEntry, ...] = SEVERAL):
