@@ -17,7 +17,7 @@ from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.living import require_valid, validity
 from server.jobs.plans.looking import good_look
-from server.jobs.plans.moving import Sigmas, preview
+from server.jobs.plans.moving import Sigmas, map_refused, preview
 from server.jobs.requests import Progress, Request
 
 LOOK_AGAIN_SHARE = 3  # times the usual pairs: what changes from pair to pair falls by 1.7
@@ -48,6 +48,8 @@ def assured_preview(
     if _must_renew(ctx, taken):
         taken, paths = (yield from _another_path(ctx, taken)), paths + 1
     previewed = preview(ctx, taken, t_now_ns)
+    if why := map_refused(ctx):
+        yield Progress("assure", 0, 3, "", f"the learnt map is not used, the move goes by the look alone: {why}")
     if fits(ctx, previewed.predicted_sigma_mm):
         return Assured(taken, previewed, paths)
     if _look_matters(ctx, taken, previewed.predicted_sigma_mm):

@@ -78,7 +78,18 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
         note_map(ctx, estimate)
         return _joint_goal(ctx, estimate, taken.reading.q_rad)
     T_goal = goal_from_look(ctx, taken.reading.q_rad, R_tcp_cam, look.T_cam_tool, look.T_cam_ooi)
-    return T_goal, predicted_sigma_mm(ctx, taken)
+    # what contradicts the learnt map contradicts the step from the look as much
+    wider = 1.0 if estimate is None or not np.isfinite(estimate.misfit) else max(1.0, estimate.misfit) ** 0.5
+    x, y, z = predicted_sigma_mm(ctx, taken)
+    return T_goal, (wider * x, wider * y, wider * z)
+
+
+def map_refused(ctx: PlanContext) -> str:
+    """Why the last goal is by the look alone although a path was driven; empty where it is not."""
+    known = ctx.knowledge.joint
+    if ctx.method == "paper" or ctx.settings.position.local_map != "learnt" or known is None or known.state is not None:
+        return ""
+    return known.reason
 
 
 def _joint_goal(ctx: PlanContext, estimate: JointEstimate, q_rad: Array) -> tuple[Array, Sigmas]:

@@ -164,6 +164,15 @@ def test_a_camera_that_turned_a_little_is_calibrated_anew_and_nobody_is_called(d
     assert any("calibrating anew: the tool marker moved" in getattr(item, "text", "") for item in story)
 
 
+def test_why_the_learnt_map_is_not_used_is_told():
+    world, ctx = Counted(), context()
+    world.T_tcp_cam[:3, :3] = MACHINE.T_tcp_cam_left[:3, :3] @ rotation_from_rotvec(np.deg2rad([0.0, 18.0, 0.0]))
+    _, story = run(position(ctx, True, lambda: world.t_ns), world)
+    told = [item.text for item in story if "learnt map is not used" in getattr(item, "text", "")]
+    assert told
+    assert "from the machine file" in told[0]
+
+
 def test_what_the_papers_method_believes_of_its_mount_is_no_calibration_of_ours():
     world, ctx = Counted(), context(local_map="rigid")
     run(position(ctx.with_method("paper"), True, lambda: world.t_ns), world)
