@@ -10,6 +10,7 @@ from rich.table import Column, Table
 
 from longreach.rerun_view import rerun
 from recording.check import CheckReport, check_recording
+from recording.content import Recording
 from recording.convert import convert as convert_recording
 from recording.errors import RecordingError
 from recording.recover import recover as recover_recording
@@ -34,10 +35,13 @@ def check(recording: Source) -> None:
 def convert(recording: Source, target: Target) -> None:
     """MCAP to a folder of CSV files, or back."""
     try:
-        convert_recording(recording, target)
+        found = convert_recording(recording, target)
     except RecordingError as error:
         _refuse(error)
-    console.print(f"written: {escape(str(target))}", soft_wrap=True)
+    else:
+        console.print(f"written: {escape(str(target))}", soft_wrap=True)
+        for text in left_behind(found):
+            console.print(f"[yellow]left out[/] {escape(text)}", soft_wrap=True)
 
 
 @app.command()
@@ -48,9 +52,17 @@ def recover(recording: Source, target: Target) -> None:
     except RecordingError as error:
         _refuse(error)
     else:
-        how = "nothing was broken" if saved.was_complete else f"reading ended at: {escape(saved.reason)}"
+        lost = f"{saved.lost_chunks} damaged chunks are lost; " if saved.lost_chunks else ""
+        how = "nothing was broken" if saved.was_complete else f"{lost}not read on at: {escape(saved.reason)}"
         text = f"saved {saved.messages} messages and {saved.attachments} attachments to {escape(str(target))}; {how}"
         console.print(text, soft_wrap=True)
+
+
+def left_behind(found: Recording) -> list[str]:
+    """What the other form does not hold, in words."""
+    out = [] if found.complete else ["what was behind the damage: the file was cut; its rows up to there are written"]
+    out += [f"channel {told}" for told in found.foreign]
+    return out + ([f"{found.images} images: a folder of CSV files has none"] if found.images else [])
 
 
 def shown(report: CheckReport, screen: Console) -> None:

@@ -25,12 +25,15 @@ class Channels:
     def __init__(self) -> None:
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
+        self._fitting: dict[int, bool] = {}
         self._foreign: Counter[int] = Counter()
 
     def take(self, record: McapRecord) -> None:
         """Learn of a schema or a channel; other records say nothing here."""
         match record:
             case Schema():
+                if self._schemas.get(record.id) != record:  # the summary tells them again
+                    self._fitting.pop(record.id, None)
                 self._schemas[record.id] = record
             case Channel():
                 self._channels[record.id] = record
@@ -41,10 +44,16 @@ class Channels:
         schema = self._schemas.get(channel.schema_id)
         encodings = (channel.message_encoding, "" if schema is None else schema.encoding)
         known = schema is not None and SCHEMAS.get(channel.topic) == schema.name
-        if known and encodings == (ENCODING, ENCODING):
+        if known and encodings == (ENCODING, ENCODING) and self._fits(channel.topic, schema):
             return channel.topic
         self._foreign[message.channel_id] += 1
         return ""
+
+    def _fits(self, topic: str, schema: Schema) -> bool:
+        """Whether a message's fields have the numbers and types of ours: another layout would be read as nonsense."""
+        if schema.id not in self._fitting:
+            self._fitting[schema.id] = topic not in CODECS or CODECS[topic].reads(schema.data)
+        return self._fitting[schema.id]
 
     @property
     def foreign(self) -> tuple[str, ...]:
@@ -55,4 +64,6 @@ class Channels:
         channel = self._channels[number]
         schema = self._schemas.get(channel.schema_id)
         name = "no schema" if schema is None else f"schema {schema.name!r}"
+        if schema is not None and self._fitting.get(schema.id) is False:
+            name += " of another layout"
         return f"{channel.topic} ({channel.message_encoding or 'no encoding'}, {name}): {count} messages were not read"

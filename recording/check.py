@@ -10,6 +10,7 @@ from machine.description import parse_machine_toml
 from machine.errors import MachineError
 from recording.content import Recording, column
 from recording.opening import read_run
+from recording.recover import RECOVERED
 from recording.rows import MarkerCorners, OdometryRow, PlcState, Row, Sent, StaticPoint, TrackerPoint
 
 GAP_FACTOR = 3.0  # a step in time beyond this many median steps is a gap
@@ -160,7 +161,11 @@ def _signal(row_type: type[Row], time_name: str, recording: Recording) -> Signal
 def _problems(recording: Recording) -> list[str]:
     problems: list[str] = []
     if not recording.complete:
-        problems.append("the file was cut; `longreach recording recover` writes a whole one of what is left")
+        remedy = "`longreach recording recover` writes a whole one of what is left"
+        problems.append("it was made of a cut or damaged file" if recording.run.cut else f"the file was cut; {remedy}")
+    left = dict(recording.metadata)
+    if (lost := left.get(f"{RECOVERED}.lost_chunks")) is not None:
+        problems.append(f"it holds what was left of a damaged file: {lost} chunks lost, {left[f'{RECOVERED}.reason']}")
     problems += [f"channel {told}: it is not of this format" for told in recording.foreign]
     for row_type, name in _TIMES:
         times_s = column(recording.of(row_type), name)

@@ -5,6 +5,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import get_type_hints
 
@@ -28,6 +29,9 @@ def convert(source: Path, target: Path) -> Recording:
     if target.exists():
         raise RecordingError(f"{target} exists already; choose another name")
     recording = read_run(source)
+    if target.suffix == ".mcap" and recording.form == "mcap":
+        raise RecordingError(f"{source} is MCAP already; `longreach recording recover` copies one with its pictures")
+    recording = replace(recording, run=replace(recording.run, cut=not recording.complete))
     if target.suffix == ".mcap":
         write_mcap(recording, target)
     else:

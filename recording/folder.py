@@ -99,12 +99,14 @@ def read_folder(folder: Path) -> Recording:
         if path.is_file():
             rows += _read_csv(path, row_type)
     beside = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.is_file()]
+    run = run_from_toml(_text(run_file)) if run_file.is_file() else RunInfo("")
     return Recording(
         form="folder",
-        run=run_from_toml(_text(run_file)) if run_file.is_file() else RunInfo(""),
+        run=run,
         machine_toml=_text(machine_file) if machine_file.is_file() else "",
         rows=tuple(rows),
         attachments=tuple(Attachment(path.name, _media_type(path), _bytes(path)) for path in beside),
+        complete=not run.cut,
     )
 
 

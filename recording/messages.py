@@ -6,7 +6,7 @@ from typing import Any, get_type_hints
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto as FieldProto
-from google.protobuf.message import Message
+from google.protobuf.message import DecodeError, Message
 
 from recording.errors import RecordingError
 from recording.rows import ROW_TYPES, Floats, Row
@@ -45,6 +45,7 @@ class RowCodec:
         self.row_type = row_type
         self.schema_name = f"{PACKAGE}.{row_type.__name__}"
         self.schema = descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
+        self._places = {field.name: (field.number, field.type, field.label) for field in file.message_type[0].field}
         self._names = tuple(column.name for column in fields(row_type))
         hints = get_type_hints(row_type)
         self._repeated = frozenset(name for name in self._names if hints[name] is Floats or hints[name] == Floats)
@@ -70,6 +71,18 @@ class RowCodec:
             except (ValueError, TypeError) as error:
                 return f"{name} = {repr(value)[:60]} cannot be written: {error}"
         return "a value cannot be written"
+
+    def reads(self, schema: bytes) -> bool:
+        """Whether messages of this schema (a FileDescriptorSet) have our fields where ours are, if they have them."""
+        try:
+            files = descriptor_pb2.FileDescriptorSet.FromString(schema).file
+        except DecodeError:
+            return False
+        told = [one for file in files for one in file.message_type if f"{file.package}.{one.name}" == self.schema_name]
+        if len(told) != 1:
+            return False
+        theirs = {field.name: (field.number, field.type, field.label) for field in told[0].field}
+        return all(theirs.get(name, place) == place for name, place in self._places.items())
 
     def decode(self, data: bytes) -> Row:
         """The row of protobuf bytes; fields that are not there take protobuf's defaults."""

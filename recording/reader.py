@@ -10,8 +10,8 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.records import Attachment as McapAttachment
-from mcap.records import Channel, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from recording.channels import Channels
 from recording.content import Attachment, LogEntry, Recording
@@ -41,9 +41,10 @@ LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 
 
 class RecordStream:
-    """The records of an MCAP file in order, until its end or its first damage. `cut` tells which.
+    """The records of an MCAP file in order, until its end or where it cannot be framed any more. `cut` tells which.
 
-    A message whose channel was never told is damage, too, and left out: nobody can say what it is.
+    A damaged chunk is left out and counted (`lost_chunks`): the next one is framed by its length. A message whose
+    channel was never told is damage, too, and left out: nobody can say what it is.
     """
 
     def __init__(self, path: Path) -> None:
@@ -52,6 +53,7 @@ class RecordStream:
         self._channels: set[int] = set()
         self.cut = False
         self.reason = ""
+        self.lost_chunks = 0
 
     def __iter__(self) -> Iterator[McapRecord]:
         try:
@@ -61,7 +63,8 @@ class RecordStream:
         with stream:
             ended = False
             size_limit = self._path.stat().st_size  # a damaged length must not fill the memory
-            records = StreamReader(stream, validate_crcs=True, record_size_limit=size_limit).records
+            reader = StreamReader(stream, emit_chunks=True, validate_crcs=True, record_size_limit=size_limit)
+            records = reader.records
             while True:
                 try:
                     record = next(records)
@@ -70,10 +73,19 @@ class RecordStream:
                 except Exception as error:
                     self._judge(error)
                     break
-                ended = type(record).__name__ == "Footer"
-                if self._placed(record):
-                    yield record
+                ended = isinstance(record, Footer)
+                for one in self._inside(record) if isinstance(record, Chunk) else (record,):
+                    if self._placed(one):
+                        yield one
             self.cut = self.cut or not ended
+
+    def _inside(self, chunk: Chunk) -> list[McapRecord]:
+        try:
+            return breakup_chunk(chunk, validate_crc=True)
+        except Exception as error:
+            self._judge(error)
+            self.lost_chunks += 1
+            return []
 
     def _judge(self, error: Exception) -> None:
         if not isinstance(error, CUT_ERRORS) and type(error).__module__.split(".")[0] not in ("zstandard", "lz4"):
@@ -150,17 +162,18 @@ class _Collected:
     def recording(self, complete: bool) -> Recording:
         attachments = dict(self._attachments)
         run = attachments.pop("run.toml", None)
+        info = RunInfo(name="") if run is None else run_from_toml(_text(run))
         machine = attachments.pop("machine.toml", None)
         return Recording(
             form="mcap",
-            run=RunInfo(name="") if run is None else run_from_toml(_text(run)),
+            run=info,
             machine_toml="" if machine is None else _text(machine),
             rows=tuple(self._rows),
             log=tuple(self._log),
             attachments=tuple(attachments.values()),
             metadata=tuple(self._metadata),
             images=self._images,
-            complete=complete,
+            complete=complete and not info.cut,
             foreign=self._channels.foreign,
         )
 

@@ -10,6 +10,8 @@ from mcap.writer import CompressionType, Writer
 from recording.errors import RecordingError
 from recording.reader import RecordStream
 
+RECOVERED = "longreach/recovered"  # metadata of a file that holds what was left of another one
+
 
 @dataclass(frozen=True, slots=True)
 class RecoverReport:
@@ -18,7 +20,8 @@ class RecoverReport:
     messages: int
     attachments: int
     was_complete: bool
-    reason: str  # where reading ended, in the reader's words
+    reason: str  # where reading ended or what was lost, in the reader's words
+    lost_chunks: int = 0
 
 
 def recover(source: Path, target: Path) -> RecoverReport:
@@ -45,7 +48,7 @@ def recover(source: Path, target: Path) -> RecoverReport:
     except RecordingError:
         target.unlink(missing_ok=True)  # an empty one would be in the next one's way
         raise
-    return RecoverReport(copier.messages, copier.attachments, not stream.cut, stream.reason)
+    return RecoverReport(copier.messages, copier.attachments, not stream.cut, stream.reason, stream.lost_chunks)
 
 
 def _unwritable(target: Path, error: OSError) -> RecordingError:
@@ -79,6 +82,9 @@ class _Copier:
                     )
                 case Metadata():
                     writer.add_metadata(record.name, record.metadata)
+        if stream.cut:
+            lost = {"lost_chunks": str(stream.lost_chunks), "reason": stream.reason or "it ended too early"}
+            writer.add_metadata(RECOVERED, lost)
         writer.finish()
 
     def _message(self, writer: Writer, record: Message) -> None:

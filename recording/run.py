@@ -38,11 +38,13 @@ class RunInfo:
     pc_to_utc_offset_s: float | None = None
     segments: tuple[Segment, ...] = ()
     format_version: int = FORMAT_VERSION
+    cut: bool = False  # made of a file that was cut or damaged: not all of it is here
 
 
 def _line(name: str, value: object) -> str:
-    """One TOML line; JSON's strings and numbers are TOML's."""
-    return f"{name} = {json.dumps(value)}\n"
+    """One TOML line; JSON's strings and numbers are TOML's, but for escapes of two halves and an unescaped delete."""
+    text = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return f"{name} = {text}\n"
 
 
 def run_to_toml(run: RunInfo) -> str:
@@ -50,7 +52,7 @@ def run_to_toml(run: RunInfo) -> str:
     text = "[run]\n" + _line("name", run.name) + _line("started_utc", run.started_utc)
     if run.seed is not None:
         text += _line("seed", run.seed)
-    text += _line("format_version", run.format_version) + "\n[clocks]\n"
+    text += _line("format_version", run.format_version) + (_line("cut", True) if run.cut else "") + "\n[clocks]\n"
     for name in ("plc_to_pc_offset_s", "camera_to_pc_offset_s", "pc_to_utc_offset_s"):
         value = getattr(run, name)
         if value is not None:
@@ -88,6 +90,7 @@ def run_from_toml(text: str) -> RunInfo:
         pc_to_utc_offset_s=_optional(clocks, "pc_to_utc_offset_s"),
         segments=tuple(_segment(number, segment) for number, segment in enumerate(segments, start=1)),
         format_version=version,
+        cut=run.get("cut") is True,
     )
 
 

@@ -105,6 +105,9 @@ class RunWriter:
         )
         self._thread.start()
         if opened.wait(open_wait_s) and self._error:
+            self._closing.set()  # nobody is given this one, and so nobody could end its thread
+            with contextlib.suppress(queue.Full):
+                self._queue.put_nowait(None)
             raise RecordingError(self._error)
 
     def _open(self, attachments: Sequence[Attachment], metadata: Sequence[tuple[str, str]]) -> None:

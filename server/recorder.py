@@ -24,6 +24,7 @@ from server.version import __version__
 from server.vision.contracts import Look
 
 TRANSFORM_PERIOD_NS = 100_000_000
+CLOCK_ANEW_NS = 1_000_000_000  # a PLC stamp that falls back by more is of a PLC that was switched off and on
 IMAGE_PERIOD_NS = 100_000_000
 DISK_WAIT_S = 0.5  # longest that a slow disk may hold the event loop at a run's begin, and at its end
 CAMERA_PERIOD_NS = 1_000_000_000  # the camera's intrinsics are repeated, so that a reader may start anywhere
@@ -102,8 +103,11 @@ class Recorder:
 
     def sample(self, sample: PlcSample) -> None:
         """A PLC state."""
-        self._last_plc_ns = sample.t_plc_ns
+        anew = sample.t_plc_ns < self._last_plc_ns - CLOCK_ANEW_NS
         writer = self._writer
+        if anew and writer is not None:
+            self._begin_anew()
+        self._last_plc_ns = sample.t_plc_ns
         if writer is None:
             return
         self._first_plc_ns = sample.t_plc_ns if self._first_plc_ns is None else self._first_plc_ns
@@ -113,6 +117,17 @@ class Recorder:
         if sample.t_mono_ns - self._transforms_ns >= TRANSFORM_PERIOD_NS:
             self._transforms_ns = sample.t_mono_ns
             writer.transforms(frame_poses(self._chain, self._machine.T_tcp_cam_left, sample.q_rad), sample.t_mono_ns)
+
+    def _begin_anew(self) -> None:
+        """The PLC was switched off and on: what was open ends by its old clock, and its stamps are mapped anew."""
+        _log.warning("the PLC's clock began anew during a recording; its segments end there")
+        self.event("warning", "the PLC's clock began anew")
+        open_segment = self._open_segment
+        self.end_segment()
+        if open_segment is None and not self._segments and self._first_plc_ns is not None:
+            span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
+            self._segments.append(Segment(self._run.name, "positioning", *span))
+        self._first_plc_ns = self._plc_offset_ns = None
 
     def report(self, report: FrameReport) -> None:
         """A processed stereo pair."""
@@ -180,7 +195,8 @@ class Recorder:
         """Close the segment that is open, if any."""
         if self._open_segment is not None:
             name, kind, repeat_of, start_ns = self._open_segment
-            self._segments.append(Segment(name, kind, start_ns * 1e-9, self._last_plc_ns * 1e-9, repeat_of))
+            end_ns = max(start_ns, self._last_plc_ns)  # a file with a segment that ends before it begins is refused
+            self._segments.append(Segment(name, kind, start_ns * 1e-9, end_ns * 1e-9, repeat_of))
             self._open_segment = None
 
     def stop(self) -> Path | None:

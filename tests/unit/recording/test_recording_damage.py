@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 from written_runs import MACHINE_TOML, ROOT, write
 
+from recording.check import check_recording
+from recording.convert import convert
 from recording.errors import RecordingError
 from recording.opening import read_run
 from recording.recover import recover
 from recording.rows import Sent
+
+CHUNK = 0x06  # MCAP's opcode
 
 
 def test_a_file_cut_anywhere_is_readable_and_recoverable(tmp_path: Path) -> None:
@@ -33,6 +37,40 @@ def test_a_file_cut_anywhere_is_readable_and_recoverable(tmp_path: Path) -> None
         assert read_run(mended).complete
         assert len(read_run(mended).rows) == len(recording.rows)
     assert rows_before > 1000
+
+
+def test_one_wrong_byte_costs_one_chunk_and_what_was_saved_says_so(tmp_path: Path) -> None:
+    whole = bytearray(write(tmp_path / "whole.mcap", 15_000).read_bytes())
+    chunks, at = [], 8
+    while at < len(whole) - 8:
+        length = int.from_bytes(whole[at + 1 : at + 9], "little")
+        chunks += [(at, length)] if whole[at] == CHUNK else []
+        at += 9 + length
+    assert len(chunks) > 5
+    start, length = chunks[len(chunks) // 2]
+    whole[start + 9 + length // 2] ^= 0x55
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(whole)
+    found = read_run(path)
+    assert not found.complete
+    assert len(found.rows) > 33_000 * (1.0 - 3.0 / len(chunks))
+    assert found.run.segments, "what was written last is there"
+    report = recover(path, tmp_path / "saved.mcap")
+    assert report.lost_chunks == 1
+    assert len(read_run(tmp_path / "saved.mcap").rows) == len(found.rows)
+    assert "1 chunks lost" in " ".join(check_recording(tmp_path / "saved.mcap").problems)
+
+
+def test_what_is_made_of_a_cut_file_says_so_in_either_form(tmp_path: Path) -> None:
+    whole = write(tmp_path / "whole.mcap", 3000).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    convert(tmp_path / "cut.mcap", tmp_path / "folder")
+    convert(tmp_path / "folder", tmp_path / "again.mcap")
+    for name in ("folder", "again.mcap"):
+        assert not read_run(tmp_path / name).complete
+        assert "made of a cut" in " ".join(check_recording(tmp_path / name).problems)
+    with pytest.raises(RecordingError, match="is MCAP already"):
+        convert(tmp_path / "again.mcap", tmp_path / "third.mcap")
 
 
 def test_garbage_is_refused(tmp_path: Path) -> None:

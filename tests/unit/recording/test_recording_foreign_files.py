@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from google.protobuf import descriptor_pb2
 from mcap.exceptions import McapError
 from mcap.writer import CompressionType, Writer
 
@@ -59,7 +60,7 @@ def test_what_the_reader_raises_on_bytes_is_damage(
     def broken(*_args: object, **_kwargs: object) -> None:
         raise error
 
-    monkeypatch.setattr("mcap.stream_reader.breakup_chunk", broken)
+    monkeypatch.setattr("recording.reader.breakup_chunk", broken)
     assert not read_run(path).complete
 
 
@@ -151,3 +152,28 @@ def test_a_replay_passes_foreign_lines_over(tmp_path: Path) -> None:
 
     told, _ = replay_of(made(tmp_path / "run.mcap", both))
     assert [line[-1] for line in told["lines"]] == ["ours"]
+
+
+def test_a_channel_of_our_name_in_another_layout_is_not_read_as_ours(tmp_path: Path) -> None:
+    """A field put in before the others shifts their numbers: its joints would be read as something else."""
+    files = descriptor_pb2.FileDescriptorSet.FromString(CODEC.schema)
+    for field in files.file[0].message_type[0].field:
+        field.number += 1
+    longer = descriptor_pb2.FileDescriptorSet.FromString(CODEC.schema)
+    longer.file[0].message_type[0].field.add(name="more", number=40, type=1, label=1)
+
+    def channel(writer: Writer, schema: bytes) -> int:
+        return writer.register_channel(
+            Sent.topic, ENCODING, writer.register_schema(CODEC.schema_name, ENCODING, schema)
+        )
+
+    other = made(tmp_path / "other.mcap", lambda writer: rows(writer, channel(writer, files.SerializeToString()), 30))
+    found = read_run(other)
+    assert not found.of(Sent)
+    assert found.foreign == (
+        f"{Sent.topic} (protobuf, schema '{CODEC.schema_name}' of another layout): 30 messages were not read",
+    )
+    newer = made(tmp_path / "newer.mcap", lambda writer: rows(writer, channel(writer, longer.SerializeToString()), 30))
+    assert len(read_run(newer).of(Sent)) == 30
+    broken = made(tmp_path / "broken.mcap", lambda writer: rows(writer, channel(writer, b"\xff\xff"), 30))
+    assert not read_run(broken).of(Sent)

@@ -270,3 +270,21 @@ def test_the_servers_end_waits_for_every_run_that_its_disk_had_not_taken(
     stalled.set()
     recorder.finish()
     assert [read_run(path).complete for path in sorted(tmp_path.glob("*.mcap"))] == [True, True]
+
+
+def test_a_plc_that_was_switched_off_and_on_costs_no_recording(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, MACHINE)
+    recorder.start("incident", "{}", MACHINE_TOML)
+    recorder.begin_segment("first", "hold")
+    for number in range(50):
+        recorder.sample(sample(number))
+    for number in range(50):
+        late = sample(number)
+        recorder.sample(replace(late, t_plc_ns=late.t_plc_ns - 10**12 + 10**9, t_mono_ns=late.t_mono_ns + 10**9))
+    path = recorder.stop()
+    assert path is not None
+    found = read_run(path)
+    assert len(found.of(PlcState)) == 100
+    assert [one.name for one in found.run.segments] == ["first"]
+    assert found.run.segments[0].t_end_plc_s == pytest.approx(1000.49)
+    assert "began anew" in " ".join(entry.text for entry in found.log)

@@ -1,5 +1,7 @@
 """Writing a run, and reading it back."""
 
+import threading
+import time
 from dataclasses import fields
 from pathlib import Path
 
@@ -15,7 +17,7 @@ from recording.errors import RecordingError
 from recording.messages import CODECS
 from recording.opening import read_run
 from recording.rows import ROW_TYPES, CameraState, PlcState, Row
-from recording.run import RunInfo
+from recording.run import RunInfo, run_from_toml, run_to_toml
 from recording.writer import RunWriter
 
 
@@ -90,3 +92,20 @@ def test_an_existing_file_is_never_overwritten(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="File exists"):
         RunWriter(path, RunInfo("x"))
     assert path.read_bytes() == before
+
+
+def test_a_file_that_cannot_be_made_leaves_no_thread(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    before = threading.active_count()
+    for _ in range(10):
+        with pytest.raises(RecordingError, match="choose a folder"):
+            RunWriter(tmp_path / "file" / "run.mcap", RunInfo("x"))
+    until_s = time.monotonic() + 20.0
+    while threading.active_count() > before and time.monotonic() < until_s:
+        time.sleep(0.05)
+    assert threading.active_count() <= before
+
+
+@pytest.mark.parametrize("name", ["Kran \U0001f3d7", "a\x7fb", 'quote " \\ \n \x01'])
+def test_a_run_of_any_name_is_read_back(name: str) -> None:
+    assert run_from_toml(run_to_toml(RunInfo(name))).name == name
