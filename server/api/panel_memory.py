@@ -96,6 +96,7 @@ class PanelMemory:
             hold=self._hold_state(),
             look_moved_deg=self._look_moved_deg(),
             look_moved_max_deg=round(float(np.rad2deg(MOVED_RAD)), 3),
+            look_age_max_s=cell.settings.look.age_max_s,
             recording=cell.recorder.recording,
             recorder_problem=cell.recorder.problem,
             disk_free_gb=None if self._disk_free is None else round(self._disk_free / 1e9, 2),

@@ -33,6 +33,7 @@ class _Opened:
     """The one run that is being replayed."""
 
     name: str = ""
+    version: tuple[int, int] = (0, 0)  # size and time of change: the run that is being recorded grows
     told: bytes = b""
     pictures: bytes = b""
 
@@ -68,12 +69,15 @@ def recordings_router(service: JobService) -> APIRouter:
         if path is None:
             return _unknown(name)
         async with reading:
-            if opened.name != name:
+            stat = path.stat()
+            version = (stat.st_size, stat.st_mtime_ns)
+            if (opened.name, opened.version) != (name, version):
                 code, out, error = await _read(path)
                 if code != 0:
                     return problem(409, "Not readable", error or f"reading ended with code {code}", "unreadable")
                 (size,) = struct.unpack_from("<I", out)
-                opened.name, opened.told, opened.pictures = name, out[4 : 4 + size], out[4 + size :]
+                opened.name, opened.version = name, version
+                opened.told, opened.pictures = out[4 : 4 + size], out[4 + size :]
         return Response(opened.told, media_type="application/json")
 
     @router.get("/{name}/pictures/{start}-{end}", response_model=None)

@@ -40,14 +40,17 @@ def replay_of(path: Path) -> tuple[dict[str, Any], list[bytes]]:
     lines: list[list[Any]] = []
     pictures: list[tuple[float, bytes]] = []
     t_zero_ns: int | None = None
+    apart_s = 1.0 / PICTURES_HZ
     for topic, message in _messages(path):
         t_zero_ns = message.log_time if t_zero_ns is None else t_zero_ns
         t_s = round((message.log_time - t_zero_ns) * 1e-9, 3)
         if topic == LOG_TOPIC:
             lines.append([t_s, Log.FromString(message.data).message])
         elif topic == IMAGE_TOPIC:
-            if len(pictures) < PICTURES_MAX and (not pictures or t_s - pictures[-1][0] >= 1.0 / PICTURES_HZ):
+            if not pictures or t_s - pictures[-1][0] >= apart_s:
                 pictures.append((t_s, CompressedImage.FromString(message.data).data))
+            if len(pictures) > PICTURES_MAX:  # of a long run every second one, to its end
+                pictures, apart_s = pictures[::2], 2.0 * apart_s
         elif topic == LookRow.topic:
             looks.append([t_s, *_look(CODECS[topic].decode(message.data))])
         elif not joints or t_s - joints[-1][0] >= 1.0 / JOINTS_HZ:
@@ -75,7 +78,8 @@ def _messages(path: Path) -> Iterator[tuple[str, Message]]:
 def _joints(row: Row) -> list[Any]:
     if not isinstance(row, PlcState):
         raise RecordingError(f"a row of {PlcState.topic} is {type(row).__name__}")
-    return [np.round(np.rad2deg(row.q_rad), 2).tolist(), row.plc_state]
+    degrees = np.round(np.rad2deg(row.q_rad), 2).tolist()
+    return [[q if np.isfinite(q) else None for q in degrees], row.plc_state]
 
 
 def _look(row: Row) -> list[Any]:
@@ -92,7 +96,7 @@ def main() -> None:
     except RecordingError as error:
         sys.stderr.write(str(error))
         raise SystemExit(2) from error
-    text = json.dumps(told).encode()
+    text = json.dumps(told, allow_nan=False).encode()
     sys.stdout.buffer.write(struct.pack("<I", len(text)) + text + b"".join(pictures))
 
 

@@ -121,6 +121,7 @@ class PanelView(View):
     hold: HoldState
     look_moved_deg: float | None = Field(description="largest joint turn since the last look")
     look_moved_max_deg: float = Field(description="beyond this the last look says nothing of where the machine is now")
+    look_age_max_s: float = Field(description="an older look is refused by what would move by it")
     recording: bool
     recorder_problem: str
     disk_free_gb: float | None

@@ -125,6 +125,17 @@ def test_a_dead_plc(anna, stack, tmp_path):
     assert "PLC is silent" in anna.text("button[data-kind=look]")
     assert crossed(anna, "#panel-joints td.v")
     assert anna.page.locator("#main-steps button:enabled").count() == 0
+    told = (
+        anna.page.locator("#alarm-list .alarm", has_text="PLC does not answer")
+        .locator("button")
+        .element_handle(timeout=15_000)
+    )
+    anna.page.wait_for_timeout(700)
+    assert told.evaluate("button => button.isConnected"), "its seconds go on, and the button stays"
+    told.evaluate("button => button.click()")
+    anna.page.wait_for_function(
+        "() => /acknowledged/i.test(document.getElementById('alarm-list').textContent)", timeout=15_000
+    )
     os.killpg(stack.processes["sim"].pid, signal.SIGCONT)
 
 

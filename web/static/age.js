@@ -2,7 +2,7 @@
 // a queue on its way is as old as it is, and ages go on growing while nothing new comes.
 import { setClass } from "./dom.js";
 
-export const LIMITS_MS = { server: 700, link: 250, camera: 700, look: 60000 };
+export const LIMITS_MS = { server: 700, link: 250, camera: 700 };
 const STALE_PICTURE = /^(?!.*\(over;).*(frozen|repeats)/; // the camera's warnings that mean: what is seen is not now
 const CREEP_MS = 0.05; // a message, ten of them a second: lets two clocks drift apart by 500 ppm
 let heardAt = -Infinity;
@@ -26,6 +26,11 @@ export const serverSilent = () => silence() > LIMITS_MS.server;
 export const grown = (toldMs) => (toldMs === null || toldMs === undefined ? null : toldMs + silence());
 
 export const isOld = (toldMs, limitMs) => toldMs === null || toldMs === undefined || grown(toldMs) > limitMs;
+
+// The last look against the server's own limits: its age, and whether the machine is where it was taken. A calibration is
+// driven: the look before it is no look of now, also where the machine came back.
+export const lookOld = (state) => isOld(state.look ? 1000 * state.look.age_s : null, 1000 * state.panel.look_age_max_s);
+export const movedSince = (state) => state.panel.look_moved_deg > state.panel.look_moved_max_deg || (state.calibration?.age_s ?? Infinity) < (state.look?.age_s ?? 0);
 
 // Whether what the camera tells is not of now: nothing came for too long, what comes was long on its way, or the same
 // picture comes again and again.

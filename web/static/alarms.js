@@ -13,7 +13,9 @@ export function showAlarms(state) {
   const mine = haveControl(state);
   const open = alarms.filter((one) => !one.acknowledged_by).length;
   setText(byId("tab-alarms"), open ? `${t("alarms_tab")} (${open})` : t("alarms_tab"));
-  whenChanged("alarm-list", [alarms, mine], (list) => list.replaceChildren(...(alarms.length ? alarms.map((one) => alarmItem(one, mine)) : [make("p", { class: "soft" }, t("no_alarms"))])));
+  const lasting = alarms.map(({ detail, ...one }) => [one, Boolean(detail)]); // details count seconds: ten redraws a second no button outlives
+  whenChanged("alarm-list", [lasting, mine], (list) => list.replaceChildren(...(alarms.length ? alarms.map((one) => alarmItem(one, mine)) : [make("p", { class: "soft" }, t("no_alarms"))])));
+  for (const one of alarms.filter((each) => each.detail)) setText(byId(`alarm-detail-${one.code}`), one.detail);
   const newest = alarms.find((one) => !one.acknowledged_by && one.ended_unix_s === null);
   const text = newest ? `${newest.title}. ${newest.remedy}` : "";
   if (text !== said) {
@@ -30,7 +32,7 @@ function alarmItem(one, mine) {
     "article",
     { class: `alarm ${one.level} ${one.acknowledged_by ? "seen" : ""} ${one.ended_unix_s === null ? "" : "ended"}` },
     make("h3", {}, make("span", { class: "level" }, t(LEVEL[one.level])), ` ${one.title} `, make("small", {}, when)),
-    one.detail ? make("p", { class: "detail" }, one.detail) : null,
+    one.detail ? make("p", { class: "detail", id: `alarm-detail-${one.code}` }, one.detail) : null,
     make("p", {}, make("b", {}, `${t("cause")}: `), one.cause),
     make("p", {}, make("b", {}, `${t("remedy")}: `), one.remedy),
     make("p", { class: "soft" }, `${t("clears")}: ${one.clears}.`),

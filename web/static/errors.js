@@ -1,5 +1,5 @@
 // Errors in mm and degrees: before, now, predicted, each with its bar against the tolerance, and a verdict in words.
-import { LIMITS_MS, ageText, grown, isOld, pictureOld, serverSilent } from "./age.js";
+import { ageText, grown, lookOld, movedSince, pictureOld, serverSilent } from "./age.js";
 import { byId, make, setText, svg, whenChanged } from "./dom.js";
 import { t } from "./texts.js";
 
@@ -28,13 +28,13 @@ export function showErrors(state) {
   setText(byId("goal"), t("goal_line", { z: goal.stand_off_mm, shift }));
   setText(byId("allowed"), t("allowed", { mm: state.tolerance_mm, deg: state.tolerance_deg }));
   const look = state.look?.error ?? null;
-  const lookOld = state.look ? isOld(1000 * state.look.age_s, LIMITS_MS.look) : false;
+  const old = Boolean(state.look) && lookOld(state);
   const liveOld = pictureOld(state);
-  for (const row of ROWS) showRow(row, state, look, lookOld || serverSilent(), liveOld);
-  showVerdict(state, look, lookOld);
+  for (const row of ROWS) showRow(row, state, look, old || serverSilent(), liveOld);
+  showVerdict(state, look, old);
 }
 
-function showRow([name, label, unit, digits, sigmaName, axis], state, look, lookOld, liveOld) {
+function showRow([name, label, unit, digits, sigmaName, axis], state, look, old, liveOld) {
   const row = byId(`row-${name}`);
   const limit = unit === "mm" ? state.tolerance_mm : state.tolerance_deg;
   const live = state.live_error?.[name] ?? null;
@@ -47,7 +47,7 @@ function showRow([name, label, unit, digits, sigmaName, axis], state, look, look
   now.className = `now ${live === null ? "" : Math.abs(live) <= limit ? "in" : "out"}${liveOld ? " old" : ""}`;
   const last = row.querySelector("td.before");
   setText(last, before === null ? "–" : `${before.toFixed(digits)}${sigma === null ? "" : ` ± ${(2 * sigma).toFixed(digits)}`} ${unit}`);
-  last.className = `before${lookOld ? " old" : ""}`;
+  last.className = `before${old ? " old" : ""}`;
   setText(row.querySelector("td.predicted"), predicted === null ? "–" : `0 ± ${predicted.toFixed(1)} ${unit}`);
   const shown = [live === null || liveOld ? null : +live.toFixed(digits), before === null ? null : +before.toFixed(digits), predicted, limit];
   const cell = row.querySelector("td.bar-cell");
@@ -84,6 +84,7 @@ function verdict(state, look, old) {
   if (!state.look) return [t("verdict_none"), ""];
   if (!look) return [t("verdict_failed", { why: state.look.reason }), "bad"];
   if (old) return [t("verdict_old", { age: ageText(grown(1000 * state.look.age_s)) }), ""];
+  if (movedSince(state)) return [t("why_moved"), ""];
   if (state.panel.history.at(-1)?.inside) return [t("verdict_inside"), "good"];
   const inside = ["x", "y", "z"].every((a) => Math.abs(look[`${a}_mm`]) <= state.tolerance_mm) && look.rotation_deg <= state.tolerance_deg;
   return [t(inside ? "verdict_near" : "verdict_outside"), inside ? "" : "bad"];

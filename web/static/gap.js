@@ -47,8 +47,9 @@ async function follow() {
   byId("gap-start").disabled = running || !byId("gap-run").value;
   setText(byId("gap-why"), running ? t("gap_one") : byId("gap-run").value ? "" : t("no_recordings"));
   byId("gap-empty").hidden = data.length > 0;
-  const key = data.map((one) => [one.diagnosis_id, one.state, one.last_line, Math.round(one.elapsed_s), results.has(one.diagnosis_id)]);
+  const key = data.map((one) => [one.diagnosis_id, one.state, results.has(one.diagnosis_id)]); // what a button outlives
   whenChanged("gap-list", key, (list) => list.replaceChildren(...data.map(card)));
+  data.forEach(goingOn);
   if (running) timer = setTimeout(follow, AGAIN_MS);
 }
 
@@ -59,14 +60,24 @@ async function fetchResult({ diagnosis_id }) {
 
 function card(one) {
   const running = one.state === "running";
-  const parts = [make("h3", {}, one.recording), make("p", {}, make("b", {}, t(`gap_state_${one.state}`)), ` ${t("gap_after", { s: one.elapsed_s.toFixed(0) })}`)];
-  const share = /: (\d+) % done/.exec(one.last_line)?.[1]; // none yet: the bar only moves
-  if (running) parts.push(make("progress", { "aria-label": t("gap_state_running"), value: share, max: share && 100 }), make("p", { class: "soft" }, one.last_line), stopButton(one));
+  const id = (part) => `gap-${part}-${one.diagnosis_id}`;
+  const parts = [make("h3", {}, one.recording), make("p", {}, make("b", {}, t(`gap_state_${one.state}`)), " ", make("span", { id: id("after") }))];
+  if (running) parts.push(make("progress", { id: id("bar"), "aria-label": t("gap_state_running"), max: 100 }), make("p", { id: id("line"), class: "soft" }), stopButton(one));
   if (one.state === "failed") parts.push(make("p", { class: "bad" }, one.reason));
   const result = results.get(one.diagnosis_id);
   if (one.state === "done" && result) parts.push(...answer(result));
   if (one.state === "done") parts.push(make("p", {}, make("a", { href: `/v1/diagnoses/${one.diagnosis_id}/report`, target: "_blank", rel: "noopener" }, t("gap_report"))));
   return make("li", { class: "card" }, ...parts);
+}
+
+// What changes while it goes on.
+function goingOn(one) {
+  const part = (name) => byId(`gap-${name}-${one.diagnosis_id}`);
+  setText(part("after"), t("gap_after", { s: one.elapsed_s.toFixed(0) }));
+  if (one.state !== "running") return;
+  setText(part("line"), one.last_line);
+  const share = /: (\d+) % done/.exec(one.last_line)?.[1]; // none yet: the bar only moves
+  if (share) part("bar").value = Number(share);
 }
 
 function stopButton({ diagnosis_id }) {

@@ -3,6 +3,7 @@ import { notice, send } from "./commands.js";
 import { byId, make, setText } from "./dom.js";
 import { t } from "./texts.js";
 
+const PICTURE_S = 3; // as long a picture stands for its time; long runs have one every second or two
 let run = null;
 let loading = false; // one at a time: the server reads one, and a browser has six connections for everything
 
@@ -36,11 +37,11 @@ function show(time, end) {
   setText(byId("replay-at"), t("replay_at", { s: time.toFixed(1), end: end.toFixed(1) }));
   const picture = lastBefore(run.pictures, time);
   const image = byId("replay-picture");
-  image.hidden = !picture;
+  image.hidden = !picture || time - picture[0] > PICTURE_S; // none of then is shown in its place
   const path = picture ? `/v1/panel/recordings/${run.name}/pictures/${picture[1]}-${picture[2]}` : "";
   if (picture && image.getAttribute("src") !== path) image.src = path;
   const joints = lastBefore(run.joints, time);
-  setText(byId("replay-joints"), joints ? `${joints[1].map((q) => `${q.toFixed(1)}°`).join("  ")}  ${joints[2]}` : "");
+  setText(byId("replay-joints"), joints ? `${joints[1].map((q) => (q === null ? "–" : `${q.toFixed(1)}°`)).join("  ")}  ${joints[2]}` : "");
   const lines = run.lines.filter(([at]) => at <= time + 1e-6).slice(-8).reverse();
   byId("replay-lines").replaceChildren(...lines.map(([at, text]) => make("li", {}, make("time", {}, `${at.toFixed(1)} s`), text)));
 }

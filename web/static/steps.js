@@ -1,5 +1,5 @@
 // The steps: exactly one is primary, the others say why they are not possible now.
-import { LIMITS_MS, grown, isOld, serverSilent, stalePicture } from "./age.js";
+import { grown, lookOld, movedSince, serverSilent, stalePicture } from "./age.js";
 import { send } from "./commands.js";
 import { haveControl } from "./control.js";
 import { byId, make, setClass, setText, whenChanged } from "./dom.js";
@@ -100,9 +100,7 @@ const running = () => Boolean(state.job) && ["running", "stopping"].includes(sta
 const jobKind = () => (state.job ? state.job.kind : "");
 const calibrated = () => Boolean(state.calibration?.valid);
 const planFresh = () => Boolean(state.plan) && grown(0) < 1000 && state.plan.expires_in_s - grown(0) / 1000 > 0;
-const lookFresh = () => Boolean(state.look?.error) && !isOld(1000 * state.look.age_s, LIMITS_MS.look) && !movedSince();
-// A calibration is driven: the look before it is no look of now, also where the machine came back.
-const movedSince = () => state.panel.look_moved_deg > state.panel.look_moved_max_deg || (state.calibration?.age_s ?? Infinity) < (state.look?.age_s ?? 0);
+const lookFresh = () => Boolean(state.look?.error) && !lookOld(state) && !movedSince(state);
 // As the alarms have it: one bad pair between good ones must not make buttons flicker. Other faults the look itself tells.
 const blind = () => state.panel.alarms.some((one) => one.ended_unix_s === null && (BLIND.has(one.code) || (one.code === "camera_unfit" && stalePicture(state.camera.warnings))));
 const lastLook = () => state.panel.history.at(-1);
@@ -120,7 +118,7 @@ function reason(kind) {
   if (SEES.has(kind) && blind()) return t("why_camera");
   const told = state.steps[JOB_OF[kind] ?? kind] ?? "";
   if (told) return told;
-  if (["orient", "calibrate", "preview"].includes(kind) && !lookFresh()) return t(!state.look ? "why_no_look" : movedSince() ? "why_moved" : "why_look_old");
+  if (["orient", "calibrate", "preview"].includes(kind) && !lookFresh()) return t(!state.look ? "why_no_look" : movedSince(state) ? "why_moved" : "why_look_old");
   if (kind === "preview" && !calibrated()) return t("why_calibrate_first");
   if (kind === "execute" && !planFresh()) return t(state.plan ? "why_expired" : "why_no_plan");
   return "";

@@ -55,7 +55,7 @@ def test_every_text_that_is_asked_for_exists(tags):
 
 def test_what_the_page_reads_of_its_own_part_is_sent():
     read = {name for one in SCRIPTS for name in re.findall(r"\bstate\.panel\.(\w+)", one.read_text("utf-8"))}
-    assert "look_moved_max_deg" in read  # the server's limit, not one of the page's own
+    assert {"look_moved_max_deg", "look_age_max_s"} <= read  # the server's limits, none of the page's own
     assert read - set(PanelView.model_fields) == set()
 
 
