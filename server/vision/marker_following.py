@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from machine.description import StereoCamera
+from server.vision.border_fit import border_covered, printed_pattern
 from server.vision.contracts import Array, Image
 from server.vision.corners import side_sags
 from server.vision.edge_fit import SideFit, fit_corners
@@ -39,6 +40,7 @@ class MarkerFollower:
         self._camera = camera
         self._dictionary = dictionary
         self._cells: dict[int, NDArray[np.bool_]] = {}
+        self._patterns: dict[int, Array] = {}
         self._followed: dict[int, _Followed] = {}
 
     def follow(self, marker_id: int, image: Image) -> FoundMarker | None:
@@ -47,10 +49,13 @@ class MarkerFollower:
         if known is None:
             return None
         expected = known.corners_px if known.before_px is None else 2.0 * known.corners_px - known.before_px
-        fit, corners = fit_corners(image, expected, cells_along_side(self._dictionary), self._sags(known, expected))
+        sags = self._sags(known, expected)
+        fit, corners = fit_corners(image, expected, cells_along_side(self._dictionary), sags)
         if fit is not SideFit.CLEAN or not _same_shape(corners, known.corners_px):
             return None
         if wrong_cells(image, np.ascontiguousarray(corners), self._printed(marker_id)) > WRONG_CELLS_MAX:
+            return None
+        if border_covered(image, corners, self._pattern(marker_id), float(np.abs(sags).max())):
             return None
         return FoundMarker(marker_id, corners, fit)
 
@@ -77,6 +82,11 @@ class MarkerFollower:
         if marker_id not in self._cells:
             self._cells[marker_id] = marker_cells(self._dictionary, marker_id)
         return self._cells[marker_id]
+
+    def _pattern(self, marker_id: int) -> Array:
+        if marker_id not in self._patterns:
+            self._patterns[marker_id] = printed_pattern(self._printed(marker_id))
+        return self._patterns[marker_id]
 
 
 def _same_shape(corners_px: Array, before_px: Array) -> bool:

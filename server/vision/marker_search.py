@@ -7,10 +7,12 @@ import cv2
 import numpy as np
 
 from machine.description import StereoCamera
+from server.vision.border_fit import border_covered, printed_pattern
 from server.vision.contracts import Array, Image
-from server.vision.corners import refine_corners
+from server.vision.corners import refine_corners, side_sags
 from server.vision.edge_fit import SideFit
 from server.vision.errors import UnknownDictionaryError
+from server.vision.marker_code import marker_cells
 
 SIDE_MIN_PX = 12  # of a picture; the smallest marker has 6 cells
 SAME_PLACE_FRAC = 0.25  # of a marker's size: closer than that, two finds are one marker
@@ -128,6 +130,10 @@ def same_place(one: FoundMarker, other: FoundMarker) -> bool:
 def refined(
     marker: FoundMarker, image: Image, dictionary: "cv2.aruco.Dictionary", camera: StereoCamera | None
 ) -> FoundMarker:
-    """The marker with sub-pixel corners."""
+    """The marker with sub-pixel corners; coarse ones where something lies over its border."""
     fit, corners = refine_corners(image, marker.corners_px, cells_along_side(dictionary), camera)
+    if fit is SideFit.CLEAN:
+        pattern = printed_pattern(marker_cells(dictionary, marker.marker_id))
+        if border_covered(image, corners, pattern, float(np.abs(side_sags(camera, corners)).max())):
+            return FoundMarker(marker.marker_id, marker.corners_px, SideFit.COVERED)
     return FoundMarker(marker.marker_id, corners, fit)

@@ -2,10 +2,13 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from machine.description import StereoCamera
+from server.camera.contracts import StereoFrame
 from server.camera.health.findings import FaultCode, Finding
 from server.camera.health.pair import Pair
-from server.vision.contracts import MarkerView, ObjectPose, PoseStatus
+from server.vision.contracts import Array, Image, MarkerView, ObjectPose, PoseStatus
 
 TWICE = "seen at two places"
 MOVED = "moved on its board"
@@ -13,6 +16,8 @@ SWAPPED = "eye are swapped"
 RESIDUAL_MAX_PX = 0.3
 LAYOUT_MAX_M = 0.00075  # residual of a carefully measured layout, printed sides included
 ROWS = "rows of the two eyes differ"
+BESIDE_FRAC = 0.06  # of a side: half a cell outside of it, where a print has its white margin
+CLIPPED_GREY, CLIPPED_FRAC = 254, 0.8
 
 
 class MarkerMonitor:
@@ -30,6 +35,7 @@ class MarkerMonitor:
         if pair.observation is None:
             return ()
         findings = [finding for view in pair.observation.views if (finding := _of_view(view)) is not None]
+        findings += [one for view in pair.observation.views if view.used for one in _over_exposed(view, pair.frame)]
         for found in (pair.observation.tool, pair.observation.ooi):
             if found.status is PoseStatus.REJECTED:
                 findings.append(_rejected(found.reason))
@@ -39,22 +45,69 @@ class MarkerMonitor:
 
     def _residual(self, found: ObjectPose, views: Sequence[MarkerView]) -> tuple[Finding, ...]:
         T_cam_object = found.T_cam_object
-        if T_cam_object is None or len(found.marker_ids) < 2:  # one marker fits itself
+        used = [view for view in views if view.marker_id in found.marker_ids and view.used]
+        alone = len(found.marker_ids) < 2
+        if T_cam_object is None or (alone and not any(map(_by_both_eyes, used))):  # one marker in one eye fits itself
             return ()
-        limit_px = max(RESIDUAL_MAX_PX, LAYOUT_MAX_M * self._focal_px / max(float(T_cam_object[2, 3]), 0.05))
+        layout_px = 0.0 if alone else LAYOUT_MAX_M * self._focal_px / max(float(T_cam_object[2, 3]), 0.05)
+        limit_px = max(RESIDUAL_MAX_PX, layout_px)
         if not found.residual_rms_px > limit_px:
             return ()
-        worst = max(
-            (view for view in views if view.marker_id in found.marker_ids and view.used),
-            key=lambda view: view.residual_rms_px,
-            default=None,
-        )
+        if alone:
+            return (_misfit(found, limit_px),)
+        worst = max(used, key=lambda view: view.residual_rms_px, default=None)
         which = "" if worst is None else f", most of it at marker {worst.marker_id} ({worst.residual_rms_px:.2f} px)"
         text = (
             f"the {found.on}'s markers contradict their layout: residual {found.residual_rms_px:.2f} px rms (limit "
             f"{limit_px:.2f} px){which}; a marker has moved on its board: fix it, then measure the layout anew"
         )
         return (Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False),)
+
+
+def _by_both_eyes(view: MarkerView) -> bool:
+    """Whether both eyes saw this square; of a board's many corners another rms is usual."""
+    eyes = (view.corners_left_px, view.corners_right_px)
+    return all(corners is not None and len(corners) == 4 for corners in eyes)
+
+
+def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
+    """White that is cut off at the top grows over the black beside it: the marker looks smaller, with clean sides."""
+    for eye, corners, image in (
+        ("left", view.corners_left_px, frame.left),
+        ("right", view.corners_right_px, frame.right),
+    ):
+        if corners is None or len(corners) != 4:
+            continue
+        share = max(_clipped_fracs(image, corners))
+        if share > CLIPPED_FRAC:
+            text = (
+                f"marker {view.marker_id}'s white is over-exposed in the {eye} eye: {100 * share:.0f} % of it beside a "
+                f"side is at its end (limit {100 * CLIPPED_FRAC:.0f} %); lower the exposure or shade it"
+            )
+            return (Finding(FaultCode.SATURATED, text, forbids_odometry=False),)
+    return ()
+
+
+def _clipped_fracs(image: Image, corners: Array) -> list[float]:
+    """Share of the white just outside each side that has the highest grey; 0 of a side that leaves the picture."""
+    out = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along = end - start
+        places = start + np.linspace(0.1, 0.9, 17)[:, None] * along + BESIDE_FRAC * np.array([along[1], -along[0]])
+        x, y = np.rint(places).astype(int).T
+        inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
+        out.append(float(np.mean(image[y, x] >= CLIPPED_GREY)) if inside.all() else 0.0)
+    return out
+
+
+def _misfit(found: ObjectPose, limit_px: float) -> Finding:
+    """Both eyes see one target and no pose of its size fits both."""
+    text = (
+        f"the {found.on}'s marker fits no pose of its size: residual {found.residual_rms_px:.2f} px rms (limit "
+        f"{limit_px:.2f} px); its print is of another size than the machine file's side, something lies over it, or "
+        "it is over-exposed: measure its side, clean it, lower the exposure"
+    )
+    return Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False)
 
 
 def _rejected(reason: str) -> Finding:

@@ -1,0 +1,122 @@
+"""Does a marker's black border lie where its printed cells say it is? A straight cover over the border looks clean."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from server.vision.contracts import Array, Image
+
+PER_CELL = 4  # samples along and across a cell
+TRIED_CELLS = 0.15  # how far a side is tried outward and inward
+CELL_MIN_PX = 4.0  # smaller cells tell no part of themselves
+MOVED_MIN_CELLS, MOVED_MIN_PX = 0.10, 0.8  # clean ones stay below 0.07 and 0.6, in shade and blur
+NO_MATCH = -2.0
+
+
+def printed_pattern(white: NDArray[np.bool_]) -> Array:
+    """White cells (n, n) as the inner samples (k, k) see them, k = (n - 2) PER_CELL: less their mean and their slope.
+
+    Less their slope, so that light that falls off across the marker says nothing.
+    """
+    fine = np.kron(white[1:-1, 1:-1], np.ones((PER_CELL, PER_CELL))).astype(np.float64)
+    along = _places(len(white)) - 0.5
+    fine -= fine.mean()
+    for axis in (0, 1):
+        slope = np.tensordot(along, fine, axes=(0, axis)).sum() / (len(along) * np.sum(along**2))
+        fine -= slope * (along[:, None] if axis == 0 else along[None, :])
+    return np.ascontiguousarray(fine)
+
+
+def _places(cells: int) -> Array:
+    return np.asarray((np.arange((cells - 2) * PER_CELL) + 0.5) / (cells * PER_CELL) + 1.0 / cells, dtype=np.float64)
+
+
+@njit(cache=True, nogil=True)
+def _match(image: Image, corners: Array, pattern: Array) -> float:
+    """Correlation of the picture with the printed cells where corners (4, 2) put them, less the slope of the light."""
+    k = pattern.shape[0]
+    cells = k // PER_CELL + 2
+    height, width = image.shape
+    # Heckbert 1989, unit square to a quadrilateral
+    x0, y0, x1, y1 = corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1]
+    x2, y2, x3, y3 = corners[2, 0], corners[2, 1], corners[3, 0], corners[3, 1]
+    dx1, dx2, dx3 = x1 - x2, x3 - x2, x0 - x1 + x2 - x3
+    dy1, dy2, dy3 = y1 - y2, y3 - y2, y0 - y1 + y2 - y3
+    det = dx1 * dy2 - dx2 * dy1
+    if abs(det) < 1e-9:
+        return NO_MATCH
+    g = (dx3 * dy2 - dx2 * dy3) / det
+    h = (dx1 * dy3 - dx3 * dy1) / det
+    a, b = x1 - x0 + g * x1, x3 - x0 + h * x3
+    d, e = y1 - y0 + g * y1, y3 - y0 + h * y3
+    total, squares, along, across, product, pattern2, place2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for row in range(k):
+        t = (row + 0.5) / (cells * PER_CELL) + 1.0 / cells
+        place2 += (t - 0.5) ** 2
+        for column in range(k):
+            s = (column + 0.5) / (cells * PER_CELL) + 1.0 / cells
+            w = g * s + h * t + 1.0
+            x, y = (a * s + b * t + x0) / w, (d * s + e * t + y0) / w
+            if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
+                return NO_MATCH
+            i, j = int(x), int(y)
+            u, v = x - i, y - j
+            top = (1.0 - u) * image[j, i] + u * image[j, i + 1]
+            low = (1.0 - u) * image[j + 1, i] + u * image[j + 1, i + 1]
+            grey = (1.0 - v) * top + v * low
+            total += grey
+            squares += grey * grey
+            along += grey * (s - 0.5)
+            across += grey * (t - 0.5)
+            product += grey * pattern[row, column]
+            pattern2 += pattern[row, column] ** 2
+    left = squares - total * total / (k * k) - (along * along + across * across) / (k * place2)
+    if left * pattern2 <= 0.0:
+        return NO_MATCH
+    return product / np.sqrt(left * pattern2)
+
+
+@njit(cache=True, nogil=True)
+def sides_moved_in(image: Image, corners: Array, pattern: Array) -> Array:
+    """How far each side (4,) lies inside of where the printed cells put it [cells]; 0 where nothing can be said.
+
+    Model:   the side's two corners are moved along the neighbouring sides, outward and inward; the vertex of the
+             parabola through the three correlations. Of a side that was covered it lies outward.
+    Args:    image: grey (h, w). corners (4, 2) [px], top left first, clockwise as printed. pattern: `printed_pattern`.
+    """
+    moved = np.zeros(4)
+    cells = pattern.shape[0] // PER_CELL + 2
+    here = _match(image, corners, pattern)
+    tried, found = np.empty((4, 2)), np.zeros(2)
+    for side in range(4):
+        i, j, before, behind = side, (side + 1) % 4, (side + 3) % 4, (side + 2) % 4
+        for way in range(2):
+            share = (1.0 - 2.0 * way) * TRIED_CELLS / cells
+            tried[:] = corners
+            for axis in range(2):
+                tried[i, axis] += share * (corners[i, axis] - corners[before, axis])
+                tried[j, axis] += share * (corners[j, axis] - corners[behind, axis])
+            found[way] = _match(image, tried, pattern)
+        if min(here, found[0], found[1]) <= NO_MATCH:
+            continue
+        bend = found[0] - 2.0 * here + found[1]
+        if bend < -1e-9:
+            moved[side] = min(
+                max(0.5 * TRIED_CELLS * (found[1] - found[0]) / bend, -3.0 * TRIED_CELLS), 3.0 * TRIED_CELLS
+            )
+        elif found[0] > found[1]:
+            moved[side] = 3.0 * TRIED_CELLS
+    return moved
+
+
+def border_covered(image: Image, corners_px: Array, pattern: Array, bow_px: float = 0.0) -> bool:
+    """Whether something straight and white lies over a marker's border: a side is further in than its cells say.
+
+    Args: as `sides_moved_in`. bow_px: how far the lens bows a side, which the cells follow and the corners do not.
+    """
+    cell_px = float(np.min(np.linalg.norm(corners_px - np.roll(corners_px, -1, axis=0), axis=1)))
+    cell_px /= pattern.shape[0] // PER_CELL + 2
+    if not cell_px >= CELL_MIN_PX:
+        return False
+    moved = float(sides_moved_in(image, np.ascontiguousarray(corners_px, dtype=np.float64), pattern).max())
+    return moved > MOVED_MIN_CELLS and moved * cell_px > MOVED_MIN_PX + bow_px
