@@ -23,6 +23,7 @@ N_LENS = len(LENS_NAMES)
 #: Steps for numerical derivatives: share, px, px, 1, px, share.
 LENS_STEPS = np.array([1e-4, 1e-2, 1e-2, 1e-4, 1e-2, 1e-4])
 STAND_IN_SIDE_M = 0.15  # for an object without single markers
+STAND_IN = Marker(-1, STAND_IN_SIDE_M, "ooi", np.eye(4))  # a board hangs and is printed as well as a marker
 WALL_GRID, BORDER_PX, WAY_M = (8, 6), 20.0, 0.1
 
 
@@ -78,7 +79,7 @@ def layout_covariance(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> A
 
     OOI axes: rotation vector [rad], then position [m]. No look at the same markers takes any of it away.
     """
-    markers = machine.markers_on("ooi")
+    markers = machine.markers_on("ooi") or (STAND_IN,)
     camera, everything = machine.camera, _corners(markers)
     inverse = _pose_inverse(camera, T_cam_ooi, everything)
     base = _pixels((camera, camera), transform_points(T_cam_ooi, everything))

@@ -48,7 +48,7 @@ class VisionPipeline:
     def __init__(
         self,
         settings: VisionSettings,
-        tool_ids: Sequence[int],
+        tool_ids: Sequence[int] | Mapping[int, float],
         pose_sources: Mapping[PoseSourceName, ObjectPoseSource],
         make_odometry: Callable[[], Odometry],
         camera: StereoCamera | None = None,

@@ -56,7 +56,11 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
         "mono": MonoArucoPoseSource(machine),
     }
     _warm_up(machine, sources["stereo"], make_odometry(), ImageHealth(machine.camera))
-    tool_ids = [marker.marker_id for marker in machine.markers_on("tool")]
+    tool_ids = {marker.marker_id: 1.0 for marker in machine.markers_on("tool")}
+    for board in machine.boards_on("tool"):
+        if board.kind == "charuco":  # its inner corners are seen; a grid's markers are told one by one
+            fewest = min(board.squares_x, board.squares_y)
+            tool_ids[board.first_id] = fewest / max(fewest - 2, 1)
     return VisionPipeline(settings, tool_ids, sources, make_odometry, machine.camera)
 
 

@@ -40,7 +40,9 @@ def test_a_long_run_has_pictures_to_its_end(monkeypatch: pytest.MonkeyPatch, sec
 
 
 def test_a_joint_that_was_not_read_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    row = CODECS[PlcState.topic].encode(PlcState(1.0, 1, NONE, NONE, (0.1, NAN), NONE, NONE, NONE, NAN, NAN, "ARMED"))
+    row = CODECS[PlcState.topic].encode(
+        PlcState(1.0, 1, NONE, NONE, (0.1, NAN), NONE, NONE, NONE, NAN, NAN, plc_state="ARMED")
+    )
     found, _ = told(monkeypatch, [(PlcState.topic, 0, row)])
     assert found["joints"] == [[0.0, [5.73, None], "ARMED"]]
     json.dumps(found, allow_nan=False)

@@ -1,5 +1,7 @@
 """First-order effects of a camera calibrated a little wrong, against the whole non-linear computation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from joint_scenes import machine
@@ -8,6 +10,7 @@ from machine.camera import project
 from machine.markers import marker_corners
 from machine.poses import pose, transform_points
 from machine.rotations import rotation_from_rotvec
+from machine.targets import Board
 from server.calibration.joint_lens import (
     LENS_NAMES,
     LENS_STEPS,
@@ -83,6 +86,15 @@ def test_layout_alone_shifts_the_ooi_by_the_mean_of_its_markers():
     n = len(machine().markers_on("ooi"))
     assert np.sqrt(np.diag(C)[3:5]) == pytest.approx([prior.sigma_layout_m / np.sqrt(n)] * 2, rel=0.35)
     assert np.linalg.eigvalsh(C).min() > -1e-15
+
+
+def test_a_board_hangs_and_is_printed_no_better_than_a_marker():
+    prior = LensPrior()
+    board = Board("charuco", "ooi", 7, 5, 0.06, 0.045, 20, False, np.eye(4))
+    described = replace(machine(), boards=(board,), markers=machine().markers_on("tool"))
+    sigmas = np.sqrt(np.diag(layout_covariance(described, T_CAM_OOI, prior)))
+    assert (sigmas[:3] > 0.9 * prior.sigma_layout_rad).all()
+    assert (sigmas[3:] > 0.9 * prior.sigma_layout_m).all()
 
 
 def test_the_prior_has_one_sigma_for_each_unknown():

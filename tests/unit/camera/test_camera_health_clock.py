@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from camera_stand_in import picture
@@ -141,3 +142,24 @@ def test_mask_covers_the_tool_and_remembers_it() -> None:
     mask.update([MarkerView(10, None, corners + 3.0, 0.1, True, "")])
     np.testing.assert_allclose(mask.left[0], plate_and_shaft(corners, 2.0), atol=1e-12)
     np.testing.assert_allclose(mask.right[0], plate_and_shaft(corners + 3.0, 2.0), atol=1e-12)
+
+
+def test_mask_covers_a_board_on_the_tool_however_much_of_it_is_seen() -> None:
+    """Unmasked, what moves with the camera told the odometry that nothing moves."""
+    x, y = np.meshgrid(np.arange(5.0), np.arange(3.0))
+    turn = np.deg2rad(20.0)
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    corners = 300.0 + 20.0 * np.column_stack([x.ravel(), y.ravel()]) @ R.T
+    printed = 300.0 + 20.0 * (np.array([[-1.0, -1.0], [5.0, -1.0], [5.0, 3.0], [-1.0, 3.0]])) @ R.T
+    seen = corners.copy()
+    seen[[3, 7]] = np.nan
+    mask = ToolMask({7: 4.0 / 2.0}, 1.1)
+    mask.update([MarkerView(7, seen, None, 0.1, True, "")])
+    (polygon,) = mask.left
+    for point in printed:
+        assert cv2.pointPolygonTest(polygon.astype(np.float32), tuple(map(float, point)), False) >= 0.0
+    assert polygon[:, 1].max() > 2000.0, "the holder comes from below"
+    few = np.full_like(corners, np.nan)
+    few[:3] = corners[:3]
+    mask.update([MarkerView(7, few, None, 0.1, True, "")])
+    np.testing.assert_array_equal(mask.left[0], polygon)

@@ -9,6 +9,7 @@ from test_motion_point_to_point import assert_obeys_limits
 
 from machine.kinematics import tcp_pose, tcp_poses
 from machine.rotations import geodesic_angle
+from machine.targets import Board
 from server.motion.calibration_paths import (
     DEFAULT_PATH_SETTINGS,
     folded_corners,
@@ -87,10 +88,20 @@ def test_ooi_near_the_images_rim_mirrors_or_shrinks_the_path():
     assert plan.length_m < 0.9 * full.length_m  # m
 
 
-def test_view_that_cannot_be_kept_is_refused():
+@pytest.mark.parametrize("target", ["markers", "chess board"])
+def test_view_that_cannot_be_kept_is_refused(target):
     ooi = ooi_ahead(Q_USUAL, 0.6)
     greedy = replace(DEFAULT_PATH_SETTINGS, scales=(8.0,))
-    plan = plan_calibration_path(machine(), Q_USUAL, T_base_ooi_estimate=ooi, path=greedy)
+    board = Board("charuco", "ooi", 5, 4, 0.05, 0.0375, 20, False, np.eye(4))
+    described = machine()
+    if target == "chess board":
+        described = replace(described, boards=(board,), markers=described.markers_on("tool"))
+    start = tcp_pose(chain(), Q_USUAL)[None]
+    assert markers_in_view(described, start, ooi, described.T_tcp_cam_left[:3, :3], 5.0)[0] >= 1
+    turned = ooi.copy()
+    turned[:3, 1:3] *= -1.0
+    assert markers_in_view(described, start, turned, described.T_tcp_cam_left[:3, :3], 5.0)[0] == 0
+    plan = plan_calibration_path(described, Q_USUAL, T_base_ooi_estimate=ooi, path=greedy)
     assert plan.status is PlanStatus.OUT_OF_VIEW
     assert "at least 1" in plan.reason
 
