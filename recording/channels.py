@@ -43,8 +43,8 @@ class Channels:
         channel = self._channels[message.channel_id]
         schema = self._schemas.get(channel.schema_id)
         encodings = (channel.message_encoding, "" if schema is None else schema.encoding)
-        known = schema is not None and SCHEMAS.get(channel.topic) == schema.name
-        if known and encodings == (ENCODING, ENCODING) and self._fits(channel.topic, schema):
+        ours = SCHEMAS.get(channel.topic) == (schema and schema.name) and encodings == (ENCODING, ENCODING)
+        if ours and schema is not None and self._fits(channel.topic, schema):
             return channel.topic
         self._foreign[message.channel_id] += 1
         return ""

@@ -16,6 +16,8 @@ from server.motion.timing import Timed, time_path
 from server.motion.trajectory import join, sample
 from server.motion.wall_clearance import wall_refusal
 
+FAR_M = 100.0  # the samples of a longer way would fill the memory before anything is refused
+
 
 @dataclass(frozen=True, slots=True)
 class Leg:
@@ -93,7 +95,12 @@ def cartesian_leg(
     machine: Machine, chain: Chain, q_start: Array, T_end: Array, settings: PlanSettings, wall: Wall | None
 ) -> Leg | Refusal:
     """One straight leg of the TCP from where the joints are to a pose (4, 4)."""
-    path = trace(machine, chain, q_start, straight_poses(tcp_pose(chain, q_start), T_end, settings), settings)
+    T_start = tcp_pose(chain, q_start)
+    far_m = float(np.linalg.norm(T_end[:3, 3] - T_start[:3, 3]))
+    if far_m > FAR_M:
+        text = f"the goal is {far_m:.3g} m away (limit {FAR_M:g} m): no arm of this kind reaches so far; look again"
+        return Refusal(PlanStatus.OUT_OF_REACH, text)
+    path = trace(machine, chain, q_start, straight_poses(T_start, T_end, settings), settings)
     return path if isinstance(path, Refusal) else _leg(machine, chain, path, settings, wall)
 
 

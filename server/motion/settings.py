@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from server.motion.refusal import MotionInputError
+
 
 @dataclass(frozen=True, slots=True)
 class PlanSettings:
@@ -25,6 +27,11 @@ class PlanSettings:
     sample_m: float = 0.01
     sample_rad: float = 0.02
     shape_reference: bool = True  # off: the paper's plain quintic
+
+    def __post_init__(self) -> None:
+        """Raises: MotionInputError: a scale of speed at which nothing would ever arrive."""
+        if not self.speed_scale > 0.0:
+            raise MotionInputError(f"speed_scale is {self.speed_scale:g}; give one above 0, at most 1")
 
 
 DEFAULT_PLAN_SETTINGS = PlanSettings()

@@ -186,3 +186,13 @@ def test_near_a_joint_limit_the_reference_does_not_lead_beyond_it():
     assert plan.trajectory is not None, plan.reason
     _, motion = sample(plan.trajectory, 0.003)
     assert np.rad2deg(motion.q[:, 5].max()) <= 170.0
+
+
+def test_a_goal_beyond_all_arms_and_a_scale_of_nothing_are_refused_at_once():
+    far = pose(np.eye(3), np.array([1e9, 0.0, 0.0]))
+    plan = plan_move(machine(), Q_USUAL, far)
+    assert plan.status is PlanStatus.OUT_OF_REACH
+    assert "1e+09 m away (limit 100 m)" in plan.reason
+    for scale in (0.0, -1.0, float("nan")):
+        with pytest.raises(MotionInputError, match="speed_scale"):
+            replace(DEFAULT_PLAN_SETTINGS, speed_scale=scale)
