@@ -5,7 +5,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from longreach.bench_gap import code_mark
+from longreach import code_mark
 from longreach.bench_gap.packed import read_packed, write_packed
 from longreach.bench_gap.runner import ROOT, Campaign, CampaignError, pack, run_campaign, scores
 from longreach.cli import app
@@ -36,14 +36,13 @@ def test_other_code_is_refused_and_leaves_what_is_there(asked):
     assert (asked.place / "code.txt").read_text(encoding="utf-8") == "0123456789abcdef\n"
 
 
-def test_a_changed_number_changes_the_mark(tmp_path, monkeypatch):
-    monkeypatch.setattr(code_mark, "SOURCES", ("diagnosis",))
+def test_a_changed_number_changes_the_mark(tmp_path):
     (tmp_path / "diagnosis").mkdir()
     file = tmp_path / "diagnosis" / "calibration.json"
     file.write_text("1", encoding="utf-8")
-    before = code_mark.code_mark(tmp_path)
+    before = code_mark.code_mark(tmp_path, ("diagnosis",))
     file.write_text("2", encoding="utf-8")
-    assert code_mark.code_mark(tmp_path) != before
+    assert code_mark.code_mark(tmp_path, ("diagnosis",)) != before
 
 
 def test_packed_scores_are_told_beside_those_of_the_folder_and_not_run_again(asked):
