@@ -125,6 +125,7 @@ def test_a_dead_plc(anna, stack, tmp_path):
     assert "PLC is silent" in anna.text("button[data-kind=look]")
     assert crossed(anna, "#panel-joints td.v")
     assert anna.page.locator("#main-steps button:enabled").count() == 0
+    anna.page.wait_for_timeout(3000)  # camera and 3D view are of the same process: their alarms come, too
     told = (
         anna.page.locator("#alarm-list .alarm", has_text="PLC does not answer")
         .locator("button")
