@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from machine.effects.entries import EffectEntry, entries_to_toml
 from server.calibration.calibration_file import (
     CalibrationFileError,
     SavedCalibration,
@@ -24,9 +25,9 @@ log = logging.getLogger(__name__)
 FILE_NAME = "calibration.json"
 
 
-def machine_id_of(machine_text: str) -> str:
-    """A fingerprint of the machine file: a calibration made with another one does not hold."""
-    return hashlib.sha256(machine_text.encode()).hexdigest()[:16]
+def machine_id_of(machine_text: str, compensated: tuple[EffectEntry, ...] = ()) -> str:
+    """A fingerprint of the machine file and of what is compensated: a calibration made with others does not hold."""
+    return hashlib.sha256((machine_text + entries_to_toml(compensated)).encode()).hexdigest()[:16]
 
 
 @dataclass(slots=True)
@@ -75,7 +76,7 @@ class CalibrationStore:
     ) -> None:
         one = saved.calibration
         if one.machine_id != machine_id:
-            raise CalibrationFileError("it was made with another machine or camera file; calibrate anew")
+            raise CalibrationFileError("it was made with another machine, camera or compensation file; calibrate anew")
         if one.made.q.shape != (n_joints,) or any(run.joints.qs.shape[1] != n_joints for run in saved.runs):
             raise CalibrationFileError(f"it has {one.made.q.size} joints, the machine {n_joints}; calibrate anew")
         found = one.valid_at(t_unix_s, one.made.q, one.made.T_base_tcp)

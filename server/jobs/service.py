@@ -73,8 +73,8 @@ class JobService:
         self.engine = engine
         self.inner_faults = InnerFaults()
         self._store = store or CalibrationStore(None)
-        machine_id = machine_id_of(cell.machine_text)
         known = compensation_from(cell.settings, cell.machine)
+        machine_id = machine_id_of(cell.machine_text, () if known is None else known.sorted.used)
         self.context = PlanContext(
             cell.machine, cell.chain, cell.settings, cell.knowledge, machine_id=machine_id, compensation=known
         )

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from test_jobs_plans import CHAIN, MACHINE, World, context, run
 
+from machine.effects.entries import EffectEntry
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
 from server.calibration.calibration_file import parse_calibration
 from server.calibration.calibration_life import ValidityStatus
 from server.errors import JobFailedError
-from server.jobs.calibration_store import CalibrationStore
+from server.jobs.calibration_store import CalibrationStore, machine_id_of
 from server.jobs.knowledge import Knowledge
 from server.jobs.plans import assurance
 from server.jobs.plans.assurance import assured_preview
@@ -202,6 +203,13 @@ def test_the_limits_of_the_settings_are_those_that_count(tmp_path):
     assert "5.0 h old (limit 0.5 h)" in knowledge.calibration_note
     CalibrationStore(file).restore(knowledge, ctx.machine_id, CHAIN.n, world.t_ns * 1e-9, strict)
     assert knowledge.life.expiry == strict
+
+
+def test_a_calibration_is_of_its_machine_file_and_of_what_was_compensated():
+    bias = EffectEntry("encoder_bias", 3, (("bias_rad", 0.004),))
+    plain = machine_id_of("[machine]")
+    assert machine_id_of("[machine]", ()) == plain
+    assert len({plain, machine_id_of("[machine] "), machine_id_of("[machine]", (bias,))}) == 3
 
 
 def test_a_number_that_cannot_be_written_ends_no_job(tmp_path):
