@@ -124,7 +124,8 @@ The valves stay closed until step 5. One person at the machine with the emergenc
    {ramp_s:.1f} s or less, DISARMED after 1 s of silence. Plug it in: nothing moves; HELLO and ARM are needed again.
 4. **Encoders**, pump on, by lever (LOCAL): sign, zero and range of every joint as in the table. Unplug one encoder:
    MAIN must tell by writing the bits of a NaN (`uSample.w[j] := 16#7FF8_0000_0000_0000`), and fault SENSOR must come.
-5. **Valves, joint by joint** (`bDryRun` FALSE, low pump pressure if you can, boom low): jog 2 degrees there and back.
+5. **Valves, joint by joint** (`bDryRun` FALSE while disarmed: armed, the dry run lasts until the next disarming;
+   low pump pressure if you can, boom low): jog 2 degrees there and back.
    The valve must open to the side that moves the encoder towards the reference; a wrong sign shows as fault LAG.
 6. **Gains**: P on every joint; PT-1 (pt1_tau_s above 0) on those that carry the weight. GVL_HmMachine comes from the
    machine file: change it there and export again.

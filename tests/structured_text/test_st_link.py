@@ -61,8 +61,8 @@ def test_sha_256_at_every_edge_of_its_padding(length):
     block = delivered_program().new("FB_HmSha256")
     half = length // 2
     block.method("Start")
-    block.method("Add", data[:half] or b"\0", half)
-    block.method("Add", data[half:] or b"\0", length - half)
+    block.method("Append", data[:half] or b"\0", half)
+    block.method("Append", data[half:] or b"\0", length - half)
     block.method("Finish")
     assert bytes(block.aDigest) == hashlib.sha256(data).digest()
 
@@ -363,3 +363,17 @@ def test_the_machine_of_the_tests_is_the_machine_of_the_program():
     machine = delivered_program().globals("GVL_HmMachine")
     assert round(MACHINE.plc_cycle_s * 1e9) == machine.CYCLE_NS
     assert tuple(machine.Q_MIN)[:6] == tuple(joint.q_min_rad for joint in MACHINE.joints)
+
+
+def test_a_dry_run_ends_with_the_next_disarming_only():
+    """After a dry motion the reference stands elsewhere: valves that open then would drive the joints there."""
+    block = DeliveredPlc(dry_run=True).block
+    free = block.fbMotion.eMotion
+    told = []
+    for dry, motion in ((True, free), (False, free), (True, free + 1), (False, free + 1), (False, free)):
+        block.set(bDryRun=dry)
+        block.fbMotion.eMotion = motion
+        block.method("ReadPanel")
+        told.append(bool(block.bDryActive))
+        assert bool(block.fbLink.bDryRun) is told[-1]
+    assert told == [True, False, True, True, False]

@@ -148,3 +148,32 @@ def test_a_source_is_taken_apart_into_declaration_body_and_methods():
 def test_a_source_that_is_no_block_is_refused(sources, told):
     with pytest.raises(LocalProtocolError, match=re.escape(told)):
         project(PARAMETERS, sources)
+
+
+#: What TwinCAT 3.1 keeps for itself, in capitals: a name is the same in any letters, and `nE` is its operator NE.
+WORDS = """
+    ABS ACOS ACTION ADD ADR AND AND_THEN ANY ARRAY ASIN AT ATAN BITADR BOOL BY BYTE CAL CASE CONSTANT CONTINUE
+    COS DATE DINT DIV DO DT DWORD ELSE ELSIF END EQ EXIT EXP EXPT EXTENDS FALSE FINAL FOR FUNCTION GE GT IF
+    IMPLEMENTS INDEXOF INI INT INTERFACE INTERNAL JMP LE LIMIT LINT LN LOG LREAL LT LTIME LWORD MAX METHOD MIN
+    MOD MOVE MUL MUX NE NOT OF OR OR_ELSE PERSISTENT POINTER PRIVATE PROGRAM PROPERTY PROTECTED PUBLIC REAL REF
+    REFERENCE REPEAT RET RETAIN RETURN ROL ROR SEL SHL SHR SIN SINT SIZEOF SQRT STRING STRUCT SUB SUPER TAN THEN
+    THIS TIME TO TOD TRUE TRUNC TYPE UDINT UINT ULINT UNION UNTIL USINT VAR WHILE WORD WSTRING XOR __DELETE
+    __ISVALIDREF __NEW __QUERYINTERFACE __QUERYPOINTER
+"""
+KEPT = frozenset(WORDS.split())
+DECLARED = re.compile(
+    r"^\s*(?:METHOD|FUNCTION_BLOCK|FUNCTION|PROGRAM)\s+(\w+)|^\s*(\w+(?:\s*,\s*\w+)*)\s*(?:AT\s+%\S+\s*)?:(?!=)", re.M
+)
+
+
+def test_no_name_is_one_of_the_compilers_own():
+    texts = {name: data.decode() for name, data in exported().items() if name.endswith((".TcPOU", ".TcDUT", ".TcGVL"))}
+    declared = {
+        (name, one.strip())
+        for name, text in texts.items()
+        for groups in DECLARED.findall(text)
+        for one in ",".join(filter(None, groups)).split(",")
+    }
+    assert len(declared) > 500
+    assert {pair for pair in declared if pair[1].upper() in KEPT} == set()
+    assert DECLARED.findall("    nE : DWORD;\nMETHOD Add") == [("", "nE"), ("Add", "")]
