@@ -122,11 +122,7 @@ class Recorder:
         """The PLC was switched off and on: what was open ends by its old clock, and its stamps are mapped anew."""
         _log.warning("the PLC's clock began anew during a recording; its segments end there")
         self.event("warning", "the PLC's clock began anew")
-        open_segment = self._open_segment
-        self.end_segment()
-        if open_segment is None and not self._segments and self._first_plc_ns is not None:
-            span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
-            self._segments.append(Segment(self._run.name, "positioning", *span))
+        self._end_segments()
         self._first_plc_ns = self._plc_offset_ns = None
 
     def report(self, report: FrameReport) -> None:
@@ -199,15 +195,18 @@ class Recorder:
             self._segments.append(Segment(name, kind, start_ns * 1e-9, end_ns * 1e-9, repeat_of))
             self._open_segment = None
 
+    def _end_segments(self) -> None:
+        self.end_segment()
+        if not self._segments and self._first_plc_ns is not None:  # nobody said what it was: a job of the server
+            span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
+            self._segments.append(Segment(self._run.name, "positioning", *span))
+
     def stop(self) -> Path | None:
         """Close the run's file and return it; None when no run was on, or its disk is late (see `problem`)."""
         writer, self._writer = self._writer, None
         if writer is None:
             return None
-        self.end_segment()
-        if not self._segments and self._first_plc_ns is not None:  # nobody said what it was: a job of the server
-            span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
-            self._segments.append(Segment(self._run.name, "positioning", *span))
+        self._end_segments()
         final = RunInfo(
             name=self._run.name,
             started_utc=self._run.started_utc,

@@ -5,6 +5,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from server.vision.contracts import Array, Image
+from server.vision.edge_fit import side_length_min
+from server.vision.quadrilateral import grey_at, of_unit_square
 
 PER_CELL = 4  # samples along and across a cell
 TRIED_CELLS = 0.15  # how far a side is tried outward and inward
@@ -36,19 +38,10 @@ def _match(image: Image, corners: Array, pattern: Array) -> float:
     """Correlation of the picture with the printed cells where corners (4, 2) put them, less the slope of the light."""
     k = pattern.shape[0]
     cells = k // PER_CELL + 2
-    height, width = image.shape
-    # Heckbert 1989, unit square to a quadrilateral
-    x0, y0, x1, y1 = corners[0, 0], corners[0, 1], corners[1, 0], corners[1, 1]
-    x2, y2, x3, y3 = corners[2, 0], corners[2, 1], corners[3, 0], corners[3, 1]
-    dx1, dx2, dx3 = x1 - x2, x3 - x2, x0 - x1 + x2 - x3
-    dy1, dy2, dy3 = y1 - y2, y3 - y2, y0 - y1 + y2 - y3
-    det = dx1 * dy2 - dx2 * dy1
-    if abs(det) < 1e-9:
+    good, place = of_unit_square(corners, 1e-9)
+    if not good:
         return NO_MATCH
-    g = (dx3 * dy2 - dx2 * dy3) / det
-    h = (dx1 * dy3 - dx3 * dy1) / det
-    a, b = x1 - x0 + g * x1, x3 - x0 + h * x3
-    d, e = y1 - y0 + g * y1, y3 - y0 + h * y3
+    a, b, c, d, e, f, g, h = place
     total, squares, along, across, product, pattern2, place2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for row in range(k):
         t = (row + 0.5) / (cells * PER_CELL) + 1.0 / cells
@@ -56,14 +49,9 @@ def _match(image: Image, corners: Array, pattern: Array) -> float:
         for column in range(k):
             s = (column + 0.5) / (cells * PER_CELL) + 1.0 / cells
             w = g * s + h * t + 1.0
-            x, y = (a * s + b * t + x0) / w, (d * s + e * t + y0) / w
-            if not (x >= 0.0 and y >= 0.0 and x < width - 1 and y < height - 1):
+            grey = grey_at(image, (a * s + b * t + c) / w, (d * s + e * t + f) / w)
+            if grey < 0.0:
                 return NO_MATCH
-            i, j = int(x), int(y)
-            u, v = x - i, y - j
-            top = (1.0 - u) * image[j, i] + u * image[j, i + 1]
-            low = (1.0 - u) * image[j + 1, i] + u * image[j + 1, i + 1]
-            grey = (1.0 - v) * top + v * low
             total += grey
             squares += grey * grey
             along += grey * (s - 0.5)
@@ -114,8 +102,7 @@ def border_covered(image: Image, corners_px: Array, pattern: Array, bow_px: floa
 
     Args: as `sides_moved_in`. bow_px: how far the lens bows a side, which the cells follow and the corners do not.
     """
-    cell_px = float(np.min(np.linalg.norm(corners_px - np.roll(corners_px, -1, axis=0), axis=1)))
-    cell_px /= pattern.shape[0] // PER_CELL + 2
+    cell_px = side_length_min(corners_px) / (pattern.shape[0] // PER_CELL + 2)
     if not cell_px >= CELL_MIN_PX:
         return False
     moved = float(sides_moved_in(image, np.ascontiguousarray(corners_px, dtype=np.float64), pattern).max())

@@ -9,6 +9,7 @@ from numba import njit
 from machine.poses import pose
 from machine.rotations import nearest_rotation
 from server.vision.contracts import Array
+from server.vision.quadrilateral import of_unit_square
 from server.vision.small_algebra import multiply, solve_positive
 
 FLAT_FRAC = 1e-3  # third extent over the first: flatter points are one plane
@@ -60,17 +61,10 @@ def point_poses(rays: Array, points_object: Array) -> tuple[Array, ...]:
 def _homography_of_square(rays: Array, half: float) -> tuple[bool, Array]:
     """H (3, 3), H[2, 2] = 1, from the marker's plane [m] to rays; corners (-h,h) (h,h) (h,-h) (-h,-h)."""
     H = np.empty((3, 3))
-    x0, y0, x1, y1 = rays[0, 0], rays[0, 1], rays[1, 0], rays[1, 1]
-    x2, y2, x3, y3 = rays[2, 0], rays[2, 1], rays[3, 0], rays[3, 1]
-    dx1, dx2, dx3 = x1 - x2, x3 - x2, x0 - x1 + x2 - x3
-    dy1, dy2, dy3 = y1 - y2, y3 - y2, y0 - y1 + y2 - y3
-    det = dx1 * dy2 - dx2 * dy1
-    if abs(det) < 1e-14:
+    good, place = of_unit_square(rays, 1e-14)  # t downwards
+    if not good:
         return False, H
-    g = (dx3 * dy2 - dx2 * dy3) / det  # unit square (s, t), t downwards: Heckbert 1989, section 2.2.3
-    h = (dx1 * dy3 - dx3 * dy1) / det
-    a, b = x1 - x0 + g * x1, x3 - x0 + h * x3
-    d, e = y1 - y0 + g * y1, y3 - y0 + h * y3
+    a, b, x0, d, e, y0, g, h = place
     k = 0.5 / half  # s = 0.5 + k X, t = 0.5 - k Y
     last = 1.0 + 0.5 * (g + h)
     if abs(last) < 1e-9:

@@ -78,7 +78,7 @@ def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
     ):
         if corners is None or len(corners) != 4:
             continue
-        share = max(_clipped_fracs(image, corners))
+        share = float(_clipped_fracs(image, corners).max())
         if share > CLIPPED_FRAC:
             text = (
                 f"marker {view.marker_id}'s white is over-exposed in the {eye} eye: {100 * share:.0f} % of it beside a "
@@ -88,16 +88,15 @@ def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
     return ()
 
 
-def _clipped_fracs(image: Image, corners: Array) -> list[float]:
-    """Share of the white just outside each side that has the highest grey; 0 of a side that leaves the picture."""
-    out = []
-    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        along = end - start
-        places = start + np.linspace(0.1, 0.9, 17)[:, None] * along + BESIDE_FRAC * np.array([along[1], -along[0]])
-        x, y = np.rint(places).astype(int).T
-        inside = (x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])
-        out.append(float(np.mean(image[y, x] >= CLIPPED_GREY)) if inside.all() else 0.0)
-    return out
+def _clipped_fracs(image: Image, corners: Array) -> Array:
+    """Share of the white just outside each side (4,) that has the highest grey; 0 of a side that leaves the picture."""
+    along = np.roll(corners, -1, axis=0) - corners
+    beside = corners + BESIDE_FRAC * np.stack([along[:, 1], -along[:, 0]], axis=1)
+    places = beside[:, None] + np.linspace(0.1, 0.9, 17)[:, None] * along[:, None]  # (4, 17, 2)
+    x, y = np.moveaxis(np.rint(places).astype(int), 2, 0)
+    inside = ((x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])).all(axis=1)
+    clipped = np.mean(image[np.where(inside[:, None], y, 0), np.where(inside[:, None], x, 0)] >= CLIPPED_GREY, axis=1)
+    return np.where(inside, clipped, 0.0)
 
 
 def _misfit(found: ObjectPose, limit_px: float) -> Finding:
