@@ -20,6 +20,8 @@ from server.link.errors import LinkRefusedError
 from server.motion.contracts import JointTrajectory
 
 ENCODER_GAP_S = 0.05  # an exposure further than this from any encoder sample cannot be joined with them
+ENCODERS_LATE_S = 0.1  # how long a pair may wait for encoders that are still on their way
+ENCODERS_POLL_S = 0.005
 HISTORY_S = 1.0
 ENDING_S = 0.1  # a stopped motion tells its end at once
 LATENCY_PAIRS = 300  # pairs over which the smallest latency is known: 5 s at 60 a second, 20 s at 15
@@ -71,7 +73,22 @@ class Steering:
                     await self._arrived.wait()
             except TimeoutError:
                 continue
+        await self._encoders_come(request)
         return self._seen(self._number, "", self._report, request)
+
+    async def _encoders_come(self, request: NextPair) -> None:
+        """Encoders come by another process: the newest pair may be here first, which is no reason to end a motion."""
+        until_s = time.monotonic() + min(ENCODERS_LATE_S, request.silence_max_s)
+        while self._encoders_due(request) and time.monotonic() < until_s:  # noqa: ASYNC110 samples are no event
+            await asyncio.sleep(ENCODERS_POLL_S)
+
+    def _encoders_due(self, request: NextPair) -> bool:
+        """Whether the newest pair was exposed after the newest sample, by more than may be joined."""
+        latest, offset_ns = self._cell.link.latest, self._cell.link.plc_to_pc_offset_ns
+        if self._report is None or latest is None or offset_ns is None:
+            return False
+        exposed_s = self._report.t_exposure_mapped_ns * 1e-9 + request.time_offset_s
+        return exposed_s - (latest.t_plc_ns + offset_ns) * 1e-9 > ENCODER_GAP_S
 
     def correct(self, request: Correct) -> None:
         """Send a new tail; while one is on its way another is refused by its own report."""

@@ -227,19 +227,23 @@ async def test_a_proof_that_nobody_renews_stops_the_motion_without_the_server(
 
 
 class Camera:
-    """Tells a good pair whenever the test says so."""
+    """Tells a good pair whenever the test says so, exposed at the newest sample: a busy machine has gaps."""
+
+    def __init__(self, link: LinkClient) -> None:
+        self.link = link
 
     def on_report(self, callback: Callable[[object], None]) -> None:
         self.tell = callback
 
     def pair(self) -> None:
         seen = SimpleNamespace(tool=None, ooi=None)
-        exposed_ns = time.monotonic_ns() - 60_000_000
+        exposed_ns = self.link.latest.t_plc_ns + self.link.plc_to_pc_offset_ns  # type: ignore[union-attr, operator]
         self.tell(SimpleNamespace(t_exposure_mapped_ns=exposed_ns, warnings=(), observation=seen))
 
 
 async def test_a_steered_motion_goes_on_by_its_pairs_and_not_past_a_stall(raw_plc: PlcThread, machine: Machine) -> None:
-    link, camera = LinkClient(settings_for(raw_plc), machine), Camera()
+    link = LinkClient(settings_for(raw_plc), machine)
+    camera = Camera(link)
     steering = Steering(SimpleNamespace(link=link, vision=camera))  # type: ignore[arg-type]
     await link.start()
     try:

@@ -31,22 +31,29 @@ class Link:
 
     def __init__(self):
         self.motion = self.tail = None
+        self.silent_since_ns = None  # from when on samples are still on their way
         self.until = []  # what the motion was let go on to [monotonic ns]
 
     async def steer_until(self, t_mono_ns):
         self.until.append(t_mono_ns)
 
     def samples_since(self, t_mono_ns):
-        now = time.monotonic_ns()
+        now = self.newest_ns()
         stamps = range(max(t_mono_ns, now - int(1e9)), now, 10_000_000)
         return [
             SimpleNamespace(t_plc_ns=t - OFFSET_NS, t_mono_ns=t, q_rad=((t - OFFSET_NS) * 1e-9, *[0.0] * 5))
             for t in stamps
         ]
 
+    def newest_ns(self):
+        return self.silent_since_ns or time.monotonic_ns()
+
     @property
     def latest(self):
-        return SimpleNamespace(plc_state="RUN", t_play_ns=700_000_000, t_mono_ns=time.monotonic_ns())
+        t_ns = self.newest_ns()
+        return SimpleNamespace(
+            plc_state="RUN", t_play_ns=700_000_000, t_mono_ns=time.monotonic_ns(), t_plc_ns=t_ns - OFFSET_NS
+        )
 
     async def run(self, trajectory):
         self.motion = asyncio.get_running_loop().create_future()
@@ -131,6 +138,21 @@ async def test_an_unfit_pair_says_why(cell, one, word):
     steering = await begun(cell)
     cell.vision.report(one())
     assert word in (await steering.next_pair(asked())).fault
+    await steering.forget()
+
+
+async def test_a_pair_waits_a_little_for_encoders_that_are_on_their_way(cell):
+    steering = await begun(cell)
+    cell.link.silent_since_ns = time.monotonic_ns() - 100_000_000
+    cell.vision.report(report(age_s=0.0))
+    asking = asyncio.create_task(steering.next_pair(asked()))
+    await asyncio.sleep(0.02)
+    assert not asking.done()
+    cell.link.silent_since_ns = None
+    assert (await asking).fault == ""
+    cell.link.silent_since_ns = time.monotonic_ns() - 100_000_000
+    cell.vision.report(report(age_s=0.0))
+    assert "no encoders" in (await steering.next_pair(asked(after=1))).fault  # but not for ever
     await steering.forget()
 
 
