@@ -20,6 +20,8 @@ def plc_parameters(
         lag_warn=tuple(own.lag_warn.tolist()),
         lag_fault=tuple(own.lag_fault.tolist()),
         range_margin_rad=settings.RANGE_MARGIN_RAD,
+        encoder_jump_rad=settings.ENCODER_JUMP_RAD,
+        encoder_jump_factor=settings.ENCODER_JUMP_FACTOR,
         rest_speed_rad_s=settings.REST_SPEED_RAD_S,
         supply_warn_pa=settings.SUPPLY_WARN_PA,
         supply_fault_pa=settings.SUPPLY_FAULT_PA,

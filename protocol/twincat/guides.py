@@ -97,8 +97,9 @@ There is no project file: add the files to a PLC project of your own (TwinCAT 3.
    library (Tc2_TcpIp), and FB_HmUdpTf6311 without TF6311's libraries: they do not compile without.
 5. References: Tc2_Standard, Tc2_System.
 6. PlcTask calls MAIN; set its cycle as in README.md.
-7. Bind GVL_HmIo: the EAP variables as in eap/configuration-sheet.md; bEnable, bLeverTaken and bEstop to their switches.
-   In MAIN, where it says "here", scale this machine's encoders and pressures into stSample, and aValves to its valves.
+7. Bind GVL_HmIo: the EAP variables as in eap/configuration-sheet.md; bEnable, bLeverTaken and bEstop to their switches;
+   until MAIN sets bPanelValid from the state of their terminal nothing arms. In MAIN, where it says "here", scale this
+   machine's encoders and pressures into stSample, and aValves to its valves.
 8. Build. Warnings are worth reading; errors are worth telling us: none of this has met a real XAE yet.
 
 The files have fixed ids, so an import of a newer export replaces the older one. Edit nothing in DUTs and GVLs but
@@ -117,13 +118,15 @@ The valves stay closed until step 5. One person at the machine with the emergenc
 `longreach commission` leads through the same list from the PC, measures, and writes the report.
 
 1. **Emergency stop and enable**: hard-wired, tried with the pump off. `GVL_HmIo.bEstop` and `bEnable` follow their
-   switches, `bLeverTaken` the lever.
+   switches, `bLeverTaken` the lever. Unplug their terminal: `bPanelValid` goes FALSE, and a key that is left on does
+   not arm when it comes back.
 2. **Limits**: cfg_id of the state is {cfg_id(p.table):#010x}, the PC's the same; else the PC is refused with CFG.
 3. **Dry run** (`bDryRun` TRUE): connect, turn the enable key, arm, play a small trajectory: `q_ref` moves, `aValves`
    stays 0. Pull the network cable in mid-motion: STOPPING within {_IN_TIME_MS} ms, HOLD after a ramp of about
    {ramp_s:.1f} s or less, DISARMED after 1 s of silence. Plug it in: nothing moves; HELLO and ARM are needed again.
 4. **Encoders**, pump on, by lever (LOCAL): sign, zero and range of every joint as in the table. Unplug one encoder:
-   MAIN must tell by writing the bits of a NaN (`uSample.w[j] := 16#7FF8_0000_0000_0000`), and fault SENSOR must come.
+   MAIN must tell by writing the bits of a NaN (`uSample.w[j] := 16#7FF8_0000_0000_0000`), and fault SENSOR must come
+   (armed, a reading that jumps gives it as well).
 5. **Valves, joint by joint** (`bDryRun` FALSE while disarmed: armed, the dry run lasts until the next disarming;
    low pump pressure if you can, boom low): jog 2 degrees there and back.
    The valve must open to the side that moves the encoder towards the reference; a wrong sign shows as fault LAG.

@@ -51,6 +51,7 @@ VAR_GLOBAL
     bEnable AT %I* : BOOL; // enable key beside the machine
     bLeverTaken AT %I* : BOOL; // somebody drives by hand
     bEstop AT %I* : BOOL; // TRUE: pressed; the stop itself is hard-wired
+    bPanelValid : BOOL; // TRUE while the three inputs above are read: set it in MAIN from their terminal's WcState
     stSample : ST_HmSample; // scaled readings of this cycle
     aValves : ARRAY[0..7] OF LREAL; // -1..1 to the valve outputs
 
@@ -133,6 +134,8 @@ def _machine(p: PlcParameters) -> list[Row]:
     scalars = (
         ("CYCLE_S", "LREAL", p.cycle_ns * 1e-9),
         ("RANGE_MARGIN", "LREAL", p.range_margin_rad),
+        ("ENCODER_JUMP", "LREAL", p.encoder_jump_rad),
+        ("ENCODER_JUMP_FACTOR", "LREAL", p.encoder_jump_factor),
         ("REST_SPEED", "LREAL", p.rest_speed_rad_s),
         ("SUPPLY_WARN", "REAL", p.supply_warn_pa),
         ("SUPPLY_FAULT", "REAL", p.supply_fault_pa),

@@ -20,6 +20,8 @@ class PlcParameters:
     lag_warn: tuple[float, ...]  # rad
     lag_fault: tuple[float, ...]
     range_margin_rad: float
+    encoder_jump_rad: float
+    encoder_jump_factor: float  # of qd_max
     rest_speed_rad_s: float
     supply_warn_pa: float
     supply_fault_pa: float

@@ -126,9 +126,10 @@ class PlcLogic:
         monitor, reference = self.monitor, self.reference
         reference.qd_joints[:] = np.where(np.isfinite(sample.qd_rad_s), sample.qd_rad_s, 0.0)
         self._watch_lever(t_plc_ns)
+        since_s = 0.0 if self._t_cycle_ns is None else (t_plc_ns - self._t_cycle_ns) * 1e-9
         faults = monitor.look(
             sample.q_rad, sample.qd_rad_s, reference.q, sample.p_supply_pa, sample.t_oil_c, controlled,
-            self._dry_run,
+            self._dry_run, since_s,
         ) | self._own_faults(t_plc_ns)  # fmt: skip
         if faults and faults & ~monitor.latched:
             self.take_fault(faults, t_plc_ns)

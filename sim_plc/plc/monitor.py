@@ -1,11 +1,20 @@
-"""What the PLC watches in every cycle: lag, range, sensors, oil. Faults latch until RESET, warnings do not."""
+"""What the PLC watches in every cycle: lag, range, encoders, oil. Faults latch until RESET, warnings do not."""
 
 import numpy as np
 from numba import njit
 
 from machine.rotations import Array
 from protocol.codes import FaultBit, WarnBit
-from sim_plc.plc.settings import OIL_FAULT_C, OIL_WARN_C, RANGE_MARGIN_RAD, SUPPLY_FAULT_PA, SUPPLY_WARN_PA, PlcSettings
+from sim_plc.plc.settings import (
+    ENCODER_JUMP_FACTOR,
+    ENCODER_JUMP_RAD,
+    OIL_FAULT_C,
+    OIL_WARN_C,
+    RANGE_MARGIN_RAD,
+    SUPPLY_FAULT_PA,
+    SUPPLY_WARN_PA,
+    PlcSettings,
+)
 
 _SENSOR, _RANGE, _LAG_WARN, _LAG_FAULT = 1, 2, 4, 8
 
@@ -29,6 +38,17 @@ def _findings(
     return bits
 
 
+@njit(cache=True)
+def _jumps(q: Array, q_before: Array, qd_max: Array, since_s: float) -> int:
+    """Bit j: the encoder went further since the last reading than its joint can; those that are no numbers do not."""
+    bits = 0
+    for j in range(q.shape[0]):
+        most = ENCODER_JUMP_RAD + ENCODER_JUMP_FACTOR * qd_max[j] * since_s
+        if np.isfinite(q[j]) and np.isfinite(q_before[j]) and abs(q[j] - q_before[j]) > most:
+            bits |= 1 << j
+    return bits
+
+
 class Monitor:
     """Findings of the present cycle, and the latched faults."""
 
@@ -37,6 +57,8 @@ class Monitor:
         self.latched = FaultBit(0)
         self.present = FaultBit(0)
         self.warnings = WarnBit(0)
+        self.jumped = 0  # bit j: that encoder did, since the last RESET
+        self._q_before = np.full(settings.n, np.nan)
         self._last: tuple[int, ...] = (-1,)
 
     def look(
@@ -48,13 +70,19 @@ class Monitor:
         t_oil_c: float,
         controlled: bool,
         dry_run: bool = False,
+        since_s: float = 0.0,
     ) -> FaultBit:
-        """The faults present in this cycle.
+        """The faults present in this cycle, `since_s` after the last one.
 
-        Range and pressure only count while the PLC moves the machine, lag not in a dry run either.
+        Range, jumps and pressure only count while the PLC moves the machine, lag not in a dry run either.
         """
         s = self._settings
         bits = _findings(q, qd, q_ref, s.q_min, s.q_max, s.lag_warn, s.lag_fault, RANGE_MARGIN_RAD)
+        jumps = _jumps(q, self._q_before, s.qd_max, since_s) if controlled else 0
+        if jumps:
+            self.jumped |= jumps
+            bits |= _SENSOR
+        self._q_before[:] = q
         if dry_run or not controlled:
             bits &= ~(_LAG_WARN | _LAG_FAULT)
         if not controlled:
@@ -74,6 +102,7 @@ class Monitor:
     def clear(self) -> None:
         """RESET: only what is still present stays."""
         self.latched = self.present
+        self.jumped = 0
 
     def _classify(self, bits: int, supply: int, oil: int) -> None:
         found = (

@@ -43,7 +43,10 @@ def status_of(
     sample: PlantSample,
     dry_run: bool,
 ) -> PlcStatus:
-    """The status of this cycle; a reading that is not finite is sent as 0 with the axis' ENCODER_FAULT bit."""
+    """The status of this cycle; a reading that is not finite is sent as 0 with the axis' ENCODER_FAULT bit.
+
+    An encoder that jumped keeps that bit until RESET.
+    """
     warnings = monitor.warnings | (WarnBit.UNDERRUN if counters.starved else WarnBit(0))
     return PlcStatus(
         plc_cycle=counters.cycles & 0xFFFF_FFFF,
@@ -65,7 +68,7 @@ def status_of(
         valve_cmd=_sent(valves),
         p_a=_sent(sample.p_a_pa),
         p_b=_sent(sample.p_b_pa),
-        axis_status=(*_axis_words(settings, sample.q_rad, reference.q, valves), *(0,) * (8 - settings.n)),
+        axis_status=(*_axis_words(settings, monitor, sample.q_rad, reference.q, valves), *(0,) * (8 - settings.n)),
         p_supply=sample.p_supply_pa,
         p_tank=sample.p_tank_pa,
         t_oil=sample.t_oil_c,
@@ -79,13 +82,14 @@ def _sent(values: Array) -> Axes:
     return axes8(tuple(np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0).tolist()))
 
 
-def _axis_words(settings: PlcSettings, q: Array, q_ref: Array, valves: Array) -> tuple[int, ...]:
+def _axis_words(settings: PlcSettings, monitor: Monitor, q: Array, q_ref: Array, valves: Array) -> tuple[int, ...]:
     """axis_status of every joint in use."""
     told = np.isfinite(q)
     words = np.full(settings.n, int(AxisBit.IN_USE))
     words += int(AxisBit.AT_Q_MIN) * (told & (q <= settings.q_min))
     words += int(AxisBit.AT_Q_MAX) * (told & (q >= settings.q_max))
     words += int(AxisBit.VALVE_SATURATED) * (np.abs(valves) >= 1.0)
-    words += int(AxisBit.ENCODER_FAULT) * ~told
+    jumped = (monitor.jumped >> np.arange(settings.n)) & 1 == 1
+    words += int(AxisBit.ENCODER_FAULT) * (~told | jumped)
     words += int(AxisBit.LAG) * (told & (np.abs(q_ref - q) > settings.lag_warn))
     return tuple(words.tolist())

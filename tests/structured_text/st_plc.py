@@ -58,7 +58,7 @@ class DeliveredPlc:
     def __init__(self, key: bytes = b"", auto: bool = True, dry_run: bool = False) -> None:
         program = delivered_program()
         use_key(program, key)
-        self.block = program.new("FB_HmPlc", bEnableAuto=auto, bDryRun=dry_run, bSimulation=True)
+        self.block = program.new("FB_HmPlc", bEnableAuto=auto, bDryRun=dry_run, bSimulation=True, bPanelValid=True)
         self._rx, self._tx = program.new_union("U_HmCmd"), program.new_union("U_HmState")
         self._sample = program.new_union("U_HmSample")
 

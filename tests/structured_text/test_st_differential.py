@@ -14,7 +14,7 @@ from st_plc import DeliveredPlc
 from st_sessions import Pc
 from st_tour import tour, while_linked
 
-from protocol.codes import CommandFlag, FaultBit, Mode, PlcState, RejectCode
+from protocol.codes import AxisBit, CommandFlag, FaultBit, Mode, PlcState, RejectCode
 
 KEY = bytes(range(32))
 NEAR_THE_WRAP = 2**32 - 60  # sequence numbers pass 2^32 in every session
@@ -192,6 +192,24 @@ def test_a_joint_without_a_speed_is_a_sensor_fault_and_nothing_else_however_far_
         yield from pc.beat(3)
         assert pc.state is not None
         assert (pc.state.fault_bits, pc.state.warn_bits) == (FaultBit.SENSOR, 0)
+
+    assert_same(stage.play(script()))
+
+
+@pytest.mark.parametrize(("jump_rad", "is_fault"), [(0.05, True), (-0.05, True), (0.015, False)])
+def test_both_take_an_encoder_that_jumps_for_a_fault_of_its_axis_until_reset(jump_rad, is_fault):
+    stage = Stage(Setup(17, fault_frac=0.0))
+    pc, plant = stage.pc, stage.pair.plant
+
+    def script():
+        yield from pc.silent(1)
+        yield from pc.ready()
+        assert pc.is_in(PlcState.HOLD)
+        plant.q[1] += jump_rad  # in a cycle of 10 ms
+        yield from pc.beat(3)
+        assert pc.state is not None
+        assert (pc.state.fault_bits == FaultBit.SENSOR) is is_fault
+        assert bool(pc.state.axis_status[1] & AxisBit.ENCODER_FAULT) is is_fault
 
     assert_same(stage.play(script()))
 

@@ -242,6 +242,34 @@ def test_the_arm_nonce_changes_on_every_disarming_even_when_the_entropy_does_not
     assert all(a != b for a, b in pairwise(seen))
 
 
+def test_a_key_counts_only_while_the_panel_is_read():
+    """Inputs that come up late, or come back, show a key that was left on as one that was turned."""
+    block = delivered_program().new("FB_HmPlc", bEnable=False)
+
+    def may_arm(valid, enable):
+        block.set(bPanelValid=valid, bEnable=enable)
+        block.method("ReadPanel")
+        return block.method("MayArm")
+
+    for _ in range(3):
+        assert not may_arm(False, False)
+    assert not may_arm(True, True)  # left on
+    assert not may_arm(True, False)
+    assert may_arm(True, True)  # turned
+    assert may_arm(True, True)
+    assert not may_arm(False, False)
+    assert not may_arm(True, True)
+
+
+@pytest.mark.parametrize(("valid", "enable", "bits"), [(True, True, 0), (True, False, 2), (False, True, 2)])
+def test_a_panel_that_is_no_longer_read_stops_what_is_armed(valid, enable, bits):
+    block = delivered_program().new("FB_HmPlc", bPanelValid=valid, bEnable=enable)
+    assert block.method("OwnFaults", nNowNs=T0) == 0
+    block.fbLink.ePlcState = PlcState.HOLD
+    assert block.method("OwnFaults", nNowNs=T0) == bits
+    assert FaultBit.LOCAL_ENABLE_LOST == 2
+
+
 # --- MAIN: process image in, process image out -----------------------------------------------------------------------
 
 
@@ -313,13 +341,21 @@ def test_main_boots_in_a_dry_run_and_wants_the_key():
         task.publish(heartbeat(seq), seq)
         task.run()
     assert task.state.flags == HeaderFlag(0)
-    task.publish(heartbeat(30, mode=Mode.ARM, arm_nonce=task.state.nonce, t_plc_echo_ns=task.state.t_send_ns), 30)
-    task.run()
+
+    def arm(seq):
+        echo = {"arm_nonce": task.state.nonce, "t_plc_echo_ns": task.state.t_send_ns}
+        task.publish(heartbeat(seq, mode=Mode.ARM, **echo), seq)
+        task.run()
+
+    arm(30)
     assert task.state.reject_code == RejectCode.ENABLE
-    task.io.bEnable = True
+    task.io.bEnable = True  # while nobody has told MAIN how it knows that the panel is read
     task.run()
-    task.publish(heartbeat(31, mode=Mode.ARM, arm_nonce=task.state.nonce, t_plc_echo_ns=task.state.t_send_ns), 31)
-    task.run()
+    arm(31)
+    assert (task.state.plc_state, task.state.reject_code) == (PlcState.LINKED, RejectCode.ENABLE)
+    for task.io.bPanelValid, task.io.bEnable in ((True, False), (True, True)):
+        task.run()
+    arm(32)
     assert task.state.plc_state is PlcState.HOLD
     task.io.bEnable = False
     task.run()

@@ -88,6 +88,31 @@ def test_an_encoder_that_reads_nan_closes_the_valves_at_once_and_still_tells():
     assert np.isfinite(state.q).all()
 
 
+@pytest.mark.parametrize("moving", [False, True])
+def test_an_encoder_that_jumps_closes_the_valves_at_once_and_is_named_until_reset(moving):
+    virtual = started() if moving else VirtualPlc()
+    if not moving:
+        virtual.arm()
+        virtual.step(100)
+    virtual.step(900)
+    assert virtual.plc.state is (PlcState.RUN if moving else PlcState.HOLD)
+    virtual.q[2] += 0.02  # far below the lag that is a fault
+    virtual.step(1)
+    assert virtual.plc.state is PlcState.FAULT
+    assert max(map(abs, virtual.trace[-1][4])) == 0.0
+    virtual.step(200)
+    state = virtual.client.state
+    assert FaultBit(state.fault_bits) == FaultBit.SENSOR
+    assert [AxisBit.ENCODER_FAULT in AxisBit(word) for word in state.axis_status[:6]] == [j == 2 for j in range(6)]
+    virtual.client.request_reset()
+    virtual.step(400)
+    assert virtual.plc.state is PlcState.DISARMED
+    assert AxisBit.ENCODER_FAULT not in AxisBit(virtual.client.state.axis_status[2])
+    virtual.q[2] += 0.5  # disarmed: somebody sets the encoder's zero
+    virtual.step(100)
+    assert virtual.plc.state is PlcState.DISARMED
+
+
 def test_panel_enable_must_be_pressed_after_each_disarming():
     panel = LocalPanel("panel")
     virtual = VirtualPlc(panel=panel)
