@@ -61,7 +61,8 @@ itself when the PC falls silent. **This link is no safety channel**: emergency s
 1. **Import** `twincat/` into a PLC project, as docs/import.md says.
 2. **Task**: call MAIN every {p.cycle_ns / 1e6:g} ms. For another cycle change the machine file and export again.
 3. **Layout**: build, run, look at `MAIN.fbPlc.bLayoutOk`. FALSE latches fault LAYOUT: a struct is laid out in another
-   way than here, or limits were edited without a new export. `MAIN.fbPlc.fbSelfCheck` tells which check fails.
+   way than here, or limits were edited without a new export. `MAIN.fbPlc.fbSelfCheck` tells which check fails; none,
+   and `nOddCycles` of 100: the task's cycle is not that of step 2.
 4. **EAP**: eap/configuration-sheet.md. VarState must be 0 and CycleIndex must run as soon as the PC sends.
 5. **Dry run**: `GVL_HmIo.bDryRun` is TRUE from the start: everything is played, the valves stay closed. Leave it so.
 6. **PC**: `longreach commission --framing eap --plc-host {p.plc_address}`. Its first step arms, plays a small

@@ -90,7 +90,7 @@ _KINDS = (
         "plc_program",
         "high",
         "The PLC's program reports a defect",
-        "Its cycle took too long, or its message layout is not the one of this version.",
+        "Its cycle took too long or is not the machine file's, or its message layout is not this version's.",
         "Have the PLC engineer compare the versions and look at the task's execution time, then Reset fault.",
         MACHINE,
     ),

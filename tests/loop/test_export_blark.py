@@ -20,7 +20,7 @@ pytestmark = [
     pytest.mark.skipif(find_spec("blark") is None, reason="blark is not installed (pip install blark)"),
 ]
 FILES = project(plc_parameters(read_machine("hiab033"), "192.168.0.10.1.1", "192.168.0.20.1.1"), st_sources())
-LONG_BYTES = 6000  # longer blocks take seconds each: in make test-slow
+LONG_BYTES = 7500  # longer blocks take seconds each: in make test-slow
 _LIST = re.compile(rb"(?:16#[0-9A-F_]+,\s*){100,}")
 
 

@@ -242,6 +242,29 @@ def test_the_arm_nonce_changes_on_every_disarming_even_when_the_entropy_does_not
     assert all(a != b for a, b in pairwise(seen))
 
 
+@pytest.mark.parametrize(("share", "is_wrong"), [(1.0, False), (1.2, False), (2.0, True), (0.5, True)])
+def test_a_task_of_another_cycle_is_a_fault_that_no_reset_clears(share, is_wrong):
+    block = delivered_program().new("FB_HmPlc", bEnableAuto=True)
+    readings = delivered_program().new_union("U_HmSample", sample_bytes(sample()))
+    cycle_ns = round(share * delivered_program().globals("GVL_HmMachine").CYCLE_NS)
+    for tick in range(102):
+        block.method("Cycle", readings, nNowNs=T0 + tick * cycle_ns)
+        assert block.bLayoutOk is (tick < 100 or not is_wrong)
+    assert (block.ePlcState == PlcState.FAULT) is is_wrong
+    assert block.method("IsFaultPresent") is is_wrong
+
+
+def test_cycles_that_jitter_are_no_other_cycle():
+    block = delivered_program().new("FB_HmPlc", bEnableAuto=True)
+    readings = delivered_program().new_union("U_HmSample", sample_bytes(sample()))
+    cycle_ns = delivered_program().globals("GVL_HmMachine").CYCLE_NS
+    t_ns = T0
+    for tick in range(400):
+        t_ns += cycle_ns * (2 if tick % 50 else 1)
+        block.method("Cycle", readings, nNowNs=t_ns)
+    assert block.bLayoutOk is True
+
+
 def test_a_key_counts_only_while_the_panel_is_read():
     """Inputs that come up late, or come back, show a key that was left on as one that was turned."""
     block = delivered_program().new("FB_HmPlc", bEnable=False)
