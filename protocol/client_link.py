@@ -6,7 +6,6 @@ Requests are wishes, repeated in every command until the PLC's state shows them 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from enum import Enum
 
 from protocol.client_counters import ClientCounters
 from protocol.client_events import (
@@ -21,6 +20,7 @@ from protocol.client_events import (
     TrajectoryEnded,
 )
 from protocol.client_run import MOVING, Run, Stop
+from protocol.client_wish import StandingWish, Wish
 from protocol.clock_offset import ClockOffset
 from protocol.codec import decode_state, encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
@@ -34,9 +34,7 @@ from protocol.sent_commands import SentCommands
 from protocol.sequence import SequenceKind, classify_sequence, is_at_or_after, next_sequence
 from protocol.servo_target import ServoTarget
 from protocol.timeouts import (
-    ARM_PERIOD,
     COMMAND_LOST,
-    GOOD_COMMANDS_TO_ARM,
     HELLO_PERIOD,
     LINK_CLOSED,
     SERVO_LOST,
@@ -60,13 +58,6 @@ _NO_FLAGS = CommandFlag(0)
 _INTERP = {Mode.TRAJECTORY: Interp.QUINTIC, Mode.SERVO: Interp.LINEAR}
 
 
-class _Wish(Enum):
-    NONE = "none"
-    ARM = "arm"
-    RESET = "reset"
-    DISARM = "disarm"
-
-
 @dataclass(slots=True)
 class ClientLink:
     """One session with one PLC. `session` is a fresh random non-zero number; `t_mono_ns` the PC's monotonic clock."""
@@ -85,8 +76,7 @@ class ClientLink:
     _t_state_ns: int = 0
     _seq: int = 0
     _t_hello_ns: int | None = None
-    _wish: _Wish = _Wish.NONE
-    _t_asked_ns: int | None = None  # for arm or reset
+    _standing: StandingWish = field(default_factory=StandingWish)
     _stop: Stop | None = None
     _run: Run | None = None
     _sent: SentCommands = field(default_factory=SentCommands)
@@ -116,20 +106,19 @@ class ClientLink:
 
     def request_arm(self) -> None:
         """Arm as soon as the link is proven. Wishes end with the session; `cancel_wish` ends them before."""
-        self._wish = _Wish.ARM
+        self._standing.wish = Wish.ARM
 
     def request_reset(self) -> None:
         """Ask for a latched fault to be cleared; never restarts motion."""
-        self._wish = _Wish.RESET
+        self._standing.wish = Wish.RESET
 
     def request_disarm(self) -> None:
         """Ramp down if moving, then leave the armed state; the session ends with it."""
-        self._wish = _Wish.DISARM
+        self._standing.wish = Wish.DISARM
 
     def cancel_wish(self) -> None:
         """Stop asking for arm or reset; a disarm that was asked for goes on until it is done."""
-        if self._wish is not _Wish.DISARM:
-            self._wish = _Wish.NONE
+        self._standing.cancel()
 
     def request_run(
         self, traj_id: int, knots: Sequence[Knot], t_mono_ns: int, judged: bool = False
@@ -288,7 +277,7 @@ class ClientLink:
         if self.state and state.t_send_ns <= self.state.t_send_ns:
             self.counters.stale += 1
             return []
-        disarmed = self._wish is _Wish.DISARM
+        disarmed = self._standing.is_disarm
         events = self._take(state, t_mono_ns)
         return events + self._close("disarmed" if disarmed else "the PLC has ended the session; connect and arm again")
 
@@ -325,7 +314,7 @@ class ClientLink:
     # --- progress of what was asked for -------------------------------------------------------------------------------
 
     def _progress(self, state: State) -> list[ClientEvent]:
-        self._progress_wish(state)
+        self._standing.look(state)
         events: list[ClientEvent] = []
         run, stop = self._run, self._stop
         if run:
@@ -339,21 +328,13 @@ class ClientLink:
             self._stop = None
         return events
 
-    def _progress_wish(self, state: State) -> None:
-        armed = state.plc_state in (PlcState.HOLD, *MOVING)
-        done = (self._wish is _Wish.ARM and armed) or (
-            self._wish is _Wish.RESET and state.plc_state is not PlcState.FAULT
-        )
-        if done:
-            self._wish = _Wish.NONE
-
     def _ended(self, reached: bool, reason: str, state: State) -> list[ClientEvent]:
         run, self._run = self._run, None
         return [TrajectoryEnded(run.traj_id, reached, reason, state.t_send_ns)] if run else []
 
     def _close(self, reason: str) -> list[ClientEvent]:
         events = self._ended(False, reason, self.state) if self.state else []
-        self.closed, self._stop, self._wish = True, None, _Wish.NONE
+        self.closed, self._stop, self._standing = True, None, StandingWish()
         return [*events, Closed(reason)]
 
     # --- output -------------------------------------------------------------------------------------------------------
@@ -369,24 +350,13 @@ class ClientLink:
         state, age_ns = self.state, self.age_ns(t_mono_ns)
         if state is None or self._stop or age_ns > STATE_LOST.ns:
             return self._command(t_mono_ns, Mode.QUICK_STOP if self._stop and self._stop.quick else Mode.STOP)
-        if self._wish is _Wish.DISARM:
+        if self._standing.is_disarm:
             return self._command(t_mono_ns, Mode.DISARM)
         if age_ns > STATE_LATE.ns:
             return self._command(t_mono_ns, Mode.HEARTBEAT)
         if self._run and state.plc_state in (PlcState.HOLD, PlcState.RUN):
             return self._motion(self._run, state, t_mono_ns)
-        if self._wish is _Wish.RESET and state.plc_state is PlcState.FAULT and self._asking_due(t_mono_ns):
-            return self._command(t_mono_ns, Mode.RESET)
-        proven = state.rx_ok >= GOOD_COMMANDS_TO_ARM
-        if self._wish is _Wish.ARM and state.plc_state is PlcState.LINKED and proven and self._asking_due(t_mono_ns):
-            return self._command(t_mono_ns, Mode.ARM)
-        return self._command(t_mono_ns, Mode.HEARTBEAT)
-
-    def _asking_due(self, t_mono_ns: int) -> bool:
-        """Heartbeats in between: a refused ARM or RESET feeds no watchdog, and the session must outlive it."""
-        due = self._t_asked_ns is None or t_mono_ns - self._t_asked_ns >= ARM_PERIOD.ns
-        self._t_asked_ns = t_mono_ns if due else self._t_asked_ns
-        return due
+        return self._command(t_mono_ns, self._standing.mode(state, t_mono_ns))
 
     def _motion(self, run: Run, state: State, t_mono_ns: int) -> Command:
         if isinstance(run.motion, Playback):
