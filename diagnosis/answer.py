@@ -100,6 +100,11 @@ def _hypothesis(found: Diagnosis, number: int, shares: _Shares) -> dict[str, Any
     return {"effects": effects, "probability": _round(whole.probability * shares.inside)}
 
 
+def probability_of_first(found: Diagnosis) -> float:
+    """The probability that the answer states of its first hypothesis; 1 where nothing was searched."""
+    return found.hypotheses[0].probability * _shares(found).inside if found.hypotheses else 1.0
+
+
 def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for one, own in score.fit.slices:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from diagnosis.answer import probability_of_first
 from diagnosis.baseline.forward import entries_of
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
@@ -50,8 +51,7 @@ def machine_with_effects(text: str, found: Diagnosis) -> str:
             f"the diagnosis is '{word}' ({found.verdict.why}): no machine file is made of it; "
             "do the next experiment and diagnose both recordings together"
         )
-    probability = found.hypotheses[0].probability if found.hypotheses else 1.0
-    line = f"\n# longreach diagnose: verdict {word}, probability {probability:.3g}\n"
+    line = f"\n# longreach diagnose: verdict {word}, probability {probability_of_first(found):.3g}\n"
     try:
         return with_tables(with_room_for_effects(text), line + entries_to_toml(effects_found(found)))
     except MachineFileError as error:

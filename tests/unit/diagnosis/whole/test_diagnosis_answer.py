@@ -11,7 +11,7 @@ import pytest
 from foreign_plant import Fault, write
 from typer.testing import CliRunner
 
-from diagnosis.answer import _number, _vector, answer
+from diagnosis.answer import _number, _vector, answer, probability_of_first
 from diagnosis.diagnose import Diagnosis, diagnose
 from diagnosis.reading.read import read
 from diagnosis.report.page import page
@@ -50,6 +50,8 @@ def diagnosed(tmp_path: Path, fault: Fault, seed: int = 3, **options) -> tuple[D
     found = diagnose(whole)
     result = answer(found)
     assert untold(result) == set()
+    if result["hypotheses"]:
+        assert probability_of_first(found) == pytest.approx(result["hypotheses"][0]["probability"], rel=1e-3)
     return found, result
 
 
