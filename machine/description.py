@@ -263,7 +263,8 @@ def grid_markers(boards: tuple[Board, ...]) -> tuple[Marker, ...]:
 
 
 def _camera(section: _CameraSection) -> StereoCamera:
-    k1, k2, p1, p2, k3 = section.distortion
+    # a rectified image carries no distortion, whatever the raw one's was
+    k1, k2, p1, p2, k3 = (0.0,) * 5 if section.rectified else section.distortion
     camera = StereoCamera(
         width_px=section.width_px,
         height_px=section.height_px,

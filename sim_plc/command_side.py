@@ -58,8 +58,11 @@ def side_numbers(entries: tuple[EffectEntry, ...], n: int, cycle_s: float) -> Si
     return SideNumbers(dead, full_flow, hysteresis, share, gain, limit, delay)
 
 
-def controller_settings(machine: Machine, entries: tuple[EffectEntry, ...]) -> PlcSettings:
-    """The PLC's gains with the controller's effects: kp (1 + g), tau (1 + x)."""
+def controller_settings(machine: Machine, entries: tuple[EffectEntry, ...], cycle_s: float = 0.0) -> PlcSettings:
+    """The PLC's gains with the controller's effects: kp (1 + g), tau (1 + x).
+
+    `cycle_s`: how often the controller runs here, if not as often as the machine's PLC.
+    """
     plain = plc_settings(machine)
     kp, tau = np.array(plain.kp), np.array([joint.pt1_tau_s for joint in machine.joints])
     for one in entries:
@@ -67,5 +70,5 @@ def controller_settings(machine: Machine, entries: tuple[EffectEntry, ...]) -> P
             kp[(one.joint or 1) - 1] *= 1.0 + one.value("gain_frac")
         elif one.name == "controller_lag_error":
             tau[(one.joint or 1) - 1] *= 1.0 + one.value("lag_frac")
-    share = np.where(tau > 0.0, 1.0 - np.exp(-plain.cycle_s / np.maximum(tau, 1e-9)), 1.0)
+    share = np.where(tau > 0.0, 1.0 - np.exp(-(cycle_s or plain.cycle_s) / np.maximum(tau, 1e-9)), 1.0)
     return replace(plain, kp=kp, pt1_share=share)

@@ -130,7 +130,9 @@ def _clock(world: World, entry: EffectEntry) -> World:
         return replace(world, camera=replace(camera, clock_offset_s=camera.clock_offset_s + entry.value("offset_s")))
     if entry.name == "camera_latency":
         return replace(world, camera=replace(camera, latency_s=camera.latency_s + entry.value("latency_s")))
-    return replace(world, camera=replace(camera, readout_s=camera.readout_s + entry.value("readout_s")))
+    readout_s = entry.value("readout_s")
+    stamp_s = camera.clock_offset_s - 0.5 * entry.value("stamp_row") * readout_s  # this camera stamps the middle row
+    return replace(world, camera=replace(camera, readout_s=camera.readout_s + readout_s, clock_offset_s=stamp_s))
 
 
 CHANGES: dict[str, Change] = {

@@ -54,8 +54,10 @@ class MachineLoop:
         valves = self.plc.cycle(t_plc_ns, self._sample())
         due = self.plc.link.peer is not None and t_plc_ns % STATE_PERIOD_NS < self.cycle_ns
         datagram = self.plc.send(t_plc_ns) if due else None
-        self.plant.step(valves, max(self.cycle_ns // MS, 1))
         self.t_plc_ns = t_plc_ns + self.cycle_ns
+        n_ms = self.t_plc_ns // MS - t_plc_ns // MS  # whole ones, due by now, whatever the cycle
+        if n_ms:
+            self.plant.step(valves, n_ms)
         self._tell_pose()
         return datagram
 

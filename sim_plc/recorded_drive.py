@@ -1,6 +1,7 @@
 """The plant driven by what a recording holds, without a clock: its references by the PLC's controller, or its commands.
 
-Nothing of the presets' realism is in it, only the effects of the machine file.
+Nothing of the presets' realism is in it, only the effects of the machine file: the arm is rigid, and bends by what the
+file says at the posture it is in.
 """
 
 from dataclasses import dataclass, replace
@@ -14,24 +15,45 @@ from sim_plc.command_side import NAMES as SIDE_NAMES
 from sim_plc.command_side import controller_settings, side_numbers
 from sim_plc.diagnosed import CHANGES, with_effects
 from sim_plc.draw_world import draw_world
+from sim_plc.plant.kernel import OUTPUT
 from sim_plc.plant.plant import Plant
-from sim_plc.plant.statics import frames
-from sim_plc.plant.tree import N_JOINTS, Tree
+from sim_plc.plant.statics import frames, gravity_torques
+from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree
 from sim_plc.presets import PresetError
 from sim_plc.recorded_loop import Side, run_cycles
 from sim_plc.world import World
 
 PRESET, SEED = "ideal", 1  # the nominal model, nothing drawn
-WITH_SPRINGS = ("gravity_sag",)
+SAG = "gravity_sag"
+NOT_HERE = {"rolling_shutter"}  # rows of one picture are seen at once here
 STEP_S = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Offline:
-    """A machine file as the simulator runs it here. `side`: effects that act before the spool."""
+    """A machine file as the simulator runs it here. `side`: effects that act before the spool; `bending`: behind the
+    encoders.
+    """
 
     world: World
     side: tuple[EffectEntry, ...]
+    bending: "Bending"
+
+
+@dataclass(frozen=True, slots=True)
+class Bending:
+    """How far each joint (6,) [rad/(N m)] gives way to the weights behind it, about its own axis."""
+
+    compliance_rad_nm: Array
+    gravity_base_m_s2: Array
+
+    def bent(self, tree: Tree, angles: Array) -> Array:
+        """Angles of the tree's joints (11,) [rad] with the sag of that posture."""
+        if not self.compliance_rad_nm.any():
+            return angles
+        bent = angles.copy()
+        bent[MOTORS] += self.compliance_rad_nm * gravity_torques(tree, self.gravity_base_m_s2, angles)[MOTORS]
+        return bent
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +64,7 @@ class Course:
     u: Array
     angles: Array
     tree: Tree
+    bending: Bending
 
     def at(self, t_s: Array, wanted_s: Array) -> "Course":
         """The same at other times (k,) [s], linear between those of its rows t_s (m,)."""
@@ -49,31 +72,27 @@ class Course:
             np.stack([np.interp(wanted_s, t_s, column) for column in rows.T], axis=1)
             for rows in (self.q_encoder, self.u, self.angles)
         )
-        return Course(q, u, angles, self.tree)
+        return Course(q, u, angles, self.tree, self.bending)
 
     def tcp_poses(self) -> Array:
         """True Ts_base_tcp (m, 4, 4)."""
         Ts = np.tile(np.eye(4), (len(self.angles), 1, 1))
         for T, angles in zip(Ts, self.angles, strict=True):
-            R, p = frames(self.tree, angles)
+            R, p = frames(self.tree, self.bending.bent(self.tree, angles))
             T[:3, :3], T[:3, 3] = R[-1], p[-1]
         return Ts @ self.tree.T_last_tcp
 
 
-def needs_springs(entries: tuple[EffectEntry, ...]) -> bool:
-    """Whether an effect bends something: then the plant with oil and springs has to run."""
-    return any(one.name in WITH_SPRINGS for one in entries)
-
-
-def plain_world(machine: Machine, springs: bool) -> World:
-    """The simulator's own machine without any realism: rigid and without oil, or with both but nothing else.
+def plain_world(machine: Machine) -> World:
+    """The simulator's own machine without any realism: rigid, without oil, in the middle of whatever play it is given.
 
     Raises: PresetError: not the six-joint crane that the plant is made of.
     """
     if len(machine.joints) != 6:
         raise PresetError(f"the simulator's plant is a crane with 6 joints; the machine file has {len(machine.joints)}")
     world = draw_world(replace(machine, effects=()), PRESET, SEED)
-    return replace(world, plant=replace(world.plant, rigid=False)) if springs else world
+    arm = replace(world.plant.kinematics, play_start_frac=np.zeros(6))
+    return replace(world, plant=replace(world.plant, kinematics=arm))
 
 
 def offline(plain: World, entries: tuple[EffectEntry, ...]) -> Offline:
@@ -82,11 +101,16 @@ def offline(plain: World, entries: tuple[EffectEntry, ...]) -> Offline:
     Raises: PresetError: one that neither the plant nor what is before it can have.
     """
     side = tuple(one for one in entries if one.name in SIDE_NAMES)
-    rest = tuple(one for one in entries if one.name not in SIDE_NAMES)
-    unknown = sorted({one.name for one in rest} - set(CHANGES))
+    rest = tuple(one for one in entries if one.name not in (*SIDE_NAMES, SAG))
+    unknown = sorted({one.name for one in rest} - (set(CHANGES) - NOT_HERE))
     if unknown:
         raise PresetError(f"effect {unknown[0]} cannot be simulated by the plant")
-    return Offline(with_effects(replace(plain, nominal=replace(plain.nominal, effects=rest))), side)
+    compliance = np.zeros(6)
+    for one in entries:
+        if one.name == SAG:
+            compliance[(one.joint or 1) - 1] += one.value("compliance_rad_nm")
+    world = with_effects(replace(plain, nominal=replace(plain.nominal, effects=rest)))
+    return Offline(world, side, Bending(compliance, world.plant.inertia.gravity_base_m_s2))
 
 
 def follow_reference(one: Offline, t_s: Array, q_ref: Array, q_start: Array) -> Course:
@@ -109,7 +133,11 @@ def follow_commands(one: Offline, t_s: Array, u: Array, q_start: Array) -> Cours
 
 def at_rest(one: Offline, q: Array) -> Array:
     """True T_base_tcp (4, 4) with the encoders at rest at q (n,)."""
-    return Plant(one.world.plant, q).T_base_tcp()
+    plant = Plant(one.world.plant, q)
+    angles = plant.state.q.copy()
+    angles[MOTORS] = plant.state.joint[:, OUTPUT]
+    none = np.zeros((1, 6))
+    return np.asarray(Course(none, none, angles[None], plant.tree, one.bending).tcp_poses()[0])
 
 
 def _run(one: Offline, t_s: Array, given: Array, q_start: Array, closed: bool) -> Course:
@@ -121,7 +149,6 @@ def _run(one: Offline, t_s: Array, given: Array, q_start: Array, closed: bool) -
         plant.parameters,
         plant.state,
         _side(one),
-        one.world.plant.rigid,
         closed,
         np.ascontiguousarray(given, dtype=float),
         rows,
@@ -129,11 +156,11 @@ def _run(one: Offline, t_s: Array, given: Array, q_start: Array, closed: bool) -
         u,
         angles,
     )
-    return Course(q, u, angles, plant.tree)
+    return Course(q, u, angles, plant.tree, one.bending)
 
 
 def _side(one: Offline) -> Side:
-    settings, numbers = controller_settings(one.world.nominal, one.side), side_numbers(one.side, 6, STEP_S)
+    settings, numbers = controller_settings(one.world.nominal, one.side, STEP_S), side_numbers(one.side, 6, STEP_S)
     return Side(
         kp=np.array(settings.kp),
         pt1_share=np.array(settings.pt1_share),

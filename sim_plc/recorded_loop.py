@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from machine.rotations import Array
 from sim_plc.plant.backlash import play
 from sim_plc.plant.hydraulics import opening
-from sim_plc.plant.kernel import OUTPUT, Parameters, State, advance, advance_rigid
+from sim_plc.plant.kernel import OUTPUT, Parameters, State, advance_rigid
 from sim_plc.plc.joint_control import valve_commands
 
 
@@ -32,7 +32,6 @@ def run_cycles(
     par: Parameters,
     state: State,
     side: Side,
-    rigid: bool,
     closed: bool,
     given: Array,
     rows: NDArray[np.int64],
@@ -40,9 +39,9 @@ def run_cycles(
     u_out: Array,
     angles_out: Array,
 ) -> None:
-    """Cycles of 1 ms. `given` (cycles, n): references if `closed`, else commands; what stands at `rows` is noted.
+    """Cycles of 1 ms of the rigid plant. `given` (cycles, n): references if `closed`, else commands.
 
-    `angles_out`: (rows, joints of the tree), motors behind their play.
+    What stands at `rows` is noted. `angles_out`: (rows, joints of the tree), motors behind their play.
     """
     n = given.shape[1]
     q, u, lagged, command = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
@@ -70,7 +69,4 @@ def run_cycles(
             slow[j] += side.lag_share[j] * (held[j] - slow[j])
             opened = opening(slow[j], side.dead[j]) * side.full_flow[j]
             command[j] = opened * side.forward_gain[j] if opened > 0.0 else opened
-        if rigid:
-            advance_rigid(par, state, command, 1)
-        else:
-            advance(par, state, command, 1)
+        advance_rigid(par, state, command, 1)

@@ -35,7 +35,6 @@ from sim_plc.recorded_drive import (
     follow_commands,
     follow_reference,
     follow_sent,
-    needs_springs,
     offline,
     plain_world,
 )
@@ -92,9 +91,7 @@ def simulated_runs(found: Diagnosis, machine_text: str, progress: Progress = lam
 def _runs(found: Diagnosis, machine: Machine, progress: Progress) -> SimulatedRuns:
     stretches = [one for one in found.whole.stretches if one.enc is not None and one.enc.shape[1] == 6]
     held = [effects_without(found, one) for one in stretches]
-    whole = effects_without(found, stretches[0]) if stretches else HeldOut((), False)
-    springs = needs_springs((*machine.effects, *whole.entries))
-    plain = plain_world(machine, springs)
+    plain = plain_world(machine)
     sent = any(entry.name in LINK for one in held for entry in one.entries)
     errors: dict[str, list[Errors]] = {JOINTS: [], COMMANDS: [], POINTS: [], SEEN: []}
     groups = _groups(found.whole.stretches)
@@ -120,9 +117,7 @@ def _runs(found: Diagnosis, machine: Machine, progress: Progress) -> SimulatedRu
             "or valve commands, or points of the last link at rest"
         )
     return SimulatedRuns(
-        plant="the crane with oil and springs, undisturbed"
-        if springs
-        else "the crane as preset 'ideal': rigid, no oil",
+        plant="the crane as preset 'ideal': rigid, no oil; it bends by what the machine file says",
         errors=kept,
         held_out=all(one.told for one in held),
         sent=sent,

@@ -58,12 +58,25 @@ def arm_from_chain(
             parts.append(_Part(joint, pending))
             pending = np.eye(4)
         pending = pending @ np.linalg.inv(joint.T_parent_joint) if joint.rising else pending
+    _require_no_follower(chain, joint_names)
     names = tuple(joint_names) if joint_names is not None else tuple(part.joint.name for part in parts)
     if not parts:
         moving = [joint.name for joint in chain if joint.kind != "fixed"]
         raise MachineError(f"urdf: none of {list(names)} moves on the chain, whose joints are {moving}; name those")
     tcp = pending @ (np.eye(4) if T_flange_tcp is None else T_flange_tcp)
     return _arm(parts, names, tcp, np.array([0.0, 0.0, -9.81]) if gravity is None else gravity), names
+
+
+def _require_no_follower(chain: Sequence[UrdfJoint], joint_names: Sequence[str] | None) -> None:
+    """That no joint of the chain moves with another one's reading: it would be held at 0, or be a joint of its own."""
+    known = [joint.name for joint in chain if joint.kind != "fixed"] if joint_names is None else list(joint_names)
+    for joint in chain:
+        measured = joint_names is not None and joint.name in joint_names
+        if joint.kind != "fixed" and joint.mimics in known and not measured:
+            raise MachineError(
+                f"urdf: joint {joint.name!r} mimics {joint.mimics!r}, and one reading that moves two joints is not "
+                f"modelled; record {joint.name!r} as a joint of its own and give it a [[joint]]"
+            )
 
 
 @dataclass(frozen=True, slots=True)

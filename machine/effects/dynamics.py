@@ -71,8 +71,9 @@ class Actuators:
     @property
     def substeps(self) -> int:
         """Integration steps per PLC cycle."""
-        wn = float(self.joints[:, kernel.WN].max())
-        steps = int(np.ceil(max(self.cycle_s / STEP_MAX_S, self.cycle_s * wn / STEP_ANGLE_MAX) - 1e-9))
+        wn, damping = self.joints[:, kernel.WN], self.joints[:, kernel.ZETA]
+        fastest = np.where(damping > 1.0, 2.0 * damping * wn, wn / STEP_ANGLE_MAX).max()  # [1/s], a step's share of it
+        steps = int(np.ceil(max(self.cycle_s / STEP_MAX_S, self.cycle_s * float(fastest)) - 1e-9))
         return self.refined * steps
 
 
@@ -137,8 +138,14 @@ def drive_by_sent(
     """
     times = np.asarray(t_sent_s, dtype=float) + (plant.transport_delay_s - plant.whole_delay_s)
     values = _table(sent, plant.n, "sent reference")
-    if times.shape != (len(values),) or len(times) == 0 or (np.diff(times) < 0).any():
+    rising = len(times) > 0 and np.isfinite(times).all() and not (np.diff(times) < 0).any()
+    if times.shape != (len(values),) or not rising:
         raise MachineError(f"sent times have shape {times.shape} for {len(values)} references; give one each, rising")
+    if cycles < 1 or (lost is not None and lost.shape != times.shape):
+        lost_shape = "none" if lost is None else lost.shape
+        raise MachineError(
+            f"{cycles} PLC cycles, lost of shape {lost_shape}; give one cycle or more, and one word each"
+        )
     t_cycles = t_start_s + plant.cycle_s * np.arange(cycles)
     tie_s = TIE_S + ROUNDINGS * float(np.spacing(np.abs(times).max()))
     latest = np.maximum(np.searchsorted(times, t_cycles + tie_s, side="right") - 1, 0).astype(np.int64)
@@ -167,7 +174,7 @@ def drive_controller(plant: Actuators, ref: Array, enc: Array, u_start: Array, f
     none, nothing = np.zeros((0, plant.n)), np.zeros(0, np.int64)
     loads = _loads(plant, cycles, None)
     first = enc_cycles[0].copy()
-    start = np.array(u_start, dtype=float)
+    start = _of_joints(plant, u_start, "first valve command")
     return Drive(DynamicStage.CONTROLLER, cycles, none, nothing, ref_cycles, enc_cycles, none, *loads, first, start)
 
 
@@ -181,9 +188,16 @@ def drive_actuator(
     u_cycles = _cycles(plant, u, fine)
     none, nothing = np.zeros((0, plant.n)), np.zeros(0, np.int64)
     both = _loads(plant, len(u_cycles), loads)
-    start = np.array(enc_start, dtype=float)
+    start = _of_joints(plant, enc_start, "encoders at the start")
     first = u_cycles[0].copy()
     return Drive(DynamicStage.ACTUATOR, len(u_cycles), none, nothing, none, none, u_cycles, *both, start, first)
+
+
+def _of_joints(plant: Actuators, values: Array, what: str) -> Array:
+    out = np.array(values, dtype=float)
+    if out.shape != (plant.n,):
+        raise MachineError(f"{what} has shape {out.shape}; the plant has {plant.n} joints")
+    return out
 
 
 def drive_joint(plant: Actuators, enc: Array) -> Drive:

@@ -17,6 +17,20 @@ SWING = "link_flexibility"
 Vector = tuple[float, ...]
 
 
+FACTORS = (  # sizes x of a factor 1 + x
+    "flow_gain_error",
+    "valve_asymmetry",
+    "controller_gain_error",
+    "controller_lag_error",
+    "encoder_scale",
+    "focal_length_error",
+    "marker_size_error",
+    "odometry_scale",
+)
+SHARES = ("valve_deadband", "packet_loss")
+SUM_MAX = 0.95
+
+
 @dataclass(frozen=True, slots=True)
 class EffectEntry:
     """One effect that is present: on joint `joint` (1-based) or, None, on the machine.
@@ -47,7 +61,24 @@ def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
         raise MachineFileError(f"effect = {tables!r} is not a list; write each effect as its own [[effect]] table")
     entries = tuple(_entry(table, n_joints, f"effect {number}") for number, table in enumerate(tables, start=1))
     pack(entries, n_joints)  # a third swing of a joint
+    _require_sums(entries)
     return entries
+
+
+def _require_sums(entries: tuple[EffectEntry, ...]) -> None:
+    """That what adds up to a factor leaves one above zero, and what takes a share of the whole leaves some of it."""
+    sums: dict[tuple[str, int | None], float] = {}
+    for one in entries:
+        size = dict(one.values)[_known(one).size.name]
+        if one.name in (*FACTORS, *SHARES):
+            sums[one.name, one.joint] = sums.get((one.name, one.joint), 0.0) + size
+    for (name, joint), total in sums.items():
+        if (name in FACTORS and total <= -SUM_MAX) or (name in SHARES and total >= SUM_MAX):
+            where = "" if joint is None else f", joint {joint}"
+            limit = f"above {-SUM_MAX:g}" if name in FACTORS else f"below {SUM_MAX:g}"
+            raise MachineFileError(
+                f"effect {name}{where}: its entries add up to {total:g}; they must stay {limit}: leave one out"
+            )
 
 
 def _entry(table: object, n_joints: int, where: str) -> EffectEntry:

@@ -16,6 +16,8 @@ VERDICT_LINE = re.compile(r"^# longreach diagnose: verdict (\w+)", re.MULTILINE)
 USABLE = ("effects", "none")
 GEOMETRY = ("a_m", "d_m", "alpha_rad", "theta_offset_rad", "mass_kg", "com_m")  # what diagnosed sizes count from
 
+FRAMES, MOUNT = ("T_flange_tcp", "gravity_base_m_s2"), "T_tcp_cam_left"
+
 
 def read_compensation(machine: Machine, machine_file: Path, diagnosis_file: Path | None = None) -> Compensation:
     """The compensation that a diagnosed machine file asks for.
@@ -74,6 +76,14 @@ def _require_same(machine: Machine, diagnosed: Machine, machine_file: Path) -> N
                     f"[compensation] machine_file {machine_file}: {name} of joint '{mine.name}' is {there}, in the "
                     f"server's machine file {here}; diagnose with the machine file that the server uses"
                 )
+    mounted = any(one.name.startswith("hand_eye_") for one in diagnosed.effects)
+    for name in (*FRAMES, MOUNT) if mounted else FRAMES:
+        here, there = getattr(machine, name), getattr(diagnosed, name)
+        if not np.allclose(here, there, rtol=0.0, atol=1e-9):
+            raise CompensationError(
+                f"[compensation] machine_file {machine_file}: {name} is not that of the server's machine file, from "
+                "which diagnosed sizes count; diagnose with the machine file that the server uses"
+            )
 
 
 def _require_usable(verdict: str, path: Path) -> None:

@@ -96,7 +96,7 @@ class CameraLoop:
 
     def _run(self, renderer: StereoRenderer, feed: PoseFeed) -> None:
         camera = self._world.camera
-        half_ns = round(0.5e9 * (camera.readout_s + camera.exposure_s))
+        half_ns = round(0.5e9 * (abs(camera.readout_s) + camera.exposure_s))
         renderer.render_static(feed.pose_at(feed.latest_t_ns()))  # compiles before the clock counts
         grid = self._grid = ExposureGrid(feed.latest_t_ns() + half_ns, self.governor.wanted_hz)
         while True:

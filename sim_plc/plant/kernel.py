@@ -128,7 +128,9 @@ def advance(par: Parameters, state: State, command: Array, n_ms: int) -> None:
 
 @njit(cache=True, error_model="numpy")
 def advance_rigid(par: Parameters, state: State, command: Array, n_ms: int) -> None:
-    """Advance the rigid plant, the nominal model: qd = velocity gain * x, x'' = wn^2 (u - x) - 2 z wn x'."""
+    """Advance the rigid plant, the nominal model: qd = velocity gain * x, x'' = wn^2 (u - x) - 2 z wn x'. Play, if a
+    machine file gives any, lies behind it.
+    """
     for _ in range(n_ms * SUBSTEPS):
         for j in range(par.motors.shape[0]):
             c, s, i = par.joint[j], state.joint[j], par.motors[j]
@@ -137,5 +139,5 @@ def advance_rigid(par: Parameters, state: State, command: Array, n_ms: int) -> N
             s[SPOOL] += STEP_S * s[SPOOL_RATE]
             state.qd[i] = c[GAIN] * s[SPOOL]
             state.q[i] = min(max(state.q[i] + STEP_S * state.qd[i], c[STOP_LOW]), c[STOP_HIGH])
-            s[OUTPUT] = state.q[i]
+            s[OUTPUT] = play(s[OUTPUT], state.q[i], c[HALF_PLAY])
         state.shared[TIME] += STEP_S

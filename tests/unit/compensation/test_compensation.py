@@ -119,6 +119,19 @@ def test_a_file_of_a_sister_crane_or_of_another_geometry_is_refused(tmp_path):
     other = replace(MACHINE, joints=(MACHINE.joints[0], longer, *MACHINE.joints[2:]))
     with pytest.raises(CompensationError, match="a_m of joint 'lift'"):
         read_compensation(other, path)
+    moved = MACHINE.T_flange_tcp.copy()
+    moved[0, 3] += 0.3
+    with pytest.raises(CompensationError, match="T_flange_tcp is not that of the server's machine file"):
+        read_compensation(replace(MACHINE, T_flange_tcp=moved), path)
+    with pytest.raises(CompensationError, match="gravity_base_m_s2 is not that"):
+        read_compensation(replace(MACHINE, gravity_base_m_s2=np.array([0.0, -3.0, -9.3])), path)
+    mount = MACHINE.T_tcp_cam_left.copy()
+    mount[0, 3] += 0.05
+    remounted = replace(MACHINE, T_tcp_cam_left=mount)
+    assert read_compensation(remounted, path).sorted.used  # nothing of the camera was diagnosed
+    turned = machine_file(tmp_path, "effects", (entry("hand_eye_rotation", None, angle_rad=0.02),))
+    with pytest.raises(CompensationError, match="T_tcp_cam_left is not that"):
+        read_compensation(remounted, turned)
 
 
 def machine_file(tmp_path, verdict: str, effects: tuple[EffectEntry, ...] = SEVERAL):

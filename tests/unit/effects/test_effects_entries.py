@@ -155,3 +155,20 @@ def test_a_parameter_that_an_effect_does_not_have_is_refused_where_entries_are_p
     wrong = EffectEntry("encoder_bias", 1, (("bias_deg", 0.1),))
     with pytest.raises(MachineFileError, match="'encoder_bias': unknown parameter 'bias_deg'; nearest: bias_rad"):
         pack((wrong,), 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameter", "joint", "sizes", "told"),
+    [
+        ("valve_deadband", "half_width_frac", 2, (0.5, 0.5), "joint 2: its entries add up to 1; they must stay below"),
+        ("flow_gain_error", "gain_frac", 3, (-0.6, -0.6), "joint 3: its entries add up to -1.2; they must stay above"),
+        ("controller_gain_error", "gain_frac", 1, (-0.5, -0.5), "add up to -1"),
+        ("packet_loss", "loss_frac", None, (0.5, 0.5), "packet_loss: its entries add up to 1"),
+    ],
+)
+def test_sums_that_leave_nothing_are_refused(name, parameter, joint, sizes, told) -> None:
+    where = "" if joint is None else f"joint = {joint}\n"
+    text = "".join(f'[[effect]]\nname = "{name}"\n{where}parameters = {{ {parameter} = {x} }}\n' for x in sizes)
+    with pytest.raises(MachineFileError, match=told):
+        read(text)
+    assert len(read(text.replace(str(sizes[0]), str(0.1 * sizes[0])))) == 2

@@ -339,6 +339,18 @@ def test_wrong_shapes_are_refused_with_the_shape_wanted() -> None:
         drive_joint(plant, np.zeros((10, 5)))
     with pytest.raises(MachineError, match="rising"):
         drive_by_sent(plant, np.array([0.0, -1.0]), np.zeros((2, 6)), 0.0, 10)
+    for times in (np.array([0.0, np.nan]), np.array([0.0, np.inf])):
+        with pytest.raises(MachineError, match="rising"):
+            drive_by_sent(plant, times, np.zeros((2, 6)), 0.0, 10)
+    still = np.zeros((2, 6))
+    with pytest.raises(MachineError, match=r"lost of shape \(1,\); give one cycle or more, and one word each"):
+        drive_by_sent(plant, np.array([0.0, 1.0]), still, 0.0, 10, lost=np.array([True]))
+    with pytest.raises(MachineError, match="0 PLC cycles"):
+        drive_by_sent(plant, np.array([0.0, 1.0]), still, 0.0, 0)
+    with pytest.raises(MachineError, match=r"encoders at the start has shape \(2,\); the plant has 6 joints"):
+        drive_actuator(plant, still, np.zeros(2))
+    with pytest.raises(MachineError, match=r"first valve command has shape \(1,\)"):
+        drive_controller(plant, still, still, np.zeros(1))
     with pytest.raises(MachineError, match="6 joints"):
         simulate(plant, neutral_sets(5), drive(plant, 0.1))
     with pytest.raises(MachineError, match="cannot begin"):
@@ -347,3 +359,15 @@ def test_wrong_shapes_are_refused_with_the_shape_wanted() -> None:
         simulate(plant, neutral_sets(6), drive(plant, 0.1), DynamicStage.CONTROLLER)
     with pytest.raises(MachineError, match="multiple"):
         Actuators(plant.joints, 0.001, 0.0015, 0.0)
+
+
+@pytest.mark.parametrize("damping", [0.3, 1.0, 1.5, 4.5, 10.0])
+@pytest.mark.parametrize("frequency_hz", [5.0, 40.0, 200.0])
+def test_a_valve_of_any_damping_settles_at_its_speed(frequency_hz: float, damping: float) -> None:
+    joints = np.array([[0.5, 2.0 * np.pi * frequency_hz, damping, 4.0, 0.0]])
+    for cycle_s in (0.001, 0.01):
+        plant = Actuators(joints, cycle_s, 0.01, 0.0)
+        u = np.full((round(6.0 / 0.01), 1), 0.5)
+        enc = simulate(plant, neutral_sets(1), drive_actuator(plant, u, np.zeros(1))).enc[0, :, 0]
+        assert np.isfinite(enc).all()
+        assert (enc[-1] - enc[-101]) / 1.0 == pytest.approx(0.25, rel=0.05)

@@ -34,6 +34,17 @@ def test_a_wheel_beside_the_chain_does_not_matter() -> None:
         arm_from_urdf(CHAIN, "wheel", "tip")
 
 
+def test_a_joint_that_follows_another_one_is_refused_unless_it_is_measured() -> None:
+    boom = CHAIN.replace('<limit upper="2"/>', '<mimic joint="j1" multiplier="1"/><limit upper="2"/>')
+    assert boom != CHAIN
+    for names in (None, ("j1",)):
+        with pytest.raises(MachineError, match=r"joint 'j2' mimics 'j1'.*record 'j2' as a joint of its own"):
+            arm_from_urdf(boom, "base", "tip", names)
+    assert arm_from_urdf(boom, "base", "tip", ("j1", "j2"))[1] == ("j1", "j2")
+    elsewhere = boom.replace('mimic joint="j1"', 'mimic joint="j9"')  # a leader that is not on the chain
+    assert arm_from_urdf(elsewhere, "base", "tip")[1] == ("j1", "j2")
+
+
 @pytest.mark.parametrize(
     ("given", "spoilt", "told"),
     [

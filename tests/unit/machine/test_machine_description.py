@@ -103,3 +103,8 @@ def test_nominal_machine_in_si():
     assert [marker.marker_id for marker in MACHINE.markers_on("tool")] == [10]
     with pytest.raises(ValueError, match="read-only"):
         MACHINE.T_tcp_tool[0, 0] = 2.0
+
+
+def test_a_rectified_image_carries_no_distortion_whatever_the_file_says():
+    assert any(MACHINE.camera.distortion)
+    assert parse_machine_toml(TEXT.replace("rectified = false", "rectified = true")).camera.distortion == (0.0,) * 5

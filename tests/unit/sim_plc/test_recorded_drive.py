@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from machine.description import parse_machine_toml
+from machine.effects.arm import arm_of
 from machine.effects.dynamics import actuators_of, drive_by_sent, simulate
 from machine.effects.entries import EffectEntry, pack
+from machine.effects.structure import tcp_poses
 from server.settings import read_machine_text
+from sim_plc.plant.tree import MOTORS
 from sim_plc.presets import PresetError
 from sim_plc.recorded_drive import at_rest, follow_commands, follow_reference, follow_sent, offline, plain_world
 
@@ -19,7 +22,7 @@ T_S = np.arange(0.0, 4.0, 0.01)
 
 @pytest.fixture(scope="module")
 def plain():
-    return plain_world(MACHINE, False)
+    return plain_world(MACHINE)
 
 
 def effect(name, value, joint=2, parameter=""):
@@ -92,16 +95,46 @@ def test_the_tool_goes_where_bias_and_length_put_it(plain):
     assert np.linalg.norm(plainly[:3, 3] - biased[:3, 3]) == pytest.approx(0.01 * reach, rel=1e-3)
 
 
-def test_sag_bends_the_plant_with_springs():
-    springs = plain_world(MACHINE, True)
-    sag = effect("gravity_sag", 2e-6, 2, "compliance_rad_nm")
-    plainly, bent = (at_rest(offline(springs, given), Q_START) for given in ((), (sag,)))
-    assert bent[2, 3] < plainly[2, 3] - 1e-3
+@pytest.mark.parametrize(("joint", "compliance"), [(2, 3e-7), (2, 2e-6), (3, 2e-6)])
+def test_the_arm_sags_by_what_its_entry_says_and_by_nothing_else(plain, joint, compliance):
+    sag = effect("gravity_sag", compliance, joint, "compliance_rad_nm")
+    expected = tcp_poses(arm_of(MACHINE), pack((sag,), 6), Q_START[None])[0]
+    rigid = tcp_poses(arm_of(MACHINE), pack((), 6), Q_START[None])[0]
+    assert at_rest(offline(plain, ()), Q_START) == pytest.approx(rigid, abs=3e-4)  # encoder counts
+    made = at_rest(offline(plain, (sag,)), Q_START)
+    dropped = np.linalg.norm(expected[:3, 3] - rigid[:3, 3])
+    assert dropped > 2e-3
+    assert np.linalg.norm(made[:3, 3] - expected[:3, 3]) < 0.05 * dropped + 3e-4
+    still = follow_reference(offline(plain, (sag,)), T_S[:5], np.tile(Q_START, (5, 1)), Q_START)
+    assert still.tcp_poses()[-1] == pytest.approx(made, abs=3e-4)
+
+
+def test_play_lies_behind_the_encoders_and_begins_in_the_middle(plain):
+    play = effect("backlash", 0.02, 1, "width_rad")
+    ref = reference()
+    runs = [follow_reference(offline(plain, given), T_S, ref, Q_START) for given in ((), (play,))]
+    assert np.array_equal(runs[0].q_encoder, runs[1].q_encoder)
+    behind = (runs[1].angles - runs[0].angles)[:, MOTORS]
+    assert np.abs(behind[:, 0]).max() == pytest.approx(0.01, abs=1e-4)
+    assert behind[0, 0] == 0.0
+    assert not behind[:, 1:].any()
+    assert at_rest(offline(plain, (play,)), Q_START) == pytest.approx(at_rest(offline(plain, ()), Q_START))
+
+
+@pytest.mark.parametrize("cycle_s", [0.001, 0.005, 0.02])
+def test_the_loop_is_the_same_however_often_the_plc_runs_it(plain, cycle_s):
+    slow = plain_world(replace(MACHINE, plc_cycle_s=cycle_s))
+    ref = reference()
+    made, same = (follow_reference(offline(one, ()), T_S, ref, Q_START).q_encoder for one in (slow, plain))
+    assert made == pytest.approx(same, abs=1e-9)
 
 
 def test_what_the_plant_cannot_have_is_refused(plain):
     droop = EffectEntry("supply_droop", None, (("flow_limit_frac", 0.5),))
     with pytest.raises(PresetError, match="supply_droop cannot be simulated"):
         offline(plain, (droop,))
+    shutter = EffectEntry("rolling_shutter", None, (("readout_s", 0.01), ("stamp_row", 0.0)))
+    with pytest.raises(PresetError, match="rolling_shutter cannot be simulated"):
+        offline(plain, (shutter,))
     with pytest.raises(PresetError, match="6 joints; the machine file has 5"):
-        plain_world(replace(MACHINE, joints=MACHINE.joints[:5]), False)
+        plain_world(replace(MACHINE, joints=MACHINE.joints[:5]))

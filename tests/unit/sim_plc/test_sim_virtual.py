@@ -2,17 +2,22 @@
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from virtual_plc import MACHINE, quintic_knots
 
 from machine.chain import chain_of
+from machine.effects.entries import EffectEntry
 from machine.kinematics import tcp_pose
 from machine.poses import inverse_pose
 from machine.rotations import rotation_from_quat_wxyz
 from protocol.codes import PlcState
+from protocol.framing import RawFraming
+from sim_plc.diagnosed import with_effects
 from sim_plc.draw_world import draw_world
+from sim_plc.machine_loop import MachineLoop
 from sim_plc.truth_log import TruthLog
 from sim_plc.virtual import VirtualMachine, VirtualRunError, run_virtual
 
@@ -85,3 +90,22 @@ def test_truth_log(worlds, tmp_path):
     assert drawn["stand_off_m"] == 0.2
     assert np.array(drawn["camera"]["T_tcp_cam_left"]).shape == (4, 4)
     assert len(drawn["plant"]["kinematics"]["theta_zero_rad"]) == 6
+
+
+@pytest.mark.parametrize("cycle_ms", [0.25, 0.5, 1.0, 1.5, 10.0])
+def test_the_plant_moves_on_with_the_plcs_clock_whatever_its_cycle(cycle_ms):
+    world = draw_world(replace(MACHINE, plc_cycle_s=1e-3 * cycle_ms), "ideal", 1)
+    machine = MachineLoop(world, RawFraming(), 40_000_000_000, lambda: 1)
+    for _ in range(round(600.0 / cycle_ms)):
+        machine.cycle()
+    assert machine.t_plc_ns == 40_600_000_000
+    assert machine.plant.t_s == pytest.approx(0.6, abs=1e-6)
+
+
+@pytest.mark.parametrize(("readout_s", "stamp_row", "late_s"), [(0.02, 0, 0.0), (0.02, 1, -0.01), (-0.02, -1, -0.01)])
+def test_a_rolling_shutter_of_a_machine_file_stamps_the_row_that_it_says(readout_s, stamp_row, late_s):
+    shutter = EffectEntry("rolling_shutter", None, (("readout_s", readout_s), ("stamp_row", float(stamp_row))))
+    plain = draw_world(MACHINE, "ideal", 1)
+    camera = with_effects(replace(plain, nominal=replace(MACHINE, effects=(shutter,)))).camera
+    assert camera.readout_s - plain.camera.readout_s == pytest.approx(readout_s)
+    assert camera.clock_offset_s - plain.camera.clock_offset_s == pytest.approx(late_s)

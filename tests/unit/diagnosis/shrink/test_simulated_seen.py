@@ -29,7 +29,7 @@ T_S = np.arange(0.0, 8.0, 0.01)
 def driven():
     """A slow wave of slew and lift, and its stretch."""
     way = 0.03 * np.sin(0.7 * T_S)[:, None] * np.array([1.0, 0.5, 0.0, 0.0, 0.0, 0.0])
-    plain = plain_world(MACHINE, False)
+    plain = plain_world(MACHINE)
     course = follow_reference(offline(plain, ()), T_S, Q_START + way, Q_START)
     nothing: Any = None
     stretch = Stretch("s", "sweep", "", 0.0, 0.01, T_S, nothing, course.q_encoder, nothing)
