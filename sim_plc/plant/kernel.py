@@ -139,5 +139,5 @@ def advance_rigid(par: Parameters, state: State, command: Array, n_ms: int) -> N
             s[SPOOL] += STEP_S * s[SPOOL_RATE]
             state.qd[i] = c[GAIN] * s[SPOOL]
             state.q[i] = min(max(state.q[i] + STEP_S * state.qd[i], c[STOP_LOW]), c[STOP_HIGH])
-            s[OUTPUT] = play(s[OUTPUT], state.q[i], c[HALF_PLAY])
+            s[OUTPUT] = play(s[OUTPUT], state.q[int(i)], c[HALF_PLAY])
         state.shared[TIME] += STEP_S
