@@ -71,6 +71,8 @@ class PointSight:
         on = _points_sight(kept).numbers_of(wanted.places_left_px)
         found = [self.left_px[on], self.right_px[on]]
         goods = [~np.isnan(places[:, 0]) for places in found]
+        places, seen = map(tuple, self.left_px[on][goods[0]].tolist()), on[goods[0]].tolist()
+        self.numbers.update(zip(places, seen, strict=True))  # a later pair may follow them from here
         left, right = (Alignment(p, np.ones(len(on)), g) for p, g in zip(found, goods, strict=True))
         return left, right
 

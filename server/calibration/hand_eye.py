@@ -37,7 +37,7 @@ def solve_ax_xb(As: Array, Bs: Array, settings: HandEyeSettings = DEFAULT_SETTIN
     start = HandEyeUnknowns(park_martin(As, Bs), None)
     found = refine(MotionModel(As, Bs), start, settings.freedom, settings.iterations_max, False, False)
     sizes = (_median_norm(rotation_vectors(Bs[:, :3, :3])), _median_norm(Bs[:, :3, 3]))
-    return _judged(found, sizes, spread, settings)
+    return _judged(found, sizes, spread, settings, False)
 
 
 def solve_ax_yb(
@@ -83,7 +83,7 @@ def solve_poses(
     found = refine(model, start, settings.freedom, settings.iterations_max, unknown_scale, True)
     centred = Bs[:, :3, 3] - np.median(Bs[:, :3, 3], axis=0)
     turns = rotation_vectors(motions_between(Bs, *_far_pairs(len(Bs)))[:, :3, :3])
-    return _judged(found, (_median_norm(turns), _median_norm(centred)), spread, settings)
+    return _judged(found, (_median_norm(turns), _median_norm(centred)), spread, settings, free_offset)
 
 
 def axis_spread(Rs: Array) -> float:
@@ -132,7 +132,9 @@ def _median_norm(vectors: Array) -> float:
     return float(np.median(np.linalg.norm(vectors, axis=1)))
 
 
-def _judged(found: Refined, sizes: tuple[float, float], spread: float, settings: HandEyeSettings) -> HandEyeEstimate:
+def _judged(
+    found: Refined, sizes: tuple[float, float], spread: float, settings: HandEyeSettings, free_offset: bool
+) -> HandEyeEstimate:
     """The result, or why it may not be used."""
     n = int(np.sum(found.weights > 0.25))
     turned, missed = _median_norm(found.residuals[:, :3]), _median_norm(found.residuals[:, 3:])
@@ -140,7 +142,7 @@ def _judged(found: Refined, sizes: tuple[float, float], spread: float, settings:
     with_Y = found.unknowns.Y is not None
     sigma_rotation = float(np.linalg.norm(sigmas[:3]))
     sigma_translation = float(np.linalg.norm(sigmas[3:6]))
-    offset_sigma = float(sigmas[-1]) if with_Y and found.covariance.shape[0] > 12 else 0.0
+    offset_sigma = float(sigmas[-1]) if with_Y and free_offset else 0.0
     for value, limit, text in (
         (turned / max(sizes[0], 1e-9), settings.residual_relative_max, "rotations do not fit: residual over motion"),
         (missed / max(sizes[1], 1e-9), settings.residual_relative_max, "translations do not fit: residual over motion"),

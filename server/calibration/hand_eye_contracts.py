@@ -11,7 +11,7 @@ from server.calibration.contracts import Array, CalibrationStatus
 class HandEyeSettings:
     """How the fit is made and what it refuses."""
 
-    poses_min: int = 4
+    poses_min: int = 12  # fewer can be fitted exactly two by two, and say too small a covariance
     axis_spread_min_rad: float = float(np.deg2rad(2.0))  # rms rotation about the second strongest axis
     freedom: float = 5.0  # of Student's t, the residuals' distribution: heavy tails, outliers fade
     iterations_max: int = 60

@@ -14,7 +14,13 @@ from machine.chain import chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_pose
 from server.calibration.contracts import Array, CalibrationStatus
-from server.calibration.joint_lens import LensPrior, layout_covariance, look_sensitivity, odometry_sensitivity
+from server.calibration.joint_lens import (
+    LensPrior,
+    layout_covariance,
+    look_sensitivity,
+    odometry_sensitivity,
+    shows_plane,
+)
 from server.calibration.joint_observations import (
     LookAt,
     NoiseModel,
@@ -28,7 +34,7 @@ from server.calibration.joint_observations import (
     thinned,
 )
 from server.calibration.joint_state import JointState, state_steps
-from server.calibration.joint_verdict import Fitted, verdict, widened
+from server.calibration.joint_verdict import SEEING_FREEDOMS, Fitted, verdict, widened
 from server.calibration.kinematic_errors import ErrorModel, ErrorPrior, error_model
 
 ROUNDS_MAX = 8
@@ -120,6 +126,9 @@ def estimate_jointly(
     if runs and length < PATH_MIN_M:
         reason = f"camera moved {1e3 * length:.0f} mm in all (need {1e3 * PATH_MIN_M:.0f} mm); drive a longer path"
         return _refused(model, CalibrationStatus.TOO_FEW, reason, length)
+    if not shows_plane(machine.camera, looks[-1].T_cam_ooi):
+        reason = "the object of interest is too near, edge-on or behind the camera: no wall to see about it; look again"
+        return _refused(model, CalibrationStatus.DEGENERATE, reason, length)
     start = _start(machine, model, looks[-1])
     problem = _Problem(
         model=model,
@@ -156,6 +165,8 @@ def _broken(
         return CalibrationStatus.TOO_FEW, "no look: look at tool and OOI first"
     if any(look.q.shape != (model.n_joints,) or not np.isfinite(look.q).all() for look in looks):
         return CalibrationStatus.DEGENERATE, "a look's joints are not finite or not as many as the machine has"
+    if not all(np.isfinite(T).all() for look in looks for T in (look.T_cam_tool, look.T_cam_ooi)):
+        return CalibrationStatus.DEGENERATE, "a look's poses are not finite; look again"
     for run in runs:
         values = (run.camera.t_s, run.camera.Ts_vo_cam, run.joints.t_s, run.joints.qs)
         if not all(np.isfinite(value).all() for value in values):
@@ -328,7 +339,8 @@ def _fitted(problem: _Problem, state: JointState) -> Fitted:
         positions.append(float(np.einsum("ia,ij,ja->", weighted, W, weighted)) / position.size)
         spreads.append(float(np.mean(weighted**2)) / largest)
         turns.append(float(np.sum(weights[:, None] * turn**2)) / (turn.size * problem.noise.sigma_turn_rad**2))
-    mount = state.less(problem.believed)[problem.mount]
+    off = state.less(problem.believed)
+    mount, seeing = off[problem.mount], (off / problem.sigma)[-SEEING_FREEDOMS:]
     return Fitted(
         look_chi2=[float(residual @ W @ residual) for residual, (_, W, _) in zip(looks, problem.looks, strict=True)],
         run_position=positions,
@@ -337,6 +349,7 @@ def _fitted(problem: _Problem, state: JointState) -> Fitted:
         weights=problem.weights,
         mount_chi2=float(np.sum((mount / problem.sigma[problem.mount]) ** 2)),
         mount_rad=float(np.linalg.norm(mount)),
+        seeing_chi2=float(seeing @ seeing),
     )
 
 

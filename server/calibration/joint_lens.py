@@ -22,6 +22,7 @@ LENS_NAMES = ("focal length", "principal point x", "principal point y", "k1", "d
 N_LENS = len(LENS_NAMES)
 #: Steps for numerical derivatives: share, px, px, 1, px, share.
 LENS_STEPS = np.array([1e-4, 1e-2, 1e-2, 1e-4, 1e-2, 1e-4])
+PLANE_POINTS_MIN = 6
 STAND_IN_SIDE_M = 0.15  # for an object without single markers
 STAND_IN = Marker(-1, STAND_IN_SIDE_M, "ooi", np.eye(4))  # a board hangs and is printed as well as a marker
 WALL_GRID, BORDER_PX, WAY_M = (8, 6), 20.0, 0.1
@@ -119,6 +120,11 @@ def odometry_sensitivity(camera: StereoCamera, T_cam_ooi: Array) -> Array:
     return found
 
 
+def shows_plane(camera: StereoCamera, T_cam_ooi: Array) -> bool:
+    """Whether both eyes see enough of the OOI's plane to say what a lens does to odometry there."""
+    return len(_plane_points(camera, T_cam_ooi)) >= PLANE_POINTS_MIN
+
+
 def _corners(markers: Sequence[Marker]) -> Array:
     """Corners (n, 3) [m] on their object; of a stand-in where it has no single markers."""
     if not markers:
@@ -189,6 +195,8 @@ def _plane_points(camera: StereoCamera, T_cam_ooi: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         points = rays * (T_cam_ooi[:3, 3] @ normal / (rays @ normal))[:, None]
     points = points[np.isfinite(points).all(axis=1) & (points[:, 2] > 2.0 * WAY_M)]
+    if not len(points):
+        return points
     right = _pixels((camera, camera), points).reshape(-1, 4)[:, 2:]
     return points[_in_image(camera, right)]
 

@@ -7,6 +7,7 @@ import numpy as np
 from machine.poses import inverse_pose
 from machine.rotations import rotvec_from_rotation
 from server.calibration.contracts import Array, CameraTrack
+from server.calibration.hand_eye_linear import rotation_vectors
 from server.calibration.joint_lens import N_LENS
 from server.calibration.joint_state import JointState
 from server.calibration.kinematic_errors import ErrorModel, play_widths, tcp_poses_with_errors
@@ -128,12 +129,9 @@ def run_residuals(
     p = (Ts_base_cam[1:, :3, 3] - p_first) @ R_first
     R = R_first.T @ Ts_base_cam[1:, :3, :3]
     measured = samples.Ts_first_cam[1:]
-    turn = R @ np.swapaxes(measured[:, :3, :3], 1, 2)
-    small = 0.5 * np.stack(
-        [turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1
-    )
+    turns = rotation_vectors(R @ np.swapaxes(measured[:, :3, :3], 1, 2))
     bent = p @ np.tensordot(state.lens, bending, axes=1).T
-    return state.scale * p + bent - measured[:, :3, 3], small
+    return state.scale * p + bent - measured[:, :3, 3], turns
 
 
 def look_residual(model: ErrorModel, state: JointState, look: LookAt, sensitivity: Array) -> Array:

@@ -17,6 +17,7 @@ SURE = 0.999  # a sound look in a thousand is refused by chance
 LOOK_FREEDOMS, OOI_FREEDOMS = 12, 6  # of the looks together, as many go into where the OOI is
 RUN_MISFIT_MAX = 2.0  # scatter is renewed until right within a third, so twice is neither that nor chance
 MOUNT_SURE = 0.9999  # with a prior of 3 deg per axis: 14 deg from the machine file
+SEEING_FREEDOMS = 8
 OUTLIERS_MAX_FRAC = 0.4
 
 
@@ -28,6 +29,7 @@ class Fitted:
     run_spread: of each run's positions as they are, over the largest variance that a scatter is believed to have: above
     1 it is no scatter but a drift or a step, which whitening by neighbours would hide.
     weights: of each run's samples. mount_chi2 (3 freedoms), mount_rad: camera's rotation against its prior.
+    seeing_chi2: odometry's scale, clock and lens against theirs: what bends to explain the rest is no explanation.
     """
 
     look_chi2: Sequence[float]
@@ -37,17 +39,19 @@ class Fitted:
     weights: Sequence[Array]
     mount_chi2: float
     mount_rad: float
+    seeing_chi2: float
 
     @property
     def misfit(self) -> float:
         """The worst of all mean squares, about 1 or less where everything agrees."""
         freedoms = max(1, LOOK_FREEDOMS * len(self.look_chi2) - OOI_FREEDOMS)
-        return float(max(sum(self.look_chi2) / freedoms, *self.run_position, *self.run_turn, *self.run_spread, 0.0))
+        looks, seeing = sum(self.look_chi2) / freedoms, self.seeing_chi2 / SEEING_FREEDOMS
+        return float(max(looks, seeing, *self.run_position, *self.run_turn, *self.run_spread, 0.0))
 
 
 def verdict(fitted: Fitted) -> tuple[CalibrationStatus, str]:
     """OK, or POOR_FIT with what contradicts what."""
-    reason = _looks(fitted.look_chi2) or _runs(fitted) or _mount(fitted)
+    reason = _looks(fitted.look_chi2) or _runs(fitted) or _mount(fitted) or _seeing(fitted)
     return (CalibrationStatus.POOR_FIT, reason) if reason else (CalibrationStatus.OK, "")
 
 
@@ -92,6 +96,16 @@ def _mount(fitted: Fitted) -> str:
     return (
         f"the camera stands {np.rad2deg(fitted.mount_rad):.0f} deg from the machine file (chi2 {fitted.mount_chi2:.0f} "
         f"against what a mount may be off, limit {limit:.0f}); correct the mount in the machine file"
+    )
+
+
+def _seeing(fitted: Fitted) -> str:
+    limit = float(chi2.ppf(MOUNT_SURE, SEEING_FREEDOMS))
+    if fitted.seeing_chi2 <= limit:
+        return ""
+    return (
+        "looks and path only agree with another camera than the file's: lens, scale of the odometry and clock are "
+        f"off by chi2 {fitted.seeing_chi2:.0f} (limit {limit:.0f}); calibrate the camera anew, and check its clock"
     )
 
 

@@ -22,7 +22,7 @@ from server.vision.odometry_motion import (
     standing,
     with_scale_error,
 )
-from server.vision.odometry_observation import Observed, observe_map
+from server.vision.odometry_observation import Observed, expected_right, observe_map
 from server.vision.odometry_pose import PoseFit, refine_camera
 from server.vision.odometry_readout import Readout, readout_of
 from server.vision.odometry_relocation import by_flow, by_recognition
@@ -49,6 +49,7 @@ class OdometrySettings:
     inliers_good: int = 60
     inliers_min: int = 15
     coverage_good: int = 10  # of 40 cells of the image
+    right_good_frac: float = 0.5  # of the points that lie in the right eye's view
     sigma_good_m: float = 2e-3  # of the position, the rig's scale apart, near the start
     sigma_good_frac: float = 0.005  # of the distance from the start, added to that
     rms_good: float = 6.0  # of the residuals in their sigmas; photographs of a street reach 3.5
@@ -239,19 +240,28 @@ class StereoOdometry:
         covariance += gains.of_twist @ np.diag(located.twist.sigma**2) @ gains.of_twist.T
         covariance += self._readout.sigma_s**2 * np.outer(gains.of_readout, gains.of_readout)
         self._learn_readout(gains)
-        status, reason = self._verdict(inliers_px, covariance, fit.rms_sigma, float(np.linalg.norm(T_vo_cam[:3, 3])))
+        distance_m = float(np.linalg.norm(T_vo_cam[:3, 3]))
+        status, reason = self._verdict(inliers_px, covariance, fit.rms_sigma, distance_m, self._right_frac(located))
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
         wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls)
         kept = sight.keep() if wanted else sight
         if wanted:
+            seen_here = self._seen_here(located)  # by the list as it is: adding one may forget another
             keyframe = self._add_keyframe(kept, motion, covariance, gains, inliers_px)
-            keyframe.seen_here, keyframe.twist_gain = self._seen_here(located), gains.of_twist
+            keyframe.seen_here, keyframe.twist_gain = seen_here, gains.of_twist
             self._adjust(fit.noise_factor)
             T_vo_cam = keyframe.T_vo_cam
             motion = replace(motion, T_vo_cam=T_vo_cam)
         self._last = Last(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)
         reported = with_scale_error(covariance, T_vo_cam[:3, 3], self._settings.sigma_scale_frac)
         return OdometryPose(sight.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
+
+    def _right_frac(self, located: Located) -> float:
+        """Of the points that the right eye should show, how many it does; 1 where too few to tell."""
+        on = located.fit.inliers
+        expected = expected_right(self._camera, transform_points(located.fit.T_cam_vo, located.points_vo[on]))
+        found = np.isfinite(located.observed.right_px[on, 0])
+        return float(found[expected].mean()) if expected.sum() >= self._settings.inliers_min else 1.0
 
     def _learn_readout(self, gains: Sensitivity) -> None:
         if self._readout.sigma_s == 0.0:
@@ -290,7 +300,12 @@ class StereoOdometry:
             self._known.replace_poses(range(first, len(self._keyframes)), joint, Ts)
 
     def _verdict(
-        self, inliers_px: Array, covariance: Array, rms_sigma: float, distance_m: float = 0.0
+        self,
+        inliers_px: Array,
+        covariance: Array,
+        rms_sigma: float,
+        distance_m: float = 0.0,
+        right_frac: float = 1.0,
     ) -> tuple[OdometryStatus, str]:
         settings = self._settings
         good_m = settings.sigma_good_m + settings.sigma_good_frac * distance_m
@@ -306,6 +321,11 @@ class StereoOdometry:
             )
         elif covered < settings.coverage_good:
             reason = f"points in {covered} of 40 cells of the image (good from {settings.coverage_good})"
+        elif right_frac < settings.right_good_frac:
+            reason = (
+                f"the right eye shows {100 * right_frac:.0f} % of the known points that it should (good from "
+                f"{100 * settings.right_good_frac:.0f} %); covered, frozen, out of step, or the eyes are swapped"
+            )
         elif sigma_m > good_m:
             reason = f"position only known to {1e3 * sigma_m:.1f} mm (good to {1e3 * good_m:.1f}); go slower or nearer"
         elif rms_sigma > settings.rms_good:

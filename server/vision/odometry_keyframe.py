@@ -13,7 +13,8 @@ from server.vision.odometry_lens import ray_noise
 from server.vision.odometry_motion import moved_by_twist, row_fractions
 from server.vision.odometry_sight import Sight, StereoMatches, Wanted
 
-FAILURES_MAX = 8  # more failed than found, and this often: the point is no good
+FAILURES_MAX = 8  # more failed than found, and this often: the point is asked in turn only
+TURNS = 32  # pairs in which each of those is asked once more: what covered it may have gone
 DEPTH_MIN_M = 0.05
 
 
@@ -54,6 +55,7 @@ class Keyframe:
     covariances_vo: Array
     failures: NDArray[np.int64]
     serial: int = 0
+    counted: int = 0
     mixing: dict[int, Array] = field(default_factory=dict)
     seen_here: "SeenHere | None" = None
     twist_gain: Array = field(default_factory=lambda: np.zeros((6, 6)))
@@ -62,6 +64,13 @@ class Keyframe:
     def n_points(self) -> int:
         """Points this keyframe put into the map."""
         return len(self.points_row)
+
+    def count(self, indices: NDArray[np.int64], found: NDArray[np.bool_]) -> None:
+        """Hold the misses of a pair against the points that were looked for; those given up get their turn."""
+        self.failures[indices] = np.clip(self.failures[indices] + np.where(found, -1, 1), 0, FAILURES_MAX)
+        self.counted += 1
+        turn = np.arange(self.counted % TURNS, self.n_points, TURNS)
+        self.failures[turn] = np.minimum(self.failures[turn], FAILURES_MAX - 1)
 
     def place(self, T_vo_cam: Array, twist: Array, readout_s: float) -> None:
         """Put the map points where this pose, velocity (6,) and readout of the shutter say they are."""
@@ -148,7 +157,7 @@ def expect_points(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array, sig
     """Which of a keyframe's points a pair taken at `T_vo_cam` shows, and where.
 
     A point is left out where it lies under the mask, where the patch would be seen at less than 0.4 or more than 2.5
-    times its area, or where it has failed too often.
+    times its area, or where it has failed too often and it is not its turn.
     """
     T_cam_vo = inverse_pose(T_vo_cam)
     points_cam = transform_points(T_cam_vo, keyframe.points_vo)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from machine.camera import undistort_to_rays
+from machine.camera import project_stereo, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
 from server.vision.contracts import Array
@@ -17,6 +17,7 @@ from server.vision.odometry_sight import Sight
 
 ENOUGH_FRAC = 0.5  # of the points wanted: found, not only expected
 SAMPLE = 24  # points of a keyframe that are asked first
+BORDER_FRAC = 0.02  # of the image's width: a patch about a point nearer than this may leave it
 MARGIN = 0.7  # half of the image and some more
 
 
@@ -44,8 +45,7 @@ class Tried:
 
     def count(self) -> None:
         """Hold the misses against the points; only right where the pair was located: in the dark all are missed."""
-        failures = self.keyframe.failures
-        failures[self.indices] = np.maximum(failures[self.indices] + np.where(self.found, -1, 1), 0)
+        self.keyframe.count(self.indices, self.found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +94,14 @@ def observe_map(
     numbers = [np.concatenate([getattr(part, name) for part in parts]) for name in ("keyframes", "indices")]
     tried = tuple(part.tried for part in parts)
     return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, tried)
+
+
+def expected_right(camera: StereoCamera, points_cam: Array) -> NDArray[np.bool_]:
+    """Which points (n, 3) in the left eye's axes [m] the right eye must show: away from its image's border."""
+    right_px = project_stereo(camera, points_cam)[1]
+    border = BORDER_FRAC * camera.width_px
+    size = np.array([camera.width_px, camera.height_px])
+    return np.asarray(((right_px > border) & (right_px < size - border)).all(axis=1))
 
 
 def in_view(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array) -> bool:

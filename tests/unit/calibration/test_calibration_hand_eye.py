@@ -86,6 +86,7 @@ def test_unknown_scale_is_found():
     found = solve_ax_yb(As, inverse_poses(Ts), unknown_scale=True)
     degrees, millimetres = errors_of(found)
     assert found.scale == pytest.approx(2.5, rel=2e-3)
+    assert found.time_offset_sigma_s == 0.0  # no clock was fitted: the last sigma is the scale's
     assert degrees < 0.15
     assert millimetres < 2.0
 
@@ -124,6 +125,35 @@ def test_covariance_is_honest():
         chi2.append(error @ np.linalg.solve(found.covariance[:6, :6], error))
     assert 0.6 < np.mean(chi2) / 6.0 < 1.6
     assert np.mean(np.array(chi2) < 12.59) > 0.87
+
+
+@pytest.mark.parametrize("unknown_scale", [False, True])
+def test_as_few_poses_as_are_taken_tell_an_honest_covariance(unknown_scale):
+    """Two poses can be fitted exactly, and a distribution with heavy tails then forgets the others."""
+    quick = HandEyeSettings(triples=5)
+    inside, told = 0, 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        turns = rng.normal(0.0, np.deg2rad(25.0), (quick.poses_min, 3))
+        As = np.array([pose(rotation_from_rotvec(turn), rng.uniform(-0.3, 0.3, 3)) for turn in turns])
+        found = solve_ax_yb(As, inverse_poses(seen_target(As, rng, 0.2, 0.002)), unknown_scale, quick)
+        if found.X is None or found.covariance is None:
+            continue
+        error = np.concatenate((rotvec_from_rotation(X_TRUE[:3, :3] @ found.X[:3, :3].T), (X_TRUE - found.X)[:3, 3]))
+        inside += bool(error @ np.linalg.solve(found.covariance[:6, :6], error) < 12.59)
+        told += 1
+    assert told > 50
+    assert inside > 0.83 * told
+
+
+def test_too_few_poses_are_refused():
+    As = hand_poses(np.arange(0.0, 5.5, 0.5))
+    assert len(As) == HandEyeSettings().poses_min - 1
+    found = solve_ax_yb(As, inverse_poses(seen_target(As, np.random.default_rng(1))))
+    assert (found.status, found.reason) == (
+        CalibrationStatus.TOO_FEW,
+        "11 usable pairs, at least 12 are needed; record more poses",
+    )
 
 
 @pytest.mark.parametrize("kind", ["motions", "poses"])

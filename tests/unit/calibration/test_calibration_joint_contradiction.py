@@ -9,7 +9,7 @@ from joint_scenes import GOAL, Q_START, drawn_machine, machine, odometry_run, pa
 
 from machine.chain import chain_of
 from machine.rotations import geodesic_angle, rotation_from_rotvec
-from server.calibration.contracts import CalibrationStatus
+from server.calibration.contracts import CalibrationStatus, CameraTrack
 from server.calibration.joint_estimate import estimate_jointly
 from server.calibration.joint_goal import joints_for_goal
 from server.calibration.joint_verdict import Fitted, verdict, widened
@@ -49,7 +49,7 @@ def test_what_is_left_over_widens_the_covariance():
     covariance = np.diag([1.0, 4.0])
     assert np.allclose(widened(covariance, 0.6), covariance)
     assert np.allclose(widened(covariance, 1.7), 1.7 * covariance)
-    fitted = Fitted([10.0], [1.6], [0.2], [0.1], [np.ones(60)], 1.0, 0.01)
+    fitted = Fitted([10.0], [1.6], [0.2], [0.1], [np.ones(60)], 1.0, 0.01, 3.0)
     assert fitted.misfit == pytest.approx(10.0 / 6.0)
     assert replace(fitted, run_spread=[3.1]).misfit == 3.1
 
@@ -64,6 +64,7 @@ def test_what_is_left_over_widens_the_covariance():
         ({"run_turn": [float("nan")]}, "turns nan"),
         ({"weights": [np.full(60, 0.1)]}, "outliers"),
         ({"mount_chi2": 70.0, "mount_rad": np.deg2rad(25.0)}, "25 deg from the machine file"),
+        ({"seeing_chi2": 41.0}, "off by chi2 41 .limit 32.; calibrate the camera anew"),
     ],
 )
 def test_one_bad_observation_is_not_hidden_by_many_good_ones(changed, word):
@@ -75,6 +76,7 @@ def test_one_bad_observation_is_not_hidden_by_many_good_ones(changed, word):
         "weights": [np.ones(60)] * 2,
         "mount_chi2": 2.0,
         "mount_rad": 0.03,
+        "seeing_chi2": 6.0,
     }
     assert verdict(Fitted(**good))[0] is CalibrationStatus.OK
     status, reason = verdict(Fitted(**{**good, **changed}))
@@ -105,3 +107,42 @@ def test_a_mount_far_from_its_file_is_judged_against_the_prior():
     _, found = with_mount_off(25.0, 1)
     assert found.status is CalibrationStatus.POOR_FIT
     assert "deg from the machine file" in found.reason
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.03])
+def test_a_scale_that_no_rig_has_is_not_explained_away_by_the_lens(scale):
+    refused = 0
+    for seed in range(5):
+        here = scene(np.random.default_rng(seed))
+        run = odometry_run(here.true, path_joints(), np.random.default_rng(seed))
+        Ts = run.camera.Ts_vo_cam.copy()
+        Ts[:, :3, 3] *= scale
+        run = replace(run, camera=CameraTrack(run.camera.t_s, Ts))
+        found = estimate_jointly(machine(), [run], [here.look(Q_START)])
+        refused += found.status is CalibrationStatus.POOR_FIT
+    assert refused >= 4 if scale > 1.0 else refused == 0
+
+
+@pytest.mark.parametrize("deg", [0.0, 180.0])
+def test_odometry_that_is_turned_by_half_a_turn_is_no_small_residual(deg):
+    here = scene(np.random.default_rng(3))
+    run = odometry_run(here.true, path_joints(), np.random.default_rng(3))
+    Ts = run.camera.Ts_vo_cam.copy()
+    Ts[1:, :3, :3] = Ts[1:, :3, :3] @ rotation_from_rotvec(np.deg2rad(deg) * np.array([1.0, 0.0, 0.0]))
+    found = estimate_jointly(machine(), [replace(run, camera=CameraTrack(run.camera.t_s, Ts))], [here.look(Q_START)])
+    assert (found.status is CalibrationStatus.OK) is (deg == 0.0)
+
+
+@pytest.mark.parametrize("kind", ["nan", "near", "behind"])
+def test_a_look_that_shows_no_wall_is_refused_and_raises_nothing(kind):
+    here = scene(np.random.default_rng(2))
+    look = here.look(Q_START)
+    T = look.T_cam_ooi.copy()
+    if kind == "nan":
+        T[0, 3] = np.nan
+    else:
+        T[:3, 3] *= (0.15 if kind == "near" else -look.T_cam_ooi[2, 3]) / look.T_cam_ooi[2, 3]
+    run = odometry_run(here.true, path_joints(), np.random.default_rng(2))
+    found = estimate_jointly(machine(), [run], [replace(look, T_cam_ooi=T)])
+    assert found.status is CalibrationStatus.DEGENERATE
+    assert "look again" in found.reason
