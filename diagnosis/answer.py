@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from diagnosis.cells.points import left_out
 from diagnosis.diagnose import Diagnosis
 from diagnosis.experiments.choice import next_experiment
 from diagnosis.localise import totals_of
@@ -294,6 +295,8 @@ def _missing(found: Diagnosis) -> list[dict[str, str]]:
     nominal = found.whole.nominal
     out += [{"signal": part, "costs": text} for part, text in found.whole.lacking]
     guessed = [one.search.cell.label for one in found.cells if not one.search.cell.floor_known]
+    if nominal is not None and found.whole.tables is not None:
+        out += [{"signal": "points", "costs": text} for text in left_out(nominal, found.whole.tables)]
     if guessed:
         of = "" if len(guessed) == len(found.cells) else f" of {', '.join(guessed)}"
         text = f"no usable repeats{of}: noise floor estimated, probabilities widened"

@@ -12,7 +12,7 @@ from diagnosis.chain.own_cycle import at_its_cycle, unseen_wait
 from diagnosis.chain.own_step import at_its_step
 from diagnosis.chain.unlike import far_off, marked, told_beyond, told_who_sticks
 from diagnosis.known.known import with_known
-from diagnosis.localise import Localisation, localise
+from diagnosis.localise import Localisation, localise, speed_floors
 from diagnosis.reading.read import Read
 from diagnosis.refusal.gear import gears
 from diagnosis.refusal.oil import swinging
@@ -27,6 +27,7 @@ from diagnosis.search.limits import Interval, detection_limit, intervals
 from diagnosis.search.score import Score
 from diagnosis.search.search import Search, searched_again
 from diagnosis.search.work import Progress, Work, silent
+from diagnosis.verdict.by_itself import moves_by_itself
 from diagnosis.verdict.cell_answer import CellAnswer
 from diagnosis.verdict.maybe_none import maybe_none
 from diagnosis.verdict.shared_gain import shared_gain
@@ -86,10 +87,11 @@ def concluded(
     still = stood_still(whole.stretches) and (whole.tables is None or whole.tables.static is None)
     word = verdict_of(answers, holes, still, whole.log_unused, frozen)
     told = maybe_none(word, answers, numbers, encoder_steps(whole.stretches))
-    verdict = shared_gain(told, answers, numbers)
     work.conclude("localising", 0.85)
     energy = energies([(one.cell, one.none.fit.residual) for one in searches])
-    return Diagnosis(whole, verdict, answers, hypotheses, numbers, localise(whole, energy, nats_by_stage(answers)))
+    places = localise(whole, energy, nats_by_stage(answers))
+    verdict = moves_by_itself(shared_gain(told, answers, numbers), speed_floors(places), whole.stretches)
+    return Diagnosis(whole, verdict, answers, hypotheses, numbers, places)
 
 
 def _dynamic(

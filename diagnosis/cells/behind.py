@@ -80,6 +80,16 @@ def guessed_scatter_m(cell: Cell) -> float:
     return max(own, default=0.0)
 
 
+def measured_scatter_m(cell: Cell) -> float:
+    """The noise of measured points as the same point measured again in its pose shows it; else 0."""
+    own = [
+        float(np.hypot(part.whitened.noise.own.max(), part.whitened.noise.common_m))
+        for part in cell.parts or (cell,)
+        if part.floor_known and isinstance(part.whitened, PointResidual)
+    ]
+    return max(own, default=0.0)
+
+
 def joined(parts: list[Cell], spread: float = 1.0) -> Cell:
     """Several cells as one: candidates of all, residuals end to end.
 

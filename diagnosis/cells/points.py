@@ -10,6 +10,7 @@ from diagnosis.behind.point_noise import noise_by_repeats, point_scatter
 from diagnosis.behind.point_residual import unweighed
 from diagnosis.behind.points import ROWS_MIN, PointData, static_data, tracked_data
 from diagnosis.log.nominal import Nominal
+from diagnosis.log.tables import Tables
 from diagnosis.noise.of_repeated_points import RepeatedPoints
 from diagnosis.reading.read import Read
 from diagnosis.search.candidates import candidates_of
@@ -45,6 +46,15 @@ def _told(cell: Cell, nominal: Nominal, data: PointData) -> Cell:
     """The cell, with the point that is loose on its link, if one is."""
     joints, names = [one.joint for one in nominal.points], [one.name for one in nominal.points]
     return replace(cell, restless=cell.restless or off_its_link(data.xyz, data.which, data.when, joints, names))
+
+
+def left_out(nominal: Nominal, tables: Tables) -> list[str]:
+    """Of which tables not all points are used, in words."""
+    return [
+        f"{ROWS_MAX} of {len(table.xyz)} points of {name} are used, evenly spread"
+        for name, table in (("static.csv", tables.static), ("tracker.csv", tables.tracker))
+        if table is not None and nominal.arm is not None and len(table.xyz) > ROWS_MAX
+    ]
 
 
 def _thinned(data: PointData) -> PointData:

@@ -23,6 +23,7 @@ CODES: dict[str, str] = {
     "too_short": "too few rows",
     "no_rows": "a file of column names only",
     "not_a_number": "numbers are missing or infinite",
+    "copied_column": "two columns of one joint that are the same to the last digit",
     "constant": "a signal that never changes while others do",
     "gap": "rows are missing",
     "bridged": "rows are missing so often that short gaps are filled by lines",

@@ -34,7 +34,37 @@ def pairing_findings(tables: Tables) -> list[Finding]:
         own = _judge("plc.csv", "q_{j}_rad", name, table)
         moved = MOVED_SHARE * whole[1].std(axis=0)
         findings += own or _reversed_in_segments(plc, tables.run.segments, name, of, moved)
-    return findings or _command_for_encoder(plc)
+    return findings or _copied(plc) or _reversed_positions(plc) or _command_for_encoder(plc)
+
+
+def _copied(plc: PlcTable) -> list[Finding]:
+    """Joints whose encoder is their reference to the last digit while it moves: nothing was measured."""
+    if plc.enc is None or plc.ref is None or plc.enc.shape != plc.ref.shape:
+        return []
+    same = (plc.enc == plc.ref).all(axis=0) & (np.ptp(plc.ref, axis=0) > 0.0)
+    return [
+        Finding(
+            "copied_column",
+            "fatal",
+            "plc.csv",
+            f"q_{j}_rad is q_ref_{j}_rad to the last digit in every row, though it moves: one of them was written "
+            "twice; record the encoder",
+        )
+        for j in (np.nonzero(same)[0] + 1).tolist()
+    ]
+
+
+def _reversed_positions(plc: PlcTable) -> list[Finding]:
+    """The signs by positions: a loop that hunts drowns what its increments say."""
+    if plc.enc is None or plc.ref is None:
+        return []
+    size = _size(plc)
+    enc, ref = _blocks(filled(plc.enc), size), _blocks(filled(plc.ref), size)
+    if len(enc) < BLOCKS_MIN:
+        return []
+    table = _correlations(enc, ref, round(LAG_MAX_S / BLOCK_S))
+    found = _judge("plc.csv", "q_{j}_rad", "q_ref_{j}_rad", table)
+    return [one for one in found if one.code == "reversed_column"]
 
 
 def _command_for_encoder(plc: PlcTable) -> list[Finding]:

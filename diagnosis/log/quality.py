@@ -19,6 +19,7 @@ ROWS_MIN = 50
 EDGE_S = 1e-6  # rounding of a segment's ends
 DURATION_MIN_S = 2.0
 STEP_MAX = 500.0  # cycles between two rows: beyond it the unit of time is wrong (units.py)
+REFERENCE_WORKS = 0.1  # rad or m: a reference that goes this far moves any joint
 COMMAND_WORKS = 0.2  # a command above it moves any joint
 
 
@@ -152,17 +153,26 @@ def _numbers(subject: str, pattern: str, values: Array) -> list[Finding]:
 
 
 def _constants(plc: PlcTable) -> list[Finding]:
-    """A joint whose encoder stands still to the last digit while its valve works, or whose valve never moves."""
-    if plc.enc is None or plc.u is None:
+    """A joint whose encoder stands still to the last digit while its valve works, or its reference goes far."""
+    if plc.enc is None:
         return []
     findings = []
     for j in range(plc.enc.shape[1]):
-        enc, u = plc.enc[:, j], plc.u[:, j]
-        finite = enc[np.isfinite(enc)]
-        if len(finite) and np.ptp(finite) == 0.0 and largest(u) > COMMAND_WORKS:
-            text = f"q_{j + 1}_rad never changes, though u_{j + 1}_frac reaches {largest(u):.2g}; check the encoder"
+        finite = plc.enc[np.isfinite(plc.enc[:, j]), j]
+        why = _asked(plc, j)
+        if len(finite) and np.ptp(finite) == 0.0 and why:
+            text = f"q_{j + 1}_rad never changes, though {why}; check the encoder"
             findings.append(Finding("constant", "problem", "plc.csv", text))
     return findings
+
+
+def _asked(plc: PlcTable, j: int) -> str:
+    """What asked a joint (0-based) to move, in words; empty where nothing did."""
+    if plc.u is not None and largest(plc.u[:, j]) > COMMAND_WORKS:
+        return f"u_{j + 1}_frac reaches {largest(plc.u[:, j]):.2g}"
+    ref = np.zeros(0) if plc.ref is None else plc.ref[np.isfinite(plc.ref[:, j]), j]
+    asked = float(np.ptp(ref)) if len(ref) else 0.0
+    return f"q_ref_{j + 1}_rad goes over {asked:.2g}" if asked > REFERENCE_WORKS else ""
 
 
 def _rate(plc: PlcTable, nominal: Nominal | None) -> list[Finding]:

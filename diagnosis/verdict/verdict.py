@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from diagnosis.cells.behind import guessed_scatter_m, measurement_of
+from diagnosis.cells.behind import guessed_scatter_m, measured_scatter_m, measurement_of
 from diagnosis.families.behind import IN_TURN
 from diagnosis.families.driven import SINCE
 from diagnosis.refusal.remainder import CORRELATION, EDGE, ENERGY_MIN, Fired
@@ -83,7 +83,12 @@ def verdict_of(
     scattered = max((guessed_scatter_m(one.search.cell) for one in answers), default=0.0)
     if scattered > SCATTER_MAX_M and (outside or partly or not named):
         text = f"the points scatter by {1e3 * scattered:.3g} mm about every model of this arm: that is no noise"
-        return Verdict("undecided", f"{text}; check the points' joint, frame and unit, and measure some poses twice")
+        remedy = "check the points' joint, frame and unit, order and sign of the joints, and the arm's convention"
+        return Verdict("undecided", f"{text}; {remedy}, and measure some poses twice")
+    again = max((measured_scatter_m(one.search.cell) for one in answers), default=0.0)
+    if again > SCATTER_MAX_M:
+        text = f"the same point of a pose differs by {1e3 * again:.3g} mm where it was measured again: that is no noise"
+        return Verdict("undecided", f"{text}; give every reflector its own name, and every pose its own index")
     telling = [one for one in answers if one.fired or one.chosen.fit.hypothesis]
     if telling and all(_brief(one) for one in telling):
         cell = telling[0].search.cell

@@ -9,7 +9,9 @@ from machine.effects.layout import BASE_COMPLIANCE, BASE_TILT, LENGTH_A, LENGTH_
 from machine.errors import MachineError
 from machine.rotations import Array
 
-TORQUE_MIN_NM = 1.0  # a joint that gravity loads less than this in every posture carries no load
+TORQUE_MIN_NM = 1.0  # a joint that gravity loads less than this in every posture carries no load,
+TORQUE_MIN_SHARE = 0.01  # on a small machine less than this of the most loaded joint's,
+TORQUE_NONE_NM = 1e-3  # and on none this
 POSTURES = 2048  # Halton points over the joints' ranges for the reference torques
 
 
@@ -213,7 +215,8 @@ def reference_torques(arm: Arm, sets: ParameterSets, q_min: Array, q_max: Array)
     span = np.asarray(q_max, dtype=float) - np.asarray(q_min, dtype=float)
     qs = np.asarray(q_min, dtype=float) + span * _halton(POSTURES, arm.n)
     largest = np.abs(gravity_torques(arm, sets, qs)).max(axis=0)
-    return np.where(largest > TORQUE_MIN_NM, largest, np.inf)
+    least = np.clip(TORQUE_MIN_SHARE * largest.max(initial=0.0), TORQUE_NONE_NM, TORQUE_MIN_NM)
+    return np.where(largest > least, largest, np.inf)
 
 
 def loads_along(arm: Arm, sets: ParameterSets, qs: Array, torque_reference: Array) -> tuple[Array, Array]:

@@ -60,7 +60,7 @@ def urdf_joint_names(text: str) -> frozenset[str]:
 
 def _root(text: str) -> ElementTree.Element:
     try:
-        return ElementTree.fromstring(text)
+        return ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"))
     except ElementTree.ParseError as error:
         raise MachineError(f"urdf is not XML: {error}") from error
 

@@ -1,5 +1,7 @@
 """Where the links are: against kinematics and torques found another way, and each effect's own geometry."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from effects_cases import hiab
@@ -85,6 +87,16 @@ def test_loads_are_shares_of_the_reference_torque_and_linear_in_the_payload() ->
     assert np.abs(load).max() <= 1.05
     heavy = gravity_torques(ARM, packed("payload_error", None, mass_kg=80.0), QS) / reference
     assert load + 80.0 * load_kg == pytest.approx(heavy, abs=1e-12)
+
+
+def test_a_small_arm_carries_load_as_well_and_an_upright_joint_none() -> None:
+    small = replace(ARM, mass=1e-4 * ARM.mass)
+    machine = hiab()
+    limits = np.array([[j.q_min_rad, j.q_max_rad] for j in machine.joints]).T
+    reference = reference_torques(small, NONE, *limits)
+    assert np.isinf(reference[0])
+    assert 0.5 < reference[1] < 3.0
+    assert np.isinf(reference_torques(replace(ARM, mass=0.0 * ARM.mass), NONE, *limits)).all()
 
 
 def test_sag_hangs_the_tip_lower_by_the_torque_times_the_compliance() -> None:

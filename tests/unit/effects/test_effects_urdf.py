@@ -23,6 +23,10 @@ def test_limits_and_masses_are_the_urdfs_own() -> None:
     assert (turned.lower, turned.upper) == (-np.inf, np.inf)
 
 
+def test_an_empty_first_line_is_no_fault() -> None:
+    assert len(urdf_chain("\ufeff\n  <?xml version='1.0'?>\n" + CHAIN, "base", "tip")) == 2
+
+
 def test_gravity_may_point_anywhere() -> None:
     arm, _ = arm_from_urdf(CHAIN, "base", "tip", gravity=np.array([9.81, 0.0, 0.0]))
     assert arm.gravity.tolist() == [9.81, 0.0, 0.0]

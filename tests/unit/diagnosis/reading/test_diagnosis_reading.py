@@ -18,6 +18,11 @@ from recording.run import Segment
 MADE = recording()
 
 
+def hunting(k: int) -> float:
+    """A joint's swing [rad] in row k, back and forth every 0.2 s."""
+    return 0.02 * (-1) ** (k // 20)
+
+
 def codes(result: Read, *severities: str) -> set[str]:
     return {one.code for one in result.findings if not severities or one.severity in severities}
 
@@ -166,6 +171,28 @@ SPOILT = {
         "reversed_column",
         "fatal",
         "wrong sign",
+    ),
+    "reversed, and hunting": (
+        lambda: changed(
+            MADE,
+            PlcState,
+            lambda k, row: replace(row, u_frac=(), q_rad=(hunting(k) - row.q_ref_rad[0], *row.q_rad[1:])),
+        ),
+        "reversed_column",
+        "fatal",
+        "q_1_rad runs against q_ref_1_rad",
+    ),
+    "the reference for an encoder": (
+        lambda: changed(MADE, PlcState, lambda _, row: with_q(row, lambda q: (row.q_ref_rad[0], *q[1:]))),
+        "copied_column",
+        "fatal",
+        "q_1_rad is q_ref_1_rad to the last digit in every row",
+    ),
+    "an encoder that stands still, no valves": (
+        lambda: changed(MADE, PlcState, lambda _, row: replace(row, u_frac=(), q_rad=(0.25, *row.q_rad[1:]))),
+        "constant",
+        "problem",
+        "q_1_rad never changes, though q_ref_1_rad goes over",
     ),
     "some nan": (
         lambda: changed(MADE, PlcState, lambda k, row: with_q(row, lambda q: (NAN, *q[1:]) if k == 100 else q)),

@@ -67,6 +67,15 @@ def test_points_that_no_arm_explains_are_no_noise() -> None:
     assert "scatter by" in found["why"]
 
 
+def test_two_reflectors_of_one_name_are_no_noise() -> None:
+    """What differs in one pose under one name was taken for the floor, and nothing was above it."""
+    made = static_recording(packed("link_length_error", 4, error_m=0.02, of="d"), FREE)
+    rows = tuple(replace(row, point="tip") for row in made.rows if isinstance(row, StaticPoint))
+    found = told(replace(made, rows=rows))
+    assert found["verdict"] == "undecided"
+    assert "where it was measured again: that is no noise; give every reflector its own name" in found["why"]
+
+
 @pytest.mark.parametrize("place", ["tip = { joint = 6, xyz_m = [0.0, -0.3, 0.1] }", "tip = { joint = 6 }"])
 def test_six_poses_name_what_six_poses_show(place: str) -> None:
     """A mixture of all effects explains each of eighteen numbers: the noise was guessed a tenth of the true one."""
