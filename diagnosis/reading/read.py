@@ -277,6 +277,8 @@ def _nothing(whole: Read) -> Finding:
         text = f"no stage can be judged: {'; '.join(unused)}"
     if tables is not None and tables.plc is not None and tables.plc.enc is None:
         text = f"the PLC's log holds no number of any encoder (q_<j>_rad), and {text}"
+    elif tables is not None and tables.plc is not None and tables.plc.ref is None and tables.plc.u is None:
+        text = f"the PLC's log says where the joints were, not what they were asked (q_ref_<j>_rad, u_<j>_frac); {text}"
     lacking = "; ".join(f"{part}: {why}" for part, why in whole.lacking)
     if lacking:
         text += f"; the machine file lacks {lacking}"

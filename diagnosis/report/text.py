@@ -24,7 +24,8 @@ def lines(result: dict[str, Any]) -> list[str]:
     for members in result["indistinguishable"]:
         out.append("this recording cannot tell apart: " + ", ".join(place_text(one) for one in members))
     closed = result["shrink"].get("overall", {}).get("closed_frac")
-    if closed is not None:
+    named = any(one["effects"] for one in result["hypotheses"][:1])
+    if closed is not None and (named or result["verdict"] not in DOUBTED):
         out.append(_closed(closed, result["verdict"]))
     for one in result["unexplained"][:NAMES_MAX]:
         where = f"{one['stage']} {one['joint']}" if one["joint"] else one["stage"]

@@ -413,6 +413,13 @@ def test_nothing_to_judge_is_said_with_what_the_file_lacks() -> None:
     assert not result.usable
 
 
+def test_encoders_alone_say_that_what_was_asked_is_lacking() -> None:
+    made = changed(MADE, PlcState, lambda _, row: replace(row, u_frac=(), q_ref_rad=()))
+    result = examined(replace(made, rows=tuple(row for row in made.rows if isinstance(row, PlcState))))
+    (finding,) = [one for one in result.findings if one.code == "no_data"]
+    assert "not what they were asked (q_ref_<j>_rad, u_<j>_frac)" in str(finding)
+
+
 def test_the_link_without_offset_is_known_but_for_a_constant() -> None:
     made = replace(MADE, run=replace(MADE.run, plc_to_pc_offset_s=None))
     sent = examined(made).stretches[0].sent
