@@ -16,6 +16,7 @@ LAG_MAX_S = 3.0  # a slow position loop trails its reference by a second or two
 OWN_MAX, OTHER_MIN = 0.6, 0.9  # correlation with the own column below, with the other one above: exchanged
 REVERSED_MAX = -0.9
 EITHER = 0.1  # a swing is as like its own opposite half a period later: no sign can be told by so little
+FOLLOWS_MIN = 0.5  # of the reference's motion: a joint that moves less may drift its own way
 BLOCKS_MIN = 20  # a correlation over fewer means nothing
 MOVED_SHARE = 0.2  # of the whole recording's motion: a segment of less says nothing about signs
 
@@ -55,7 +56,7 @@ def _copied(plc: PlcTable) -> list[Finding]:
 
 
 def _reversed_positions(plc: PlcTable) -> list[Finding]:
-    """The signs by positions: a loop that hunts drowns what its increments say."""
+    """The signs by positions: a loop that hunts drowns what its increments say. A joint that hardly moves may sag."""
     if plc.enc is None or plc.ref is None:
         return []
     size = _size(plc)
@@ -63,6 +64,7 @@ def _reversed_positions(plc: PlcTable) -> list[Finding]:
     if len(enc) < BLOCKS_MIN:
         return []
     table = _correlations(enc, ref, round(LAG_MAX_S / BLOCK_S))
+    table[enc.std(axis=0) < FOLLOWS_MIN * ref.std(axis=0)] = 0.0
     found = _judge("plc.csv", "q_{j}_rad", "q_ref_{j}_rad", table)
     return [one for one in found if one.code == "reversed_column"]
 
