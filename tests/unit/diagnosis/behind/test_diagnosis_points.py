@@ -40,7 +40,8 @@ def test_a_log_of_which_nothing_is_replayed_is_said_beside_what_is_judged() -> N
     assert not examined(made).log_unused
     signals = [(0.1 * float(np.sin(0.01 * k)),) * 6 for k in range(2000)]
     still = (0.0,) * 6
-    log = tuple(PlcState(0.005 * k, 0, q, (), q, still, (), (), NAN, NAN) for k, q in enumerate(signals))
+    asked = [signals[0], *signals[:-1]]  # who writes one column twice is told so
+    log = tuple(PlcState(0.005 * k, 0, q, (), asked[k], still, (), (), NAN, NAN) for k, q in enumerate(signals))
     with_log = replace(made, rows=(*made.rows, *log))
     assert not examined(with_log).log_unused
     elsewhere = replace(with_log, run=replace(made.run, segments=(Segment("late", "steps", 50.0, 60.0),)))
