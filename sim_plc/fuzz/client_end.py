@@ -80,7 +80,7 @@ class ClientEnd:
         payload = sealed(self.plc.payload(), self.variant.key)
         self.recorded.append(payload)
         datagram = self.variant.client_wire().wrap(payload, self.plc.state.seq)
-        verdict = self.oracle.judge(datagram)
+        verdict = self.oracle.judge(datagram, self.t_ns)
         self.link.receive(datagram, self.t_ns)
         if verdict.kind.value == "taken":
             self.oracle.take(payload, self.t_ns)

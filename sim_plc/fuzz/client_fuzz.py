@@ -104,7 +104,7 @@ class ClientFuzz:
 
     def _deliver(self, end: ClientEnd, datagram: bytes) -> Outcome:
         link, phase = end.link, end.phase
-        verdict = end.oracle.judge(datagram)
+        verdict = end.oracle.judge(datagram, end.t_ns)
         before, counters = picture(link, _APART), _counters(end)
         try:
             events = link.receive(datagram, end.t_ns)

@@ -44,8 +44,8 @@ class ClientOracle:
 
     # --- states -------------------------------------------------------------------------------------------------------
 
-    def judge(self, datagram: bytes) -> Verdict:
-        """What must become of a datagram."""
+    def judge(self, datagram: bytes, t_mono_ns: int) -> Verdict:
+        """What must become of a datagram that comes now."""
         if self.closed:
             return SILENT
         payload = unframed(datagram, self.eap)
@@ -58,7 +58,8 @@ class ClientOracle:
         newest = self.newest
         if session != self.session:
             older = newest is not None and t_send_ns <= newest.t_send_ns
-            return SILENT if older else TAKEN
+            silent = t_mono_ns - self.t_state_ns > _LOST_NS  # a PLC that was switched off and on begins a clock anew
+            return SILENT if older and (self.linked or not silent) else TAKEN
         if not self.linked or newest is None:
             return TAKEN
         distance = (seq - newest.seq) & 0xFFFF_FFFF
