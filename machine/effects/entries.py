@@ -69,8 +69,8 @@ def _require_sums(entries: tuple[EffectEntry, ...]) -> None:
     """That what adds up to a factor leaves one above zero, and what takes a share of the whole leaves some of it."""
     sums: dict[tuple[str, int | None], float] = {}
     for one in entries:
-        size = dict(one.values)[_known(one).size.name]
         if one.name in (*FACTORS, *SHARES):
+            size = one.value(_known(one).size.name)
             sums[one.name, one.joint] = sums.get((one.name, one.joint), 0.0) + size
     for (name, joint), total in sums.items():
         if (name in FACTORS and total <= -SUM_MAX) or (name in SHARES and total >= SUM_MAX):

@@ -142,7 +142,7 @@ def _judged(
     with_Y = found.unknowns.Y is not None
     sigma_rotation = float(np.linalg.norm(sigmas[:3]))
     sigma_translation = float(np.linalg.norm(sigmas[3:6]))
-    offset_sigma = float(sigmas[-1]) if with_Y and free_offset else 0.0
+    offset_sigma = float(sigmas[-1]) if free_offset else 0.0
     for value, limit, text in (
         (turned / max(sizes[0], 1e-9), settings.residual_relative_max, "rotations do not fit: residual over motion"),
         (missed / max(sizes[1], 1e-9), settings.residual_relative_max, "translations do not fit: residual over motion"),

@@ -50,6 +50,13 @@ class Stage:
         return self.pair.tally
 
 
+def until_hold(pc: Pc) -> Script:
+    """Linked, armed and at rest."""
+    yield from pc.silent(1)
+    yield from pc.ready()
+    assert pc.is_in(PlcState.HOLD)
+
+
 def story_of(setup: Setup, datagrams: int) -> Tally:
     stage = Stage(setup)
     return stage.play(story(stage.pc, stage.pair, datagrams))
@@ -139,9 +146,7 @@ def test_an_encoder_lost_while_it_holds_or_moves(broken, reading):
         pc, plant = stage.pc, stage.pair.plant
 
         def script(pc=pc, plant=plant, ticks=ticks):
-            yield from pc.silent(1)
-            yield from pc.ready()
-            assert pc.is_in(PlcState.HOLD)
+            yield from until_hold(pc)
             if ticks:
                 pc.plan(1.0, 50, 0.05)
                 yield from pc.play(ticks)
@@ -184,9 +189,7 @@ def test_a_joint_without_a_speed_is_a_sensor_fault_and_nothing_else_however_far_
     pc, plant = stage.pc, stage.pair.plant
 
     def script():
-        yield from pc.silent(1)
-        yield from pc.ready()
-        assert pc.is_in(PlcState.HOLD)
+        yield from until_hold(pc)
         plant.q[0] += 1.0  # rad: many times the lag that is a fault
         plant.qd[0] = np.nan
         yield from pc.beat(3)
@@ -202,9 +205,7 @@ def test_both_take_an_encoder_that_jumps_for_a_fault_of_its_axis_until_reset(jum
     pc, plant = stage.pc, stage.pair.plant
 
     def script():
-        yield from pc.silent(1)
-        yield from pc.ready()
-        assert pc.is_in(PlcState.HOLD)
+        yield from until_hold(pc)
         plant.q[1] += jump_rad  # in a cycle of 10 ms
         yield from pc.beat(3)
         assert pc.state is not None
