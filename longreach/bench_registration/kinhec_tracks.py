@@ -55,7 +55,7 @@ def generate(folder: Path, tier: str = "smoke") -> None:
 
     if not (folder / "sequences.parquet").exists():
         with contextlib.redirect_stdout(io.StringIO()):
-            main(["generate", "--tier", tier, "--out", str(folder)])
+            main(["generate", "--tier", tier, "--out", str(folder), "--work-dir", str(folder / "work")])
 
 
 def run_track(folder: Path, track: str) -> tuple[TrackResult, list[SequenceResult]]:
