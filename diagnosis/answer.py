@@ -4,6 +4,7 @@ One meaning has changed: `share_frac` was of the gaps carried to the tcp, and is
 was (decision 30). Those gaps are `gap_tcp_mm`.
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,15 +13,16 @@ import numpy as np
 from diagnosis.cells.points import left_out
 from diagnosis.diagnose import Diagnosis
 from diagnosis.experiments.choice import next_experiment
-from diagnosis.localise import totals_of
+from diagnosis.localise import Place, totals_of
 from diagnosis.rivals import rivals
+from diagnosis.search.candidates import Candidate
 from diagnosis.search.limits import Interval
 from diagnosis.search.score import Score
 from diagnosis.sliding import in_metres
 from diagnosis.verdict.cell_answer import CellAnswer
 from diagnosis.verdict.certain import share_of_first
 from diagnosis.verdict.equals import probability_with_equals
-from diagnosis.verdict.shrink import closing, together
+from diagnosis.verdict.shrink import Shrink, Squares, closing, together
 from diagnosis.verdict.unseen import counted_as, one_more, outside_share, unseen_share
 from diagnosis.verdict.unweighed import unweighed
 from diagnosis.verdict.verdict import DOUBTED
@@ -56,10 +58,10 @@ def judgement(found: Diagnosis) -> dict[str, Any]:
         "why": found.verdict.why,
         "hypotheses": hypotheses,
         "outside_probability": shares.outside,
-        "unseen_probability": _round((1.0 - shares.outside) * shares.unseen),
+        "unseen_probability": rounded((1.0 - shares.outside) * shares.unseen),
         "indistinguishable": _classes(found),
         "credible_set_90": _credible(found, shares),
-        "localisation": _localisation(found),
+        "localisation": localisation_table(found.localisation.places),
         "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in found.localisation.merged],
         "shrink": _shrink(found),
         "unexplained": _unexplained(found.cells),
@@ -70,7 +72,7 @@ def judgement(found: Diagnosis) -> dict[str, Any]:
         "rivals": rivals(found.cells),
     }
     for number, one in enumerate(hypotheses):
-        one["probability_with_equals"] = _round(probability_with_equals(told, number))
+        one["probability_with_equals"] = rounded(probability_with_equals(told, number))
     nominal = found.whole.nominal
     return in_metres(told, nominal.sliding) if nominal is not None and any(nominal.sliding) else told
 
@@ -98,7 +100,7 @@ def _shares(found: Diagnosis) -> _Shares:
 def _hypothesis(found: Diagnosis, number: int, shares: _Shares) -> dict[str, Any]:
     whole = found.hypotheses[number]
     effects = [effect for score in whole.scores for effect in _effects(score, found.numbers.get(id(score), ()))]
-    return {"effects": effects, "probability": _round(whole.probability * shares.inside)}
+    return {"effects": effects, "probability": rounded(whole.probability * shares.inside)}
 
 
 def probability_of_first(found: Diagnosis) -> float:
@@ -109,21 +111,25 @@ def probability_of_first(found: Diagnosis) -> float:
 def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]]:
     out: list[dict[str, Any]] = []
     for one, own in score.fit.slices:
-        mine = numbers[own] if numbers else _plain(score.fit.theta[own])
-        effect = effect_of(one.name)
-        parameters: dict[str, Any] = {}
-        vector = len({slot.parameter for slot in one.slots}) < len(one.slots)
-        if vector and effect.direction is not None:
-            parameters = _vector(one.slots[0].parameter, effect.size.unit, effect.direction, mine)
-        else:
-            for slot, number in zip(one.slots, mine, strict=True):
-                parameters[slot.parameter] = _number(number, slot.spec.unit)
-        for slot, value in one.fixed:
-            parameters[slot.parameter] = {"value": value, "unit": "1", "low": value, "high": value}
-        if one.option and effect.choice is not None:
-            parameters[effect.choice.name] = {"value": one.option, "unit": "", "low": None, "high": None}
-        out.append({"name": one.name, "joint": one.joint, "stage": one.stage, "parameters": parameters})
+        out.append(effect_table(one, numbers[own] if numbers else _plain(score.fit.theta[own])))
     return out
+
+
+def effect_table(one: Candidate, numbers: tuple[Interval, ...]) -> dict[str, Any]:
+    """An effect with its numbers and their limits."""
+    effect = effect_of(one.name)
+    parameters: dict[str, Any] = {}
+    vector = len({slot.parameter for slot in one.slots}) < len(one.slots)
+    if vector and effect.direction is not None:
+        parameters = _vector(one.slots[0].parameter, effect.size.unit, effect.direction, numbers)
+    else:
+        for slot, number in zip(one.slots, numbers, strict=True):
+            parameters[slot.parameter] = _number(number, slot.spec.unit)
+    for slot, value in one.fixed:
+        parameters[slot.parameter] = {"value": value, "unit": "1", "low": value, "high": value}
+    if one.option and effect.choice is not None:
+        parameters[effect.choice.name] = {"value": one.option, "unit": "", "low": None, "high": None}
+    return {"name": one.name, "joint": one.joint, "stage": one.stage, "parameters": parameters}
 
 
 def _plain(theta: Array) -> tuple[Interval, ...]:
@@ -132,7 +138,7 @@ def _plain(theta: Array) -> tuple[Interval, ...]:
 
 def _number(number: Interval, unit: str) -> dict[str, Any]:
     low, high = _round_outward(number.low, -1), _round_outward(number.high, 1)
-    return {"value": _round(number.value), "unit": unit, "low": low, "high": high}
+    return {"value": rounded(number.value), "unit": unit, "low": low, "high": high}
 
 
 def _vector(name: str, unit: str, direction: Direction, numbers: tuple[Interval, ...]) -> dict[str, Any]:
@@ -143,8 +149,8 @@ def _vector(name: str, unit: str, direction: Direction, numbers: tuple[Interval,
     along = (vector / size).tolist() if size > 0.0 else vector.tolist()
     low, high = _round_outward(max(0.0, size - half), -1), _round_outward(size + half, 1)
     return {
-        name: {"value": _round(size), "unit": unit, "low": low, "high": high},
-        direction.name: {"value": [_round(x) for x in along], "unit": "1", "low": None, "high": None},
+        name: {"value": rounded(size), "unit": unit, "low": low, "high": high},
+        direction.name: {"value": [rounded(x) for x in along], "unit": "1", "low": None, "high": None},
     }
 
 
@@ -171,7 +177,7 @@ def _credible(found: Diagnosis, shares: _Shares) -> list[dict[str, Any]]:
     out, mass = [], 0.0
     for keys, probability in rows:
         named = [{"name": name, "joint": joint} for name, joint in sorted(keys, key=str)]
-        out.append({"effects": named, "probability": _round(probability * (1.0 - shares.outside))})
+        out.append({"effects": named, "probability": rounded(probability * (1.0 - shares.outside))})
         mass += probability
         if mass >= MASS_90:
             break
@@ -182,28 +188,34 @@ def _keys(whole: Whole) -> tuple[Key, ...]:
     return tuple(one.key for score in whole.scores for one in score.fit.hypothesis)
 
 
-def _localisation(found: Diagnosis) -> list[dict[str, Any]]:
+def localisation_table(places: tuple[Place, ...]) -> list[dict[str, Any]]:
     """First each stage as a whole, then its joints or axes, which share what it has, and their regimes."""
-    places = found.localisation.places
     return [
         {
             "stage": place.stage,
             "joint": place.joint,
             "axis": place.axis,
             "regime": place.regime,
-            "gap": _round(place.gap),
-            "floor": _round(place.floor),
+            "gap": rounded(place.gap),
+            "floor": rounded(place.floor),
             "unit": place.unit,
-            "gap_tcp_mm": _round(place.tcp_mm),
-            "share_frac": _round(place.share_frac),
+            "gap_tcp_mm": rounded(place.tcp_mm),
+            "share_frac": rounded(place.share_frac),
         }
         for place in (*totals_of(places), *places)
     ]
 
 
 def _shrink(found: Diagnosis) -> dict[str, Any]:
+    rows = tuple(part for one in found.cells for part in one.shrinks)
+    found_in = [one for one in found.cells if one.fired or one.chosen.fit.hypothesis] or found.cells
+    return shrink_table(rows, [part for one in found_in for part in one.squares])
+
+
+def shrink_table(rows: Iterable[Shrink], squares: Sequence[Squares]) -> dict[str, Any]:
+    """How far the gap shrinks, part by part; overall by the squares of the parts where something was found."""
     stages = []
-    for s in (part for one in found.cells for part in one.shrinks):
+    for s in rows:
         stages.append(
             {
                 "stage": s.stage,
@@ -211,36 +223,33 @@ def _shrink(found: Diagnosis) -> dict[str, Any]:
                 "measurement": s.measurement,
                 "metric": METRICS.get((s.stage, s.unit), METRIC_DRIVEN),
                 "unit": s.unit,
-                "before": _round(s.before),
-                "after": _round(s.after),
-                "floor": _round(s.floor),
+                "before": rounded(s.before),
+                "after": rounded(s.after),
+                "floor": rounded(s.floor),
                 "floor_by": s.floor_by,
-                "closed_frac": _round(s.closed_frac),
-                "low": _round(s.low),
-                "high": _round(s.high),
+                "closed_frac": rounded(s.closed_frac),
+                "low": rounded(s.low),
+                "high": rounded(s.high),
             }
         )
-    return {"overall": _overall(found.cells), "stages": stages}
+    return {"overall": _overall(squares), "stages": stages}
 
 
-def _overall(cells: tuple[CellAnswer, ...]) -> dict[str, Any]:
-    """The cells where something was found, all of them where nothing was, each in units of its own floor."""
-    if not cells:
+def _overall(squares: Sequence[Squares]) -> dict[str, Any]:
+    """Parts together, each in units of its own floor."""
+    if not squares:
         return {}
-    found = [one for one in cells if one.fired or one.chosen.fit.hypothesis] or cells
-    before, after, floor, (closed, low, high), floor_by = closing(
-        together(part for one in found for part in one.squares)
-    )
+    before, after, floor, (closed, low, high), floor_by = closing(together(squares))
     return {
         "metric": "RMS of held-out residuals where a gap was found",
         "unit": "noise floors",
-        "before": _round(before),
-        "after": _round(after),
-        "floor": _round(floor),
+        "before": rounded(before),
+        "after": rounded(after),
+        "floor": rounded(floor),
         "floor_by": floor_by,
-        "closed_frac": _round(closed),
-        "low": _round(low),
-        "high": _round(high),
+        "closed_frac": rounded(closed),
+        "low": rounded(low),
+        "high": rounded(high),
     }
 
 
@@ -250,8 +259,8 @@ def _unexplained(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
             "test": fired.test,
             "stage": fired.stage,
             "joint": fired.joint,
-            "size": _round(fired.size),
-            "p_value": _round(fired.p_value),
+            "size": rounded(fired.size),
+            "p_value": rounded(fired.p_value),
             "lead": fired.lead,
         }
         for one in cells
@@ -267,7 +276,7 @@ def _shapes(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
             "joint": shape.joint,
             "measurement": shape.measurement,
             "goes_with": shape.goes_with,
-            "nats": _round(shape.nats),
+            "nats": rounded(shape.nats),
         }
         for one in cells
         for shape in one.shapes
@@ -283,7 +292,7 @@ def _limits(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
                     "name": limit.name,
                     "joint": limit.joint,
                     "parameter": limit.parameter,
-                    "size": _round(limit.size),
+                    "size": rounded(limit.size),
                     "unit": effect_of(limit.name).size.unit,
                 }
             )
@@ -325,22 +334,22 @@ def _searched(one: CellAnswer) -> dict[str, Any]:
         "rows": cell.rows.count,
         "hypotheses": len(one.search.scored),
         "candidates": len(one.search.scans),
-        "spread": _round(one.search.spread),
-        "evidence_nats": _round(one.chosen.evidence - one.search.none.evidence),
-        "held_out_nats": _round(one.chosen.total - one.search.none.total),
+        "spread": rounded(one.search.spread),
+        "evidence_nats": rounded(one.chosen.evidence - one.search.none.evidence),
+        "held_out_nats": rounded(one.chosen.total - one.search.none.total),
         "floor_known": cell.floor_known,
     }
 
 
-def _round(value: float | None) -> float | None:
+def rounded(value: float | None) -> float | None:
     """Six digits; None for what is not a finite number."""
     return float(f"{value:.6g}") if value is not None and np.isfinite(value) else None
 
 
 def _round_outward(limit: float, side: int) -> float | None:
     """Six digits, down (side -1) or up (+1): a step that is known to a millionth is not outside its limits by them."""
-    rounded = _round(limit)
-    if rounded is None or (rounded - limit) * side >= 0.0:
-        return rounded
+    near = rounded(limit)
+    if near is None or (near - limit) * side >= 0.0:
+        return near
     digit = 10.0 ** (np.floor(np.log10(abs(limit))) - 5.0)
-    return _round(rounded + side * digit)
+    return rounded(near + side * digit)

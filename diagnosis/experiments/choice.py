@@ -13,6 +13,7 @@ from diagnosis.experiments.postures import extremes, looks, pool, visible
 from diagnosis.experiments.prediction import rows_of_motion, rows_of_postures, sets_of
 from diagnosis.experiments.separation import separation_nats
 from diagnosis.log.nominal import Nominal
+from diagnosis.reading.read import Read
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.verdict.weigh import SEPARATED_NATS, Key
 from machine.effects.layout import ParameterSets
@@ -37,25 +38,28 @@ def next_experiment(found: Diagnosis) -> dict[str, Any]:
     Of the cells with open pairs the weightiest that an experiment can do something about: a lag that is too small to be
     seen on one joint is no reason to leave another one's names apart.
     """
-    cells = live_pairs(found)
-    nominal = found.whole.nominal
+    return experiment_for(found.whole, live_pairs(found), found.verdict.word in ("none", "effects"))
+
+
+def experiment_for(whole: Read, cells: list[list[Pair]], settled: bool) -> dict[str, Any]:
+    """The same for open pairs by cell, the weightiest first. `settled`: whether the answer is sure without them."""
+    nominal = whole.nominal
     if not cells or nominal is None:
-        settled = found.verdict.word in ("none", "effects")
         why = "nothing is left to separate" if settled else "no pair of names is live"
         return {"what": None, "minutes": None, "separates": [], "expected_nats": None, "why": why}
     nothing: list[dict[str, Any]] = []
     for pairs in cells[:CELLS_MAX]:
-        proposal = _proposed(found, nominal, pairs)
+        proposal = _proposed(whole, nominal, pairs)
         if proposal["what"] is not None:
             return proposal
         nothing.append(proposal)
     return nothing[0]
 
 
-def _proposed(found: Diagnosis, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any]:
+def _proposed(whole: Read, nominal: Nominal, pairs: list[Pair]) -> dict[str, Any]:
     """The experiment that best separates one cell's open pairs."""
-    library = _library(found, nominal, pairs)
-    table = {one.name: [_nats(found, pair, one) for pair in pairs] for one in library}
+    library = _library(whole, nominal, pairs)
+    table = {one.name: [_nats(whole, pair, one) for pair in pairs] for one in library}
     able = [one for one in library if max(table[one.name]) >= TOLD_NATS]
     best = max(able, key=lambda one: _worth(pairs, table[one.name], one), default=None)
     if best is None:
@@ -76,10 +80,10 @@ def _proposed(found: Diagnosis, nominal: Nominal, pairs: list[Pair]) -> dict[str
     }
 
 
-def _library(found: Diagnosis, nominal: Nominal, pairs: list[Pair]) -> tuple[Experiment, ...]:
+def _library(whole: Read, nominal: Nominal, pairs: list[Pair]) -> tuple[Experiment, ...]:
     """Everything that this machine can do about these pairs."""
-    cell = pairs[0].answer.search.cell
-    centre = middle(found)
+    cell = pairs[0].cell
+    centre = middle(whole)
     near = pool(nominal, centre, np.random.default_rng(POOL_SEED))
     if isinstance(cell.whitened, Replay):
         joints = _joints(pairs, nominal.n)
@@ -92,11 +96,11 @@ def _library(found: Diagnosis, nominal: Nominal, pairs: list[Pair]) -> tuple[Exp
     return looks(nominal, cell.base, kept, seen.T_base_ooi)
 
 
-def middle(found: Diagnosis) -> Array:
+def middle(whole: Read) -> Array:
     """The posture (n,) around which the recording was made."""
-    nominal = found.whole.nominal
-    recorded = [one.enc for one in found.whole.stretches if one.enc is not None]
-    static = found.whole.tables.static if found.whole.tables is not None else None
+    nominal = whole.nominal
+    recorded = [one.enc for one in whole.stretches if one.enc is not None]
+    static = whole.tables.static if whole.tables is not None else None
     if not recorded and static is not None and static.q is not None:
         recorded = [static.q]
     n = nominal.n if nominal is not None else 0
@@ -111,19 +115,19 @@ def _joints(pairs: list[Pair], n: int) -> tuple[int, ...]:
     return tuple(sorted({joint - 1 for _, joint in names if joint is not None}))
 
 
-def _nats(found: Diagnosis, pair: Pair, experiment: Experiment) -> float:
+def _nats(whole: Read, pair: Pair, experiment: Experiment) -> float:
     """The least expected nats of the pair, whichever of the two is true."""
-    cell = pair.answer.search.cell
+    cell = pair.cell
     both = []
     for mine, other in ((pair.mine, pair.other), (pair.other, pair.mine)):
         truth: ParameterSets = sets_of(cell, mine)
         if isinstance(experiment, Motion):
-            rows, holds = rows_of_motion(found.whole, cell, experiment, truth), True
+            rows, holds = rows_of_motion(whole, cell, experiment, truth), True
         else:
-            rows, holds = rows_of_postures(found.whole, cell, experiment, truth), False
+            rows, holds = rows_of_postures(whole, cell, experiment, truth), False
         if rows is None:
             return 0.0
-        both.append(separation_nats(pair.answer.search, rows, truth, other, holds))
+        both.append(separation_nats(pair.cell, pair.spread, rows, truth, other, holds))
     return min(both)
 
 
@@ -135,7 +139,7 @@ def _worth(pairs: list[Pair], nats: list[float], experiment: Experiment) -> floa
 
 def _nothing(pair: Pair, table: dict[str, list[float]]) -> dict[str, Any]:
     """No experiment of the library separates the pair: which signal would."""
-    cell = pair.answer.search.cell
+    cell = pair.cell
     signal = SIGNALS.get(cell.stage, SIGNALS["structure"])
     if cell.joint is None and cell.stage == "actuator":
         signal = "log the received reference (q_ref) and the valve command (u)"

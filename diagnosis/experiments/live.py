@@ -7,6 +7,7 @@ import numpy as np
 from diagnosis.diagnose import Diagnosis
 from diagnosis.experiments.prediction import Hypothesis, held
 from diagnosis.search.candidates import Candidate
+from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit, fit
 from diagnosis.search.score import Score
 from diagnosis.verdict.cell_answer import CellAnswer
@@ -20,9 +21,13 @@ CLASS_WEIGHT = 0.05  # of a name that a class holds, whatever probability its pe
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two hypotheses of one cell, how much their difference matters, and the names that differ."""
+    """Two hypotheses of one cell, how much their difference matters, and the effects that differ.
 
-    answer: CellAnswer
+    `spread`: by how much the cell's scores are to be divided.
+    """
+
+    cell: Cell
+    spread: float
     mine: Hypothesis
     other: Hypothesis
     weight: float
@@ -48,7 +53,14 @@ def _of_cell(one: CellAnswer) -> list[Pair]:
                 rivals[_keys(swapped)] = (swapped, CLASS_WEIGHT)
     mine = held(top.score.fit, spread)
     pairs = [
-        Pair(one, mine, held(other, spread), top.probability * weight, _differing(top.score.fit, other))
+        Pair(
+            one.search.cell,
+            spread,
+            mine,
+            held(other, spread),
+            top.probability * weight,
+            differing(top.score.fit, other),
+        )
         for other, weight in rivals.values()
     ]
     return sorted(pairs, key=lambda pair: -pair.weight)[:RIVALS_MAX]
@@ -78,7 +90,7 @@ def _scored(one: CellAnswer) -> tuple[Score, ...]:
     return one.search.scored
 
 
-def _differing(a: Fit, b: Fit) -> tuple[Key | None, Key | None]:
+def differing(a: Fit, b: Fit) -> tuple[Key | None, Key | None]:
     """The first name that only one of two hypotheses has, each; None where it has none of its own."""
     only_a = [one.key for one in a.hypothesis if one.key not in _keys(b)]
     only_b = [one.key for one in b.hypothesis if one.key not in _keys(a)]

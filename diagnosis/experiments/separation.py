@@ -8,7 +8,6 @@ import numpy as np
 from diagnosis.experiments.prediction import Hypothesis, Rows
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import bounds, costs, damped_steps, evaluated
-from diagnosis.search.search import Search
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
@@ -17,7 +16,9 @@ STEP_SHARE = 2e-3
 SETTLED_NATS = 0.05
 
 
-def separation_nats(search: Search, rows: Rows, truth: ParameterSets, other: Hypothesis, holds: bool) -> float:
+def separation_nats(
+    cell: Cell, spread: float, rows: Rows, truth: ParameterSets, other: Hypothesis, holds: bool
+) -> float:
     """Expected log-likelihood ratio of `truth` against the other hypothesis at its best size.
 
     Model:  T_ij / 2 = min over theta_j of sum rho(W (f_i - f_j(theta_j))) + 1/2 |hold (theta_j - fitted)|^2, over the
@@ -25,11 +26,11 @@ def separation_nats(search: Search, rows: Rows, truth: ParameterSets, other: Hyp
     Args:   holds: the rows are of the experiment alone, so that the recording counts by `other.hold`.
     """
     own = rows(truth)[0]
-    cell = replace(search.cell, whitened=_aimed(rows, own))
-    residual = _residual_of(cell, other, holds, search.spread)
+    cell = replace(cell, whitened=_aimed(rows, own))
+    residual = _residual_of(cell, other, holds, spread)
     theta = other.fit.theta
     if other.fit.k == 0:
-        return _nats(residual(theta[None])[0], search.spread)
+        return _nats(residual(theta[None])[0], spread)
     low, high = bounds(other.fit.hypothesis)
     best = residual(theta[None])[0]
     for _ in range(ROUNDS):
@@ -44,7 +45,7 @@ def separation_nats(search: Search, rows: Rows, truth: ParameterSets, other: Hyp
         theta, best = trials[k], tried[k]
         if gained < SETTLED_NATS:
             break
-    return _nats(best, search.spread)
+    return _nats(best, spread)
 
 
 def _aimed(rows: Rows, own: Array) -> Callable[[ParameterSets], Array]:

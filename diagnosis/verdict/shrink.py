@@ -72,10 +72,11 @@ def squares(found: Search, chosen: Score) -> tuple[Squares, ...]:
     r = found.none.held_out
     explained = r * _catalogue(found, chosen) if chosen.fit.hypothesis else np.zeros(len(r))
     of_rows = np.stack([r**2, chosen.held_out**2, explained], axis=1)
-    return tuple(_of_part(part, own, chosen.fit.k) for part, own in found.cell.by_part(of_rows))
+    return tuple(squares_of_part(part, own, chosen.fit.k) for part, own in found.cell.by_part(of_rows))
 
 
-def _of_part(part: Cell, of_rows: Array, numbers: int) -> Squares:
+def squares_of_part(part: Cell, of_rows: Array, numbers: int) -> Squares:
+    """A part's squares by block, of rows (N, 3): before, after, predicted by the catalogue."""
     block = part.rows.block
     before, after, foretold_of = (_sums(block, one) for one in of_rows.T)
     noise = np.asarray(part.quiet * np.bincount(block), dtype=float)
@@ -95,7 +96,7 @@ def _catalogue(found: Search, chosen: Score) -> Array:
 def shrinks(found: Search, parts: tuple[Squares, ...]) -> tuple[Shrink, ...]:
     """How far the chosen effects close the gap of each part of a cell, in its own unit; limits by resampling blocks."""
     cell = found.cell
-    return tuple(_shrunk(part, one) for part, one in zip(cell.parts or (cell,), parts, strict=True))
+    return tuple(shrunk(part, one) for part, one in zip(cell.parts or (cell,), parts, strict=True))
 
 
 def together(parts: Iterable[Squares]) -> Squares:
@@ -106,7 +107,8 @@ def together(parts: Iterable[Squares]) -> Squares:
     return Squares(*joined, rows=sum(one.rows for one in all_of), numbers=sum(one.numbers for one in all_of))
 
 
-def _shrunk(cell: Cell, sums: Squares) -> Shrink:
+def shrunk(cell: Cell, sums: Squares) -> Shrink:
+    """One part's share of the gap that is closed, in its own unit."""
     unit_scale = float(np.sqrt(np.mean(cell.scale**2)))
     before, after, floor, closed, floor_by = closing(sums)
     return Shrink(

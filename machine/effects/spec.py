@@ -27,8 +27,8 @@ class Parameter:
     `start`: where a fit begins, never at neutral, where thresholds have no slope. `low`..`high`: what is believable;
     a fit that ends there means "larger than assumed". `most`: how far beyond `high` a poor machine's size may lie;
     `high` is then what good ones have, and the ruler of steps and scans. `lightest`: what arms far lighter than a crane
-    may have, and machine files hold; a fit's bounds go with the arm's weight (see `Slot.scale`). `open_frac`: by how
-    much a size depends on what the effect's definition leaves open.
+    may have, and machine files hold; a fit's bounds go with the arm's weight (see `Slot.scale`). `open_frac`,
+    `open_size`: by how much a size depends on what the effect's definition leaves open, in proportion and at least.
     """
 
     name: str
@@ -44,6 +44,7 @@ class Parameter:
     most: float | None = None
     lightest: float | None = None
     open_frac: float = 0.0
+    open_size: float = 0.0
 
     @property
     def highest(self) -> float:
@@ -106,7 +107,11 @@ class Direction:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One entry of the catalogue. `looks_like`, `told_apart_by`: for the report; `source`: where it comes from."""
+    """One entry of the catalogue. `looks_like`, `told_apart_by`: for the report; `source`: where it comes from.
+
+    `prevalence`: how likely a machine that nobody has measured has it (at one joint), before any data. `threshold`:
+    small sizes change nothing until a motion exceeds them, so that there is no slope at neutral.
+    """
 
     name: str
     stage: Stage
@@ -117,6 +122,8 @@ class Effect:
     source: str
     choice: Choice | None = None
     direction: Direction | None = None
+    prevalence: float = 0.1
+    threshold: bool = False
 
     def parameter(self, name: str) -> Parameter | None:
         """The parameter of this name; None if there is none."""

@@ -26,4 +26,5 @@ EFFECT = Effect(
         "sides"
     ),
     source="slew rack and pinion +-0.75 mrad, helical wrist actuators 0.05 to 0.5 deg",
+    threshold=True,
 )

@@ -23,4 +23,5 @@ EFFECT = Effect(
         " time; link delays show between sent and received reference"
     ),
     source="Kalibr's and OpenVINS' time offset calibration; clock offset U(0,150) ms of the plant's presets",
+    prevalence=0.1,
 )

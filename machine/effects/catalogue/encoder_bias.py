@@ -23,4 +23,5 @@ EFFECT = Effect(
         "angle"
     ),
     source="joint zeros sd 0.25 deg after commissioning",
+    prevalence=0.5,
 )

@@ -44,4 +44,5 @@ EFFECT = Effect(
         "gravity_sag also waves once a turn of lift but follows the load; other orders are gears, not the encoder"
     ),
     source="off-centre code discs: eccentricity over grating radius",
+    prevalence=0.02,
 )

@@ -23,4 +23,5 @@ EFFECT = Effect(
         "joints move"
     ),
     source="valve size and supply pressure tolerance; oil temperature",
+    prevalence=0.3,
 )

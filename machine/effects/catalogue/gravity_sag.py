@@ -24,4 +24,5 @@ EFFECT = Effect(
         " of poses sag and bias are equal: vary the reach"
     ),
     source="torsion springs 0.4 to 1.5e6 N m/rad per joint; 25 to 45 mm at full reach",
+    prevalence=0.3,
 )

@@ -23,4 +23,5 @@ EFFECT = Effect(
         "encoder_bias of the last joint is the same until that joint turns; principal_point_error for narrow views"
     ),
     source="mount tilt 3 to 5 deg in the field",
+    prevalence=0.5,
 )

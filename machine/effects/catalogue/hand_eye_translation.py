@@ -24,4 +24,5 @@ EFFECT = Effect(
         "wrist turns"
     ),
     source="mounts measured by ruler: 10 mm",
+    prevalence=0.5,
 )

@@ -21,4 +21,5 @@ EFFECT = Effect(
     looks_like="the tip moves on a tilted circle when this joint turns",
     told_apart_by="base_tilt is the same for all joints; encoder_bias stays in the joint's plane",
     source="Hayati 1983 for near-parallel axes",
+    prevalence=0.15,
 )

@@ -23,4 +23,5 @@ EFFECT = Effect(
         "encoder_bias errs across the link; a along x of one link and d along z of the next may be the same direction"
     ),
     source="welded booms: sd 3 to 4 mm",
+    prevalence=0.3,
 )

@@ -22,4 +22,6 @@ EFFECT = Effect(
     ),
     told_apart_by="reference_quantisation depends on the value, not on time; transport_delay shifts every sample",
     source="UDP link without repeats",
+    prevalence=0.1,
+    threshold=True,
 )

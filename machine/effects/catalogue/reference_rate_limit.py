@@ -23,4 +23,5 @@ EFFECT = Effect(
         "transport_delay also shifts slow parts; controller_saturation limits the valve command, not the reference"
     ),
     source="ramp limits of PLC axis blocks",
+    prevalence=0.05,
 )

@@ -31,4 +31,5 @@ EFFECT = Effect(
     looks_like="while moving, the upper half of the image trails the lower or leads it: markers shear",
     told_apart_by="camera_latency shifts all rows alike",
     source="11 ms readout of CMOS stereo cameras",
+    prevalence=0.05,
 )

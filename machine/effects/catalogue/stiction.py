@@ -24,4 +24,6 @@ EFFECT = Effect(
         "valve_deadband also stops the joint early and starts it softly; valve_hysteresis needs no standstill"
     ),
     source="LuGre and Stribeck friction: static 300 N, Coulomb 210 N on the PATU 655's cylinders",
+    prevalence=0.05,
+    threshold=True,
 )

@@ -26,4 +26,5 @@ EFFECT = Effect(
         "command latency is the first suspect of sim-to-real users; delays up to 0.7 s on an excavator (Egli and "
         "Hutter 2022)"
     ),
+    prevalence=0.3,
 )

@@ -16,6 +16,7 @@ EFFECT = Effect(
             start=0.04,
             prior=Prior("half_normal", 0.04),
             meaning="spool opening, of full command, within which no oil flows",
+            open_frac=0.02,  # where a rounded edge of the spool begins
         ),
     ),
     choice=Choice("full_flow", ("kept", "lost"), "whether a full command still gives the full flow"),
@@ -28,4 +29,6 @@ EFFECT = Effect(
         "+-10 % of the half range on the PATU 655 (u_dl, u_dh of its public parameters); servo valves 2 %; up to "
         "two thirds on cheap mobile valves, whose spool no controller holds"
     ),
+    prevalence=0.5,
+    threshold=True,
 )

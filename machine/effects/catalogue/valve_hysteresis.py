@@ -16,6 +16,7 @@ EFFECT = Effect(
             start=0.015,
             prior=Prior("half_normal", 0.01),
             meaning="half width of the play between command and spool, of full command",
+            open_size=2e-4,  # a step of the command that an encoder of 18 bits makes
         ),
     ),
     looks_like="speed depends on whether the command rises or falls; a lag that does not vanish at slow motion",
@@ -24,4 +25,6 @@ EFFECT = Effect(
         "reversals of small and of large commands"
     ),
     source="magnetic and friction hysteresis of proportional solenoids, 0.5 to 5 %",
+    prevalence=0.3,
+    threshold=True,
 )

@@ -15,6 +15,7 @@ EFFECT = Effect(
             start=0.05,
             prior=Prior("half_normal", 0.05),
             meaning="of a first-order lag ahead of the nominal valve",
+            open_size=2.5e-3,  # a quarter of a PLC cycle: when within it the command took effect is not logged
         ),
     ),
     looks_like="speed follows the command rounded off; steady speeds agree",

@@ -1,0 +1,352 @@
+"""The error budget: what each effect costs in millimetres at the tool, how sure it is, and what is left unexplained."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from diagnosis.baseline.forward import entries_of as entry_of_fit
+from diagnosis.behind.corner_residual import CornerResidual
+from diagnosis.behind.link_angles import without_encoders
+from diagnosis.localise import Localisation, Place, localise
+from diagnosis.reading.read import Read, stages_present
+from diagnosis.replay.repeats import overlaid
+from diagnosis.replay.stretches import repeat_groups, stood_still
+from diagnosis.search.work import Progress, Work, silent
+from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
+from diagnosis.whole_model.linear import Term
+from diagnosis.whole_model.parts import fit_machine
+from diagnosis.whole_model.probability import probability
+from diagnosis.whole_model.solve import WholeFit, fit_of
+from diagnosis.whole_model.tool_error import ToolError, tool_errors
+from machine.effects.entries import EffectEntry
+from machine.effects.layout import neutral_sets
+from machine.effects.structure import tcp_poses
+from machine.rotations import Array
+
+CONFIRMED = 0.9  # probability from which an effect is confirmed; below a half nothing is "found"
+LIKELY = 0.5
+SMALL_MM, SMALL_SHARE = 0.5, 0.05  # at the tool, of the whole miss: a remainder that nobody acts on
+EXPLAINED = 0.9  # of the squared miss: then the effects explain the gap
+MM = 1e3
+
+Status = Literal["confirmed", "likely", "doubtful"]
+Verdict = Literal["none", "effects", "partly", "outside", "undecided"]
+StageVerdict = Literal["none", "explained", "partly", "unexplained", "not_measured"]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One effect of the budget. `mm`: what it does at the tool by itself (RMS), with 90 % limits; `squares_mm2`: its
+    Shapley value in the column's mean square.
+    """
+
+    evidence: Evidence
+    column: str
+    mm: float
+    low_mm: float
+    high_mm: float
+    squares_mm2: float
+    share_frac: float
+    probability: float
+
+    @property
+    def status(self) -> Status:
+        """How sure it is, in a word."""
+        if self.probability >= CONFIRMED:
+            return "confirmed"
+        return "likely" if self.probability >= LIKELY else "doubtful"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """Where the tool stands, how it gets there, or what the camera sees: RMS miss of the nominal model, of the model
+    with the confirmed effects, and the noise [mm]. `measured`: whether the miss was measured, or the model says it.
+    """
+
+    name: str
+    before_mm: float
+    after_mm: float
+    floor_mm: float
+    measured: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StageLine:
+    """One stage, or one joint of it, judged by itself. `why`: what would measure it, or what the remainder follows."""
+
+    stage: str
+    joint: int | None
+    verdict: StageVerdict
+    before_mm: float | None
+    after_mm: float | None
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The whole answer. `miss_mm`: of the nominal model; `left_mm`: with the confirmed effects."""
+
+    whole: Read
+    fits: tuple[WholeFit, ...]
+    lines: tuple[Line, ...]
+    columns: tuple[Column, ...]
+    stages: tuple[StageLine, ...]
+    before: Localisation
+    after: Localisation
+    verdict: Verdict
+    why: str
+
+    @property
+    def miss_mm(self) -> float:
+        """How far the nominal model misses the tool: where it stands and how it gets there, together."""
+        return _together(one.before_mm for one in self.columns if one.name != "sees")
+
+    @property
+    def left_mm(self) -> float:
+        """The same with the confirmed effects added."""
+        return _together(one.after_mm for one in self.columns if one.name != "sees")
+
+    @property
+    def confirmed(self) -> tuple[Line, ...]:
+        """Effects that are confirmed."""
+        return tuple(line for line in self.lines if line.status == "confirmed")
+
+    def entries(self, statuses: tuple[Status, ...] = ("confirmed",)) -> tuple[EffectEntry, ...]:
+        """Effects of these statuses as entries of a machine file."""
+        return entries_of([line.evidence.term for line in self.lines if line.status in statuses])
+
+
+def entries_of(terms: Sequence[Term]) -> tuple[EffectEntry, ...]:
+    """Terms as entries of a machine file."""
+    return tuple(entry_of_fit(fit_of(terms)))
+
+
+def _together(parts: Iterable[float]) -> float:
+    return float(np.sqrt(sum(part**2 for part in parts)))
+
+
+def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...] = ()) -> Budget:
+    """The budget of a recording that is usable. `left_out`: effects taken out of the library, to test refusals."""
+    work = Work(progress)
+    fits = fit_machine(whole, work, left_out)
+    work.conclude("weighing", 0.0)
+    evidence = [one for fit in fits for one in evidence_of(fit)]
+    errors = tool_errors(whole, [one.term for one in evidence], [fit.cell for fit in fits])
+    chance = {id(one.term): probability(one) for one in evidence}
+    confirmed = [one.term for one in evidence if chance[id(one.term)] >= CONFIRMED]
+    work.conclude("localising", 0.6)
+    before, after = localise(whole), localise(_with_effects(whole, entries_of(confirmed)))
+    columns = tuple(_column(whole, error, confirmed, after, fits) for error in errors)
+    total = sum(one.before_mm**2 for one in columns)
+    lines = tuple(line for error in errors for line in _lines(error, evidence, chance, total)) + _unplaced(
+        evidence, errors, chance
+    )
+    lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
+    stages = _stages(whole, lines, columns, (before, after), float(np.sqrt(total)))
+    verdict, why = verdict_of(whole, lines, columns, stages, fits)
+    return Budget(whole, fits, lines, columns, stages, before, after, verdict, why)
+
+
+def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:
+    nominal = whole.nominal
+    return (
+        whole if nominal is None else replace(whole, nominal=replace(nominal, baseline=(*nominal.baseline, *entries)))
+    )
+
+
+def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float], total_mm2: float) -> list[Line]:
+    by_term = {id(one.term): one for one in evidence}
+    out = []
+    for term, rms, squares in zip(error.terms, error.rms_m * MM, error.squares_m2 * MM**2, strict=True):
+        one = by_term[id(term)]
+        sizes = term.theta[: term.sizes]
+        size = float(np.linalg.norm(sizes)) if not term.limits else 1.0
+        sd = float(np.linalg.norm(one.sd[: term.sizes] * sizes) / size) if not term.limits and size > 0.0 else 0.0
+        spread = QUANTILE_95 * sd / size if size > 0.0 else 0.0
+        out.append(
+            Line(
+                one,
+                error.column,
+                float(rms),
+                float(rms) * max(0.0, 1.0 - spread),
+                float(rms) * (1.0 + spread),
+                float(squares),
+                float(squares) / total_mm2 if total_mm2 > 0.0 else 0.0,
+                chance[id(term)],
+            )
+        )
+    return out
+
+
+def _unplaced(evidence: list[Evidence], errors: tuple[ToolError, ...], chance: dict[int, float]) -> tuple[Line, ...]:
+    """Effects of which nothing says what they do at the tool (no arm in the machine file, no controller)."""
+    placed = {id(term) for error in errors for term in error.terms}
+    return tuple(
+        Line(one, "", 0.0, 0.0, 0.0, 0.0, 0.0, chance[id(one.term)]) for one in evidence if id(one.term) not in placed
+    )
+
+
+def _column(
+    whole: Read, error: ToolError, confirmed: list[Term], after: Localisation, fits: tuple[WholeFit, ...]
+) -> Column:
+    """One column's miss before and after; measured where the recording measured it."""
+    chosen = [k for k, term in enumerate(error.terms) if any(term is one for one in confirmed)]
+    floor = _tracking_floor_mm(whole) if error.column == "gets_there" else 0.0
+    if error.measured is not None and error.left is not None:
+        unconfirmed = error.total - error.by_effect[chosen].sum(axis=0)
+        return Column(
+            error.column, _rms_mm(error.measured, floor), _rms_mm(error.left + unconfirmed, floor), floor, True
+        )
+    unconfirmed = _rms_mm(error.total - error.by_effect[chosen].sum(axis=0))
+    if error.column == "sees":
+        left_mm = float(np.hypot(unconfirmed, _corners_left_mm(fits)))
+        return Column(error.column, float(np.hypot(_rms_mm(error.total), _corners_left_mm(fits))), left_mm, 0.0, True)
+    left = _measured_mm(after, "structure")
+    if left is None:
+        return Column(error.column, _rms_mm(error.total), unconfirmed, 0.0, False)
+    explained = _rms_mm(error.by_effect[chosen].sum(axis=0)) if chosen else 0.0
+    return Column(error.column, float(np.hypot(explained, left)), left, 0.0, True)
+
+
+def _corners_left_mm(fits: tuple[WholeFit, ...]) -> float:
+    """What the fitted machine leaves of the marker corners beyond their noise, as a distance across the view [mm]."""
+    worst = 0.0
+    for fit in fits:
+        for part, residual in fit.cell.by_part(fit.best.lin.residual):
+            corners = part.whitened
+            if not isinstance(corners, CornerResidual) or corners.nominal.camera is None:
+                continue
+            excess = max(0.0, float(np.mean(residual**2)) - 1.0)
+            places = corners.poses(part.base, without_encoders(part.base), 0, 0.0) @ corners.T_base_ooi
+            depth_m = float(np.median(np.abs(places[:, 2, 3])))
+            px = float(np.sqrt(np.mean(part.scale**2) * excess))
+            worst = max(worst, MM * px * depth_m / corners.nominal.camera.fx_px)
+    return worst
+
+
+def _rms_mm(displacement: Array, floor_mm: float = 0.0) -> float:
+    mean_square = float((displacement**2).sum(axis=1).mean()) * MM**2 if len(displacement) else 0.0
+    return float(np.sqrt(max(0.0, mean_square - floor_mm**2)))
+
+
+def _measured_mm(places: Localisation, stage: str) -> float | None:
+    """A stage's gap at the tool [mm]: axes together, the largest of what measured it; None where nothing did."""
+    own = [place for place in places.places if place.stage == stage and place.unit == "m"]
+    by_regime: dict[str, float] = {}
+    for place in own:
+        by_regime[place.regime] = by_regime.get(place.regime, 0.0) + place.tcp_mm**2
+    by_regime.pop("tool marker", None)
+    return float(np.sqrt(max(by_regime.values()))) if by_regime else None
+
+
+def _tracking_floor_mm(whole: Read) -> float:
+    """By how much repeats of one command differ at the tool (RMS) [mm]; 0 without repeats."""
+    nominal = whole.nominal
+    squares = []
+    for members in repeat_groups(whole.stretches).values():
+        if nominal is None or nominal.arm is None or any(one.enc is None for one in members):
+            continue
+        laid = overlaid(members, [np.nan_to_num(one.enc) for one in members if one.enc is not None])
+        flat = laid.reshape(-1, nominal.n)
+        at = tcp_poses(nominal.arm, neutral_sets(nominal.n), flat)[:, :3, 3].reshape(*laid.shape[:2], 3)
+        off = at - at.mean(axis=0)
+        squares.append(float((off**2).sum(axis=2).mean()) * len(laid) / (len(laid) - 1.0))
+    return MM * float(np.sqrt(np.mean(squares))) if squares else 0.0
+
+
+STAGES_OF_JOINTS = ("link", "controller", "actuator")
+WOULD_MEASURE = {
+    "link": "log the reference as sent and as received",
+    "controller": "log the received reference, the encoders and the valve command",
+    "actuator": "log the valve command and the encoders while the joint moves",
+    "structure": "measure points on the arm by a tracker, at rest in a dozen postures",
+    "camera": "look at a marker from a dozen postures",
+}
+
+
+def _stages(
+    whole: Read,
+    lines: tuple[Line, ...],
+    columns: tuple[Column, ...],
+    places: tuple[Localisation, Localisation],
+    total_mm: float,
+) -> tuple[StageLine, ...]:
+    """Every stage, and of those that drive joints every joint, judged by itself."""
+    before, after = places
+    present = stages_present(whole)
+    small = max(SMALL_MM, SMALL_SHARE * float(total_mm))
+    out = []
+    for stage in WOULD_MEASURE:
+        if stage not in present:
+            out.append(StageLine(stage, None, "not_measured", None, None, WOULD_MEASURE[stage]))
+            continue
+        joints: Sequence[int | None] = [None]
+        if stage in STAGES_OF_JOINTS:
+            joints = sorted({place.joint for place in before.places if place.stage == stage and place.joint}) or [None]
+        for joint in joints:
+            confirmed = any(_belongs(line, stage, joint) and line.status == "confirmed" for line in lines)
+            was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
+            out.append(StageLine(stage, joint, stage_verdict(was, left, confirmed, small), was, left, ""))
+    return tuple(out)
+
+
+def _belongs(line: Line, stage: str, joint: int | None) -> bool:
+    effect = line.evidence.term.effect
+    own = {"joint": "structure", "time": "camera"}.get(effect.stage, effect.stage)
+    return own == stage and (joint is None or effect.joint in (None, joint))
+
+
+def _stage_mm(
+    columns: tuple[Column, ...], places: Localisation, stage: str, joint: int | None, after: bool = False
+) -> float | None:
+    if stage not in STAGES_OF_JOINTS:
+        name = "stands" if stage == "structure" else "sees"
+        own = next((column for column in columns if column.name == name), None)
+        return None if own is None else (own.after_mm if after else own.before_mm)
+    there = [place for place in places.places if _is(place, stage, joint)]
+    return float(np.sqrt(sum(place.tcp_mm**2 for place in there))) if there else None
+
+
+def _is(place: Place, stage: str, joint: int | None) -> bool:
+    return place.stage == stage and place.regime == "all" and joint in (None, place.joint)
+
+
+def stage_verdict(was: float | None, left: float | None, confirmed: bool, small_mm: float) -> StageVerdict:
+    """One stage's word from its miss before and after [mm], and whether one of its effects is confirmed."""
+    if was is None or left is None:
+        return "not_measured"
+    if confirmed:
+        done = left**2 <= (1.0 - EXPLAINED) * was**2 or left <= small_mm
+        return "explained" if done else "partly"
+    return "none" if was <= small_mm else "unexplained"
+
+
+def verdict_of(
+    whole: Read,
+    lines: tuple[Line, ...],
+    columns: tuple[Column, ...],
+    stages: tuple[StageLine, ...],
+    fits: tuple[WholeFit, ...],
+) -> tuple[Verdict, str]:
+    """The overall verdict: the first row of the table that holds."""
+    confirmed = any(line.status == "confirmed" for line in lines)
+    squares = sum(one.before_mm**2 for one in columns)
+    left = sum(one.after_mm**2 for one in columns)
+    explained = 1.0 - left / squares if squares > 0.0 else 0.0
+    known = all(fit.cell.floor_known for fit in fits) and bool(fits)
+    gap = any(one.verdict == "unexplained" for one in stages)
+    static = whole.tables is not None and whole.tables.static is not None
+    table: tuple[tuple[bool, Verdict, str], ...] = (
+        (not fits, "undecided", "no stage could be replayed"),
+        (stood_still(whole.stretches) and not static, "undecided", "no joint moved, and there are no poses at rest"),
+        (confirmed and explained >= EXPLAINED, "effects", f"confirmed effects explain {100 * explained:.0f} % of it"),
+        (confirmed, "partly", f"confirmed effects explain {100 * explained:.0f} % of it; the rest has no cause yet"),
+        (any(line.status == "likely" for line in lines), "undecided", "effects are likely, none is confirmed"),
+        (gap and known, "outside", "there is a gap, and no effect of the catalogue explains it"),
+        (gap, "undecided", "more is left than the noise was taken for, and the noise was never measured"),
+        (known, "none", "nothing stands out of the noise that matters at the tool"),
+        (True, "undecided", "nothing stands out, but the noise was never measured: repeat one command four times"),
+    )
+    return next((word, why) for holds, word, why in table if holds)

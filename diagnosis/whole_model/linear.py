@@ -1,0 +1,262 @@
+"""A part of the recording as a linear model about where it stands: one block of columns for every effect.
+
+Smooth effects get the tangent. An effect with a threshold (a dead band, a play) or a shape of its own (a frequency, an
+order) has no slope where it is absent: its column is the secant from absence to the start that explains most of what is
+left; where it is present, the secant back to absence, so that leaving it out is judged by what really happens.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.search.candidates import Candidate, put
+from diagnosis.search.cell import Cell
+from diagnosis.search.fit import STEP_SHARE, evaluated_at, weights
+from diagnosis.whole_model.subsets import LinearProblem, Members
+from machine.effects.layout import ParameterSets
+from machine.effects.registry import effect_of
+from machine.rotations import Array
+
+SLAB = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is no outlier
+SCANNED_AT_ONCE = 64  # parameter sets in one call, for memory
+TWINS = 1e-5  # of the cosine between columns, by finite steps of different length
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """One effect of the library with its numbers (slots,); `present`: whether the machine is taken to have it."""
+
+    effect: Candidate
+    theta: Array
+    present: bool
+
+    @property
+    def smooth(self) -> bool:
+        """Whether its size has a slope at absence and nothing else has to be known of it."""
+        sizes = {slot.parameter for slot in self.effect.slots}
+        slot = self.effect.slots[0]
+        return (
+            len(sizes) == 1
+            and not self.effect.fixed
+            and slot.neutral == 0.0
+            and not effect_of(self.effect.name).threshold
+        )
+
+    @property
+    def absent(self) -> float:
+        """The size at which the effect vanishes."""
+        return float(self.effect.slots[0].neutral)
+
+    @property
+    def limits(self) -> bool:
+        """Whether it is a limit (neutral 1 or infinite): its column is the whole change, its number the share of it."""
+        return self.absent != 0.0
+
+    @property
+    def sizes(self) -> int:
+        """How many of its numbers are sizes; the others are shapes."""
+        first = self.effect.slots[0].parameter
+        return sum(slot.parameter == first for slot in self.effect.slots)
+
+
+@dataclass(frozen=True, slots=True)
+class Linearised:
+    """Residual (N,) and columns J (N, k) about the terms as they stand; x (k,): their numbers in those columns.
+
+    `first`: (terms + 1,) columns of each term. `weight`: (N,) of each row in a least-squares step.
+    """
+
+    terms: tuple[Term, ...]
+    residual: Array
+    J: Array
+    x: Array
+    first: NDArray[np.int64]
+    weight: Array
+
+    def twins(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of terms of one column whose columns are the same to rounding: the one kept, and the one it stands for.
+
+        Why: two numbers that do the same would be played against each other to imitate the model's curvature.
+        """
+        single = np.nonzero(np.diff(self.first) == 1)[0]
+        columns = self.J[:, self.first[single]] * np.sqrt(self.weight)[:, None]
+        norm = np.linalg.norm(columns, axis=0)
+        unit = columns / np.where(norm > 0.0, norm, 1.0)
+        alike = np.abs(unit.T @ unit) > 1.0 - TWINS
+        odds = np.array([_log_odds(self.terms[k].effect) for k in single])
+        out = []
+        for i in range(len(single)):
+            better = [j for j in range(len(single)) if alike[i, j] and (odds[j], -j) > (odds[i], -i)]
+            if norm[i] > 0.0 and better:
+                out.append((int(single[max(better, key=lambda j: (odds[j], -j))]), int(single[i])))
+        return tuple(out)
+
+    def problem(self, trust: Array) -> LinearProblem:
+        """The choice among its terms. `trust`: (N,), at most 1, how far each row speaks for itself."""
+        w = self.weight * trust
+        H = (self.J * w[:, None]).T @ self.J
+        c = H @ self.x - self.J.T @ (w * self.residual)
+        slab = np.concatenate([_slabs(term) for term in self.terms])
+        nonnegative = np.concatenate([_nonnegative(term) for term in self.terms])
+        log_odds = np.array([_log_odds(term.effect) for term in self.terms])
+        return LinearProblem(H, c, slab, self.first, nonnegative, log_odds)
+
+    @property
+    def present(self) -> Members:
+        """Terms that are present (terms,)."""
+        return np.array([term.present for term in self.terms], dtype=bool)
+
+
+def packed(cell: Cell, terms: Sequence[Term], thetas: Array | None = None) -> ParameterSets:
+    """Parameter sets with the present terms; `thetas` (m, numbers of the present ones) in place of their own."""
+    some = [term for term in terms if term.present]
+    own = np.concatenate([term.theta for term in some])[None] if some else np.zeros((1, 0))
+    return put(cell.base, tuple(term.effect for term in some), own if thetas is None else thetas)
+
+
+def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False) -> Linearised:
+    """Columns of all terms about the present ones as they stand. `to_move`: tangents of present thresholds, too, for a
+    step of their sizes, in place of the secants by which they are left out.
+    """
+    base = packed(cell, terms)
+    residual = evaluated_at(cell, base)[0]
+    tangents = _tangents(cell, terms, residual, to_move)
+    smooth = [k for k, term in enumerate(terms) if not term.present and term.smooth]
+    steps = [(k, row) for k in smooth for row in np.diag(_steps(terms[k]))]
+    moved = _evaluated(cell, base, [(terms[k].effect, row) for k, row in steps])
+    columns: dict[int, list[Array]] = {k: [] for k in range(len(terms))}
+    for (k, row), there in zip(steps, moved, strict=True):
+        columns[k].append((there - residual) / row[np.nonzero(row)[0][0]])
+    known = (
+        np.array([one for own in (*tangents.values(), *columns.values()) for one in own]).reshape(-1, len(residual)).T
+    )
+    out = list(terms)
+    for k, term in enumerate(terms):
+        if term.present:
+            columns[k] = tangents[k]
+        elif not term.smooth:
+            out[k], columns[k] = _scanned(cell, base, term, residual, known)
+    x = [_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
+    first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)
+    J = np.array([one for k in range(len(out)) for one in columns[k]]).reshape(-1, len(residual)).T
+    return Linearised(tuple(out), residual, J, np.concatenate([*x, np.zeros(0)]), first, weights(residual))
+
+
+def _offsets(term: Term, to_move: bool) -> Array:
+    """A present term's numbers in its columns: sizes as they are, shapes counted from where they stand."""
+    sizes = term.theta[: term.sizes]
+    if term.limits:
+        sizes = np.zeros(1) if to_move else np.ones(1)
+    return np.concatenate([sizes, np.zeros(len(term.theta) - term.sizes)])
+
+
+def _tangents(cell: Cell, terms: Sequence[Term], residual: Array, to_move: bool) -> dict[int, list[Array]]:
+    """Columns of the present terms: tangents, and for a size with a threshold the secant back to absence."""
+    some = [k for k, term in enumerate(terms) if term.present]
+    if not some:
+        return {}
+    theta = np.concatenate([terms[k].theta for k in some])
+    high = np.concatenate([[slot.highest for slot in terms[k].effect.slots] for k in some])
+    step = np.concatenate([_steps(terms[k]) for k in some])
+    step = np.where(theta + step > high, -step, step)
+    at, moves = 0, []
+    for k in some:
+        term = terms[k]
+        for s in range(len(term.theta)):
+            row = theta.copy()
+            far = abs(term.theta[s] - term.absent) > abs(step[at + s])
+            if s < term.sizes and not term.smooth and far and not to_move:
+                row[at + s] = term.absent
+            else:
+                row[at + s] += step[at + s]
+            moves.append((k, at + s, row))
+        at += len(term.theta)
+    there = _in_parts(cell, packed(cell, terms, np.array([row for _, _, row in moves])))
+    out: dict[int, list[Array]] = {k: [] for k in some}
+    for (k, column, row), moved in zip(moves, there, strict=True):
+        change = row[column] - theta[column]
+        whole = terms[k].limits and not out[k] and not to_move
+        out[k].append((moved - residual) / (-1.0 if whole else change))
+    return out
+
+
+def _scanned(cell: Cell, base: ParameterSets, term: Term, residual: Array, known: Array) -> tuple[Term, list[Array]]:
+    """The start at which an absent term explains most of what the known columns leave, and its secant."""
+    starts = _starts(term)
+    there = _evaluated(cell, base, [(term.effect, row) for row in starts])
+    columns = there - residual
+    w = np.sqrt(weights(residual))
+    Q = np.linalg.qr(known * w[:, None])[0] if known.size else np.zeros((len(residual), 0))
+
+    def left(rows: Array) -> Array:
+        white = rows * w
+        return white - (white @ Q) @ Q.T
+
+    own, D = left(residual[None])[0], left(columns)
+    power = np.einsum("ij,ij->i", D, D)
+    gain = np.where(power > 0.0, np.maximum(-(D @ own), 0.0) ** 2 / np.maximum(power, 1e-12), 0.0)
+    best = int(np.argmax(gain))
+    size = 1.0 if term.limits else starts[best, 0]
+    return Term(term.effect, starts[best], False), [columns[best] / size]
+
+
+def _starts(term: Term) -> Array:
+    """Where an absent term may be (m, slots); one size alone where the change is in proportion to it."""
+    starts = term.effect.starts()
+    starts = starts[starts[:, 0] != term.absent]
+    if term.limits or effect_of(term.effect.name).threshold or not len(starts):
+        return starts
+    sizes = np.unique(starts[:, 0])
+    return starts[starts[:, 0] == sizes[len(sizes) // 2]]
+
+
+def _evaluated(cell: Cell, base: ParameterSets, moves: Sequence[tuple[Candidate, Array]]) -> list[Array]:
+    """Residuals with one further effect each."""
+    out: list[Array] = []
+    for k in range(0, len(moves), SCANNED_AT_ONCE):
+        part = moves[k : k + SCANNED_AT_ONCE]
+        sets = base.repeated(len(part))
+        for row, (effect, theta) in enumerate(part):
+            one = put(base, (effect,), theta)
+            sets.joint[row], sets.machine[row] = one.joint[0], one.machine[0]
+        out.extend(evaluated_at(cell, sets))
+    return out
+
+
+def _in_parts(cell: Cell, sets: ParameterSets) -> list[Array]:
+    out: list[Array] = []
+    for k in range(0, sets.sets, SCANNED_AT_ONCE):
+        own = slice(k, k + SCANNED_AT_ONCE)
+        out.extend(evaluated_at(cell, ParameterSets(sets.joint[own].copy(), sets.machine[own].copy())))
+    return out
+
+
+def _steps(term: Term) -> Array:
+    return STEP_SHARE * np.array([slot.high - slot.low for slot in term.effect.slots])
+
+
+def _slabs(term: Term) -> Array:
+    """(columns,) prior deviations: sizes by the catalogue, shapes of a present term by their range."""
+    slots = term.effect.slots if term.present else term.effect.slots[: term.sizes]
+    out = []
+    for k, slot in enumerate(slots):
+        if term.limits and k == 0:
+            out.append(1.0)
+            continue
+        scale = slot.spec.prior.scale * slot.scale if k < term.sizes else 0.0
+        span = slot.high - slot.low
+        out.append(SLAB * scale if scale > 0.0 else (span if np.isfinite(span) else max(abs(slot.start), 1e-9)))
+    return np.array(out)
+
+
+def _nonnegative(term: Term) -> Members:
+    columns = len(term.theta) if term.present else term.sizes
+    first = term.limits or term.effect.slots[0].low >= 0.0
+    return np.array([first and k < term.sizes for k in range(columns)], dtype=bool)
+
+
+def _log_odds(effect: Candidate) -> float:
+    share = effect_of(effect.name).prevalence
+    return float(np.log(share / (1.0 - share)))

@@ -1,0 +1,96 @@
+"""The whole machine fitted part by part: all that is measured behind the encoders, link, controllers, actuators.
+
+Parts share no number but what an earlier one found of a later one's input: the encoders' own errors, the link's delay.
+"""
+
+from dataclasses import replace
+
+from diagnosis.cells.behind import behind_cells, fitting, told_behind, without
+from diagnosis.cells.dynamic import coupled_cell, stage_cells
+from diagnosis.cells.merged import merged_cells
+from diagnosis.chain.own_step import at_its_step
+from diagnosis.reading.read import Read
+from diagnosis.replay.replayer import Replayer, replayer_of
+from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put
+from diagnosis.search.cell import DRIVEN_STAGES, Cell
+from diagnosis.search.work import Work
+from diagnosis.whole_model.linear import Term
+from diagnosis.whole_model.solve import WholeFit, solve
+from machine.effects.entries import pack_under
+from machine.effects.layout import ParameterSets
+
+REDUNDANT = (("valve_deadband", "kept"),)  # a dead band that loses flow, together with a flow gain
+
+
+def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...] = ()) -> tuple[WholeFit, ...]:
+    """Every part that the recording allows, fitted by all of its effects together. `left_out`: effects not tried."""
+    nominal = whole.nominal
+    if nominal is None:
+        return ()
+    work = work or Work()
+    base = pack_under(nominal.baseline, nominal.n)
+    replayer = replayer_of(nominal, whole.stretches) if whole.stretches else None
+    behind = without(fitting(behind_cells(whole, base), nominal), left_out)
+    found = _solved(behind, work)
+    if replayer is None:
+        return tuple(found)
+    unseen = (*left_out, *told_behind(behind))
+    known = with_found(base, found, SEEN_BY_ENCODER)
+    replayer = at_its_step(replayer, whole.stretches, known)
+    course = known
+    for stage in DRIVEN_STAGES:
+        cells = fitting(stage_cells(stage, replayer, whole.stretches, known, course), nominal)
+        own = _solved(without(cells, unseen), work)
+        if stage == "actuator" and DROOP not in left_out:
+            own = _shared_flow(own, replayer, whole, (known, course))
+        course = with_found(course, own)
+        found += own
+    one_by_one, _ = merged_cells(replayer, whole.stretches, known, course)
+    return (*found, *_solved(without(fitting(one_by_one, nominal), unseen), work))
+
+
+def _solved(cells: list[Cell], work: Work) -> list[WholeFit]:
+    out = []
+    work.stage(cells)
+    for cell in cells:
+        work.begin(f"fitting {cell.label}")
+        out.append(solve(cell, library_of(cell)))
+        work.end()
+    return out
+
+
+def library_of(cell: Cell) -> tuple[Candidate, ...]:
+    """A cell's effects, each in one parametrisation."""
+    return tuple(effect for effect in cell.candidates if (effect.name, effect.option) not in REDUNDANT)
+
+
+def with_found(base: ParameterSets, fits: list[WholeFit], names: tuple[str, ...] | None = None) -> ParameterSets:
+    """A parameter set with the effects found, or with those of these names."""
+    for fit in fits:
+        for term in fit.best.terms:
+            if term.present and (names is None or term.effect.name in names):
+                base = put(base, (term.effect,), term.theta)
+    return base
+
+
+def _shared_flow(
+    own: list[WholeFit], replayer: Replayer, whole: Read, known: tuple[ParameterSets, ParameterSets]
+) -> list[WholeFit]:
+    """The actuators together, where a pump that limits their sum explains more than they do one by one."""
+    cell = coupled_cell(replayer, whole.stretches, *known)
+    if cell is None or len(own) != len(replayer.plant.joints):
+        return own
+    apart = tuple(term for fit in own for term in fit.best.terms if term.present)
+    droop = tuple(Term(effect, effect.starts()[0], False) for effect in cell.candidates)
+    together = solve(cell, (), (*apart, *droop))
+    if not any(term.present and term.effect.name == DROOP for term in together.best.terms):
+        return own
+    everything = tuple(term for fit in own for term in fit.best.terms)
+    return [solve(replace(cell, candidates=()), (), _with_states(everything, together.best.terms))]
+
+
+def _with_states(terms: tuple[Term, ...], known: tuple[Term, ...]) -> tuple[Term, ...]:
+    """Terms as another fit found them, where it has them; with what it has besides."""
+    by_variant = {term.effect.variant: term for term in known}
+    mine = tuple(by_variant.pop(term.effect.variant, term) for term in terms)
+    return (*mine, *by_variant.values())

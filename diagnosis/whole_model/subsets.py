@@ -1,0 +1,230 @@
+"""Which sets of effects a linear model supports: spike and slab over subsets, explored from the best one outwards.
+
+Model:  y = J x + e, e ~ N(0, I); a term is in the set (slab, x_j ~ N(0, slab_j^2)) or not (spike, x_j = 0).
+        The evidence of a set has a closed form, so sets are compared without sampling.
+Search: from the whole set downwards, then by the best of all additions, removals and exchanges. The posterior sums over
+        Occam's window: the best sets and those that each of them turns into by one such step.
+Source: George, McCulloch 1993 (spike and slab); Madigan, Raftery 1994 (Occam's window).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from machine.rotations import Array
+
+WINDOW_NATS = 7.0  # sets less likely than 1 to 1000 against the best one do not change a probability's third digit
+WINDOW_SETS = 60  # sets whose neighbours are looked at
+Members = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class LinearProblem:
+    """H = J'J (k, k), c = J'y (k,), `slab` (k,); term t owns columns first[t] to first[t + 1].
+
+    `nonnegative`: (k,), columns whose number cannot be negative. `log_odds`: (terms,), prior, of a term being there.
+    """
+
+    H: Array
+    c: Array
+    slab: Array
+    first: NDArray[np.int64]
+    nonnegative: Members
+    log_odds: Array
+
+    @property
+    def terms(self) -> int:
+        """Number of terms."""
+        return len(self.log_odds)
+
+    def score(self, members: Members) -> float:
+        """Log posterior of a set, up to a constant [nats]."""
+        return float(_score(self.H, self.c, self.slab, self.first, self.nonnegative, self.log_odds, members))
+
+    def estimate(self, members: Members) -> tuple[Array, Array]:
+        """x (k,), zero outside the set, and its covariance (k, k)."""
+        cols = np.nonzero(np.repeat(members, np.diff(self.first)))[0]
+        kept, x = _solved(self.H, self.c, self.slab, self.nonnegative, cols)[1:]
+        out, S = np.zeros(len(self.c)), np.zeros_like(self.H)
+        out[kept] = x * self.slab[kept]
+        own = np.ix_(kept, kept)
+        S[own] = np.linalg.inv(self.H[own] + np.diag(self.slab[kept] ** -2.0))
+        return out, S
+
+    def misfit(self, x: Array) -> float:
+        """1/2 |J x - y|^2 - 1/2 |y|^2 [nats]."""
+        return float(0.5 * x @ self.H @ x - self.c @ x)
+
+
+@dataclass(frozen=True, slots=True)
+class SetPosterior:
+    """Sets (m, terms), best first, with their probabilities (m,); `inclusion`: (terms,) probability of each term."""
+
+    sets: Members
+    probability: Array
+    score: Array
+
+    @property
+    def best(self) -> Members:
+        """The most probable set (terms,)."""
+        return self.sets[0]
+
+    @property
+    def inclusion(self) -> Array:
+        """Probability that a term is in the set (terms,)."""
+        return np.asarray(self.probability @ self.sets, dtype=float)
+
+
+def best_set(problem: LinearProblem, start: Members, allowed: Members) -> Members:
+    """The set at which no addition, removal or exchange of one term helps, from `start`; only `allowed` terms enter."""
+    given = (problem.H, problem.c, problem.slab, problem.first, problem.nonnegative, problem.log_odds)
+    return np.asarray(_climbed(*given, start & allowed, allowed))
+
+
+def posterior_over_sets(problem: LinearProblem, top: Members, allowed: Members) -> SetPosterior:
+    """The probable sets of allowed terms, by what one step from the best set and from the best without each of its
+    terms reaches.
+    """
+    seeds = [top] + [best_set_without(problem, top, int(t), allowed) for t in np.nonzero(top)[0]]
+    found: dict[bytes, tuple[float, Members]] = {}
+    for one in seeds:
+        found[one.tobytes()] = (problem.score(one), one)
+    expanded: set[bytes] = set()
+    for _ in range(WINDOW_SETS):
+        best = max(score for score, _ in found.values())
+        waiting = [
+            (score, key) for key, (score, _) in found.items() if key not in expanded and score > best - WINDOW_NATS
+        ]
+        if not waiting:
+            break
+        key = max(waiting)[1]
+        expanded.add(key)
+        for score, members in _neighbours(problem, found[key][1], best - WINDOW_NATS):
+            if (members & ~allowed).any():
+                continue
+            found.setdefault(members.tobytes(), (score, members))
+    best = max(score for score, _ in found.values())
+    kept = sorted((row for row in found.values() if row[0] > best - WINDOW_NATS), key=lambda row: -row[0])
+    score = np.array([row[0] for row in kept])
+    weight = np.exp(score - best)
+    return SetPosterior(np.array([row[1] for row in kept]), weight / weight.sum(), score)
+
+
+def best_set_without(problem: LinearProblem, members: Members, term: int, allowed: Members) -> Members:
+    """The best set of allowed terms that does not hold a term, from `members` without it."""
+    others = allowed.copy()
+    others[term] = False
+    return best_set(problem, members, others)
+
+
+def _neighbours(problem: LinearProblem, members: Members, least: float) -> list[tuple[float, Members]]:
+    args = (problem.H, problem.c, problem.slab, problem.first, problem.nonnegative, problem.log_odds)
+    scores, sets = _around(*args, members)
+    return [(float(s), one) for s, one in zip(scores, sets, strict=True) if s > least]
+
+
+@njit(cache=True)
+def _solved(H, c, slab, nonnegative, cols):
+    """Log evidence, columns kept and their numbers in slabs; a number below its bound of 0 stays there, at a price."""
+    keep = np.ones(cols.shape[0], np.bool_)
+    while True:
+        own = cols[keep]
+        m = own.shape[0]
+        if m == 0:
+            return -WINDOW_NATS * cols.shape[0], own, np.zeros(0)
+        A, b = np.empty((m, m)), np.empty(m)
+        for i in range(m):
+            b[i] = c[own[i]] * slab[own[i]]
+            for j in range(m):
+                A[i, j] = H[own[i], own[j]] * slab[own[i]] * slab[own[j]]
+            A[i, i] += 1.0
+        L = np.linalg.cholesky(A)
+        z = np.linalg.solve(L, b)
+        x = np.linalg.solve(L.T, z)
+        worst, at = 0.0, -1
+        for i in range(m):
+            if nonnegative[own[i]] and x[i] < worst:
+                worst, at = x[i], i
+        if at < 0:
+            value = 0.5 * np.sum(z * z) - WINDOW_NATS * (cols.shape[0] - m)
+            for i in range(m):
+                value -= np.log(L[i, i])
+            return value, own, x
+        keep[np.nonzero(keep)[0][at]] = False
+
+
+@njit(cache=True)
+def _score(H, c, slab, first, nonnegative, log_odds, members):
+    cols = np.empty(c.shape[0], np.int64)
+    m, prior = 0, 0.0
+    for t in range(members.shape[0]):
+        if members[t]:
+            prior += log_odds[t]
+            for k in range(first[t], first[t + 1]):
+                cols[m] = k
+                m += 1
+    return prior + _solved(H, c, slab, nonnegative, cols[:m])[0]
+
+
+@njit(cache=True)
+def _climbed(H, c, slab, first, nonnegative, log_odds, start, allowed):
+    members = start.copy()
+    terms = members.shape[0]
+    now = _score(H, c, slab, first, nonnegative, log_odds, members)
+    for _ in range(4 * terms):
+        best, out, into = now + 1e-9, -1, -1
+        for t in range(terms):
+            if not (members[t] or allowed[t]):
+                continue
+            members[t] = not members[t]
+            value = _score(H, c, slab, first, nonnegative, log_odds, members)
+            members[t] = not members[t]
+            if value > best:
+                best, out, into = value, t, -1
+        if out < 0:  # exchanges only where no single step helps
+            for t in range(terms):
+                if not members[t]:
+                    continue
+                members[t] = False
+                for u in range(terms):
+                    if members[u] or not allowed[u] or u == t:
+                        continue
+                    members[u] = True
+                    value = _score(H, c, slab, first, nonnegative, log_odds, members)
+                    members[u] = False
+                    if value > best:
+                        best, out, into = value, t, u
+                members[t] = True
+        if out < 0:
+            break
+        members[out] = not members[out]
+        if into >= 0:
+            members[into] = True
+        now = best
+    return members
+
+
+@njit(cache=True)
+def _around(H, c, slab, first, nonnegative, log_odds, members):
+    """Scores and sets one addition, removal or exchange away."""
+    terms = members.shape[0]
+    inside = np.sum(members)
+    count = terms + inside * (terms - inside)
+    sets, scores = np.empty((count, terms), np.bool_), np.empty(count)
+    row = 0
+    for t in range(terms):
+        sets[row] = members
+        sets[row, t] = not members[t]
+        scores[row] = _score(H, c, slab, first, nonnegative, log_odds, sets[row])
+        row += 1
+    for t in range(terms):
+        for u in range(terms):
+            if members[t] and not members[u]:
+                sets[row] = members
+                sets[row, t] = False
+                sets[row, u] = True
+                scores[row] = _score(H, c, slab, first, nonnegative, log_odds, sets[row])
+                row += 1
+    return scores, sets

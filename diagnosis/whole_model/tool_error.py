@@ -1,0 +1,198 @@
+"""What each effect does at the tool, in metres: where the tool stands, how it gets there, what the camera says of it.
+
+Model:  v(S) is the tool's displacement over time if the machine has the effects S. An effect's own part is the mean of
+        what it adds alone and what it takes away from all; what interactions leave is spread over the effects by size,
+        so that the parts add up to v(all). The share of an effect in the mean square |v(all)|^2 is then its Shapley
+        value, <v_i, v(all)> / |v(all)|^2: for a sum of parts it has this closed form.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.behind.corner_residual import CornerResidual, small_motion
+from diagnosis.behind.link_angles import inside, link_angles, paths_of, without_encoders
+from diagnosis.reading.read import Read
+from diagnosis.replay.replayer import Prepared, Replayer, replayer_of
+from diagnosis.replay.stretches import Stretch
+from diagnosis.search.candidates import put
+from diagnosis.search.cell import DRIVEN_STAGES, Cell
+from diagnosis.whole_model.linear import Term
+from machine.effects.dynamics import Actuators, Drive, DynamicStage, drive_controller, simulate
+from machine.effects.encoders import true_angles
+from machine.effects.entries import pack_under
+from machine.effects.layout import ParameterSets, neutral_sets
+from machine.effects.seen import seen_corners
+from machine.effects.structure import tcp_poses
+from machine.rotations import Array
+
+ROWS = 400  # postures and rows of motion at which the tool is looked at: the RMS is then known to a few percent
+FRAMES = 60
+NUDGE = 1e-4
+COLUMNS = ("stands", "gets_there", "sees")
+ARM_STAGES = ("joint", "structure")
+CAMERA_STAGES = ("camera", "time")
+
+
+@dataclass(frozen=True, slots=True)
+class ToolError:
+    """One column of the budget. `by_effect`: (effects, m, 3) [m], in the order of `terms`; `measured`: the nominal
+    model's miss (m, 3) as it was measured, `left`: with the effects; None where only the model says it.
+    """
+
+    column: str
+    terms: tuple[Term, ...]
+    by_effect: Array
+    measured: Array | None = None
+    left: Array | None = None
+
+    @property
+    def total(self) -> Array:
+        """What all effects do together (m, 3) [m]."""
+        return np.asarray(self.by_effect.sum(axis=0), dtype=float)
+
+    @property
+    def rms_m(self) -> Array:
+        """What each effect does by itself (effects,) [m]."""
+        return np.sqrt((self.by_effect**2).sum(axis=2).mean(axis=1))
+
+    @property
+    def squares_m2(self) -> Array:
+        """Shapley values of the mean squared displacement (effects,) [m^2]; they add up to that of all."""
+        return np.asarray((self.by_effect * self.total).sum(axis=2).mean(axis=1), dtype=float)
+
+
+def tool_errors(whole: Read, terms: Sequence[Term], cells: Sequence[Cell]) -> tuple[ToolError, ...]:
+    """The columns that the recording and the machine file allow, for the present terms."""
+    some = tuple(term for term in terms if term.present)
+    found = (stands(whole, some), gets_there(whole, some), sees(cells, some))
+    return tuple(one for one in found if one is not None)
+
+
+def stands(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
+    """Where the tool is for its encoders, over the recorded postures; by the model."""
+    nominal = whole.nominal
+    if nominal is None or nominal.arm is None:
+        return None
+    arm, own = nominal.arm, tuple(term for term in terms if term.effect.stage in ARM_STAGES)
+    paths, tables = paths_of(whole.stretches), whole.tables
+    times = np.concatenate([path.t_s for path in paths]) if paths else np.zeros(0)
+    times = times[np.unique(np.linspace(0, len(times) - 1, min(ROWS, len(times))).astype(int))] if len(times) else times
+    at = inside(paths, times)
+    table = tables.static if tables is not None else None
+    static = np.zeros((0, nominal.n)) if table is None or table.q is None else np.unique(table.q, axis=0)
+    if not len(times) and not len(static):
+        return None
+
+    def tool(sets: ParameterSets, k: int) -> Array:
+        plain = without_encoders(sets)
+        rows = [true_angles(sets, static, k)] + ([link_angles(paths, sets, k, at, times)] if len(times) else [])
+        return tcp_poses(arm, plain, np.concatenate(rows), k)[:, :3, 3]
+
+    base = pack_under(nominal.baseline, nominal.n)
+    return ToolError("stands", own, shared_out(base, own, lambda sets: [tool(sets, k) for k in range(sets.sets)]))
+
+
+def gets_there(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
+    """How the tool follows what was sent, the loop closed: simulated, and against the encoders as recorded."""
+    nominal = whole.nominal
+    replayer = replayer_of(nominal, whole.stretches) if nominal is not None and whole.stretches else None
+    if nominal is None or nominal.arm is None or replayer is None or not nominal.has_controller:
+        return None
+    own = tuple(term for term in terms if term.effect.stage in DRIVEN_STAGES)
+    arm, base = nominal.arm, pack_under(nominal.baseline, nominal.n)
+    runs = [found for one in whole.stretches if (found := _closed_loop(replayer, one)) is not None]
+    if not runs:
+        return None
+    step = max(1, sum(len(encoders) for _, _, encoders in runs) // (2 * ROWS))
+    plain = neutral_sets(nominal.n)
+
+    def tool(sets: ParameterSets) -> list[Array]:
+        rows = [simulate(plant, sets, drive, DynamicStage.ACTUATOR).enc[:, ::step] for plant, drive, _ in runs]
+        return [tcp_poses(arm, plain, np.concatenate([row[k] for row in rows]))[:, :3, 3] for k in range(sets.sets)]
+
+    measured = tcp_poses(arm, plain, np.concatenate([encoders[::step] for _, _, encoders in runs]))[:, :3, 3]
+    without, with_all = tool(base)[0], tool(_with(base, own))[0]
+    return ToolError("gets_there", own, shared_out(base, own, tool), measured - without, measured - with_all)
+
+
+def _closed_loop(replayer: Replayer, stretch: Stretch) -> tuple[Actuators, Drive, Array] | None:
+    """Plant, drive from what was sent (or received) with the loop closed, and the encoders (rows, n); None without."""
+    if stretch.enc is None or not np.isfinite(stretch.enc).all():
+        return None
+    prepared: Prepared = replayer.prepare(stretch)
+    drive: Drive | None = prepared.drives.get("link")
+    if drive is None:
+        if stretch.ref is None or not np.isfinite(stretch.ref).all():
+            return None
+        u = np.zeros(replayer.nominal.n) if stretch.u is None else np.nan_to_num(stretch.u[0])
+        drive = drive_controller(prepared.plant, stretch.ref, stretch.enc, u)
+    drive = replace(drive, enc_start=stretch.enc[0].copy())  # inside a dead band a joint rests anywhere
+    loads = replayer.loads(stretch.enc)
+    if loads is not None:
+        drive = replace(drive, load=loads[0], load_kg=loads[1])
+    return prepared.plant, drive, stretch.enc
+
+
+def sees(cells: Sequence[Cell], terms: tuple[Term, ...]) -> ToolError | None:
+    """By how much the camera misplaces what it looks at."""
+    own = tuple(term for term in terms if term.effect.stage in CAMERA_STAGES)
+    parts = [
+        (part.base, part.whitened)
+        for cell in cells
+        for part in (cell.parts or (cell,))
+        if isinstance(part.whitened, CornerResidual)
+    ]
+    if not parts:
+        return None
+    base, corners = min(parts, key=lambda one: one[1].on != "ooi")
+    camera = corners.nominal.camera
+    if camera is None:
+        return None
+    few = np.unique(np.linspace(0, len(corners.frames.t_s) - 1, FRAMES).astype(int))
+    frames = replace(corners.frames, t_s=corners.frames.t_s[few], pixels=corners.frames.pixels[few])
+    corners = replace(corners, frames=frames, at=corners.at[few])
+
+    def seen(sets: ParameterSets, k: int, moved: Array | None = None) -> Array:
+        plain = without_encoders(sets)
+        place = corners.T_base_ooi if moved is None else corners.T_base_ooi @ moved
+        Ts, later = (corners.poses(sets, plain, k, late_s) @ place for late_s in (0.0, 0.01))
+        found = seen_corners(sets, camera, frames.markers, Ts, later, 0.01, which=k)
+        both = np.stack([found.left, found.right], axis=1)
+        return np.where(np.isfinite(frames.pixels), both, 0.0).reshape(len(few), -1)
+
+    here = seen(base, 0)
+    J = np.stack([(seen(base, 0, small_motion(NUDGE * axis)) - here) / NUDGE for axis in np.eye(6)], axis=2)
+    inverse = np.linalg.pinv(np.nan_to_num(J))
+
+    def placed(sets: ParameterSets) -> list[Array]:
+        moves = [np.nan_to_num(seen(sets, k) - here) for k in range(sets.sets)]
+        return [np.einsum("mij,mj->mi", inverse, move)[:, :3] for move in moves]
+
+    return ToolError("sees", own, shared_out(base, own, placed))
+
+
+def _with(base: ParameterSets, terms: Sequence[Term]) -> ParameterSets:
+    for term in terms:
+        base = put(base, (term.effect,), term.theta)
+    return base
+
+
+def shared_out(base: ParameterSets, terms: tuple[Term, ...], tool: Callable[[ParameterSets], list[Array]]) -> Array:
+    """Each effect's part (effects, m, 3) of what all do together; `tool` gives positions (m, 3) of every set."""
+    alone = [_with(base, (term,)) for term in terms]
+    others = [_with(base, terms[:k] + terms[k + 1 :]) for k in range(len(terms))]
+    every = [base, _with(base, terms), *alone, *others]
+    sets = base.repeated(len(every))
+    for k, one in enumerate(every):
+        sets.joint[k], sets.machine[k] = one.joint[0], one.machine[0]
+    at = tool(sets)
+    none, everything = at[0], at[1]
+    if not terms:
+        return np.zeros((0, *none.shape))
+    n = len(terms)
+    parts = np.array([0.5 * ((at[2 + k] - none) + (everything - at[2 + n + k])) for k in range(n)])
+    left = everything - none - parts.sum(axis=0)
+    size = np.sqrt((parts**2).sum(axis=2).mean(axis=1))
+    return np.asarray(parts + (size / max(float(size.sum()), 1e-12))[:, None, None] * left, dtype=float)
