@@ -118,6 +118,7 @@ def _line(line: Line) -> dict[str, Any]:
         "tool_mm": _mm(line.mm),
         "tool_low_mm": _mm(line.low_mm),
         "tool_high_mm": _mm(line.high_mm),
+        "squares_mm2": rounded(line.squares_mm2),
         "share_frac": rounded(line.share_frac),
         "probability": rounded(line.probability),
         "status": line.status,

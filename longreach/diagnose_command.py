@@ -11,12 +11,15 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from diagnosis.answer import answer
+from diagnosis.budget import Budget, budget_of
+from diagnosis.budget_answer import budget_answer
 from diagnosis.diagnose import Diagnosis
 from diagnosis.diagnose import diagnose as run_diagnosis
 from diagnosis.errors import DiagnosisError
 from diagnosis.leave_out import leave_named_out
 from diagnosis.reading.read import Read
 from diagnosis.reading.together import read_together
+from diagnosis.report.budget import budget_lines
 from diagnosis.report.curves import CellCurves, curves_of
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
@@ -81,14 +84,20 @@ def diagnose(
         text = machine_text(recording, machine_file) if simulate or machine_out is not None else ""
         if machine_out is not None:
             require_room(text)
-        found, result, curves = _with_progress(whole, screen, tuple(lacking or ()), leaving)
+        budgeted = by_budget(whole) and not leaving and not simulate
+        if budgeted:
+            found, result, curves = _budget(whole, screen, tuple(lacking or ()))
+        else:
+            found, result, curves = _with_progress(whole, screen, tuple(lacking or ()), leaving)
     except (DiagnosisError, MachineOutError) as error:
         _set_aside((json_file, html_file, machine_out), screen)
         raise _refused(error, screen) from error
     result["recordings"] = [path.name for path in recordings]
+    for line in budget_lines(result) if budgeted else []:
+        typer.echo(line)
     for line in lines(result):
         typer.echo(line)
-    if simulate:
+    if simulate and isinstance(found, Diagnosis):
         _simulate(text, found, result, screen)
     _write(json_file, json.dumps(result, indent=1, allow_nan=False) + "\n", screen)
     _write(html_file, page(result, recording.name, curves), screen)
@@ -129,7 +138,7 @@ def _refused(error: Exception, screen: Console) -> typer.Exit:
     return typer.Exit(BAD_INPUT)
 
 
-def _machine_out(text: str, found: Diagnosis, out: Path, screen: Console) -> None:
+def _machine_out(text: str, found: Diagnosis | Budget, out: Path, screen: Console) -> None:
     """The machine file with the diagnosed effects added."""
     try:
         typer.echo(write_machine(text, found, out))
@@ -180,6 +189,20 @@ def _with_progress(
             shown.also("without each name")
             result["left_out"] = leave_named_out(found)
         return found, result, curves_of(found)
+
+
+def by_budget(whole: Read) -> bool:
+    """Whether the whole machine is to be explained: no baseline says what it is like when nothing new is wrong."""
+    return whole.nominal is not None and not whole.nominal.remainders
+
+
+def _budget(
+    whole: Read, screen: Console, left_out: tuple[str, ...]
+) -> tuple[Budget, dict[str, Any], tuple[CellCurves, ...]]:
+    with outlook(screen) as shown:
+        found = budget_of(whole, shown.heard, left_out)
+        shown.also("next experiment")
+        return found, budget_answer(found), ()
 
 
 def _within_reach(place: Path | None, screen: Console) -> None:

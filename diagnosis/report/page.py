@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
+from diagnosis.report.budget import budget_head, budget_sections
 from diagnosis.report.chain import chain
 from diagnosis.report.curves import CellCurves
 from diagnosis.report.html import document, section, table, wide
@@ -19,11 +20,12 @@ HYPOTHESES_MAX = 6
 
 def page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] = ()) -> str:
     """The whole page. `result`: the answer's JSON; `curves`: what cannot be drawn from it."""
+    by_budget = "budget" in result
     body = [
-        _head(result, name),
+        budget_head(result, name) + budget_sections(result) if by_budget else _head(result, name),
         section("Where the gap lies", chain(result)),
         section("Measured, nominal, nominal with the effects", plots(curves)),
-        section("How likely", _hypotheses(result) + _classes(result)),
+        section("How likely", _classes(result) if by_budget else _hypotheses(result) + _classes(result)),
         section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
         section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
         section("The same, run by the simulator", simulated_section(result)),

@@ -17,6 +17,7 @@ header>span{font-size:2.2em;line-height:1;font-weight:700;color:var(--warn)}
 header ul{margin:.4em 0 0;padding-left:1.2em}
 header.none{border-color:var(--good)}header.none>span{color:var(--good)}
 header.effects{border-color:var(--after)}header.effects>span{color:var(--after)}
+header.partly{border-color:var(--after)}header.partly>span{color:var(--after)}
 header.outside{border-color:var(--bad)}header.outside>span{color:var(--bad)}
 .look{color:var(--soft);margin:.5em 0}
 li,p,summary{overflow-wrap:anywhere}
@@ -40,5 +41,6 @@ path{fill:none;stroke-width:1.4}.before{stroke:var(--before)}.after{stroke:var(-
 .legend span{margin-right:1.4em;color:var(--soft)}.legend{margin:.1em 0 .9em 4em}
 @media (max-width:40em){.legend{margin-left:0}}
 svg.inline{vertical-align:middle}
+.fall.before{fill:var(--before);stroke:none}.fall.step{fill:var(--after)}.fall.left{fill:var(--soft)}
 @media print{details{border:none}}
 """

@@ -1,0 +1,167 @@
+"""The error budget for a person: one sentence in millimetres, a waterfall of the effects, tables."""
+
+from html import escape
+from math import sqrt
+from typing import Any
+
+from diagnosis.report.html import section, table, wide
+from diagnosis.report.text import place_text
+
+SIGNS = {"none": "✓", "effects": "✓", "partly": "◐", "outside": "✗", "undecided": "?"}
+COLUMNS = {"stands": "where the tool stands", "gets_there": "how it gets there", "sees": "what the camera sees"}
+VERDICTS = {
+    "none": "no gap",
+    "explained": "explained",
+    "partly": "partly explained",
+    "unexplained": "not explained",
+    "not_measured": "not measured",
+}
+ROW, LABEL, WIDTH, RIGHT = 24, 300, 720, 60
+LISTED = 12  # effects drawn; the table has them all
+
+
+def sentence(result: dict[str, Any]) -> str:
+    """What the model misses by, how much of it is explained, what is left."""
+    budget = result["budget"]
+    miss, left = budget["miss_mm"], budget["left_mm"]
+    if not budget["columns"]:
+        return "Nothing in this recording says what the effects do at the tool."
+    sure = [one for one in budget["effects"] if one["status"] == "confirmed" and one["column"] != "sees"]
+    out = f"The model misses the tool by {miss:.3g} mm."
+    if sure:
+        out += f" With the {len(sure)} confirmed effects it misses by {left:.3g} mm."
+    seen = next((one for one in budget["columns"] if one["column"] == "sees"), None)
+    if seen is not None:
+        out += f" The camera misplaces what it sees by {seen['before_mm']:.3g} mm"
+        out += f", with the confirmed effects by {seen['after_mm']:.3g} mm." if sure or seen["after_mm"] else "."
+    return out
+
+
+def budget_lines(result: dict[str, Any]) -> list[str]:
+    """The budget for a terminal."""
+    out = [sentence(result)]
+    for one in result["budget"]["effects"]:
+        size = f"{one['tool_mm']:7.2f} mm [{one['tool_low_mm']:.2f}, {one['tool_high_mm']:.2f}]"
+        out.append(f"  {place_text(one):34} {size:28} p {one['probability']:.2f}  {one['status']}{_or(one)}")
+    for one in result["budget"]["unexplained_mm"]:
+        where = f"{one['stage']} {one['joint']}" if one["joint"] else one["stage"]
+        out.append(f"  {'unexplained, ' + where:34} {one['mm'] or 0.0:7.2f} mm")
+    return out
+
+
+def _or(one: dict[str, Any]) -> str:
+    others = [" + ".join(place_text(member) for member in members) for members in one["equals"]]
+    return f"  (or {', or '.join(others)})" if others else ""
+
+
+def budget_head(result: dict[str, Any], name: str) -> str:
+    """The first thing on the page."""
+    drive = result["next_experiment"]
+    facts = [result["why"]]
+    first = next(iter(result["budget"]["effects"]), None)
+    if first is not None:
+        facts.append(
+            f"largest cause: {place_text(first).replace('_', ' ')}, {first['tool_mm']:.3g} mm at the tool, "
+            f"probability {100 * first['probability']:.0f} %, {first['status']}"
+        )
+    if drive.get("what"):
+        facts.append(f"drive next: {drive['what']}, {drive['minutes']:g} min ({drive['why']})")
+    items = "".join(f"<li>{escape(text)}</li>" for text in facts)
+    return (
+        f"<p class='name'>Error budget of {escape(name)}</p>"
+        f'<header class="{escape(result["verdict"])}"><span aria-hidden="true">{SIGNS[result["verdict"]]}</span>'
+        f"<div><h1>{escape(sentence(result))}</h1><ul>{items}</ul></div></header>"
+    )
+
+
+def budget_sections(result: dict[str, Any]) -> str:
+    """Waterfalls, the three columns, every effect, every stage."""
+    budget = result["budget"]
+    tool = [one for one in budget["columns"] if one["column"] != "sees"]
+    camera = [one for one in budget["columns"] if one["column"] == "sees"]
+    return "".join(
+        [
+            section("What costs how much at the tool", _waterfall(budget["effects"], tool, ("stands", "gets_there"))),
+            section("What the camera misplaces", _waterfall(budget["effects"], camera, ("sees",))),
+            section("Three columns", _columns(budget["columns"])),
+            section("Every effect", _effects(budget["effects"])),
+            section("Every stage and joint", _stages(result["stages"])),
+        ]
+    )
+
+
+def _waterfall(effects: list[dict[str, Any]], columns: list[dict[str, Any]], names: tuple[str, ...]) -> str:
+    """From the nominal model's miss down to what is left, an effect a step; steps are differences of RMS."""
+    own = [one for one in effects if one["column"] in names and one["status"] == "confirmed"]
+    if not columns:
+        return ""
+    start = sqrt(sum(one["before_mm"] ** 2 for one in columns))
+    end = sqrt(sum(one["after_mm"] ** 2 for one in columns))
+    total = sum(one["squares_mm2"] for one in own) or 1.0
+    scale = (start**2 - end**2) / total  # so that the steps end at what was measured to be left
+    rows, level, square = [("nominal model misses", 0.0, start, "before")], start, start**2
+    for one in own[:LISTED]:
+        square = max(0.0, square - scale * one["squares_mm2"])
+        rows.append((place_text(one).replace("_", " "), sqrt(square), level, "step"))
+        level = sqrt(square)
+    if len(own) > LISTED:
+        rows.append((f"{len(own) - LISTED} smaller effects", end, level, "step"))
+    rows.append(("left with the confirmed effects", 0.0, end, "left"))
+    most = max(high for _, _, high, _ in rows) or 1.0
+    span = WIDTH - LABEL - RIGHT
+    body = []
+    for k, (label, low, high, css) in enumerate(rows):
+        a, b = sorted((low, high))
+        x, width, y = LABEL + span * a / most, max(1.0, span * (b - a) / most), 6 + ROW * k
+        value = f"{b - a:.3g} mm" if css != "step" else f"{'-' if high >= low else '+'}{b - a:.2g} mm"
+        body.append(
+            f'<text x="{LABEL - 8}" y="{y + 14}" text-anchor="end">{escape(label)}</text>'
+            f'<rect class="fall {css}" x="{x:.1f}" y="{y}" width="{width:.1f}" height="{ROW - 6}"/>'
+            f'<text x="{x + width + 5:.1f}" y="{y + 14}">{value}</text>'
+        )
+    size = f'viewBox="0 0 {WIDTH} {12 + ROW * len(rows)}"'
+    title = "waterfall from the nominal model's miss to what is left"
+    return wide(f'<svg class="plot" {size} role="img" aria-label="{title}">{"".join(body)}</svg>')
+
+
+def _columns(columns: list[dict[str, Any]]) -> str:
+    rows = [
+        [
+            COLUMNS[one["column"]],
+            one["before_mm"],
+            one["after_mm"],
+            one["floor_mm"],
+            "measured" if one["measured"] else "by the model only",
+        ]
+        for one in columns
+    ]
+    return table(("", "nominal, mm", "with confirmed effects, mm", "noise, mm", ""), rows)
+
+
+def _effects(effects: list[dict[str, Any]]) -> str:
+    rows = [
+        [
+            place_text(one).replace("_", " "),
+            COLUMNS.get(one["column"], ""),
+            f"{one['tool_mm']:.3g} ({one['tool_low_mm']:.3g} to {one['tool_high_mm']:.3g})",
+            f"{100 * one['share_frac']:.1f} %",
+            f"{100 * one['probability']:.0f} %",
+            one["status"] + _or(one),
+        ]
+        for one in effects
+    ]
+    return table(("effect", "column", "mm at the tool (90 %)", "share of the square", "probability", ""), rows)
+
+
+def _stages(stages: list[dict[str, Any]]) -> str:
+    rows = [
+        [
+            one["stage"] + (f" {one['joint']}" if one["joint"] else ""),
+            VERDICTS[one["verdict"]],
+            one["before_mm"],
+            one["after_mm"],
+            one["would_measure"],
+        ]
+        for one in stages
+    ]
+    return table(("stage", "verdict", "before, mm", "after, mm", "what would measure it"), rows)
