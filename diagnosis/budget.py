@@ -314,13 +314,18 @@ def _is(place: Place, stage: str, joint: int | None) -> bool:
 
 
 def stage_verdict(was: float | None, left: float | None, confirmed: bool, small_mm: float) -> StageVerdict:
-    """One stage's word from its miss before and after [mm], and whether one of its effects is confirmed."""
+    """One stage's word from its miss before and after [mm], and whether one of its effects is confirmed.
+
+    A miss that nobody acts on is none, however clear its cause is.
+    """
     if was is None or left is None:
         return "not_measured"
+    if was <= small_mm:
+        return "none"
     if confirmed:
         done = left**2 <= (1.0 - EXPLAINED) * was**2 or left <= small_mm
         return "explained" if done else "partly"
-    return "none" if was <= small_mm else "unexplained"
+    return "unexplained"
 
 
 def verdict_of(
@@ -331,11 +336,12 @@ def verdict_of(
     fits: tuple[WholeFit, ...],
 ) -> tuple[Verdict, str]:
     """The overall verdict: the first row of the table that holds."""
-    confirmed = any(line.status == "confirmed" for line in lines)
+    confirmed = any(one.verdict in ("explained", "partly") for one in stages)
     squares = sum(one.before_mm**2 for one in columns)
     left = sum(one.after_mm**2 for one in columns)
     explained = 1.0 - left / squares if squares > 0.0 else 0.0
     known = all(fit.cell.floor_known for fit in fits) and bool(fits)
+    likely = any(line.status != "doubtful" for line in lines)
     gap = any(one.verdict == "unexplained" for one in stages)
     static = whole.tables is not None and whole.tables.static is not None
     table: tuple[tuple[bool, Verdict, str], ...] = (
@@ -343,7 +349,7 @@ def verdict_of(
         (stood_still(whole.stretches) and not static, "undecided", "no joint moved, and there are no poses at rest"),
         (confirmed and explained >= EXPLAINED, "effects", f"confirmed effects explain {100 * explained:.0f} % of it"),
         (confirmed, "partly", f"confirmed effects explain {100 * explained:.0f} % of it; the rest has no cause yet"),
-        (any(line.status == "likely" for line in lines), "undecided", "effects are likely, none is confirmed"),
+        (gap and likely, "undecided", "effects are likely, none is confirmed"),
         (gap and known, "outside", "there is a gap, and no effect of the catalogue explains it"),
         (gap, "undecided", "more is left than the noise was taken for, and the noise was never measured"),
         (known, "none", "nothing stands out of the noise that matters at the tool"),

@@ -84,7 +84,23 @@ def budget_answer(found: Budget) -> dict[str, Any]:
         "next_experiment": experiment_for(found.whole, _open_pairs(found), found.verdict in ("none", "effects")),
     }
     nominal = found.whole.nominal
+    result["budget"]["sentence"] = sentence(result["budget"])
     return in_metres(result, nominal.sliding) if nominal is not None and any(nominal.sliding) else result
+
+
+def sentence(budget: dict[str, Any]) -> str:
+    """What the model misses by, how much of it is explained, what is left."""
+    if not budget["columns"]:
+        return "Nothing in this recording says what the effects do at the tool."
+    sure = [one for one in budget["effects"] if one["status"] == "confirmed" and one["column"] != "sees"]
+    out = f"The model misses the tool by {budget['miss_mm']:.3g} mm."
+    if sure:
+        out += f" With the {len(sure)} confirmed effects it misses by {budget['left_mm']:.3g} mm."
+    seen = next((one for one in budget["columns"] if one["column"] == "sees"), None)
+    if seen is not None:
+        out += f" The camera misplaces what it sees by {seen['before_mm']:.3g} mm"
+        out += f", with the confirmed effects by {seen['after_mm']:.3g} mm."
+    return out
 
 
 def _budget(found: Budget) -> dict[str, Any]:

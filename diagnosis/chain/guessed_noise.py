@@ -34,18 +34,18 @@ def searched(cell: Cell, work: Work | None = None) -> Search:
     noise = None if cell.at_noise is None else noise_about(cell, neutral_fit(cell))
     if cell.at_noise is None or noise is None:
         return without_echoes(search(cell, work=work))
-    found = without_echoes(search(_by(cell, cell.at_noise(noise)), work=work))
+    found = without_echoes(search(by_noise_of(cell, cell.at_noise(noise)), work=work))
     for _ in range(ROUNDS - 1):
         again = noise_about(cell, max(found.scored, key=lambda one: one.total).fit)
         if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
             break
         if work is not None:
             work.again()
-        noise, found = again, without_echoes(search(_by(cell, cell.at_noise(again)), work=work))
+        noise, found = again, without_echoes(search(by_noise_of(cell, cell.at_noise(again)), work=work))
     return found
 
 
-def _by(cell: Cell, other: Cell) -> Cell:
+def by_noise_of(cell: Cell, other: Cell) -> Cell:
     """The cell with the other one's noise."""
     return replace(cell, **{name: getattr(other, name) for name in TAKEN})
 

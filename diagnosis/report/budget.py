@@ -18,28 +18,12 @@ VERDICTS = {
 }
 ROW, LABEL, WIDTH, RIGHT = 24, 300, 720, 60
 LISTED = 12  # effects drawn; the table has them all
-
-
-def sentence(result: dict[str, Any]) -> str:
-    """What the model misses by, how much of it is explained, what is left."""
-    budget = result["budget"]
-    miss, left = budget["miss_mm"], budget["left_mm"]
-    if not budget["columns"]:
-        return "Nothing in this recording says what the effects do at the tool."
-    sure = [one for one in budget["effects"] if one["status"] == "confirmed" and one["column"] != "sees"]
-    out = f"The model misses the tool by {miss:.3g} mm."
-    if sure:
-        out += f" With the {len(sure)} confirmed effects it misses by {left:.3g} mm."
-    seen = next((one for one in budget["columns"] if one["column"] == "sees"), None)
-    if seen is not None:
-        out += f" The camera misplaces what it sees by {seen['before_mm']:.3g} mm"
-        out += f", with the confirmed effects by {seen['after_mm']:.3g} mm." if sure or seen["after_mm"] else "."
-    return out
+SEEN_MM = 0.05  # a step that is narrower than a line is not drawn
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:
     """The budget for a terminal."""
-    out = [sentence(result)]
+    out = [result["budget"]["sentence"]]
     for one in result["budget"]["effects"]:
         size = f"{one['tool_mm']:7.2f} mm [{one['tool_low_mm']:.2f}, {one['tool_high_mm']:.2f}]"
         out.append(f"  {place_text(one):34} {size:28} p {one['probability']:.2f}  {one['status']}{_or(one)}")
@@ -70,7 +54,7 @@ def budget_head(result: dict[str, Any], name: str) -> str:
     return (
         f"<p class='name'>Error budget of {escape(name)}</p>"
         f'<header class="{escape(result["verdict"])}"><span aria-hidden="true">{SIGNS[result["verdict"]]}</span>'
-        f"<div><h1>{escape(sentence(result))}</h1><ul>{items}</ul></div></header>"
+        f"<div><h1>{escape(result['budget']['sentence'])}</h1><ul>{items}</ul></div></header>"
     )
 
 
@@ -92,7 +76,9 @@ def budget_sections(result: dict[str, Any]) -> str:
 
 def _waterfall(effects: list[dict[str, Any]], columns: list[dict[str, Any]], names: tuple[str, ...]) -> str:
     """From the nominal model's miss down to what is left, an effect a step; steps are differences of RMS."""
-    own = [one for one in effects if one["column"] in names and one["status"] == "confirmed"]
+    own = [
+        one for one in effects if one["column"] in names and one["status"] == "confirmed" and one["tool_mm"] > SEEN_MM
+    ]
     if not columns:
         return ""
     start = sqrt(sum(one["before_mm"] ** 2 for one in columns))

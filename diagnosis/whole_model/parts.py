@@ -5,17 +5,21 @@ Parts share no number but what an earlier one found of a later one's input: the 
 
 from dataclasses import replace
 
+import numpy as np
+
 from diagnosis.cells.behind import behind_cells, fitting, told_behind, without
 from diagnosis.cells.dynamic import coupled_cell, stage_cells
 from diagnosis.cells.merged import merged_cells
+from diagnosis.chain.guessed_noise import SETTLED, by_noise_of, noise_about
 from diagnosis.chain.own_step import at_its_step
 from diagnosis.reading.read import Read
 from diagnosis.replay.replayer import Replayer, replayer_of
 from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
+from diagnosis.search.fit import neutral_fit
 from diagnosis.search.work import Work
 from diagnosis.whole_model.linear import Term
-from diagnosis.whole_model.solve import WholeFit, solve
+from diagnosis.whole_model.solve import WholeFit, fit_of, solve
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
@@ -54,9 +58,22 @@ def _solved(cells: list[Cell], work: Work) -> list[WholeFit]:
     work.stage(cells)
     for cell in cells:
         work.begin(f"fitting {cell.label}")
-        out.append(solve(cell, library_of(cell)))
+        out.append(_solved_by_its_noise(cell, work))
         work.end()
     return out
+
+
+def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
+    """A part's fit; where its noise was never measured, by the noise that all effects together leave (REML)."""
+    noise = None if cell.at_noise is None else noise_about(cell, neutral_fit(cell))
+    if cell.at_noise is None or noise is None:
+        return solve(cell, library_of(cell))
+    found = solve(by_noise_of(cell, cell.at_noise(noise)), library_of(cell))
+    again = noise_about(cell, fit_of(found.best.terms, found.best.lin))
+    if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
+        return found
+    work.again()
+    return solve(by_noise_of(cell, cell.at_noise(again)), library_of(cell))
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:

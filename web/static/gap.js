@@ -5,7 +5,7 @@ import { t } from "./texts.js";
 
 const AGAIN_MS = 1500;
 const SHOWN = 14; // effects
-const WORDS = new Set(["none", "effects", "outside", "undecided"]);
+const WORDS = new Set(["none", "effects", "partly", "outside", "undecided"]);
 const STILL = /-(look|preview)-/; // recordings of jobs that move nothing
 const results = new Map(); // diagnosis id -> answer, once it is done
 let timer = 0;
@@ -89,15 +89,32 @@ function stopButton({ diagnosis_id }) {
 }
 
 // The verdict first; an answer that is no answer says so before any number.
-function answer({ verdict, why, hypotheses, outside_probability, unseen_probability, shrink, next_experiment }) {
+function answer({ verdict, why, budget, hypotheses, outside_probability, unseen_probability, shrink, next_experiment }) {
   const word = WORDS.has(verdict) ? verdict : "undecided";
-  const parts = [make("p", { class: `verdict ${word === "effects" || word === "none" ? "good" : "bad"}` }, t(`gap_${word}`)), make("p", {}, why)];
+  const parts = [make("p", { class: `verdict ${word === "outside" || word === "undecided" ? "bad" : "good"}` }, t(`gap_${word}`)), make("p", {}, why)];
+  if (budget) return [...parts, ...inMillimetres(budget), ...following(next_experiment)];
   const others = [likelihoodRow(t("gap_unseen"), unseen_probability), likelihoodRow(t("gap_foreign"), outside_probability)];
   if (hypotheses.length && word !== "none") parts.push(make("table", {}, heading(), make("tbody", {}, ...effectRows(hypotheses), ...others)));
   const closed = shrink.overall?.closed_frac;
   if (closed !== null && closed !== undefined) parts.push(make("p", {}, t(word === "effects" || word === "none" ? "gap_shrink" : "gap_shrink_doubted", { pct: (100 * closed).toFixed(0) })));
-  if (next_experiment?.what) parts.push(make("p", {}, t("gap_next", { what: next_experiment.what, minutes: next_experiment.minutes, why: next_experiment.why })));
-  return parts;
+  return [...parts, ...following(next_experiment)];
+}
+
+function following(experiment) {
+  return experiment?.what ? [make("p", {}, t("gap_next", { what: experiment.what, minutes: experiment.minutes, why: experiment.why }))] : [];
+}
+
+// The error budget: a line an effect, the largest share first, with a bar of what it does at the tool.
+function inMillimetres({ sentence, effects }) {
+  if (!effects.length) return [make("p", {}, sentence)];
+  const most = Math.max(...effects.map((one) => one.tool_mm), 1e-9);
+  const row = (one) => {
+    const name = one.joint ? t("gap_joint", { name: one.name, joint: one.joint }) : one.name;
+    const bar = make("meter", { min: 0, max: most, value: one.tool_mm, "aria-label": `${one.tool_mm.toPrecision(2)} mm` });
+    return make("tr", {}, make("td", {}, name), make("td", {}, bar), make("td", {}, `${one.tool_mm.toPrecision(2)} mm`), make("td", {}, `${(100 * one.probability).toFixed(0)} %`));
+  };
+  const columns = ["gap_cause", "", "gap_tool", "gap_likely"].map((key) => make("th", { scope: "col" }, key ? t(key) : ""));
+  return [make("p", {}, sentence), make("table", {}, make("thead", {}, make("tr", {}, ...columns)), make("tbody", {}, ...effects.slice(0, SHOWN).map(row)))];
 }
 
 // Each effect with the probability of all hypotheses that hold it; its numbers are those of the most likely one.

@@ -77,6 +77,7 @@ export const TEXTS = {
   gap_missing: "Not available: this server has no diagnoses (/v1/diagnoses).", gap_silent: "no answer from server; asking again", gap_run: "Diagnose", gap_report: "The whole report", gap_stop: "End it", gap_one: "one at a time", gap_after: "{s} s", gap_cause: "effect", gap_likely: "probability",
   gap_state_running: "Running", gap_state_done: "Done", gap_state_failed: "Failed", gap_state_stopped: "Ended by hand", gap_joint: "{name}, joint {joint}",
   gap_none: "NO GAP: the machine does what the model says, within what the recording can show", gap_effects: "EXPLAINED: these effects make the gap",
+  gap_partly: "PARTLY EXPLAINED: the confirmed effects are right; the rest of the gap has no cause yet", gap_tool: "at the tool",
   gap_outside: "OUTSIDE: a gap is there that nothing in the catalogue explains; do not act on the names below",
   gap_undecided: "UNDECIDED: the recording does not tell the candidates apart; do not act on the names below",
   gap_foreign: "something outside the catalogue", gap_unseen: "one more, too small to be seen here", gap_shrink_doubted: "The names below take {pct} % of the gap away, but are not believed: wrong ones can, too.", gap_shrink: "The most likely ones together take {pct} % of the gap away, on data they were not fitted to.",
