@@ -79,7 +79,7 @@ def budget_answer(found: Budget) -> dict[str, Any]:
         "missing": _missing(found),
         "findings": [{"code": f.code, "severity": f.severity, "text": str(f)} for f in found.whole.findings],
         "searched": [_searched(fit) for fit in found.fits],
-        "rivals": {},
+        "rivals": {"best_held_out": [], "fit_everything": []},
         "shapes": [],
         "next_experiment": experiment_for(found.whole, _open_pairs(found), found.verdict in ("none", "effects")),
     }

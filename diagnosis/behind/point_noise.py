@@ -66,6 +66,10 @@ def _at_rest(
         return PointScatter(again.sigma, 0.0, True, again.points, again.loose)
     if again is not None:
         return PointScatter(again.own, again.common_m, True, again.squares, again.loose)
+    sensors = rough.nominal.sensors
+    stated = sensors.tracker_m if rough.paths else sensors.static_m or sensors.tracker_m
+    if stated is not None:
+        return PointScatter(np.full(3, stated), 0.0, True)
     by_instant = 3 * np.repeat(rough.noise.instants, 3) + np.tile(np.arange(3), len(rough.data.xyz))
     taken = numbers_fitted(rough.nominal, rough.data)
     own, common_m = saturated_noise(rough, base, candidates, by_instant, taken)

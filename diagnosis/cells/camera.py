@@ -111,6 +111,9 @@ def _cell(
     visits = _visits(placed, base)
     known = noise_of_visits(visits, 1 if on == "tool" else VISITED_MIN)
     loose = loose_marker(visits, len(frames.markers))
+    stated = nominal.sensors.corners_px
+    if known is None and stated is not None:
+        known = _of_two((stated, 0.0))
     noise = known if known is not None else _of_two(saturated_noise(placed, base, candidates, frames.groups))
     noise = replace(noise, own=np.maximum(noise.own, SIGMA_MIN_PX))
     record = nominal.remainder("camera", on=on)

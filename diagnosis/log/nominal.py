@@ -9,7 +9,7 @@ import numpy as np
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.findings import Finding
-from diagnosis.log.machine_keys import EYES, GEOMETRY, LIMITS, VALVE, limits_of_other_kind, unknown_keys
+from diagnosis.log.machine_keys import EYES, GEOMETRY, LIMITS, TABLES, VALVE, limits_of_other_kind, unknown_keys
 from diagnosis.log.machine_numbers import flag_of, list_of, number_of, pose_of, slides, table_of, vector_of
 from diagnosis.log.machine_targets import TrackedPoint, markers_of, points_of
 from diagnosis.log.urdf_arm import WEIGHTLESS, urdf_arm
@@ -25,6 +25,18 @@ from machine.targets import Marker
 
 TIMES = ("cycle_s", "log_cycle_s")
 MOUNT = "T_tcp_cam_left"
+
+
+@dataclass(frozen=True, slots=True)
+class SensorAccuracy:
+    """Standard deviations that data sheets state: of a tracker's points in motion and at rest [m], of marker corners
+    [px], of encoders [rad]; None where the machine file says nothing.
+    """
+
+    tracker_m: float | None = None
+    static_m: float | None = None
+    corners_px: float | None = None
+    encoders_rad: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +67,7 @@ class Nominal:
     serial: str = ""
     sliding: tuple[bool, ...] = ()
     findings: tuple[Finding, ...] = ()
+    sensors: SensorAccuracy = SensorAccuracy()
 
     def remainder(self, stage: str, joint: int | None = None, on: str = "") -> Remainder | None:
         """What the baseline leaves of one stage; None where the file says nothing."""
@@ -132,7 +145,17 @@ class _Reader:
             serial=str(machine.get("serial", "")),
             sliding=sliding,
             findings=tuple(self._findings),
+            sensors=self._sensors(),
         )
+
+    def _sensors(self) -> SensorAccuracy:
+        """What [sensors] states. Raises: DiagnosisError: an accuracy that is not above 0."""
+        section = self._section("sensors")
+        stated = {key: number_of(section, key, "[sensors]") for key in TABLES["sensors"]}
+        for key, value in stated.items():
+            if value is not None and value <= 0.0:
+                raise DiagnosisError(f"machine.toml: [sensors] {key} = {value:g}; give a standard deviation above 0")
+        return SensorAccuracy(**stated)
 
     def _section(self, name: str) -> dict[str, Any]:
         return table_of(self._tables.get(name, {}), f"[{name}]")

@@ -14,10 +14,7 @@ NAMES = ((("valve_lag", 1), ("transport_delay", None)), (("load_droop", 1), None
 
 def proposed(monkeypatch: pytest.MonkeyPatch, nats: dict[str, tuple[float, float, float]]) -> dict[str, Any]:
     cell = SimpleNamespace(stage="actuator", joint=1)
-    answer = SimpleNamespace(search=SimpleNamespace(cell=cell))
-    pairs = [
-        SimpleNamespace(names=two, weight=w, answer=answer) for two, w in zip(NAMES, (0.2, 0.19, 0.18), strict=True)
-    ]
+    pairs = [SimpleNamespace(names=two, weight=w, cell=cell) for two, w in zip(NAMES, (0.2, 0.19, 0.18), strict=True)]
     library = tuple(Motion(name, "steps", np.zeros((100, 1))) for name in nats)
     monkeypatch.setattr(choice, "_library", lambda *_: library)
     monkeypatch.setattr(choice, "_nats", lambda _, pair, one: nats[one.name][pairs.index(pair)])
