@@ -9,7 +9,8 @@ from machine.poses import inverse_pose
 from machine.rotations import Array
 from sim_plc.camera.boards import Board
 from sim_plc.camera.eye import rays_at
-from sim_plc.camera.renderer import Eye, StereoRenderer
+from sim_plc.camera.own_structure import EyeView
+from sim_plc.camera.renderer import StereoRenderer
 from sim_plc.camera.texture import Grey
 from sim_plc.camera.wall import height_at, pose_at_row
 
@@ -107,7 +108,7 @@ def _board_keys(board: Board, Ts_object_cam: Array) -> Array:
 
 
 def reference_window(
-    renderer: StereoRenderer, eye: Eye, Ts_base_tcp: Array, window: Window, supersample: int = 4
+    renderer: StereoRenderer, eye: EyeView, Ts_base_tcp: Array, window: Window, supersample: int = 4
 ) -> Array:
     """Part of one eye's sharp picture with the tool, before point spread and noise, (rows, cols) float grey.
 

@@ -13,8 +13,9 @@ from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import rotation_from_rotvec
 from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.exposure import key_poses
+from sim_plc.camera.patch import paint_patch
 from sim_plc.camera.reference import Window, reference_window
-from sim_plc.camera.renderer import RenderSetup, StereoRenderer, paint_tool
+from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 
 READOUT_S = 0.011
 
@@ -53,7 +54,7 @@ def test_fast_picture_is_the_dense_one(machine: Machine, renderer: StereoRendere
     dense = reference_window(renderer, eye, Ts_base_tcp, window)
     fast = renderer.sharp(eye, Ts_base_tcp)
     assert eye.tool is not None
-    paint_tool(fast, eye.tool)
+    paint_patch(fast, eye.tool)
     fast = fast[window.v0 : window.v1, window.u0 : window.u1].astype(float)
     a, b = (cv2.GaussianBlur(image, (5, 5), 0.6)[4:-4, 4:-4] for image in (dense, fast))
     difference = b - a
