@@ -39,11 +39,14 @@ def paint_hose(out: Grey, pixels: Array, radius_px: Array, skin_row: Array, skin
         u0, u1 = max(int(min(a[0], b[0]) - reach), 0), min(int(max(a[0], b[0]) + reach) + 2, width)
         v0, v1 = max(int(min(a[1], b[1]) - reach), 0), min(int(max(a[1], b[1]) + reach) + 2, height)
         for v in range(v0, v1):
-            for u in range(u0, u1):
-                du, dv = u - a[0], v - a[1]
-                if du * before[0] + dv * before[1] < 0.0:
-                    continue
-                if (u - b[0]) * after[0] + (v - b[1]) * after[1] >= 0.0:
+            dv = v - a[1]
+            low, high = u0, u1
+            if abs(t[1]) > 1e-3:  # only the columns that the tube can reach in this row
+                middle, half = a[0] + dv * t[0] / t[1], reach / abs(t[1])
+                low, high = max(low, int(middle - half)), min(high, int(middle + half) + 2)
+            for u in range(low, high):
+                du = u - a[0]
+                if du * before[0] + dv * before[1] < 0.0 or (u - b[0]) * after[0] + (v - b[1]) * after[1] >= 0.0:
                     continue
                 along = min(max((du * t[0] + dv * t[1]) / length, 0.0), 1.0)
                 across = du * t[1] - dv * t[0]
@@ -59,8 +62,7 @@ def paint_hose(out: Grey, pixels: Array, radius_px: Array, skin_row: Array, skin
 @njit(cache=True, nogil=True)
 def _skin_grey(skin: Grey, row: float, share: float) -> float:
     """Grey of the skin at one row, and across the tube at -1..1 of its radius."""
-    angle = np.arcsin(min(max(share, -1.0), 1.0)) / np.pi + 0.5
-    column = min(int(angle * skin.shape[1]), skin.shape[1] - 1)
+    column = min(max(int(0.5 * (share + 1.0) * skin.shape[1]), 0), skin.shape[1] - 1)
     low = min(int(row), skin.shape[0] - 2)
     f = min(row - low, 1.0)
     return float((1.0 - f) * skin[low, column] + f * skin[low + 1, column])

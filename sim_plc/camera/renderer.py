@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from machine.camera import project
 from machine.description import StereoCamera
-from machine.poses import inverse_pose, pose
+from machine.poses import inverse_pose
 from machine.rotations import Array
 from sim_plc.camera.boards import Board, chess_board, marker_board, paint_board, shank_board
 from sim_plc.camera.exposure import PoseHistory, StaticPose, key_poses
-from sim_plc.camera.eye import EyeRays, eye_rays
-from sim_plc.camera.own_structure import EyeView, OwnStructure
-from sim_plc.camera.patch import fixed_patch
+from sim_plc.camera.own_structure import EyeView, OwnStructure, eye_views
 from sim_plc.camera.sensor import add_noise, motion_blur, noise_bank, point_spread
 from sim_plc.camera.texture import Grey, TextureLevel, best_level, rock_texture, texture_levels
 from sim_plc.camera.wall import Relief, node_map, paint_map, texel_map, wall_relief
@@ -46,11 +44,6 @@ def _levels(seed: int, contrast_frac: float) -> tuple[TextureLevel, ...]:
 @lru_cache(maxsize=1)
 def _bank() -> NDArray[np.int8]:
     return noise_bank(np.random.default_rng(_NOISE_BANK_SEED))
-
-
-@lru_cache(maxsize=4)
-def _rays(camera: StereoCamera) -> EyeRays:
-    return eye_rays(camera)
 
 
 def far_to_near(boards: tuple[Board, ...], T_object_cam: Array) -> list[Board]:
@@ -93,18 +86,9 @@ class StereoRenderer:
         self._ooi_boards = markers + chess
         plates = tuple(marker_board(dictionary, marker, scene.T_tcp_tool) for marker in scene.tool_markers)
         self.tool_boards = tuple(shank_board(plate) for plate in plates) + plates
-        T_left_right = pose(np.eye(3), np.array([self._camera.left.baseline_m, 0.0, 0.0]))
-        T_tcp_cam_right = self._camera.T_tcp_cam_left @ T_left_right
-        self.eyes = (
-            self._eye(self._camera.left, self._camera.T_tcp_cam_left),
-            self._eye(self._camera.right, T_tcp_cam_right),
-        )
+        self.eyes = eye_views(self._camera, self.tool_boards)
         self.structure = OwnStructure(scene.structure, scene.texture_seed, self.eyes)
         self.times = StageTimes()
-
-    def _eye(self, camera: StereoCamera, T_tcp_cam: Array) -> EyeView:
-        rays = _rays(camera)
-        return EyeView(rays, T_tcp_cam, fixed_patch(rays, self.tool_boards, T_tcp_cam))
 
     @property
     def relief(self) -> Relief:

@@ -29,6 +29,7 @@ _DOWN_REST_TCP = np.array([-1.0, 0.0, 0.0])  # tool level
 _CELL_M = 0.001  # of the painted texture: about one pixel at half a metre
 _BEAM_GREY, _HOUSING_GREY, _HOSE_GREY = 96, 62, 46
 _TEXTURE_GREY = 34.0  # standard deviation at full contrast, as rusty, scratched paint
+_SCRATCHES_M2, _BOLT_STEP = 600, 80  # scratches per square metre; cells from bolt to bolt
 _SHADE = {"x": 1.0, "y": 0.72, "z": 0.86}  # of a face by its normal: lit from above
 _BOTTOM_M, _BEHIND_M = -0.55, 0.70  # where boxes end out of view
 _BEAM_INNER_M, _BEAM_OUTER_M, _BEAM_FRONT_M = 0.32, 0.64, 0.06
@@ -69,38 +70,38 @@ def steel_cells(width_m: float, height_m: float, grey: float, contrast_frac: flo
         return np.full((1, 1), round(grey), np.uint8)
     cols, rows = round(width_m / _CELL_M), round(height_m / _CELL_M)
     field = np.zeros((rows, cols), np.float32)
-    for cell_m, gain in ((0.1, 1.0), (0.03, 0.8), (0.01, 0.7), (0.004, 0.5)):
-        n_y, n_x = max(1, round(height_m / cell_m)), max(1, round(width_m / cell_m))
-        field += gain * cv2.resize(
-            rng.standard_normal((n_y, n_x), np.float32), (cols, rows), interpolation=cv2.INTER_CUBIC
-        )
-    for _ in range(round(600 * width_m * height_m)):
+    for spot_m, gain in ((0.1, 1.0), (0.03, 0.8), (0.01, 0.7), (0.004, 0.5)):
+        spots = rng.standard_normal((round(height_m / spot_m), round(width_m / spot_m)), np.float32)
+        field += gain * np.asarray(cv2.resize(spots, (cols, rows), interpolation=cv2.INTER_CUBIC))
+    for _ in range(round(_SCRATCHES_M2 * width_m * height_m)):
         start = rng.uniform((0, 0), (cols, rows))
-        end = start + rng.normal(0.0, 40.0, 2)
-        cv2.line(field, np.rint(start).astype(int), np.rint(end).astype(int), float(rng.normal(0.0, 3.0)), 2)
-    for y in range(30, rows, 80):
-        for x in range(30, cols, 80):
-            cv2.circle(field, (x, y), 9, 2.5, -1)
-            cv2.circle(field, (x, y), 5, -2.5, -1)
-    field *= np.float32(contrast_frac * _TEXTURE_GREY / max(float(field.std()), 1e-6))
+        ends = np.rint(np.stack([start, start + rng.normal(0.0, 40.0, 2)])).astype(np.int32)
+        cv2.polylines(field, [ends], False, float(rng.normal(0.0, 3.0)), 2)
+    for v in range(_BOLT_STEP // 3, rows, _BOLT_STEP):
+        for u in range(_BOLT_STEP // 3, cols, _BOLT_STEP):
+            cv2.circle(field, (u, v), 9, 2.5, -1)
+            cv2.circle(field, (u, v), 5, -2.5, -1)
+    field *= np.float32(contrast_frac * _TEXTURE_GREY / field.std())
     return np.clip(field + grey, 4.0, 250.0).astype(np.uint8)
 
 
 def hose_skin(contrast_frac: float, rng: np.random.Generator) -> Grey:
-    """Rubber, round in its shading; with contrast: dirt, and the maker's light line and letters along it."""
-    around = np.cos(np.linspace(-0.5 * np.pi, 0.5 * np.pi, _HOSE_COLUMNS))
+    """Rubber as it is seen, rows along, columns across: shaded round; with contrast: dirt, and the maker's print.
+
+    The print is a light broken line along the middle, as letters are.
+    """
+    across = (np.arange(_HOSE_COLUMNS) + 0.5) / _HOSE_COLUMNS * 2.0 - 1.0
     rows = round(_HOSE_LENGTH_M / _HOSE_ROWS_M) + 1
-    skin = _HOSE_GREY * (0.35 + 0.65 * np.repeat(around[None], rows, axis=0))
+    skin = np.repeat(_HOSE_GREY * (0.35 + 0.65 * np.sqrt(1.0 - across**2))[None], rows, axis=0)
     if contrast_frac > 0.0:
-        dirt = value_noise(rng, rows, _HOSE_COLUMNS, rows // 8, _HOSE_COLUMNS // 8)
-        print_row = cv2.GaussianBlur((rng.random((rows, 4)) < 0.5).astype(np.float32), (1, 3), 0.0)
-        skin += contrast_frac * 12.0 * dirt
-        skin[:, 22:26] += contrast_frac * 110.0 * print_row
+        letters = cv2.GaussianBlur((rng.random((rows, 4)) < 0.5).astype(np.float32), (1, 3), 0.0)
+        skin += contrast_frac * 12.0 * value_noise(rng, rows, _HOSE_COLUMNS, rows // 8, _HOSE_COLUMNS // 8)
+        skin[:, 22:26] += contrast_frac * 110.0 * np.asarray(letters)
     return np.clip(skin, 4.0, 250.0).astype(np.uint8)
 
 
-def _boxes(share: float, contrast_frac: float, seed: int) -> tuple[tuple[Board, ...], ...]:
-    """Beams and housing; `share` 0..1 raises the beams."""
+def _boards(share: float, contrast_frac: float, seed: int) -> tuple[Board, ...]:
+    """Faces of beams and housing, which never hide each other from between the beams; `share` 0..1 raises the beams."""
     rng = np.random.default_rng([seed, 0x626F6F6D])
 
     def box(tops_m: float, sides_m: tuple[float, float], ends_m: tuple[float, float], grey: int) -> tuple[Board, ...]:
@@ -110,7 +111,7 @@ def _boxes(share: float, contrast_frac: float, seed: int) -> tuple[tuple[Board, 
     beam = (_BEAM_FRONT_M, _BEHIND_M)
     left = box(_BEAM_TOP_M + _LEFT_RISE_M * share, (_BEAM_INNER_M, _BEAM_OUTER_M), beam, _BEAM_GREY)
     right = box(_BEAM_TOP_M + _RIGHT_RISE_M * share, (-_BEAM_OUTER_M, -_BEAM_INNER_M), beam, _BEAM_GREY)
-    return left, right, box(-0.05, (-0.08, 0.08), (0.13, 0.45), _HOUSING_GREY)
+    return left + right + box(-0.05, (-0.08, 0.08), (0.13, 0.45), _HOUSING_GREY)
 
 
 def hose_curves(boom_tcp: Array, down_tcp: Array) -> tuple[Array, Array]:
@@ -157,9 +158,9 @@ def hose_in_eye(rays: EyeRays, T_tcp_cam: Array, curve_tcp: Array) -> HoseInEye 
     return HoseInEye(pixels, rays.camera.fx_px * HOSE_RADIUS_M / points[:, 2], lengths / _HOSE_ROWS_M)
 
 
-def facing(boards: Sequence[Board], T_tcp_cam: Array) -> list[Board]:
-    """The boards whose printed side the camera sees."""
-    return [board for board in boards if (inverse_pose(board.T_object_board) @ T_tcp_cam)[2, 3] > 0.0]
+def backs_first(boards: Sequence[Board], T_tcp_cam: Array) -> list[Board]:
+    """Faces of closed boxes in painter's order: those behind shut the seams between those that the camera sees."""
+    return sorted(boards, key=lambda board: (inverse_pose(board.T_object_board) @ T_tcp_cam)[2, 3] > 0.0)
 
 
 def _hit(rays: Array, board: Board, T_tcp_cam: Array) -> NDArray[np.bool_]:
@@ -175,23 +176,23 @@ def _hit(rays: Array, board: Board, T_tcp_cam: Array) -> NDArray[np.bool_]:
 def _share_at(share: float, eyes: "Sequence[tuple[EyeRays, Array]]", hidden: "Sequence[NDArray[np.bool_]]") -> float:
     """Covered share of both pictures, at the sparse rays inside them; `hidden`: by hoses and tool."""
     covered = 0.0
-    boards = [board for box in _boxes(share, 0.0, 0) for board in box]
+    boards = _boards(share, 0.0, 0)
     for (rays, T_tcp_cam), already in zip(eyes, hidden, strict=True):
         nodes = rays.nodes[1:-2, 1:-2].reshape(-1, 2)
         hit = already.ravel().copy()
-        for board in facing(boards, T_tcp_cam):
+        for board in boards:
             hit |= _hit(nodes, board, T_tcp_cam)
         covered += float(hit.mean()) / len(eyes)
     return covered
 
 
-def fitted_boxes(
+def fitted_boards(
     truth: "StructureTruth",
     seed: int,
     eyes: "Sequence[tuple[EyeRays, Array]]",
     hidden: "Sequence[NDArray[np.bool_]]",
-) -> tuple[tuple[Board, ...], ...]:
-    """Housing and beams so that all structure covers `truth.cover_frac` of the pictures, or as near as they can.
+) -> tuple[Board, ...]:
+    """Faces of housing and beams that, with all else, cover `truth.cover_frac` of the pictures, as nearly as they can.
 
     Args:    seed: of the paint. eyes: rays and T_tcp_cam of each. hidden: pixels at the sparse rays (every
              `step_px`) that hoses and tool cover already, per eye.
@@ -203,4 +204,4 @@ def fitted_boxes(
             low = middle
         else:
             high = middle
-    return _boxes(0.5 * (low + high), truth.contrast_frac, seed)
+    return _boards(0.5 * (low + high), truth.contrast_frac, seed)
