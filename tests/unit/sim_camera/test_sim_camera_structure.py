@@ -17,6 +17,7 @@ from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.own_structure import OwnStructure, eye_views
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 from sim_plc.camera.texture import Grey
+from sim_plc.draw_scene import with_structure
 from sim_plc.draw_world import STAND_OFF_M, draw_world
 from sim_plc.plant.plant import Plant
 from sim_plc.world import CameraTruth, SceneTruth, World
@@ -127,5 +128,20 @@ def test_no_marker_is_hidden_at_the_start_and_at_the_goal(machine: Machine, pres
     assert hidden_markers(world, T_base_goal) == []
 
 
-def test_only_the_ideal_crane_is_invisible(machine: Machine) -> None:
-    assert draw_world(machine, "ideal", 1).scene.structure is None
+def test_only_the_ideal_crane_is_invisible_unless_requested(machine: Machine) -> None:
+    world = draw_world(machine, "ideal", 1)
+    assert world.scene.structure is None
+    asked = with_structure(world, 0.3, None).scene.structure
+    assert asked is not None
+    assert (asked.cover_frac, asked.contrast_frac) == (0.3, 1.0)
+    assert with_structure(world, None, None).scene.structure is None
+
+
+def test_a_share_on_request_changes_nothing_else(machine: Machine) -> None:
+    world = draw_world(machine, "realistic", 1)
+    before, after = world.scene.structure, with_structure(world, 0.4, None).scene.structure
+    assert before is not None
+    assert after is not None
+    assert (after.cover_frac, after.contrast_frac) == (0.4, before.contrast_frac)
+    assert np.array_equal(after.elbow_base_m, before.elbow_base_m)
+    assert with_structure(world, 0.0, None).scene.structure is None
