@@ -18,7 +18,7 @@ class HoseInEye:
     skin_row: Array
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def paint_hose(out: Grey, pixels: Array, radius_px: Array, skin_row: Array, skin: Grey) -> None:
     """Paint a tube over a picture, in place.
 
@@ -59,7 +59,7 @@ def paint_hose(out: Grey, pixels: Array, radius_px: Array, skin_row: Array, skin
                 out[v, u] = np.uint8(grey + 0.5)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=True)
 def _skin_grey(skin: Grey, row: float, share: float) -> float:
     """Grey of the skin at one row, and across the tube at -1..1 of its radius."""
     column = min(max(int(0.5 * (share + 1.0) * skin.shape[1]), 0), skin.shape[1] - 1)
