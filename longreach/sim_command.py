@@ -25,6 +25,13 @@ def sim(
     camera_time_code: Annotated[
         bool, typer.Option("--camera-time-code", help="paint the exposure's time into the left picture")
     ] = False,
+    structure_frac: Annotated[
+        float | None,
+        typer.Option(help="share of the picture that the crane itself covers, 0 to 0.4; else the preset's"),
+    ] = None,
+    structure_contrast_frac: Annotated[
+        float | None, typer.Option(help="texture of what the crane shows of itself, 0 plain to 1; else the preset's")
+    ] = None,
     enable: Annotated[str, typer.Option(help="auto, or panel: SIGUSR1 presses the local enable")] = "auto",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="play everything, but leave the valves neutral")] = False,
     auth_key_file: Annotated[str | None, typer.Option(help="hexadecimal key: only signed commands are taken")] = None,
@@ -59,6 +66,8 @@ def sim(
                 camera_rate_hz=camera_rate_hz,
                 camera_faults=camera_faults,
                 camera_time_code=camera_time_code,
+                structure_frac=structure_frac,
+                structure_contrast_frac=structure_contrast_frac,
                 enable=enable,
                 dry_run=dry_run,
                 key=read_key(auth_key_file),

@@ -15,6 +15,7 @@ from typing import Literal, cast
 
 from machine.description import parse_machine_toml
 from sim_plc.diagnosed import with_effects
+from sim_plc.draw_scene import with_structure
 from sim_plc.draw_world import draw_world
 from sim_plc.machine_loop import MS, MachineLoop, plc_framing
 from sim_plc.plc import path
@@ -46,7 +47,8 @@ def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda worl
     """
     with _stop_flag() as stopped:
         drawn = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
-        world = place(with_effects(drawn))
+        shown = with_structure(with_effects(drawn), settings.structure_frac, settings.structure_contrast_frac)
+        world = place(shown)
         panel = LocalPanel(cast(EnableMode, settings.enable))
         _panel_signals(panel)
         return _run(settings, world, panel, stopped)

@@ -8,6 +8,7 @@ from protocol.framing import parse_net_id
 
 FRAMINGS = ("raw", "eap")
 ENABLES = ("auto", "panel")
+STRUCTURE_FRAC_MAX = 0.4  # so high are the beams that a camera near the tip sees
 
 
 class SimSettingsError(ValueError):
@@ -32,6 +33,8 @@ class SimSettings:
     camera_rate_hz: float = 15.0
     camera_faults: bool = False  # POST /fault at the camera's address is obeyed
     camera_time_code: bool = False  # the exposure's time painted into the left picture, for latency measurements
+    structure_frac: float | None = None  # of the picture, covered by the crane itself; None: as the preset draws it
+    structure_contrast_frac: float | None = None  # of its texture, 0: plain paint; None: as the preset draws it
     dry_run: bool = False  # everything is played, but the valves stay neutral
     key: bytes = b""  # 16..64 bytes: take only signed commands, and sign states
     enable: str = "auto"  # or "panel": SIGUSR1 presses and releases the enable, SIGUSR2 the lever, SIGRTMIN the E-stop
@@ -47,6 +50,12 @@ class SimSettings:
                 raise SimSettingsError(f"{name} = {port}: must be 0..65535")
         if not 0.1 <= self.camera_rate_hz <= 120.0:
             raise SimSettingsError(f"camera_rate_hz = {self.camera_rate_hz}: must be 0.1..120 Hz")
+        for name, share, limit in (
+            ("structure_frac", self.structure_frac, STRUCTURE_FRAC_MAX),
+            ("structure_contrast_frac", self.structure_contrast_frac, 1.0),
+        ):
+            if share is not None and not 0.0 <= share <= limit:
+                raise SimSettingsError(f"{name} = {share}: must be 0..{limit:g}")
         if self.seed < 0:
             raise SimSettingsError(f"seed = {self.seed}: must be 0 or more")
         for name, net_id in (("pc_net_id", self.pc_net_id), ("plc_net_id", self.plc_net_id)):

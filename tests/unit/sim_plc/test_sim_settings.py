@@ -14,6 +14,8 @@ from sim_plc.settings import SimSettings, SimSettingsError
         ("camera_port", -1, "camera_port = -1"),
         ("camera_rate_hz", 0.0, "camera_rate_hz = 0.0: must be 0.1..120 Hz"),
         ("seed", -1, "seed = -1"),
+        ("structure_frac", 0.5, "structure_frac = 0.5: must be 0..0.4"),
+        ("structure_contrast_frac", -0.1, "structure_contrast_frac = -0.1: must be 0..1"),
         ("plc_net_id", "1.2.3", "plc_net_id"),
     ],
 )
