@@ -6,7 +6,6 @@ import multiprocessing
 import os
 import secrets
 import signal
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing.process import BaseProcess
@@ -14,6 +13,8 @@ from types import FrameType
 from typing import Literal, cast
 
 from machine.description import parse_machine_toml
+from recording.clock import mono_ns
+from recording.spawn import out_of_the_terminals_reach
 from sim_plc.diagnosed import with_effects
 from sim_plc.draw_world import draw_world
 from sim_plc.machine_loop import MS, MachineLoop, plc_framing
@@ -108,7 +109,7 @@ def new_epoch_offset_ns() -> int:
 
 
 def _cycle_start(offset_ns: int) -> int:
-    return (time.monotonic_ns() + offset_ns) // MS * MS
+    return (mono_ns() + offset_ns) // MS * MS
 
 
 def _warm_up(world: World) -> None:
@@ -128,12 +129,12 @@ def _too_slow(health: LoopHealth) -> str:
 
 def _watched(stopped: Callable[[], bool], health: LoopHealth, camera: BaseProcess | None) -> Callable[[], bool]:
     """`stopped`, and on the way a line in the log when the cycles were late or the camera has died."""
-    told, told_camera, next_ns = (_LATE_MS, 0), False, time.monotonic_ns() + _HEALTH_NS
+    told, told_camera, next_ns = (_LATE_MS, 0), False, mono_ns() + _HEALTH_NS
 
     def asked() -> bool:
         nonlocal told, told_camera, next_ns
-        if time.monotonic_ns() >= next_ns:
-            next_ns = time.monotonic_ns() + _HEALTH_NS
+        if mono_ns() >= next_ns:
+            next_ns = mono_ns() + _HEALTH_NS
             now = (health.behind_max_ms, health.lost_ms)
             if now[0] > told[0] or now[1] > told[1]:
                 told = now
@@ -194,7 +195,8 @@ def _start_camera(world: World, feed: PoseFeed, settings: SimSettings) -> BasePr
     arguments = (world, feed.name, settings.camera_host, settings.camera_port, settings.camera_rate_hz)
     switches = {"faults": settings.camera_faults, "time_code": settings.camera_time_code}
     camera = context.Process(target=run_camera, args=arguments, kwargs=switches, name="sim-camera", daemon=True)
-    camera.start()
+    with out_of_the_terminals_reach():
+        camera.start()
     log.info("camera on http://%s:%d/stream", settings.camera_host, settings.camera_port)
     return camera
 
