@@ -1,11 +1,14 @@
 """`longreach`: one command, one subcommand per thing a person does. What each needs is imported when it is called."""
 
 import logging
+import os
+import sys
 from typing import Annotated, NoReturn
 
 import typer
 
 from longreach.lazy_commands import Lazy, LazyGroup
+from longreach.signals import end_as_by_ctrl_c, exit_code
 from machine.errors import MachineError
 from server.errors import ServerError
 
@@ -84,11 +87,18 @@ def setup(verbose: Annotated[bool, typer.Option("--verbose", help="log what happ
 
 
 def main() -> None:
-    """Entry point: expected errors become one clear line and exit code 2."""
+    """Entry point: expected errors become one clear line and exit code 2; SIGTERM and SIGHUP end all as Ctrl-C does."""
+    os.environ["PYTHONSAFEPATH"] = "1"  # no child process, however it is started, imports from the working folder
+    end_as_by_ctrl_c()
     try:
         app()
     except (ServerError, MachineError) as error:
         _complain(error)
+    except SystemExit as ending:
+        code = exit_code(ending.code)
+        if (warm_up := sys.modules.get("server.warm_up")) is not None:  # no other command compiles beside a loop
+            warm_up.leave_compiler(code)
+        raise SystemExit(code) from None
 
 
 def _complain(error: Exception) -> NoReturn:

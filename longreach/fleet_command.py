@@ -22,8 +22,14 @@ KeyFile = Annotated[Path | None, typer.Option(help="file with the API key", envv
 def position(urls: Urls, key_file: KeyFile = None, wait_s: float = 60.0) -> None:
     """Position all machines at once, each under control of its own, and say how each of them ended."""
     key = read_key(key_file)
+    clients = [JobClient(url, owner="fleet example", kind="fleet", key=key) for url in urls]
     with ThreadPoolExecutor(len(urls)) as pool:
-        ends = list(pool.map(lambda url: position_one(url, key, wait_s), urls))
+        try:
+            ends = list(pool.map(lambda client: position_one(client, wait_s), clients))
+        except KeyboardInterrupt:
+            stop_all(clients)
+            console.print("[bold]stopped[/]")
+            raise typer.Exit(130) from None
     table = Table(title=f"machines: {len(urls)}", title_justify="left")
     for heading in ("machine", "state", "reason", "s"):
         table.add_column(heading)
@@ -34,9 +40,17 @@ def position(urls: Urls, key_file: KeyFile = None, wait_s: float = 60.0) -> None
         raise typer.Exit(1)
 
 
-def position_one(url: str, key: str = "", wait_s: float = 60.0) -> Finished:
+def stop_all(clients: list[JobClient]) -> None:
+    """Stop every machine that moves for this program, all at once: one that does not answer delays no other."""
+    with ThreadPoolExecutor(len(clients)) as pool:
+        for client, stopping in [(client, pool.submit(client.abandon)) for client in clients]:
+            if error := stopping.exception():
+                console.print(f"[bold red]STOP is not confirmed:[/] {client.url}: {error}")
+
+
+def position_one(client: JobClient, wait_s: float = 60.0) -> Finished:
     """One machine: wait until it is ready, take control as a fleet does, position, give control back."""
-    with JobClient(url, owner="fleet example", kind="fleet", key=key) as client:
+    with client:
         try:
             client.wait_ready(wait_s)
             end = client.run({"kind": "position"})
