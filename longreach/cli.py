@@ -1,7 +1,6 @@
 """`longreach`: one command, one subcommand per thing a person does. What each needs is imported when it is called."""
 
 import logging
-import os
 import sys
 from typing import Annotated, NoReturn
 
@@ -9,6 +8,7 @@ import typer
 
 from longreach.lazy_commands import Lazy, LazyGroup
 from longreach.signals import end_as_by_ctrl_c, exit_code
+from longreach.surroundings import prepare
 from machine.errors import MachineError
 from server.errors import ServerError
 
@@ -88,7 +88,7 @@ def setup(verbose: Annotated[bool, typer.Option("--verbose", help="log what happ
 
 def main() -> None:
     """Entry point: expected errors become one clear line and exit code 2; SIGTERM and SIGHUP end all as Ctrl-C does."""
-    os.environ["PYTHONSAFEPATH"] = "1"  # no child process, however it is started, imports from the working folder
+    prepare()
     end_as_by_ctrl_c()
     try:
         app()

@@ -11,7 +11,7 @@ from uuid import uuid4
 
 import httpx
 
-from longreach.fleet_connection import SteadyClient
+from longreach.fleet_connection import SteadyClient, by_proxy, reason_in
 from longreach.lease_holder import TTL_S, ControlRefusedError, LeaseHolder
 
 RETRIES = 3
@@ -83,13 +83,13 @@ class JobClient:
                 answer = self._http.get("/readyz")
                 if answer.status_code == 200:
                     return
-                reasons = "; ".join(answer.json().get("reasons", []))
+                reasons = reason_in(answer)
             except httpx.UnsupportedProtocol as error:
                 raise JobRefusedError(
                     f"'{self._http.base_url}' is no address; give one as http://127.0.0.1:8080"
                 ) from error
             except httpx.TransportError as error:
-                reasons = f"server does not answer ({error})"
+                reasons = f"server does not answer ({error}){by_proxy(self.url)}"
             self._abandoned.wait(0.2)
         raise JobRefusedError(f"not ready after {timeout_s:.0f} s: {reasons}")
 
@@ -138,7 +138,7 @@ class JobClient:
             raise
         finally:
             self._running = False
-        raise JobRefusedError(answer.json().get("detail", answer.text))
+        raise JobRefusedError(reason_in(answer))
 
     def _followed(self, location: str, on_event: Callable[[dict[str, Any]], None] | None) -> Finished:
         for kind, data in self._events(location):

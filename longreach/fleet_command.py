@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from longreach.fleet_client import Finished, JobClient, JobRefusedError, read_key
+from longreach.fleet_connection import SteadyClient, by_proxy
 
 app = typer.Typer(no_args_is_help=True)
 console = Console()
@@ -82,8 +83,9 @@ def metrics_line(url: str, key: str = "") -> str:
     """The figures of one machine in one line, or why there are none."""
     headers = {"Authorization": f"Bearer {key}"} if key else {}
     try:
-        text = httpx.get(f"{url}/metrics", headers=headers, timeout=5.0).raise_for_status().text
+        with SteadyClient(url, 5.0, headers) as client:
+            text = client.get("/metrics").raise_for_status().text
     except httpx.HTTPError as error:
-        return f"no metrics ({error})"
+        return f"no metrics ({error}{by_proxy(url)})"
     rows = dict(line.rsplit(" ", 1) for line in text.splitlines() if line and not line.startswith("#"))
     return ", ".join(f"{name} {rows[f'longreach_{name}']}" for name in SHOWN if f"longreach_{name}" in rows)

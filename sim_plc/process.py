@@ -6,11 +6,11 @@ import multiprocessing
 import os
 import secrets
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from multiprocessing.process import BaseProcess
 from types import FrameType
-from typing import Literal, cast
+from typing import Any, Literal, Self, cast
 
 from machine.description import parse_machine_toml
 from recording.clock import mono_ns
@@ -42,10 +42,11 @@ _CAMERA_STOP_S = 3.0
 def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda world: world) -> LoopHealth:
     """Run until SIGTERM or SIGINT; leaves no process and no shared memory behind. Returns how the loop kept up.
 
+    While it prepares (at the first start it compiles for a minute), a signal raises SystemExit.
     `place` may set the drawn world up anew (the OOI elsewhere) before it runs.
     Raises: SimSettingsError (also when the UDP port is taken), PresetError, MachineFileError: nothing was started.
     """
-    with _stop_flag() as stopped:
+    with _StopFlag() as stopped:
         drawn = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
         world = place(with_effects(drawn))
         panel = LocalPanel(cast(EnableMode, settings.enable))
@@ -53,7 +54,7 @@ def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda worl
         return _run(settings, world, panel, stopped)
 
 
-def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callable[[], bool]) -> LoopHealth:
+def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: "_StopFlag") -> LoopHealth:
     framing = plc_framing(cast(Literal["raw", "eap"], settings.framing), settings.pc_net_id, settings.plc_net_id)
     offset_ns = new_epoch_offset_ns()
     with ExitStack() as cleanup:
@@ -77,6 +78,7 @@ def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callab
         loop = RealTimeLoop(machine, udp, offset_ns)
         _run_first()
         gc.freeze()
+        stopped.prepared = True
         loop.run(_watched(stopped, loop.health, camera))
         if loop.health.behind_max_ms > _LATE_MS:
             log.warning("in all: %s", _too_slow(loop.health))
@@ -147,21 +149,29 @@ def _watched(stopped: Callable[[], bool], health: LoopHealth, camera: BaseProces
     return asked
 
 
-@contextmanager
-def _stop_flag() -> Iterator[Callable[[], bool]]:
-    """SIGTERM and SIGINT set a flag for as long as the block runs."""
-    flagged: list[int] = []
+class _StopFlag:
+    """SIGTERM and SIGINT set it for as long as the block runs. Until all is prepared they also end the block."""
 
-    def note(number: int, frame: FrameType | None) -> None:
-        del frame
-        flagged.append(number)
+    def __init__(self) -> None:
+        self.prepared = self._set = False
+        self._before: dict[int, Any] = {}
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield lambda: bool(flagged)
-    finally:
-        for number, handler in before.items():
+    def __call__(self) -> bool:
+        return self._set
+
+    def __enter__(self) -> Self:
+        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGTERM, signal.SIGINT)}
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        for number, handler in self._before.items():
             signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        first, self._set = not self._set, True
+        if first and not self.prepared:  # once: what is created by then is removed in peace
+            raise SystemExit(128 + number)
 
 
 def _panel_signals(panel: LocalPanel) -> None:

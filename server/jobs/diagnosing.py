@@ -20,7 +20,7 @@ NICE = "10"
 ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 TIMEOUT_S = 3600.0
 KEPT = 50
-COMMAND = (sys.executable, "-m", "longreach.cli", "diagnose")
+COMMAND = (sys.executable, "-P", "-m", "longreach.cli", "diagnose")
 UNDER_WAY = ("waiting", "running")
 
 
