@@ -80,7 +80,8 @@ class LinkClient:
         await self._spawn()
         if not await self._until(lambda: self._t_health_ns > 0, _START_S):
             await self.close()
-            raise LinkSilentError(f"the link process did not report within {_START_S:.0f} s; the log says why")
+            why = self._health.error or "the log says why"
+            raise LinkSilentError(f"the link process did not report within {_START_S:.0f} s; {why}")
 
     async def close(self) -> None:
         """End the link process; a moving machine is ramped down first."""
