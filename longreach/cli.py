@@ -96,8 +96,8 @@ def main() -> None:
         _complain(error)
     except SystemExit as ending:
         code = exit_code(ending.code)
-        if (warm_up := sys.modules.get("server.warm_up")) is not None:  # no other command compiles beside a loop
-            warm_up.leave_compiler(code)
+        if (warm_up := sys.modules.get("server.warm_up")) is not None:  # a command that ran link and vision
+            warm_up.leave(code)
         raise SystemExit(code) from None
 
 

@@ -6,6 +6,7 @@ import logging
 import os
 import sys
 import threading
+from typing import NoReturn
 
 import numpy as np
 
@@ -24,12 +25,10 @@ from server.motion.lost_motion import first_stall, onto_reference, plan_trim
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
 from server.motion.trajectory import sample
 
-COMPILER = "compiler"
-
 
 async def warmed_up(machine: Machine, chain: Chain) -> None:
     """`warm_up` beside the event loop. Cancelled, it returns immediately: nothing can interrupt a compiler, so its
-    thread is left behind, and `leave_compiler` ends the process with it.
+    thread is left behind, and `leave` ends the process with it.
     """
     loop = asyncio.get_running_loop()
     done: asyncio.Future[None] = loop.create_future()
@@ -47,17 +46,18 @@ async def warmed_up(machine: Machine, chain: Chain) -> None:
         with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
             loop.call_soon_threadsafe(settle, error)
 
-    threading.Thread(target=compile_all, name=COMPILER, daemon=True).start()
+    threading.Thread(target=compile_all, name="compiler", daemon=True).start()
     await done
 
 
-def leave_compiler(code: int) -> None:
-    """End this process at its end while it still compiles; Python itself would wait, for a minute or more."""
-    if any(thread.name == COMPILER for thread in threading.enumerate()):
-        logging.shutdown()
-        for stream in (sys.stdout, sys.stderr):
-            stream.flush()
-        os._exit(code)
+def leave(code: int) -> NoReturn:
+    """End this process, when all that it opened is closed. Python itself would wait for a thread that compiles, and
+    spend seconds on collecting a quarter of a million objects.
+    """
+    logging.shutdown()
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(code)
 
 
 def warm_up(machine: Machine, chain: Chain) -> None:

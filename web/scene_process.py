@@ -4,6 +4,7 @@ import contextlib
 import logging
 import multiprocessing
 import os
+import signal
 import sys
 import threading
 from dataclasses import replace
@@ -49,7 +50,7 @@ class SceneProcess:
         context = multiprocessing.get_context("spawn")
         ours, theirs = cast("tuple[Connection, Connection]", context.Pipe())
         process = context.Process(target=run_scene, args=(theirs, self._machine), name="longreach-scene", daemon=True)
-        with out_of_the_terminals_reach():
+        with out_of_the_terminals_reach(signal.SIGTERM):
             process.start()
         theirs.close()
         self._process, self._pipe = process, ours

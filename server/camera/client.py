@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import logging
 import multiprocessing
+import signal
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -235,7 +236,7 @@ class VisionClient:
         process = context.Process(
             target=run_vision, args=(theirs, self._settings, self._machine), name="longreach-vision", daemon=True
         )
-        with out_of_the_terminals_reach():
+        with out_of_the_terminals_reach(signal.SIGTERM):
             process.start()
         theirs.close()
         with contextlib.suppress(OSError):  # it has ended at once: its reader will say so

@@ -278,7 +278,7 @@ class LinkClient:
 
     async def _request(self, request: LinkRequest) -> None:
         if self._process is None:
-            raise LinkSilentError("the link is not started")
+            raise LinkSilentError("the link process does not run; it is started by itself, then arm")
         await self._process.request(request)
 
     async def _until(self, wanted: Callable[[], bool], timeout_s: float) -> bool:
@@ -354,6 +354,7 @@ class LinkClient:
         why, self._unbound = self._unbound or "link process died", ""
         _LOG.error("%s; starting a new one in %s s", why, _RESTART_S)
         self._health = replace(self._health, phase=LinkPhase.OFFLINE, error=f"{why}, restarting")
+        self._process = None  # `close` in the meantime has nothing left to end
         self._end_motion("the link process died; the PLC ramps to a hold by itself")
         self._restart = asyncio.ensure_future(self._respawn(process))
 

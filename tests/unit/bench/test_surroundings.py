@@ -142,6 +142,34 @@ def test_code_is_compiled_into_a_temporary_cache_where_nothing_can_be_written(
     assert os.environ[surroundings.CACHE] != str(made)
 
 
+MASKED = """
+import multiprocessing, signal
+from recording.spawn import out_of_the_terminals_reach
+
+def masked(pipe):
+    pipe.send(sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ())))
+
+if __name__ == "__main__":
+    context = multiprocessing.get_context("spawn")
+    for _ in range(2):
+        ours, theirs = context.Pipe()
+        child = context.Process(target=masked, args=(theirs,))
+        with out_of_the_terminals_reach():
+            child.start()
+        print([int(number) for number in ours.recv()], sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ())))
+        child.join()
+"""
+
+
+def test_a_terminals_signals_are_blocked_in_the_first_child_already_and_not_in_its_parent(tmp_path: Path) -> None:
+    (script := tmp_path / "masked.py").write_text(MASKED)
+    done = subprocess.run(
+        [sys.executable, "-P", str(script)], env=environment(), capture_output=True, text=True, timeout=120
+    )
+    wanted = [int(number) for number in sorted((signal.SIGINT, signal.SIGHUP))]
+    assert done.stdout.splitlines() == [f"{wanted} []"] * 2, done.stderr
+
+
 SLEEPER = """
 import time
 from longreach.signals import end_as_by_ctrl_c, exit_code
