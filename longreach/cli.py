@@ -106,7 +106,7 @@ def _complain(error: Exception) -> NoReturn:
     from rich.console import Console  # here: most calls complain of nothing
     from rich.markup import escape
 
-    Console(stderr=True).print(f"[bold red]longreach:[/] {escape(str(error))}")
+    Console(stderr=True).print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
     raise SystemExit(2) from error
 
 

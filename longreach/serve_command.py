@@ -36,7 +36,6 @@ def serve(
     from longreach.addresses import require_bindable
     from server.access.keys import first_key as make_first_key
     from server.access.roles import Role
-    from server.app import serve as run_server
     from server.settings import read_settings
     from server.settings_camera import with_stream
     from server.version import __version__
@@ -52,7 +51,9 @@ def serve(
         },
     )
     keys_file, screen = settings.http.keys_file, Console(stderr=True)
-    require_bindable(addresses_of(settings), wait_for_address, lambda text: screen.print(escape(text)))
+    require_bindable(addresses_of(settings), wait_for_address, lambda text: screen.print(escape(text), soft_wrap=True))
+    from server.app import serve as run_server  # seconds: what is refused is refused before them
+
     if first_key and keys_file and make_first_key(Path(keys_file), Role.OPERATOR, first_key):
         screen.print(f"a first key was made: it is in {first_key}")
     address = f"http://{settings.http.host}:{settings.http.port}/"
