@@ -121,7 +121,7 @@ from recording.run import RunInfo
 from recording.writer import RunWriter
 writer = RunWriter(Path({str(path)!r}), RunInfo("killed"))
 for number in range(100000):
-    writer.row(Sent(number * 0.001, number, (0.0,) * 6), mono_ns())
+    writer.row(Sent(number * 0.001, number, (0.0,) * 6), time.monotonic_ns())
     time.sleep(0.001)
     if number == 1500: print("now", flush=True)
 """
