@@ -30,12 +30,14 @@ class Address:
         for family, kind, protocol, _, where in infos:
             with socket.socket(family, kind, protocol) as probe:
                 if kind is socket.SOCK_STREAM:
-                    probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # an ended program's leavings are none
+                    probe.setsockopt(
+                        socket.SOL_SOCKET, socket.SO_REUSEADDR, 1
+                    )  # what an ended program left does not count
                 if family == socket.AF_INET6:
                     probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
                 probe.bind(where)
 
-    def told(self, error: OSError) -> str:
+    def problem(self, error: OSError) -> str:
         """What is wrong, and what to do."""
         udp = "udp " if self.kind is socket.SOCK_DGRAM else ""
         if error.errno == errno.EADDRINUSE:
@@ -50,11 +52,11 @@ class Address:
 def require_bindable(
     addresses: Sequence[Address], wait_s: float = 0.0, waiting: Callable[[str], None] = lambda _text: None
 ) -> None:
-    """Try all of them. An address that this computer does not have yet is waited for; `waiting` is told once.
+    """Try all of them. An address that this computer does not have yet is waited for; `waiting` is called once.
 
     Raises: SettingsError: the first that nothing can listen on, and why.
     """
-    until_s, told = time.monotonic() + wait_s, False
+    until_s, announced = time.monotonic() + wait_s, False
     for address in addresses:
         while True:
             try:
@@ -63,10 +65,10 @@ def require_bindable(
             except OSError as error:
                 missing = isinstance(error, socket.gaierror) or error.errno in NOT_THERE_YET
                 if not missing or time.monotonic() >= until_s:
-                    raise SettingsError(address.told(error)) from error
-            if not told:
+                    raise SettingsError(address.problem(error)) from error
+            if not announced:
                 waiting(
                     f"'{address.host}' is not an address of this computer yet; waiting for it, {wait_s:.0f} s at most"
                 )
-                told = True
+                announced = True
             time.sleep(min(RETRY_S, max(0.0, until_s - time.monotonic())))

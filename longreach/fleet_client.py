@@ -133,7 +133,7 @@ class JobClient:
             answer = self._sent(body, headers | {"Idempotency-Key": str(uuid4())})
             if answer.status_code == httpx.codes.ACCEPTED:
                 return self._followed(answer.headers["location"], on_event)
-        except BaseException as ending:  # Ctrl-C, a signal, a server that is gone: nobody follows the motion any more
+        except BaseException as ending:  # Ctrl-C, a signal, a server that is gone: the motion is not followed any more
             self._stop_at(ending)
             raise
         finally:

@@ -42,7 +42,7 @@ def position(urls: Urls, key_file: KeyFile = None, wait_s: float = 60.0) -> None
 
 
 def stop_all(clients: list[JobClient]) -> None:
-    """Stop every machine that moves for this program, all at once: one that does not answer delays no other."""
+    """Stop every machine that moves for this program, in parallel: one that does not answer delays no other."""
     with ThreadPoolExecutor(len(clients)) as pool:
         for client, stopping in [(client, pool.submit(client.abandon)) for client in clients]:
             if error := stopping.exception():

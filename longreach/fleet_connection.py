@@ -39,10 +39,10 @@ class SteadyClient(httpx.Client):
 
 
 def reason_in(answer: httpx.Response) -> str:
-    """Why an answer is no success: the server's own words, or that something else answered in its place."""
+    """Why a request failed: the server's own words, or that something else answered in its place."""
     try:
-        told = answer.json()
-        return "; ".join(told.get("reasons") or filter(None, (told["detail"], told.get("hint", ""))))
+        problem = answer.json()
+        return "; ".join(problem.get("reasons") or filter(None, (problem["detail"], problem.get("hint", ""))))
     except (ValueError, KeyError, AttributeError):
         url = str(answer.request.url)
         return f"{url} answers {answer.status_code} {answer.reason_phrase}, and not as longreach does{by_proxy(url)}"

@@ -15,7 +15,7 @@ CACHE = "NUMBA_CACHE_DIR"
 
 def prepare() -> None:
     """No import from the working folder, no proxy in front of this computer itself, a place for compiled code."""
-    os.environ["PYTHONSAFEPATH"] = "1"  # heard by every Python that is started from here, whoever starts it
+    os.environ["PYTHONSAFEPATH"] = "1"  # read by every Python that is started from here
     for name in ("no_proxy", "NO_PROXY"):  # urllib reads the first of them that is there
         given = os.environ.get(name, "")
         os.environ[name] = ",".join(dict.fromkeys([*filter(None, given.split(",")), *LOOPBACK]))
@@ -48,7 +48,7 @@ def _writable(folder: Path) -> bool:
 
 
 def _temporary_cache() -> Path:
-    """The same for every start of this user, and nobody else's: what is in it is run."""
+    """The same for every start of this user, of no other one: what is in it is run."""
     folder = Path(tempfile.gettempdir()) / f"longreach-numba-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()

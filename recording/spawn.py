@@ -10,10 +10,10 @@ TERMINAL = (signal.SIGINT, signal.SIGHUP)
 
 @contextlib.contextmanager
 def out_of_the_terminals_reach(*more: signal.Signals) -> Iterator[None]:
-    """What is started inside never gets the signals that a terminal sends to all at once: its parent gets them, and
+    """What is started inside never gets the signals that a terminal sends to a whole group: its parent gets them, and
     ends it in the right order. They are blocked before the child's first instruction, in this thread only.
 
-    `more`: SIGTERM, which systemd sends to all at once, for a child that its parent ends in another way.
+    `more`: SIGTERM, which systemd sends to a whole group, for a child that its parent ends in another way.
     """
     resource_tracker.ensure_running()  # its start, at the first child, would unblock them again
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (*TERMINAL, *more))

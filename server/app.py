@@ -174,7 +174,7 @@ class StoppingServer(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """As uvicorn's, but ending as one was asked to is no failure: no signal is raised again."""
+        """As uvicorn's, but an end that was requested is not a failure: no signal is raised again."""
         numbers = (signal.SIGINT, signal.SIGTERM)
         before = {number: signal.signal(number, self.handle_exit) for number in numbers}
         try:

@@ -43,7 +43,7 @@ async def warmed_up(machine: Machine, chain: Chain) -> None:
             warm_up(machine, chain)
         except BaseException as found:
             error = found
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody waits any more
+        with contextlib.suppress(RuntimeError):  # the loop is closed: the start was given up
             loop.call_soon_threadsafe(settle, error)
 
     threading.Thread(target=compile_all, name="compiler", daemon=True).start()

@@ -30,7 +30,7 @@ class PoseFeedError(Exception):
 class PoseFeed:
     """T_base_tcp (4, 4) by PLC time [ns]. Create it in the writing process, attach by name in the reading one.
 
-    The PLC clock is the true time of the simulation: t_plc_ns = the PC's clock (recording/clock.py) + `epoch_offset_ns`.
+    The PLC clock is the true time of the simulation: t_plc_ns = the PC's clock + `epoch_offset_ns`.
     """
 
     def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:

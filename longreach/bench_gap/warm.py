@@ -21,7 +21,7 @@ from longreach.one_thread import ONE_THREAD
 
 
 def with_path(root: Path) -> dict[str, str]:
-    """This environment, for a child that finds the modules of `root`, and none of its working folder."""
+    """This environment, for a child that finds the modules of `root`, and does not search its working folder."""
     return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH", ""))))}
 
 
