@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from longreach.fleet_connection import SteadyClient, by_proxy, reason_in
 from server.calibration.calibration_export import as_ros, as_yaml
 from server.calibration.calibration_file import CalibrationFileError, SavedCalibration, parse_calibration
 from server.calibration.calibration_life import observability_text
@@ -60,11 +61,14 @@ def _saved(file: Path) -> SavedCalibration:
 
 def _get(url: str, path: str) -> httpx.Response:
     try:
-        answer = httpx.get(f"{url}/v1/calibration{path}", timeout=10.0)
-    except httpx.TransportError as error:
-        _complain(f"server {url} does not answer ({error}); start it with 'longreach serve', or give --file")
+        with SteadyClient(url, 10.0) as client:
+            answer = client.get(f"/v1/calibration{path}")
+    except (httpx.TransportError, httpx.InvalidURL) as error:
+        _complain(
+            f"server {url} does not answer ({error}){by_proxy(url)}; start it with 'longreach serve', or give --file"
+        )
     if answer.status_code != 200:
-        _complain(answer.json().get("detail", answer.text))
+        _complain(reason_in(answer))
     return answer
 
 

@@ -1,11 +1,14 @@
 """`longreach`: one command, one subcommand per thing a person does. What each needs is imported when it is called."""
 
 import logging
+import sys
 from typing import Annotated, NoReturn
 
 import typer
 
 from longreach.lazy_commands import Lazy, LazyGroup
+from longreach.signals import end_as_by_ctrl_c, exit_code
+from longreach.surroundings import prepare
 from machine.errors import MachineError
 from server.errors import ServerError
 
@@ -84,11 +87,18 @@ def setup(verbose: Annotated[bool, typer.Option("--verbose", help="log what happ
 
 
 def main() -> None:
-    """Entry point: expected errors become one clear line and exit code 2."""
+    """Entry point: expected errors become one clear line and exit code 2; SIGTERM and SIGHUP end all as Ctrl-C does."""
+    prepare()
+    end_as_by_ctrl_c()
     try:
         app()
     except (ServerError, MachineError) as error:
         _complain(error)
+    except SystemExit as ending:
+        code = exit_code(ending.code)
+        if (warm_up := sys.modules.get("server.warm_up")) is not None:  # a command that ran link and vision
+            warm_up.leave(code)
+        raise SystemExit(code) from None
 
 
 def _complain(error: Exception) -> NoReturn:
@@ -96,7 +106,7 @@ def _complain(error: Exception) -> NoReturn:
     from rich.console import Console  # here: most calls complain of nothing
     from rich.markup import escape
 
-    Console(stderr=True).print(f"[bold red]longreach:[/] {escape(str(error))}")
+    Console(stderr=True).print(f"[bold red]longreach:[/] {escape(str(error))}", soft_wrap=True)
     raise SystemExit(2) from error
 
 

@@ -14,6 +14,7 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 
+from longreach.addresses import Address, require_bindable
 from longreach.commission_operator import TerminalOperator, read_answers
 from machine.chain import chain_of
 from machine.description import Machine, parse_machine_toml
@@ -31,7 +32,7 @@ from server.settings_camera import with_stream
 from server.settings_source import source_and_machine
 from server.shell_settings import link_settings, vision_settings
 from server.version import __version__
-from server.warm_up import warm_up
+from server.warm_up import warmed_up
 
 _COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.SKIPPED: "yellow", Verdict.CANNOT_TELL: "yellow"}
 _PERSON_ARM_S = 45.0  # time to walk to the enable key
@@ -125,7 +126,7 @@ async def _commission(
             await _require_same_plc(earlier, settings, link)
         vision, machine = await _vision(settings, machine, steps, stack)
         operator.tell("getting ready")
-        await asyncio.to_thread(warm_up, machine, chain)
+        await warmed_up(machine, chain)
         await go_through(Site(settings, machine, chain, link, vision, operator, options), steps, report.earlier, done)
     path = _save(replace(report, complete=True), Path(settings.recording.folder))
     console.print(f"report: {path}", highlight=False, soft_wrap=True)
@@ -244,14 +245,17 @@ def _with_options(
 
 def _require_free_port(settings: ServerSettings) -> None:
     """Raises SettingsError when our port is taken: most likely by the server."""
-    host, port = settings.plc.local_host, settings.plc.local_port
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise SettingsError(
-                f"plc.local_port = {port} on {host}: {error.strerror}; {ONE_CONTROLLER}; stop it first"
-            ) from error
+    plc, taken_by = settings.plc, f"another program: {ONE_CONTROLLER}; stop it first, or give another port"
+    local = Address(
+        plc.local_host,
+        plc.local_port,
+        "[plc] local_host",
+        "--plc-local-port",
+        socket.SOCK_DGRAM,
+        socket.AF_INET,
+        taken_by,
+    )
+    require_bindable((local,))
 
 
 def _show(console: Console, operator: TerminalOperator, result: StepResult) -> None:

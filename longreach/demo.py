@@ -15,8 +15,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.status import Status
 
+from longreach.addresses import Address, require_bindable
 from longreach.fleet_client import JobClient, JobRefusedError
-from longreach.processes import Stack, StackPorts, require_free
+from longreach.processes import Stack, StackPorts
 from server.errors import SettingsError
 
 START_S = 1800.0  # a busy computer of two cores takes minutes to compile; what ends is told at once
@@ -35,10 +36,11 @@ def demo(
     console = Console()
     try:
         checked_preset(preset)
-        require_free("127.0.0.1", port, f"{_command()} demo --port {port + 1 if port < 65535 else port - 1}")
+        option = f"{_command()} demo --port {port + 1 if port < 65535 else port - 1}"
+        require_bindable((Address("127.0.0.1", port, option, option),))
     except (PresetError, SettingsError) as error:
-        console.print(f"[bold red]not started:[/] {error}")
-        raise typer.Exit(1) from error
+        console.print(f"[bold red]not started:[/] {escape(str(error))}", soft_wrap=True)
+        raise typer.Exit(2) from error
     ports = StackPorts.free()
     ports = StackPorts(http=port, plc=ports.plc, plc_local=ports.plc_local, camera=ports.camera)
     started = time.monotonic()

@@ -20,7 +20,7 @@ class Used:
 
 def diagnosed_in_a_child(recording: Path, answer: Path, niceness: int = 0) -> Used:
     """Write the answer to this recording. Raises: RuntimeError: the command failed; with what it said."""
-    command = [sys.executable, "-m", "longreach.cli", "diagnose", str(recording), "--json", str(answer)]
+    command = [sys.executable, "-P", "-m", "longreach.cli", "diagnose", str(recording), "--json", str(answer)]
     began_s = time.monotonic()
     with tempfile.TemporaryFile("w+", encoding="utf-8") as said:
         child = subprocess.Popen(command, stdout=said, stderr=said, preexec_fn=lambda: os.nice(niceness))

@@ -1,6 +1,7 @@
 """A small REST client for jobs: what `position`, the benches and a fleet program need."""
 
 import json
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -10,8 +11,8 @@ from uuid import uuid4
 
 import httpx
 
-from longreach.fleet_connection import SteadyClient
-from longreach.lease_holder import ControlRefusedError, LeaseHolder
+from longreach.fleet_connection import SteadyClient, by_proxy, reason_in
+from longreach.lease_holder import TTL_S, ControlRefusedError, LeaseHolder
 
 RETRIES = 3
 RETRY_S = 0.5
@@ -52,6 +53,12 @@ class JobClient:
         headers = {"Authorization": f"Bearer {key}"} if key else {}
         self._http = SteadyClient(url, timeout_s, headers)
         self._owner, self._kind = owner, kind
+        self._abandoned, self._running = threading.Event(), False
+
+    @property
+    def url(self) -> str:
+        """The server's address."""
+        return str(self._http.base_url)
 
     def __enter__(self) -> Self:
         return self
@@ -70,19 +77,20 @@ class JobClient:
         """
         began, reasons = time.monotonic(), "server does not answer"
         while (waited_s := time.monotonic() - began) < timeout_s:
+            self._refuse_if_abandoned()
             told(waited_s, reasons)
             try:
                 answer = self._http.get("/readyz")
                 if answer.status_code == 200:
                     return
-                reasons = "; ".join(answer.json().get("reasons", []))
+                reasons = reason_in(answer)
             except httpx.UnsupportedProtocol as error:
                 raise JobRefusedError(
                     f"'{self._http.base_url}' is no address; give one as http://127.0.0.1:8080"
                 ) from error
             except httpx.TransportError as error:
-                reasons = f"server does not answer ({error})"
-            time.sleep(0.2)
+                reasons = f"server does not answer ({error}){by_proxy(self.url)}"
+            self._abandoned.wait(0.2)
         raise JobRefusedError(f"not ready after {timeout_s:.0f} s: {reasons}")
 
     def state(self) -> dict[str, Any]:
@@ -98,7 +106,7 @@ class JobClient:
         answer.raise_for_status()
 
     def run(self, body: dict[str, Any], on_event: Callable[[dict[str, Any]], None] | None = None) -> Finished:
-        """Acquire control, start a job, follow it to its end, release.
+        """Acquire control, start a job, follow it to its end, release. Whatever ends this early stops the machine.
 
         Raises: JobRefusedError when control is not given or the server does not start it.
         """
@@ -119,15 +127,42 @@ class JobClient:
     def _run(
         self, body: dict[str, Any], headers: dict[str, str], on_event: Callable[[dict[str, Any]], None] | None
     ) -> Finished:
-        answer = self._sent(body, headers | {"Idempotency-Key": str(uuid4())})
-        if answer.status_code != httpx.codes.ACCEPTED:
-            raise JobRefusedError(answer.json().get("detail", answer.text))
-        for kind, data in self._events(answer.headers["location"]):
+        self._running = True
+        try:
+            self._refuse_if_abandoned()
+            answer = self._sent(body, headers | {"Idempotency-Key": str(uuid4())})
+            if answer.status_code == httpx.codes.ACCEPTED:
+                return self._followed(answer.headers["location"], on_event)
+        except BaseException as ending:  # Ctrl-C, a signal, a server that is gone: the motion is not followed any more
+            self._stop_at(ending)
+            raise
+        finally:
+            self._running = False
+        raise JobRefusedError(reason_in(answer))
+
+    def _followed(self, location: str, on_event: Callable[[dict[str, Any]], None] | None) -> Finished:
+        for kind, data in self._events(location):
             if kind == "end":
                 return Finished(data["state"], data["reason"], data["result"], data["elapsed_s"], data["job_id"])
             if on_event is not None:
                 on_event(data)
-        raise JobRefusedError("the server ended the story of the job before its end; look at its log")
+        raise JobRefusedError("the server ended the events of the job before its end; look at its log")
+
+    def _stop_at(self, ending: BaseException) -> None:
+        try:
+            self.stop()
+        except httpx.HTTPError as error:
+            ending.add_note(f"STOP is not confirmed ({error}); without this client control lapses within {TTL_S:.0f} s")
+
+    def abandon(self) -> None:
+        """From another thread: stop what this client runs, and let it begin nothing more."""
+        self._abandoned.set()
+        if self._running:
+            self.stop()
+
+    def _refuse_if_abandoned(self) -> None:
+        if self._abandoned.is_set():
+            raise JobRefusedError("ended before the job began")
 
     def _sent(self, body: dict[str, Any], headers: dict[str, str]) -> httpx.Response:
         """Send a command; when its answer is lost, send it again with the same key: it is carried out once."""

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from longreach.fleet_client import Finished, JobClient, JobRefusedError, read_key
+from longreach.fleet_connection import SteadyClient, by_proxy
 
 app = typer.Typer(no_args_is_help=True)
 console = Console()
@@ -22,8 +23,14 @@ KeyFile = Annotated[Path | None, typer.Option(help="file with the API key", envv
 def position(urls: Urls, key_file: KeyFile = None, wait_s: float = 60.0) -> None:
     """Position all machines at once, each under control of its own, and say how each of them ended."""
     key = read_key(key_file)
+    clients = [JobClient(url, owner="fleet example", kind="fleet", key=key) for url in urls]
     with ThreadPoolExecutor(len(urls)) as pool:
-        ends = list(pool.map(lambda url: position_one(url, key, wait_s), urls))
+        try:
+            ends = list(pool.map(lambda client: position_one(client, wait_s), clients))
+        except KeyboardInterrupt:
+            stop_all(clients)
+            console.print("[bold]stopped[/]")
+            raise typer.Exit(130) from None
     table = Table(title=f"machines: {len(urls)}", title_justify="left")
     for heading in ("machine", "state", "reason", "s"):
         table.add_column(heading)
@@ -34,9 +41,17 @@ def position(urls: Urls, key_file: KeyFile = None, wait_s: float = 60.0) -> None
         raise typer.Exit(1)
 
 
-def position_one(url: str, key: str = "", wait_s: float = 60.0) -> Finished:
+def stop_all(clients: list[JobClient]) -> None:
+    """Stop every machine that moves for this program, in parallel: one that does not answer delays no other."""
+    with ThreadPoolExecutor(len(clients)) as pool:
+        for client, stopping in [(client, pool.submit(client.abandon)) for client in clients]:
+            if error := stopping.exception():
+                console.print(f"[bold red]STOP is not confirmed:[/] {client.url}: {error}")
+
+
+def position_one(client: JobClient, wait_s: float = 60.0) -> Finished:
     """One machine: wait until it is ready, take control as a fleet does, position, give control back."""
-    with JobClient(url, owner="fleet example", kind="fleet", key=key) as client:
+    with client:
         try:
             client.wait_ready(wait_s)
             end = client.run({"kind": "position"})
@@ -68,8 +83,9 @@ def metrics_line(url: str, key: str = "") -> str:
     """The figures of one machine in one line, or why there are none."""
     headers = {"Authorization": f"Bearer {key}"} if key else {}
     try:
-        text = httpx.get(f"{url}/metrics", headers=headers, timeout=5.0).raise_for_status().text
+        with SteadyClient(url, 5.0, headers) as client:
+            text = client.get("/metrics").raise_for_status().text
     except httpx.HTTPError as error:
-        return f"no metrics ({error})"
+        return f"no metrics ({error}{by_proxy(url)})"
     rows = dict(line.rsplit(" ", 1) for line in text.splitlines() if line and not line.startswith("#"))
     return ", ".join(f"{name} {rows[f'longreach_{name}']}" for name in SHOWN if f"longreach_{name}" in rows)

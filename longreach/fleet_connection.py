@@ -1,8 +1,12 @@
 """The HTTP connection of our own clients: what a connection that ends under a request means, and what is sent again."""
 
+import urllib.request
 from typing import Any
+from urllib.parse import urlsplit
 
 import httpx
+
+from server.access.hosts import is_loopback
 
 IDLE_S = 3.0  # below every server's own limit (uvicorn's default: 5 s), so that no request meets a closing connection
 IDEMPOTENT = frozenset({"GET", "HEAD", "OPTIONS", "PUT", "DELETE"})
@@ -17,7 +21,12 @@ class SteadyClient(httpx.Client):
     """
 
     def __init__(self, url: str, timeout_s: float, headers: dict[str, str] | None = None) -> None:
-        super().__init__(base_url=url, timeout=timeout_s, headers=headers, limits=httpx.Limits(keepalive_expiry=IDLE_S))
+        host = _host(url)
+        direct = (
+            {f"all://[{host}]" if ":" in host else f"all://{host}": None} if is_loopback(host) else None
+        )  # this computer itself is not behind a proxy
+        limits = httpx.Limits(keepalive_expiry=IDLE_S)
+        super().__init__(base_url=url, timeout=timeout_s, headers=headers, limits=limits, mounts=direct)
 
     def send(self, request: httpx.Request, **options: Any) -> httpx.Response:
         """As httpx.Client.send."""
@@ -27,3 +36,30 @@ class SteadyClient(httpx.Client):
             if request.method not in IDEMPOTENT:
                 raise
         return super().send(request, **options)
+
+
+def reason_in(answer: httpx.Response) -> str:
+    """Why a request failed: the server's own words, or that something else answered in its place."""
+    try:
+        problem = answer.json()
+        return "; ".join(problem.get("reasons") or filter(None, (problem["detail"], problem.get("hint", ""))))
+    except (ValueError, KeyError, AttributeError):
+        url = str(answer.request.url)
+        return f"{url} answers {answer.status_code} {answer.reason_phrase}, and not as longreach does{by_proxy(url)}"
+
+
+def by_proxy(url: str) -> str:
+    """That a server is asked for through a proxy of the environment, for messages; empty where it is asked directly."""
+    host, scheme = _host(url), urlsplit(url).scheme
+    proxies = urllib.request.getproxies()
+    proxy = proxies.get(scheme, proxies.get("all", ""))
+    if not proxy or not host or is_loopback(host) or urllib.request.proxy_bypass(host):
+        return ""
+    return f"; it was asked for through the proxy {proxy} ({scheme}_proxy); add {host} to no_proxy to ask it directly"
+
+
+def _host(url: str) -> str:
+    try:
+        return urlsplit(url).hostname or ""
+    except ValueError:
+        return ""

@@ -5,7 +5,9 @@ from typing import Any, Self
 
 import httpx
 
-TTL_S = 15.0
+from longreach.fleet_connection import reason_in
+
+TTL_S = 15.0  # a client that dies without a word (SIGKILL, a power cut) moves its machine for so long at most
 
 
 class ControlRefusedError(Exception):
@@ -28,8 +30,7 @@ class LeaseHolder:
         """
         answer = self._http.post("/v1/lease", json={"owner": self._owner, "kind": self._kind, "ttl_s": self._ttl_s})
         if answer.status_code != httpx.codes.CREATED:
-            told = answer.json()
-            raise ControlRefusedError("; ".join(filter(None, [told.get("detail", answer.text), told.get("hint", "")])))
+            raise ControlRefusedError(reason_in(answer))
         self._lease = answer.json()
         self._done.clear()
         self._thread = threading.Thread(target=self._keep_alive, name="lease", daemon=True)

@@ -35,9 +35,8 @@ def position(
     except JobRefusedError as error:
         console.print(f"[bold red]refused:[/] {error}")
         raise typer.Exit(2) from error
-    except KeyboardInterrupt:
-        client.stop()
-        console.print("[bold]stopped[/]")
+    except KeyboardInterrupt as ending:
+        console.print(f"[bold]stopped[/] {' '.join(getattr(ending, '__notes__', ()))}")
         raise typer.Exit(130) from None
     finally:
         client.close()

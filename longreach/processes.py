@@ -1,18 +1,16 @@
 """Starting simulator and server as processes of their own, and ending them again."""
 
 import contextlib
-import errno
 import os
 import signal
 import socket
 import subprocess
 import sys
-import threading
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 
-from server.errors import SettingsError
+from longreach.signals import end_as_by_ctrl_c, not_interrupted
 
 STOP_S = 8.0
 
@@ -22,24 +20,6 @@ def free_port(kind: int = socket.SOCK_STREAM) -> int:
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         return probe.getsockname()[1]
-
-
-def taken(host: str, port: int) -> bool:
-    """Whether another program listens there already; no where nobody can listen, which who tries will say."""
-    try:
-        family, kind, number, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind, number) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # an ended program's leavings are no program
-            probe.bind(address)
-    except OSError as error:
-        return error.errno == errno.EADDRINUSE
-    return False
-
-
-def require_free(host: str, port: int, option: str) -> None:
-    """Raises: SettingsError: another program listens there; `option` is what gives another port."""
-    if taken(host, port):
-        raise SettingsError(f"port {port} is taken by another program; give another one by {option}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +41,7 @@ class StackPorts:
 @dataclass(slots=True)
 class Stack:
     """One simulated machine and its server, as processes; a context manager that leaves nothing behind, on SIGTERM
-    neither.
+    and SIGHUP neither.
     """
 
     ports: StackPorts
@@ -81,9 +61,13 @@ class Stack:
         return f"http://127.0.0.1:{self.ports.http}"
 
     def __enter__(self) -> "Stack":
-        _unwind_on_sigterm()
-        self.start_sim()
-        self.start_server()
+        end_as_by_ctrl_c()
+        try:
+            self.start_sim()
+            self.start_server()
+        except BaseException:  # Ctrl-C between the two: what is started already is ended
+            self.close()
+            raise
         return self
 
     def __exit__(
@@ -112,10 +96,11 @@ class Stack:
 
     def close(self) -> None:
         """End all processes, the server first so that it can leave the machine holding."""
-        for name in ("server", "sim"):
-            process = self.processes.pop(name, None)
-            if process is not None:
-                _end(process)
+        with not_interrupted():
+            for name in ("server", "sim"):
+                process = self.processes.pop(name, None)
+                if process is not None:
+                    _end(process)
 
     def _start(self, name: str, command: list[str]) -> None:
         self._start_module(name, "longreach.cli", command)
@@ -126,19 +111,13 @@ class Stack:
             self.log_folder.mkdir(parents=True, exist_ok=True)
             output = (self.log_folder / f"{name}.log").open("wb")
         self.processes[name] = subprocess.Popen(
-            [sys.executable, "-m", module, *command],
+            [sys.executable, "-P", "-m", module, *command],
             stdout=output,
             stderr=subprocess.STDOUT if output else None,
             start_new_session=True,
         )
         if output is not None:
             output.close()
-
-
-def _unwind_on_sigterm() -> None:
-    """SIGTERM ends this program as an error would, so that what it started is ended; by default it ends at once."""
-    if threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, lambda number, _frame: sys.exit(128 + number))
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -1,11 +1,13 @@
 """`longreach serve`: the server, from a settings file and what the command line puts over it."""
 
+import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
+    from longreach.addresses import Address
     from server.settings import ServerSettings
 
 SettingsFile = Annotated[Path | None, typer.Option("--settings", help="TOML settings file; defaults when absent")]
@@ -23,14 +25,17 @@ def serve(
     keys: Annotated[str | None, typer.Option(help="key file; required to listen beyond this computer")] = None,
     allow_host: Annotated[list[str] | None, typer.Option(help="a name it is reached by, beside addresses")] = None,
     first_key: Annotated[Path | None, typer.Option(help="make an operator's key here if there is none")] = None,
+    wait_for_address: Annotated[
+        float, typer.Option(min=0.0, help="at boot: how long to wait for an address that is not there yet [s]")
+    ] = 0.0,
 ) -> None:
     """Start the server: panel, REST, link and vision processes."""
     from rich.console import Console  # all of this here: --help needs none of it, and it takes seconds
+    from rich.markup import escape
 
-    from longreach.processes import require_free
+    from longreach.addresses import require_bindable
     from server.access.keys import first_key as make_first_key
     from server.access.roles import Role
-    from server.app import serve as run_server
     from server.settings import read_settings
     from server.settings_camera import with_stream
     from server.version import __version__
@@ -45,12 +50,35 @@ def serve(
             "recording": {"folder": runs},
         },
     )
-    require_free(settings.http.host, settings.http.port, "--port")
     keys_file, screen = settings.http.keys_file, Console(stderr=True)
+    require_bindable(addresses_of(settings), wait_for_address, lambda text: screen.print(escape(text), soft_wrap=True))
+    from server.app import serve as run_server  # seconds: what is refused is refused before them
+
     if first_key and keys_file and make_first_key(Path(keys_file), Role.OPERATOR, first_key):
         screen.print(f"a first key was made: it is in {first_key}")
     address = f"http://{settings.http.host}:{settings.http.port}/"
     run_server(settings, lambda: screen.print(f"longreach {__version__}: panel at {address}"))
+
+
+def addresses_of(settings: "ServerSettings") -> "tuple[Address, ...]":
+    """All that the server listens on."""
+    from longreach.addresses import Address
+
+    http, plc, opcua = settings.http, settings.plc, settings.opcua
+    taken_by = "another program, perhaps another server or `longreach commission`; give another one"
+    found = (
+        Address(http.host, http.port, "--host", "--port"),
+        Address(
+            plc.local_host,
+            plc.local_port,
+            "[plc] local_host",
+            "--plc-local-port",
+            socket.SOCK_DGRAM,
+            socket.AF_INET,
+            taken_by,
+        ),
+    )
+    return (*found, Address(opcua.host, opcua.port, "[opcua] host", "[opcua] port")) if opcua.enabled else found
 
 
 def _with_options(settings: "ServerSettings", options: dict[str, dict[str, object]]) -> "ServerSettings":

@@ -1,6 +1,7 @@
 """`longreach sim`: the simulated machine, PLC and stereo camera."""
 
 from pathlib import Path
+from socket import AF_INET, SOCK_DGRAM
 from typing import Annotated
 
 import typer
@@ -38,7 +39,7 @@ def sim(
     truth_log: Annotated[Path | None, typer.Option(help="folder for the truth, which the server never sees")] = None,
 ) -> None:
     """Start the simulated machine in real time, until Ctrl-C."""
-    from longreach.processes import require_free
+    from longreach.addresses import Address, require_bindable
     from sim_plc.presets import PresetError, checked_preset
     from sim_plc.process import (  # here, so that the server's process never loads the simulator
         SimSettings,
@@ -48,7 +49,12 @@ def sim(
 
     try:
         checked_preset(preset)
-        require_free(camera_host, camera_port, "--camera-port")
+        require_bindable(
+            (
+                Address(plc_host, plc_port, "--plc-host", "--plc-port", SOCK_DGRAM, AF_INET),
+                Address(camera_host, camera_port, "--camera-host", "--camera-port"),
+            )
+        )
         Console(stderr=True).print(
             f"simulated machine '{preset}', seed {seed}: PLC on udp {plc_host}:{plc_port}, "
             f"camera on http://{camera_host}:{camera_port}/stream"
@@ -76,7 +82,3 @@ def sim(
         )
     except (SimSettingsError, PresetError) as error:
         raise SettingsError(str(error)) from error
-    except OSError as error:
-        raise SettingsError(
-            f"udp {plc_host}:{plc_port}: {error.strerror}; is another simulator running? choose another --plc-port"
-        ) from error

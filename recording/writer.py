@@ -20,6 +20,7 @@ from mcap.writer import Writer as McapWriter
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from machine.description import StereoCamera
+from recording.clock import mono_ns, mono_s
 from recording.content import Attachment
 from recording.errors import RecordingError
 from recording.foxglove import FramePose, calibration_message, image_message, log_message, transforms_message
@@ -84,7 +85,7 @@ class RunWriter:
         open_wait_s: float = OPEN_S,
     ) -> None:
         self.path, self._patient = path, patient
-        self._mono_to_utc_ns = time.time_ns() - time.monotonic_ns() if mono_to_utc_ns is None else mono_to_utc_ns
+        self._mono_to_utc_ns = time.time_ns() - mono_ns() if mono_to_utc_ns is None else mono_to_utc_ns
         self._queue: queue.Queue[_Entry | None] = queue.Queue(QUEUE_ENTRIES)  # None: nothing but a wake-up
         self._closing = threading.Event()
         self._final_run: RunInfo | None = None
@@ -235,7 +236,7 @@ class RunWriter:
         try:
             self._open(begun, metadata)
             opened.set()
-            flushed_s = time.monotonic()
+            flushed_s = mono_s()
             while not (self._closing.is_set() and self._queue.empty()):
                 flushed_s = self._step(flushed_s)
         except BaseException:  # the interpreter ends it: nothing more is taken, and the file has no index
@@ -251,8 +252,8 @@ class RunWriter:
             entry = None
         try:
             self._take(entry)
-            if time.monotonic() - flushed_s >= FLUSH_S and not self._error:
-                flushed_s = time.monotonic()
+            if mono_s() - flushed_s >= FLUSH_S and not self._error:
+                flushed_s = mono_s()
                 self._writer.flush()
         except Exception as error:  # a row that cannot be written must not stop the machine that it tells of
             self._fail(error)

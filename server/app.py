@@ -3,10 +3,12 @@
 import asyncio
 import gc
 import logging
+import signal
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import AsyncExitStack, asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from pathlib import Path
+from types import FrameType
 
 import uvicorn
 from fastapi import FastAPI
@@ -37,7 +39,7 @@ from server.store.database import Database
 from server.store.folder_lock import alone_in
 from server.store.keeper import Keeper
 from server.version import __version__
-from server.warm_up import warm_up
+from server.warm_up import warmed_up
 
 log = logging.getLogger(__name__)
 DATABASE_NAME = "longreach.sqlite3"
@@ -116,7 +118,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
             await cell.link.start()
             ending.push_async_callback(cell.vision.close)
             await cell.vision.start()
-            await asyncio.to_thread(warm_up, cell.machine, cell.chain)
+            await warmed_up(cell.machine, cell.chain)
             ending.push_async_callback(await install_panel_tasks(app))
             await ending.enter_async_context(running.tasks())
             ending.push_async_callback(engine.close)  # first of all: the lease guard is there as long as a job is
@@ -136,23 +138,63 @@ def build_app(settings: ServerSettings) -> FastAPI:
     return app
 
 
-def serve(settings: ServerSettings, begun: Callable[[], None] = lambda: None) -> None:
-    """Run until SIGINT or SIGTERM; a running job is stopped with a ramp first. `begun`: called once nothing refuses it.
+def serve(settings: ServerSettings, listening: Callable[[], None] = lambda: None) -> None:
+    """Run until SIGINT or SIGTERM; a running job is stopped with a ramp first. `listening`: called once it does.
 
     Raises: SettingsError: another server holds the recordings folder.
     """
     with alone_in(Path(settings.recording.folder)):
         app = build_app(settings)
-        begun()
-        asyncio.run(StoppingServer(config_of(app, settings.http), app.state.stop_motion).serve())
+        asyncio.run(StoppingServer(config_of(app, settings.http), app, listening).run_to_the_end())
 
 
 class StoppingServer(uvicorn.Server):
-    """Ends the motion before anything else: uvicorn closes its port at once, and then waits for readers for seconds."""
+    """Ends the motion before anything else: uvicorn closes its port at once, and then waits for readers for seconds.
 
-    def __init__(self, config: uvicorn.Config, stop_motion: Callable[[], Awaitable[None]]) -> None:
+    The application's lifespan is entered here, not by uvicorn, which would wait for the end of a start of minutes.
+    """
+
+    def __init__(self, config: uvicorn.Config, app: FastAPI, listening: Callable[[], None] = lambda: None) -> None:
         super().__init__(config)
-        self._stop_motion = stop_motion
+        self._app, self._listening = app, listening
+        self._starting: asyncio.Task[None] | None = None
+        self._stop_motion: Callable[[], Awaitable[None]] = app.state.stop_motion
+
+    async def run_to_the_end(self) -> None:
+        """Start, serve, end; a signal during the start ends what has been started by then."""
+        self._starting = asyncio.current_task()
+        with self.capture_signals():
+            try:
+                async with self._app.router.lifespan_context(self._app):
+                    self._starting = None
+                    await self.serve()
+            except asyncio.CancelledError:
+                if not self.should_exit:
+                    raise
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """As uvicorn's, but an end that was requested is not a failure: no signal is raised again."""
+        numbers = (signal.SIGINT, signal.SIGTERM)
+        before = {number: signal.signal(number, self.handle_exit) for number in numbers}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Note that the end is wanted; twice by Ctrl-C: without waiting for readers."""
+        super().handle_exit(sig, frame)
+        starting, self._starting = self._starting, None  # once: what has been started is ended in peace
+        if starting is not None:
+            starting.get_loop().call_soon_threadsafe(starting.cancel)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen, then say so."""
+        await super().startup(sockets)
+        if self.started:
+            self._listening()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """While the machine ramps down every caller is still answered."""
@@ -170,6 +212,7 @@ def config_of(app: FastAPI, http: HttpSettings) -> uvicorn.Config:
         app,
         host=http.host,
         port=http.port,
+        lifespan="off",  # see StoppingServer
         log_level="warning",
         access_log=False,  # its lines would hold lease ids
         http=PatientProtocol,

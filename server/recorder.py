@@ -10,6 +10,7 @@ from pathlib import Path
 from machine.chain import chain_of
 from machine.description import Machine
 from machine.urdf import urdf_text
+from recording.clock import mono_ns
 from recording.content import Attachment
 from recording.errors import RecordingError
 from recording.rows import NAN, Floats, Row
@@ -76,7 +77,7 @@ class Recorder:
         """Begin a run's file; a run that is on is closed first."""
         self.stop()
         now = datetime.now(UTC)
-        utc_minus_mono_s = (time.time_ns() - time.monotonic_ns()) * 1e-9
+        utc_minus_mono_s = (time.time_ns() - mono_ns()) * 1e-9
         self._run = RunInfo(run_id, now.isoformat(timespec="seconds"), seed, pc_to_utc_offset_s=utc_minus_mono_s)
         self._plc_offset_ns = self._camera_offset_ns = self._first_plc_ns = None
         self._segments, self._open_segment = [], None
@@ -148,21 +149,21 @@ class Recorder:
     def event(self, level: str, text: str) -> None:
         """One line of the log; level is debug, info, warning or error."""
         if self._writer is not None:
-            self._writer.log(level, text, time.monotonic_ns())
+            self._writer.log(level, text, mono_ns())
 
     def look(self, look: Look, error: Floats = (NAN, NAN, NAN, NAN)) -> None:
         """A look, with its error x, y, z [mm] and rotation [deg] when it gave one."""
-        now_ns = time.monotonic_ns()
+        now_ns = mono_ns()
         self._row(look_row(look, now_ns * 1e-9, error), now_ns)
 
     def calibration(self, estimate: CameraRotationEstimate) -> None:
         """A local calibration."""
-        now_ns = time.monotonic_ns()
+        now_ns = mono_ns()
         self._row(calibration_row(estimate, now_ns * 1e-9), now_ns)
 
     def plan(self, plan: PathPlan) -> None:
         """A planned path."""
-        now_ns = time.monotonic_ns()
+        now_ns = mono_ns()
         self._row(plan_row(plan, now_ns * 1e-9), now_ns)
 
     def record(self, item: object, text: str = "") -> None:
@@ -175,7 +176,7 @@ class Recorder:
             case Look():
                 self.look(item)
             case _:
-                now_ns = time.monotonic_ns()
+                now_ns = mono_ns()
                 self._row(finding(item, now_ns * 1e-9, text), now_ns)
 
     def result(self, result: object) -> None:

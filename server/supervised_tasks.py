@@ -2,14 +2,25 @@
 
 import asyncio
 import logging
-import time
 from collections.abc import Awaitable, Callable
+
+from recording.clock import mono_s
 
 log = logging.getLogger(__name__)
 FIRST_S, MAX_S = 0.1, 2.0  # back-off: a defect at every start must not fill the log, nor leave a gap of minutes
 WELL_S = 10.0  # without another failure it is told no more
 
 Loop = Callable[[], Awaitable[None]]
+
+
+async def whole_in_thread(work: Callable[[], None]) -> None:
+    """As asyncio.to_thread; cancelled, it waits for the end first, so that what was started can be ended."""
+    done = asyncio.ensure_future(asyncio.to_thread(work))
+    try:
+        await asyncio.shield(done)
+    except asyncio.CancelledError:
+        await asyncio.wait({done})
+        raise
 
 
 class SupervisedTasks:
@@ -22,7 +33,7 @@ class SupervisedTasks:
     @property
     def problem(self) -> str:
         """Which of them failed within the last WELL_S, and how; empty when all is well."""
-        since_s = time.monotonic() - WELL_S
+        since_s = mono_s() - WELL_S
         return "; ".join(text for failed_s, text in self._failed.values() if failed_s > since_s)
 
     def start(self, name: str, loop: Loop, on_failure: Loop | None = None) -> None:
@@ -39,9 +50,9 @@ class SupervisedTasks:
     async def _keep(self, name: str, loop: Loop, on_failure: Loop | None) -> None:
         wait_s = FIRST_S
         while True:
-            begun_s = time.monotonic()
+            begun_s = mono_s()
             why = await _ended(name, loop)
-            ended_s = time.monotonic()
+            ended_s = mono_s()
             self._failed[name] = ended_s, f"{name} failed ({why}) and is started again; the server's log says more"
             if on_failure is not None:
                 await _ended(f"what follows a failure of {name}", on_failure)

@@ -1,5 +1,13 @@
 """Compile what a job will need before the server says that it is ready: a job must not wait seconds for a compiler."""
 
+import asyncio
+import contextlib
+import logging
+import os
+import sys
+import threading
+from typing import NoReturn
+
 import numpy as np
 
 from machine.chain import Chain
@@ -16,6 +24,40 @@ from server.motion.calibration_paths import plan_calibration_path
 from server.motion.lost_motion import first_stall, onto_reference, plan_trim
 from server.motion.settings import DEFAULT_PLAN_SETTINGS
 from server.motion.trajectory import sample
+
+
+async def warmed_up(machine: Machine, chain: Chain) -> None:
+    """`warm_up` beside the event loop. Cancelled, it returns immediately: nothing can interrupt a compiler, so its
+    thread is left behind, and `leave` ends the process with it.
+    """
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+
+    def settle(error: BaseException | None) -> None:
+        if not done.done():
+            done.set_result(None) if error is None else done.set_exception(error)
+
+    def compile_all() -> None:
+        error = None
+        try:
+            warm_up(machine, chain)
+        except BaseException as found:
+            error = found
+        with contextlib.suppress(RuntimeError):  # the loop is closed: the start was given up
+            loop.call_soon_threadsafe(settle, error)
+
+    threading.Thread(target=compile_all, name="compiler", daemon=True).start()
+    await done
+
+
+def leave(code: int) -> NoReturn:
+    """End this process, when all that it opened is closed. Python itself would wait for a thread that compiles, and
+    spend seconds on collecting a quarter of a million objects.
+    """
+    logging.shutdown()
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    os._exit(code)
 
 
 def warm_up(machine: Machine, chain: Chain) -> None:

@@ -16,7 +16,7 @@ from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
 SLOTS = 8192  # 8 s at 1 kHz: a camera process that was held up for so long starts anew
 _MARGIN = 64  # entries at the old end that are about to be overwritten
 _RETRIES = 100
-_HEAD = struct.Struct("<Qq")  # entries written so far; PLC clock minus CLOCK_MONOTONIC [ns]
+_HEAD = struct.Struct("<Qq")  # entries written so far; PLC clock minus the PC's clock [ns]
 _COUNT = struct.Struct("<Q")
 _ENTRY = struct.Struct("<q12d")  # PLC time [ns], upper three rows of T_base_tcp
 _FIRST_SLOT = 64
@@ -30,7 +30,7 @@ class PoseFeedError(Exception):
 class PoseFeed:
     """T_base_tcp (4, 4) by PLC time [ns]. Create it in the writing process, attach by name in the reading one.
 
-    The PLC clock is the true time of the simulation: t_plc_ns = CLOCK_MONOTONIC + `epoch_offset_ns`.
+    The PLC clock is the true time of the simulation: t_plc_ns = the PC's clock + `epoch_offset_ns`.
     """
 
     def __init__(self, memory: shared_memory.SharedMemory, owner: bool) -> None:
@@ -58,7 +58,7 @@ class PoseFeed:
 
     @property
     def epoch_offset_ns(self) -> int:
-        """PLC clock minus CLOCK_MONOTONIC [ns]."""
+        """PLC clock minus the PC's clock [ns]."""
         return _HEAD.unpack_from(self._buffer, 0)[1]
 
     def publish(self, t_plc_ns: int, T_base_tcp: Array) -> None:

@@ -6,14 +6,15 @@ import multiprocessing
 import os
 import secrets
 import signal
-import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from multiprocessing.process import BaseProcess
 from types import FrameType
-from typing import Literal, cast
+from typing import Any, Literal, Self, cast
 
 from machine.description import parse_machine_toml
+from recording.clock import mono_ns
+from recording.spawn import out_of_the_terminals_reach
 from sim_plc.diagnosed import with_effects
 from sim_plc.draw_scene import with_structure
 from sim_plc.draw_world import draw_world
@@ -42,10 +43,11 @@ _CAMERA_STOP_S = 3.0
 def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda world: world) -> LoopHealth:
     """Run until SIGTERM or SIGINT; leaves no process and no shared memory behind. Returns how the loop kept up.
 
+    While it prepares (at the first start it compiles for a minute), a signal raises SystemExit.
     `place` may set the drawn world up anew (the OOI elsewhere) before it runs.
     Raises: SimSettingsError (also when the UDP port is taken), PresetError, MachineFileError: nothing was started.
     """
-    with _stop_flag() as stopped:
+    with _StopFlag() as stopped:
         drawn = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
         shown = with_structure(with_effects(drawn), settings.structure_frac, settings.structure_contrast_frac)
         world = place(shown)
@@ -54,7 +56,7 @@ def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda worl
         return _run(settings, world, panel, stopped)
 
 
-def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callable[[], bool]) -> LoopHealth:
+def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: "_StopFlag") -> LoopHealth:
     framing = plc_framing(cast(Literal["raw", "eap"], settings.framing), settings.pc_net_id, settings.plc_net_id)
     offset_ns = new_epoch_offset_ns()
     with ExitStack() as cleanup:
@@ -78,6 +80,7 @@ def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: Callab
         loop = RealTimeLoop(machine, udp, offset_ns)
         _run_first()
         gc.freeze()
+        stopped.prepared = True
         loop.run(_watched(stopped, loop.health, camera))
         if loop.health.behind_max_ms > _LATE_MS:
             log.warning("in all: %s", _too_slow(loop.health))
@@ -110,7 +113,7 @@ def new_epoch_offset_ns() -> int:
 
 
 def _cycle_start(offset_ns: int) -> int:
-    return (time.monotonic_ns() + offset_ns) // MS * MS
+    return (mono_ns() + offset_ns) // MS * MS
 
 
 def _warm_up(world: World) -> None:
@@ -130,12 +133,12 @@ def _too_slow(health: LoopHealth) -> str:
 
 def _watched(stopped: Callable[[], bool], health: LoopHealth, camera: BaseProcess | None) -> Callable[[], bool]:
     """`stopped`, and on the way a line in the log when the cycles were late or the camera has died."""
-    told, told_camera, next_ns = (_LATE_MS, 0), False, time.monotonic_ns() + _HEALTH_NS
+    told, told_camera, next_ns = (_LATE_MS, 0), False, mono_ns() + _HEALTH_NS
 
     def asked() -> bool:
         nonlocal told, told_camera, next_ns
-        if time.monotonic_ns() >= next_ns:
-            next_ns = time.monotonic_ns() + _HEALTH_NS
+        if mono_ns() >= next_ns:
+            next_ns = mono_ns() + _HEALTH_NS
             now = (health.behind_max_ms, health.lost_ms)
             if now[0] > told[0] or now[1] > told[1]:
                 told = now
@@ -148,21 +151,29 @@ def _watched(stopped: Callable[[], bool], health: LoopHealth, camera: BaseProces
     return asked
 
 
-@contextmanager
-def _stop_flag() -> Iterator[Callable[[], bool]]:
-    """SIGTERM and SIGINT set a flag for as long as the block runs."""
-    flagged: list[int] = []
+class _StopFlag:
+    """SIGTERM and SIGINT set it for as long as the block runs. Until all is prepared they also end the block."""
 
-    def note(number: int, frame: FrameType | None) -> None:
-        del frame
-        flagged.append(number)
+    def __init__(self) -> None:
+        self.prepared = self._set = False
+        self._before: dict[int, Any] = {}
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield lambda: bool(flagged)
-    finally:
-        for number, handler in before.items():
+    def __call__(self) -> bool:
+        return self._set
+
+    def __enter__(self) -> Self:
+        self._before = {number: signal.signal(number, self._note) for number in (signal.SIGTERM, signal.SIGINT)}
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        for number, handler in self._before.items():
             signal.signal(number, handler)
+
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        del frame
+        first, self._set = not self._set, True
+        if first and not self.prepared:  # once: what is created by then is removed in peace
+            raise SystemExit(128 + number)
 
 
 def _panel_signals(panel: LocalPanel) -> None:
@@ -196,7 +207,8 @@ def _start_camera(world: World, feed: PoseFeed, settings: SimSettings) -> BasePr
     arguments = (world, feed.name, settings.camera_host, settings.camera_port, settings.camera_rate_hz)
     switches = {"faults": settings.camera_faults, "time_code": settings.camera_time_code}
     camera = context.Process(target=run_camera, args=arguments, kwargs=switches, name="sim-camera", daemon=True)
-    camera.start()
+    with out_of_the_terminals_reach():
+        camera.start()
     log.info("camera on http://%s:%d/stream", settings.camera_host, settings.camera_port)
     return camera
 

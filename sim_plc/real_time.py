@@ -6,6 +6,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
+from recording.clock import mono_ns
 from sim_plc.machine_loop import MS, MachineLoop
 
 WAKE_NS = 2 * MS
@@ -73,7 +74,7 @@ class RealTimeLoop:
         machine: MachineLoop,
         udp: UdpPort,
         epoch_offset_ns: int,
-        clock: Callable[[], int] = time.monotonic_ns,
+        clock: Callable[[], int] = mono_ns,
     ) -> None:
         self.health = LoopHealth()
         self._machine, self._udp, self._offset_ns, self._clock = machine, udp, epoch_offset_ns, clock

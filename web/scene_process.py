@@ -13,6 +13,7 @@ from multiprocessing.process import BaseProcess
 from typing import cast
 
 from machine.description import Machine
+from recording.spawn import out_of_the_terminals_reach
 from web.scene_view import SceneView
 
 log = logging.getLogger(__name__)
@@ -49,7 +50,8 @@ class SceneProcess:
         context = multiprocessing.get_context("spawn")
         ours, theirs = cast("tuple[Connection, Connection]", context.Pipe())
         process = context.Process(target=run_scene, args=(theirs, self._machine), name="longreach-scene", daemon=True)
-        process.start()
+        with out_of_the_terminals_reach(signal.SIGTERM):
+            process.start()
         theirs.close()
         self._process, self._pipe = process, ours
         try:
@@ -112,7 +114,6 @@ class SceneProcess:
 
 def run_scene(pipe: Connection, machine: Machine) -> None:
     """Entry point of the process: draws what comes, asks for the next, ends with the pipe."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends us in its own order
     with contextlib.suppress(OSError):
         os.nice(5)  # never before link and vision
     with contextlib.redirect_stdout(sys.stderr):

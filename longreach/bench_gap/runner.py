@@ -1,7 +1,6 @@
 """One case after another, each in processes of its own: generate, diagnose, judge. Saved; a second run resumes."""
 
 import json
-import os
 import queue
 import shutil
 import subprocess
@@ -15,7 +14,7 @@ from typing import Any
 
 from diagnosis.verdict.equals import rows_alike
 from longreach.bench_gap.packed import Packed, PackedError, read_packed, write_packed
-from longreach.bench_gap.warm import Warm
+from longreach.bench_gap.warm import Warm, with_path
 from longreach.code_mark import code_mark
 from longreach.one_thread import ONE_THREAD
 
@@ -193,8 +192,8 @@ def _stage(hands: Hands, module: str, arguments: list[str], folder: Path) -> End
 def _run(arguments: list[str], folder: Path) -> Ended:
     """A process of its own, politely, however long it takes; its words also go to the folder's log."""
     folder.mkdir(parents=True, exist_ok=True)
-    environment = {**os.environ, **ONE_THREAD}
-    command = [*(["nice", "-n", "19"] if shutil.which("nice") else []), sys.executable, *arguments]
+    environment = {**with_path(ROOT), **ONE_THREAD}
+    command = [*(["nice", "-n", "19"] if shutil.which("nice") else []), sys.executable, "-P", *arguments]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     return _logged(folder, arguments, Ended(done.returncode, done.stdout + done.stderr))
 

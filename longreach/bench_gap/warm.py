@@ -20,15 +20,20 @@ from typing import Any, Self
 from longreach.one_thread import ONE_THREAD
 
 
+def with_path(root: Path) -> dict[str, str]:
+    """This environment, for a child that finds the modules of `root`, and does not search its working folder."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(root), os.environ.get("PYTHONPATH", ""))))}
+
+
 class Warm:
     """`module` is run as `python -m` would; `beforehand` is imported before the first time."""
 
     def __init__(self, module: str, beforehand: str, root: Path) -> None:
         self._module = module
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "longreach.bench_gap.warm", beforehand],
+            [sys.executable, "-P", "-m", "longreach.bench_gap.warm", beforehand],
             cwd=root,
-            env={**os.environ, **ONE_THREAD},
+            env={**with_path(root), **ONE_THREAD},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,

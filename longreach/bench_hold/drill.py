@@ -13,6 +13,7 @@ from longreach.kill_drill.plc_process import PlcProcess, free_udp_port
 from longreach.kill_drill.relay import Relay
 from longreach.kill_drill.under_test import START_S, ServerUnderTest
 from protocol.codes import PlcState
+from recording.clock import mono_ns
 from server.settings import read_machine_text
 from sim_plc.settings import SimSettings
 
@@ -47,7 +48,7 @@ class StampedRelay(Relay):
     def _from_plc(self) -> None:
         super()._from_plc()
         del self.stamps[len(self.states) :]
-        self.stamps += [time.monotonic_ns()] * (len(self.states) - len(self.stamps))
+        self.stamps += [mono_ns()] * (len(self.states) - len(self.stamps))
 
 
 class HoldDrill:
@@ -148,7 +149,7 @@ class HoldDrill:
                 page.evaluate("() => { window.dispatchEvent(new Event('blur')); }")
                 return int(page.evaluate("() => window.letGoAt") * 1e6) + offset_ns
             case "closed tab":
-                t_ns = time.monotonic_ns()
+                t_ns = mono_ns()
                 page.close(run_before_unload=True)  # as by a hand: without it the page is told much later
                 return t_ns
             case "pulled network":
@@ -185,8 +186,8 @@ def _clock_of(page: Any) -> tuple[int, float]:
     """What to add to performance.now() for our monotonic clock [ns], and half the shortest round trip [ms]."""
     best = (2**63, 0)
     for _ in range(CLOCK_TRIES):
-        before = time.monotonic_ns()
+        before = mono_ns()
         told_ms = page.evaluate("() => performance.now()")
-        after = time.monotonic_ns()
+        after = mono_ns()
         best = min(best, (after - before, (after + before) // 2 - int(told_ms * 1e6)))
     return best[1], best[0] * 0.5e-6

@@ -3,8 +3,9 @@
 import asyncio
 import contextlib
 import threading
-import time
 from typing import Self
+
+from recording.clock import mono_ns
 
 _BYTES = 65536
 
@@ -35,7 +36,7 @@ class Network(threading.Thread):
         done = threading.Event()
         self._loop.call_soon_threadsafe(lambda: (self._plugged.clear(), done.set()))
         done.wait(1.0)
-        return time.monotonic_ns()
+        return mono_ns()
 
     def plug_in(self) -> None:
         """What has waited goes on."""

@@ -15,6 +15,7 @@ from longreach.bench_video.viewing import Watched, latencies, opened, watch, wat
 from longreach.fleet_client import JobClient
 from longreach.headless import headless
 from longreach.processes import Stack, StackPorts
+from recording.clock import mono_ns
 
 console = Console(width=160)
 SETTLE_S = 3.0
@@ -44,7 +45,7 @@ def video(
         for one in _rates(stack, browser, _numbers(viewers), _numbers(elsewhere), seconds):
             found.append(one)
             _save(folder, found, [])
-        ages = latencies(opened(browser, stack.url), seconds, lambda: time.time_ns() - time.monotonic_ns())
+        ages = latencies(opened(browser, stack.url), seconds, lambda: time.time_ns() - mono_ns())
     _tell(ages)
     _save(folder, found, ages)
 

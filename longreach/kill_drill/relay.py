@@ -11,6 +11,7 @@ from typing import Self
 from protocol.codec import decode_state
 from protocol.errors import RemoteProtocolError
 from protocol.messages import State
+from recording.clock import mono_ns
 
 _POLL_S = 0.1
 _DATAGRAM = 4096
@@ -62,7 +63,7 @@ class Relay(threading.Thread):
         datagram = self._back.recv(_DATAGRAM)
         with contextlib.suppress(RemoteProtocolError):  # passed on all the same: refusing it is the PC's business
             self.states.append(decode_state(datagram))
-            self.t_last_state_ns = time.monotonic_ns()
+            self.t_last_state_ns = mono_ns()
         if self._pc is not None:
             self._front.sendto(datagram, self._pc)
 

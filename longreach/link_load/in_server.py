@@ -20,6 +20,7 @@ from protocol.framing import RawFraming
 from protocol.limits import limits_of
 from protocol.messages import Knot, axes8
 from protocol.timeouts import COMMAND_PERIOD
+from recording.clock import mono_ns
 from server.camera.contracts import FrameReport, VisionSettings
 from server.camera.process import READ_TIMEOUT_S, build_pipeline
 from server.camera.sources.opening import open_source
@@ -67,7 +68,7 @@ class InServerLink:
     @property
     def health(self) -> LinkHealth:
         """As the link process would report it."""
-        now_ns, figures, counters = time.monotonic_ns(), self._lateness.figures(), self._link.counters
+        now_ns, figures, counters = mono_ns(), self._lateness.figures(), self._link.counters
         return LinkHealth(
             phase=LinkPhase(self._link.phase(now_ns).value),
             age_ms=self._link.age_ns(now_ns) / 1e6,
@@ -88,7 +89,7 @@ class InServerLink:
     async def arm(self, timeout_s: float = 5.0) -> None:
         """Arm. Raises: LinkRefusedError: not armed in time."""
         deadline_s = time.monotonic() + timeout_s
-        while self._link.phase(time.monotonic_ns()) is not ClientPhase.ARMED:
+        while self._link.phase(mono_ns()) is not ClientPhase.ARMED:
             if time.monotonic() > deadline_s:
                 raise LinkRefusedError(f"not armed: {self._last_reject or self.health.phase.value}")
             self._link.request_arm()
@@ -105,7 +106,7 @@ class InServerLink:
         ]
         self._traj_id += 1
         try:
-            refusals = self._link.request_run(self._traj_id, knots, time.monotonic_ns())
+            refusals = self._link.request_run(self._traj_id, knots, mono_ns())
         except LocalProtocolError as error:
             raise LinkRefusedError(str(error)) from error
         if refusals:
@@ -115,14 +116,14 @@ class InServerLink:
 
     async def _send_in_time(self, udp: UdpEnd) -> None:
         period_ns = COMMAND_PERIOD.ns
-        deadline_ns = time.monotonic_ns() + period_ns
+        deadline_ns = mono_ns() + period_ns
         while True:
-            await asyncio.sleep(max(0, deadline_ns - time.monotonic_ns()) * 1e-9)
-            now_ns = time.monotonic_ns()
+            await asyncio.sleep(max(0, deadline_ns - mono_ns()) * 1e-9)
+            now_ns = mono_ns()
             self._handle(self._link.poll(now_ns))
             datagram = self._link.send(now_ns)
             if datagram is not None and udp.send(datagram, self._plc):
-                self._lateness.add(time.monotonic_ns() - deadline_ns)
+                self._lateness.add(mono_ns() - deadline_ns)
             deadline_ns += ((now_ns - deadline_ns) // period_ns + 1) * period_ns
 
     def _drain(self, udp: UdpEnd) -> None:

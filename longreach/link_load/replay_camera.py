@@ -2,7 +2,6 @@
 
 import asyncio
 import multiprocessing
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from multiprocessing.process import BaseProcess
@@ -13,6 +12,7 @@ from typing import Self
 import uvicorn
 
 from longreach.processes import free_port
+from recording.clock import mono_ns
 from sim_plc.camera.frames import Frame, FrameHub
 from sim_plc.camera.http_app import camera_app
 
@@ -29,9 +29,9 @@ def to_and_fro(n: int) -> Iterator[int]:
 async def _replay(hub: FrameHub, pictures: Sequence[bytes], rate_hz: float) -> None:
     """Publish at absolute deadlines; stamps of the camera's own clock, one period apart."""
     period_ns = round(1e9 / rate_hz)
-    start_ns = time.monotonic_ns()
+    start_ns = mono_ns()
     for number, index in enumerate(to_and_fro(len(pictures))):
-        await asyncio.sleep(max(0.0, (start_ns + number * period_ns - time.monotonic_ns()) * 1e-9))
+        await asyncio.sleep(max(0.0, (start_ns + number * period_ns - mono_ns()) * 1e-9))
         hub.publish(Frame(pictures[index], number * period_ns, number))
 
 

@@ -4,9 +4,9 @@ A fencing number is on disk before its holder is told it (server/api/lease.py): 
 """
 
 import secrets
-import time
 from collections.abc import Callable
 
+from recording.clock import mono_s
 from server.access.lease import Lease, LeaseBook, LeaseKind
 
 TTL_S = 10.0  # three keep-alives may be lost when they come every third of it
@@ -15,7 +15,7 @@ TTL_S = 10.0  # three keep-alives may be lost when they come every third of it
 class LeaseDesk:
     """Where REST, WebSocket and the engine ask for control."""
 
-    def __init__(self, fencing: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, fencing: int = 0, clock: Callable[[], float] = mono_s) -> None:
         self.book = LeaseBook(fencing)
         self._clock = clock
         self._still: Callable[[], bool] = _always
@@ -52,7 +52,11 @@ class LeaseDesk:
         """Take control from a holder who would not be admitted now; the lease that ended, if one did."""
         if self.book.held is None or self._still():
             return None
-        ended = self.book.expel(f"the key of {self.book.held.owner} is out of force, or their session has ended")
+        return self.expel(f"the key of {self.book.held.owner} is out of force, or their session has ended")
+
+    def expel(self, why: str) -> Lease | None:
+        """As LeaseBook.expel."""
+        ended = self.book.expel(why)
         return None if ended is None else self._told(ended)
 
     def release(self, lease_id: str) -> Lease:

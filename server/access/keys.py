@@ -10,6 +10,7 @@ import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from recording.clock import mono_s
 from server.access.roles import Role
 from server.errors import SettingsError
 
@@ -156,7 +157,7 @@ class KeyRing:
         """Raises: KeysError: there is a file that cannot be read; a server does not start with it."""
         self._path = path
         self._stamp: tuple[int, ...] | None = None
-        self._looked_s = time.monotonic()
+        self._looked_s = mono_s()
         self._keys: tuple[ApiKey, ...] = ()
         self._problem = ""
         if path is not None:

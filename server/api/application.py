@@ -1,6 +1,5 @@
 """All of REST on one application: guard, routes, errors, document. Used by the server and by its tests."""
 
-import time
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -9,6 +8,7 @@ from uuid import uuid4
 
 from fastapi import FastAPI
 
+from recording.clock import mono_s
 from server.access.gatekeeper import Gatekeeper
 from server.api.calibration import calibration_router
 from server.api.diagnoses import diagnoses_router
@@ -59,6 +59,7 @@ class Running:
         service.inner_faults.watch(PART_FAILED, lambda: running.problem)
         running.start("event-feed", self.feed.run)
         running.start("lease-guard", lambda: guard_lease(service.engine), lambda: stop_unguarded(service.engine))
+        running.start("suspend-watch", service.watch_suspend)
         running.start("store-watch", self.served.keeper.watch)
         try:
             yield
@@ -72,7 +73,7 @@ def application(app: FastAPI, served: Served) -> Running:
     service, keys = served.service, served.gatekeeper.keys
 
     def keys_problem() -> str:
-        keys.refresh(time.monotonic())  # also while nobody comes with a key, /readyz tells what is so now
+        keys.refresh(mono_s())  # also while nobody comes with a key, /readyz tells what is so now
         return keys.problem
 
     service.inner_faults.watch(KEYS_UNREADABLE, keys_problem)

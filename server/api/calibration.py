@@ -1,11 +1,11 @@
 """The calibration over REST: shown, and exported as a file for other programs."""
 
-import time
 from typing import Any, Literal
 
 from fastapi import APIRouter
 from fastapi.responses import JSONResponse, PlainTextResponse, Response
 
+from recording.clock import mono_ns
 from server.api.calibration_view import calibration_view, validity_now
 from server.api.problems import problem
 from server.api.views import CalibrationView, Problem
@@ -33,7 +33,7 @@ def calibration_router(service: JobService) -> APIRouter:
     @router.get("", response_model=CalibrationView, responses={404: {"model": Problem}})
     async def read_calibration() -> CalibrationView | JSONResponse:
         """The calibration of here and now; 404 with the reason while there is none."""
-        return calibration_view(cell, service.context, time.monotonic_ns()) or _none(service)
+        return calibration_view(cell, service.context, mono_ns()) or _none(service)
 
     @router.get("/export", response_model=None, response_class=Response, responses=EXPORTED)
     async def export_calibration(format: Literal["yaml", "ros", "json"] = "yaml") -> PlainTextResponse | JSONResponse:
@@ -44,7 +44,7 @@ def calibration_router(service: JobService) -> APIRouter:
         if format == "json":
             saved = SavedCalibration(life, tuple(cell.knowledge.runs))
             return PlainTextResponse(calibration_text(saved), media_type="application/json")
-        validity = validity_now(cell, service.context, life, time.monotonic_ns())
+        validity = validity_now(cell, service.context, life, mono_ns())
         text = as_ros(life, validity) if format == "ros" else as_yaml(life, validity)
         return PlainTextResponse(text, media_type="application/yaml")
 

@@ -1,8 +1,8 @@
 """What is wrong with the machine now: one constant id per cause. A refused request is no fault."""
 
-import time
 from typing import Literal
 
+from recording.clock import mono_ns
 from server.api.state_view import CAMERA_SILENT_MS
 from server.api.views import View
 from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
@@ -54,7 +54,7 @@ def _store(service: JobService) -> list[FaultView]:
 
 def _camera(service: JobService) -> list[FaultView]:
     report = service.cell.vision.latest
-    age_ms = None if report is None else (time.monotonic_ns() - report.t_receive_mono_ns) * 1e-6
+    age_ms = None if report is None else (mono_ns() - report.t_receive_mono_ns) * 1e-6
     if age_ms is not None and age_ms < CAMERA_SILENT_MS:
         return []
     text = "no picture yet" if age_ms is None else "the camera gives no new pictures"

@@ -3,7 +3,6 @@
 import asyncio
 import logging
 import re
-import time
 from collections.abc import Callable
 from http.cookies import CookieError, SimpleCookie
 from uuid import uuid4
@@ -11,6 +10,7 @@ from uuid import uuid4
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from recording.clock import mono_s
 from server.access.errors import AccessError
 from server.access.gatekeeper import Credentials, Gatekeeper, KeyRequiredError
 from server.access.roles import SAFE_METHODS
@@ -58,7 +58,7 @@ class Guard:
         headers = Headers(scope=scope)
         request_id = _request_id(headers)
         try:
-            scope.setdefault("state", {})["caller"] = self._gatekeeper.admit(credentials_of(scope), time.monotonic())
+            scope.setdefault("state", {})["caller"] = self._gatekeeper.admit(credentials_of(scope), mono_s())
             scope["state"]["request_id"] = request_id
             scope["state"]["admitted_still"] = self._admits_still(scope)
             if scope["type"] == "http":
@@ -79,7 +79,7 @@ class Guard:
 
     def _admits_still(self, scope: Scope) -> Callable[[], bool]:
         asked = credentials_of(scope)
-        return lambda: self._gatekeeper.admits_still(asked, time.monotonic())
+        return lambda: self._gatekeeper.admits_still(asked, mono_s())
 
 
 class _Body:

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from recording.clock import mono_ns
 from server.api.callers import caller_of, request_id_of
 from server.api.panel_memory import PanelMemory
 from server.api.panel_origin import accepted
@@ -93,7 +94,7 @@ async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) ->
     except (ValidationError, TimeoutError) as error:
         return await _tell(socket, refused=f"not a press: {error}"[:300], code="invalid_request")
     bond = press.press.plan_hash if isinstance(press.press, ExecuteRequest) else job.job_id
-    held = HoldToRun(bond, lambda: secrets.randbits(32), time.monotonic_ns())
+    held = HoldToRun(bond, lambda: secrets.randbits(32), mono_ns())
     memory.held_by = lease.owner
     try:
         await _hold(socket, service, memory, job, held, bond)
@@ -122,7 +123,7 @@ async def _hold(
 
 async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed: asyncio.Event) -> None:
     while _needed(job):
-        challenge = held.poll(time.monotonic_ns())
+        challenge = held.poll(mono_ns())
         if held.ended:
             return
         if challenge is not None:
@@ -130,7 +131,7 @@ async def _ask_until_over(socket: WebSocket, job: Job, held: HoldToRun, changed:
                 await _tell(socket, challenge={"seq": challenge.seq, "nonce": challenge.nonce})
             except (WebSocketDisconnect, RuntimeError):
                 return held.release("the page's socket closed")
-        wait_s = min(TICK_S, max(0.0, (held.next_ns - time.monotonic_ns()) * 1e-9))
+        wait_s = min(TICK_S, max(0.0, (held.next_ns - mono_ns()) * 1e-9))
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(wait_s):
                 await changed.wait()

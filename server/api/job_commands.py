@@ -6,6 +6,7 @@ import logging
 import time
 from dataclasses import dataclass
 
+from recording.clock import mono_s
 from server.access.errors import AccessError
 from server.access.lease import Lease, LeaseKind
 from server.api.hold_rule import mode_of, require_hold
@@ -72,12 +73,12 @@ class JobCommands:
         mine = mark not in self._in_progress
         self._in_progress.add(mark)
         try:
-            known = self._given.find(mark, time.monotonic(), time.time()) or await self._known(*mark)
+            known = self._given.find(mark, mono_s(), time.time()) or await self._known(*mark)
             replay = replay_of(known, not mine, body_hash, time.time())
             if replay is not None:
                 return replay
             answered = await self._carried_out(body, sent, body_hash)
-            self._given.keep(mark, answered, time.monotonic())
+            self._given.keep(mark, answered, mono_s())
             return answered
         finally:
             if mine:
@@ -117,7 +118,7 @@ class JobCommands:
         """A line about STOP, which itself waits for nothing."""
         job = self._service.engine.current
         running = job is not None and job.state is JobState.RUNNING
-        folded = self._stops.to_write(caller.address, time.monotonic(), matters=running)
+        folded = self._stops.to_write(caller.address, mono_s(), matters=running)
         if folded is not None:
             detail = f"and {folded} more since the last line" if folded else ""
             self._audited(caller, request_id, "stop", job.job_id if job is not None and not job.ended else "", detail)

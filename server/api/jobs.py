@@ -2,13 +2,13 @@
 
 import asyncio
 import json
-import time
 from collections.abc import AsyncIterator
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body, Depends, Header, Request
 from fastapi.responses import JSONResponse, Response, StreamingResponse
 
+from recording.clock import mono_s
 from server.api.callers import caller_of, request_id_of
 from server.api.job_commands import JobCommands, Sent
 from server.api.lease import FencingHeader, LeaseHeader, leased
@@ -121,7 +121,7 @@ def jobs_router(service: JobService) -> APIRouter:
 
 
 async def _story(job: Job, seen: int) -> AsyncIterator[str]:
-    keep_alive = time.monotonic()
+    keep_alive = mono_s()
     while True:
         view = job_view(job, events_from=seen)
         for event in view.events:
@@ -130,8 +130,8 @@ async def _story(job: Job, seen: int) -> AsyncIterator[str]:
         if job.ended:
             yield f"event: end\ndata: {json.dumps(job_view(job).model_dump(mode='json'))}\n\n"
             return
-        if time.monotonic() - keep_alive > 10.0:
-            keep_alive = time.monotonic()
+        if mono_s() - keep_alive > 10.0:
+            keep_alive = mono_s()
             yield ": still here\n\n"
         await asyncio.sleep(EVENT_POLL_S)
 

@@ -1,7 +1,6 @@
 """/metrics in Prometheus' text format: read from the cell when scraped, nothing is counted twice."""
 
 import asyncio
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -12,6 +11,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from prometheus_client.registry import Collector
 
+from recording.clock import mono_ns
 from server.api.fault_list import fault_views
 from server.jobs.engine import Job, JobEvent
 from server.jobs.service import JobService
@@ -67,7 +67,7 @@ Figures = list[tuple[str, str, float]]
 
 def _link(service: JobService) -> Figures:
     health, latest = service.cell.link.health, service.cell.link.latest
-    age_s = (time.monotonic_ns() - latest.t_mono_ns) * 1e-9 if latest is not None else float("nan")
+    age_s = (mono_ns() - latest.t_mono_ns) * 1e-9 if latest is not None else float("nan")
     return [
         ("plc_state_age_seconds", "age of the newest PLC state", age_s),
         ("plc_round_trip_seconds", "link round trip", health.round_trip_ms * 1e-3),
@@ -82,7 +82,7 @@ def _camera(service: JobService) -> Figures:
     report = service.cell.vision.latest
     if report is None:
         return []
-    age_s = (time.monotonic_ns() - report.t_receive_mono_ns) * 1e-9
+    age_s = (mono_ns() - report.t_receive_mono_ns) * 1e-9
     return [
         ("camera_pairs_per_second", "stereo pairs worked through", report.fps),
         ("camera_age_seconds", "age of the newest pair", age_s),

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
+from recording.clock import mono_ns
 from server.api.fault_list import FaultView, fault_views
 from server.api.findings import Before
 from server.api.views import Problem, View
@@ -59,6 +60,6 @@ def oversight_router(service: JobService, life: str) -> APIRouter:
     @router.get("/time", response_model=TimeView)
     async def read_time() -> TimeView:
         """For the expiry of commands (Longreach-Expires), in this server's time."""
-        return TimeView(t_unix_ns=time.time_ns(), t_mono_ns=time.monotonic_ns(), life=life)
+        return TimeView(t_unix_ns=time.time_ns(), t_mono_ns=mono_ns(), life=life)
 
     return router

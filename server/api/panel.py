@@ -60,7 +60,9 @@ def install_panel(app: FastAPI, service: JobService) -> Callable[[FastAPI], Awai
     app.mount("/static", _Static(directory=STATIC_FOLDER), name="static")
 
     async def start(running: FastAPI) -> StopPanel:
-        running.state.viser_http = httpx.AsyncClient(timeout=10.0)
+        running.state.viser_http = httpx.AsyncClient(
+            timeout=10.0, trust_env=False
+        )  # on this computer, never by a proxy
         tasks = SupervisedTasks()
         service.inner_faults.watch(PART_FAILED, lambda: tasks.problem)
         tasks.start("live-feed", feed.run)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recording.clock import mono_ns, mono_s
 from server.api.hold_rule import mode_of
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.api.panel_alarms import Alarm, AlarmBook, Surroundings, active_alarms, unknown_alarms
@@ -59,7 +60,7 @@ class PanelMemory:
     _disk_s: float = -1e9
     _disk_free: int | None = None
     _fit_s: float = 0.0
-    _started_s: float = field(default_factory=time.monotonic)
+    _started_s: float = field(default_factory=mono_s)
     _loss_pct: float = 0.0
 
     def __post_init__(self) -> None:
@@ -68,7 +69,7 @@ class PanelMemory:
 
     def live(self) -> LiveView:
         """One message, as of now."""
-        service, now_s = self.service, time.monotonic()
+        service, now_s = self.service, mono_s()
         state = state_view(service.cell, service.engine, service.context, service.store_problem)
         self._note_look()
         self._refresh(now_s)
@@ -84,13 +85,13 @@ class PanelMemory:
         faults = [one.title for one in alarms if one.code.startswith("plc_") and one.ended_unix_s is None]
         return PanelView(
             unix_s=round(time.time(), 3),
-            mono_ms=round(time.monotonic_ns() * 1e-6, 1),
+            mono_ms=round(mono_ns() * 1e-6, 1),
             alarms=alarms,
             goal=GoalView(stand_off_mm=goal.stand_off_mm, offset_x_mm=goal.offset_x_mm, offset_y_mm=goal.offset_y_mm),
             history=list(self.history)[-SHOWN:],
             safety=safety_view(cell.link.health, cell.link.latest, faults),
             link=self._figures or link_figures([], cell.link.health, 0.0),
-            vision=vision_figures(cell.vision, self.viewers, time.monotonic_ns()),
+            vision=vision_figures(cell.vision, self.viewers, mono_ns()),
             calibration=calibration_figures(cell.knowledge.life),
             scene=self.scene,
             hold=self._hold_state(),
@@ -132,7 +133,7 @@ class PanelMemory:
             health = cell.link.health
             self._loss_pct = loss_pct(self._counts[0], health) if self._counts else 0.0
             self._counts.append((health.received, health.lost))
-            since_ns = time.monotonic_ns() - LOSS_WINDOW * 10**9
+            since_ns = mono_ns() - LOSS_WINDOW * 10**9
             self._figures = link_figures(cell.link.samples_since(since_ns), health, self._loss_pct)
         if now_s - self._disk_s >= DISK_S:
             self._disk_s, self._disk_free = now_s, _free_bytes(Path(cell.settings.recording.folder))

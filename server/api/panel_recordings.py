@@ -92,7 +92,7 @@ def recordings_router(service: JobService) -> APIRouter:
 
 async def _read(path: Path) -> tuple[int | None, bytes, str]:
     pipe = asyncio.subprocess.PIPE
-    command = (sys.executable, "-m", "server.api.panel_replay_reading", str(path))
+    command = (sys.executable, "-P", "-m", "server.api.panel_replay_reading", str(path))
     process = await asyncio.create_subprocess_exec(*command, stdout=pipe, stderr=pipe)
     try:
         async with asyncio.timeout(READING_S):

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import logging
-import time
 
 import httpx
 import numpy as np
@@ -12,6 +11,7 @@ from fastapi import APIRouter, Request, Response, WebSocket, WebSocketDisconnect
 
 from machine.poses import inverse_pose, transform_points
 from machine.rotations import Array
+from recording.clock import mono_s
 from server.api.panel_memory import PanelMemory
 from server.api.panel_origin import same_origin
 from server.jobs.knowledge import PreviewedPlan
@@ -155,7 +155,7 @@ class SceneFeed:
         return self._map[1]
 
     def _picture(self) -> bytes | None:
-        preview, now_s = self._service.cell.vision.latest_preview, time.monotonic()
+        preview, now_s = self._service.cell.vision.latest_preview, mono_s()
         if preview is None or now_s - self._picture_s < PICTURE_S:
             return None
         self._picture_s = now_s

@@ -1,11 +1,11 @@
 """Logging in with a browser: a key once, then a cookie that no script reads and no other page sends."""
 
-import time
 from urllib.parse import parse_qs
 
 from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 
+from recording.clock import mono_s
 from server.access.gatekeeper import Gatekeeper
 from server.access.sessions import COOKIE, LIFE_S
 from server.api.callers import caller_of
@@ -57,7 +57,7 @@ def session_router(gatekeeper: Gatekeeper, *, secure: bool) -> APIRouter:
     async def log_in(request: Request) -> Response:
         """Exchange a key (form field `key`) for the session cookie, then go to the panel."""
         address = credentials_of(request.scope).address
-        token = gatekeeper.log_in(_key_field(await request.body()), address, time.monotonic())
+        token = gatekeeper.log_in(_key_field(await request.body()), address, mono_s())
         answer = RedirectResponse("/", status_code=303)
         answer.set_cookie(COOKIE, token, max_age=int(LIFE_S), httponly=True, samesite="strict", secure=secure, path="/")
         return answer

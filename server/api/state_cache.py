@@ -1,12 +1,12 @@
 """The state as JSON text, made at most 20 times a second however many ask."""
 
-import time
 from collections.abc import Callable
 
 from starlette.responses import Response
 from starlette.routing import Route
 from starlette.types import Receive, Scope, Send
 
+from recording.clock import mono_s
 from server.api.state_view import state_view
 from server.jobs.service import JobService
 
@@ -16,7 +16,7 @@ FRESH_S = 0.05
 class StateCache:
     """Belongs to the event loop."""
 
-    def __init__(self, service: JobService, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, service: JobService, clock: Callable[[], float] = mono_s) -> None:
         self._service, self._clock = service, clock
         self._text, self._made_s = "", float("-inf")
 

@@ -1,11 +1,11 @@
 """From the cell to the one state view: ages, units, and why a step is not possible now."""
 
-import time
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from recording.clock import mono_ns
 from server.api.calibration_view import calibration_view
 from server.api.hold_rule import mode_of
 from server.api.lease_views import control_view
@@ -58,7 +58,7 @@ def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext, store_problem: s
         markers=_markers(cell),
         live_error=error_view(live_error(cell, ctx)),
         look=_look(cell),
-        calibration=calibration_view(cell, ctx, time.monotonic_ns()),
+        calibration=calibration_view(cell, ctx, mono_ns()),
         calibration_note=knowledge.calibration_note,
         plan=plan_view(knowledge.previewed, ctx) if knowledge.previewed else None,
         moves=[move_view(move) for move in knowledge.moves],
@@ -101,7 +101,7 @@ def _no_plan(cell: Cell) -> str:
     plan, latest = cell.knowledge.previewed, cell.link.latest
     if plan is None:
         return "preview first"
-    if time.monotonic_ns() > plan.expires_ns:
+    if mono_ns() > plan.expires_ns:
         return "the preview has expired: preview again"
     return "" if latest is None else moved_since_look(cell.machine, latest.q_rad, plan.q_look)
 
@@ -123,7 +123,7 @@ def _blocked(cell: Cell, engine: JobEngine) -> str:
 def _link(cell: Cell) -> LinkView:
     health, latest = cell.link.health, cell.link.latest
     total = max(1, health.received + health.lost)
-    age_ms = None if latest is None else (time.monotonic_ns() - latest.t_mono_ns) * 1e-6
+    age_ms = None if latest is None else (mono_ns() - latest.t_mono_ns) * 1e-6
     return LinkView(
         phase=health.phase.value,
         age_ms=None if age_ms is None else round(age_ms, 1),
@@ -146,7 +146,7 @@ def _camera(cell: Cell) -> CameraView:
     report = cell.vision.latest
     if report is None:
         return CameraView(fps=0.0, age_ms=None, process_ms=0.0, skipped=0, warnings=["no image yet"])
-    age_ms = (time.monotonic_ns() - report.t_receive_mono_ns) * 1e-6
+    age_ms = (mono_ns() - report.t_receive_mono_ns) * 1e-6
     warnings = list(report.warnings)
     if age_ms > CAMERA_SILENT_MS:
         warnings.append(f"no new image for {age_ms / 1e3:.1f} s: check the camera and its cable")
@@ -187,7 +187,7 @@ def _look(cell: Cell) -> LookView | None:
         error=error_view(record.error),
         n_used=record.n_used,
         spread_mm=round(float(np.nan_to_num(record.spread_mm)), 3),
-        age_s=round((time.monotonic_ns() - record.t_mono_ns) * 1e-9, 1),
+        age_s=round((mono_ns() - record.t_mono_ns) * 1e-9, 1),
     )
 
 
@@ -205,7 +205,7 @@ def plan_view(previewed: PreviewedPlan, ctx: PlanContext | None = None) -> PlanV
     picked = points[np.linspace(0, len(points) - 1, min(len(points), 60)).astype(int)]
     return PlanView(
         plan_hash=previewed.plan_hash,
-        expires_in_s=round((previewed.expires_ns - time.monotonic_ns()) * 1e-9, 1),
+        expires_in_s=round((previewed.expires_ns - mono_ns()) * 1e-9, 1),
         length_mm=round(plan.length_m * 1e3, 1),
         duration_s=round(plan.duration_s, 2),
         tcp_speed_max_mm_s=round(plan.tcp_speed_max_m_s * 1e3, 1),

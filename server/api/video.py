@@ -8,10 +8,10 @@ every frame it has drawn; two may be under way, so a slow one skips frames inste
 import asyncio
 import contextlib
 import struct
-import time
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 
+from recording.clock import mono_ns
 from server.api.panel_origin import accepted
 from server.api.video_overlay import overlay_of
 from server.camera.contracts import FrameReport
@@ -35,7 +35,7 @@ class VideoHub:
         """Packed once, whoever looks; nobody looks: nothing is packed."""
         if report.preview_jpeg is None or self.viewers == 0:
             return
-        age_ms = (time.monotonic_ns() - report.t_receive_mono_ns) * 1e-6
+        age_ms = (mono_ns() - report.t_receive_mono_ns) * 1e-6
         header = overlay_of(self._service.cell, self._service.context, report, age_ms).model_dump_json().encode()
         self._message = struct.pack("<I", len(header)) + header + report.preview_jpeg
         self._number += 1

@@ -4,8 +4,8 @@ import asyncio
 import contextlib
 import logging
 import multiprocessing
+import signal
 import threading
-import time
 from collections import deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection  # on POSIX; Windows has another class of the same face
@@ -13,6 +13,8 @@ from multiprocessing.process import BaseProcess
 from typing import cast
 
 from machine.description import Machine
+from recording.clock import SUSPENDED, mono_ns
+from recording.spawn import out_of_the_terminals_reach
 from server.calibration.contracts import CameraTrack
 from server.camera.contracts import (
     FrameReport,
@@ -30,6 +32,7 @@ from server.camera.errors import CameraError
 from server.camera.looking import LookCollector
 from server.camera.process import LIFE_S, run_vision
 from server.camera.tracking import TrackCollector
+from server.supervised_tasks import whole_in_thread
 from server.vision.contracts import Look, OdometryPose
 
 KEEP_REPORTS = 600  # 40 s at 15 Hz
@@ -79,7 +82,7 @@ class VisionClient:
     @property
     def age_s(self) -> float:
         """Time since the newest pair was received [s]; inf before the first."""
-        return float("inf") if self.latest is None else (time.monotonic_ns() - self.latest.t_receive_mono_ns) * 1e-9
+        return float("inf") if self.latest is None else (mono_ns() - self.latest.t_receive_mono_ns) * 1e-9
 
     @property
     def process_id(self) -> int | None:
@@ -97,7 +100,7 @@ class VisionClient:
     async def start(self) -> None:
         """Start the vision process; does not wait for the camera."""
         self._loop = asyncio.get_running_loop()
-        await asyncio.to_thread(self._spawn)
+        await whole_in_thread(self._spawn)
         self._overseer = self._loop.create_task(self._oversee(), name="vision-oversight")
 
     async def close(self) -> None:
@@ -115,7 +118,7 @@ class VisionClient:
             pipe.send(QuitCommand())
         except OSError:
             _log.info("vision process was already gone")
-        await asyncio.to_thread(process.join, QUIT_S)
+        await asyncio.to_thread(process.join, QUIT_S if self._begun else 0.0)  # while it compiles it hears nothing
         if process.is_alive():
             process.kill()
             await asyncio.to_thread(process.join, 1.0)
@@ -133,7 +136,7 @@ class VisionClient:
 
         collector = LookCollector(
             n_pairs=n_pairs,
-            t_from_ns=time.monotonic_ns() + int(self._settings.exposure_slack_s * 1e9),
+            t_from_ns=mono_ns() + int(self._settings.exposure_slack_s * 1e9),
             pose_source=self._pose_source,
             average=lambda pairs: average_look(pairs, spread_max_mm),
         )
@@ -172,7 +175,7 @@ class VisionClient:
 
     async def stop_odometry(self) -> CameraTrack:
         """End the trajectory, after the pairs exposed until now have come. Its poses stay in `last_odometry`."""
-        track, t_end_ns = self._track, time.monotonic_ns()
+        track, t_end_ns = self._track, mono_ns()
         if track is None:
             raise CameraError("odometry was not started; start it first")
         try:
@@ -217,7 +220,7 @@ class VisionClient:
             return "no picture yet; check the camera, its power and its cable"
         from server.camera.health.stamps import silence
 
-        return "; ".join(found.text for found in silence(self.latest.t_receive_mono_ns, time.monotonic_ns()))
+        return "; ".join(found.text for found in silence(self.latest.t_receive_mono_ns, mono_ns()))
 
     def _send(self, command: VisionCommand) -> None:
         if self._pipe is None:
@@ -233,7 +236,8 @@ class VisionClient:
         process = context.Process(
             target=run_vision, args=(theirs, self._settings, self._machine), name="longreach-vision", daemon=True
         )
-        process.start()
+        with out_of_the_terminals_reach(signal.SIGTERM):
+            process.start()
         theirs.close()
         with contextlib.suppress(OSError):  # it has ended at once: its reader will say so
             ours.send(PoseSourceCommand(self._pose_source))  # as asked for, perhaps of the process before it
@@ -304,7 +308,8 @@ class VisionClient:
         if self._loop is None or pipe is not self._pipe:
             return
         code = self._process.exitcode if self._process is not None else None
-        self.stream_text = f"vision process ended unexpectedly (exit code {code}); starting it again"
+        why = SUSPENDED if self.stream_text == SUSPENDED else f"vision process ended unexpectedly (exit code {code})"
+        self.stream_text = f"{why}; starting it again"
         _log.error(self.stream_text)
         self._pipe = None
         pipe.close()
@@ -316,12 +321,8 @@ class VisionClient:
         """Start another, as often as it takes; when cancelled, the one that is being started is there to be ended."""
         while True:
             await asyncio.sleep(RESTART_S)
-            spawning = asyncio.ensure_future(asyncio.to_thread(self._spawn))
             try:
-                return await asyncio.shield(spawning)
-            except asyncio.CancelledError:
-                await asyncio.wait({spawning})
-                raise
+                return await whole_in_thread(self._spawn)
             except Exception as error:  # no processes, files or threads left, or a defect: without it nothing is seen
                 self.stream_text = f"vision process ended and could not be started again ({error}); trying again"
                 _log.exception(self.stream_text)

@@ -5,15 +5,14 @@ It ends when it is told to, or when the server's end of the pipe is gone.
 
 import gc
 import logging
-import signal
 import sys
-import time
 from multiprocessing.connection import Connection
 
 import cv2
 import numpy as np
 
 from machine.description import Machine
+from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
 from server.camera.contracts import (
     OdometryCommand,
     PoseSourceCommand,
@@ -81,7 +80,6 @@ def _warm_up(machine: Machine, source: ObjectPoseSource, odometry: Odometry, hea
 
 def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> None:
     """Entry point of the process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends us in its own order
     cv2.setNumThreads(settings.threads)
     try:
         pipeline = build_pipeline(settings, machine)
@@ -103,7 +101,7 @@ def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> 
 def _tell_and_wait(pipe: Connection, text: str) -> None:
     """A source that can never work: say so, and stay until told to quit instead of being started again and again."""
     try:
-        pipe.send(StreamNotice(time.monotonic_ns(), text))
+        pipe.send(StreamNotice(mono_ns(), text))
         while not (pipe.poll(LIFE_S) and isinstance(pipe.recv(), QuitCommand)):
             pipe.send(SignOfLife())
     except (EOFError, BrokenPipeError, ConnectionResetError):
@@ -118,8 +116,9 @@ class VisionLoop:
         self._source = source
         self._pipeline = pipeline
         self._state = ""
-        self._life_s = time.monotonic()
+        self._life_s = mono_s()
         self._quit = False
+        self._suspend = SuspendWatch()
 
     def run(self) -> None:
         """Until QuitCommand; EOFError or BrokenPipeError when the server is gone."""
@@ -133,10 +132,14 @@ class VisionLoop:
         frame = None if self._quit else self._source.read(timeout_s)
         if self._source.ended and frame is None and not self._quit:
             self._quit = self._pipe.poll(timeout_s) and self._obey(self._pipe.recv())
+        if self._suspend.resumed():  # what is buffered is old, and the camera's clock went on or did not: begun again
+            self._pipe.send(StreamNotice(mono_ns(), SUSPENDED))
+            self._quit = True
+            return
         if frame is not None:
             self._pipe.send(self._pipeline.process(frame, self._source.skipped))
-        if time.monotonic() - self._life_s >= LIFE_S:
-            self._life_s = time.monotonic()
+        if mono_s() - self._life_s >= LIFE_S:
+            self._life_s = mono_s()
             self._pipe.send(SignOfLife())
         self._tell_state()  # after the pair: a stream may have ended behind it
 
@@ -144,7 +147,7 @@ class VisionLoop:
         state = self._source.state
         if state != self._state:
             self._state = state
-            self._pipe.send(StreamNotice(time.monotonic_ns(), state))
+            self._pipe.send(StreamNotice(mono_ns(), state))
 
     def _obey(self, command: VisionCommand) -> bool:
         match command:

@@ -1,10 +1,10 @@
 """The check list: its order, what each step needs before it, and how it is gone through."""
 
-import time
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
+from recording.clock import mono_s
 from server.camera.client import FRESH_S
 from server.camera.errors import CameraError
 from server.commissioning.camera_axes import camera_axes
@@ -71,9 +71,9 @@ async def go_through(
     fresh: list[StepResult] = []
     for step in steps:
         site.operator.tell(f"step {step.number}: {step.name}")
-        started_s = time.monotonic()
+        started_s = mono_s()
         result = await _one(site, step, results)
-        result = replace(result, duration_s=time.monotonic() - started_s)
+        result = replace(result, duration_s=mono_s() - started_s)
         earlier_one = results.get(step.name)
         results[step.name] = earlier_one if earlier_one is not None and stands(earlier_one, result) else result
         fresh.append(result)

@@ -1,7 +1,6 @@
 """Step: the link in a dry run: states, clocks, playback with closed valves, and a PLC that stops by itself."""
 
 import math
-import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,6 +8,7 @@ import numpy as np
 from machine.description import Machine
 from machine.rotations import Array
 from protocol.layout import LAYOUT_ID, VERSION_MAJOR
+from recording.clock import mono_ns
 from server.commissioning.contracts import Figure, StepResult, cannot_tell, judged
 from server.commissioning.link_figures import state_figures
 from server.commissioning.moving import (
@@ -70,7 +70,7 @@ async def link_dry_run(site: Site) -> StepResult:
 
 
 async def _listen(site: Site) -> list[Figure]:
-    before, t_start_ns = site.link.health, time.monotonic_ns()
+    before, t_start_ns = site.link.health, mono_ns()
     await wait(site, site.options.listen_s, "listening to the PLC")
     after, samples = site.link.health, site.link.samples_since(t_start_ns)
     return [

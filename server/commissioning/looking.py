@@ -1,6 +1,5 @@
 """Pictures for a step: fresh pairs at rest, and what the markers in them say by themselves."""
 
-import time
 from collections.abc import Sequence
 
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from machine.rotations import Array, nearest_rotation
+from recording.clock import mono_ns
 from server.camera.client import VisionClient
 from server.camera.contracts import FrameReport
 from server.commissioning.moving import NotReadyError, wait_for
@@ -33,7 +33,7 @@ async def fresh_pairs(site: Site, n: int, text: str) -> list[FrameReport]:
 
     Raises: NotReadyError: they did not come in time.
     """
-    vision, t_from_ns = camera_of(site), time.monotonic_ns()
+    vision, t_from_ns = camera_of(site), mono_ns()
 
     def fresh() -> list[FrameReport]:
         reports = vision.reports_since(t_from_ns)

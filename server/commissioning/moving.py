@@ -1,13 +1,13 @@
 """Moving the machine for a step: leave, arming, one guarded motion, rest. Everything that moves goes through here."""
 
 import asyncio
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from machine.rotations import Array
+from recording.clock import mono_ns, mono_s
 from server.commissioning.site import Site
 from server.link.contracts import LinkPhase, MotionEnded, PlcSample
 from server.link.errors import LinkError
@@ -76,7 +76,7 @@ async def reading(site: Site) -> Reading:
     """
 
     def fresh() -> list[PlcSample]:
-        return site.link.samples_since(time.monotonic_ns() - int(_READING_S * 1e9))
+        return site.link.samples_since(mono_ns() - int(_READING_S * 1e9))
 
     if not await wait_for(site, lambda: bool(fresh()), _FRESH_S, "waiting for a state"):
         raise NotReadyError("no fresh state from the PLC; check the link, then run this step again")
@@ -89,9 +89,9 @@ async def rest(site: Site, timeout_s: float = REST_TIMEOUT_S) -> Reading:
 
     Raises: NotReadyError: they do not in time.
     """
-    deadline_s = time.monotonic() + timeout_s
-    while time.monotonic() < deadline_s:
-        if at_rest(site.link.samples_since(time.monotonic_ns() - int(_REST_WINDOW_S * 1e9))):
+    deadline_s = mono_s() + timeout_s
+    while mono_s() < deadline_s:
+        if at_rest(site.link.samples_since(mono_ns() - int(_REST_WINDOW_S * 1e9))):
             return await reading(site)
         await asyncio.sleep(_TICK_S / 2.0)
     raise NotReadyError(f"encoders did not come to rest within {timeout_s:.0f} s; look for a limit cycle or a leak")
@@ -121,7 +121,7 @@ async def play(site: Site, trajectory: JointTrajectory, text: str, guard: Guard 
             objections.append(objection)
             disarming.append(asyncio.ensure_future(_disarm(site)))
 
-    t_start_ns = time.monotonic_ns()
+    t_start_ns = mono_ns()
     unsubscribe = site.link.on_sample(look)
     running = asyncio.ensure_future(site.link.run(trajectory))
     try:
@@ -155,25 +155,25 @@ async def _disarm(site: Site) -> None:
 
 
 async def _shown(site: Site, running: "asyncio.Future[MotionEnded]", text: str, duration_s: float) -> None:
-    started_s = time.monotonic()
+    started_s = mono_s()
     while not running.done():
-        site.operator.progress(text, min(time.monotonic() - started_s, duration_s), duration_s, "s")
+        site.operator.progress(text, min(mono_s() - started_s, duration_s), duration_s, "s")
         await asyncio.wait({running}, timeout=_TICK_S)
 
 
 async def wait(site: Site, duration_s: float, text: str) -> None:
     """Let time pass, shown."""
-    started_s = time.monotonic()
-    while (elapsed_s := time.monotonic() - started_s) < duration_s:
+    started_s = mono_s()
+    while (elapsed_s := mono_s() - started_s) < duration_s:
         site.operator.progress(text, elapsed_s, duration_s, "s")
         await asyncio.sleep(min(_TICK_S, duration_s - elapsed_s))
 
 
 async def wait_for(site: Site, wanted: Callable[[], bool], timeout_s: float, text: str) -> bool:
     """Whether it comes true in time; looked at ten times a second."""
-    started_s = time.monotonic()
+    started_s = mono_s()
     while not wanted():
-        elapsed_s = time.monotonic() - started_s
+        elapsed_s = mono_s() - started_s
         if elapsed_s >= timeout_s:
             return wanted()
         site.operator.progress(text, elapsed_s, timeout_s, "s")

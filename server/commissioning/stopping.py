@@ -1,11 +1,11 @@
 """Stopping a motion on purpose, in the three ways in which it may be stopped, while watching."""
 
 import asyncio
-import time
 from dataclasses import dataclass
 from enum import Enum
 
 from protocol.timeouts import COMMAND_LOST, COMMAND_PERIOD, SESSION_VOID, STATE_PERIOD
+from recording.clock import mono_ns
 from server.commissioning.contracts import Figure
 from server.commissioning.moving import Guard, NotReadyError, play, wait, wait_for
 from server.commissioning.site import Site
@@ -56,7 +56,7 @@ async def run_and_stop(
 
     Raises: EndedByItselfError: it never came to that share.
     """
-    t_start_ns = time.monotonic_ns()
+    t_start_ns = mono_ns()
     trigger = asyncio.ensure_future(_trigger(site, trajectory.duration_s * share, kind, text))
     try:
         played = await play(site, trajectory, text, guard)
@@ -79,7 +79,7 @@ async def _trigger(site: Site, t_play_s: float, kind: StopKind, text: str) -> in
         return latest is not None and latest.plc_state == "RUN" and latest.t_play_ns >= t_play_s * 1e9
 
     await wait_for(site, there, t_play_s + 3.0, text)
-    offset_ns, t_asked_ns = site.link.plc_to_pc_offset_ns or 0, time.monotonic_ns()
+    offset_ns, t_asked_ns = site.link.plc_to_pc_offset_ns or 0, mono_ns()
     if kind is StopKind.SILENCE:
         await site.link.go_silent(SILENCE_S)
     elif kind is StopKind.QUICK_STOP:

@@ -6,13 +6,13 @@ import json
 import logging
 import os
 import sys
-import time
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from recording.clock import mono_s
 from server.errors import BusyError, ServerError
 
 log = logging.getLogger(__name__)
@@ -20,7 +20,7 @@ NICE = "10"
 ONE_THREAD = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 TIMEOUT_S = 3600.0
 KEPT = 50
-COMMAND = (sys.executable, "-m", "longreach.cli", "diagnose")
+COMMAND = (sys.executable, "-P", "-m", "longreach.cli", "diagnose")
 UNDER_WAY = ("waiting", "running")
 
 
@@ -37,7 +37,7 @@ class Diagnosis:
     state: str = "running"
     reason: str = ""
     last_line: str = ""
-    started_s: float = field(default_factory=time.monotonic)
+    started_s: float = field(default_factory=mono_s)
     ended_s: float | None = None
     task: asyncio.Task[None] | None = None
 
@@ -49,7 +49,7 @@ class Diagnosis:
     @property
     def elapsed_s(self) -> float:
         """Seconds since the start, up to the end."""
-        return (self.ended_s or time.monotonic()) - self.started_s
+        return (self.ended_s or mono_s()) - self.started_s
 
 
 class DiagnosisBusyError(BusyError):
@@ -92,7 +92,7 @@ class Diagnoses:
             one.task.cancel()
             await asyncio.wait({one.task})
             if one.state in UNDER_WAY:  # before its first step
-                one.state, one.reason, one.ended_s = "stopped", "stopped", time.monotonic()
+                one.state, one.reason, one.ended_s = "stopped", "stopped", mono_s()
 
     async def close(self) -> None:
         """End what runs, those that wait first."""
@@ -121,13 +121,13 @@ class Diagnoses:
     async def _in_turn(self, one: Diagnosis) -> None:
         try:
             async with self._turn:
-                one.state, one.started_s = "running", time.monotonic()
+                one.state, one.started_s = "running", mono_s()
                 await self._run(one)
         except asyncio.CancelledError:
             one.state, one.reason = "stopped", "stopped"
             raise
         finally:
-            one.ended_s = time.monotonic()
+            one.ended_s = mono_s()
 
     async def _run(self, one: Diagnosis) -> None:
         try:

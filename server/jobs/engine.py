@@ -12,6 +12,7 @@ from enum import Enum
 from typing import Any
 from uuid import uuid4
 
+from recording.clock import mono_s
 from server.access.desk import LeaseDesk
 from server.access.lease import Lease
 from server.errors import BusyError, JobFailedError, ServerError
@@ -62,7 +63,7 @@ class Job:
     code: str = ""
     result: Any = None
     started_unix_s: float = field(default_factory=time.time)
-    started_mono_s: float = field(default_factory=time.monotonic)
+    started_mono_s: float = field(default_factory=mono_s)
     ended_mono_s: float | None = None
     events: list[JobEvent] = field(default_factory=list)
     fencing: int = 0  # of the lease it runs under; 0: the server's own
@@ -75,7 +76,7 @@ class Job:
     @property
     def elapsed_s(self) -> float:
         """Seconds since the start, up to the end."""
-        return (self.ended_mono_s or time.monotonic()) - self.started_mono_s
+        return (self.ended_mono_s or mono_s()) - self.started_mono_s
 
 
 class JobEngine:
@@ -260,8 +261,8 @@ class JobEngine:
         if not self._performer.may_be_moving:
             return
         stop = asyncio.ensure_future(self._performer.stop_motion(reason))
-        until_s = time.monotonic() + STOP_BOUND_S
-        while not stop.done() and (left_s := until_s - time.monotonic()) > 0.0:
+        until_s = mono_s() + STOP_BOUND_S
+        while not stop.done() and (left_s := until_s - mono_s()) > 0.0:
             with contextlib.suppress(asyncio.CancelledError):  # told to stop again: that is what is being done
                 await asyncio.wait({stop}, timeout=left_s)
         error = stop.exception() if stop.done() and not stop.cancelled() else TimeoutError("no answer in time")
@@ -284,7 +285,7 @@ class JobEngine:
             raise
 
     def _end(self, job: Job, state: JobState, reason: str) -> None:
-        job.state, job.reason, job.ended_mono_s = state, reason, time.monotonic()
+        job.state, job.reason, job.ended_mono_s = state, reason, mono_s()
         self._tell(job, "ended", 1.0, 1.0, "", f"{state.value}{': ' + reason if reason else ''}")
 
     def _tell(self, job: Job, name: str, current: float, target: float, unit: str, text: str) -> None:

@@ -45,6 +45,10 @@ class Experiments:
         """Keep a plan until it fires, expires, or another one is made."""
         self._planned = planned
 
+    def forget(self) -> None:
+        """No plan is kept."""
+        self._planned = None
+
     def executable(self, body: ExperimentRequest, t_now_ns: int) -> PlannedExperiment:
         """The plan that is named, once.
 
@@ -57,7 +61,7 @@ class Experiments:
         """After an experiment was driven: diagnose its recording together with those of its diagnosis."""
         driven = job.result
         if job.kind == "experiment":
-            self._planned = None  # a plan fires once
+            self.forget()  # a plan fires once
         if not isinstance(driven, ExperimentDriven):
             return
         if job.state is not JobState.DONE or recording is None:

@@ -4,6 +4,7 @@ import json
 import time
 from dataclasses import asdict
 
+from recording.clock import mono_ns
 from server.calibration.calibration_life import LocalCalibration
 from server.cell import Cell
 from server.jobs.engine import Job, JobEvent
@@ -31,7 +32,7 @@ class FindingLog:
             self._calibration(job.job_id)
 
     def _plan(self, job_id: str, previewed: PreviewedPlan) -> None:
-        made_unix_s, now_ns = time.time(), time.monotonic_ns()
+        made_unix_s, now_ns = time.time(), mono_ns()
         expires_unix_s = made_unix_s + (previewed.expires_ns - now_ns) * 1e-9
         plan = previewed.plan
         view = json.dumps(

@@ -71,6 +71,10 @@ class Knowledge:
         """The calendar's time at a moment of the monotonic clock [s]."""
         return t_mono_ns * 1e-9 + self.unix_minus_mono_s
 
+    def forget_sight(self) -> None:
+        """Nothing seen, and nothing planned from it, is acted upon any more; the wall's place is kept as a limit."""
+        self.last_look = self.previewed = None
+
     def forget_calibration(self) -> None:
         """Nothing learnt about this machine's mount and map is used any more."""
         self.mount = self.calibration = self.joint = self.life = None

@@ -1,13 +1,13 @@
 """The performer: how each request of a plan is carried out on link, camera and recorder."""
 
 import asyncio
-import time
 from collections import deque
 from dataclasses import replace
 
 import numpy as np
 
 from machine.kinematics import tcp_poses
+from recording.clock import mono_ns, mono_s
 from server.calibration.contracts import Array, EncoderTrack
 from server.calibration.kinematic_errors import usual_play
 from server.calibration.play import PlayFollower
@@ -116,7 +116,7 @@ class Performer:
             self._cell.vision.drop_odometry()
 
     def _fresh_samples(self, window_s: float) -> list[PlcSample]:
-        now = time.monotonic_ns()
+        now = mono_ns()
         samples = self._cell.link.samples_since(now - int(window_s * 1e9))
         latest = self._cell.link.latest
         if latest is None or now - latest.t_mono_ns > SILENT_S * 1e9:
@@ -186,8 +186,8 @@ class Performer:
 
     async def _settle(self) -> MachineReading:
         timeout_s = self._cell.settings.position.settle_timeout_s
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
+        deadline = mono_s() + timeout_s
+        while mono_s() < deadline:
             samples = self._fresh_samples(REST_WINDOW_S)
             if stood_still(samples, REST_WINDOW_S, REST_SPEED_RAD_S, REST_LAG_RAD_S):
                 return self._reading()
@@ -206,7 +206,7 @@ class Performer:
         return taken
 
     async def _start_odometry(self) -> None:
-        self._odometry_from_ns, self._odometry_on = time.monotonic_ns(), True
+        self._odometry_from_ns, self._odometry_on = mono_ns(), True
         await self._cell.vision.start_odometry()
 
     async def _stop_odometry(self) -> object:
@@ -218,7 +218,7 @@ class Performer:
     async def _start_watching(self, request: StartWatching) -> None:
         await self._cell.vision.set_pose_source(request.source)
         self._watching_by = request.source
-        self._watching_from_ns = time.monotonic_ns()
+        self._watching_from_ns = mono_ns()
         self._watched = deque(maxlen=WATCHED_MAX)
 
     def _watch(self, report: FrameReport) -> None:

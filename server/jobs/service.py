@@ -1,9 +1,12 @@
 """From a request to a plan: the one place that knows which plan serves which kind of job."""
 
+import asyncio
+import logging
 import time
 from collections.abc import Generator
 from pathlib import Path
 
+from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
 from server.access.lease import Lease
 from server.api.views import (
     CalibrateRequest,
@@ -43,7 +46,11 @@ from server.jobs.plans.returning import park, retract, return_to_start
 from server.jobs.plans.servoing import servo
 from server.jobs.plans.unmoved import moved_since_look
 from server.jobs.requests import Plan, Progress, Request
+from server.link.errors import LinkError
 from server.store.keeper import Keeper
+
+log = logging.getLogger(__name__)
+RESUME_SEEN_S = 0.1
 
 JobBody = (
     LookRequest
@@ -80,7 +87,8 @@ class JobService:
         )
         self.diagnoses = Diagnoses(Path(cell.settings.recording.folder))
         self._experiments = Experiments(self.diagnoses)
-        cell.knowledge.unix_minus_mono_s = time.time() - time.monotonic()
+        self._suspend, self._resumed = SuspendWatch(), False
+        cell.knowledge.unix_minus_mono_s = time.time() - mono_s()
         expiry = cell.settings.calibration.expiry()
         self._store.restore(cell.knowledge, machine_id, cell.chain.n, time.time(), expiry)
         engine.on_event(self._record)
@@ -98,6 +106,7 @@ class JobService:
 
         Raises: BusyError, PlanRefusedError, JobFailedError, StoreError when it may not start; nothing moves then.
         """
+        self._note_resume()
         plan = self._plan(body)
         owner = body.owner or (lease.owner if lease else "server")
         plan_hash = body.plan_hash if isinstance(body, ExecuteRequest | ExperimentRequest) else ""
@@ -107,6 +116,31 @@ class JobService:
                 await self.keeper.begin(began(job, body.model_dump_json(), plan_hash, lease, command))
 
         return await self.engine.submit_kept(body.kind, plan, owner, lease, keep)
+
+    async def watch_suspend(self) -> None:
+        """Until cancelled: after a resume the running job is stopped."""
+        while True:
+            await asyncio.sleep(RESUME_SEEN_S)
+            self._note_resume()
+            if self._resumed:
+                self._resumed = False
+                try:
+                    await self.engine.stop(SUSPENDED)
+                except LinkError as error:
+                    log.warning("stop was not confirmed: %s; the PLC ramps by its own watchdog", error)
+
+    def _note_resume(self) -> None:
+        """At a resume, before anything else: what was known, planned and granted before it ends.
+
+        Link and vision process watch for themselves: each ends and is started again, which disarms the machine and
+        leaves no picture of before in a buffer.
+        """
+        if self._suspend.resumed():
+            log.warning(SUSPENDED)
+            self._resumed = True
+            self.cell.knowledge.forget_sight()
+            self._experiments.forget()
+            self.engine.leases.expel(SUSPENDED)
 
     def _plan(self, body: JobBody) -> Plan:
         ctx = self.context
@@ -120,7 +154,7 @@ class JobService:
             case PreviewRequest():
                 return _previewing(ctx, self._last_look())
             case ExecuteRequest():
-                previewed = check_executable(ctx.knowledge.previewed, body.plan_hash, time.monotonic_ns())
+                previewed = check_executable(ctx.knowledge.previewed, body.plan_hash, mono_ns())
                 return execute(ctx, previewed, 1 + sum(move.kind == "move" for move in ctx.knowledge.moves))
             case PositionRequest():
                 return position(ctx.with_method(body.method), body.recalibrate)
@@ -132,7 +166,7 @@ class JobService:
                 asked = self._experiments.asked(body, self.cell)
                 return plan_experiment(ctx, asked, self._experiments.keep)
             case ExperimentRequest():
-                return drive_experiment(ctx, self._experiments.executable(body, time.monotonic_ns()))
+                return drive_experiment(ctx, self._experiments.executable(body, mono_ns()))
             case RetractRequest():
                 return retract(ctx, body.distance_mm)
             case ReturnRequest():
@@ -151,7 +185,7 @@ class JobService:
         taken, limit_s = self.cell.knowledge.last_look, self.cell.settings.look.age_max_s
         if taken is None or taken.error is None:
             raise JobFailedError("there is no good look yet; look first", "no_look")
-        age_s = (time.monotonic_ns() - taken.record.t_mono_ns) * 1e-9
+        age_s = (mono_ns() - taken.record.t_mono_ns) * 1e-9
         if age_s > limit_s:
             raise JobFailedError(
                 f"the last look is {age_s:.0f} s old (limit {limit_s:.0f} s); look again", "stale_look"
@@ -174,7 +208,7 @@ class JobService:
 
 
 def _previewing(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, PreviewedPlan]:
-    previewed = preview(ctx, taken, time.monotonic_ns())
+    previewed = preview(ctx, taken, mono_ns())
     text = f"{previewed.plan.length_m * 1e3:.0f} mm in {previewed.plan.duration_s:.1f} s, plan {previewed.plan_hash}"
     yield Progress("preview", 1.0, 1.0, "", text)
     return previewed

@@ -4,12 +4,12 @@ Nothing here waits for the link while a pair may be lost: corrections are answer
 """
 
 import asyncio
-import time
 from collections import deque
 from typing import Literal
 
 import numpy as np
 
+from recording.clock import mono_ns, mono_s
 from server.calibration.contracts import Array
 from server.camera.contracts import FrameReport
 from server.cell import Cell
@@ -62,9 +62,9 @@ class Steering:
         return seen
 
     async def _awaited(self, request: NextPair) -> PairSeen:
-        deadline_s = max(self._t_arrival_s, time.monotonic() - request.silence_max_s) + request.silence_max_s
+        deadline_s = max(self._t_arrival_s, mono_s() - request.silence_max_s) + request.silence_max_s
         while self._number <= request.after:
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - mono_s()
             if left_s <= 0.0:
                 silent = f"no pair for {1e3 * request.silence_max_s:.0f} ms; check the camera, its cable and its rate"
                 return self._seen(request.after, silent, None, request)
@@ -78,8 +78,8 @@ class Steering:
 
     async def _encoders_come(self, request: NextPair) -> None:
         """Encoders come by another process: the newest pair may be here first, which is no reason to end a motion."""
-        until_s = time.monotonic() + min(ENCODERS_LATE_S, request.silence_max_s)
-        while self._encoders_due(request) and time.monotonic() < until_s:  # noqa: ASYNC110 samples are no event
+        until_s = mono_s() + min(ENCODERS_LATE_S, request.silence_max_s)
+        while self._encoders_due(request) and mono_s() < until_s:  # noqa: ASYNC110 samples are no event
             await asyncio.sleep(ENCODERS_POLL_S)
 
     def _encoders_due(self, request: NextPair) -> bool:
@@ -121,15 +121,15 @@ class Steering:
         await self._cell.link.steer_until(None)
 
     async def _let_go_on(self, for_s: float) -> None:
-        await self._cell.link.steer_until(time.monotonic_ns() + int(for_s * 1e9))
+        await self._cell.link.steer_until(mono_ns() + int(for_s * 1e9))
 
     def _listen(self) -> None:
         if not self._listening:
-            self._listening, self._t_arrival_s = True, time.monotonic()
+            self._listening, self._t_arrival_s = True, mono_s()
             self._cell.vision.on_report(self._on_report)
 
     def _on_report(self, report: FrameReport) -> None:
-        self._number, self._report, self._t_arrival_s = self._number + 1, report, time.monotonic()
+        self._number, self._report, self._t_arrival_s = self._number + 1, report, mono_s()
         self._latencies_s.append(self._t_arrival_s - report.t_exposure_mapped_ns * 1e-9)
         self._arrived.set()
         self._arrived = asyncio.Event()
@@ -158,7 +158,7 @@ class Steering:
 
         Its age counts from its exposure: a process that stalls takes an old pair for one that has just come.
         """
-        age_s = time.monotonic() - report.t_exposure_mapped_ns * 1e-9
+        age_s = mono_s() - report.t_exposure_mapped_ns * 1e-9
         fastest_s = max(min(self._latencies_s), 0.0)
         if age_s <= silence_max_s + fastest_s:
             return ""
@@ -185,12 +185,12 @@ class Steering:
         latest = self._cell.link.latest
         if latest is None or latest.plc_state != "RUN":
             return 0.0
-        return (latest.t_play_ns + time.monotonic_ns() - latest.t_mono_ns) * 1e-9
+        return (latest.t_play_ns + mono_ns() - latest.t_mono_ns) * 1e-9
 
     def _joints_at(self, t_s: float) -> Array | None:
         """Encoders at a moment of the PC's clock, linear between samples."""
         link = self._cell.link
-        samples = link.samples_since(time.monotonic_ns() - int(HISTORY_S * 1e9))
+        samples = link.samples_since(mono_ns() - int(HISTORY_S * 1e9))
         if len(samples) < 2 or link.plc_to_pc_offset_ns is None:
             return None
         times = np.array([sample.t_plc_ns + link.plc_to_pc_offset_ns for sample in samples]) * 1e-9

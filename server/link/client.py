@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import logging
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -11,6 +10,7 @@ from machine.description import Machine
 from protocol.gate import check_trajectory
 from protocol.limits import limits_of
 from protocol.messages import axes8
+from recording.clock import mono_ns, mono_s
 from server.link.contracts import (
     ArmRequest,
     CorrectRequest,
@@ -31,6 +31,7 @@ from server.link.contracts import (
     SteerRequest,
     StopRequest,
     TailReport,
+    Unbound,
 )
 from server.link.errors import LinkError, LinkRefusedError, LinkSilentError
 from server.link.knots import KnotTuple, knots_from, knots_of, refusals_text
@@ -67,7 +68,7 @@ class LinkClient:
         self._motion: asyncio.Future[MotionEnded] | None = None
         self._tail: asyncio.Future[TailReport] | None = None
         self._restart: asyncio.Task[None] | None = None
-        self._closing = False
+        self._closing, self._unbound = False, ""
 
     # --- life -------------------------------------------------------------------------------------------------------
 
@@ -79,7 +80,8 @@ class LinkClient:
         await self._spawn()
         if not await self._until(lambda: self._t_health_ns > 0, _START_S):
             await self.close()
-            raise LinkSilentError(f"the link process did not report within {_START_S:.0f} s; the log says why")
+            why = self._health.error or "the log says why"
+            raise LinkSilentError(f"the link process did not report within {_START_S:.0f} s; {why}")
 
     async def close(self) -> None:
         """End the link process; a moving machine is ramped down first."""
@@ -101,7 +103,7 @@ class LinkClient:
     @property
     def health(self) -> LinkHealth:
         """The newest health; OFFLINE if the link process itself is silent for a second."""
-        if time.monotonic_ns() - self._t_health_ns > _HEALTH_STALE_NS:
+        if mono_ns() - self._t_health_ns > _HEALTH_STALE_NS:
             return replace(self._health, phase=LinkPhase.OFFLINE, error=self._health.error or "link process is silent")
         return self._health
 
@@ -135,12 +137,12 @@ class LinkClient:
 
         Raises: LinkSilentError, LinkRefusedError: with the PLC's last reject, or because of a stop or disarm meanwhile.
         """
-        deadline_s, stops, disarms = time.monotonic() + timeout_s, self._stops, self._disarms
+        deadline_s, stops, disarms = mono_s() + timeout_s, self._stops, self._disarms
         self._refuse_if_stopped(stops, disarms)
         while self.health.phase not in _ARMED:
             if self.health.phase in (LinkPhase.FAULT, LinkPhase.LOCAL):
                 raise LinkRefusedError(self._why_not_armed())
-            left_s = deadline_s - time.monotonic()
+            left_s = deadline_s - mono_s()
             if left_s <= 0:
                 await self._request(StopRequest("arming was given up"))
                 silent = self.health.phase is LinkPhase.OFFLINE
@@ -256,7 +258,7 @@ class LinkClient:
         self._disarming += 1
         try:
             await self._request(DisarmRequest())
-            if not await self._until(self._told_unarmed_since(time.monotonic_ns()), _STOP_S):
+            if not await self._until(self._told_unarmed_since(mono_ns()), _STOP_S):
                 raise self._why_not_disarmed()
         finally:
             self._disarming -= 1
@@ -276,7 +278,7 @@ class LinkClient:
 
     async def _request(self, request: LinkRequest) -> None:
         if self._process is None:
-            raise LinkSilentError("the link is not started")
+            raise LinkSilentError("the link process does not run; it is started by itself, then arm")
         await self._process.request(request)
 
     async def _until(self, wanted: Callable[[], bool], timeout_s: float) -> bool:
@@ -329,11 +331,13 @@ class LinkClient:
                 self._dropped = dropped
                 self._ring.extend(samples)
             case HealthReport(health=health, plc_to_pc_offset_ns=offset_ns):
-                self._health, self._t_health_ns = replace(health, samples_dropped=self._dropped), time.monotonic_ns()
+                self._health, self._t_health_ns = replace(health, samples_dropped=self._dropped), mono_ns()
                 self._offset_ns = offset_ns if offset_ns is not None else self._offset_ns
             case MotionEnded(traj_id=traj_id):
                 if self._motion and not self._motion.done() and traj_id == self._traj_id:
                     self._motion.set_result(report)
+            case Unbound(text=text):
+                self._unbound = text
             case TailReport(traj_id=traj_id):
                 if self._tail and not self._tail.done() and traj_id == self._traj_id:
                     self._tail.set_result(report)
@@ -347,8 +351,10 @@ class LinkClient:
         """The link process died: whatever moved is stopped by the PLC's watchdog; start a new process."""
         if self._closing or process is not self._process:
             return
-        _LOG.error("link process %s died; starting a new one in %s s", process.pid, _RESTART_S)
-        self._health = replace(self._health, phase=LinkPhase.OFFLINE, error="link process died, restarting")
+        why, self._unbound = self._unbound or "link process died", ""
+        _LOG.error("%s; starting a new one in %s s", why, _RESTART_S)
+        self._health = replace(self._health, phase=LinkPhase.OFFLINE, error=f"{why}, restarting")
+        self._process = None  # `close` in the meantime has nothing left to end
         self._end_motion("the link process died; the PLC ramps to a hold by itself")
         self._restart = asyncio.ensure_future(self._respawn(process))
 

@@ -172,6 +172,13 @@ class SamplesReport:
 
 
 @dataclass(frozen=True, slots=True)
+class Unbound:
+    """The link process cannot listen where it should, and ends: why."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class HealthReport:
     """The link's health, ten times a second and at every change of phase; t_pc = t_plc + offset (None: not known)."""
 
@@ -207,4 +214,4 @@ LinkRequest = (
     | ResetRequest
     | DisarmRequest
 )
-LinkReport = SamplesReport | HealthReport | MotionEnded | RunRefused | TailReport
+LinkReport = SamplesReport | HealthReport | MotionEnded | RunRefused | TailReport | Unbound

@@ -9,7 +9,6 @@ import os
 import secrets
 import selectors
 import signal
-import time
 from collections import deque
 from multiprocessing.connection import Connection
 from types import FrameType
@@ -31,6 +30,7 @@ from protocol.limits import LimitTable
 from protocol.messages import State
 from protocol.plc_states import ARMED_STATES
 from protocol.timeouts import STOP_ON_EXIT
+from recording.clock import SUSPENDED, SuspendWatch, mono_ns
 from server.link.contracts import (
     ArmRequest,
     CorrectRequest,
@@ -48,6 +48,7 @@ from server.link.contracts import (
     SteerRequest,
     StopRequest,
     TailReport,
+    Unbound,
 )
 from server.link.deadline import Deadline
 from server.link.knots import knots_from, refusals_text
@@ -88,6 +89,7 @@ class LinkProcess:
         self._asked_until_ns = 0
         self._hold, self._sight = Deadline(_HOLD_LOST), Deadline(_SIGHT_LOST)
         self._next_health_ns = self._next_resolve_ns = 0
+        self._suspend = SuspendWatch()
         self._leaving: str | None = None
 
     def leave(self, reason: str) -> None:
@@ -100,24 +102,33 @@ class LinkProcess:
         with selectors.SelectSelector() as selector:  # select waits to the microsecond, epoll to the millisecond
             selector.register(self._udp, selectors.EVENT_READ, self._drain)
             selector.register(self._pipe, selectors.EVENT_READ, self._take_requests)
-            deadline_ns = time.monotonic_ns() + period_ns
+            deadline_ns = mono_ns() + period_ns
             give_up_ns: int | None = None
-            while give_up_ns is None or (self._link.busy and time.monotonic_ns() < give_up_ns):
-                wait_s = max(0, deadline_ns - time.monotonic_ns()) / 1e9
-                for key, _ in selector.select(wait_s):
-                    key.data()
+            while give_up_ns is None or (self._link.busy and mono_ns() < give_up_ns):
+                wait_s = max(0, deadline_ns - mono_ns()) / 1e9
+                ready = selector.select(wait_s)
+                if self._suspend.resumed():  # before anything that was asked for, or sent by the PLC, before it
+                    self.leave(SUSPENDED)
+                for key, _ in ready:
                     if self._leaving:
                         self._forget_pipe(selector)
-                now_ns = time.monotonic_ns()
+                    if not (self._leaving and key.fileobj is self._pipe):
+                        key.data()
+                now_ns = mono_ns()
+                if self._leaving and give_up_ns is None:
+                    give_up_ns = now_ns + STOP_ON_EXIT.ns
+                    self._ask_for_nothing_but_a_stop(self._leaving)
                 if now_ns >= deadline_ns:
                     self._tick(now_ns, deadline_ns)
                     missed = (now_ns - deadline_ns) // period_ns
                     deadline_ns += (missed + 1) * period_ns  # no burst after a stall
-                if self._leaving and give_up_ns is None:
-                    give_up_ns = now_ns + STOP_ON_EXIT.ns
-                    if self._phase in (ClientPhase.RUNNING, ClientPhase.STOPPING, ClientPhase.ARMED) or self._link.busy:
-                        self._link.request_stop(self._leaving)
         self._udp.close()
+
+    def _ask_for_nothing_but_a_stop(self, reason: str) -> None:
+        self._asked = None
+        self._link.cancel_wish()
+        if self._phase in (ClientPhase.RUNNING, ClientPhase.STOPPING, ClientPhase.ARMED) or self._link.busy:
+            self._link.request_stop(reason)
 
     def _forget_pipe(self, selector: selectors.BaseSelector) -> None:
         """A pipe at its end is always readable: look away from it."""
@@ -145,7 +156,7 @@ class LinkProcess:
         datagram = self._link.send(now_ns) if self._address and not silent else None
         if datagram and self._address:
             self._udp.send(datagram, self._address)
-            self._lateness.add(time.monotonic_ns() - deadline_ns)
+            self._lateness.add(mono_ns() - deadline_ns)
         self._outbox.flush()
         if now_ns >= self._next_health_ns or self._link.phase(now_ns) is not self._phase:
             self._report_health(now_ns)
@@ -186,7 +197,7 @@ class LinkProcess:
     def _request(self, request: LinkRequest) -> None:
         match request:
             case ArmRequest(valid_s=valid_s) | ResetRequest(valid_s=valid_s):
-                self._asked, self._asked_until_ns = request, time.monotonic_ns() + round(valid_s * 1e9)
+                self._asked, self._asked_until_ns = request, mono_ns() + round(valid_s * 1e9)
                 self._ask()
             case RunRequest():
                 self._start(request)
@@ -201,7 +212,7 @@ class LinkProcess:
             case SteerRequest(until_ns=until_ns):
                 self._sight.set(until_ns)
             case SilenceRequest(duration_s=duration_s):
-                self._silent_until_ns = time.monotonic_ns() + round(duration_s * 1e9)
+                self._silent_until_ns = mono_ns() + round(duration_s * 1e9)
             case DisarmRequest():
                 self._asked = None
                 self._link.request_disarm()
@@ -223,7 +234,7 @@ class LinkProcess:
                 return
         try:
             knots = knots_from(request.knots)
-            refusals = self._link.request_run(request.traj_id, knots, time.monotonic_ns(), judged=True)
+            refusals = self._link.request_run(request.traj_id, knots, mono_ns(), judged=True)
         except LocalProtocolError as error:
             self._outbox.report(RunRefused(request.traj_id, str(error)))
             return
@@ -235,7 +246,7 @@ class LinkProcess:
     def _correct(self, request: CorrectRequest) -> None:
         try:
             knots = knots_from(request.knots)
-            refusals = self._link.request_tail(request.traj_id, request.first, knots, time.monotonic_ns())
+            refusals = self._link.request_tail(request.traj_id, request.first, knots, mono_ns())
         except LocalProtocolError as error:
             self._outbox.report(TailReport(request.traj_id, False, str(error)))
             return
@@ -325,13 +336,17 @@ class LinkProcess:
 
 def link_process_main(pipe: Connection, settings: LinkSettings, table: LimitTable, parent_pid: int) -> None:
     """The entry point of the spawned process; `parent_pid` is whose child it must remain."""
-    process = LinkProcess(pipe, settings, table, parent_pid)
+    try:
+        process = LinkProcess(pipe, settings, table, parent_pid)
+    except OSError as error:
+        where = f"udp {settings.local_host}:{settings.local_port}"
+        pipe.send(Unbound(f"[plc] local_host, local_port: {where}: {error.strerror or error}"))
+        return
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         del frame
         process.leave(f"link process got {signal.Signals(number).name}")
 
     signal.signal(signal.SIGTERM, on_signal)
-    signal.signal(signal.SIGINT, on_signal)
     gc.freeze()  # nothing that exists now will go; later collections stay short
     process.run()

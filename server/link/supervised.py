@@ -12,10 +12,12 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 
 from protocol.limits import LimitTable
+from recording.spawn import out_of_the_terminals_reach
 from server.link.contracts import LinkReport, LinkRequest
 from server.link.errors import LinkSilentError
 from server.link.process import link_process_main
 from server.link.settings import LinkSettings
+from server.supervised_tasks import whole_in_thread
 
 _LOG = logging.getLogger(__name__)
 _END_S = 2.0  # the process needs at most 0.5 s for its STOP
@@ -53,9 +55,13 @@ class SupervisedProcess:
 
     async def start(self) -> None:
         """Spawn it and begin to read."""
-        await asyncio.to_thread(self._process.start)
+        await whole_in_thread(self._start)
         self._child_pipe.close()
         self._reader.start()
+
+    def _start(self) -> None:
+        with out_of_the_terminals_reach():
+            self._process.start()
 
     async def request(self, request: LinkRequest) -> None:
         """Hand a request over, in order.

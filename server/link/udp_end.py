@@ -4,6 +4,8 @@ import socket
 import struct
 import time
 
+from recording.clock import mono_ns
+
 _SO_TIMESTAMPNS = 35  # Linux; Python 3.11 does not export it
 _TIMESPEC = struct.Struct("@qq")
 _MAX_DATAGRAM = 2048
@@ -80,7 +82,7 @@ def _both_clocks() -> tuple[int, int]:
 
     Why once a turn: held up for 30 us between the two, one datagram was stamped later than five that followed it.
     """
-    readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(_READINGS)]
+    readings = [(mono_ns(), time.time_ns(), mono_ns()) for _ in range(_READINGS)]
     before_ns, wall_ns, after_ns = min(readings, key=lambda one: one[2] - one[0])
     return wall_ns, (before_ns + after_ns) // 2
 

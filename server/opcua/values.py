@@ -5,13 +5,13 @@ ParameterSet), AxisType (ParameterSet with ActualPosition, ActualSpeed), SafetyS
 EmergencyStop, ProtectiveStop). Names only: no claim of conformance, and its nodes are not shipped.
 """
 
-import time
 from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
 
 from protocol.codes import FaultBit
+from recording.clock import mono_ns
 from server.cell import Cell
 from server.jobs.service import JobService
 from server.version import __version__
@@ -45,7 +45,7 @@ def shown(service: JobService, now_ns: int | None = None) -> list[Shown]:
     """All variables at this moment; always the same paths in the same order."""
     cell = service.cell
     latest = cell.link.latest
-    now_ns = time.monotonic_ns() if now_ns is None else now_ns
+    now_ns = mono_ns() if now_ns is None else now_ns
     fresh = latest is not None and (now_ns - latest.t_mono_ns) * 1e-9 <= STALE_S
     return [*_identity(cell), *_axes(cell, fresh), *_device(service, fresh), *_safety(cell, fresh)]
 

@@ -2,9 +2,9 @@
 
 import json
 import sqlite3
-import time
 from typing import Any
 
+from recording.clock import mono_s
 from server.jobs.engine import Job, JobState
 
 SHOWN = 200  # jobs that the engine remembers
@@ -50,7 +50,7 @@ def read_jobs(db: sqlite3.Connection, limit: int = SHOWN) -> list[Job]:
 
 
 def _job(row: sqlite3.Row) -> Job:
-    now = time.monotonic()
+    now = mono_s()
     job = Job(row["job_id"], row["kind"], row["owner"], JobState(row["state"]), row["reason"], row["code"])
     job.result = json.loads(row["result"]) if row["result"] else None
     job.fencing, job.started_unix_s = row["fencing"], row["started_unix_s"]

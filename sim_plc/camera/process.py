@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import uvicorn
 
+from recording.clock import mono_ns
 from sim_plc.camera.faults import SCENE_FAULTS, FaultKind, FaultSwitch, faulty_scene
 from sim_plc.camera.frames import Frame, FrameHub
 from sim_plc.camera.http_app import camera_app
@@ -64,7 +65,7 @@ class CameraLoop:
 
     def fps(self) -> float:
         """Pictures per second over the last two seconds."""
-        since = time.monotonic_ns() - round(_FPS_WINDOW_S * 1e9)
+        since = mono_ns() - round(_FPS_WINDOW_S * 1e9)
         return sum(t >= since for t in tuple(self._done_mono_ns)) / _FPS_WINDOW_S
 
     def run(self, feed_name: str) -> None:
@@ -128,7 +129,7 @@ class CameraLoop:
         """Until the feed has reached a time; False when stopped."""
         while not self.stop.is_set():
             latest_ns = feed.latest_t_ns()
-            self._clock.saw(latest_ns, time.monotonic_ns())
+            self._clock.saw(latest_ns, mono_ns())
             if latest_ns >= t_ns:
                 return True
             self.stop.wait(max(_POLL_S, min(1e-9 * (t_ns - latest_ns), 0.05)))
@@ -146,7 +147,7 @@ class CameraLoop:
         due_ns = max(self._clock.mono_ns(t_mid_ns + round(1e9 * latency_s)), self._due_mono_ns + 1)
         self._due_mono_ns = due_ns
         self.frames += 1
-        now_ns = time.monotonic_ns()
+        now_ns = mono_ns()
         self.late += now_ns > due_ns
         self._done_mono_ns.append(now_ns)
         self._deliver(Frame(jpeg, t_exposure_ns, self.frames), due_ns)
@@ -211,7 +212,7 @@ async def _serve(
     loop = asyncio.get_running_loop()
 
     def deliver(frame: Frame, due_mono_ns: int) -> None:
-        delay_s = max(0.0, 1e-9 * (due_mono_ns - time.monotonic_ns()))
+        delay_s = max(0.0, 1e-9 * (due_mono_ns - mono_ns()))
         loop.call_soon_threadsafe(loop.call_later, delay_s, hub.publish, frame)
 
     camera = CameraLoop(world, rate_hz, jpeg_quality, switch, deliver, time_code)

@@ -5,12 +5,12 @@ import random
 import select
 import signal
 import socket
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import FrameType
 
+from recording.clock import mono_ns, mono_s
 from sim_plc.relay.faults import FaultChannel, FaultCounts, Faults, FaultSettingsError
 from sim_plc.relay.settings import RelaySettings
 
@@ -50,7 +50,7 @@ class UdpRelay:
     Raises: FaultSettingsError: the port is taken, or the PLC's name is unknown.
     """
 
-    def __init__(self, settings: RelaySettings, clock: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(self, settings: RelaySettings, clock: Callable[[], int] = mono_ns) -> None:
         self._settings, self._clock = settings, clock
         self._plc = _resolved(settings.plc_host, settings.plc_port)
         self._listener = _bound(settings.listen_host, settings.listen_port)
@@ -157,8 +157,8 @@ def run_relay(
         with _stop_flag() as signalled:
             if ready is not None:
                 ready(relay.address)
-            end = time.monotonic() + for_s if for_s is not None else None
-            relay.run(lambda: signalled() or (end is not None and time.monotonic() >= end))
+            end = mono_s() + for_s if for_s is not None else None
+            relay.run(lambda: signalled() or (end is not None and mono_s() >= end))
         return relay.figures
     finally:
         relay.close()

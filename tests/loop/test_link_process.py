@@ -23,6 +23,7 @@ from protocol.framing import EapFraming, RawFraming
 from protocol.limits import limits_of
 from protocol.messages import axes8
 from protocol.plc_states import PlcEvent
+from recording.clock import mono_ns
 from server.errors import JobFailedError
 from server.jobs.steer_requests import NextPair
 from server.jobs.steering import Steering
@@ -62,7 +63,7 @@ class PlcThread:
                 datagram, source = self.socket.recvfrom(2048)
             except TimeoutError:
                 datagram, source = b"", None
-            t_ns = time.monotonic_ns() + self.EPOCH_NS
+            t_ns = mono_ns() + self.EPOCH_NS
             if datagram:
                 self.plc.receive(datagram, t_ns, source)
             for answer, peer in self.plc.cycle(t_ns):
@@ -204,10 +205,10 @@ async def test_a_proof_that_nobody_renews_stops_the_motion_without_the_server(
     await link.start()
     try:
         await link.arm(timeout_s=10.0)
-        await renew(time.monotonic_ns() + 2_000_000_000)
+        await renew(mono_ns() + 2_000_000_000)
         task = asyncio.ensure_future(link.run(long_path(raw_plc)))
         assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 1.5)
-        await renew(time.monotonic_ns() + 280_000_000)
+        await renew(mono_ns() + 280_000_000)
         time.sleep(1.5)  # noqa: ASYNC251 this is the blocked loop
         accepted = [e.command.mode.name for e in raw_plc.plc.events if hasattr(e, "command")]
         assert "STOP" in accepted

@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -21,6 +20,7 @@ from protocol.client_link import ClientLink
 from protocol.codes import PlcState
 from protocol.framing import RawFraming
 from protocol.messages import Axes, axes8
+from recording.clock import mono_ns
 from server.errors import SettingsError
 from sim_plc.relay.faults import FaultCounts, Faults, FaultSettingsError
 from sim_plc.relay.relay_process import UdpRelay
@@ -158,7 +158,7 @@ class ToyOnUdp:
                 datagram, source = self.port.recvfrom(2048)
             except TimeoutError:
                 datagram, source = b"", None
-            t_ns = time.monotonic_ns() + EPOCH_NS
+            t_ns = mono_ns() + EPOCH_NS
             if source is not None:
                 self.plc.receive(datagram, t_ns, source)
             for answer, peer in self.plc.cycle(t_ns):
@@ -186,23 +186,23 @@ class PcOnUdp:
         self.events: list[ClientEvent] = []
 
     def until(self, wanted: Callable[[], bool], within_s: float) -> bool:
-        end_ns = time.monotonic_ns() + round(within_s * 1e9)
-        while not wanted() and time.monotonic_ns() < end_ns:
-            t_ns = time.monotonic_ns()
+        end_ns = mono_ns() + round(within_s * 1e9)
+        while not wanted() and mono_ns() < end_ns:
+            t_ns = mono_ns()
             self.events += self.client.poll(t_ns)
             datagram = self.client.send(t_ns)
             if datagram is not None:
                 self.port.send(datagram)
-            while (left_ns := t_ns + 20 * MS - time.monotonic_ns()) > 0:
+            while (left_ns := t_ns + 20 * MS - mono_ns()) > 0:
                 self.port.settimeout(left_ns * 1e-9)
                 try:
-                    self.events += self.client.receive(self.port.recv(2048), time.monotonic_ns())
+                    self.events += self.client.receive(self.port.recv(2048), mono_ns())
                 except TimeoutError:
                     break
         return wanted()
 
     def in_phase(self, phase: ClientPhase) -> Callable[[], bool]:
-        return lambda: self.client.phase(time.monotonic_ns()) is phase
+        return lambda: self.client.phase(mono_ns()) is phase
 
     def ended(self) -> list[TrajectoryEnded]:
         return [event for event in self.events if isinstance(event, TrajectoryEnded)]
@@ -219,7 +219,7 @@ def test_a_motion_reaches_its_goal_through_a_bad_network_and_a_cut_is_noticed(to
         pc.client.request_arm()
         assert pc.until(pc.in_phase(ClientPhase.ARMED), 10.0)
         assert pc.client.state is not None
-        assert pc.client.request_run(1, smooth_knots(pc.client.state.q_ref, GOAL, 1.0), time.monotonic_ns()) == ()
+        assert pc.client.request_run(1, smooth_knots(pc.client.state.q_ref, GOAL, 1.0), mono_ns()) == ()
         assert pc.until(lambda: bool(pc.ended()), 8.0)
         assert pc.ended()[0].reached, pc.ended()[0].reason
         assert toy.plc.q_ref == GOAL

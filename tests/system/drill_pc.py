@@ -17,6 +17,7 @@ from protocol.framing import RawFraming
 from protocol.limits import limits_of
 from protocol.messages import Knot, axes8
 from protocol.timeouts import COMMAND_PERIOD
+from recording.clock import mono_ns
 
 TCP_SPEED_M_S = 0.15
 DIRECTION = np.deg2rad([10.0, 3.0, 4.0, 3.0, 2.0, 3.0])  # towards the middle of each range, by sign
@@ -46,7 +47,7 @@ def received(udp, link):
     events = []
     while True:
         try:
-            events += link.receive(udp.recv(4096), time.monotonic_ns())
+            events += link.receive(udp.recv(4096), mono_ns())
         except OSError:
             return events
 
@@ -54,14 +55,14 @@ def received(udp, link):
 def main(port):
     machine = parse_machine_toml((files("machine") / "machines" / "hiab033.toml").read_text(encoding="utf-8"))
     knots_from(np.zeros(len(machine.joints)), machine)  # compiles before the PLC waits for anything
-    link = ClientLink(limits_of(machine.joints), RawFraming(), session=time.monotonic_ns() % 0xFFFF_FFFF + 1)
+    link = ClientLink(limits_of(machine.joints), RawFraming(), session=mono_ns() % 0xFFFF_FFFF + 1)
     link.request_arm()
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     udp.setblocking(False)
-    moves, asked, deadline_ns = 0, False, time.monotonic_ns()
+    moves, asked, deadline_ns = 0, False, mono_ns()
     while True:
         events = received(udp, link)
-        now_ns = time.monotonic_ns()
+        now_ns = mono_ns()
         events += link.poll(now_ns)
         if link.closed:
             return main(port)
@@ -70,7 +71,7 @@ def main(port):
         if not asked and link.linked and link.state and link.state.plc_state is PlcState.HOLD:
             asked, moves = True, moves + 1
             knots = knots_from(np.array(link.state.q_ref[: len(machine.joints)]), machine)
-            now_ns = time.monotonic_ns()
+            now_ns = mono_ns()
             refusals = link.request_run(moves, knots, now_ns)
             if refusals:
                 sys.exit("; ".join(refusal.text for refusal in refusals))
@@ -79,7 +80,7 @@ def main(port):
         if datagram:
             udp.sendto(datagram, ("127.0.0.1", port))
         deadline_ns += COMMAND_PERIOD.ns
-        time.sleep(max(0, deadline_ns - time.monotonic_ns()) * 1e-9)
+        time.sleep(max(0, deadline_ns - mono_ns()) * 1e-9)
 
 
 if __name__ == "__main__":

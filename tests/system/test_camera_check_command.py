@@ -16,6 +16,7 @@ import pytest
 
 from longreach.camera_command import camera_settings_of
 from machine.description import Machine
+from recording.clock import mono_ns
 from server.errors import SettingsError
 from server.settings import read_machine
 from server.settings_camera import DeviceCameraSettings, FolderCameraSettings, HttpCameraSettings, RtspCameraSettings
@@ -51,7 +52,7 @@ class Publisher(threading.Thread):
 
     def run(self) -> None:
         while not self._stop_event.wait(0.004):
-            self._feed.publish(time.monotonic_ns() + 5_000_000_000_000, self._T)  # type: ignore[arg-type]
+            self._feed.publish(mono_ns() + 5_000_000_000_000, self._T)  # type: ignore[arg-type]
 
     def stop(self) -> None:
         self._stop_event.set()

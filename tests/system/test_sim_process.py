@@ -18,6 +18,7 @@ from protocol.client_link import ClientLink
 from protocol.codes import HeaderFlag, PlcState
 from protocol.framing import EapFraming
 from protocol.limits import limits_of
+from recording.clock import mono_ns
 from sim_plc.process import SimSettings, run_sim
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
@@ -52,7 +53,7 @@ def test_it_arms_over_eap_and_ends_cleanly_on_sigterm():
         while not (link.linked and link.state.plc_state is PlcState.HOLD):
             assert time.monotonic() < deadline, link.last_reject
             received(udp, link)
-            datagram = link.send(time.monotonic_ns())
+            datagram = link.send(mono_ns())
             if datagram:
                 udp.sendto(datagram, ("127.0.0.1", port))
             time.sleep(0.02)

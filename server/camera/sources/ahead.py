@@ -1,9 +1,9 @@
 """Decodes the next pair while the one before is still being worked on, and no earlier than that takes."""
 
 import threading
-import time
 from collections import deque
 
+from recording.clock import mono_s
 from server.camera.contracts import StereoFrame, StereoSource
 
 STEP_S = 0.1  # how soon the thread hears that it shall end
@@ -24,7 +24,7 @@ class AheadSource:
         self._ready: StereoFrame | None = None
         self._failure: Exception | None = None
         self._wanted, self._stop = True, False
-        self._taken_s = time.monotonic()
+        self._taken_s = mono_s()
         self._working_s: deque[float] = deque(maxlen=REMEMBERED)
         self._decoding_s: deque[float] = deque(maxlen=REMEMBERED)
         self._thread = threading.Thread(target=self._run, name="camera-ahead", daemon=True)
@@ -52,7 +52,7 @@ class AheadSource:
         """
         with self._changed:
             if not self._wanted:
-                self._working_s.append(time.monotonic() - self._taken_s)
+                self._working_s.append(mono_s() - self._taken_s)
                 self._wanted = True
                 self._changed.notify_all()
             self._changed.wait_for(lambda: self._ready is not None or self._failure is not None, timeout_s)
@@ -62,7 +62,7 @@ class AheadSource:
                 raise failure
             frame, self._ready = self._ready, None
             if frame is not None:
-                self._taken_s, self._wanted = time.monotonic(), False
+                self._taken_s, self._wanted = mono_s(), False
                 self._changed.notify_all()
             return frame
 
@@ -76,14 +76,14 @@ class AheadSource:
 
     def _run(self) -> None:
         while self._turn():
-            began_s = time.monotonic()
+            began_s = mono_s()
             try:
                 frame, failure = self._source.read(STEP_S), None
             except Exception as error:  # the worker's to deal with, as if it had read the camera itself
                 frame, failure = None, error
             with self._changed:
                 if frame is not None:
-                    self._decoding_s.append(time.monotonic() - began_s)
+                    self._decoding_s.append(mono_s() - began_s)
                 self._ready, self._failure = frame, failure
                 self._changed.notify_all()
 
@@ -91,7 +91,7 @@ class AheadSource:
         """Wait until a pair is due; False at the end."""
         with self._changed:
             self._changed.wait_for(lambda: self._stop or (self._ready is None and self._failure is None))
-            left_s = self._taken_s + self._expected_s() - time.monotonic()
+            left_s = self._taken_s + self._expected_s() - mono_s()
             self._changed.wait_for(lambda: self._stop or self._wanted, max(0.0, left_s))
             return not self._stop
 

@@ -1,11 +1,10 @@
 """Stereo pairs from a UVC device such as a ZED2: side-by-side frames by V4L2, size, rate and format read back."""
 
-import time
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from recording.clock import mono_ns, suspended_ns
 from server.camera.errors import CameraError, StreamError
 from server.camera.sources.capture import Capture, CapturedSource, OpenCapture, Picture
 from server.camera.sources.settings import DeviceSource
@@ -21,8 +20,8 @@ def open_v4l2(index: int | str) -> Capture:
 
 
 class DeviceStereoSource(CapturedSource):
-    """A UVC camera. Frames carry the driver's own stamp (when the frame came in over USB, mostly by CLOCK_MONOTONIC;
-    whichever clock it is, it is mapped as any camera's).
+    """A UVC camera. Frames carry the driver's own stamp (when the frame came in over USB, mostly by CLOCK_MONOTONIC,
+    so it is put on our clock; another one is mapped as any camera's).
 
     OpenCV is told not to convert: MJPG arrives as JPEG bytes and is decoded to grey at once, YUYV gives its
     luminance; neither makes a detour through colour.
@@ -33,6 +32,7 @@ class DeviceStereoSource(CapturedSource):
         super().__init__(f"camera device {name}")
         self._settings = settings
         self._open_capture = open_capture
+        self._suspended_ns = suspended_ns()  # a resume ends the vision process, so it stays as it is
         self._thread.start()
 
     def _open(self) -> Capture:
@@ -73,9 +73,10 @@ class DeviceStereoSource(CapturedSource):
             )
 
     def _stamp(self, capture: Capture) -> tuple[int, int]:
-        now_ns = time.monotonic_ns()
+        now_ns = mono_ns()
         driver_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
-        return (driver_ns if driver_ns > 0 else now_ns), now_ns  # an old one is an old picture's: never made younger
+        stamp_ns = driver_ns + self._suspended_ns if driver_ns > 0 else now_ns  # however old: never made younger
+        return stamp_ns, now_ns
 
     def _eyes(self, picture: Picture) -> tuple[Image, Image]:
         wanted = self._settings

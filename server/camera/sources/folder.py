@@ -1,12 +1,12 @@
 """Stereo pairs from two sets of image files in name order, as KITTI stores them."""
 
 import glob
-import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError
 from server.camera.sources.pacing import Pacing
@@ -53,7 +53,7 @@ class FolderStereoSource:
         stem = Path(left_file).stem
         stamped = stem.isdigit() and len(stem) >= STAMP_DIGITS
         t_exposure_ns = int(stem) if stamped else (self._number - 1) * self._period_ns
-        return StereoFrame(left, right, t_exposure_ns, time.monotonic_ns(), self._number)
+        return StereoFrame(left, right, t_exposure_ns, mono_ns(), self._number)
 
     def close(self) -> None:
         """Nothing to let go of."""

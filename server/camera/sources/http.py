@@ -8,10 +8,10 @@ import http.client
 import logging
 import socket
 import threading
-import time
 from dataclasses import dataclass
 from urllib.parse import SplitResult, urlsplit
 
+from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError, StreamError
 from server.camera.sources.multipart import MultipartParser, Part
@@ -139,7 +139,7 @@ class HttpStereoSource:
             data = response.read1(CHUNK_BYTES)
             if not data:
                 return any_part
-            for part in parser.feed(data, time.monotonic_ns()):
+            for part in parser.feed(data, mono_ns()):
                 any_part = True
                 self._state = ""
                 self._counted += 1

@@ -2,6 +2,8 @@
 
 import time
 
+from recording.clock import mono_s
+
 
 class Pacing:
     """Says when the next picture is due; a late reader is not made to catch up."""
@@ -12,7 +14,7 @@ class Pacing:
 
     def wait(self, timeout_s: float) -> bool:
         """Sleep until the next picture is due, at most the timeout; whether it is due."""
-        now_s = time.monotonic()
+        now_s = mono_s()
         due_s = now_s if self._due_s is None else self._due_s
         if due_s - now_s > timeout_s:
             time.sleep(timeout_s)
@@ -31,7 +33,7 @@ class StampPacing:
 
     def wait(self, t_ns: int, timeout_s: float) -> bool:
         """Sleep until the picture of this stamp is due, at most the timeout; whether it is due."""
-        now_s = time.monotonic()
+        now_s = mono_s()
         if self._begin is None:
             self._begin = (now_s, t_ns)
         begin_s, begin_ns = self._begin

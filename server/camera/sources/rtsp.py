@@ -3,13 +3,13 @@
 import contextlib
 import os
 import threading
-import time
 from collections.abc import Iterator
 from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
 
+from recording.clock import mono_ns
 from server.camera.errors import CameraError
 from server.camera.sources.capture import Capture, CapturedSource, OpenCapture, Picture
 from server.camera.sources.settings import RtspSource
@@ -73,7 +73,7 @@ class RtspStereoSource(CapturedSource):
         return capture
 
     def _stamp(self, capture: Capture) -> tuple[int, int]:
-        now_ns = time.monotonic_ns()
+        now_ns = mono_ns()
         if self._by_arrival:
             return now_ns, now_ns
         t_ns, last_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6), self._last_ns

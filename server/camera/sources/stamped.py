@@ -1,9 +1,9 @@
 """Stored pairs with stamps, played once at their own pace: what data sets and recordings have in common."""
 
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError
 from server.camera.sources.pacing import StampPacing
@@ -43,7 +43,7 @@ class StampedStereoSource:
         pair = self._next
         if pair is None or not self._pacing.wait(pair.t_exposure_ns, timeout_s):
             return None
-        t_receive_ns = time.monotonic_ns()
+        t_receive_ns = mono_ns()
         self._advance()
         try:
             left, right = pair.decode()

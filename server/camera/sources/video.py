@@ -1,11 +1,11 @@
 """Stereo pairs from a video file of side-by-side frames."""
 
-import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError
 from server.camera.sources.pacing import Pacing
@@ -40,7 +40,7 @@ class FileStereoSource:
         left, right = split_side_by_side(np.asarray(picture, np.uint8))
         t_exposure_ns = self._sequence * self._period_ns
         self._sequence += 1
-        return StereoFrame(left, right, t_exposure_ns, time.monotonic_ns(), self._sequence)
+        return StereoFrame(left, right, t_exposure_ns, mono_ns(), self._sequence)
 
     def close(self) -> None:
         """Let go of the file."""

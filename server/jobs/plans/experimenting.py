@@ -1,6 +1,5 @@
 """The next experiment as two jobs: planning shows a hash and moves nothing; driving names it and is recorded."""
 
-import time
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from machine.kinematics import tcp_poses
+from recording.clock import mono_ns
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.experiment_records import ExperimentDriven, ExperimentPlan
@@ -55,7 +55,7 @@ def plan_experiment(
     ctx: PlanContext,
     asked: AskedExperiment,
     keep_plan: Callable[[PlannedExperiment], None],
-    clock_ns: Callable[[], int] = time.monotonic_ns,
+    clock_ns: Callable[[], int] = mono_ns,
 ) -> Generator[Request, object, ExperimentPlan]:
     """Plan from where the machine rests, check every motion, and keep the plan for `experiment`."""
     require_same_machine(asked.recordings, asked.machine_text)

@@ -1,8 +1,8 @@
 """The whole loop: look, orient, calibrate, then look-then-move until inside the tolerance."""
 
-import time
 from collections.abc import Callable, Generator
 
+from recording.clock import mono_ns
 from server.calibration.calibration_life import ValidityStatus
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
@@ -20,7 +20,7 @@ Clock = Callable[[], int]
 
 
 def position(
-    ctx: PlanContext, recalibrate: bool, clock_ns: Clock = time.monotonic_ns
+    ctx: PlanContext, recalibrate: bool, clock_ns: Clock = mono_ns
 ) -> Generator[Request, object, PositionResult]:
     """Bring the tool to the goal. Ends reached, or not reached with the reason; a failed look fails the job.
 

@@ -4,13 +4,13 @@ Each pair, joined with the encoders at its exposure, places the goal anew; the t
 that it ends there. The first pair that is missing, unfit or off stops the motion.
 """
 
-import time
 from collections.abc import Callable, Generator
 from dataclasses import replace
 
 import numpy as np
 
 from machine.rotations import Array
+from recording.clock import mono_ns
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
@@ -42,7 +42,7 @@ PATIENCE_S = 1.0  # at rest, for a pair after one that was late or unfit
 LOST_CODE = "servo_look_lost"
 
 
-def servo(ctx: PlanContext, clock_ns: Callable[[], int] = time.monotonic_ns) -> Generator[Request, object, ServoResult]:
+def servo(ctx: PlanContext, clock_ns: Callable[[], int] = mono_ns) -> Generator[Request, object, ServoResult]:
     """From near the target into the tolerance while looking.
 
     Raises: JobFailedError: switched off, not calibrated, too far, vision not reliable, or a pair was lost on the way.

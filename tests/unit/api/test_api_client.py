@@ -1,9 +1,11 @@
 """Our own client against our own document: every request it makes and every field it reads is promised there; and it
 gets a job done on a served stand-in though answers are lost."""
 
+import asyncio
 import re
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import httpx
@@ -12,6 +14,7 @@ import pytest
 import longreach.fleet_client
 import longreach.lease_holder
 from longreach.fleet_client import JobClient, JobRefusedError
+from longreach.fleet_command import stop_all
 from longreach.lease_holder import ControlRefusedError, LeaseHolder
 
 SOURCES = (longreach.fleet_client, longreach.lease_holder)
@@ -91,6 +94,66 @@ def test_a_lost_answer_is_asked_for_again_and_the_job_runs_once(address, monkeyp
     assert cut.sent == 4
     assert [job.kind for job in made.service.engine.jobs] == ["park"]
     assert made.service.engine.leases.held is None
+
+
+@pytest.mark.parametrize("ending", [KeyboardInterrupt, SystemExit, RuntimeError])
+def test_whatever_ends_the_following_of_a_job_stops_the_machine(address, ending):
+    url, made = address
+    made.performer.hold = asyncio.Event()  # never set: the job goes on until it is stopped
+
+    def end(_event):
+        raise ending
+
+    with JobClient(url, owner="truck 7", kind="fleet", key=made.keys["fleet"]) as client, pytest.raises(ending):
+        client.run({"kind": "park"}, end)
+    (job,) = made.service.engine.jobs
+    assert (job.state.value, job.reason) == ("stopped", "stopped over REST")
+    assert made.service.engine.leases.held is None
+
+
+def test_a_stop_that_nobody_confirms_is_said(address):
+    url, made = address
+    made.performer.hold = asyncio.Event()  # never set: the job goes on until it is stopped
+
+    def end(_event):
+        client._http.base_url = "http://127.0.0.1:9"
+        raise KeyboardInterrupt
+
+    with JobClient(url, kind="fleet", key=made.keys["fleet"]) as client, pytest.raises(KeyboardInterrupt) as ending:
+        client.run({"kind": "park"}, end)
+    assert "STOP is not confirmed" in ending.value.__notes__[0]
+    assert "control lapses within 15 s" in ending.value.__notes__[0]
+
+
+def test_a_refused_client_stops_nobody_elses_job(address):
+    url, made = address
+    made.performer.hold = asyncio.Event()  # never set: the job goes on until it is stopped
+    key = {"Authorization": f"Bearer {made.keys['operator']}"}
+    with httpx.Client(base_url=url, headers=key) as http, LeaseHolder(http, "anna", "operator") as held:
+        assert http.post("/v1/jobs", json={"kind": "park"}, headers=held.headers).status_code == 202
+        with JobClient(url, kind="fleet", key=made.keys["fleet"]) as client:
+            with pytest.raises(JobRefusedError, match="anna"):
+                client.run({"kind": "park"})
+            client.abandon()  # as Ctrl-C in a fleet: what another one runs goes on
+        assert not made.service.engine.current.ended
+
+
+def test_a_fleet_that_is_ended_stops_every_machine_of_its_own(address):
+    url, made = address
+    made.performer.hold = asyncio.Event()  # never set: the job goes on until it is stopped
+    clients = [JobClient(one, kind="fleet", key=made.keys["fleet"]) for one in (url, "http://127.0.0.1:9")]
+    made.service.engine.on_event(lambda _job, event: event.name == "started" and begun.set())
+    begun = threading.Event()
+    with ThreadPoolExecutor(2) as pool:
+        running = [pool.submit(client.run, {"kind": "park"}) for client in clients[:1]]
+        waiting = pool.submit(clients[1].wait_ready, 600.0)
+        assert begun.wait(30.0)
+        stop_all(clients)
+        assert running[0].result(30.0).state == "stopped"
+        with pytest.raises(JobRefusedError, match="ended before the job began"):
+            waiting.result(30.0)
+    for client in clients:
+        client.close()
 
 
 def test_one_who_has_control_is_named_to_the_next(address):

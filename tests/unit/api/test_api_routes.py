@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import time
 from types import SimpleNamespace
 
 import httpx
@@ -11,6 +10,7 @@ import pytest
 from fastapi import FastAPI
 
 from machine.chain import chain_of
+from recording.clock import mono_ns
 from server.api.jobs import jobs_router
 from server.api.problems import install_problem_handlers
 from server.api.state import camera_reason, state_router
@@ -98,7 +98,7 @@ async def client(service):
 
 
 def looked(age_s=0.0):
-    t_ns = time.monotonic_ns() - int(age_s * 1e9)
+    t_ns = mono_ns() - int(age_s * 1e9)
     reading = MachineReading(np.zeros(6), np.zeros(6), t_ns, t_ns)
     return LookTaken(None, reading, ERROR, LookRecord("ok", "", ERROR, 20, 0.1, t_ns, t_ns))
 
@@ -107,7 +107,7 @@ def previewed(expires_in_s):
     plan = PathPlan(
         PlanStatus.OK, "", None, np.eye(4)[None], np.zeros(6), 0.3, 5.0, 0.1, float("inf"), 0.4, np.zeros(6)
     )
-    now = time.monotonic_ns()
+    now = mono_ns()
     expires = now + int(expires_in_s * 1e9)
     q = np.zeros(6)
     return PreviewedPlan(plan, "0123456789abcdef", q, q, q, np.eye(4), ERROR, (1, 1, 1), now, expires)

@@ -98,7 +98,7 @@ class Clock:
     def __init__(self):
         self.ns = 0
 
-    def monotonic_ns(self):
+    def mono_ns(self):
         self.ns += 5_000_000
         return self.ns
 
@@ -110,6 +110,7 @@ class Clock:
 def clock(monkeypatch):
     ticking = Clock()
     monkeypatch.setattr(module, "time", ticking)
+    monkeypatch.setattr(module, "mono_ns", ticking.mono_ns)
     return ticking
 
 

@@ -7,6 +7,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 WAIT_S = 20.0
 PROGRAM = """
 import subprocess, sys, time
@@ -25,13 +27,14 @@ with Sleeping(StackPorts(1, 2, 3, 4)) as stack:
 """
 
 
-def test_what_a_stack_started_ends_with_its_program(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_what_a_stack_started_ends_with_its_program(tmp_path: Path, number: int) -> None:
     program = subprocess.Popen([sys.executable, "-c", PROGRAM], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
     assert program.stdout is not None
     with program, program.stdout:
         child = int(program.stdout.readline())
-        program.terminate()
-        assert program.wait(WAIT_S) == 128 + signal.SIGTERM
+        program.send_signal(number)
+        assert program.wait(WAIT_S) == -signal.SIGINT  # as by Ctrl-C
     until = time.monotonic() + WAIT_S
     while _runs(child) and time.monotonic() < until:
         time.sleep(0.05)

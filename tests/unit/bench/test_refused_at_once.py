@@ -1,14 +1,16 @@
 """What cannot work is refused before the work, with the remedy, and without a traceback."""
 
+import errno
 import socket
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
+from longreach import addresses
+from longreach.addresses import Address, require_bindable
 from longreach.cli import app
 from longreach.fleet_client import JobClient, JobRefusedError
-from longreach.processes import free_port, taken
 from longreach.shipped_machine import file_of_machine
 from server.errors import SettingsError
 
@@ -68,25 +70,88 @@ def test_a_folder_of_recordings_is_no_recording(tmp_path: Path) -> None:
     assert "20260131T101500-look.mcap" in told
 
 
-def test_a_port_that_somebody_listens_on() -> None:
-    assert not taken("127.0.0.1", free_port())
-    assert not taken("no.such.host.invalid", free_port())
+@pytest.mark.parametrize(
+    ("command", "kind", "told"),
+    [
+        (
+            ["demo", "--no-browser", "--port", "PORT"],
+            "tcp",
+            "port PORT is taken by another program; give another one by ",
+        ),
+        (["serve", "--port", "PORT"], "tcp", "port PORT is taken by another program; give another one by --port"),
+        (
+            ["serve", "--port", "0", "--plc-local-port", "PORT"],
+            "udp",
+            "udp port PORT is taken by another program, perhaps",
+        ),
+        (
+            ["serve", "--port", "0", "--settings", "FILE"],
+            "tcp",
+            "port PORT is taken by another program; give another one",
+        ),
+        (["serve", "--port", "0", "--settings", "LOCAL"], "udp", "'198.51.100.7' is not an address of this computer"),
+        (["serve", "--host", "198.51.100.7"], "tcp", "'198.51.100.7' is not an address of this computer"),
+        (
+            ["serve", "--host", "no.such.host.invalid"],
+            "tcp",
+            "'no.such.host.invalid' is not an address of this computer",
+        ),
+        (
+            ["sim", "--camera-port", "PORT"],
+            "tcp",
+            "port PORT is taken by another program; give another one by --camera-",
+        ),
+        (
+            ["sim", "--plc-port", "PORT"],
+            "udp",
+            "udp port PORT is taken by another program; give another one by --plc-po",
+        ),
+        (["sim", "--plc-host", "198.51.100.7"], "udp", "'198.51.100.7' is not an address of this computer"),
+        (["commission", "--plc-local-port", "PORT"], "udp", "one controller at a time"),
+    ],
+)
+def test_an_address_that_nothing_can_listen_on_is_told_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: list[str], kind: str, told: str
+) -> None:
+    """198.51.100.7 is of a net for documentation: no computer has it."""
+    monkeypatch.setattr("server.app.serve", lambda *_: pytest.fail("it starts"))
+    monkeypatch.setattr("sim_plc.process.run_sim", lambda *_: pytest.fail("it starts"))
+    monkeypatch.chdir(tmp_path)
+    kinds = {"tcp": socket.SOCK_STREAM, "udp": socket.SOCK_DGRAM}
+    with socket.socket(socket.AF_INET, kinds[kind]) as other:
+        other.bind(("127.0.0.1", 0))
+        if kind == "tcp":
+            other.listen()
+        port = str(other.getsockname()[1])
+        (tmp_path / "FILE").write_text(f"[opcua]\nenabled = true\nport = {port}\n")
+        (tmp_path / "LOCAL").write_text('[plc]\nlocal_host = "198.51.100.7"\n')
+        done = CliRunner().invoke(app, [port if one == "PORT" else one for one in command])
+    text = str(done.exception) if isinstance(done.exception, SettingsError) else " ".join(done.output.split())
+    assert told.replace("PORT", port) in text
+    assert isinstance(done.exception, SettingsError) or done.exit_code == 2
+    assert "panel at" not in done.output
+
+
+def test_an_address_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    up, told = iter([False, False, True]), []
+
+    def try_it(_address: Address) -> None:
+        if not next(up):
+            raise OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
+
+    monkeypatch.setattr(Address, "try_it", try_it)
+    monkeypatch.setattr(addresses, "RETRY_S", 0.0)
+    require_bindable((Address("192.0.2.1", 1, "--host", "--port"),), 60.0, told.append)
+    assert told == ["'192.0.2.1' is not an address of this computer yet; waiting for it, 60 s at most"]
+    monkeypatch.undo()
     with socket.create_server(("127.0.0.1", 0)) as other:
-        port = other.getsockname()[1]
-        assert taken("127.0.0.1", port)
-        told = said(["demo", "--port", str(port)], 1)
-        assert f"port {port} is taken by another program; give another one by " in told
-        assert f"demo --port {port + 1}" in told, "make demo takes no option: the whole command"
-        served = CliRunner().invoke(app, ["serve", "--port", str(port)])
-        assert isinstance(served.exception, SettingsError)
-        assert "give another one by --port" in str(served.exception)
-        simulated = CliRunner().invoke(app, ["sim", "--camera-port", str(port)])
-        assert isinstance(simulated.exception, SettingsError)
-        assert "give another one by --camera-port" in str(simulated.exception)
+        taken = Address("127.0.0.1", other.getsockname()[1], "--host", "--port")
+        with pytest.raises(SettingsError, match="is taken by another program"):
+            require_bindable((taken,), 3600.0)  # which waiting does not make free
 
 
 def test_a_preset_that_does_not_exist_is_told_before_anything_is_announced() -> None:
-    assert "preset 'foo' does not exist; choose one of ideal, realistic, paper" in said(["demo", "--preset", "foo"], 1)
+    assert "preset 'foo' does not exist; choose one of ideal, realistic, paper" in said(["demo", "--preset", "foo"], 2)
     simulated = CliRunner().invoke(app, ["sim", "--preset", "foo"])
     assert isinstance(simulated.exception, SettingsError)
     assert simulated.output == ""

@@ -6,6 +6,7 @@ import time
 import numpy as np
 import pytest
 
+from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
 from server.camera.errors import CameraError
 from server.camera.sources.ahead import AheadSource
@@ -37,7 +38,7 @@ class Numbered:
         self.begun.release()
         time.sleep(self._decoding_s)
         number = len(self.read_times_s)
-        return StereoFrame(EYE, EYE, number, time.monotonic_ns(), number)
+        return StereoFrame(EYE, EYE, number, mono_ns(), number)
 
     def close(self) -> None:
         self.closed = True

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -17,6 +16,7 @@ import pytest
 from camera_stand_in import CameraStandIn, jpeg_of, part_of
 
 from machine.description import parse_machine_toml
+from recording.clock import mono_ns
 from server.camera.client import VisionClient
 from server.camera.contracts import VisionSettings
 from server.camera.health.stamps import STARTING_PAIRS
@@ -58,7 +58,7 @@ async def feed(camera: CameraStandIn, pictures: list[bytes], stop: asyncio.Event
     number = 0
     while not stop.is_set():
         number += 1
-        part = part_of(pictures[number % len(pictures)], time.monotonic_ns() - 10**12, number)
+        part = part_of(pictures[number % len(pictures)], mono_ns() - 10**12, number)
         await asyncio.to_thread(camera.send, part)
         await asyncio.sleep(0.1)
 

@@ -17,9 +17,11 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 from rig_samples import SIZE_PX, brown_rig
 
+from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame, StereoSource
 from server.camera.errors import CameraError
 from server.camera.rectification import rectification_of, rectifying_maps
+from server.camera.sources import device
 from server.camera.sources.device import DeviceStereoSource
 from server.camera.sources.opening import open_source
 from server.camera.sources.rectifying import RectifyingSource
@@ -105,9 +107,11 @@ def test_device_gives_grey_eyes_without_colour(as_jpeg: bool) -> None:
     assert capture.order.index(cv2.CAP_PROP_FRAME_WIDTH) < capture.order.index(cv2.CAP_PROP_FPS)
 
 
-def test_device_uses_the_drivers_stamp_where_there_is_one() -> None:
+def test_device_uses_the_drivers_stamp_where_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever clock it goes by, and however old it is: an old picture is never made a fresh one."""
-    now_ms = time.monotonic_ns() * 1e-6
+    slept_ns = 14 * 3600 * 10**9  # the driver's clock stood still meanwhile
+    monkeypatch.setattr(device, "suspended_ns", lambda: slept_ns)
+    now_ms = mono_ns() * 1e-6
     for given_ms, is_driver in (
         (now_ms - 12.0, True),
         (now_ms - 1500.0, True),
@@ -122,7 +126,7 @@ def test_device_uses_the_drivers_stamp_where_there_is_one() -> None:
         source.close()
         assert frame is not None
         if is_driver:
-            assert frame.t_exposure_ns == pytest.approx(given_ms * 1e6, abs=1e3)
+            assert frame.t_exposure_ns == pytest.approx(given_ms * 1e6 + slept_ns, abs=1e3)
         else:
             assert frame.t_exposure_ns == frame.t_receive_mono_ns
 

@@ -10,6 +10,7 @@ from test_jobs_plans import CHAIN, MACHINE, World, context, run
 from machine.effects.entries import EffectEntry
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
+from recording.clock import mono_ns, mono_s
 from server.calibration.calibration_file import parse_calibration
 from server.calibration.calibration_life import ValidityStatus
 from server.errors import JobFailedError
@@ -363,8 +364,8 @@ def test_a_disk_that_takes_nothing_is_noted_and_ends_no_job(tmp_path):
 
 def test_the_engine_s_clock_gives_the_age_in_calendar_time():
     ctx = context()
-    ctx.knowledge.unix_minus_mono_s = time.time() - time.monotonic()
-    assert ctx.knowledge.unix_s(time.monotonic_ns()) == pytest.approx(time.time(), abs=1.0)
+    ctx.knowledge.unix_minus_mono_s = time.time() - mono_s()
+    assert ctx.knowledge.unix_s(mono_ns()) == pytest.approx(time.time(), abs=1.0)
 
 
 def test_oil_that_became_much_warmer_ends_it():

@@ -1,6 +1,5 @@
 """The next experiment as a plan: what is refused before anything moves, what is driven, and what follows it."""
 
-import time
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 from test_jobs_plans import CHAIN, MACHINE, Q_START, World, context, run
 
+from recording.clock import mono_s
 from server.api.views import ExperimentRequest, PlanExperimentRequest
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.diagnosing import Diagnosis
@@ -275,7 +275,7 @@ def test_an_experiment_that_was_stopped_or_not_recorded_is_not_diagnosed(tmp_pat
     desk = Experiments(diagnoses)
     plan, _ = planned(ctx, world, motion())
     _, result = performed(drive_experiment(ctx, plan), world)
-    stopped = Job("b" * 12, "experiment", "anna", JobState.STOPPED, started_mono_s=time.monotonic())
+    stopped = Job("b" * 12, "experiment", "anna", JobState.STOPPED, started_mono_s=mono_s())
     desk.follow(stopped, tmp_path / "b.mcap")
     assert stopped.result is None
     unrecorded = replace(stopped, state=JobState.DONE, result=result)

@@ -1,12 +1,12 @@
 """Where joints rest in their play is told by the encoders, whoever moved the machine and however a motion ended."""
 
 import asyncio
-import time
 from types import SimpleNamespace
 
 import numpy as np
 from test_jobs_plans import World, context, run
 
+from recording.clock import mono_ns
 from server.jobs.performer import Performer
 from server.jobs.plans.looking import good_look
 from server.jobs.requests import MachineReading, ReadMachine, Settle
@@ -35,7 +35,7 @@ def hear(performer, link, qs, t_from_s=1.0):
     for i, q in enumerate(qs):
         link.latest = SimpleNamespace(
             t_plc_ns=round(1e9 * (t_from_s + 0.01 * i)),
-            t_mono_ns=time.monotonic_ns(),
+            t_mono_ns=mono_ns(),
             q_rad=(float(q),) * 6,
             q_ref_rad=(0.0,) * 6,
             oil_temperature_c=0.0,

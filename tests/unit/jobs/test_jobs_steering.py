@@ -1,12 +1,12 @@
 """Steering: what the next pair's report says of silence, unfit pictures, missing encoders, corrections and ends."""
 
 import asyncio
-import time
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from recording.clock import mono_ns
 from server.errors import JobFailedError
 from server.jobs.steer_requests import Correct, NextPair
 from server.jobs.steering import FIRST_PAIR_S, GRACE_S, Steering
@@ -46,14 +46,12 @@ class Link:
         ]
 
     def newest_ns(self):
-        return self.silent_since_ns or time.monotonic_ns()
+        return self.silent_since_ns or mono_ns()
 
     @property
     def latest(self):
         t_ns = self.newest_ns()
-        return SimpleNamespace(
-            plc_state="RUN", t_play_ns=700_000_000, t_mono_ns=time.monotonic_ns(), t_plc_ns=t_ns - OFFSET_NS
-        )
+        return SimpleNamespace(plc_state="RUN", t_play_ns=700_000_000, t_mono_ns=mono_ns(), t_plc_ns=t_ns - OFFSET_NS)
 
     async def run(self, trajectory):
         self.motion = asyncio.get_running_loop().create_future()
@@ -70,7 +68,7 @@ class Vision:
 
 
 def report(age_s=0.06, warnings=()):
-    exposed_ns = time.monotonic_ns() - int(age_s * 1e9)
+    exposed_ns = mono_ns() - int(age_s * 1e9)
     observation = SimpleNamespace(tool="the tool", ooi="the object")
     return SimpleNamespace(t_exposure_mapped_ns=exposed_ns, warnings=warnings, observation=observation)
 
@@ -143,14 +141,14 @@ async def test_an_unfit_pair_says_why(cell, one, word):
 
 async def test_a_pair_waits_a_little_for_encoders_that_are_on_their_way(cell):
     steering = await begun(cell)
-    cell.link.silent_since_ns = time.monotonic_ns() - 100_000_000
+    cell.link.silent_since_ns = mono_ns() - 100_000_000
     cell.vision.report(report(age_s=0.0))
     asking = asyncio.create_task(steering.next_pair(asked()))
     await asyncio.sleep(0.02)
     assert not asking.done()
     cell.link.silent_since_ns = None
     assert (await asking).fault == ""
-    cell.link.silent_since_ns = time.monotonic_ns() - 100_000_000
+    cell.link.silent_since_ns = mono_ns() - 100_000_000
     cell.vision.report(report(age_s=0.0))
     assert "no encoders" in (await steering.next_pair(asked(after=1))).fault  # but not for ever
     await steering.forget()
@@ -221,11 +219,11 @@ async def test_a_pair_that_waited_behind_a_stall_is_too_old_to_act_upon(cell):
 async def test_only_a_pair_without_a_fault_lets_the_motion_go_on(cell):
     steering = await begun(cell)
     (first_ns,) = cell.link.until  # before the trajectory is asked for
-    assert 0 < first_ns - time.monotonic_ns() <= FIRST_PAIR_S * 1e9
+    assert 0 < first_ns - mono_ns() <= FIRST_PAIR_S * 1e9
     cell.vision.report(report())
-    before_ns = time.monotonic_ns()
+    before_ns = mono_ns()
     await steering.next_pair(asked(silence_max_s=0.15))
-    after_ns = time.monotonic_ns()
+    after_ns = mono_ns()
     assert before_ns <= cell.link.until[1] - int((0.15 + GRACE_S) * 1e9) <= after_ns
     cell.vision.report(report(warnings=("left eye is dark",)))
     await steering.next_pair(asked(after=1))

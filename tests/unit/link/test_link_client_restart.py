@@ -35,3 +35,4 @@ async def test_a_start_that_fails_is_tried_again(monkeypatch, error):
     await asyncio.wait_for(client._restart, 10.0)
     assert len(tries) == 3
     assert str(error) in told[2]
+    await client.close()  # of the dead one nothing is left to end

@@ -11,6 +11,7 @@ from protocol.codes import HeaderFlag, PlcState
 from protocol.errors import LocalProtocolError
 from protocol.framing import EapFraming, RawFraming
 from protocol.messages import State
+from recording.clock import mono_ns
 from server.api.panel_figures import link_figures
 from server.link import udp_end
 from server.link.client import LinkClient
@@ -165,8 +166,8 @@ def test_standing_still_is_encoders_and_reference_for_most_of_the_window(span_s,
 
 
 def test_a_process_held_up_between_two_clocks_stamps_nothing_late(monkeypatch: pytest.MonkeyPatch) -> None:
-    real_ns, calls = time.monotonic_ns, iter(range(10_000))
-    monkeypatch.setattr(udp_end.time, "monotonic_ns", lambda: real_ns() + (10_000_000 if next(calls) % 6 == 1 else 0))
+    real_ns, calls = mono_ns, iter(range(10_000))
+    monkeypatch.setattr(udp_end, "mono_ns", lambda: real_ns() + (10_000_000 if next(calls) % 6 == 1 else 0))
     a, b = UdpEnd(("127.0.0.1", 0)), UdpEnd(("127.0.0.1", 0))
     try:
         for i in range(6):

@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 
@@ -25,7 +24,7 @@ class Loop:
 
     def __init__(self, monkeypatch):
         self.t_ns = 10_000 * MS
-        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic_ns=lambda: self.t_ns))
+        monkeypatch.setattr(module, "mono_ns", lambda: self.t_ns)
         monkeypatch.setattr(module, "raise_priority", str)
         self.server, pipe = multiprocessing.Pipe()
         settings = LinkSettings(local_host="127.0.0.1", local_port=0)

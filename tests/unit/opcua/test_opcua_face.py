@@ -5,7 +5,6 @@ import importlib.util
 import math
 import socket
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +12,7 @@ import pytest
 from served import bench
 
 from protocol.codes import FaultBit
+from recording.clock import mono_ns
 from server.errors import SettingsError
 from server.link.contracts import LinkHealth, LinkPhase, PlcSample
 from server.opcua import face as face_module
@@ -38,7 +38,7 @@ def sample(t_mono_ns, q=Q, plc_state="RUN", fault_bits=0):
 @pytest.fixture
 def service(tmp_path):
     made = bench(tmp_path)
-    made.service.cell.link.latest = sample(time.monotonic_ns())
+    made.service.cell.link.latest = sample(mono_ns())
     yield made.service
     made.keeper.database.close()
 
@@ -74,10 +74,10 @@ def test_the_machine_tells_its_serial_number(service):
 
 
 def test_faults_are_told_as_the_companion_specification_names_them(service):
-    service.cell.link.latest = sample(time.monotonic_ns(), fault_bits=int(FaultBit.ESTOP))
+    service.cell.link.latest = sample(mono_ns(), fault_bits=int(FaultBit.ESTOP))
     found = by_path(service)
     assert (found[(*SAFETY, "EmergencyStop")].value, found[(*SAFETY, "ProtectiveStop")].value) == (True, False)
-    service.cell.link.latest = sample(time.monotonic_ns(), fault_bits=int(FaultBit.LAG))
+    service.cell.link.latest = sample(mono_ns(), fault_bits=int(FaultBit.LAG))
     found = by_path(service)
     assert (found[(*SAFETY, "EmergencyStop")].value, found[(*SAFETY, "ProtectiveStop")].value) == (False, True)
     assert found[(*SAFETY, "OperationalMode")].value == OperationalMode.AUTOMATIC_EXTERNAL
@@ -183,7 +183,7 @@ async def test_a_client_reads_everything_and_changes_nothing(service, monkeypatc
         opcua_face(service, OpcUaSettings(enabled=True, port=port)),
         Client(f"opc.tcp://127.0.0.1:{port}/longreach/", timeout=30.0) as client,
     ):
-        service.cell.link.latest = sample(time.monotonic_ns() + 10**12)  # fresh for the whole test
+        service.cell.link.latest = sample(mono_ns() + 10**12)  # fresh for the whole test
         position = await node(client, POSITION_2)
 
         async def good():
@@ -197,7 +197,7 @@ async def test_a_client_reads_everything_and_changes_nothing(service, monkeypatc
             == "DD"
         )
 
-        service.cell.link.latest = sample(time.monotonic_ns() + 10**12, q=tuple(np.array(Q) + 0.25))
+        service.cell.link.latest = sample(mono_ns() + 10**12, q=tuple(np.array(Q) + 0.25))
 
         async def followed():
             return await position.read_value() == pytest.approx(math.degrees(Q[1] + 0.25), abs=1e-4)
@@ -213,7 +213,7 @@ async def test_a_client_reads_everything_and_changes_nothing(service, monkeypatc
         with pytest.raises(ua.UaStatusCodeError):
             await system.add_variable(2, "surprise", 1)
 
-        service.cell.link.latest = sample(time.monotonic_ns() - 10**9)  # the PLC has fallen silent
+        service.cell.link.latest = sample(mono_ns() - 10**9)  # the PLC has fallen silent
 
         async def silent():
             value = await position.read_data_value(raise_on_bad_status=False)

@@ -18,6 +18,7 @@ import pytest
 
 from machine.description import parse_machine_toml
 from machine.poses import inverse_pose, pose
+from recording.clock import mono_ns
 from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.process import CAMERA_EPOCH_NS, run_camera
 from sim_plc.pose_feed import PoseFeed
@@ -60,7 +61,7 @@ class Running:
         end = time.monotonic() + timeout_s
         checked = 0.0
         while time.monotonic() < end:
-            self.feed.publish(time.monotonic_ns() + PLC_EPOCH_NS, self.T_base_tcp)
+            self.feed.publish(mono_ns() + PLC_EPOCH_NS, self.T_base_tcp)
             time.sleep(0.001)
             if time.monotonic() - checked > 0.1:
                 checked = time.monotonic()
@@ -124,7 +125,7 @@ def test_stream_is_stamped_regularly_and_shows_the_scene(running: Running) -> No
     def read_parts() -> None:
         for _ in range(12):
             parts.append(read_part(stream))
-            t_camera_ns = time.monotonic_ns() + PLC_EPOCH_NS + CAMERA_EPOCH_NS
+            t_camera_ns = mono_ns() + PLC_EPOCH_NS + CAMERA_EPOCH_NS
             ages_s.append(1e-9 * (t_camera_ns - int(parts[-1][0]["X-Exposure-Ns"])))
 
     reader = threading.Thread(target=read_parts, daemon=True)

@@ -1,5 +1,7 @@
 """The real-time loop against a clock and a socket of our own: pace, batches, time let go, states, stamps."""
 
+import signal
+
 import numpy as np
 import pytest
 from virtual_plc import MACHINE, MS, Q_START, TABLE
@@ -10,6 +12,7 @@ from protocol.framing import EapFraming, RawFraming
 from sim_plc.machine_loop import plc_framing
 from sim_plc.plc.logic import PlcLogic
 from sim_plc.plc.sample import PlantSample
+from sim_plc.process import _StopFlag
 from sim_plc.real_time import RealTimeLoop
 
 OFFSET_NS = 5_000_000_000_000
@@ -117,3 +120,28 @@ def test_framing_by_name():
     framing = plc_framing("eap", "192.168.0.10.1.1", "192.168.0.20.1.1")
     assert isinstance(framing, EapFraming)
     assert framing.own_publisher == bytes([192, 168, 0, 20, 1, 1])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_preparation_and_afterwards_sets_a_flag(number: int) -> None:
+    """At the first start the preparation compiles for a minute; nobody waits for its end."""
+    before, order = signal.getsignal(number), []
+
+    def prepare() -> None:
+        with _StopFlag():
+            try:
+                signal.raise_signal(number)
+                order.append("goes on")
+            finally:
+                signal.raise_signal(number)  # impatience does not keep what was created from being removed
+                order.append("removed")
+
+    with pytest.raises(SystemExit) as ending:
+        prepare()
+    assert (ending.value.code, order) == (128 + number, ["removed"])
+    with _StopFlag() as stopped:
+        stopped.prepared = True
+        assert not stopped()
+        signal.raise_signal(number)
+        assert stopped()
+    assert signal.getsignal(number) is before
