@@ -20,9 +20,9 @@ from longreach.kill_drill.drill import fast_machine
 from longreach.kill_drill.plc_process import PlcProcess, free_udp_port
 from longreach.kill_drill.relay import Relay
 from longreach.kill_drill.under_test import START_S, ServerUnderTest
-from longreach.saved_file import save_whole
 from protocol.codes import PlcState
 from recording.errors import RecordingError
+from recording.files import write_durably
 from recording.opening import read_run
 from sim_plc.settings import SimSettings
 
@@ -79,7 +79,7 @@ def _resumed(number: int, seed: int, folder: Path) -> CrashCase:
     except _EXPECTED as error:
         violations, spent_s = [f"the case did not come about: {error}"], time.monotonic() - started_s
         return CrashCase(number, seed, after_s, "", "", "", [], violations, spent_s)  # not saved: tried again next time
-    save_whole(saved, json.dumps(asdict(case), indent=1))
+    write_durably(saved, json.dumps(asdict(case), indent=1))
     return case
 
 

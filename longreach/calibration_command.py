@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from recording.files import write_durably
 from server.calibration.calibration_export import as_ros, as_yaml
 from server.calibration.calibration_file import CalibrationFileError, SavedCalibration, parse_calibration
 from server.calibration.calibration_life import observability_text
@@ -44,7 +45,7 @@ def export(
         print(text, end="")
         return
     try:
-        out.write_text(text, encoding="utf-8")
+        write_durably(out, text)
     except OSError as error:
         _complain(f"{out}: {error.strerror}; give a file that can be written")
 
