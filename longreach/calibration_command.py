@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from recording.files import write_durably
+from recording.files import read_text, write_durably
 from server.calibration.calibration_export import as_ros, as_yaml
 from server.calibration.calibration_file import CalibrationFileError, SavedCalibration, parse_calibration
 from server.calibration.calibration_life import observability_text
@@ -52,7 +52,7 @@ def export(
 
 def _saved(file: Path) -> SavedCalibration:
     try:
-        return parse_calibration(file.read_text(encoding="utf-8"))
+        return parse_calibration(read_text(file))
     except OSError as error:
         _complain(f"{file}: {error.strerror}; give a calibration.json of longreach")
     except (CalibrationFileError, UnicodeDecodeError) as error:

@@ -12,6 +12,8 @@ import httpx
 
 from longreach.fleet_connection import SteadyClient
 from longreach.lease_holder import ControlRefusedError, LeaseHolder
+from recording.files import read_text
+from server.errors import SettingsError
 
 RETRIES = 3
 RETRY_S = 0.5
@@ -33,8 +35,14 @@ class Finished:
 
 
 def read_key(path: Path | None) -> str:
-    """The key in a file; empty without one."""
-    return path.read_text(encoding="utf-8").strip() if path is not None else ""
+    """The key in a file; empty without one.
+
+    Raises: SettingsError: the file cannot be read.
+    """
+    try:
+        return read_text(path).strip() if path is not None else ""
+    except OSError as error:
+        raise SettingsError(f"key file {path}: {error.strerror}") from error
 
 
 class JobClient:

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from machine.description import Machine, parse_machine_toml
 from machine.field_units import unit_of
+from recording.files import read_text
 from server.calibration.calibration_life import Expiry
 from server.errors import SettingsError
 from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings
@@ -173,9 +174,9 @@ def read_settings(path: Path | None) -> ServerSettings:
     if path is None:
         return ServerSettings()
     try:
-        return ServerSettings.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return ServerSettings.model_validate(tomllib.loads(read_text(path)))
     except OSError as error:
-        raise SettingsError(f"settings file {path}: {error.strerror}; give an existing TOML file") from error
+        raise SettingsError(f"settings file {path}: {error.strerror}; give a TOML file that can be read") from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"settings file {path} is not TOML: {error}") from error
     except ValidationError as error:
@@ -199,9 +200,9 @@ def read_machine_text(name_or_path: str) -> str:
     """Text of a shipped machine (by name, such as "hiab033") or of a machine file (by path)."""
     shipped = shipped_machine(name_or_path)
     if shipped.is_file():
-        return shipped.read_text(encoding="utf-8")
+        return read_text(shipped)
     try:
-        return Path(name_or_path).read_text(encoding="utf-8")
+        return read_text(Path(name_or_path))
     except OSError as error:
         raise SettingsError(
             f"machine file '{name_or_path}': {error.strerror}; give a path or the name of a shipped machine (hiab033)"

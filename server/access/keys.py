@@ -9,7 +9,7 @@ import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from recording.files import write_durably
+from recording.files import read_text, write_durably
 from server.access.roles import Role
 from server.errors import SettingsError
 
@@ -89,7 +89,7 @@ def read_keys(path: Path) -> tuple[ApiKey, ...]:
     Raises: KeysError: it cannot be read or is no key file.
     """
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))["keys"]
+        rows = json.loads(read_text(path))["keys"]
         return tuple(ApiKey(**{**row, "role": Role(row["role"])}) for row in rows)
     except FileNotFoundError:
         return ()
