@@ -23,6 +23,7 @@ from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.cell import Cell
 from server.errors import SettingsError
+from server.inner_faults import PART_FAILED
 from server.jobs.calibration_store import FILE_NAME, CalibrationStore
 from server.jobs.engine import JobEngine
 from server.jobs.performer import Performer
@@ -94,6 +95,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     keeper.on_restored(engine.restore)
     keeper.restore()
     service = JobService(cell, engine, CalibrationStore(folder / FILE_NAME), keeper)
+    service.inner_faults.watch(PART_FAILED, lambda: cell.link.listener_problem or cell.vision.listener_problem)
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:

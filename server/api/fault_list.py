@@ -64,7 +64,6 @@ def _camera(service: JobService) -> list[FaultView]:
 
 
 def _recorder(service: JobService) -> list[FaultView]:
-    told = service.cell.recorder.problem
-    if not isinstance(told, str) or not told:
-        return []
-    return [FaultView(fault_id="recorder", level="WARNING", text=told, hint="free space in the recordings folder")]
+    told = service.recording_problem
+    hint = "free space in the recordings folder, and make it writable; then start the job again"
+    return [FaultView(fault_id="recorder", level="WARNING", text=told, hint=hint)] if told else []

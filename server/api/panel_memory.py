@@ -98,7 +98,7 @@ class PanelMemory:
             look_moved_max_deg=round(float(np.rad2deg(MOVED_RAD)), 3),
             look_age_max_s=cell.settings.look.age_max_s,
             recording=cell.recorder.recording,
-            recorder_problem=cell.recorder.problem,
+            recorder_problem=self.service.recording_problem,
             disk_free_gb=None if self._disk_free is None else round(self._disk_free / 1e9, 2),
         )
 
@@ -113,7 +113,7 @@ class PanelMemory:
         text = self.service.cell.vision.stream_text
         return Surroundings(
             disk_free_bytes=self._disk_free,
-            recorder_problem=self.service.cell.recorder.problem,
+            recorder_problem=self.service.recording_problem,
             scene_problem="" if self.scene.running else self.scene.problem,
             vision_problem=text if text.startswith("vision process ended") else "",
             loss_pct=self._loss_pct,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from machine.effects.entries import EffectEntry, entries_to_toml
-from recording.files import read_text, write_durably
+from recording.files import write_durably
 from server.calibration.calibration_file import (
     CalibrationFileError,
     SavedCalibration,
@@ -61,11 +61,11 @@ class CalibrationStore:
         if self.path is None or not self.path.exists():
             return
         try:
-            saved = parse_calibration(read_text(self.path))
+            saved = parse_calibration(self.path.read_text(encoding="utf-8"))
             if expiry is not None:
                 saved = replace(saved, calibration=replace(saved.calibration, expiry=expiry))
             self._take_up(knowledge, saved, machine_id, n_joints, t_unix_s)
-        except (OSError, CalibrationFileError) as error:
+        except (OSError, UnicodeDecodeError, CalibrationFileError) as error:
             knowledge.calibration_note = f"kept calibration {self.path} was not taken up: {error}"
             log.warning(knowledge.calibration_note)
 

@@ -119,6 +119,11 @@ class LinkClient:
         return self._ring.subscribe(callback)
 
     @property
+    def listener_problem(self) -> str:
+        """Which of those that `on_sample` calls failed lately, and how."""
+        return self._ring.listeners.problem
+
+    @property
     def plc_to_pc_offset_ns(self) -> int | None:
         """t_pc = t_plc + offset, monotonic clocks; None before the first exchange."""
         return self._offset_ns

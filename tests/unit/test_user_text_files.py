@@ -1,5 +1,7 @@
 """Text files of a user, as editors of Windows save them: a byte order mark is read over, other encodings are named."""
 
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +25,7 @@ from server.jobs.proposals import machine_text_in
 from server.settings import read_machine_text, read_settings
 from server.shell_settings import read_key as read_plc_key
 
+ROOT = Path(__file__).parents[2]
 EXPECTED = (ServerError, MachineError, RecordingError, DiagnosisError, CameraError)
 KITTI = "".join(f"P{eye}: 700 0 600 {shift} 0 700 180 0 0 0 1 0\n" for eye, shift in ((0, 0), (1, -380)))
 
@@ -96,3 +99,16 @@ def test_the_list_of_a_data_set_too(tmp_path):
     (tmp_path / "cam1").mkdir()
     said = _said(lambda path: EurocStereoSource(EurocSource(str(path), 1.0)), tmp_path)
     assert "save it as UTF-8" in said
+
+
+@pytest.mark.parametrize("option", ["--runs", "--keys", "--host", "--camera-url"])
+def test_a_name_that_is_not_utf_8_is_refused_at_the_start_in_one_line(option):
+    """Recordings hold the settings as UTF-8: nothing would be recorded."""
+    made = subprocess.run(
+        [sys.executable, "-m", "longreach.cli", "serve", option, b"http://a/runs\xff"], capture_output=True, cwd=ROOT
+    )
+    assert (made.returncode, made.stdout) == (2, b"")
+    said = made.stderr.decode()
+    assert "longreach: command line: " in said
+    assert "UTF-8" in said or "unicode" in said
+    assert "Traceback" not in said

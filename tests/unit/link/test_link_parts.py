@@ -59,6 +59,18 @@ def test_ring_keeps_three_minutes_and_answers_since() -> None:
     assert len(heard) == 18_100
 
 
+def test_a_listener_that_raises_keeps_no_sample_from_the_others_and_is_a_fault() -> None:
+    def broken(_sample: object) -> None:
+        raise ValueError("a defect")
+
+    ring, heard = SampleRing(), []
+    ring.subscribe(broken)
+    ring.subscribe(lambda s: heard.append(s.t_mono_ns))
+    ring.extend(sample(t) for t in range(5))
+    assert heard == [0, 1, 2, 3, 4]
+    assert "broken took no note of a PLC sample: ValueError('a defect')" in ring.listeners.problem
+
+
 def test_lateness_percentiles() -> None:
     lateness = Lateness()
     assert lateness.figures().max_us == 0.0
