@@ -17,6 +17,7 @@ from server.access.gatekeeper import Gatekeeper
 from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
 from server.api.application import Served, application
+from server.api.connection_limit import BACKLOG, ExhaustionLog
 from server.api.panel import install_panel
 from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
@@ -156,6 +157,11 @@ class StoppingServer(uvicorn.Server):
         super().__init__(config)
         self._stop_motion = stop_motion
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen; connections for which there is no descriptor fill no log."""
+        asyncio.get_running_loop().set_exception_handler(ExhaustionLog())
+        await super().startup(sockets)
+
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """While the machine ramps down every caller is still answered."""
         try:
@@ -175,6 +181,7 @@ def config_of(app: FastAPI, http: HttpSettings) -> uvicorn.Config:
         log_level="warning",
         access_log=False,  # its lines would hold lease ids
         http=PatientProtocol,
+        backlog=BACKLOG,
         proxy_headers=http.behind_proxy,
         server_header=False,
         timeout_keep_alive=KEEP_ALIVE_S,
