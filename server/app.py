@@ -17,7 +17,7 @@ from server.access.gatekeeper import Gatekeeper
 from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
 from server.api.application import Served, application
-from server.api.connection_limit import BACKLOG, ExhaustionLog
+from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog
 from server.api.panel import install_panel
 from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
@@ -161,6 +161,10 @@ class StoppingServer(uvicorn.Server):
         """Listen; connections for which there is no descriptor fill no log."""
         asyncio.get_running_loop().set_exception_handler(ExhaustionLog())
         await super().startup(sockets)
+        for server in self.servers:
+            for listening in server.sockets:
+                with listening.dup() as same:
+                    same.listen(QUEUE)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """While the machine ramps down every caller is still answered."""

@@ -10,9 +10,8 @@ from typing import Any
 
 log = logging.getLogger(__name__)
 BACKLOG = 64  # connections that asyncio accepts in one turn, each with its descriptor, before any of them is looked at
-RESERVE = (
-    128 + 4 * BACKLOG
-)  # descriptors of our own (pipes, files, database: 60 were counted); three turns are under way
+QUEUE = 1024  # connections that wait in the kernel, without a descriptor of ours: one more would come a second later
+RESERVE = 128 + 4 * BACKLOG  # descriptors of our own (24 at rest; files, database, pipes), and of turns under way
 CONNECTIONS_MIN = 16
 CONNECTIONS_MAX = 4096  # a hundred panels with all their streams; each takes some 50 kB
 LOG_PERIOD_S = 1.0
