@@ -121,6 +121,7 @@ class PanelMemory:
             up_s=now_s - self._started_s,
             set_mode=self.service.cell.settings.mode,
             store_problem=self.service.store_problem,
+            other_pc=self.service.cell.link.health.other_pc,
             inner_faults=self.service.inner_faults.told,
         )
 

@@ -319,7 +319,7 @@ class LinkClient:
         health, settings = self.health, self._settings
         where = f"{settings.plc_host}:{settings.plc_port}"
         if health.phase is LinkPhase.OFFLINE:
-            reason = health.error or "is it on, and are address, port and framing right?"
+            reason = health.error or "is it on, are address, port and framing right, and does no other PC hold it?"
             return f"PLC silent: no state from {where}; {reason}"
         if health.phase is LinkPhase.LOCAL:
             return "PLC is in LOCAL: the lever at the machine has it; release the lever, then arm"
