@@ -197,7 +197,7 @@ class RunWriter:
             self._close_stream()
 
     def _require_name(self) -> None:
-        """Raises: RecordingError: what is written goes into a file that nobody can open any more."""
+        """Raises: RecordingError: what is written goes into a file that has no name any more."""
         if self._stream is not None and os.fstat(self._stream.fileno()).st_nlink == 0:
             raise RecordingError("the file was removed while it was written; its rows are lost")
 

@@ -18,7 +18,7 @@ LOG_PERIOD_S = 1.0
 
 
 def most_connections(descriptors: int) -> int:
-    """How many connections fit beside our own files under a limit of descriptors (`ulimit -n`; -1: none)."""
+    """How many connections, with our own files, fit under a limit of descriptors (`ulimit -n`; -1: none)."""
     if descriptors == resource.RLIM_INFINITY:
         return CONNECTIONS_MAX
     return min(max(descriptors - RESERVE, descriptors // 4, CONNECTIONS_MIN), CONNECTIONS_MAX)
@@ -32,12 +32,12 @@ def one_to_close(connections: Collection[Any], limit: int) -> Any | None:
     """
     if len(connections) <= limit // 2:
         return None
-    open_ones = [one for one in connections if not one.transport.is_closing()]
-    counts = Counter(_address(one) for one in open_ones)
+    open_ones = [connection for connection in connections if not connection.transport.is_closing()]
+    counts = Counter(_address(connection) for connection in open_ones)
     address, most = max(counts.items(), key=lambda item: item[1], default=("", 0))
     if len(open_ones) <= limit and most <= limit // 2:
         return None
-    return min((one for one in open_ones if _address(one) == address), key=_standing)
+    return min((connection for connection in open_ones if _address(connection) == address), key=_standing)
 
 
 def _address(connection: Any) -> str:

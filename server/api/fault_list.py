@@ -71,6 +71,6 @@ def _camera(service: JobService) -> list[FaultView]:
 
 
 def _recorder(service: JobService) -> list[FaultView]:
-    told = service.recording_problem
+    problem = service.recording_problem
     hint = "free space in the recordings folder, and make it writable; then start the job again"
-    return [FaultView(fault_id="recorder", level="WARNING", text=told, hint=hint)] if told else []
+    return [FaultView(fault_id="recorder", level="WARNING", text=problem, hint=hint)] if problem else []

@@ -69,7 +69,7 @@ class PatientProtocol(HttpToolsProtocol):
     def _make_room(self) -> None:
         surplus = one_to_close(self.connections, self.connections_max)
         if surplus is not None:
-            surplus.transport.abort()  # at once: one that reads nothing would hold its descriptor
+            surplus.transport.abort()  # not close: a client that reads nothing would hold its descriptor
 
     @property
     def _awaits_head(self) -> bool:

@@ -97,8 +97,8 @@ class JobService:
     @property
     def recording_problem(self) -> str:
         """Why not all of the running job, or else of the last one, is written down; empty while it is."""
-        told = self.cell.recorder.problem
-        return self.engine.not_noted or (told if isinstance(told, str) else "")
+        problem = self.cell.recorder.problem
+        return self.engine.not_noted or (problem if isinstance(problem, str) else "")
 
     async def start(self, body: JobBody, lease: Lease | None = None, command: Command = INSIDE_COMMAND) -> Job:
         """Check what can be checked now, write the job down, then start it under `engine.leases.check`'s lease.

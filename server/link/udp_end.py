@@ -75,9 +75,9 @@ class UdpEnd:
 class StampClock:
     """From the kernel's stamps, on the wall clock, to receive times on the monotonic clock. Pure: clocks are arguments.
 
-    A datagram came after the queue was last empty and before now: that tells a stamp that is old because this process
-    was frozen from one that a wall clock was set under. Where both clocks' difference of then and of now fit, the
-    earlier time counts: older than it is stops the machine, fresher than it is would move it.
+    A datagram came after the queue was last empty and before now. That distinguishes a stamp that is old because this
+    process was frozen from one under which the wall clock was set. Where the clocks' differences of then and of now
+    both fit, the earlier time counts: older than it is stops the machine, fresher than it is would move it.
     """
 
     def __init__(self, wall_ns: int, now_ns: int) -> None:
