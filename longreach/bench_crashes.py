@@ -20,9 +20,9 @@ from longreach.kill_drill.drill import fast_machine
 from longreach.kill_drill.plc_process import PlcProcess, free_udp_port
 from longreach.kill_drill.relay import Relay
 from longreach.kill_drill.under_test import START_S, ServerUnderTest
-from longreach.saved_file import save_whole
 from protocol.codes import PlcState
 from recording.errors import RecordingError
+from recording.files import read_text, write_durably
 from recording.opening import read_run
 from sim_plc.settings import SimSettings
 
@@ -79,7 +79,7 @@ def _resumed(number: int, seed: int, folder: Path) -> CrashCase:
     except _EXPECTED as error:
         violations, spent_s = [f"the case did not come about: {error}"], time.monotonic() - started_s
         return CrashCase(number, seed, after_s, "", "", "", [], violations, spent_s)  # not saved: tried again next time
-    save_whole(saved, json.dumps(asdict(case), indent=1))
+    write_durably(saved, json.dumps(asdict(case), indent=1))
     return case
 
 
@@ -91,7 +91,7 @@ def run_case(number: int, seed: int, after_s: float, folder: Path) -> CrashCase:
     started_s = time.monotonic()
     folder.mkdir(parents=True, exist_ok=True)
     machine_file, _ = fast_machine(folder)
-    settings = SimSettings(machine_file.read_text(encoding="utf-8"), seed=1, plc_port=free_udp_port(), camera=False)
+    settings = SimSettings(read_text(machine_file), seed=1, plc_port=free_udp_port(), camera=False)
     with PlcProcess(settings), Relay(settings.plc_port) as relay:
         server = ServerUnderTest(relay.port, machine_file, folder)
         try:

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from longreach.same_options import require_same_options, text_mark
-from longreach.saved_file import save_whole
+from recording.files import write_durably
 from server.settings import read_machine, read_machine_text
 from sim_plc.fuzz.counts import FuzzCounts, counts_from_json
 from sim_plc.fuzz.engine import ENDS, End, fuzz_chunk
@@ -52,7 +52,7 @@ class Lane:
         """Save a chunk whole or not at all."""
         file = self.chunk_file(chunk)
         data = {"counts": counts.as_json(), "found": [payload.hex() for payload in found]}
-        save_whole(file, json.dumps(data))
+        write_durably(file, json.dumps(data))
 
 
 def run_lane(lane: Lane, n: int, machine_name: str) -> Lane:

@@ -21,7 +21,7 @@ from longreach.kill_drill.case import (
 )
 from longreach.kill_drill.drill import run_case
 from longreach.kill_drill.figures import KillFigures
-from longreach.saved_file import save_whole
+from recording.files import write_durably
 from server.errors import SettingsError
 
 DEFAULT_VICTIMS = "server,link,plc"
@@ -70,7 +70,7 @@ def bench(victims: Sequence[Victim], n: int, seed: int, folder: Path, console: C
                 case = load_case(saved.read_text(encoding="utf-8"))
             else:
                 case = _case(victim, number, seed, folder / f"{victim}-{seed}-{number}")
-                save_whole(saved, json.dumps(asdict(case), indent=1))
+                write_durably(saved, json.dumps(asdict(case), indent=1))
             cases.append(case)
             console.print(line(case), highlight=False)
     return cases

@@ -23,8 +23,8 @@ from longreach.link_load.rendered_pairs import render_pairs
 from longreach.link_load.replay_camera import ReplayCamera
 from longreach.link_load.session import Session, vision_alone
 from longreach.link_load.tap import Tap
-from longreach.saved_file import save_whole
 from machine.description import Machine, parse_machine_toml
+from recording.files import write_durably
 from server.camera.client import VisionClient
 from server.camera.contracts import VisionSettings
 from server.camera.sources.settings import HttpSource
@@ -113,7 +113,7 @@ def _alone(plan: Plan, folder: Path, machine: Machine, files: list[Path]) -> Vis
         vision = VisionClient(VisionSettings(source=HttpSource(camera.url)), machine)
         pairs_per_s, process_ms = asyncio.run(vision_alone(vision, plan.alone_s))
     alone = VisionAlone(pairs_per_s, process_ms, max(RATE_MIN_HZ, round(pairs_per_s, 1)))
-    save_whole(saved, json.dumps(asdict(alone), indent=1))
+    write_durably(saved, json.dumps(asdict(alone), indent=1))
     return alone
 
 

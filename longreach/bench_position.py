@@ -18,7 +18,7 @@ from rich.table import Table
 
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
-from longreach.saved_file import save_whole
+from recording.files import write_durably
 
 PAPER_TABLE_4 = {"move 1": (7.6, 27.4, 95.9), "move 2": (3.3, 1.2, 92.3)}  # means, z with b = 100 mm
 READY_S = 180.0
@@ -139,7 +139,7 @@ def bench(preset: str, method: str, n: int, seed: int, folder: Path, console: Co
         else:
             with console.status(f"seed {number} ({number - seed + 1} of {n})"):
                 case = run_case(preset, method, number, folder)
-            save_whole(saved, json.dumps(asdict(case), indent=1))
+            write_durably(saved, json.dumps(asdict(case), indent=1))
         cases.append(case)
         console.print(_line(case))
     return cases

@@ -17,7 +17,7 @@ from longreach.bench_position import READY_S, StepErrors, ends_inside, join_trut
 from longreach.fleet_client import Finished, JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
 from longreach.same_options import require_same_options
-from longreach.saved_file import save_whole
+from recording.files import write_durably
 
 SETTINGS = "[position]\nclosed_loop = true\n[closed_loop]\nsilence_max_ms = {silence_max_ms}\n"
 TRUTH_FLUSH_S = 1.0  # the truth log is flushed twice a second
@@ -69,7 +69,7 @@ def _resumed(path: Path, preset: str, seed: int, settings: Path, retract_mm: flo
         steps = [StepErrors(**step) for step in data.pop("steps")]
         return ServoCase(**data, steps=steps)
     case = run_case(preset, seed, path.with_suffix(""), settings, retract_mm, rate_hz)
-    save_whole(path, json.dumps(asdict(case), indent=1))
+    write_durably(path, json.dumps(asdict(case), indent=1))
     return case
 
 

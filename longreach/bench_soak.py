@@ -25,9 +25,9 @@ from scipy.stats import theilslopes
 from longreach.link_load.rendered_pairs import render_pairs
 from longreach.link_load.replay_camera import to_and_fro
 from longreach.same_options import require_same_options, text_mark
-from longreach.saved_file import save_whole
 from longreach.saved_lines import every_line
 from machine.description import Machine, parse_machine_toml
+from recording.files import write_durably
 from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.pipeline import VisionPipeline
 from server.camera.process import build_pipeline
@@ -179,7 +179,7 @@ def count_objects() -> int:
 
 def save_samples(path: Path, samples: Sequence[Sample]) -> None:
     """All samples, in one step: a cut leaves the file of before."""
-    save_whole(path, "".join(json.dumps(asdict(sample)) + "\n" for sample in samples))
+    write_durably(path, "".join(json.dumps(asdict(sample)) + "\n" for sample in samples))
 
 
 def read_samples(path: Path) -> list[Sample]:

@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from longreach.fleet_connection import SteadyClient, by_proxy, reason_in
+from recording.files import read_text, write_durably
 from server.calibration.calibration_export import as_ros, as_yaml
 from server.calibration.calibration_file import CalibrationFileError, SavedCalibration, parse_calibration
 from server.calibration.calibration_life import observability_text
@@ -45,14 +46,14 @@ def export(
         print(text, end="")
         return
     try:
-        out.write_text(text, encoding="utf-8")
+        write_durably(out, text)
     except OSError as error:
         _complain(f"{out}: {error.strerror}; give a file that can be written")
 
 
 def _saved(file: Path) -> SavedCalibration:
     try:
-        return parse_calibration(file.read_text(encoding="utf-8"))
+        return parse_calibration(read_text(file))
     except OSError as error:
         _complain(f"{file}: {error.strerror}; give a calibration.json of longreach")
     except (CalibrationFileError, UnicodeDecodeError) as error:

@@ -19,6 +19,7 @@ from longreach.commission_operator import TerminalOperator, read_answers
 from machine.chain import chain_of
 from machine.description import Machine, parse_machine_toml
 from protocol.layout import LAYOUT_ID, VERSION_MAJOR, VERSION_MINOR
+from recording.files import read_text, write_durably
 from server.camera.client import VisionClient
 from server.commissioning.check_list import ONE_CONTROLLER, PLC_WAIT_S, STEPS, Need, Step, go_through
 from server.commissioning.contracts import StepResult, Verdict
@@ -223,7 +224,7 @@ def _earlier(path: Path | None) -> Report | None:
     if path is None:
         return None
     try:
-        return from_json(path.read_text(encoding="utf-8"), str(path))
+        return from_json(read_text(path), str(path))
     except OSError as error:
         raise SettingsError(f"--resume {path}: {error.strerror}; give the .json of an earlier report") from error
 
@@ -270,7 +271,7 @@ def _save(report: Report, folder: Path) -> Path:
     """Both forms of the report; where the one for people is."""
     folder.mkdir(parents=True, exist_ok=True)
     name = f"commission-{report.started[:19].replace(':', '').replace('T', '-')}"
-    (folder / f"{name}.json").write_text(to_json(report), encoding="utf-8")
+    write_durably(folder / f"{name}.json", to_json(report))
     path = folder / f"{name}.md"
-    path.write_text(to_markdown(report), encoding="utf-8")
+    write_durably(path, to_markdown(report))
     return path

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
+from recording.files import read_text
 from server.errors import SettingsError
 
 
@@ -22,10 +23,10 @@ def read_answers(path: Path | None) -> dict[str, str]:
     if path is None:
         return {}
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(read_text(path))
     except OSError as error:
-        raise SettingsError(f"answers file {path}: {error.strerror}; give an existing TOML file") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"answers file {path}: {error.strerror}; give a TOML file that can be read") from error
+    except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"answers file {path} is not TOML: {error}") from error
     answers: dict[str, str] = {}
     for step, entries in tables.items():

@@ -28,6 +28,7 @@ from longreach.fit_baseline import BaselineError, make_baseline
 from longreach.machine_out import MachineOutError, machine_text, require_room, write_machine
 from longreach.shipped_machine import file_of_machine
 from machine.effects.registry import NAMES
+from recording.files import write_durably
 
 BAD_INPUT = 2
 
@@ -219,7 +220,7 @@ def _write(path: Path | None, text: str, screen: Console) -> None:
     if path is None:
         return
     try:
-        path.write_text(text, encoding="utf-8")
+        write_durably(path, text)
     except OSError as error:
         screen.print(f"[bold red]longreach:[/] {escape(str(path))} cannot be written: {error.strerror}", soft_wrap=True)
         raise typer.Exit(BAD_INPUT) from error

@@ -21,6 +21,7 @@ from longreach.code_mark import code_mark
 from longreach.one_thread import ONE_THREAD
 from longreach.shipped_machine import file_of_machine, text_of_machine
 from machine.errors import MachineFileError
+from recording.files import write_durably
 from server.version import __version__
 
 BAD_INPUT = 2
@@ -66,8 +67,8 @@ def diagnose_fleet(
             base=folder,
         )
     fleet = summary_of(results)
-    (out / "fleet.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    (out / "fleet.html").write_text(fleet_page(fleet, folder.name), encoding="utf-8")
+    write_durably(out / "fleet.json", json.dumps(results, indent=1) + "\n")
+    write_durably(out / "fleet.html", fleet_page(fleet, folder.name))
     for one in fleet.shared:
         joint = "" if one.joint is None else f" on joint {one.joint}"
         typer.echo(f"{one.name}{joint}: {len(one.machines)} of {len(fleet.machines)} machines")

@@ -15,6 +15,7 @@ from machine.effects.entries import entries_to_toml
 from machine.effects.registry import effect_of
 from machine.errors import MachineFileError
 from machine.remainder import remainders_to_toml
+from recording.files import write_durably
 
 NOTHING = Baseline((), (), (), (), ())
 FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
@@ -38,7 +39,7 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
     except DiagnosisError as error:
         raise BaselineError(str(error)) from error
     try:
-        out.write_text(with_baseline(nominal, found), encoding="utf-8")
+        write_durably(out, with_baseline(nominal, found))
     except OSError as error:
         raise BaselineError(f"{out} cannot be written: {error.strerror}") from error
     return told(found, count, len(wholes))

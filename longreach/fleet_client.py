@@ -13,6 +13,8 @@ import httpx
 
 from longreach.fleet_connection import SteadyClient, by_proxy, reason_in
 from longreach.lease_holder import TTL_S, ControlRefusedError, LeaseHolder
+from recording.files import read_text
+from server.errors import SettingsError
 
 RETRIES = 3
 RETRY_S = 0.5
@@ -34,8 +36,14 @@ class Finished:
 
 
 def read_key(path: Path | None) -> str:
-    """The key in a file; empty without one."""
-    return path.read_text(encoding="utf-8").strip() if path is not None else ""
+    """The key in a file; empty without one.
+
+    Raises: SettingsError: the file cannot be read.
+    """
+    try:
+        return read_text(path).strip() if path is not None else ""
+    except OSError as error:
+        raise SettingsError(f"key file {path}: {error.strerror}") from error
 
 
 class JobClient:

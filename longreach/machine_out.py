@@ -13,6 +13,7 @@ from longreach.shipped_machine import text_of_machine
 from machine.effects.entries import EffectEntry, entries_to_toml
 from machine.errors import MachineFileError
 from recording.errors import RecordingError
+from recording.files import write_durably
 from recording.opening import read_run
 
 USABLE = ("effects", "none")
@@ -92,7 +93,7 @@ def write_machine(text: str, found: Diagnosis | Budget, path: Path) -> str:
     Raises: MachineOutError: see `machine_with_effects`; or the file cannot be written.
     """
     try:
-        path.write_text(machine_with_effects(text, found), encoding="utf-8")
+        write_durably(path, machine_with_effects(text, found))
     except OSError as error:
         raise MachineOutError(f"{path} cannot be written: {error.strerror}") from error
     names = ", ".join(in_words(one.name, one.joint) for one in effects_found(found)) or "no effect"

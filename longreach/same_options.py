@@ -4,7 +4,7 @@ import hashlib
 import json
 from pathlib import Path
 
-from longreach.saved_file import save_whole
+from recording.files import write_durably
 from server.errors import SettingsError
 
 FILE = "options.json"
@@ -24,7 +24,7 @@ def require_same_options(folder: Path, **options: float | str) -> None:
     if folder.is_dir() and any(folder.iterdir()):
         raise SettingsError(f"{folder} holds cases but no {FILE}: it is not known what they were made with; {REMEDY}")
     folder.mkdir(parents=True, exist_ok=True)
-    save_whole(file, json.dumps(options, indent=1))
+    write_durably(file, json.dumps(options, indent=1))
 
 
 def _compare(folder: Path, held: dict[str, float | str], asked: dict[str, float | str]) -> None:

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from machine.errors import MachineFileError
+from recording.files import read_text
 
 
 def file_of_machine(given: Path | None) -> Path | None:
@@ -21,8 +22,6 @@ def text_of_machine(path: Path) -> str:
     Raises: MachineFileError: it is not there, cannot be read, or is no UTF-8 text.
     """
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except OSError as error:
         raise MachineFileError(f"machine file {path} cannot be read: {error.strerror}; give another one") from error
-    except UnicodeDecodeError as error:
-        raise MachineFileError(f"machine file {path} is no UTF-8 text: {error}; save it as UTF-8") from error

@@ -18,6 +18,7 @@ from longreach.target_sources import MarkerSearch, TargetError, live_views, stor
 from machine.boards import board_marker_ids
 from machine.description import Machine, StereoCamera
 from machine.marker_sections import dictionary_size
+from recording.files import write_durably
 from server.settings import read_machine, read_settings
 from server.vision.errors import VisionError
 from server.vision.marker_search import dictionary_by_name
@@ -254,7 +255,7 @@ def _finish(layout: TaughtLayout, nominal: Machine, on: str, out: Path | None, c
     """Show and write what was found; exit with 1 where there is no layout."""
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.with_suffix(".json").write_text(layout_json(layout, on), encoding="utf-8")
+        write_durably(out.with_suffix(".json"), layout_json(layout, on))
     if layout.status is not TeachStatus.OK:
         console.print(f"[bold red]no layout ({layout.status.value}):[/] {escape(layout.reason)}", soft_wrap=True)
         raise typer.Exit(1)
@@ -268,7 +269,7 @@ def _finish(layout: TaughtLayout, nominal: Machine, on: str, out: Path | None, c
         console.print("\nfor the machine file:\n")
         console.print(escape(text), highlight=False, soft_wrap=True)
         return
-    out.with_suffix(".toml").write_text(text, encoding="utf-8")
+    write_durably(out.with_suffix(".toml"), text)
     console.print(f"for the machine file: {out.with_suffix('.toml')}; with covariance: {out.with_suffix('.json')}")
 
 

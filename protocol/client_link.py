@@ -30,7 +30,7 @@ from protocol.gate import GateView, Refusal, check_tail, check_trajectory, gate
 from protocol.limits import LimitTable, axis_mask, cfg_id
 from protocol.messages import ZEROS, Axes, Command, Knot, State
 from protocol.playback import Playback, Window
-from protocol.sent_commands import SentCommands
+from protocol.sent_commands import SentCommands, other_pc_text
 from protocol.sequence import SequenceKind, classify_sequence, is_at_or_after, next_sequence
 from protocol.servo_target import ServoTarget
 from protocol.timeouts import (
@@ -298,13 +298,18 @@ class ClientLink:
         self.state, self._t_state_ns = state, t_mono_ns
         return [StateReceived(state, t_mono_ns)]
 
+    @property
+    def other_pc(self) -> str:
+        """Which other PC the newest state shows; empty while it shows none."""
+        return "" if self.state is None else other_pc_text(self.state, self.session, self.linked)
+
     def _rejects(self, state: State) -> list[ClientEvent]:
         if state.reject_count == self.counters.rejected:
             return []
         self.counters.rejected = state.reject_count
         if not state.reject_code:
             return []
-        self.last_reject = self._sent.explain(state.reject_code, state.reject_seq, state.reject_offset)
+        self.last_reject = self.other_pc or self._sent.explain(state.reject_code, state.reject_seq, state.reject_offset)
         events: list[ClientEvent] = [RejectSeen(state.reject_code, state.reject_seq, self.last_reject)]
         run = self._run
         if run and run.drop_refused_tail(state.reject_code, state.reject_seq):

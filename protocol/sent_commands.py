@@ -3,8 +3,9 @@
 from collections import OrderedDict
 from dataclasses import dataclass, field
 
-from protocol.codes import reject_text
+from protocol.codes import RejectCode, reject_text
 from protocol.layout import command_field_text
+from protocol.messages import State
 
 _KEPT = 128  # two and a half seconds of commands
 
@@ -26,3 +27,16 @@ class SentCommands:
         payload = self._payloads.get(seq)
         found = command_field_text(payload, offset) if payload else ""
         return f"{reject_text(code)} [{found}]" if found else reject_text(code)
+
+
+def other_pc_text(state: State, session: int, linked: bool) -> str:
+    """That another PC has or wants the PLC, by the session's number: no address is on the wire. Empty: none shows.
+
+    What we send carries the open session's number, so a refusal for its session is of another PC's command.
+    """
+    if state.session not in (0, session):
+        holds = f"another PC holds the PLC's session {state.session:#010x}"
+        return f"{holds}; end the server there, or wait 1 s after it has ended"
+    if linked and state.reject_code == RejectCode.SESSION:
+        return f"another PC asks for the PLC's session, which this one holds ({session:#010x}); end one of both servers"
+    return ""

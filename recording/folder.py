@@ -11,6 +11,7 @@ from typing import Any, get_type_hints
 
 from recording.content import Attachment, Recording
 from recording.errors import RecordingError
+from recording.files import text_of
 from recording.rows import CSV_ROW_TYPES, MISSING_COUNT, NAN, Floats, Row, csv_fields
 from recording.run import RunInfo, run_from_toml, run_to_toml
 
@@ -112,9 +113,9 @@ def read_folder(folder: Path) -> Recording:
 
 def _text(path: Path) -> str:
     try:
-        return _bytes(path).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise RecordingError(f"{path} cannot be read as UTF-8 text: {error}; save it as UTF-8") from error
+        return text_of(_bytes(path))
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def _bytes(path: Path) -> bytes:
@@ -133,7 +134,7 @@ def _media_type(path: Path) -> str:
 
 
 def _read_csv(path: Path, row_type: type[Row]) -> list[Row]:
-    reader = csv_format.reader(_text(path).removeprefix("\ufeff").splitlines())  # spreadsheets write a byte order mark
+    reader = csv_format.reader(_text(path).splitlines())
     try:
         header = [name.strip() for name in next(reader, [])]
         take = _row_reader(path, row_type, header)
@@ -151,8 +152,6 @@ def _row_reader(path: Path, row_type: type[Row], header: list[str]) -> Callable[
         for separator, called in SEPARATORS.items():
             if len(header) == 1 and separator in header[0]:
                 raise RecordingError(f"{path}: columns are separated by {called}; {AS_NUMBERS}")
-        if any("\0" in name for name in header):
-            raise RecordingError(f"{path} holds zero bytes, as UTF-16 text does; save it as UTF-8")
         raise RecordingError(f"{path}: column '{csv_fields(row_type)[0][1]}' is missing; the file cannot be placed")
     quick = {name: _quick(hints[name], at) for name, at in places.items()}
 

@@ -16,6 +16,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from recording.channels import Channels
 from recording.content import Attachment, LogEntry, Recording
 from recording.errors import RecordingError
+from recording.files import text_of
 from recording.foxglove import LEVELS
 from recording.messages import CODECS
 from recording.rows import Row
@@ -180,8 +181,6 @@ class _Collected:
 
 def _text(attachment: Attachment) -> str:
     try:
-        return attachment.data.decode()
-    except UnicodeDecodeError as error:
-        raise RecordingError(
-            f"attachment {attachment.name} is damaged: {error.reason} at byte {error.start}"
-        ) from error
+        return text_of(attachment.data)
+    except OSError as error:
+        raise RecordingError(f"attachment {attachment.name} cannot be read: {error.strerror}") from error

@@ -6,6 +6,7 @@ waits too, and a live recording ends there and says so, since a machine is comma
 
 import contextlib
 import logging
+import os
 import queue
 import threading
 import time
@@ -190,10 +191,16 @@ class RunWriter:
                     self._attach(Attachment("run.toml", "application/toml", run_to_toml(self._final_run).encode()))
                 self._writer.add_metadata("longreach/end", {"images_dropped": str(self.images_dropped)})
                 self._writer.finish()
+                self._require_name()
         except Exception as error:  # whatever it is, the report says so and the run's end goes on
             self._fail(error)
         finally:
             self._close_stream()
+
+    def _require_name(self) -> None:
+        """Raises: RecordingError: what is written goes into a file that has no name any more."""
+        if self._stream is not None and os.fstat(self._stream.fileno()).st_nlink == 0:
+            raise RecordingError("the file was removed while it was written; its rows are lost")
 
     def _close_stream(self) -> None:
         if self._stream is None:
@@ -255,6 +262,7 @@ class RunWriter:
             if mono_s() - flushed_s >= FLUSH_S and not self._error:
                 flushed_s = mono_s()
                 self._writer.flush()
+                self._require_name()
         except Exception as error:  # a row that cannot be written must not stop the machine that it tells of
             self._fail(error)
         return flushed_s

@@ -19,12 +19,14 @@ from server.access.gatekeeper import Gatekeeper
 from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
 from server.api.application import Served, application
+from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog
 from server.api.panel import install_panel
 from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.cell import Cell
 from server.errors import SettingsError
+from server.inner_faults import PART_FAILED
 from server.jobs.calibration_store import FILE_NAME, CalibrationStore
 from server.jobs.engine import JobEngine
 from server.jobs.performer import Performer
@@ -96,6 +98,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     keeper.on_restored(engine.restore)
     keeper.restore()
     service = JobService(cell, engine, CalibrationStore(folder / FILE_NAME), keeper)
+    service.inner_faults.watch(PART_FAILED, lambda: cell.link.listener_problem or cell.vision.listener_problem)
 
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
@@ -191,8 +194,13 @@ class StoppingServer(uvicorn.Server):
             starting.get_loop().call_soon_threadsafe(starting.cancel)
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Listen, then say so."""
+        """Listen, then say so; connections for which there is no descriptor fill no log."""
+        asyncio.get_running_loop().set_exception_handler(ExhaustionLog())
         await super().startup(sockets)
+        for server in self.servers:
+            for listening in server.sockets:
+                with listening.dup() as same:
+                    same.listen(QUEUE)
         if self.started:
             self._listening()
 
@@ -216,6 +224,7 @@ def config_of(app: FastAPI, http: HttpSettings) -> uvicorn.Config:
         log_level="warning",
         access_log=False,  # its lines would hold lease ids
         http=PatientProtocol,
+        backlog=BACKLOG,
         proxy_headers=http.behind_proxy,
         server_header=False,
         timeout_keep_alive=KEEP_ALIVE_S,

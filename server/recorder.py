@@ -4,8 +4,11 @@ import logging
 import os
 import platform
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import wraps
 from pathlib import Path
+from typing import Concatenate, ParamSpec, TypeVar
 
 from machine.chain import chain_of
 from machine.description import Machine
@@ -31,10 +34,26 @@ DISK_WAIT_S = 0.5  # longest that a slow disk may hold the event loop at a run's
 CAMERA_PERIOD_NS = 1_000_000_000  # the camera's intrinsics are repeated, so that a reader may start anywhere
 
 _log = logging.getLogger(__name__)
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def _noted(method: Callable[Concatenate["Recorder", P], T]) -> Callable[Concatenate["Recorder", P], T | None]:
+    """Whatever fails in it ends the recording, with a fault, and nothing else: not the job, not the link's reports."""
+
+    @wraps(method)
+    def guarded(self: "Recorder", *args: P.args, **kwargs: P.kwargs) -> T | None:
+        try:
+            return method(self, *args, **kwargs)
+        except Exception as error:  # the outermost call of the recorder
+            self.give_up(error)
+            return None
+
+    return guarded
 
 
 class Recorder:
-    """Takes everything all the time, writes it while a run is on. A failing disk never stops a job: see `problem`."""
+    """Takes everything all the time, writes it while a run is on. A failure never stops a job: see `problem`."""
 
     def __init__(self, folder: Path, machine: Machine, *, images: bool = True) -> None:
         self._folder = folder
@@ -67,6 +86,16 @@ class Recorder:
             self._problem, self._last = self._last.error, None
         return self._problem or (self._writer.error if self._writer is not None else "")
 
+    def give_up(self, error: Exception) -> None:
+        """End the run's file because of a defect."""
+        _log.exception("recording of %s ended by a defect", self._run.name)
+        writer, self._writer, self._last = self._writer, None, None
+        self._problem = f"recording of {self._run.name} ended by a defect: {error!r}; report it with the server's log"
+        if writer is not None:
+            writer.close(wait_s=0.0)
+            self._late.append(writer)
+
+    @_noted
     def start(
         self,
         run_id: str,
@@ -102,6 +131,7 @@ class Recorder:
             ("seed", "" if seed is None else str(seed)),
         ]
 
+    @_noted
     def sample(self, sample: PlcSample) -> None:
         """A PLC state."""
         anew = sample.t_plc_ns < self._last_plc_ns - CLOCK_ANEW_NS
@@ -126,6 +156,7 @@ class Recorder:
         self._end_segments()
         self._first_plc_ns = self._plc_offset_ns = None
 
+    @_noted
     def report(self, report: FrameReport) -> None:
         """A processed stereo pair."""
         writer = self._writer
@@ -146,6 +177,7 @@ class Recorder:
             self._camera_ns = report.t_receive_mono_ns
             writer.camera(self._machine.camera, report.preview_width_px, report.t_receive_mono_ns)
 
+    @_noted
     def event(self, level: str, text: str) -> None:
         """One line of the log; level is debug, info, warning or error."""
         if self._writer is not None:
@@ -166,6 +198,7 @@ class Recorder:
         now_ns = mono_ns()
         self._row(plan_row(plan, now_ns * 1e-9), now_ns)
 
+    @_noted
     def record(self, item: object, text: str = "") -> None:
         """A finding of a job, each kind in its own channel; what has none goes to /findings as JSON."""
         match item:
@@ -183,11 +216,13 @@ class Recorder:
         """How the run ended."""
         self.record(result, "result")
 
+    @_noted
     def begin_segment(self, name: str, kind: SegmentKind, repeat_of: str = "") -> None:
         """From the latest PLC state on, what happens belongs to this segment."""
         self.end_segment()
         self._open_segment = (name, kind, repeat_of, self._last_plc_ns)
 
+    @_noted
     def end_segment(self) -> None:
         """Close the segment that is open, if any."""
         if self._open_segment is not None:
@@ -202,6 +237,7 @@ class Recorder:
             span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9
             self._segments.append(Segment(self._run.name, "positioning", *span))
 
+    @_noted
     def stop(self) -> Path | None:
         """Close the run's file and return it; None when no run was on, or its disk is late (see `problem`)."""
         writer, self._writer = self._writer, None

@@ -6,13 +6,14 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from machine.description import Machine, parse_machine_toml
 from machine.field_units import unit_of
+from recording.files import read_text
 from server.calibration.calibration_life import Expiry
 from server.errors import SettingsError
-from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings
+from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings, Strict
 
 __all__ = [
     "CalibrationSettings",
@@ -35,15 +36,11 @@ __all__ = [
 ]
 
 
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
 Port = Annotated[int, Field(ge=1, le=65535)]
 LocalPort = Annotated[int, Field(ge=0, le=65535)]
 
 
-class HttpSettings(_Strict):
+class HttpSettings(Strict):
     """Where the panel and the REST interface listen."""
 
     host: str = "127.0.0.1"
@@ -53,7 +50,7 @@ class HttpSettings(_Strict):
     behind_proxy: bool = False  # a TLS proxy on this computer is in front: its X-Forwarded-For is believed
 
 
-class PlcSettings(_Strict):
+class PlcSettings(Strict):
     """The link to the PLC."""
 
     host: str = "127.0.0.1"
@@ -66,7 +63,7 @@ class PlcSettings(_Strict):
     auth_key_file: str | None = None  # hexadecimal key, the same as in the PLC; none: nothing is signed
 
 
-class LookSettings(_Strict):
+class LookSettings(Strict):
     """How a look is taken and when it counts."""
 
     pairs: Annotated[int, Field(ge=1, le=600)] = 20
@@ -75,7 +72,7 @@ class LookSettings(_Strict):
     age_max_s: Annotated[float, Field(gt=0.0, le=600.0)] = 60.0
 
 
-class PositionSettings(_Strict):
+class PositionSettings(Strict):
     """The goal and what counts as reached."""
 
     tolerance_mm: Annotated[float, Field(gt=0.0, le=100.0)] = 5.0
@@ -98,7 +95,7 @@ class PositionSettings(_Strict):
     sigma_print_side_frac: Annotated[float, Field(ge=0.0, le=0.05)] = 7e-4
 
 
-class CalibrationSettings(_Strict):
+class CalibrationSettings(Strict):
     """When a local calibration expires; its reasons are in `Expiry`."""
 
     radius_m: Annotated[float, Field(gt=0.0, le=10.0)] = 1.0
@@ -113,7 +110,7 @@ class CalibrationSettings(_Strict):
         return Expiry(self.radius_m, turn_rad, joint_rad, self.age_max_h * 3600.0, self.temperature_k)
 
 
-class ClosedLoopSettings(_Strict):
+class ClosedLoopSettings(Strict):
     """The gate of closed-loop visual control: how slow, how far, how reliable its looks must be."""
 
     speed_max_mm_s: Annotated[float, Field(gt=0.0, le=50.0)] = 20.0
@@ -125,21 +122,21 @@ class ClosedLoopSettings(_Strict):
     passes_max: Annotated[int, Field(ge=1, le=5)] = 3
 
 
-class CompensationSettings(_Strict):
+class CompensationSettings(Strict):
     """A diagnosed machine whose effects are taken into account; off without a file."""
 
     machine_file: str | None = None  # with [[effect]], as `longreach diagnose --machine-out` writes it
     diagnosis_file: str | None = None  # the answer (--json) that it comes from: undecided or outside is refused
 
 
-class RecordingSettings(_Strict):
+class RecordingSettings(Strict):
     """Where runs are written."""
 
     folder: str = "runs"
     images: bool = True
 
 
-class OpcUaSettings(_Strict):
+class OpcUaSettings(Strict):
     """The read-only OPC UA face; it knows no keys, so that beyond this computer it must be wanted so."""
 
     enabled: bool = False
@@ -148,7 +145,7 @@ class OpcUaSettings(_Strict):
     without_keys: bool = False  # whoever reaches the port may read joints, faults and the running job
 
 
-class ServerSettings(_Strict):
+class ServerSettings(Strict):
     """Everything the server needs to know before it starts."""
 
     machine_file: str = "hiab033"
@@ -173,9 +170,9 @@ def read_settings(path: Path | None) -> ServerSettings:
     if path is None:
         return ServerSettings()
     try:
-        return ServerSettings.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return ServerSettings.model_validate(tomllib.loads(read_text(path)))
     except OSError as error:
-        raise SettingsError(f"settings file {path}: {error.strerror}; give an existing TOML file") from error
+        raise SettingsError(f"settings file {path}: {error.strerror}; give a TOML file that can be read") from error
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise SettingsError(f"settings file {path} is not TOML: {error}") from error
     except ValidationError as error:
@@ -199,9 +196,9 @@ def read_machine_text(name_or_path: str) -> str:
     """Text of a shipped machine (by name, such as "hiab033") or of a machine file (by path)."""
     shipped = shipped_machine(name_or_path)
     if shipped.is_file():
-        return shipped.read_text(encoding="utf-8")
+        return read_text(shipped)
     try:
-        return Path(name_or_path).read_text(encoding="utf-8")
+        return read_text(Path(name_or_path))
     except OSError as error:
         raise SettingsError(
             f"machine file '{name_or_path}': {error.strerror}; give a path or the name of a shipped machine (hiab033)"

@@ -2,10 +2,25 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 
-class _CameraSection(BaseModel):
+class Strict(BaseModel):
+    """A section of the settings: unknown fields are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @field_validator("*")
+    @classmethod
+    def _require_utf8(cls, value: object) -> object:
+        """Recordings and answers hold the settings as UTF-8; the command line can give names that are not."""
+        texts = [text for text in (value if isinstance(value, list | tuple) else [value]) if isinstance(text, str)]
+        if any("\ud800" <= letter <= "\udfff" for text in texts for letter in text):
+            raise ValueError("it is not UTF-8; give a name that is")
+        return value
+
+
+class _CameraSection(Strict):
     """What every kind of source has in common.
 
     `calibration`: file of the rig (ZED SNxxxx.conf, OpenCV stereo YAML, Kalibr camchain, KITTI calib.txt), a list of
@@ -15,8 +30,6 @@ class _CameraSection(BaseModel):
     `eye_width_px`, `eye_height_px`: size of one eye's pictures where it is not that of the machine file's camera; a
     ZED's file is read for this size.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     calibration: str | Annotated[list[str], Field(min_length=1, max_length=2)] | None = None
     eye_width_px: Annotated[int, Field(ge=16, le=8192)] | None = None

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from protocol.authentication import parse_key
 from protocol.errors import LocalProtocolError
+from recording.files import read_text
 from server.camera.contracts import VisionSettings
 from server.camera.sources.settings import SourceSettings
 from server.errors import SettingsError
@@ -22,8 +23,10 @@ def read_key(path: str | None) -> bytes:
     if path is None:
         return b""
     try:
-        return parse_key(Path(path).read_text(encoding="ascii"))
-    except (OSError, UnicodeDecodeError, LocalProtocolError) as error:
+        return parse_key(read_text(Path(path)))
+    except OSError as error:
+        raise SettingsError(f"[plc] auth_key_file = '{path}': {error.strerror}") from error
+    except LocalProtocolError as error:
         raise SettingsError(f"[plc] auth_key_file = '{path}': {error}") from error
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from diagnosis.fleet.case import diagnosed, fingerprint
 from diagnosis.fleet.workers import Workers
+from recording.files import write_durably
 
 Told = Callable[[str, int, int], None]
 
@@ -81,7 +82,4 @@ def _loaded(file: Path, mark: str) -> dict[str, Any] | None:
 
 
 def _save(file: Path, mark: str, result: dict[str, Any]) -> None:
-    """Whole or not at all: a crash in between leaves the old file."""
-    part = file.with_suffix(".part")
-    part.write_text(json.dumps({"fingerprint": mark, "result": result}, indent=1) + "\n", encoding="utf-8")
-    part.replace(file)
+    write_durably(file, json.dumps({"fingerprint": mark, "result": result}, indent=1) + "\n")

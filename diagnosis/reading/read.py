@@ -29,6 +29,7 @@ from diagnosis.replay.repeats import repeat_findings
 from diagnosis.replay.stretches import Stretch, stretches_of
 from recording.content import Recording
 from recording.errors import RecordingError
+from recording.files import read_text
 from recording.opening import read_run
 from recording.rows import PlcState
 from recording.run import FORMAT_VERSION
@@ -198,9 +199,9 @@ def _nominal(
     if machine_file is not None:
         name = machine_file.name
         try:
-            text = machine_file.read_text(encoding="utf-8") if machine_file.is_file() else ""
-        except (OSError, UnicodeDecodeError) as error:
-            findings.append(Finding("machine_file", "fatal", name, f"cannot be read: {error}"))
+            text = read_text(machine_file) if machine_file.is_file() else ""
+        except OSError as error:
+            findings.append(Finding("machine_file", "fatal", name, f"cannot be read: {error.strerror}"))
             return None
         if not text:
             findings.append(Finding("machine_file", "fatal", name, "is empty or no file; give a machine.toml"))

@@ -8,8 +8,8 @@ import numpy as np
 
 from longreach.bench_bundle.solvers import Solved, solve_gtsam, solve_ours, solve_scipy
 from longreach.bench_bundle.stereo_data import StereoData, cost_of, squares_px
-from longreach.saved_file import save_whole
 from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
+from recording.files import write_durably
 
 HUBER_PX = 2.0
 START_ROTATION_RAD, START_POSITION_M, START_DEPTH_FRAC = 0.01, 0.1, 0.1
@@ -93,5 +93,5 @@ def load_or_run(
         return [Judged(**one) for one in json.loads(file.read_text(encoding="utf-8"))]
     judged = run_case(data, name, loss, start, with_scipy)
     folder.mkdir(parents=True, exist_ok=True)
-    save_whole(file, json.dumps([asdict(one) for one in judged], indent=1))
+    write_durably(file, json.dumps([asdict(one) for one in judged], indent=1))
     return judged

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from recording.files import write_durably
+
 
 class PackedError(Exception):
     """A file that holds no packed scores."""
@@ -40,6 +42,4 @@ def write_packed(file: Path, code: str, scores: Sequence[dict[str, Any]]) -> Non
     """Write them whole or not at all; the same scores give the same bytes."""
     lines = [{"code": code}, *sorted(scores, key=lambda one: int(one["number"]))]
     text = "".join(json.dumps(one, separators=(",", ":"), sort_keys=True) + "\n" for one in lines)
-    part = file.with_name(file.name + ".part")
-    part.write_bytes(gzip.compress(text.encode("utf-8"), mtime=0))
-    part.replace(file)
+    write_durably(file, gzip.compress(text.encode("utf-8"), mtime=0))

@@ -19,7 +19,7 @@ from longreach.bench_markers.judged import CellResult
 from longreach.bench_markers.rendered import RenderedCell, run_rendered_cell, settings_name
 from longreach.bench_markers.tables import exact_lines, exact_table, rendered_lines, rendered_table
 from longreach.same_options import require_same_options, text_mark
-from longreach.saved_file import save_whole
+from recording.files import write_durably
 from server.settings import read_machine, read_machine_text
 
 console = Console(width=200)
@@ -90,5 +90,5 @@ def _rendered(machine_name: str, n: int, seed: int, folder: Path, settings: Sens
 def _saved(file: Path, work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
     """A cell's result from its file, or worked out and saved whole."""
     if not file.is_file():
-        save_whole(file, json.dumps(work()))
+        write_durably(file, json.dumps(work()))
     return json.loads(file.read_text(encoding="utf-8"))

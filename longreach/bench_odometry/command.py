@@ -16,7 +16,7 @@ from longreach.bench_odometry.cases import DISTANCES_M, disturbed_runs, kept, pl
 from longreach.bench_odometry.features import POSES_PER_RUN, READOUT_S, held, run_points
 from longreach.bench_odometry.film import Film, FilmCase, render_film
 from longreach.bench_odometry.run import Run, run_film
-from longreach.saved_file import save_whole
+from recording.files import write_durably
 
 Case = dict[str, Any]
 SUMMARY = "summary.json"
@@ -108,7 +108,7 @@ def _resumed(named: dict[str, Any], work: Callable[[Any], Case], folder: Path, c
             for name, what in progress.track(named.items(), description="runs"):
                 path = folder / f"{name}.json"
                 if not path.is_file():
-                    save_whole(path, json.dumps(work(what)))
+                    write_durably(path, json.dumps(work(what)))
                 cases.append(json.loads(path.read_text(encoding="utf-8")))
         except KeyboardInterrupt:
             console.print("ended early; the next run goes on from here")

@@ -13,6 +13,7 @@ from longreach.kill_drill.relay import Relay
 from longreach.kill_drill.under_test import START_S, ServerUnderTest
 from machine.description import Machine, parse_machine_toml
 from protocol.codes import PlcState
+from recording.files import read_text
 from server.settings import read_machine_text
 from sim_plc.settings import SimSettings
 
@@ -37,7 +38,7 @@ def run_case(victim: Victim, number: int, seed: int, folder: Path) -> KillCase:
     moment = float(rng.uniform(*MOMENTS))
     folder.mkdir(parents=True, exist_ok=True)
     machine_file, machine = fast_machine(folder)
-    text = machine_file.read_text(encoding="utf-8")
+    text = read_text(machine_file)
     settings = SimSettings(text, seed=WORLD_SEED, plc_port=free_udp_port(), camera=False)
     with PlcProcess(settings) as plc, Relay(settings.plc_port) as relay:
         server = ServerUnderTest(relay.port, machine_file, folder)

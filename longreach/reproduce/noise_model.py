@@ -10,6 +10,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from recording.files import read_text
+
 FORMAT = "longreach-noise/1"
 FITTED_FILE = "noise_fitted.json"
 
@@ -92,16 +94,16 @@ def read_noise_model(path: Path) -> NoiseModel:
     Raises: NoiseFileError: not readable, another format, fields missing or too many.
     """
     try:
-        return _parsed(path.read_text(encoding="utf-8"), str(path))
+        return _parsed(read_text(path), str(path))
     except OSError as error:
-        raise NoiseFileError(f"noise model {path}: {error!r}; fit one anew") from error
+        raise NoiseFileError(f"noise model {path}: {error.strerror}; fit one again") from error
 
 
 def _parsed(text: str, name: str) -> NoiseModel:
     try:
         return _model(json.loads(text))
     except (json.JSONDecodeError, KeyError, TypeError, AttributeError) as error:
-        raise NoiseFileError(f"noise model {name}: {error!r}; fit one anew") from error
+        raise NoiseFileError(f"noise model {name}: {error!r}; fit one again") from error
 
 
 def _model(data: dict[str, Any]) -> NoiseModel:

@@ -4,13 +4,13 @@ import hashlib
 import hmac
 import json
 import logging
-import os
 import secrets
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from recording.clock import mono_s
+from recording.files import read_text, write_durably
 from server.access.roles import Role
 from server.errors import SettingsError
 
@@ -90,7 +90,7 @@ def read_keys(path: Path) -> tuple[ApiKey, ...]:
     Raises: KeysError: it cannot be read or is no key file.
     """
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))["keys"]
+        rows = json.loads(read_text(path))["keys"]
         return tuple(ApiKey(**{**row, "role": Role(row["role"])}) for row in rows)
     except FileNotFoundError:
         return ()
@@ -113,30 +113,11 @@ def write_private(path: Path, text: str) -> None:
 
     Raises: KeysError: it cannot be written.
     """
-    fresh = path.with_suffix(".new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fresh.unlink(missing_ok=True)
-        with os.fdopen(os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
-            file.write(text)
-        _as_before(fresh, path)
-        os.replace(fresh, path)
+        write_durably(path, text, private=True)
     except OSError as error:
         raise KeysError(f"{path}: {error.strerror}; give a folder that can be written") from error
-
-
-def _as_before(fresh: Path, path: Path) -> None:
-    """Owner and mode of the file that is replaced: root's `keys revoke` must leave it readable to the server's user."""
-    try:
-        before = path.stat()
-    except FileNotFoundError:
-        return
-    try:
-        os.chown(fresh, before.st_uid, before.st_gid)
-    except OSError:  # only root gives files away; the mode is not widened for another group then
-        log.warning("%s: owner %s:%s could not be kept", path, before.st_uid, before.st_gid)
-        return
-    fresh.chmod(before.st_mode & 0o777)
 
 
 def first_key(path: Path, role: Role, secret_path: Path) -> bool:

@@ -27,14 +27,21 @@ def fault_views(service: JobService) -> list[FaultView]:
 def _link(service: JobService) -> list[FaultView]:
     phase = service.cell.link.health.phase.value
     texts = {
-        "offline": ("plc_silent", "the PLC does not answer", "check its program, cable and address"),
+        "offline": (
+            "plc_silent",
+            "the PLC does not answer",
+            "check its program, cable and address, and that no other PC holds it",
+        ),
         "fault": ("plc_fault", "the PLC reports a fault", "clear its cause, then POST /v1/reset"),
         "local": ("plc_local", "the machine is on its local lever", "give it back to remote at the machine"),
     }
-    if phase not in texts:
-        return []
-    fault_id, text, hint = texts[phase]
-    return [FaultView(fault_id=fault_id, level="URGENT", text=text, hint=hint)]
+    other = service.cell.link.health.other_pc
+    hint = "one server commands one PLC: end the other server, or give this one another PLC in [plc]"
+    found = [FaultView(fault_id="plc_contested", level="WARNING", text=other, hint=hint)] if other else []
+    if phase in texts:
+        fault_id, text, hint = texts[phase]
+        found.append(FaultView(fault_id=fault_id, level="URGENT", text=text, hint=hint))
+    return found
 
 
 def _inner(service: JobService) -> list[FaultView]:
@@ -64,7 +71,6 @@ def _camera(service: JobService) -> list[FaultView]:
 
 
 def _recorder(service: JobService) -> list[FaultView]:
-    told = service.cell.recorder.problem
-    if not isinstance(told, str) or not told:
-        return []
-    return [FaultView(fault_id="recorder", level="WARNING", text=told, hint="free space in the recordings folder")]
+    problem = service.recording_problem
+    hint = "free space in the recordings folder, and make it writable; then start the job again"
+    return [FaultView(fault_id="recorder", level="WARNING", text=problem, hint=hint)] if problem else []

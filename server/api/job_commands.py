@@ -18,7 +18,6 @@ from server.jobs.engine import Job, JobState
 from server.jobs.service import JobBody, JobService
 from server.link.errors import LinkError
 from server.store.audit_rows import AuditEntry, Caller
-from server.store.given_answers import GivenAnswers
 from server.store.idempotency import Answered, KeyMissingError, hash_of, read_answer, replay_of
 
 log = logging.getLogger(__name__)
@@ -52,7 +51,6 @@ class JobCommands:
         self._service = service
         self._in_progress: set[tuple[str, str]] = set()
         self._stopping: set[asyncio.Future[None]] = set()
-        self._given = GivenAnswers()
         self._stops = FoldedStops()
 
     async def start(self, body: JobBody, sent: Sent) -> Answered:
@@ -73,13 +71,8 @@ class JobCommands:
         mine = mark not in self._in_progress
         self._in_progress.add(mark)
         try:
-            known = self._given.find(mark, mono_s(), time.time()) or await self._known(*mark)
-            replay = replay_of(known, not mine, body_hash, time.time())
-            if replay is not None:
-                return replay
-            answered = await self._carried_out(body, sent, body_hash)
-            self._given.keep(mark, answered, mono_s())
-            return answered
+            replay = replay_of(await self._known(*mark), not mine, body_hash)
+            return replay if replay is not None else await self._carried_out(body, sent, body_hash)
         finally:
             if mine:
                 self._in_progress.discard(mark)
@@ -159,4 +152,4 @@ def _require_key(sent: Sent, lease: Lease) -> None:
 def answer_of(job: Job, body_hash: str) -> Answered:
     """202 with the job as it is now and its Location."""
     text = json.dumps(job_view(job).model_dump(mode="json"))
-    return Answered(body_hash, ACCEPTED, f"/v1/jobs/{job.job_id}", text, time.time())
+    return Answered(body_hash, ACCEPTED, f"/v1/jobs/{job.job_id}", text)

@@ -26,8 +26,8 @@ _KINDS = (
         "plc_silent",
         "high",
         "The PLC does not answer",
-        "No state has come from the PLC for 250 ms: it is off, its program is stopped, or the network between is cut.",
-        "Check the PLC's power and program, the cable and the address in [plc]. The PLC stops the machine by itself.",
+        "No state has come from the PLC for 250 ms: it is off, the network is cut, or another PC holds it.",
+        "Check the PLC's power and program, cable, [plc] address, other servers. The PLC stops the machine by itself.",
         OPERATOR,
     ),
     AlarmKind(
@@ -100,6 +100,14 @@ _KINDS = (
         "The PLC link loses many datagrams",
         "More than 5 % of the states of the last ten seconds did not arrive.",
         "Use a cable of its own between PC and PLC; see the lateness histogram under Engineering, Link.",
+        OPERATOR,
+    ),
+    AlarmKind(
+        "plc_contested",
+        "medium",
+        "Another PC has or wants the PLC",
+        "Two servers address one PLC, which takes commands of one session only: the text gives its number.",
+        "End one of both servers, or give it another PLC in [plc]. The one that holds the session goes on meanwhile.",
         OPERATOR,
     ),
     AlarmKind(

@@ -104,6 +104,7 @@ class Surroundings:
     up_s: float  # since the server started
     set_mode: str = "SIM"  # as the settings have it
     store_problem: str = ""
+    other_pc: str = ""  # as the link reports it
     inner_faults: Mapping[str, str] = field(default_factory=dict)  # of the server's own parts, by alarm code
 
 
@@ -111,6 +112,7 @@ def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
     """Alarms whose cause is there now: code -> what is to be told beside the catalogue's text."""
     return (
         _plc(state, around)
+        | ({"plc_contested": around.other_pc} if around.other_pc else {})
         | _camera(state, around)
         | ({"link_lossy": f"{around.loss_pct:.1f} % lost"} if around.loss_pct > LOSS_MAX_PCT else {})
         | ({"recording_failed": around.recorder_problem} if around.recorder_problem else {})

@@ -99,7 +99,7 @@ class PanelMemory:
             look_moved_max_deg=round(float(np.rad2deg(MOVED_RAD)), 3),
             look_age_max_s=cell.settings.look.age_max_s,
             recording=cell.recorder.recording,
-            recorder_problem=cell.recorder.problem,
+            recorder_problem=self.service.recording_problem,
             disk_free_gb=None if self._disk_free is None else round(self._disk_free / 1e9, 2),
         )
 
@@ -114,7 +114,7 @@ class PanelMemory:
         text = self.service.cell.vision.stream_text
         return Surroundings(
             disk_free_bytes=self._disk_free,
-            recorder_problem=self.service.cell.recorder.problem,
+            recorder_problem=self.service.recording_problem,
             scene_problem="" if self.scene.running else self.scene.problem,
             vision_problem=text if text.startswith("vision process ended") else "",
             loss_pct=self._loss_pct,
@@ -122,6 +122,7 @@ class PanelMemory:
             up_s=now_s - self._started_s,
             set_mode=self.service.cell.settings.mode,
             store_problem=self.service.store_problem,
+            other_pc=self.service.cell.link.health.other_pc,
             inner_faults=self.service.inner_faults.told,
         )
 

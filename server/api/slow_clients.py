@@ -1,8 +1,12 @@
-"""Connections that open and then say nothing, or a head without end, are closed (slow clients hold no socket)."""
+"""Connections that say nothing, or a head without end, are closed, and idle ones where there are too many."""
 
 import asyncio
+import resource
+import time
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+from server.api.connection_limit import most_connections, one_to_close
 
 HEADER_S = 10.0  # a request's head is one packet; uvicorn itself closes idle connections after their first answer
 HEAD_MAX = 64 * 1024  # the parser itself keeps whatever comes
@@ -18,10 +22,14 @@ class PatientProtocol(HttpToolsProtocol):
     _awaited: int | None = None  # number of the request whose head was awaited at the last look
     _answered = 0
     _head_bytes = 0
+    since_s = 0.0  # idle, or working on a request, since then
+    connections_max = most_connections(resource.getrlimit(resource.RLIMIT_NOFILE)[0])
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to look."""
         super().connection_made(transport)
+        self.since_s = time.monotonic()
+        self._make_room()
         self._awaited = self._answered
         self._look_later()
 
@@ -40,18 +48,28 @@ class PatientProtocol(HttpToolsProtocol):
     def on_headers_complete(self) -> None:
         """A head has come whole."""
         super().on_headers_complete()
-        self._head_bytes = 0
+        self._head_bytes, self.since_s = 0, time.monotonic()
 
     def on_response_complete(self) -> None:
         """Count: the next head is another one."""
         self._answered += 1
-        self._head_bytes = 0
+        self._head_bytes, self.since_s = 0, time.monotonic()
         super().on_response_complete()
 
     def handle_websocket_upgrade(self) -> None:
         """From here on the connection is the WebSocket's, which has its own pings."""
         self._look_no_more()
         super().handle_websocket_upgrade()
+
+    @property
+    def idle(self) -> bool:
+        """Whether no request is under way."""
+        return self._awaits_head
+
+    def _make_room(self) -> None:
+        surplus = one_to_close(self.connections, self.connections_max)
+        if surplus is not None:
+            surplus.transport.abort()  # not close: a client that reads nothing would hold its descriptor
 
     @property
     def _awaits_head(self) -> bool:

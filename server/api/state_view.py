@@ -113,7 +113,7 @@ def _blocked(cell: Cell, engine: JobEngine) -> str:
     phase = cell.link.health.phase.value
     if phase in ("offline", "fault", "local"):
         return {
-            "offline": "the PLC does not answer: check its program, cable and address",
+            "offline": "the PLC does not answer: check its program, cable and address, and that no other PC holds it",
             "fault": "the PLC reports a fault: clear its cause, then reset",
             "local": "the machine is on its local lever",
         }[phase]

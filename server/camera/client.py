@@ -32,6 +32,7 @@ from server.camera.errors import CameraError
 from server.camera.looking import LookCollector
 from server.camera.process import LIFE_S, run_vision
 from server.camera.tracking import TrackCollector
+from server.listeners import Listeners
 from server.supervised_tasks import whole_in_thread
 from server.vision.contracts import Look, OdometryPose
 
@@ -57,7 +58,7 @@ class VisionClient:
         self._settings = settings
         self._machine = machine
         self._reports: deque[FrameReport] = deque(maxlen=KEEP_REPORTS)
-        self._listeners: list[OnReport] = []
+        self._listeners = Listeners[[FrameReport]]("a stereo pair")
         self._arrived = asyncio.Event()
         self._process: BaseProcess | None = None
         self._pipe: Connection | None = None
@@ -95,7 +96,12 @@ class VisionClient:
 
     def on_report(self, callback: OnReport) -> None:
         """Call this with every report, on the loop."""
-        self._listeners.append(callback)
+        self._listeners.add(callback)
+
+    @property
+    def listener_problem(self) -> str:
+        """Which of those that `on_report` calls failed lately, and how."""
+        return self._listeners.problem
 
     async def start(self) -> None:
         """Start the vision process; does not wait for the camera."""
@@ -147,14 +153,14 @@ class VisionClient:
             if look is not None:
                 finished.set_result(look)
 
-        self._listeners.append(collect)
+        collected = self._listeners.add(collect)
         try:
             async with asyncio.timeout(timeout_s):
                 return await finished
         except TimeoutError:
             return collector.at_timeout(timeout_s, self._silence_text())
         finally:
-            self._listeners.remove(collect)
+            collected()
 
     async def start_odometry(self) -> None:
         """Start the camera's own trajectory; returns with its first pose.
@@ -300,8 +306,7 @@ class VisionClient:
             self._track.add(report)
         self.stream_text = ""
         self._arrived.set()
-        for listener in tuple(self._listeners):
-            listener(report)
+        self._listeners.call(report)
 
     def _lost(self, pipe: Connection) -> None:
         """The vision process died: say so and start another."""

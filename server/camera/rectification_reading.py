@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from recording.files import read_text
 from server.camera.rectification_files import CalibrationFileError, CalibrationText, RigCalibration, parse_calibration
 
 IN_FOLDER = (  # pairs looked for, in this order
@@ -36,8 +37,8 @@ def _in_folder(folder: Path) -> list[Path]:
 
 def _text(file: Path) -> str:
     try:
-        return file.read_text(encoding="utf-8")
+        return read_text(file)
     except OSError as error:
-        raise CalibrationFileError(f"calibration file {file}: {error.strerror}; give an existing file") from error
-    except UnicodeDecodeError as error:
-        raise CalibrationFileError(f"calibration file {file} is not text; give a calibration file") from error
+        raise CalibrationFileError(
+            f"calibration file {file}: {error.strerror}; give a calibration file that can be read"
+        ) from error

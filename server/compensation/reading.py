@@ -8,6 +8,7 @@ import numpy as np
 
 from machine.description import Machine, parse_machine_toml
 from machine.errors import MachineError
+from recording.files import read_text
 from server.compensation.compensation import Compensation, compensation_of
 from server.compensation.errors import CompensationError
 from server.settings import ServerSettings
@@ -103,6 +104,6 @@ def _verdict(path: Path) -> str:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CompensationError(f"[compensation] {path} cannot be read: {error}") from error
+        return read_text(path)
+    except OSError as error:
+        raise CompensationError(f"[compensation] {path} cannot be read: {error.strerror}") from error

@@ -2,13 +2,13 @@
 
 import hashlib
 import logging
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from machine.effects.entries import EffectEntry, entries_to_toml
+from recording.files import write_durably
 from server.calibration.calibration_file import (
     CalibrationFileError,
     SavedCalibration,
@@ -42,11 +42,9 @@ class CalibrationStore:
         life = knowledge.life
         if self.path is None or life is None or life is self._kept:
             return
-        fresh = self.path.with_suffix(".new")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            fresh.write_text(calibration_text(SavedCalibration(life, tuple(knowledge.runs))), encoding="utf-8")
-            os.replace(fresh, self.path)
+            write_durably(self.path, calibration_text(SavedCalibration(life, tuple(knowledge.runs))))
             self._kept, knowledge.calibration_note = life, ""
         except (OSError, ValueError) as error:  # a number that is none cannot be written either
             why = error.strerror if isinstance(error, OSError) else error

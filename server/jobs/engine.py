@@ -19,6 +19,7 @@ from server.errors import BusyError, JobFailedError, ServerError
 from server.jobs.performer import Performer
 from server.jobs.requests import Plan, Progress, Record, Request
 from server.link.errors import LinkError
+from server.listeners import Listeners
 
 log = logging.getLogger(__name__)
 
@@ -88,7 +89,8 @@ class JobEngine:
         self._task: asyncio.Task[None] | None = None
         self._told_to_stop: Job | None = None
         self._closing = False
-        self._listeners: list[Callable[[Job, JobEvent], None]] = []
+        self._listeners = Listeners[[Job, JobEvent]]("a job's event")
+        self.not_noted = ""  # what of the running job, or else of the last one, could not be written down
         # a thread of its own: a step of a plan must not queue behind file lists and results in the default executor
         self._planner = ThreadPoolExecutor(1, thread_name_prefix="plan")
         self.current: Job | None = None
@@ -104,9 +106,10 @@ class JobEngine:
     def on_event(self, listener: Callable[[Job, JobEvent], None]) -> None:
         """Call `listener(job, event)` for everything that happens to any job, on the event loop.
 
-        One that raises is logged and passed over: no listener keeps a job from its end, or the machine from its stop.
+        One that raises is logged, shows in `not_noted` and is passed over: no listener keeps a job from its end, or the
+        machine from its stop.
         """
-        self._listeners.append(listener)
+        self._listeners.add(listener)
 
     def find(self, job_id: str) -> Job | None:
         """The job of that id among the last 200."""
@@ -157,7 +160,7 @@ class JobEngine:
                 {"owner": busy.owner, "job_id": busy.job_id, "kind": busy.kind, "state": busy.state.value},
             )
         job = Job(job_id=uuid4().hex[:12], kind=kind, owner=owner, fencing=lease.fencing if lease else 0)
-        self.current, self._task = job, None
+        self.current, self._task, self.not_noted = job, None, ""
         self.jobs.append(job)
         return job
 
@@ -291,11 +294,9 @@ class JobEngine:
     def _tell(self, job: Job, name: str, current: float, target: float, unit: str, text: str) -> None:
         event = JobEvent(len(job.events) + 1, round(job.elapsed_s, 3), name, current, target, unit, text)
         job.events.append(event)
-        for listener in self._listeners:
-            try:
-                listener(job, event)
-            except Exception:  # a full disk or a defect beside the job: the machine must still come to its end
-                log.exception("job %s: what should have taken note of %r failed", job.job_id, name)
+        problem = self._listeners.call(job, event)  # the machine comes to its end whatever fails there
+        if problem:
+            self.not_noted = f"job {job.job_id}: {problem}; report it, see the server's log"
 
 
 def _advance(plan: Plan, reply: object) -> tuple[Request | None, object]:

@@ -8,6 +8,7 @@ from mcap.records import Attachment
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from recording.errors import RecordingError
+from recording.files import read_text, text_of
 from recording.reader import RecordStream
 from recording.run import SegmentKind
 from server.calibration.contracts import Array
@@ -111,11 +112,11 @@ def machine_text_in(recording: Path) -> str:
     """
     try:
         if recording.is_dir():
-            return (recording / "machine.toml").read_text(encoding="utf-8")
+            return read_text(recording / "machine.toml")
         for record in RecordStream(recording):
             if isinstance(record, Attachment) and record.name == "machine.toml":
-                return record.data.decode()
-    except (OSError, RecordingError, UnicodeDecodeError) as error:
+                return text_of(record.data)
+    except (OSError, RecordingError) as error:
         raise JobFailedError(f"{recording.name}: its machine file cannot be read: {error}", "other_machine") from error
     return ""
 

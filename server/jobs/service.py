@@ -80,6 +80,7 @@ class JobService:
         self.engine = engine
         self.inner_faults = InnerFaults()
         self._store = store or CalibrationStore(None)
+        self._settings_json = cell.settings.model_dump_json()
         known = compensation_from(cell.settings, cell.machine)
         machine_id = machine_id_of(cell.machine_text, () if known is None else known.sorted.used)
         self.context = PlanContext(
@@ -100,6 +101,12 @@ class JobService:
     def store_problem(self) -> str:
         """Why nothing can be written down now, and so no job may begin; empty when all is well."""
         return self.keeper.problem if self.keeper is not None else ""
+
+    @property
+    def recording_problem(self) -> str:
+        """Why not all of the running job, or else of the last one, is written down; empty while it is."""
+        problem = self.cell.recorder.problem
+        return self.engine.not_noted or (problem if isinstance(problem, str) else "")
 
     async def start(self, body: JobBody, lease: Lease | None = None, command: Command = INSIDE_COMMAND) -> Job:
         """Check what can be checked now, write the job down, then start it under `engine.leases.check`'s lease.
@@ -199,7 +206,7 @@ class JobService:
     def _record(self, job: Job, event: JobEvent) -> None:
         recorder = self.cell.recorder
         if event.name == "started":
-            recorder.start(f"{job.kind}-{job.job_id}", self.cell.settings.model_dump_json(), self.cell.machine_text)
+            recorder.start(f"{job.kind}-{job.job_id}", self._settings_json, self.cell.machine_text)
         recorder.event("info" if job.code == "" else "error", event.text)
         if event.name == "ended":
             self._store.keep(self.cell.knowledge)

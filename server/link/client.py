@@ -121,6 +121,11 @@ class LinkClient:
         return self._ring.subscribe(callback)
 
     @property
+    def listener_problem(self) -> str:
+        """Which of those that `on_sample` calls failed lately, and how."""
+        return self._ring.listeners.problem
+
+    @property
     def plc_to_pc_offset_ns(self) -> int | None:
         """t_pc = t_plc + offset, monotonic clocks; None before the first exchange."""
         return self._offset_ns
@@ -316,7 +321,7 @@ class LinkClient:
         health, settings = self.health, self._settings
         where = f"{settings.plc_host}:{settings.plc_port}"
         if health.phase is LinkPhase.OFFLINE:
-            reason = health.error or "is it on, and are address, port and framing right?"
+            reason = health.error or "is it on, are address, port and framing right, and does no other PC hold it?"
             return f"PLC silent: no state from {where}; {reason}"
         if health.phase is LinkPhase.LOCAL:
             return "PLC is in LOCAL: the lever at the machine has it; release the lever, then arm"

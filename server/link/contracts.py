@@ -76,6 +76,7 @@ class LinkHealth:
     cfg_id: int = 0  # of the limits in the PLC, as it says
     recent_rejects: tuple[str, ...] = ()  # the newest ten: code, remedy, field and value, command number
     round_trip_min_ms: float = 0.0  # the quickest of the last half minute
+    other_pc: str = ""  # that another PC has or wants the PLC's session, while that is heard
     samples_dropped: int = 0  # states that the server did not fetch in time, since the link process began
 
 

@@ -24,12 +24,12 @@ from protocol.client_events import (
     TrajectoryEnded,
 )
 from protocol.client_link import ClientLink
-from protocol.codes import HeaderFlag, PlcState
+from protocol.codes import HeaderFlag, PlcState, RejectCode
 from protocol.errors import LocalProtocolError
 from protocol.limits import LimitTable
 from protocol.messages import State
 from protocol.plc_states import ARMED_STATES
-from protocol.timeouts import STOP_ON_EXIT
+from protocol.timeouts import SESSION_VOID, STOP_ON_EXIT
 from recording.clock import SUSPENDED, SuspendWatch, mono_ns
 from server.link.contracts import (
     ArmRequest,
@@ -63,6 +63,7 @@ from server.link.udp_end import Address, UdpEnd
 _HEALTH_NS = 100_000_000
 _RESOLVE_NS = 1_000_000_000
 _REJECTS_KEPT = 10
+_OTHER_PC_NS = 2 * SESSION_VOID.ns  # by then a session that ended is void, and a PC that wants one has asked again
 _HOLD_LOST = "hold-to-run: no proof that the button is held reached the link in time; press it again"
 _SIGHT_LOST = "closed loop: no pair was judged in time, the server or this computer is busy with something else"
 _AGE_SHOWN_NS = 3_600_000_000_000  # "never" is shown as an hour
@@ -85,6 +86,7 @@ class LinkProcess:
         self._buffer_min_us = self._last_knot = 0
         self._rejects: deque[str] = deque(maxlen=_REJECTS_KEPT)
         self._silent_until_ns = 0
+        self._other_pc, self._other_pc_ns = "", 0
         self._asked: ArmRequest | ResetRequest | None = None  # a wish that has neither come true nor lapsed
         self._asked_until_ns = 0
         self._hold, self._sight = Deadline(_HOLD_LOST), Deadline(_SIGHT_LOST)
@@ -263,12 +265,17 @@ class LinkProcess:
                 case StateReceived(state=state, t_mono_ns=t_received_ns):
                     self._outbox.add_sample(sample_of(state, t_received_ns, len(self._table.axes)))
                     self._note_buffer(state)
+                    self._note_other_pc(t_received_ns)
                     self._note_wish(state)
                 case TrajectoryEnded(traj_id=traj_id, reached=reached, reason=reason, t_plc_ns=t_plc_ns):
                     self._report_health(t_mono_ns)
                     self._outbox.report(MotionEnded(traj_id, reached, reason, t_plc_ns))
                 case TailAnswered(traj_id=traj_id, taken=taken, text=text):
                     self._outbox.report(TailReport(traj_id, taken, text))
+                case RejectSeen(code=RejectCode.SESSION, text=text):  # another PC's command
+                    self._other_pc, self._other_pc_ns = self._link.other_pc or text, t_mono_ns
+                    self._rejected += 1
+                    self._rejects.append(text)
                 case RejectSeen(text=text, seq=seq):
                     self._rejected += 1
                     self._rejects.append(f"{text} (command {seq})")
@@ -284,6 +291,11 @@ class LinkProcess:
         """Only while knots are still to come: towards its end every trajectory empties the ring."""
         if state.plc_state is PlcState.RUN and state.knot_last < self._last_knot:
             self._buffer_min_us = min(self._buffer_min_us or state.buffer_us, state.buffer_us)
+
+    def _note_other_pc(self, t_received_ns: int) -> None:
+        """A foreign session in a state is there now; a refusal stays in every state that follows, whenever it was."""
+        if not self._link.linked and self._link.other_pc:
+            self._other_pc, self._other_pc_ns = self._link.other_pc, t_received_ns
 
     def _note_wish(self, state: State) -> None:
         """A wish that has come true is not repeated in the next session."""
@@ -329,6 +341,7 @@ class LinkProcess:
             error=self._resolver.error,
             dry_run=state is not None and HeaderFlag.DRY_RUN in state.flags,
             cfg_id=state.cfg_id if state is not None else 0,
+            other_pc=self._other_pc if now_ns - self._other_pc_ns < _OTHER_PC_NS else "",
             recent_rejects=tuple(self._rejects),
             round_trip_min_ms=self._link.clock.delay_min_ns / 1e6,
         )

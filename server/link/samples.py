@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 
 from server.link.contracts import PlcSample
+from server.listeners import Listeners
 
 _KEPT = 180 * 100  # three minutes at 100 Hz: the longest calibration path fits
 
@@ -16,7 +17,7 @@ class SampleRing:
 
     def __init__(self) -> None:
         self._samples: deque[PlcSample] = deque(maxlen=_KEPT)
-        self._callbacks: list[SampleCallback] = []
+        self.listeners = Listeners[[PlcSample]]("a PLC sample")
 
     @property
     def latest(self) -> PlcSample | None:
@@ -27,8 +28,7 @@ class SampleRing:
         """Keep new samples and tell everybody."""
         for sample in samples:
             self._samples.append(sample)
-            for callback in tuple(self._callbacks):
-                callback(sample)
+            self.listeners.call(sample)
 
     def since(self, t_mono_ns: int) -> list[PlcSample]:
         """All samples received after this time."""
@@ -37,5 +37,4 @@ class SampleRing:
 
     def subscribe(self, callback: SampleCallback) -> Callable[[], None]:
         """Call back for every new sample; the answer ends it."""
-        self._callbacks.append(callback)
-        return lambda: self._callbacks.remove(callback)
+        return self.listeners.add(callback)

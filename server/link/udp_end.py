@@ -3,6 +3,7 @@
 import socket
 import struct
 import time
+from collections.abc import Sequence
 
 from recording.clock import mono_ns
 
@@ -11,7 +12,8 @@ _TIMESPEC = struct.Struct("@qq")
 _MAX_DATAGRAM = 2048
 _DRAIN = 32  # datagrams a turn, so that a flood cannot keep the sender from its deadlines
 _READINGS = 3
-_STAMP_TRUST_NS = 1_000_000_000  # a stamp further away than this means that the wall clock was set
+_READ_NS = 1_000_000  # what a reading of both clocks may be off by
+_SLEW = 5e-4  # 500 ppm: the most that the kernel lets NTP drive the wall clock away from the monotonic one
 
 Address = tuple[str, int]
 
@@ -23,6 +25,7 @@ class UdpEnd:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self.kernel_stamps = self._ask_for_stamps()
+        self._clock = StampClock(*_both_clocks())
         self._socket.bind(local)
 
     def _ask_for_stamps(self) -> bool:
@@ -51,21 +54,51 @@ class UdpEnd:
 
     def drain(self) -> list[tuple[bytes, int, Address]]:
         """What has arrived, oldest first, at most 32: datagram, receive time, source. No time lies before the last."""
+        begun_ns = mono_ns()
         arrived: list[tuple[bytes, int | None, Address]] = []
-        while len(arrived) < _DRAIN:
+        emptied = False
+        while len(arrived) < _DRAIN and not emptied:
             try:
                 datagram, ancillary, _, source = self._socket.recvmsg(_MAX_DATAGRAM, 64)
             except OSError:  # nothing more, or an ICMP answer to something we sent
-                break
-            arrived.append((datagram, _stamp_ns(ancillary), source))
-        if not arrived:
-            return []
-        clocks = _both_clocks()
-        return [(datagram, _received_ns(stamp_ns, *clocks), source) for datagram, stamp_ns, source in arrived]
+                emptied = True
+            else:
+                arrived.append((datagram, _stamp_ns(ancillary), source))
+        times = self._clock.received_ns([stamp_ns for _, stamp_ns, _ in arrived], *_both_clocks()) if arrived else []
+        if emptied:
+            self._clock.empty_ns = begun_ns
+        return [(datagram, t_ns, source) for (datagram, _, source), t_ns in zip(arrived, times, strict=True)]
 
     def close(self) -> None:
         """Release the port."""
         self._socket.close()
+
+
+class StampClock:
+    """From the kernel's stamps, on the wall clock, to receive times on the monotonic clock. Pure: clocks are arguments.
+
+    A datagram came after the queue was last empty and before now. That distinguishes a stamp that is old because this
+    process was frozen from one under which the wall clock was set. Where the clocks' differences of then and of now
+    both fit, the earlier time counts: older than it is stops the machine, fresher than it is would move it.
+    """
+
+    def __init__(self, wall_ns: int, now_ns: int) -> None:
+        self.empty_ns = now_ns  # since before then everything in the queue has come
+        self._mono_minus_wall_ns = now_ns - wall_ns
+        self._last_ns = now_ns
+
+    def received_ns(self, stamps_ns: Sequence[int | None], wall_ns: int, now_ns: int) -> list[int]:
+        """When they came; now for one without a stamp, or with one that fits nowhere. None lies before the last."""
+        before_ns, self._mono_minus_wall_ns = self._mono_minus_wall_ns, now_ns - wall_ns
+        offsets_ns = (before_ns, self._mono_minus_wall_ns)
+        earliest_ns = self.empty_ns - _READ_NS - round(_SLEW * (now_ns - self.empty_ns))
+        times: list[int] = []
+        for stamp_ns in stamps_ns:
+            found = [] if stamp_ns is None else [stamp_ns + offset_ns for offset_ns in offsets_ns]
+            fitting = [t_ns for t_ns in found if earliest_ns <= t_ns <= now_ns + _READ_NS]
+            self._last_ns = max(self._last_ns, min(fitting, default=now_ns))
+            times.append(min(self._last_ns, now_ns))
+        return times
 
 
 def _stamp_ns(ancillary: list[tuple[int, int, bytes]]) -> int | None:
@@ -85,8 +118,3 @@ def _both_clocks() -> tuple[int, int]:
     readings = [(mono_ns(), time.time_ns(), mono_ns()) for _ in range(_READINGS)]
     before_ns, wall_ns, after_ns = min(readings, key=lambda one: one[2] - one[0])
     return wall_ns, (before_ns + after_ns) // 2
-
-
-def _received_ns(stamp_ns: int | None, wall_ns: int, now_ns: int) -> int:
-    age_ns = -1 if stamp_ns is None else wall_ns - stamp_ns
-    return now_ns - age_ns if 0 <= age_ns <= _STAMP_TRUST_NS else now_ns

@@ -4,7 +4,9 @@ import sqlite3
 from dataclasses import asdict, dataclass
 from typing import Any
 
-KEPT_S = 400 * 86400.0
+from server.store.operating_time import NOW_S
+
+KEPT_S = 400 * 86400.0  # of operation
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,8 @@ class AuditEntry:
 
 
 _COLUMNS = tuple(AuditEntry.__dataclass_fields__)
-_INSERT = f"INSERT INTO audit ({', '.join(_COLUMNS)}) VALUES ({', '.join(':' + name for name in _COLUMNS)})"
+_NAMES = ", ".join(_COLUMNS)
+_INSERT = f"INSERT INTO audit ({_NAMES}, operating_s) VALUES ({', '.join(':' + name for name in _COLUMNS)}, {NOW_S})"
 
 
 def add_audit(db: sqlite3.Connection, entry: AuditEntry) -> None:
@@ -50,10 +53,12 @@ def add_audit(db: sqlite3.Connection, entry: AuditEntry) -> None:
 
 def read_audit(db: sqlite3.Connection, before: int, limit: int) -> list[dict[str, Any]]:
     """The newest lines with a number below `before`, newest first."""
-    rows = db.execute("SELECT * FROM audit WHERE number < ? ORDER BY number DESC LIMIT ?", (before, limit))
+    rows = db.execute(
+        f"SELECT number, {_NAMES} FROM audit WHERE number < ? ORDER BY number DESC LIMIT ?", (before, limit)
+    )
     return [dict(row) for row in rows]
 
 
-def forget_old_audit(db: sqlite3.Connection, t_unix_s: float) -> None:
-    """Lines older than KEPT_S go."""
-    db.execute("DELETE FROM audit WHERE t_unix_s < ?", (t_unix_s - KEPT_S,))
+def forget_old_audit(db: sqlite3.Connection) -> None:
+    """Lines older than KEPT_S of operation go."""
+    db.execute(f"DELETE FROM audit WHERE operating_s < {NOW_S} - ?", (KEPT_S,))

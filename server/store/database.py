@@ -6,15 +6,18 @@ A write that fails (disk full, read-only) leaves the database as it was, and `pr
 import asyncio
 import contextlib
 import logging
+import os
 import queue
 import sqlite3
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, TypeVar
 
 from server.store.errors import StoreBusyError, StoreError
+from server.store.lease_rows import first_fencing
 from server.store.migrations import migrate
 
 log = logging.getLogger(__name__)
@@ -23,6 +26,7 @@ Work = Callable[[sqlite3.Connection], T]
 QUEUE_MAX = 256
 WRITE_S = 5.0  # longest wait of a command for the disk
 BUSY_MS = 2000
+FILES = ("", "-wal", "-shm")  # endings of SQLite's files: as long as it is open they stay
 _Item = tuple[Work[Any], Future[Any]] | None
 
 
@@ -34,6 +38,7 @@ class Database:
         self.problem = "the database is not open"
         self._queue: queue.Queue[_Item] = queue.Queue(QUEUE_MAX)
         self._db: sqlite3.Connection | None = None
+        self._inodes: list[tuple[int, int] | None] = []  # of the files that `_db` writes to
         self._thread: threading.Thread | None = None
 
     def open(self) -> None:
@@ -97,6 +102,7 @@ class Database:
         try:
             db = self._opened()
             result = _in_transaction(db, work)
+            self._require_in_place()
         except (sqlite3.OperationalError, sqlite3.DatabaseError, OSError, StoreError) as error:
             done.set_exception(self._failed(error))
         except Exception as error:  # the work's own refusal: the transaction is rolled back, the store is well
@@ -118,8 +124,20 @@ class Database:
 
     def _opened(self) -> sqlite3.Connection:
         if self._db is None:
-            self._db = _connected(self.path)
+            self._db, self._inodes = _connected(self.path), []
         return self._db
+
+    def _require_in_place(self) -> None:
+        """Raises: StoreError: what was written now is not where the next life of the server will look for it."""
+        if self.path is None:
+            return
+        inodes = [_inode(f"{self.path}{ending}") for ending in FILES]
+        self._inodes = self._inodes or inodes
+        if inodes[0] is None or inodes != self._inodes:
+            raise StoreError(
+                f"database {self.path} was removed or replaced while the server ran, so nothing that it writes now is "
+                "kept; end the server, put the database back from a backup if there is one, and start it again"
+            )
 
     # --- reading ----------------------------------------------------------------------------------------------------
 
@@ -142,6 +160,14 @@ class Database:
         return await asyncio.to_thread(self.read, work)
 
 
+def _inode(name: str) -> tuple[int, int] | None:
+    try:
+        found = os.stat(name)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
 def _connected(path: Path | None) -> sqlite3.Connection:
     """Open, check and migrate.
 
@@ -158,7 +184,7 @@ def _connected(path: Path | None) -> sqlite3.Connection:
             raise StoreError(f"database {path} is damaged ({found[0][0]}); move it away and start again")
         db.execute("PRAGMA journal_mode = WAL")
         db.execute("PRAGMA synchronous = FULL")  # a fencing number or a key that was answered survives a power cut
-        migrate(db)
+        migrate(db, 0 if path is None else first_fencing(time.time()))
     except BaseException as error:
         db.close()
         if isinstance(error, sqlite3.DatabaseError) and not isinstance(error, sqlite3.OperationalError):

@@ -14,7 +14,7 @@ def add_plan(
     values = (plan_hash, job_id, made_unix_s, expires_unix_s, view)
     db.execute("INSERT OR REPLACE INTO plans VALUES (?, ?, ?, ?, ?)", values)
     db.execute(
-        "DELETE FROM plans WHERE plan_hash NOT IN (SELECT plan_hash FROM plans ORDER BY made_unix_s DESC LIMIT ?)",
+        "DELETE FROM plans WHERE plan_hash NOT IN (SELECT plan_hash FROM plans ORDER BY rowid DESC LIMIT ?)",
         (PLANS_KEPT,),
     )
 

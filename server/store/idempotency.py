@@ -1,10 +1,11 @@
-"""Idempotency keys: the same key and body get the same answer for 24 hours, and nothing is done twice."""
+"""Idempotency keys: the same key and body get the same answer for 24 hours of operation, and nothing is done twice."""
 
 import hashlib
 import sqlite3
 from dataclasses import dataclass
 
 from server.access.errors import AccessError
+from server.store.operating_time import NOW_S
 
 KEPT_S = 24 * 3600.0
 
@@ -41,7 +42,6 @@ class Answered:
     status: int
     location: str
     answer: str
-    t_unix_s: float
 
 
 def hash_of(body: bytes) -> str:
@@ -49,12 +49,12 @@ def hash_of(body: bytes) -> str:
     return hashlib.sha256(body).hexdigest()
 
 
-def replay_of(known: Answered | None, in_progress: bool, body_hash: str, t_unix_s: float) -> Answered | None:
+def replay_of(known: Answered | None, in_progress: bool, body_hash: str) -> Answered | None:
     """The answer to give again; None when the command is new and may be carried out.
 
     Raises: KeyReusedError: other body. KeyInProgressError: the first one is still on its way.
     """
-    if known is not None and t_unix_s - known.t_unix_s < KEPT_S:
+    if known is not None:
         if known.body_hash != body_hash:
             raise KeyReusedError("this Idempotency-Key was used with another body")
         return known
@@ -64,11 +64,10 @@ def replay_of(known: Answered | None, in_progress: bool, body_hash: str, t_unix_
 
 
 def read_answer(db: sqlite3.Connection, who: str, key: str) -> Answered | None:
-    """What was answered to that caller's key."""
-    row = db.execute("SELECT * FROM idempotency WHERE who = ? AND key = ?", (who, key)).fetchone()
-    if row is None:
-        return None
-    return Answered(row["body_hash"], row["status"], row["location"], row["answer"], row["t_unix_s"])
+    """What was answered to that caller's key within KEPT_S."""
+    kept = f"operating_s > {NOW_S} - ?"
+    row = db.execute(f"SELECT * FROM idempotency WHERE who = ? AND key = ? AND {kept}", (who, key, KEPT_S)).fetchone()
+    return None if row is None else Answered(row["body_hash"], row["status"], row["location"], row["answer"])
 
 
 def forget_answer(db: sqlite3.Connection, who: str, key: str) -> None:
@@ -78,9 +77,9 @@ def forget_answer(db: sqlite3.Connection, who: str, key: str) -> None:
 
 def save_answer(db: sqlite3.Connection, who: str, key: str, answered: Answered) -> None:
     """Keep an answer; forget those of yesterday."""
-    db.execute("DELETE FROM idempotency WHERE t_unix_s <= ?", (answered.t_unix_s - KEPT_S,))
+    db.execute(f"DELETE FROM idempotency WHERE operating_s <= {NOW_S} - ?", (KEPT_S,))
     db.execute(
-        "INSERT INTO idempotency (who, key, body_hash, status, location, answer, t_unix_s) "
-        "VALUES (?, ?, ?, ?, ?, ?, ?)",
-        (who, key, answered.body_hash, answered.status, answered.location, answered.answer, answered.t_unix_s),
+        "INSERT INTO idempotency (who, key, body_hash, status, location, answer, operating_s) "
+        f"VALUES (?, ?, ?, ?, ?, ?, {NOW_S})",
+        (who, key, answered.body_hash, answered.status, answered.location, answered.answer),
     )

@@ -11,11 +11,12 @@ from typing import Any
 from server.jobs.commands import Began
 from server.jobs.engine import Job, JobEvent
 from server.store.audit_rows import AuditEntry, add_audit, forget_old_audit
-from server.store.database import PROBE, Database, Work
+from server.store.database import Database, Work
 from server.store.errors import StoreError
 from server.store.idempotency import forget_answer, save_answer
 from server.store.job_rows import add_job, end_interrupted, end_job, read_jobs
 from server.store.lease_rows import read_fencing, save_fencing
+from server.store.operating_time import read_operating_time, save_operating_time
 
 log = logging.getLogger(__name__)
 PROBE_S = 2.0
@@ -25,8 +26,12 @@ SPARE = 64  # places of the queue that jobs and control have for themselves
 class Keeper:
     """Belongs to the event loop; the database has its thread. `result_of` makes JSON data of a job's result."""
 
-    def __init__(self, database: Database, result_of: Callable[[Any], Any]) -> None:
+    def __init__(
+        self, database: Database, result_of: Callable[[Any], Any], clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.database = database
+        self._clock = clock
+        self._zero_s = clock()  # when the operating-hours counter would have stood at zero, on that clock
         self._result_of = result_of
         self._unsaved: dict[str, Job] = {}
         self._taken_up: Callable[[list[Job], int], None] = lambda _jobs, _fencing: None
@@ -53,7 +58,8 @@ class Keeper:
     def _left(self) -> tuple[list[Job], int]:
         for job_id in self.database.write(end_interrupted):
             log.warning("job %s was interrupted: the server ended while it ran", job_id)
-        self.database.write(lambda db: forget_old_audit(db, time.time()))
+        self.database.write(forget_old_audit)
+        self._zero_s = self._clock() - self.database.read(read_operating_time)
         return self.database.read(read_jobs), self.database.read(read_fencing)
 
     def _take(self, jobs: list[Job], fencing: int) -> None:
@@ -141,9 +147,10 @@ class Keeper:
             try:
                 if not self._restored:
                     self._take(*await asyncio.to_thread(self._left))
-                await self.database.written(PROBE)
+                operating_s = self._clock() - self._zero_s
+                await self.database.written(lambda db, now_s=operating_s: save_operating_time(db, now_s))
             except StoreError:
-                continue  # told by the database, once
+                continue  # logged by the database, once
 
 
 def _logged(done: "Future[Any]") -> None:

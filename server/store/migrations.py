@@ -70,11 +70,18 @@ CREATE TABLE calibrations (
     view TEXT NOT NULL
 ) STRICT;
 """
-MIGRATIONS = (V1,)
+# What lapses goes by the operating-hours counter: rows of before count as written at its beginning, so they are kept.
+V2 = """
+INSERT INTO meta VALUES ('operating_ms', 0);
+ALTER TABLE audit ADD COLUMN operating_s REAL NOT NULL DEFAULT 0;
+ALTER TABLE idempotency RENAME COLUMN t_unix_s TO operating_s;
+UPDATE idempotency SET operating_s = 0;
+"""
+MIGRATIONS = (V1, V2)
 
 
-def migrate(db: sqlite3.Connection) -> None:
-    """Bring the schema up to date, each version in a transaction of its own.
+def migrate(db: sqlite3.Connection, fencing: int) -> None:
+    """Bring the schema up to date, each version in a transaction of its own. `fencing`: where a new database begins.
 
     Raises: StoreError: the file comes from a newer program.
     """
@@ -84,4 +91,6 @@ def migrate(db: sqlite3.Connection) -> None:
             f"database has version {version}, this program knows {len(MIGRATIONS)}; start the newer longreach"
         )
     for number, script in enumerate(MIGRATIONS[version:], start=version + 1):
+        if number == 1:
+            script += f"UPDATE meta SET value = {fencing} WHERE name = 'fencing';"
         db.executescript(f"BEGIN IMMEDIATE;\n{script}\nPRAGMA user_version = {number};\nCOMMIT;")

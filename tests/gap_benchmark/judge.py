@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from longreach.saved_file import save_whole
 from machine.effects.registry import effect_named
 from machine.remainder import Remainder, parse_remainders
+from recording.files import write_durably
 from tests.gap_benchmark import nominal_own as own
 from tests.gap_benchmark.cases import recording_seed
 from tests.gap_benchmark.faults import Injected, faults_of
@@ -346,7 +346,7 @@ def main() -> None:
     answer = json.loads((given.folder / "answer.json").read_text(encoding="utf-8"))
     machine = tomllib.loads(given.machine.read_text(encoding="utf-8"))
     score = judged(truth, answer, parse_remainders(machine.get("remainder")), plant_named(given.plant))
-    save_whole(given.folder / "score.json", json.dumps(score))  # its presence says that the case is done
+    write_durably(given.folder / "score.json", json.dumps(score))  # its presence says that the case is done
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Connections that say nothing, or half a request, are closed; others are served meanwhile."""
 
+import contextlib
 import socket
 import sys
 import time
@@ -92,3 +93,18 @@ def test_a_websocket_that_says_nothing_stays_open(tmp_path, monkeypatch):
             time.sleep(0.6)
             opened.send("still there")
             assert opened.recv(timeout=10.0) == "still there"
+
+
+def test_a_stop_is_answered_beside_more_idle_connections_than_there_may_be(tmp_path, monkeypatch):
+    monkeypatch.setattr(slow_clients.PatientProtocol, "connections_max", 20)
+    with served(tmp_path, keyed=False) as (url, _):
+        parts = urlsplit(url)
+        idle = [socket.create_connection((parts.hostname, parts.port), timeout=10.0) for _ in range(60)]
+        try:
+            assert httpx.post(f"{url}/v1/stop", timeout=10.0).status_code == 200
+            for connection in idle[:45]:  # the oldest were closed for the others, the newest may be open
+                with contextlib.suppress(ConnectionError):
+                    assert connection.recv(1) == b""
+        finally:
+            for connection in idle:
+                connection.close()

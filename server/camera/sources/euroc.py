@@ -3,6 +3,7 @@
 import csv
 from pathlib import Path
 
+from recording.files import read_text
 from server.camera.errors import CameraError
 from server.camera.sources.folder import read_grey
 from server.camera.sources.settings import EurocSource
@@ -42,9 +43,9 @@ def _listed(eye: Path) -> dict[int, Path]:
     """Stamp [ns] -> file, of data.csv."""
     listing = eye / "data.csv"
     try:
-        text = listing.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise CameraError(f"data set: {listing} cannot be read ({error}); give a whole data set") from error
+        text = read_text(listing)
+    except OSError as error:
+        raise CameraError(f"data set: {listing} cannot be read ({error.strerror}); give a whole data set") from error
     found: dict[int, Path] = {}
     for number, row in enumerate(csv.reader(text.splitlines()), start=1):
         if not row or row[0].lstrip().startswith("#"):

@@ -37,7 +37,7 @@ class World:
 
     def __post_init__(self):
         self.db.row_factory = sqlite3.Row
-        migrate(self.db)
+        migrate(self.db, 0)
 
     def crash(self):
         """Memory is gone; what was committed is read again, as the server's start does."""
@@ -111,7 +111,7 @@ class Client:
         if life != world.life:
             return
         try:
-            known = replay_of(read_answer(world.db, *mark), not mine, hash_of(command.encode()), world.now_s)
+            known = replay_of(read_answer(world.db, *mark), not mine, hash_of(command.encode()))
             if known is not None:
                 self.answers.setdefault(command, set()).add(known.answer)
                 return
@@ -135,7 +135,7 @@ class Client:
         world.db.execute("BEGIN IMMEDIATE")
         add_job(world.db, job, "{}")
         save_fencing(world.db, job.fencing)
-        save_answer(world.db, self.name, command, Answered(hash_of(command.encode()), 202, "", job.job_id, world.now_s))
+        save_answer(world.db, self.name, command, Answered(hash_of(command.encode()), 202, "", job.job_id))
         if world.rng.random() < 0.05:  # the power fails before the commit
             world.db.execute("ROLLBACK")
             return world.crash()

@@ -87,7 +87,7 @@ def test_a_file_that_is_written_again_keeps_owner_and_mode(tmp_path, monkeypatch
     monkeypatch.setattr("os.chown", lambda path, uid, gid: given.append((path.name, uid, gid)))
     assert keys("revoke", "anna", "--file", file).exit_code == 0
     assert file.stat().st_mode & 0o777 == 0o640
-    assert given == [("keys.new", file.stat().st_uid, file.stat().st_gid)]
+    assert given == [("keys.json.part", file.stat().st_uid, file.stat().st_gid)]
 
 
 def test_where_the_owner_cannot_be_kept_the_mode_is_not_widened_for_another_group(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 import socket
 import threading
+from types import SimpleNamespace
 
 import httpx
 import pytest
@@ -11,6 +12,7 @@ from longreach.fleet_client import JobClient
 from longreach.fleet_connection import IDLE_S, SteadyClient
 from longreach.lease_holder import TTL_S
 from server.api import slow_clients
+from server.api.connection_limit import ExhaustionLog, most_connections, one_to_close
 from server.app import config_of
 from server.settings import HttpSettings
 
@@ -101,3 +103,59 @@ def test_a_stop_is_sent_again(stand):
         assert client.state() == {}
         client.stop()
     assert stand.seen == ["GET /v1/state", "POST /v1/stop", "POST /v1/stop"]
+
+
+class Transport:
+    def __init__(self):
+        self.aborted = False
+
+    def is_closing(self):
+        return self.aborted
+
+
+class Open:
+    """A connection as uvicorn holds it; a WebSocket knows neither idle nor since."""
+
+    def __init__(self, address, since_s=None, idle=True):
+        self.client, self.transport = (address, 1), Transport()
+        if since_s is not None:
+            self.since_s, self.idle = since_s, idle
+
+
+def test_idle_connections_of_the_busiest_address_give_way_and_no_other():
+    pc = [Open("10.0.0.5", 0.0), Open("10.0.0.5", 0.1, idle=False), Open("10.0.0.5")]
+    attacker = [Open("10.0.0.9", 5.0 - number) for number in range(8)]
+    assert one_to_close([*pc, *attacker], 16) is None
+    assert one_to_close([*pc, *attacker], 15) is attacker[-1]  # more than half of one address; idle longest
+    busy = [Open("10.0.0.9", 5.0 - number, idle=False) for number in range(8)]
+    assert one_to_close([*pc, *busy, attacker[0]], 8) is attacker[0]
+    assert one_to_close([*pc, *busy], 8) is busy[-1]
+    sockets = [Open("10.0.0.9") for _ in range(8)]
+    assert one_to_close([*pc, *sockets], 8) is sockets[0]
+
+
+def test_many_addresses_share_what_there_is():
+    one_each = [Open(f"10.0.1.{number}", float(number)) for number in range(20)]
+    assert one_to_close(one_each, 20) is None
+    assert one_to_close(one_each, 19) is not None
+    assert one_to_close([], 0) is None
+
+
+@pytest.mark.parametrize(("descriptors", "most"), [(1024, 640), (256, 64), (32, 16), (10**6, 4096), (-1, 4096)])
+def test_the_limit_leaves_descriptors_for_the_server_itself(descriptors, most):
+    assert most_connections(descriptors) == most
+
+
+def test_descriptors_that_are_used_up_are_one_line_a_second(caplog, monkeypatch):
+    now_s, handle = [100.0], ExhaustionLog()
+    monkeypatch.setattr("server.api.connection_limit.time.monotonic", lambda: now_s[0])
+    passed = []
+    loop = SimpleNamespace(default_exception_handler=passed.append)
+    context = {"message": "socket.accept() out of system resource", "exception": OSError(24, "Too many open files")}
+    for step in range(2500):
+        now_s[0] = 100.0 + step * 1e-3
+        handle(loop, context)
+    assert len(caplog.records) == 3
+    assert "ulimit -n" in caplog.text
+    handle(loop, {"message": "Task exception was never retrieved", "exception": ValueError()})
+    assert len(passed) == 1

@@ -94,9 +94,13 @@ async def test_a_stolen_stale_lease_moves_nothing(keyed):
     async with keyed.client("fleet") as fleet, keyed.client("operator") as operator:
         lease = (await fleet.post("/v1/lease", json={"owner": "truck 7", "kind": "fleet"})).json()
         await operator.post("/v1/lease/take", json={"owner": "anna", "reason": "shift"})
-        stolen = {"Longreach-Lease": lease["lease_id"], "Longreach-Fencing": "1", "Idempotency-Key": "k"}
-        for number in ("1", "2"):
-            answer = await fleet.post("/v1/jobs", json=PARK, headers=stolen | {"Longreach-Fencing": number})
+        stolen = {
+            "Longreach-Lease": lease["lease_id"],
+            "Longreach-Fencing": str(lease["fencing"]),
+            "Idempotency-Key": "k",
+        }
+        for number in (lease["fencing"], lease["fencing"] + 1):
+            answer = await fleet.post("/v1/jobs", json=PARK, headers=stolen | {"Longreach-Fencing": str(number)})
             assert (answer.status_code, answer.json()["code"]) == (409, "lease_lost")
             assert answer.json()["references"]["owner"] == "anna"
     assert not keyed.service.engine.jobs
@@ -105,7 +109,11 @@ async def test_a_stolen_stale_lease_moves_nothing(keyed):
 async def test_a_replayed_command_moves_nothing_a_second_time(keyed):
     async with keyed.client("fleet") as fleet:
         lease = (await fleet.post("/v1/lease", json={"owner": "truck 7", "kind": "fleet"})).json()
-        headers = {"Longreach-Lease": lease["lease_id"], "Longreach-Fencing": "1", "Idempotency-Key": "k"}
+        headers = {
+            "Longreach-Lease": lease["lease_id"],
+            "Longreach-Fencing": str(lease["fencing"]),
+            "Idempotency-Key": "k",
+        }
         answers = []
         for _ in range(3):
             answers.append(await fleet.post("/v1/jobs", json=PARK, headers=headers))
@@ -192,7 +200,7 @@ async def test_no_secret_is_in_log_database_or_answer(keyed, caplog, tmp_path):
     caplog.set_level(logging.WARNING, "httpx")  # the client's own log
     async with keyed.client("operator") as client:
         lease = (await client.post("/v1/lease", json={"owner": "anna"})).json()
-        held = {"Longreach-Lease": lease["lease_id"], "Longreach-Fencing": "1"}
+        held = {"Longreach-Lease": lease["lease_id"], "Longreach-Fencing": str(lease["fencing"])}
         told = [await client.post("/v1/jobs", json=PARK, headers=held)]
         told.append(await client.post("/v1/jobs", json={"kind": lease["lease_id"]}, headers=held))
         told.append(await client.put(f"/v1/lease/{lease['lease_id']}x"))

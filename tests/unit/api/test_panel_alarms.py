@@ -42,7 +42,7 @@ def test_every_code_that_can_be_raised_is_in_the_catalogue():
         *active_alarms(state(), replace(CALM, vision_problem="vision process ended", scene_problem="gone")),
         *active_alarms(state(), replace(CALM, disk_free_bytes=10**6, recorder_problem="full", loss_pct=7.0)),
         *active_alarms(state(simulation=False), CALM),
-        *active_alarms(state(), replace(CALM, store_problem="no space left on device")),
+        *active_alarms(state(), replace(CALM, store_problem="no space left on device", other_pc="another PC holds it")),
         *active_alarms(state(calibration=Part(valid=False, expiry_reason="too old")), CALM),
         *active_alarms(state(), replace(CALM, inner_faults={KEYS_UNREADABLE: "x", PART_FAILED: "x"})),
         *(code for _, code in FAULT_CODES),

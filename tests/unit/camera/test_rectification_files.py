@@ -257,7 +257,7 @@ def test_any_text_gives_one_error(texts: list[str]) -> None:
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(CalibrationFileError, match="give an existing file"):
+    with pytest.raises(CalibrationFileError, match="give a calibration file that can be read"):
         read_calibration([str(tmp_path / "none.conf")], SIZE_PX)
     (tmp_path / "binary.conf").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(CalibrationFileError, match="not text"):

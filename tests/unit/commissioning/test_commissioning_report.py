@@ -125,7 +125,7 @@ def test_wrong_answers_files_are_refused(tmp_path, text):
 
 
 def test_missing_answers_file_is_refused():
-    with pytest.raises(SettingsError, match="give an existing"):
+    with pytest.raises(SettingsError, match="give a TOML file"):
         read_answers(Path("not/there.toml"))
 
 

@@ -284,7 +284,10 @@ async def test_a_listener_that_raises_does_not_keep_a_job_from_its_end(deaf_to):
     await finish(engine)
     assert (job.state, job.result) == (JobState.DONE, "done")
     assert heard == ["started", "ended"]
+    assert job.job_id in engine.not_noted  # a fault: what should have written the job down did not
+    assert "No space left" in engine.not_noted
     engine.submit("look", plan(), "me")
+    assert engine.not_noted == ""
     await finish(engine)
 
 

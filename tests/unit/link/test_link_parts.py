@@ -24,7 +24,7 @@ from server.link.sample import sample_of
 from server.link.samples import SampleRing
 from server.link.settings import LinkSettings, framing_of
 from server.link.standing import stood_still
-from server.link.udp_end import UdpEnd
+from server.link.udp_end import StampClock, UdpEnd
 from server.motion.contracts import JointTrajectory
 from server.settings import read_machine
 
@@ -58,6 +58,18 @@ def test_ring_keeps_three_minutes_and_answers_since() -> None:
     unsubscribe()
     ring.extend([sample(20_000)])
     assert len(heard) == 18_100
+
+
+def test_a_listener_that_raises_keeps_no_sample_from_the_others_and_is_a_fault() -> None:
+    def broken(_sample: object) -> None:
+        raise ValueError("a defect")
+
+    ring, heard = SampleRing(), []
+    ring.subscribe(broken)
+    ring.subscribe(lambda s: heard.append(s.t_mono_ns))
+    ring.extend(sample(t) for t in range(5))
+    assert heard == [0, 1, 2, 3, 4]
+    assert "broken took no note of a PLC sample: ValueError('a defect')" in ring.listeners.problem
 
 
 def test_lateness_percentiles() -> None:
@@ -166,9 +178,9 @@ def test_standing_still_is_encoders_and_reference_for_most_of_the_window(span_s,
 
 
 def test_a_process_held_up_between_two_clocks_stamps_nothing_late(monkeypatch: pytest.MonkeyPatch) -> None:
-    real_ns, calls = mono_ns, iter(range(10_000))
-    monkeypatch.setattr(udp_end, "mono_ns", lambda: real_ns() + (10_000_000 if next(calls) % 6 == 1 else 0))
     a, b = UdpEnd(("127.0.0.1", 0)), UdpEnd(("127.0.0.1", 0))
+    real_ns, calls = mono_ns, iter(range(10_000))  # seven a turn: at its begin, then three pairs
+    monkeypatch.setattr(udp_end, "mono_ns", lambda: real_ns() + (10_000_000 if next(calls) % 7 == 2 else 0))
     try:
         for i in range(6):
             before_ns = real_ns()
@@ -176,6 +188,58 @@ def test_a_process_held_up_between_two_clocks_stamps_nothing_late(monkeypatch: p
             time.sleep(0.002)
             ((_, received_ns, _),) = b.drain()
             assert before_ns - 1_000_000 < received_ns < real_ns()
+    finally:
+        a.close()
+        b.close()
+
+
+S = 1_000_000_000
+WALL = 1_800_000_000 * S
+
+
+def test_datagrams_that_waited_for_a_frozen_process_keep_their_age() -> None:
+    clock = StampClock(WALL, 100 * S)
+    waited = [WALL + S // 10, WALL + S, WALL + 19 * S]
+    assert clock.received_ns(waited, WALL + 20 * S, 120 * S) == [100 * S + S // 10, 101 * S, 119 * S]
+
+
+@pytest.mark.parametrize("set_by_s", [-1.8e9, -3600.0, -20.0, 20.0, 86_400.0 * 400])
+def test_a_wall_clock_that_was_set_ages_no_datagram_and_makes_none_fresh(set_by_s: float) -> None:
+    set_ns = round(set_by_s * S)
+    clock = StampClock(WALL - S, 99 * S)
+    clock.empty_ns = 100 * S - S // 50
+    stamps = [WALL - S // 100, WALL - S // 200 + set_ns]  # before and after it was set
+    assert clock.received_ns(stamps, WALL + set_ns, 100 * S) == [100 * S - S // 100, 100 * S - S // 200]
+    assert clock.received_ns([WALL + set_ns + S], WALL + set_ns + 2 * S, 102 * S) == [101 * S]
+
+
+def test_a_clock_that_was_set_while_the_process_was_frozen_makes_nothing_fresher_than_it_is() -> None:
+    """Which of both differences holds cannot be known: 18 s ago by the one, 8 s by the other."""
+    clock = StampClock(WALL, 100 * S)
+    assert clock.received_ns([WALL + 2 * S], WALL + 10 * S, 120 * S) == [102 * S]
+
+
+def test_a_stamp_that_fits_nowhere_is_now_and_times_only_rise() -> None:
+    clock = StampClock(WALL, 100 * S)
+    stamps = [None, WALL - 86_400 * S, WALL + S // 2]
+    assert clock.received_ns(stamps, WALL + S, 101 * S) == [101 * S, 101 * S, 101 * S]
+
+
+def test_a_socket_knows_since_when_its_queue_holds_what_is_in_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frozen for 20 s, played by clocks that both go on by 20 s beyond what the kernel stamps."""
+    ahead_ns, mono, wall = [0], time.monotonic_ns, time.time_ns
+    monkeypatch.setattr(udp_end.time, "monotonic_ns", lambda: mono() + ahead_ns[0])
+    monkeypatch.setattr(udp_end.time, "time_ns", lambda: wall() + ahead_ns[0])
+    a, b = UdpEnd(("127.0.0.1", 0)), UdpEnd(("127.0.0.1", 0))
+    try:
+        assert b.drain() == []
+        for i in range(40):
+            assert a.send(bytes([i]), b.local_address)
+        sent_ns = mono()
+        ahead_ns[0] = 20 * S
+        for drained in (b.drain(), b.drain()):
+            assert all(t_ns <= sent_ns + S // 100 for _, t_ns, _ in drained)
+        assert b.drain() == []
     finally:
         a.close()
         b.close()

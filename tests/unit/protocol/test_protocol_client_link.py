@@ -284,8 +284,19 @@ def test_another_session_at_the_plc_is_seen_but_not_ours() -> None:
     pc = Pc()
     pc.feed(session=99, plc_state=PlcState.RUN, reject_code=RejectCode.SESSION, reject_count=1)
     assert pc.link.phase(pc.t_ns) is ClientPhase.DISARMED
-    assert "another session is open" in pc.link.last_reject
+    assert "another PC holds the PLC's session 0x00000063" in pc.link.last_reject == pc.link.other_pc
     assert not pc.link.linked
+
+
+def test_a_pc_that_wants_the_session_is_named_as_such_and_no_command_of_ours_is_blamed() -> None:
+    pc = Pc().holding()
+    assert pc.link.other_pc == ""
+    refused = {"reject_code": RejectCode.SESSION, "reject_count": 1, "reject_seq": pc.link._seq, "reject_offset": 16}
+    event = pc.feed(**refused)[-1]
+    assert event.text == pc.link.other_pc
+    assert event.text.startswith("another PC asks for the PLC's session, which this one holds (0x")
+    pc.feed(reject_code=RejectCode.LIMIT_Q, reject_count=2)
+    assert pc.link.other_pc == ""
 
 
 @settings(max_examples=200, deadline=None)

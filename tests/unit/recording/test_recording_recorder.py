@@ -288,3 +288,34 @@ def test_a_plc_that_was_switched_off_and_on_costs_no_recording(tmp_path: Path) -
     assert [one.name for one in found.run.segments] == ["first"]
     assert found.run.segments[0].t_end_plc_s == pytest.approx(1000.49)
     assert "began anew" in " ".join(entry.text for entry in found.log)
+
+
+@pytest.mark.parametrize("broken", ["plc_row", "report_rows", "finding", "urdf_text"])
+def test_a_defect_ends_the_recording_with_a_fault_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, broken: str
+) -> None:
+    def defect(*_args: object) -> None:
+        raise UnicodeEncodeError("utf-8", "\udcff", 0, 1, "surrogates not allowed")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(f"server.recorder.{broken}", defect)
+        recorder = Recorder(tmp_path, MACHINE)
+        recorder.start("x", "{}", MACHINE_TOML)
+        recorder.sample(sample(0))
+        recorder.report(report(0))
+        recorder.result("done")
+        assert recorder.stop() is None
+    assert "recording of x ended by a defect: UnicodeEncodeError" in recorder.problem
+    recorder.start("y", "{}", MACHINE_TOML)
+    assert recorder.problem == ""
+    recorder.finish()
+
+
+def test_a_file_that_is_removed_while_it_is_written_is_a_fault(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path, MACHINE)
+    recorder.start("x", "{}", MACHINE_TOML)
+    recorder.sample(sample(0))
+    (path,) = tmp_path.glob("*.mcap")
+    path.unlink()
+    recorder.finish()
+    assert "removed while it was written" in recorder.problem

@@ -1,5 +1,6 @@
 """The store: one writer, transactions, migrations, and disks that are full, read-only or damaged."""
 
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -12,14 +13,17 @@ from server.store import database as database_module
 from server.store.audit_rows import AuditEntry, add_audit, forget_old_audit, read_audit
 from server.store.database import PROBE, Database
 from server.store.errors import StoreBusyError, StoreError
+from server.store.finding_rows import add_plan, read_plan
 from server.store.lease_rows import read_fencing, save_fencing
 from server.store.migrations import MIGRATIONS
+from server.store.operating_time import read_operating_time, save_operating_time
 
 ENTRY = AuditEntry(1000.0, "truck 7", "fleet", "10.0.0.7", "job.park", fencing=3, job_id="a1")
 
 
 @pytest.fixture
-def store(tmp_path):
+def store(tmp_path, monkeypatch):
+    monkeypatch.setattr(database_module, "first_fencing", lambda _t_unix_s: 0)  # numbers that are read easily
     opened = Database(tmp_path / "runs" / "longreach.sqlite3")
     opened.open()
     yield opened
@@ -54,7 +58,11 @@ def test_the_audit_only_grows_and_old_lines_go(store):
     assert (line["who"], line["job_id"], line["number"]) == ("truck 7", "a1", 1)
     with pytest.raises(StoreError, match="append-only"):
         store.write(lambda db: db.execute("UPDATE audit SET who = 'somebody else'"))
-    store.write(lambda db: forget_old_audit(db, 1000.0 + 401 * 86400.0))
+    store.write(lambda db: save_operating_time(db, 400 * 86400.0))
+    store.write(forget_old_audit)
+    assert len(store.read(lambda db: read_audit(db, 2**62, 10))) == 1
+    store.write(lambda db: save_operating_time(db, 401 * 86400.0))
+    store.write(forget_old_audit)
     store.write(lambda db: add_audit(db, ENTRY))
     assert [line["number"] for line in store.read(lambda db: read_audit(db, 2**62, 10))] == [2]  # never used again
 
@@ -211,3 +219,65 @@ def test_every_version_can_be_brought_up_to_date(tmp_path):
         assert store.problem == ""
         assert store.read(lambda db: db.execute("PRAGMA user_version").fetchone()[0]) == len(MIGRATIONS)
         store.close()
+
+
+@pytest.mark.parametrize("gone", ["everything", "the folder", "the write-ahead log", "replaced by a copy"])
+def test_files_that_are_removed_or_replaced_under_it_are_a_reason(store, gone):
+    store.write(lambda db: save_fencing(db, 5))
+    folder, copy = store.path.parent, store.path.parent.with_name("copy")
+    match gone:
+        case "everything":
+            for file in folder.iterdir():
+                file.unlink()
+        case "the folder":
+            shutil.rmtree(folder)
+        case "the write-ahead log":
+            store.path.with_name(f"{store.path.name}-wal").unlink()
+        case "replaced by a copy":
+            shutil.copytree(folder, copy)
+            shutil.rmtree(folder)
+            copy.rename(folder)
+    for _ in range(2):
+        with pytest.raises(StoreError, match=r"removed or replaced.*start it again"):
+            store.write(PROBE)
+        assert "removed or replaced" in store.problem
+
+
+def test_a_folder_that_was_put_back_is_well_again(store):
+    store.write(lambda db: save_fencing(db, 5))
+    away = store.path.parent.rename(store.path.parent.with_name("away"))
+    with pytest.raises(StoreError, match="removed or replaced"):
+        store.write(PROBE)
+    away.rename(store.path.parent)
+    store.write(PROBE)
+    assert store.problem == ""
+    assert store.read(read_fencing) == 5
+
+
+def test_a_database_that_was_lost_gives_no_fencing_number_again(tmp_path):
+    """Not even when many holders came in a short life: each takes longer than 1 ms."""
+    highest = 0
+    for _ in range(3):
+        lost = Database(tmp_path / "runs" / "longreach.sqlite3")
+        lost.open()
+        before = lost.read(read_fencing)
+        assert before > highest
+        for number in range(1, 30):
+            lost.write(lambda db, n=before + number: save_fencing(db, n))
+        highest = lost.read(read_fencing)
+        lost.close()
+        shutil.rmtree(tmp_path / "runs")
+
+
+def test_the_counter_of_operating_time_never_falls(store):
+    for operating_s in (10.0, 7200.5, 3600.0):
+        store.write(lambda db, now_s=operating_s: save_operating_time(db, now_s))
+    assert store.read(read_operating_time) == 7200.5
+
+
+def test_plans_are_kept_in_the_order_of_their_writing_whatever_their_clock_said(store, monkeypatch):
+    monkeypatch.setattr("server.store.finding_rows.PLANS_KEPT", 2)
+    for plan_hash, made_unix_s in (("a", 2e9), ("b", 1.8e9), ("c", 5.0)):
+        store.write(lambda db, h=plan_hash, t=made_unix_s: add_plan(db, h, "job", t, t + 60.0, "{}"))
+    kept = [plan_hash for plan_hash in "abc" if store.read(lambda db, h=plan_hash: read_plan(db, h)) is not None]
+    assert kept == ["b", "c"]

@@ -29,3 +29,13 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     with pytest.raises(SettingsError, match=r"cannot be written: .*--runs"), alone_in(tmp_path / "file"):
         pass
+
+
+def test_it_is_held_though_all_that_is_in_it_was_removed(tmp_path: Path) -> None:
+    with alone_in(tmp_path):
+        (tmp_path / LOCK).unlink()
+        for _ in range(2):
+            with pytest.raises(SettingsError, match=r"used by another server.*--runs"), alone_in(tmp_path):
+                pass
+    with alone_in(tmp_path):
+        pass

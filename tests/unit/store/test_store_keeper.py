@@ -2,6 +2,7 @@
 
 import asyncio
 import threading
+import time
 
 import pytest
 
@@ -13,9 +14,9 @@ from server.jobs.requests import Settle
 from server.store.audit_rows import AuditEntry, Caller, read_audit
 from server.store.database import Database
 from server.store.errors import StoreError
-from server.store.given_answers import MOST, GivenAnswers
-from server.store.idempotency import Answered, KeyInProgressError, KeyReusedError, read_answer, replay_of
+from server.store.idempotency import Answered, KeyInProgressError, KeyReusedError, read_answer, replay_of, save_answer
 from server.store.keeper import Keeper
+from server.store.operating_time import read_operating_time
 
 FLEET = Caller("truck 7", "fleet", "10.0.0.7")
 
@@ -44,9 +45,16 @@ def plan():
     return "arrived"
 
 
-def life(tmp_path):
+class Clock:
+    now_s = 1000.0
+
+    def __call__(self):
+        return self.now_s
+
+
+def life(tmp_path, clock=time.monotonic):
     """A server's life: engine and keeper on the same file."""
-    keeper = Keeper(Database(tmp_path / "longreach.sqlite3"), lambda result: result)
+    keeper = Keeper(Database(tmp_path / "longreach.sqlite3"), lambda result: result, clock)
     keeper.database.open()
     engine = JobEngine(StandIn())
     keeper.on_restored(engine.restore)
@@ -59,7 +67,7 @@ async def start(engine, keeper, key=""):
     lease = engine.leases.held or engine.leases.acquire("truck 7", LeaseKind.FLEET, 60.0)
 
     async def keep(job):
-        answer = Command(FLEET, "r1", key, lambda job: Answered("hash", 202, "/v1/jobs/x", job.job_id, 1.0))
+        answer = Command(FLEET, "r1", key, lambda job: Answered("hash", 202, "/v1/jobs/x", job.job_id))
         await keeper.begin(began(job, "{}", "", lease, answer))
 
     return await engine.submit_kept("park", plan(), "truck 7", lease, keep)
@@ -78,7 +86,7 @@ async def test_a_job_is_on_disk_before_it_begins_and_its_end_after(tmp_path):
     keeper.database.close()
     again, _ = life(tmp_path)
     restored = again.find(job.job_id)
-    assert (restored.state, restored.result, restored.fencing) == (JobState.DONE, "arrived", 1)
+    assert (restored.state, restored.result, restored.fencing) == (JobState.DONE, "arrived", job.fencing)
 
 
 async def test_a_job_without_an_end_was_interrupted_and_says_so(tmp_path):
@@ -92,19 +100,21 @@ async def test_a_job_without_an_end_was_interrupted_and_says_so(tmp_path):
     restored = again.find(job.job_id)
     assert (restored.state, restored.code) == (JobState.INTERRUPTED, "interrupted")
     assert "watchdog" in restored.reason
-    assert again.leases.acquire("anna").fencing == 2
+    assert again.leases.acquire("anna").fencing == job.fencing + 1
     keeper.database.close()
 
 
 async def test_control_is_numbered_above_every_earlier_life(tmp_path):
-    for number in (1, 2, 3):
+    numbers = []
+    for _ in range(3):
         engine, keeper = life(tmp_path)
         lease = engine.leases.acquire("anna")
-        assert lease.fencing == number
+        numbers.append(lease.fencing)
         await keeper.control(AuditEntry(1.0, "anna", "operator", "", "lease.acquire", fencing=lease.fencing))
         keeper.database.close()
+    assert numbers == [numbers[0], numbers[0] + 1, numbers[0] + 2]
     with pytest.raises(LeaseLostError):
-        life(tmp_path)[0].leases.check("a secret of an earlier life", 2)
+        life(tmp_path)[0].leases.check("a secret of an earlier life", numbers[1])
 
 
 async def test_what_cannot_be_written_is_not_begun(tmp_path):
@@ -150,29 +160,61 @@ async def test_control_lost_while_it_is_written_down_begins_nothing(tmp_path):
     keeper.database.close()
 
 
-def test_a_key_replays_for_a_day_the_same_body_only():
-    answered = Answered("same", 202, "/v1/jobs/x", "{}", 1000.0)
-    assert replay_of(answered, False, "same", 1000.0 + 86_399.0) is answered
-    assert replay_of(answered, False, "same", 1000.0 + 86_401.0) is None
-    assert replay_of(None, False, "same", 0.0) is None
+def test_a_key_replays_the_same_body_only():
+    answered = Answered("same", 202, "/v1/jobs/x", "{}")
+    assert replay_of(answered, False, "same") is answered
+    assert replay_of(None, False, "same") is None
     with pytest.raises(KeyReusedError):
-        replay_of(answered, False, "other", 1000.0)
+        replay_of(answered, False, "other")
     with pytest.raises(KeyInProgressError):
-        replay_of(None, True, "same", 0.0)
+        replay_of(None, True, "same")
 
 
-def test_an_answer_of_this_life_is_good_whatever_the_wall_clock_says():
-    """A computer that begins in 1970 and has its clock set must not move twice."""
-    given, answered = GivenAnswers(), Answered("same", 202, "/v1/jobs/x", "{}", 5.0)
-    given.keep(("truck 7", "k"), answered, now_mono_s=10.0)
-    found = given.find(("truck 7", "k"), now_mono_s=70.0, now_unix_s=1.8e9)
-    assert replay_of(found, False, "same", 1.8e9) == found
-    assert found.answer == answered.answer
-    assert given.find(("truck 8", "k"), 70.0, 1.8e9) is None
-    assert given.find(("truck 7", "k"), 10.0 + 86_400.0, 1.8e9) is None
-    for k in range(MOST + 5):
-        given.keep(("truck 7", f"k{k}"), answered, 20.0)
-    assert len(given._given) == MOST
+async def passed(keeper, clock, seconds):
+    """Time in which the server runs: its watch looks at the disk now and then."""
+    clock.now_s += seconds
+    watching = asyncio.create_task(keeper.watch())
+    reached = clock.now_s - keeper._zero_s
+    while keeper.database.read(read_operating_time) < reached - 1e-3:  # noqa: ASYNC110
+        await asyncio.sleep(0.0)
+    watching.cancel()
+    await asyncio.wait({watching})
+
+
+async def test_a_key_is_kept_for_a_day_of_operation_over_all_lives(tmp_path, monkeypatch):
+    monkeypatch.setattr("server.store.keeper.PROBE_S", 0.0)
+    clock = Clock()
+    engine, keeper = life(tmp_path, clock)
+    job = await start(engine, keeper, "k")
+    await asyncio.wait({engine._task})
+    for _ in range(4):  # 24 h, less what the steps round
+        keeper.database.close()
+        _, keeper = life(tmp_path, clock)
+        await passed(keeper, clock, 5.99 * 3600.0)
+        assert keeper.database.read(lambda db: read_answer(db, FLEET.name, "k")).answer == job.job_id
+    await passed(keeper, clock, 3600.0)
+    assert keeper.database.read(lambda db: read_answer(db, FLEET.name, "k")) is None
+    keeper.database.close()
+
+
+@pytest.mark.parametrize(("first_s", "then_s"), [(5.0, 1.8e9), (1.8e9, 5.0), (1.8e9, 1.8e9 + 400.5 * 86_400.0)])
+async def test_a_wall_clock_that_is_set_erases_no_audit_and_forgets_no_key(tmp_path, monkeypatch, first_s, then_s):
+    """Begun in 1970 and set later, fallen back to 1970, or a year ahead for one start."""
+    monkeypatch.setattr("time.time", lambda: first_s)
+    engine, keeper = life(tmp_path)
+    job = await start(engine, keeper, "k")
+    await asyncio.wait({engine._task})
+    for number in range(15):
+        keeper.audit(AuditEntry(first_s, "anna", "operator", "", f"line {number}"))
+    keeper.database.close()
+    for wall_s in (then_s, first_s):
+        monkeypatch.setattr("time.time", lambda wall_s=wall_s: wall_s)
+        _, keeper = life(tmp_path)
+        known = keeper.database.read(lambda db: read_answer(db, FLEET.name, "k"))
+        assert replay_of(known, False, "hash").answer == job.job_id
+        keeper.database.write(lambda db, s=wall_s, k=known: save_answer(db, FLEET.name, f"at {s}", k))
+        assert len(keeper.database.read(lambda db: read_audit(db, 99, 99))) == 16
+        keeper.database.close()
 
 
 async def test_a_write_that_came_after_its_refusal_leaves_no_acceptance(tmp_path, monkeypatch):
