@@ -4,13 +4,11 @@ import glob
 import time
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from server.camera.contracts import StereoFrame
-from server.camera.errors import CameraError
+from server.camera.errors import CameraError, StreamError
 from server.camera.sources.pacing import Pacing
 from server.camera.sources.settings import FolderSource
+from server.camera.sources.side_by_side import decode_grey
 from server.vision.contracts import Image
 
 STAMP_DIGITS = 16  # a name with at least this many digits is a stamp in ns, not a number
@@ -62,9 +60,9 @@ class FolderStereoSource:
 def read_grey(path: str) -> Image:
     """A picture file in grey (h, w).
 
-    Raises: CameraError: it cannot be read.
+    Raises: CameraError: it cannot be read, or its data are damaged.
     """
-    picture = cv2.imread(path, cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise CameraError(f"image file '{path}' cannot be read; give PNG or JPEG files")
-    return np.asarray(picture, np.uint8)
+    try:
+        return decode_grey(Path(path).read_bytes())
+    except (OSError, StreamError) as error:
+        raise CameraError(f"image file '{path}' cannot be read; give whole PNG or JPEG files ({error})") from error
