@@ -2,7 +2,11 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer
+
+from server.shown_address import without_password
+
+Shown = PlainSerializer(without_password, return_type=str)  # a dump goes to REST, recordings and reports
 
 
 class _CameraSection(BaseModel):
@@ -24,10 +28,10 @@ class _CameraSection(BaseModel):
 
 
 class HttpCameraSettings(_CameraSection):
-    """A camera served over HTTP as multipart JPEG, side by side."""
+    """A camera served over HTTP as multipart JPEG, side by side; with a password: http://user:password@host/path."""
 
     kind: Literal["http"] = "http"
-    url: Annotated[str, Field(pattern=r"^http://[^/\s]+")] = "http://127.0.0.1:8090/stream"
+    url: Annotated[str, Field(pattern=r"^http://[^/\s]+"), Shown] = "http://127.0.0.1:8090/stream"
 
 
 class DeviceCameraSettings(_CameraSection):
@@ -49,7 +53,7 @@ class RtspCameraSettings(_CameraSection):
     """A network camera whose stream shows both eyes side by side."""
 
     kind: Literal["rtsp"]
-    url: Annotated[str, Field(pattern=r"^rtsps?://[^/\s]+")]
+    url: Annotated[str, Field(pattern=r"^rtsps?://[^/\s]+"), Shown]
     timeout_s: Annotated[float, Field(ge=0.5, le=60.0)] = 5.0
 
 
@@ -106,6 +110,6 @@ def with_stream(section: CameraSettings, url: str | None) -> dict[str, object]:
     What is known of the rig stays: pictures that are not rectified any more would put every pose off without a word.
     """
     if not url:
-        return section.model_dump()
+        return dict(section)
     rig = {name: getattr(section, name) for name in _CameraSection.model_fields}
     return {**rig, "kind": "http", "url": url}

@@ -39,7 +39,8 @@ def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
     encoded = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
     damage = damage_of(encoded) if encoded[: len(JPEG)].tobytes() == JPEG else ""
     if damage:
-        raise StreamError(f"damaged JPEG of {encoded.size} bytes: {damage}; {REMEDY}")
+        size = f"camera picture of {encoded.size} bytes"
+        raise StreamError(f"{size} is damaged, not a JPEG as an encoder writes it: {damage}; {REMEDY}")
     picture = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if encoded.size else None
     if picture is None:
         raise StreamError(f"camera picture of {encoded.size} bytes is not a JPEG; check the camera's encoder")
