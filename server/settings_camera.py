@@ -65,12 +65,18 @@ class FileCameraSettings(_CameraSection):
 
 
 class FolderCameraSettings(_CameraSection):
-    """Image files of both eyes, paired in name order; `*` and `?` stand for any letters, `**` for folders."""
+    """Image files of both eyes; `*` and `?` stand for any letters, `**` for folders.
+
+    Two files are a pair where the wildcards stand for the same: left/*.png and right/*.png, or *_l.png and *_r.png.
+    `stamp_unit`: of names that are times; auto finds times of the years 2001 to 2099 in s, ms, us or ns, other names are
+    numbers and stamped by `rate_hz`.
+    """
 
     kind: Literal["folder"]
     left_glob: str
     right_glob: str
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 15.0
+    stamp_unit: Literal["auto", "number", "s", "ms", "us", "ns"] = "auto"
 
 
 class EurocCameraSettings(_CameraSection):
