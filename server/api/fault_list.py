@@ -20,7 +20,14 @@ class FaultView(View):
 
 def fault_views(service: JobService) -> list[FaultView]:
     """All of them, the gravest first."""
-    found = [*_link(service), *_inner(service), *_store(service), *_camera(service), *_recorder(service)]
+    found = [
+        *_link(service),
+        *_inner(service),
+        *_store(service),
+        *_camera(service),
+        *_recorder(service),
+        *_disk(service),
+    ]
     return sorted(found, key=lambda fault: fault.level != "URGENT")
 
 
@@ -68,3 +75,13 @@ def _recorder(service: JobService) -> list[FaultView]:
     if not isinstance(told, str) or not told:
         return []
     return [FaultView(fault_id="recorder", level="WARNING", text=told, hint="free space in the recordings folder")]
+
+
+def _disk(service: JobService) -> list[FaultView]:
+    told = service.disk.problem
+    hint = "move old recordings away: without space nothing is recorded, and motion is refused in the end"
+    return (
+        [FaultView(fault_id="disk_low", level="WARNING", text=f"the disk is nearly full: {told}", hint=hint)]
+        if told
+        else []
+    )

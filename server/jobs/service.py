@@ -1,7 +1,7 @@
 """From a request to a plan: the one place that knows which plan serves which kind of job."""
 
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 from server.access.lease import Lease
@@ -22,6 +22,7 @@ from server.api.views import (
 )
 from server.cell import Cell
 from server.compensation.reading import compensation_from
+from server.disk_space import DiskSpace
 from server.errors import JobFailedError
 from server.inner_faults import InnerFaults
 from server.jobs.calibration_store import CalibrationStore, machine_id_of
@@ -72,6 +73,10 @@ class JobService:
         self.keeper = keeper
         self.engine = engine
         self.inner_faults = InnerFaults()
+        self.disk = DiskSpace(Path(cell.settings.recording.folder))
+        self.alarm_codes: Callable[[], frozenset[str]] = (
+            frozenset  # of the alarms whose cause is there; the panel's book
+        )
         self._store = store or CalibrationStore(None)
         known = compensation_from(cell.settings, cell.machine)
         machine_id = machine_id_of(cell.machine_text, () if known is None else known.sorted.used)
