@@ -1,4 +1,4 @@
-"""A reverse proxy that puts a server under a path of its own, as nginx does by `location /crane/ { proxy_pass .../; }`."""
+"""A reverse proxy that puts a server under a path of its own, as nginx by `location /crane/ { proxy_pass .../; }`."""
 
 import asyncio
 import contextlib
