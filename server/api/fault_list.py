@@ -78,10 +78,10 @@ def _recorder(service: JobService) -> list[FaultView]:
 
 
 def _disk(service: JobService) -> list[FaultView]:
-    told = service.disk.problem
+    problem = service.disk.problem
     hint = "move old recordings away: without space nothing is recorded, and motion is refused in the end"
     return (
-        [FaultView(fault_id="disk_low", level="WARNING", text=f"the disk is nearly full: {told}", hint=hint)]
-        if told
+        [FaultView(fault_id="disk_low", level="WARNING", text=f"the disk is nearly full: {problem}", hint=hint)]
+        if problem
         else []
     )

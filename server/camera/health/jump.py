@@ -13,7 +13,9 @@ from server.camera.health.pair import Pair
 from server.vision.contracts import Array
 
 JUMP_MIN_PX = 4.0  # half of the smallest block of a JPEG
-INTERVAL_MAX_S = 0.1  # 4 px in it, from rest, at 1 m and 700 px focal length: 1.1 m/s^2, where cranes have 0.5
+INTERVAL_MAX_S = (
+    0.12  # of a 10 Hz camera; 4 px in it, from rest, at 1 m and 700 px focal length: 0.8 m/s^2, cranes have 0.5
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,9 +127,9 @@ def findings(places_px: list[float], period_ns: int = PERIOD_NS, corners: np.nda
             frame=SimpleNamespace(t_exposure_ns=(number + 1) * period_ns),
             first=number == 0,
         )
-        told = monitor.check(pair)
-        assert all(one.code is FaultCode.JUMPED and one.forbids_look and not one.forbids_odometry for one in told)
-        found.append(bool(told))
+        found_now = monitor.check(pair)
+        assert all(one.code is FaultCode.JUMPED and one.forbids_look and not one.forbids_odometry for one in found_now)
+        found.append(bool(found_now))
     return found
 
 

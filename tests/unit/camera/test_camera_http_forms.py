@@ -39,9 +39,9 @@ def server(answer: Answer) -> Iterator[int]:
             lines = []
             while line := self.rfile.readline().strip():
                 lines.append(line.decode())
-            told = answer("\n".join(lines))
-            self.wfile.write(told)
-            if told.split()[1] == b"200":
+            sent = answer("\n".join(lines))
+            self.wfile.write(sent)
+            if sent.split()[1] == b"200":
                 ended.wait(WAIT_S)
 
     with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Handler) as listening:
