@@ -68,8 +68,8 @@ class FolderCameraSettings(_CameraSection):
     """Image files of both eyes; `*` and `?` stand for any letters, `**` for folders.
 
     Two files are a pair where the wildcards stand for the same: left/*.png and right/*.png, or *_l.png and *_r.png.
-    `stamp_unit`: of names that are times; auto finds times of the years 2001 to 2099 in s, ms, us or ns, other names are
-    numbers and stamped by `rate_hz`.
+    `stamp_unit`: of names that are times; auto finds times of the years 2001 to 2099 in s, ms, us or ns, other names
+    are numbers and stamped by `rate_hz`.
     """
 
     kind: Literal["folder"]

@@ -24,8 +24,11 @@ class Head:
                 begun.set()
 
         async with asyncio.TaskGroup() as tasks:
-            answering = tasks.create_task(self._app({**scope, "method": "GET"}, receive, headers_only))
+            answering = tasks.create_task(self._answer({**scope, "method": "GET"}, receive, headers_only))
             waiting = tasks.create_task(begun.wait())
             await asyncio.wait({answering, waiting}, return_when=asyncio.FIRST_COMPLETED)
             for task in (answering, waiting):  # a stream of events would go on without end
                 task.cancel()
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await self._app(scope, receive, send)

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import threading
 from collections.abc import Iterator
+from typing import Any
 from urllib.parse import urlsplit
 
 HEAD_MAX = 65_536
@@ -13,7 +14,18 @@ HEAD_MAX = 65_536
 def under_path(url: str, path: str) -> Iterator[str]:
     """The address of the server of `url` under that path; everything else there is 404. HTTP and WebSocket."""
     target, started = urlsplit(url), threading.Event()
-    opened: dict[str, object] = {}
+    opened: dict[str, Any] = {}
+    carried: set[asyncio.Task[None]] = set()
+
+    async def carry_one(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        if task is not None:
+            carried.add(task)
+        try:
+            await carry(reader, writer)
+        finally:
+            writer.close()
+            carried.discard(task)
 
     async def carry(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(OSError, asyncio.IncompleteReadError):
@@ -28,8 +40,10 @@ def under_path(url: str, path: str) -> Iterator[str]:
                     fields.insert(0, "Connection: close")
                 there, back = await asyncio.open_connection(target.hostname, target.port, limit=HEAD_MAX)
                 back.write("\r\n".join([f"{method} {place[len(path) :]} {version}", *fields]).encode("latin1"))
-                await asyncio.gather(pump(reader, back), pump(there, writer))
-        writer.close()
+                try:
+                    await asyncio.gather(pump(reader, back), pump(there, writer))
+                finally:
+                    back.close()
 
     async def pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(OSError):
@@ -39,12 +53,17 @@ def under_path(url: str, path: str) -> Iterator[str]:
             writer.close()
 
     async def serve() -> None:
-        listening = await asyncio.start_server(carry, "127.0.0.1", 0, limit=HEAD_MAX)
+        listening = await asyncio.start_server(carry_one, "127.0.0.1", 0, limit=HEAD_MAX)
         opened["port"], opened["end"] = listening.sockets[0].getsockname()[1], asyncio.Event()
         opened["loop"] = asyncio.get_running_loop()
         started.set()
         await opened["end"].wait()
         listening.close()
+        tasks = tuple(carried)
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        await asyncio.sleep(0.1)  # transports close in the loop's next turns
 
     thread = threading.Thread(target=lambda: asyncio.run(serve()), daemon=True)
     thread.start()

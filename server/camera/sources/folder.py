@@ -63,13 +63,12 @@ def stamps_ns(names: list[str], unit: StampUnit, rate_hz: float) -> list[int]:
     numbers = [re.split(r"[/\\]", name)[-1] for name in names]
     times = all(re.fullmatch(r"[0-9]+(\.[0-9]+)?", number) for number in numbers)
     if unit == "auto":
-        fitting = [
-            one
-            for one in UNITS_NS
-            if times and all(int(n.split(".")[0]) * UNITS_NS[one] // 10**9 in YEARS_S for n in numbers)
-        ]
-        unit = fitting[0] if fitting else "number"
-        if unit == "number" and times and max(len(number) for number in numbers) >= LONG_DIGITS:
+        whole = [int(number.split(".")[0]) for number in numbers] if times else [0]
+        for unit_ns in UNITS_NS.values():
+            if all(number * unit_ns // UNITS_NS["s"] in YEARS_S for number in whole):
+                return [_whole_ns(number, unit_ns) for number in numbers]
+        unit = "number"
+        if times and max(len(number) for number in numbers) >= LONG_DIGITS:
             raise CameraError(
                 f"image folder: '{numbers[0]}' is a time by its length, but in no unit one of the years 2001 to 2099; "
                 "set [camera] stamp_unit to ns, us, ms or s, or to number"
@@ -120,8 +119,8 @@ def _require_partners(settings: FolderSource, lefts: dict[str, str], rights: dic
         raise CameraError(f"image folder: {patterns}; give patterns that find pictures of both eyes")
     eye, other, file = ("left", "right", lefts[odd[0]]) if odd[0] in lefts else ("right", "left", rights[odd[0]])
     raise CameraError(
-        f"image folder: {eye} picture '{file}' has no {other} one of the same name, the first of {len(odd)} ({patterns}); "
-        "restore it or take it away; the wildcards must stand for what the names of both eyes share"
+        f"image folder: {eye} picture '{file}' has no {other} one of the same name, the first of {len(odd)} "
+        f"({patterns}); restore it or take it away; the wildcards must stand for what the names of both eyes share"
     )
 
 

@@ -1,4 +1,4 @@
-"""From an address to the stream behind it: redirects followed, user and password sent in the way the camera asks for."""
+"""From an address to the stream behind it: redirects followed, user and password sent as the camera asks for them."""
 
 import base64
 import contextlib

@@ -28,7 +28,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """`length`: None where the camera does not say it; `t_ns` is then when the body began: the header may wait for it."""
+    """`length`: None where the camera does not say it; `t_ns` is then when the body began: the header may wait."""
 
     delimiter: bytes
     length: int | None
