@@ -13,6 +13,7 @@ from server.camera.health.pair import Pair
 from server.vision.contracts import Array
 
 JUMP_MIN_PX = 4.0  # half of the smallest block of a JPEG
+ALIKE_MAX_PX = 0.5  # between the eyes: blocks shift both by the same, a step in depth does not
 INTERVAL_MAX_S = (
     0.12  # of a 10 Hz camera; 4 px in it, from rest, at 1 m and 700 px focal length: 0.8 m/s^2, cranes have 0.5
 )
@@ -43,7 +44,7 @@ class JumpMonitor:
         self._t_ns, self._seen = pair.frame.t_exposure_ns, {}
         worst_px, worst = 0.0, ""
         for view in pair.observation.views:
-            sizes_px: list[float] = []
+            offs_px: list[Array] = []
             for eye, corners in (("left", view.corners_left_px), ("right", view.corners_right_px)):
                 if not view.used or corners is None:
                     continue
@@ -55,9 +56,11 @@ class JumpMonitor:
                 off_px = _off(found, before[key].corners_px + (0.0 if speed is None else speed * interval_ns))
                 self._seen[key] = _Seen(found, off_px / interval_ns + (0.0 if speed is None else speed))
                 if speed is not None:
-                    sizes_px.append(float(np.linalg.norm(off_px)))
-            if sizes_px and min(sizes_px) > worst_px:  # of one eye alone the residual says more
-                worst_px, worst = min(sizes_px), f"marker {view.marker_id} jumped by {min(sizes_px):.1f} px"
+                    offs_px.append(off_px)
+            alike = bool(offs_px) and float(np.linalg.norm(offs_px[0] - offs_px[-1])) < ALIKE_MAX_PX
+            size_px = float(np.linalg.norm(offs_px[0])) if alike else 0.0  # of one eye the residual says more
+            if size_px > worst_px:
+                worst_px, worst = size_px, f"marker {view.marker_id} jumped by {size_px:.1f} px"
         if worst_px <= JUMP_MIN_PX:
             return ()
         text = (
