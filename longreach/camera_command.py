@@ -34,6 +34,7 @@ from server.settings_camera import (
     RtspCameraSettings,
 )
 from server.settings_source import source_and_machine
+from server.shown_address import without_password
 
 app = typer.Typer(no_args_is_help=True, help="Look at the stereo camera.")
 
@@ -89,7 +90,7 @@ def check(
         stereo.close()
     findings = _judge(gathering, stereo, opened, seen_machine, seed, console)
     if as_json:
-        typer.echo(json.dumps(as_document(findings, source or chosen.kind), indent=2))
+        typer.echo(json.dumps(as_document(findings, without_password(source or chosen.kind)), indent=2))
     else:
         console.print(report(findings))
     raise typer.Exit(exit_code(findings))
@@ -102,7 +103,7 @@ def _with_calibration(camera: CameraSettings, calibration: list[str] | None, eye
         if not (width.isdigit() and height.isdigit()):
             raise SettingsError(f"--eye-size '{eye_size}' is not WIDTHxHEIGHT [px], such as 1280x720")
         update |= {"eye_width_px": int(width), "eye_height_px": int(height)}
-    return type(camera).model_validate(camera.model_dump() | update)
+    return type(camera).model_validate(dict(camera) | update)
 
 
 def camera_settings_of(text: str) -> CameraSettings:
@@ -128,7 +129,9 @@ def camera_settings_of(text: str) -> CameraSettings:
         return EurocCameraSettings(kind="euroc", path=text)
     if path.is_file():
         return FileCameraSettings(kind="file", path=text)
-    raise SettingsError(f"--source '{text}' is no address, device, file or folder; see longreach camera check --help")
+    raise SettingsError(
+        f"--source '{without_password(text)}' is no address, device, file or folder; see longreach camera check --help"
+    )
 
 
 def _gather(stereo: StereoSource, gathering: Gathering, seconds: float, console: Console) -> None:

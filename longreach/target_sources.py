@@ -10,6 +10,8 @@ import numpy as np
 
 from machine.description import StereoCamera
 from server.camera.contracts import StereoSource
+from server.camera.errors import CameraError
+from server.camera.sources.folder import read_grey
 from server.errors import ServerError
 from server.vision.contracts import Image
 from server.vision.teach_contracts import TeachSettings, TeachView
@@ -107,10 +109,10 @@ def read_pair(left: Path, right: Path | None) -> tuple[Image, Image]:
 
 
 def _grey(path: Path) -> Image:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise TargetError(f"{path} is not a picture that can be read; give PNG or JPEG")
-    return np.asarray(image, dtype=np.uint8)
+    try:
+        return read_grey(str(path))
+    except CameraError as error:
+        raise TargetError(f"{path} is not a picture that can be read; give PNG or JPEG ({error})") from error
 
 
 def stored_views(

@@ -14,6 +14,7 @@ from recording.files import read_text
 from server.calibration.calibration_life import Expiry
 from server.errors import SettingsError
 from server.settings_camera import CameraSettings, DeviceCameraSettings, FileCameraSettings, HttpCameraSettings, Strict
+from server.shown_address import without_password
 
 __all__ = [
     "CalibrationSettings",
@@ -184,7 +185,7 @@ def first_problem(error: ValidationError) -> str:
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"])
     unit = unit_of(field)
-    return f"{field} = {first['input']!r}: {first['msg']}{f' [{unit}]' if unit else ''}"
+    return f"{field} = {without_password(repr(first['input']))}: {first['msg']}{f' [{unit}]' if unit else ''}"
 
 
 def shipped_machine(name: str) -> Path:

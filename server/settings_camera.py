@@ -2,7 +2,11 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, field_validator
+
+from server.shown_address import without_password
+
+Shown = PlainSerializer(without_password, return_type=str)  # a dump goes to REST, recordings and reports
 
 
 class Strict(BaseModel):
@@ -37,10 +41,10 @@ class _CameraSection(Strict):
 
 
 class HttpCameraSettings(_CameraSection):
-    """A camera served over HTTP as multipart JPEG, side by side."""
+    """A camera served over HTTP as multipart JPEG, side by side; with a password: http://user:password@host/path."""
 
     kind: Literal["http"] = "http"
-    url: Annotated[str, Field(pattern=r"^http://[^/\s]+")] = "http://127.0.0.1:8090/stream"
+    url: Annotated[str, Field(pattern=r"^http://[^/\s]+"), Shown] = "http://127.0.0.1:8090/stream"
 
 
 class DeviceCameraSettings(_CameraSection):
@@ -62,7 +66,7 @@ class RtspCameraSettings(_CameraSection):
     """A network camera whose stream shows both eyes side by side."""
 
     kind: Literal["rtsp"]
-    url: Annotated[str, Field(pattern=r"^rtsps?://[^/\s]+")]
+    url: Annotated[str, Field(pattern=r"^rtsps?://[^/\s]+"), Shown]
     timeout_s: Annotated[float, Field(ge=0.5, le=60.0)] = 5.0
 
 
@@ -74,12 +78,18 @@ class FileCameraSettings(_CameraSection):
 
 
 class FolderCameraSettings(_CameraSection):
-    """Image files of both eyes, paired in name order; `*` and `?` stand for any letters, `**` for folders."""
+    """Image files of both eyes; `*` and `?` stand for any letters, `**` for folders.
+
+    Two files are a pair where the wildcards stand for the same: left/*.png and right/*.png, or *_l.png and *_r.png.
+    `stamp_unit`: of names that are times; auto finds times of the years 2001 to 2099 in s, ms, us or ns, other names
+    are numbers and stamped by `rate_hz`.
+    """
 
     kind: Literal["folder"]
     left_glob: str
     right_glob: str
     rate_hz: Annotated[float, Field(gt=0.0, le=1000.0)] = 15.0
+    stamp_unit: Literal["auto", "number", "s", "ms", "us", "ns"] = "auto"
 
 
 class EurocCameraSettings(_CameraSection):
@@ -119,6 +129,6 @@ def with_stream(section: CameraSettings, url: str | None) -> dict[str, object]:
     What is known of the rig stays: pictures that are not rectified any more would put every pose off without a word.
     """
     if not url:
-        return section.model_dump()
+        return dict(section)
     rig = {name: getattr(section, name) for name in _CameraSection.model_fields}
     return {**rig, "kind": "http", "url": url}

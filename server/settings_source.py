@@ -44,7 +44,7 @@ def plain_source(camera: CameraSettings) -> PlainSource:
         case FileCameraSettings():
             return FileSource(camera.path)
         case FolderCameraSettings():
-            return FolderSource(camera.left_glob, camera.right_glob, camera.rate_hz)
+            return FolderSource(camera.left_glob, camera.right_glob, camera.rate_hz, camera.stamp_unit)
         case EurocCameraSettings():
             return EurocSource(camera.path, camera.speed)
         case RecordingCameraSettings():

@@ -86,7 +86,7 @@ def run_case(machine: Machine, pictures: Pictures, kind: FaultKind, seed: int, m
         texts = [*report.warnings, *told]
         seen.append(_Seen(faulty, not texts, texts[0] if texts else ""))
     pipeline.close()
-    return _verdict(kind, seed, moving, seen, n_fault, len(looks.used & faulty_numbers), looks.n_ok)
+    return _verdict(kind, seed, moving, seen, n_fault, len(looks.used & faulty_numbers), len(looks.ended_ok))
 
 
 def _badly_mapped(report: FrameReport, arrival: Arrival) -> bool:

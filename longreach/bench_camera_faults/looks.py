@@ -30,7 +30,7 @@ class Looks:
     """A new look every few pairs; each lives until it ends or time is up."""
 
     used: set[int] = field(default_factory=set)  # numbers of pairs that entered a look that ended OK
-    n_ok: int = 0
+    ended_ok: list[Look] = field(default_factory=list)
     _open: list[_Look] = field(default_factory=list)
     _numbers: dict[int, int] = field(default_factory=dict)
     _kept: list[PairObservation] = field(default_factory=list)
@@ -44,7 +44,7 @@ class Looks:
         for look in tuple(self._open):
             done = look.collector.add(report)
             if done is not None and done.status is LookStatus.OK:
-                self.n_ok += 1
+                self.ended_ok.append(done)
                 self.used |= {self._numbers[id(one)] for one in look.taken}
             if done is not None or number >= look.ends:
                 self._open.remove(look)

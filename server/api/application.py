@@ -16,6 +16,7 @@ from server.api.event_log import EventLog
 from server.api.events import EventFeed, events_router
 from server.api.findings import LookLog, findings_router
 from server.api.guard import Guard
+from server.api.head import Head
 from server.api.jobs import jobs_router
 from server.api.lease import lease_router
 from server.api.metrics import metrics_router
@@ -79,6 +80,7 @@ def application(app: FastAPI, served: Served) -> Running:
     service.inner_faults.watch(KEYS_UNREADABLE, keys_problem)
     folder = Path(service.cell.settings.recording.folder)
     log, cache, diagnoses = EventLog(uuid4().hex[:8]), StateCache(service), service.diagnoses
+    app.add_middleware(Head)
     app.add_middleware(Guard, gatekeeper=served.gatekeeper)
     install_problem_handlers(app)
     for router in (

@@ -20,7 +20,14 @@ class FaultView(View):
 
 def fault_views(service: JobService) -> list[FaultView]:
     """All of them, the gravest first."""
-    found = [*_link(service), *_inner(service), *_store(service), *_camera(service), *_recorder(service)]
+    found = [
+        *_link(service),
+        *_inner(service),
+        *_store(service),
+        *_camera(service),
+        *_recorder(service),
+        *_disk(service),
+    ]
     return sorted(found, key=lambda fault: fault.level != "URGENT")
 
 
@@ -74,3 +81,10 @@ def _recorder(service: JobService) -> list[FaultView]:
     problem = service.recording_problem
     hint = "free space in the recordings folder, and make it writable; then start the job again"
     return [FaultView(fault_id="recorder", level="WARNING", text=problem, hint=hint)] if problem else []
+
+
+def _disk(service: JobService) -> list[FaultView]:
+    problem = service.disk.problem
+    hint = "move old recordings away: without space nothing is recorded, and motion is refused in the end"
+    text = f"the disk is nearly full: {problem}"
+    return [FaultView(fault_id="disk_low", level="WARNING", text=text, hint=hint)] if problem else []

@@ -165,7 +165,7 @@ async def _refuse(error: AccessError, scope: Scope, receive: Receive, send: Send
     if isinstance(error, KeyRequiredError):
         if scope["path"] == "/" and "text/html" in Headers(scope=scope).get("accept", ""):
             answer.status_code = 303
-            answer.headers["Location"] = "/login"
+            answer.headers["Location"] = "login"  # a proxy may have put us under a path of its own
         answer.headers["WWW-Authenticate"] = "Bearer"
     if error.status in (408, 413):
         answer.headers["Connection"] = "close"

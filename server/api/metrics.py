@@ -13,6 +13,7 @@ from prometheus_client.registry import Collector
 
 from recording.clock import mono_ns
 from server.api.fault_list import fault_views
+from server.api.panel_alarm_catalogue import CATALOGUE
 from server.jobs.engine import Job, JobEvent
 from server.jobs.service import JobService
 
@@ -56,10 +57,10 @@ class CellCollector(Collector):
         for name, text, value in [*_link(self._service), *_camera(self._service), *_service(self._service)]:
             yield GaugeMetricFamily(f"longreach_{name}", text, value)
         yield GaugeMetricFamily("longreach_event_readers", "readers of /v1/events", self._readers())
-        latest = self._service.cell.link.latest
-        yield CounterMetricFamily(
-            "longreach_plc_underruns", "knot buffer ran dry", latest.underruns if latest is not None else 0
-        )
+        for name, text, value in _counters(self._service):
+            yield CounterMetricFamily(f"longreach_{name}", text, value)
+        yield _alarms(self._service)
+        yield _faults(self._service)
 
 
 Figures = list[tuple[str, str, float]]
@@ -71,11 +72,35 @@ def _link(service: JobService) -> Figures:
     return [
         ("plc_state_age_seconds", "age of the newest PLC state", age_s),
         ("plc_round_trip_seconds", "link round trip", health.round_trip_ms * 1e-3),
+        ("plc_lateness_p99_seconds", "99th percentile of the sender's lateness", health.lateness_p99_us * 1e-6),
+    ]
+
+
+def _counters(service: JobService) -> Figures:
+    """What only grows; Prometheus takes a smaller value for a restart."""
+    health, latest = service.cell.link.health, service.cell.link.latest
+    return [
         ("plc_states_received", "PLC states received", health.received),
         ("plc_states_lost", "PLC states lost", health.lost),
         ("plc_states_dropped", "PLC states that the server did not fetch in time", health.samples_dropped),
-        ("plc_lateness_p99_seconds", "99th percentile of the sender's lateness", health.lateness_p99_us * 1e-6),
+        ("plc_underruns", "knot buffer ran dry", latest.underruns if latest is not None else 0),
     ]
+
+
+def _alarms(service: JobService) -> Metric:
+    """Every code of the catalogue, so that a rule can be written before an alarm was ever on."""
+    family = GaugeMetricFamily("longreach_alarm", "1 while the alarm's cause is there", labels=("code", "priority"))
+    active = service.alarm_codes()
+    for kind in CATALOGUE.values():
+        family.add_metric((kind.code, kind.level), float(kind.code in active))
+    return family
+
+
+def _faults(service: JobService) -> Metric:
+    family = GaugeMetricFamily("longreach_fault", "1 while GET /v1/faults lists it", labels=("fault_id", "level"))
+    for fault in fault_views(service):
+        family.add_metric((fault.fault_id, fault.level), 1.0)
+    return family
 
 
 def _camera(service: JobService) -> Figures:
@@ -92,13 +117,14 @@ def _camera(service: JobService) -> Figures:
 
 def _service(service: JobService) -> Figures:
     job = service.engine.current
-    keeper = service.keeper
+    keeper, free = service.keeper, service.disk.free_bytes
     return [
         ("job_running", "1 while a job runs", float(job is not None and not job.ended)),
         ("control_held", "1 while somebody has control", float(service.engine.leases.held is not None)),
         ("fencing", "the highest fencing number given", service.engine.leases.book.fencing),
         ("store_ok", "1 while the database can be written", float(keeper is not None and not keeper.problem)),
         ("faults", "faults now", len(fault_views(service))),
+        ("disk_free_bytes", "left where recordings are written", float("nan") if free is None else free),
         ("asyncio_tasks", "tasks of the event loop", len(asyncio.all_tasks())),
         ("store_bytes", "size of the database with its log", _size(service)),
     ]

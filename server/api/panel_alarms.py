@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from protocol.codes import FaultBit
 from server.api.panel_alarm_catalogue import CATALOGUE
 from server.api.views import StateView
+from server.disk_space import shortage
 
-DISK_LOW_BYTES = 10**9
 LOSS_MAX_PCT = 5.0
 UNFIT_AFTER_S = 0.5
 STARTING_S = 90.0  # what has never been heard is no alarm while everything starts; on a new machine it compiles
@@ -56,6 +56,11 @@ class AlarmBook:
                 ),
             )
         )
+
+    @property
+    def active(self) -> frozenset[str]:
+        """Codes of the alarms whose cause is there."""
+        return frozenset(code for code, alarm in self._alarms.items() if alarm.ended_unix_s is None)
 
     def update(self, active: Mapping[str, str], t_unix_s: float, unknown: frozenset[str] = frozenset()) -> None:
         """`active`: the alarms whose cause is there now, with their details; `unknown`: those of which nobody can tell,
@@ -116,7 +121,7 @@ def active_alarms(state: StateView, around: Surroundings) -> dict[str, str]:
         | _camera(state, around)
         | ({"link_lossy": f"{around.loss_pct:.1f} % lost"} if around.loss_pct > LOSS_MAX_PCT else {})
         | ({"recording_failed": around.recorder_problem} if around.recorder_problem else {})
-        | _disk(around)
+        | ({"disk_low": low} if (low := shortage(around.disk_free_bytes)) else {})
         | ({"scene_ended": around.scene_problem} if around.scene_problem else {})
         | _calibration(state)
         | _mode(state, around)
@@ -152,13 +157,6 @@ def _camera(state: StateView, around: Surroundings) -> dict[str, str]:
     if state.camera.warnings and around.unfit_for_s > UNFIT_AFTER_S:
         return {"camera_unfit": state.camera.warnings[-1]}
     return {}
-
-
-def _disk(around: Surroundings) -> dict[str, str]:
-    free = around.disk_free_bytes
-    if free is None or free >= DISK_LOW_BYTES:
-        return {}
-    return {"disk_low": f"{free / 1e6:.0f} MB left"}
 
 
 def _mode(state: StateView, around: Surroundings) -> dict[str, str]:

@@ -1,10 +1,8 @@
 """What the page remembers between two messages: alarms, history of looks, recent loss, who holds, what was accepted."""
 
-import shutil
 import time
 from collections import deque
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -35,7 +33,6 @@ from server.jobs.service import JobService
 HISTORY_KEPT = 100
 SHOWN = 30
 FIGURES_S = 1.0
-DISK_S = 5.0
 LOSS_WINDOW = 10  # seconds, one entry each
 
 
@@ -57,14 +54,13 @@ class PanelMemory:
     _counts: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=LOSS_WINDOW))
     _figures: LinkFigures | None = None
     _figures_s: float = -1e9
-    _disk_s: float = -1e9
-    _disk_free: int | None = None
     _fit_s: float = 0.0
     _started_s: float = field(default_factory=mono_s)
     _loss_pct: float = 0.0
 
     def __post_init__(self) -> None:
         self.service.engine.on_event(self._on_event)
+        self.service.alarm_codes = lambda: self.book.active
         self._shown_look = self.service.cell.knowledge.last_look
 
     def live(self) -> LiveView:
@@ -100,7 +96,7 @@ class PanelMemory:
             look_age_max_s=cell.settings.look.age_max_s,
             recording=cell.recorder.recording,
             recorder_problem=self.service.recording_problem,
-            disk_free_gb=None if self._disk_free is None else round(self._disk_free / 1e9, 2),
+            disk_free_gb=None if (free := self.service.disk.free_bytes) is None else round(free / 1e9, 2),
         )
 
     def _hold_state(self) -> HoldState:
@@ -113,7 +109,7 @@ class PanelMemory:
             self._fit_s = now_s
         text = self.service.cell.vision.stream_text
         return Surroundings(
-            disk_free_bytes=self._disk_free,
+            disk_free_bytes=self.service.disk.free_bytes,
             recorder_problem=self.service.recording_problem,
             scene_problem="" if self.scene.running else self.scene.problem,
             vision_problem=text if text.startswith("vision process ended") else "",
@@ -127,7 +123,7 @@ class PanelMemory:
         )
 
     def _refresh(self, now_s: float) -> None:
-        """What costs something, once a second; the disk every five."""
+        """What costs something, once a second."""
         cell = self.service.cell
         if now_s - self._figures_s >= FIGURES_S:
             self._figures_s = now_s
@@ -136,8 +132,6 @@ class PanelMemory:
             self._counts.append((health.received, health.lost))
             since_ns = mono_ns() - LOSS_WINDOW * 10**9
             self._figures = link_figures(cell.link.samples_since(since_ns), health, self._loss_pct)
-        if now_s - self._disk_s >= DISK_S:
-            self._disk_s, self._disk_free = now_s, _free_bytes(Path(cell.settings.recording.folder))
 
     # --- history ----------------------------------------------------------------------------------------------------
 
@@ -202,13 +196,3 @@ def _alarm_view(alarm: Alarm) -> AlarmView:
         ended_unix_s=None if alarm.ended_unix_s is None else round(alarm.ended_unix_s, 1),
         acknowledged_by=alarm.acknowledged_by,
     )
-
-
-def _free_bytes(folder: Path) -> int | None:
-    """Left on the disk of that folder, or of the nearest parent that exists; None when it cannot be told."""
-    try:
-        while not folder.exists() and folder != folder.parent:
-            folder = folder.parent
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return None

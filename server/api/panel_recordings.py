@@ -11,7 +11,7 @@ from fastapi import APIRouter
 from fastapi.responses import FileResponse, JSONResponse, Response
 
 from server.api.problems import problem
-from server.api.run_files import run_path
+from server.api.run_files import GrowingFile, run_path
 from server.api.views import View
 from server.jobs.service import JobService
 
@@ -60,7 +60,7 @@ def recordings_router(service: JobService) -> APIRouter:
     async def recording_file(name: str) -> FileResponse | JSONResponse:
         """The MCAP file: opens in Foxglove and Rerun."""
         path = _path(folder, name)
-        return FileResponse(path, media_type="application/octet-stream", filename=name) if path else _unknown(name)
+        return GrowingFile(path, media_type="application/octet-stream", filename=name) if path else _unknown(name)
 
     @router.get("/{name}/replay", response_model=None)
     async def recording_replay(name: str) -> Response:

@@ -95,7 +95,7 @@ def _page(kind: AlarmKind) -> str:
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>longreach: alarm</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<link rel="stylesheet" href="/static/style.css"></head><body class="help"><main>'
+        '<link rel="stylesheet" href="../../static/style.css"></head><body class="help"><main>'
         f"<h1>{html.escape(kind.title)}</h1><p><code>{kind.code}</code>, priority {kind.level}</p>{body}"
         "<p>Acknowledging an alarm or resetting a fault never starts a motion.</p></main></body></html>"
     )

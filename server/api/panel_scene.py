@@ -39,7 +39,7 @@ VIEW_HEADERS = {
 EMBEDDED = (
     b"<style>.mantine-Notifications-root, .mantine-Paper-root { display: none !important }</style>"
     b'<script>addEventListener("keydown", (event) => { if (event.key === "Escape" && !event.repeat) {'
-    b' fetch("/v1/stop", { method: "POST", keepalive: true }).catch(() => {});'
+    b' fetch(new URL("../v1/stop", document.baseURI), { method: "POST", keepalive: true }).catch(() => {});'
     b' parent.postMessage("stop", location.origin); } }, true)</script>'
 )  # the page around it hears no key while the view has the focus
 

@@ -3,8 +3,32 @@
 import re
 from pathlib import Path
 
+from fastapi.responses import FileResponse
+from starlette.types import Message, Receive, Scope, Send
+
 RUN_ID = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}$"
 _RUN_ID = re.compile(RUN_ID)
+
+
+class GrowingFile(FileResponse):
+    """A file that may be written to while it is sent: as many bytes as there were when it was asked for."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One answer, not longer than its Content-Length says."""
+        left: int | None = None  # of what was promised; None before the head and behind the end
+
+        async def bounded(message: Message) -> None:
+            nonlocal left
+            if message["type"] == "http.response.start":
+                left = int(next(value for name, value in message["headers"] if name.lower() == b"content-length"))
+                await send(message)
+            elif left is not None:
+                body = message["body"][:left]
+                more = len(body) < left and message.get("more_body", False)
+                left = left - len(body) if more else None
+                await send({**message, "body": body, "more_body": more})
+
+        await super().__call__(scope, receive, bounded)
 
 
 def run_path(folder: Path, run_id: str) -> Path | None:

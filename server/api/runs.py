@@ -8,7 +8,7 @@ from fastapi import APIRouter, Path, Query
 from fastapi.responses import FileResponse, JSONResponse
 
 from server.api.problems import problem
-from server.api.run_files import RUN_ID, run_ids, run_path
+from server.api.run_files import RUN_ID, GrowingFile, run_ids, run_path
 from server.api.views import Problem, View
 
 RunId = Annotated[str, Path(pattern=RUN_ID, description="as the list of runs tells it")]
@@ -40,11 +40,14 @@ def runs_router(folder: FilePath) -> APIRouter:
 
     @router.get("/{run_id}/mcap", response_model=None, response_class=FileResponse, responses=FILE)
     async def run_mcap(run_id: RunId) -> FileResponse | JSONResponse:
-        """The file; `Range: bytes=...` takes a part of it, so that a download can go on after a break."""
+        """The file; `Range: bytes=...` takes a part of it, so that a download can go on after a break.
+
+        Of a recording that is being written: what there is of it at this moment.
+        """
         path = await asyncio.to_thread(run_path, folder, run_id)
         if path is None:
             return problem(404, "Unknown run", f"no recording {run_id[:64]!r}", "unknown_run", "see GET /v1/runs")
-        return FileResponse(path, media_type="application/octet-stream", filename=path.name)
+        return GrowingFile(path, media_type="application/octet-stream", filename=path.name)
 
     return router
 

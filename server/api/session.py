@@ -22,12 +22,12 @@ LOGIN_PAGE = """<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>longreach: log in</title>
 <meta name="viewport" content="width=device-width, initial-scale=1">
 <h1>longreach</h1>
-<form method="post" action="/v1/session">
+<form method="post" action="v1/session">
 <p><label>Key <input name="key" type="password" autocomplete="current-password" required autofocus></label>
 <button>Log in</button></p>
 <p>Keys are made on the server with <code>longreach keys add</code>.</p>
 </form>
-<form method="post" action="/v1/stop"><p><button>Stop motion (software)</button></p></form>
+<form method="post" action="v1/stop"><p><button>Stop motion (software)</button></p></form>
 </html>
 """
 
@@ -58,7 +58,7 @@ def session_router(gatekeeper: Gatekeeper, *, secure: bool) -> APIRouter:
         """Exchange a key (form field `key`) for the session cookie, then go to the panel."""
         address = credentials_of(request.scope).address
         token = gatekeeper.log_in(_key_field(await request.body()), address, mono_s())
-        answer = RedirectResponse("/", status_code=303)
+        answer = RedirectResponse("../", status_code=303)  # seen from /v1/session, under whatever path of a proxy
         answer.set_cookie(COOKIE, token, max_age=int(LIFE_S), httponly=True, samesite="strict", secure=secure, path="/")
         return answer
 

@@ -62,6 +62,8 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
             reasons.append(camera)
         if service.store_problem:
             reasons.append(f"nothing can be written down: {service.store_problem}")
+        if service.disk.problem:
+            reasons.append(f"the disk is nearly full: {service.disk.problem}: move old recordings away")
         reasons += service.inner_faults.told.values()
         told = ReadyView(ready=not reasons, reasons=reasons)
         return JSONResponse(told.model_dump(), status_code=503 if reasons else 200)

@@ -29,6 +29,7 @@ from server.camera.errors import CameraError
 from server.camera.health import ImageHealth
 from server.camera.pipeline import Odometry, VisionPipeline
 from server.camera.sources.opening import open_ahead
+from server.camera.sources.side_by_side import decode_grey
 from server.vision.contracts import ObjectPoseSource
 
 HANDOVER_S = 0.0005  # how soon a thread hands the interpreter on; Python's 5 ms are a third of a pair's time
@@ -68,6 +69,7 @@ def _warm_up(machine: Machine, source: ObjectPoseSource, odometry: Odometry, hea
     camera = machine.camera
     coarse = np.random.default_rng(0).integers(40, 220, (camera.height_px // 8, camera.width_px // 8 + 8))
     wall = cv2.resize(coarse.astype(np.uint8), None, fx=8.0, fy=8.0, interpolation=cv2.INTER_CUBIC)
+    decode_grey(cv2.imencode(".jpg", wall)[1].reshape(-1))
     for number in range(3):
         left, right = (
             np.ascontiguousarray(wall[: camera.height_px, start : start + camera.width_px], np.uint8)

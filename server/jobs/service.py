@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
@@ -25,6 +25,7 @@ from server.api.views import (
 )
 from server.cell import Cell
 from server.compensation.reading import compensation_from
+from server.disk_space import DiskSpace
 from server.errors import JobFailedError
 from server.inner_faults import InnerFaults
 from server.jobs.calibration_store import CalibrationStore, machine_id_of
@@ -79,6 +80,10 @@ class JobService:
         self.keeper = keeper
         self.engine = engine
         self.inner_faults = InnerFaults()
+        self.disk = DiskSpace(Path(cell.settings.recording.folder))
+        self.alarm_codes: Callable[[], frozenset[str]] = (
+            frozenset  # of the alarms whose cause is there; the panel's book
+        )
         self._store = store or CalibrationStore(None)
         self._settings_json = cell.settings.model_dump_json()
         known = compensation_from(cell.settings, cell.machine)

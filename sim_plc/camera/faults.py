@@ -67,6 +67,7 @@ class FaultKind(Enum):
     SMALL = "small"  # another resolution
     GARBAGE = "garbage"  # bytes lost in the midst of the picture's data
     TRUNCATED = "truncated"  # its end is missing
+    FLIPPED = "flipped"  # one to three bits of the picture's data
     FLICKER = "flicker"
     UNEVEN = "uneven"  # a lamp that flickers while the rows are read out
     SPOT = "spot"  # dirt on the left lens
@@ -152,6 +153,9 @@ class FaultSwitch:
         jpeg = _encoded(picture, quality)
         if self.kind is FaultKind.GARBAGE:
             return _with_lost_bytes(jpeg, self._number)
+        if self.kind is FaultKind.FLIPPED:
+            rng = np.random.default_rng(self._number)
+            return with_flipped_bits(jpeg, int(rng.integers(1, 4)), rng)
         return jpeg[: int(0.6 * len(jpeg))] if self.kind is FaultKind.TRUNCATED else jpeg
 
 
@@ -181,6 +185,15 @@ def _encoded(picture: Grey, quality: int) -> bytes:
 
 def _decoded(jpeg: bytes) -> Grey:
     return np.asarray(cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_GRAYSCALE), np.uint8)
+
+
+def with_flipped_bits(jpeg: bytes, n_bits: int, rng: np.random.Generator) -> bytes:
+    """The same picture with so many bits of its entropy-coded data flipped, at random places."""
+    damaged = bytearray(jpeg)
+    first = jpeg.index(b"\xff\xda") + 14  # behind the head of a colour picture's scan; a grey one's is shorter
+    for bit in rng.integers(8 * first, 8 * (len(jpeg) - 2), n_bits):
+        damaged[bit // 8] ^= 1 << int(bit % 8)
+    return bytes(damaged)
 
 
 def _with_lost_bytes(jpeg: bytes, number: int) -> bytes:

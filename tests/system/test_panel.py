@@ -293,7 +293,7 @@ def test_an_ended_session_is_told_as_that_and_not_as_a_dead_server(anna):
     page.route_web_socket("**/v1/live", lambda socket: socket.close())
     page.route("**/v1/session", lambda route: route.fulfill(status=401, json={"code": "unauthorized"}))
     page.goto(anna.url + "/?no3d")
-    page.locator("#logged-out a[href='/login']").wait_for(timeout=20_000)
+    page.locator("#logged-out a[href='login']").wait_for(timeout=20_000)
     assert page.locator("#silent").is_hidden()
 
 

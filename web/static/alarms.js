@@ -36,6 +36,6 @@ function alarmItem(one, mine) {
     make("p", {}, make("b", {}, `${t("cause")}: `), one.cause),
     make("p", {}, make("b", {}, `${t("remedy")}: `), one.remedy),
     make("p", { class: "soft" }, `${t("clears")}: ${one.clears}.`),
-    make("p", {}, done, " ", make("a", { href: `/help/alarms/${one.code}`, target: "_blank", rel: "noopener" }, t("help"))),
+    make("p", {}, done, " ", make("a", { href: `help/alarms/${one.code}`, target: "_blank", rel: "noopener" }, t("help"))),
   );
 }

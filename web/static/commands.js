@@ -28,7 +28,7 @@ export async function send(method, path, body, { quiet = false } = {}) {
   if (path === "/v1/jobs") headers["Idempotency-Key"] = freshKey();
   let answer;
   try {
-    answer = await fetch(path, { method, headers, body: body === undefined ? undefined : JSON.stringify(body) });
+    answer = await fetch(`.${path}`, { method, headers, body: body === undefined ? undefined : JSON.stringify(body) });
   } catch (error) {
     if (!quiet) notice(t("refused", { why: t("why_server") }));
     return { ok: false, status: 0, data: null };

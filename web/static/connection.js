@@ -4,7 +4,8 @@ import { forgetClock, heard } from "./age.js";
 const AGAIN_MS = 1000;
 const SILENT_MS = 5000; // a cut leaves a socket open that nothing comes through any more
 const UNAUTHORIZED = 401;
-export const address = (path) => `${location.protocol === "https:" ? "wss" : "ws"}://${location.host}${path}`;
+// As this page is reached: a proxy may have put it under a path of its own.
+export const address = (path) => new URL(`.${path}`, document.baseURI.replace(/^http/, "ws")).href;
 
 export class Live {
   constructor(onState) {
@@ -49,6 +50,6 @@ export class Live {
 
 // A refused socket does not tell the page why; the session does.
 async function sessionEnded() {
-  const answer = await fetch("/v1/session").catch(() => null);
+  const answer = await fetch("v1/session").catch(() => null);
   return answer !== null && answer.status === UNAUTHORIZED;
 }

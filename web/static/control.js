@@ -22,7 +22,7 @@ export function startControl() {
   field.onchange = () => remember(NAME, field.value.trim());
   setInterval(keepAlive, KEEP_MS);
   addEventListener("pagehide", () => {
-    if (getLease()) fetch(`/v1/lease/${getLease().lease_id}`, { method: "DELETE", keepalive: true }).catch(() => {});
+    if (getLease()) fetch(`v1/lease/${getLease().lease_id}`, { method: "DELETE", keepalive: true }).catch(() => {});
     setLease(null);
   });
 }

@@ -142,7 +142,7 @@ async function listRecordings() {
       {},
       make("td", {}, one.name),
       make("td", {}, `${one.size_mb.toFixed(1)} MB`),
-      make("td", {}, make("a", { href: `/v1/panel/recordings/${one.name}/file`, download: one.name }, t("download"))),
+      make("td", {}, make("a", { href: `v1/panel/recordings/${one.name}/file`, download: one.name }, t("download"))),
       make("td", {}, make("button", { type: "button", onclick: () => openReplay(one.name) }, t("replay"))),
     ),
   );

@@ -66,7 +66,7 @@ function card(one) {
   if (one.state === "failed") parts.push(make("p", { class: "bad" }, one.reason));
   const result = results.get(one.diagnosis_id);
   if (one.state === "done" && result) parts.push(...answer(result));
-  if (one.state === "done") parts.push(make("p", {}, make("a", { href: `/v1/diagnoses/${one.diagnosis_id}/report`, target: "_blank", rel: "noopener" }, t("gap_report"))));
+  if (one.state === "done") parts.push(make("p", {}, make("a", { href: `v1/diagnoses/${one.diagnosis_id}/report`, target: "_blank", rel: "noopener" }, t("gap_report"))));
   return make("li", { class: "card" }, ...parts);
 }
 

@@ -13,6 +13,6 @@ export async function startLogin() {
   button.hidden = false;
   button.onclick = async () => {
     await send("DELETE", "/v1/session");
-    location.assign("/login");
+    location.assign("login");
   };
 }

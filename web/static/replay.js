@@ -38,7 +38,7 @@ function show(time, end) {
   const picture = lastBefore(run.pictures, time);
   const image = byId("replay-picture");
   image.hidden = !picture || time - picture[0] > PICTURE_S; // none of then is shown in its place
-  const path = picture ? `/v1/panel/recordings/${run.name}/pictures/${picture[1]}-${picture[2]}` : "";
+  const path = picture ? `v1/panel/recordings/${run.name}/pictures/${picture[1]}-${picture[2]}` : "";
   if (picture && image.getAttribute("src") !== path) image.src = path;
   const joints = lastBefore(run.joints, time);
   setText(byId("replay-joints"), joints ? `${joints[1].map((q) => (q === null ? "–" : `${q.toFixed(1)}°`)).join("  ")}  ${joints[2]}` : "");

@@ -23,7 +23,7 @@ export function showScene(state) {
     const frame = byId("view");
     frame.hidden = wanted === null;
     if (wanted === null) frame.removeAttribute("src");
-    else frame.src = `/view/?hideViserLogo&hideSceneTree&run=${process_id}`;
+    else frame.src = `view/?hideViserLogo&hideSceneTree&run=${process_id}`;
   }
   setText(byId("scene-off"), off ? t("scene_hidden") : problem ? t("scene_off", { problem }) : t("scene_loading"));
   setClass(byId("scene-off"), "behind", loaded !== null);

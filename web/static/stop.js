@@ -25,14 +25,14 @@ export async function stop() {
 
 async function sent(wait) {
   await new Promise((over) => setTimeout(over, wait));
-  const answer = await fetch("/v1/stop", { method: "POST", keepalive: true });
+  const answer = await fetch("v1/stop", { method: "POST", keepalive: true });
   if (!answer.ok) throw new Error(String(answer.status));
   return true;
 }
 
 // A socket that is open already: a request waits in the browser as long as six others have no answer.
 function open() {
-  line = new WebSocket(`${location.origin.replace(/^http/, "ws")}/v1/stop`);
+  line = new WebSocket(new URL("v1/stop", document.baseURI.replace(/^http/, "ws")));
   line.addEventListener("close", () => setTimeout(open, LINE_AGAIN_MS));
 }
 

@@ -30,6 +30,7 @@ class FaultCode(Enum):
     NOT_AS_CALIBRATED = "not_as_calibrated"
     MARKER_TWICE = "marker_twice"
     MARKER_MOVED = "marker_moved"
+    JUMPED = "jumped"
 
 
 @dataclass(frozen=True, slots=True)

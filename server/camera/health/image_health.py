@@ -9,6 +9,7 @@ from server.camera.health.exposure import ExposureMonitor
 from server.camera.health.findings import FaultCode, Finding
 from server.camera.health.frozen import FrozenMonitor
 from server.camera.health.garbage import GarbageMonitor, wrong_size
+from server.camera.health.jump import JumpMonitor
 from server.camera.health.latch import Latch
 from server.camera.health.light import LightMonitor
 from server.camera.health.markers import MarkerMonitor
@@ -43,7 +44,7 @@ class ImageHealth:
         self._pair: Pair | None = None
         self._images, self._marked = Latch(), Latch()
         self._stamps, self._blur, self._markers = StampMonitor(), BlurMonitor(), MarkerMonitor(camera)
-        self._garbage = GarbageMonitor()
+        self._garbage, self._jump = GarbageMonitor(), JumpMonitor()
         self._first: tuple[Monitor, ...] = (ExposureMonitor(), FrozenMonitor(), self._garbage)
         self._then: tuple[Monitor, ...] = (LightMonitor(), RigMonitor(camera), SpotMonitor(), self._blur)
 
@@ -83,7 +84,7 @@ class ImageHealth:
         if self._pair is None or observation is None:
             return self._marked.hold(())
         pair = replace(self._pair, observation=observation)
-        return self._marked.hold((*self._blur.at_markers(pair), *self._markers.check(pair)))
+        return self._marked.hold((*self._blur.at_markers(pair), *self._markers.check(pair), *self._jump.check(pair)))
 
     def _seen(self, frame: StereoFrame) -> Pair:
         known, same_shape = self._connection == frame.connection, self._shape == frame.left.shape

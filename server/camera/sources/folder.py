@@ -1,34 +1,33 @@
-"""Stereo pairs from two sets of image files in name order, as KITTI stores them."""
+"""Stereo pairs from two sets of image files, paired by name and played in the order of the numbers in their names."""
 
 import glob
+import re
 from pathlib import Path
-
-import cv2
-import numpy as np
 
 from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
-from server.camera.errors import CameraError
+from server.camera.errors import CameraError, StreamError
 from server.camera.sources.pacing import Pacing
-from server.camera.sources.settings import FolderSource
+from server.camera.sources.settings import FolderSource, StampUnit
+from server.camera.sources.side_by_side import decode_grey
 from server.vision.contracts import Image
 
-STAMP_DIGITS = 16  # a name with at least this many digits is a stamp in ns, not a number
+UNITS_NS: dict[StampUnit, int] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+YEARS_S = range(978_307_200, 4_102_444_800)  # 2001 to 2099: a name is a time where one unit puts it there
+LONG_DIGITS = 16  # a longer count of pictures does not exist
+WILDCARDS = re.compile(r"(\*\*/|\*\*|\*|\?|\[[^\]]+\])")
 
 
 class FolderStereoSource:
-    """Pairs in name order, played once at the given rate."""
+    """Pairs of equal name, that is what the patterns' wildcards stand for; played once at the given rate."""
 
     def __init__(self, settings: FolderSource) -> None:
-        self._lefts = sorted(glob.glob(settings.left_glob))
-        self._rights = sorted(glob.glob(settings.right_glob))
-        if not self._lefts or len(self._lefts) != len(self._rights):
-            raise CameraError(
-                f"image folder: {len(self._lefts)} left files by '{settings.left_glob}' and {len(self._rights)} right "
-                f"files by '{settings.right_glob}'; both must be equal and above 0"
-            )
+        lefts, rights = _listed(settings.left_glob), _listed(settings.right_glob)
+        _require_partners(settings, lefts, rights)
+        names = sorted(lefts, key=_natural)
+        self._files = [(lefts[name], rights[name]) for name in names]
         self._pacing = Pacing(settings.rate_hz)
-        self._period_ns = int(1e9 / settings.rate_hz)
+        self._stamps_ns = stamps_ns(names, settings.stamp_unit, settings.rate_hz)
         self._number = 0
         self.skipped = 0
         self.state = ""
@@ -36,13 +35,13 @@ class FolderStereoSource:
     @property
     def ended(self) -> bool:
         """Whether the last pair has been given out."""
-        return self._number >= len(self._lefts)
+        return self._number >= len(self._files)
 
     def read(self, timeout_s: float) -> StereoFrame | None:
         """The next pair, when it is due."""
         if self.ended or not self._pacing.wait(timeout_s):
             return None
-        left_file, right_file = self._lefts[self._number], self._rights[self._number]
+        (left_file, right_file), t_exposure_ns = self._files[self._number], self._stamps_ns[self._number]
         self._number += 1
         self.state = f"image folder: end after {self._number} pairs" if self.ended else ""
         try:
@@ -50,21 +49,92 @@ class FolderStereoSource:
         except CameraError as error:
             self.skipped, self.state = self.skipped + 1, str(error)
             return None
-        stem = Path(left_file).stem
-        stamped = stem.isdigit() and len(stem) >= STAMP_DIGITS
-        t_exposure_ns = int(stem) if stamped else (self._number - 1) * self._period_ns
         return StereoFrame(left, right, t_exposure_ns, mono_ns(), self._number)
 
     def close(self) -> None:
         """Nothing to let go of."""
 
 
+def stamps_ns(names: list[str], unit: StampUnit, rate_hz: float) -> list[int]:
+    """Stamps [ns] of names in order: times in this unit, or in the one by which all are times of 2001 to 2099.
+
+    Raises: CameraError: times by their setting or length, and not by their digits.
+    """
+    numbers = [re.split(r"[/\\]", name)[-1] for name in names]
+    times = all(re.fullmatch(r"[0-9]+(\.[0-9]+)?", number) for number in numbers)
+    if unit == "auto":
+        whole = [int(number.split(".")[0]) for number in numbers] if times else [0]
+        for unit_ns in UNITS_NS.values():
+            if all(number * unit_ns // UNITS_NS["s"] in YEARS_S for number in whole):
+                return [_whole_ns(number, unit_ns) for number in numbers]
+        unit = "number"
+        if times and max(len(number) for number in numbers) >= LONG_DIGITS:
+            raise CameraError(
+                f"image folder: '{numbers[0]}' is a time by its length, but in no unit one of the years 2001 to 2099; "
+                "set [camera] stamp_unit to ns, us, ms or s, or to number"
+            )
+    if unit == "number":
+        return [number * int(1e9 / rate_hz) for number in range(len(names))]
+    if not times:
+        raise CameraError(f"image folder: stamp_unit = {unit}, but a name is '{numbers[0]}'; set it to number")
+    return [_whole_ns(number, UNITS_NS[unit]) for number in numbers]
+
+
+def _whole_ns(number: str, unit_ns: int) -> int:
+    """Without rounding: a float has too few digits for nanoseconds of today."""
+    whole, _, fraction = number.partition(".")
+    return int(whole) * unit_ns + (int(fraction) * unit_ns // 10 ** len(fraction) if fraction else 0)
+
+
+def _listed(pattern: str) -> dict[str, str]:
+    """Name -> file of all that the pattern finds; the name is what its wildcards stand for, without the ending."""
+    parts = WILDCARDS.split(pattern)
+    kinds = {"**/": "(?:(.*)/)?", "**": "(.*)", "*": "([^/]*)", "?": "([^/])"}
+    tokens = [
+        kinds.get(part, f"({part.replace('[!', '[^')})") if n % 2 else re.escape(part) for n, part in enumerate(parts)
+    ]
+    form = re.compile("".join(tokens), re.DOTALL)
+    found: dict[str, str] = {}
+    for file in sorted(glob.glob(pattern, recursive=True)):
+        match = form.fullmatch(file)
+        text = "".join(part or "" for part in match.groups()) if match else file
+        name = re.sub(r"\.[A-Za-z]\w*$", "", text)
+        if name in found:
+            raise CameraError(
+                f"image folder: '{found[name]}' and '{file}' have one name; narrow the pattern '{pattern}'"
+            )
+        found[name] = file
+    return found
+
+
+def _require_partners(settings: FolderSource, lefts: dict[str, str], rights: dict[str, str]) -> None:
+    """Raises: CameraError naming the first picture without the other eye's."""
+    odd = sorted(lefts.keys() ^ rights.keys(), key=_natural)
+    if lefts and rights and not odd:
+        return
+    patterns = (
+        f"{len(lefts)} left files by '{settings.left_glob}' and {len(rights)} right files by '{settings.right_glob}'"
+    )
+    if not (lefts and rights):
+        raise CameraError(f"image folder: {patterns}; give patterns that find pictures of both eyes")
+    eye, other, file = ("left", "right", lefts[odd[0]]) if odd[0] in lefts else ("right", "left", rights[odd[0]])
+    raise CameraError(
+        f"image folder: {eye} picture '{file}' has no {other} one of the same name, the first of {len(odd)} "
+        f"({patterns}); restore it or take it away; the wildcards must stand for what the names of both eyes share"
+    )
+
+
+def _natural(name: str) -> list[tuple[int, int | str]]:
+    """2 before 10."""
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"([0-9]+)", name) if part]
+
+
 def read_grey(path: str) -> Image:
     """A picture file in grey (h, w).
 
-    Raises: CameraError: it cannot be read.
+    Raises: CameraError: it cannot be read, or its data are damaged.
     """
-    picture = cv2.imread(path, cv2.IMREAD_GRAYSCALE)
-    if picture is None:
-        raise CameraError(f"image file '{path}' cannot be read; give PNG or JPEG files")
-    return np.asarray(picture, np.uint8)
+    try:
+        return decode_grey(Path(path).read_bytes())
+    except (OSError, StreamError) as error:
+        raise CameraError(f"image file '{path}' cannot be read; give whole PNG or JPEG files ({error})") from error

@@ -9,15 +9,16 @@ import logging
 import socket
 import threading
 from dataclasses import dataclass
-from urllib.parse import SplitResult, urlsplit
 
 from recording.clock import mono_ns
 from server.camera.contracts import StereoFrame
-from server.camera.errors import CameraError, StreamError
+from server.camera.errors import StreamError
+from server.camera.sources.http_opening import open_stream, require_address
 from server.camera.sources.multipart import MultipartParser, Part
 from server.camera.sources.newest import Newest
 from server.camera.sources.settings import HttpSource
 from server.camera.sources.side_by_side import decode_side_by_side
+from server.shown_address import without_password
 
 SILENCE_S = 2.0  # a camera that says nothing for this long is taken as lost
 BACK_OFF_FIRST_S = 0.2
@@ -38,13 +39,12 @@ class HttpStereoSource:
     """Reads one camera stream for as long as it lives; a lost stream is opened again with back-off."""
 
     def __init__(self, settings: HttpSource) -> None:
-        self._address = urlsplit(settings.url)
-        if self._address.scheme != "http" or not self._address.hostname or not _has_port(self._address):
-            raise CameraError(f"camera url '{settings.url}' is not http://host[:port]/path")
+        require_address(settings.url)
         self._url = settings.url
+        self._subject = f"camera {without_password(settings.url)}"
         self._newest: Newest[_Received] = Newest()
         self._stop = threading.Event()
-        self._state = f"camera {settings.url}: connecting"
+        self._state = f"{self._subject}: connecting"
         self._connection = 0
         self._counted = 0
         self._bad_pictures = 0
@@ -77,7 +77,7 @@ class HttpStereoSource:
             left, right = decode_side_by_side(part.body)
         except StreamError as error:
             self._bad_pictures += 1
-            self._state = f"camera {self._url}: {error} ({self._bad_pictures} so far)"
+            self._state = f"{self._subject}: {error} ({self._bad_pictures} so far)"
             return None
         return StereoFrame(
             left=left,
@@ -106,34 +106,27 @@ class HttpStereoSource:
             except (OSError, http.client.HTTPException, StreamError) as error:
                 reason = str(error) or type(error).__name__
             except Exception as error:  # outermost loop of the thread: whatever a camera sends, it is asked again
-                _log.exception("camera %s", self._url)
+                _log.exception(self._subject)
                 reason = repr(error)
             if self._stop.is_set():
                 return
-            self._state = f"camera {self._url}: {reason}; trying again"
+            self._state = f"{self._subject}: {reason}; trying again"
             _log.info("%s in %.1f s", self._state, back_off_s)
             self._stop.wait(back_off_s)
             back_off_s = min(2.0 * back_off_s, BACK_OFF_MAX_S)
 
     def _stream(self) -> bool:
-        """Read one connection to its end; the name is resolved anew each time. Returns whether any picture came."""
-        host, port = self._address.hostname or "", self._address.port or 80
-        path = (self._address.path or "/") + (f"?{self._address.query}" if self._address.query else "")
-        connection = http.client.HTTPConnection(host, port, timeout=SILENCE_S)
-        try:
-            connection.request("GET", path)
-            self._socket = connection.sock  # the response takes it over
-            response = connection.getresponse()
-            if response.status != http.client.OK:
-                raise StreamError(f"HTTP status {response.status} {response.reason}")
+        """Read one connection to its end; the name is resolved again each time. Returns whether any picture came."""
+        with open_stream(self._url, SILENCE_S, self._take_socket) as response:
             self._connection += 1
             return self._read_parts(response)
-        finally:
-            self._socket = None
-            connection.close()
+
+    def _take_socket(self, opened: socket.socket) -> None:
+        """The one that is read from now on, so that `close` can end a wait in it."""
+        self._socket = opened
 
     def _read_parts(self, response: http.client.HTTPResponse) -> bool:
-        parser = MultipartParser()
+        parser = MultipartParser((response.headers.get_boundary() or "").encode(errors="replace"))
         any_part = False
         while not self._stop.is_set():
             data = response.read1(CHUNK_BYTES)
@@ -145,11 +138,3 @@ class HttpStereoSource:
                 self._counted += 1
                 self._newest.put(_Received(part, self._counted, self._connection))
         return any_part
-
-
-def _has_port(address: SplitResult) -> bool:
-    """Whether its port, if it names one, is one."""
-    try:
-        return address.port is None or address.port > 0
-    except ValueError:
-        return False

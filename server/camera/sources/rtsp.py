@@ -14,6 +14,7 @@ from server.camera.errors import CameraError
 from server.camera.sources.capture import Capture, CapturedSource, OpenCapture, Picture
 from server.camera.sources.settings import RtspSource
 from server.camera.sources.side_by_side import split_side_by_side
+from server.shown_address import without_password
 from server.vision.contracts import Image
 
 # TCP: a lost UDP packet smears a picture until the next key frame. The rest keeps FFmpeg from holding pictures back.
@@ -54,8 +55,8 @@ class RtspStereoSource(CapturedSource):
     def __init__(self, settings: RtspSource, open_capture: OpenCapture | None = None) -> None:
         address = urlsplit(settings.url)
         if address.scheme not in ("rtsp", "rtsps") or not address.hostname:
-            raise CameraError(f"camera url '{_shown(settings.url)}' is not rtsp://host[:port]/path")
-        super().__init__(f"camera {_shown(settings.url)}")
+            raise CameraError(f"camera url '{without_password(settings.url)}' is not rtsp://host[:port]/path")
+        super().__init__(f"camera {without_password(settings.url)}")
         self._settings = settings
         self._open_capture = open_capture or (lambda url: open_ffmpeg(url, settings.timeout_s))
         self._last_ns: int | None = None
@@ -86,11 +87,3 @@ class RtspStereoSource(CapturedSource):
 
     def _eyes(self, picture: Picture) -> tuple[Image, Image]:
         return split_side_by_side(np.asarray(picture, np.uint8))
-
-
-def _shown(url: str) -> str:
-    """The address without its password: states are logged and shown in the panel."""
-    address = urlsplit(url)
-    if address.password is None:
-        return url
-    return url.replace(f":{address.password}@", ":***@", 1)

@@ -6,6 +6,7 @@ from typing import Literal
 from server.camera.rectification_rig import RigCalibration
 
 PixelFormat = Literal["MJPG", "YUYV"]
+StampUnit = Literal["auto", "number", "s", "ms", "us", "ns"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +47,12 @@ class FileSource:
 
 @dataclass(frozen=True, slots=True)
 class FolderSource:
-    """Two sets of image files in name order, played once. Names of 16 or more digits are stamps in ns (EuRoC)."""
+    """Two sets of image files paired by name, played once. `stamp_unit`: of names that are times."""
 
     left_glob: str
     right_glob: str
     rate_hz: float
+    stamp_unit: StampUnit = "auto"
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from server.camera.errors import StreamError
+from server.camera.sources.jpeg_scan import damage_of
 from server.vision.contracts import Image
+
+JPEG = b"\xff\xd8"
+REMEDY = (
+    "check cable, network and USB port; if every picture is refused, the camera's encoder does not keep to the "
+    "standard: use its uncompressed format (pixel_format = 'YUYV')"
+)
+
+JPEG = b"\xff\xd8"
+REMEDY = (
+    "check cable, network and USB port; if every picture is refused, the camera's encoder does not keep to the "
+    "standard: use its uncompressed format (pixel_format = 'YUYV')"
+)
 
 
 def split_side_by_side(picture: Image) -> tuple[Image, Image]:
@@ -21,9 +34,13 @@ def split_side_by_side(picture: Image) -> tuple[Image, Image]:
 def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
     """Grey picture (h, w) of JPEG or PNG bytes, decoded to grey at once.
 
-    Raises: StreamError when the bytes are no picture.
+    Raises: StreamError when the bytes are not a picture, or a JPEG whose data are damaged (PNG has checksums).
     """
     encoded = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data
+    damage = damage_of(encoded) if encoded[: len(JPEG)].tobytes() == JPEG else ""
+    if damage:
+        size = f"camera picture of {encoded.size} bytes"
+        raise StreamError(f"{size} is damaged, not a JPEG as an encoder writes it: {damage}; {REMEDY}")
     picture = cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE) if encoded.size else None
     if picture is None:
         raise StreamError(f"camera picture of {encoded.size} bytes is not a JPEG; check the camera's encoder")
@@ -33,6 +50,6 @@ def decode_grey(data: bytes | NDArray[np.uint8]) -> Image:
 def decode_side_by_side(data: bytes | NDArray[np.uint8]) -> tuple[Image, Image]:
     """Left and right grey views of a JPEG picture.
 
-    Raises: StreamError when the bytes are no picture.
+    Raises: StreamError as `decode_grey`, or an odd width.
     """
     return split_side_by_side(decode_grey(data))

@@ -3,12 +3,16 @@
 import asyncio
 import json
 import os
+import shutil
 import sys
 from contextlib import aclosing
+from types import SimpleNamespace
 
 import pytest
 
 from server.api.event_log import KEPT, EventLog
+from server.api.panel_memory import PanelMemory
+from server.api.run_files import GrowingFile
 from server.jobs.diagnosing import Diagnoses
 
 
@@ -150,6 +154,72 @@ async def test_metrics_are_prometheus_text(open_bench):
     assert 'longreach_jobs_ended_total{kind="park",state="failed"} 1.0' in text
     assert "longreach_store_ok 1.0" in text
     assert "longreach_control_held 1.0" in text
+    for name in ("plc_states_received", "plc_states_lost", "plc_states_dropped", "plc_underruns"):
+        assert f"# TYPE longreach_{name}_total counter" in text
+
+
+async def test_alarms_and_faults_are_metrics_by_code(open_bench):
+    open_bench.service.alarm_codes = lambda: frozenset({"plc_estop"})
+    async with open_bench.client() as client:
+        text = (await client.get("/metrics")).text
+        faults = (await client.get("/v1/faults")).json()
+    assert 'longreach_alarm{code="plc_estop",priority="high"} 1.0' in text
+    assert 'longreach_alarm{code="disk_low",priority="medium"} 0.0' in text
+    assert faults
+    for fault in faults:
+        assert f'longreach_fault{{fault_id="{fault["fault_id"]}",level="{fault["level"]}"}} 1.0' in text
+
+
+def test_the_panels_book_says_which_alarms_are_on(open_bench):
+    memory = PanelMemory(open_bench.service)
+    memory.book.update({"disk_low": "", "plc_estop": ""}, 1.0)
+    memory.book.update({"disk_low": ""}, 2.0)
+    assert open_bench.service.alarm_codes() == {"disk_low"}
+
+
+async def test_little_space_is_a_fault_a_reason_and_a_metric(open_bench, monkeypatch):
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=40_000_000))
+    async with open_bench.client() as client:
+        faults = {fault["fault_id"]: fault for fault in (await client.get("/v1/faults")).json()}
+        ready = await client.get("/readyz")
+        text = (await client.get("/metrics")).text
+    assert faults["disk_low"]["level"] == "WARNING"
+    assert "40 MB left (limit 1000 MB)" in faults["disk_low"]["text"]
+    assert ready.status_code == 503
+    assert any("40 MB left (limit 1000 MB)" in reason for reason in ready.json()["reasons"])
+    assert "longreach_disk_free_bytes 4e+07" in text
+
+
+async def test_a_recording_that_grows_while_it_is_sent_is_as_long_as_promised(tmp_path):
+    path = tmp_path / "grows.mcap"
+    path.write_bytes(bytes(200_000))
+    sent = []
+
+    async def send(message):
+        sent.append(message)
+        with path.open("ab") as file:  # between the head and the first bytes, and after each piece
+            file.write(bytes(70_000) if len(sent) < 8 else b"")
+
+    scope = {"type": "http", "method": "GET", "headers": [], "asgi": {"spec_version": "2.4"}}
+    await GrowingFile(path)(scope, None, send)
+    assert dict(sent[0]["headers"])[b"content-length"] == b"200000"
+    assert sum(len(message["body"]) for message in sent[1:]) == 200_000
+    assert [message["more_body"] for message in sent[1:]] == [*[True] * (len(sent) - 2), False]
+
+
+async def test_head_is_answered_wherever_get_is(open_bench, tmp_path):
+    (tmp_path / "runs" / "20260101T000000-look-a1.mcap").write_bytes(bytes(200))
+    paths = ("/healthz", "/readyz", "/v1/state", "/metrics", "/v1/runs", "/v1/runs/20260101T000000-look-a1/mcap", "/")
+    async with open_bench.client() as client:
+        for path in (*paths, "/static/style.css", "/v1/runs/none/mcap"):
+            got, head = await client.get(path), await client.head(path)
+            assert (head.status_code, head.content) == (got.status_code, b"")
+            assert head.headers["content-type"] == got.headers["content-type"]
+        assert (await client.head("/healthz")).status_code == 200
+        refused = await client.head("/v1/stop")
+        assert (refused.status_code, refused.headers["allow"]) == (405, "POST")
+        async with asyncio.timeout(5.0):  # a stream without end
+            assert (await client.head("/v1/events")).status_code == 200
 
 
 def command(code):

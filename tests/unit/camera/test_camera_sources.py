@@ -1,5 +1,6 @@
 """Every kind of source gives pairs, the newest first, and comes back after a loss."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -137,6 +138,77 @@ def test_folder_with_unequal_eyes_is_refused(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((4, 4), np.uint8))
     with pytest.raises(CameraError, match="1 left files"):
         open_source(FolderSource(f"{tmp_path}/*.png", f"{tmp_path}/*.jpg", rate_hz=10.0))
+
+
+def write_eyes(folder: Path, left_names: list[str], right_names: list[str]) -> FolderSource:
+    """Pictures of which each has the grey of its number."""
+    for eye, names in (("left", left_names), ("right", right_names)):
+        (folder / eye).mkdir()
+        for name in names:
+            grey = int("".join(filter(str.isdigit, name))) % 200
+            cv2.imwrite(str(folder / eye / name), np.full((10, 12), grey, np.uint8))
+    return FolderSource(f"{folder}/left/*.png", f"{folder}/right/*.png", rate_hz=1e4)
+
+
+def played(settings: FolderSource) -> list[tuple[int, int, int]]:
+    """Grey of both eyes and stamp of every pair."""
+    source = open_source(settings)
+    found = []
+    while not source.ended:
+        frame = source.read(1.0)
+        assert frame is not None
+        found.append((int(frame.left[0, 0]), int(frame.right[0, 0]), frame.t_exposure_ns))
+    return found
+
+
+def test_folder_in_the_order_of_its_numbers_whatever_their_length(tmp_path: Path) -> None:
+    names = [f"{number}.png" for number in range(51)]
+    assert [(left, right) for left, right, _ in played(write_eyes(tmp_path, names, names))] == [
+        (n, n) for n in range(51)
+    ]
+
+
+def test_folder_pairs_by_what_the_wildcards_stand_for(tmp_path: Path) -> None:
+    for eye, shift in (("l", 0), ("r", 100)):
+        for number in range(12):
+            cv2.imwrite(str(tmp_path / f"im{number}_{eye}.png"), np.full((10, 12), number + shift, np.uint8))
+    pairs = played(FolderSource(f"{tmp_path}/im*_l.png", f"{tmp_path}/im*_r.png", rate_hz=1e4))
+    assert [(left, right) for left, right, _ in pairs] == [(number, number + 100) for number in range(12)]
+
+
+@pytest.mark.parametrize(("lost_left", "lost_right", "named"), [(4, 7, "right/4.png"), (9, 3, "left/3.png")])
+def test_folder_with_a_file_missing_in_each_eye_names_the_first_odd_one(
+    tmp_path: Path, lost_left: int, lost_right: int, named: str
+) -> None:
+    names = [[f"{number}.png" for number in range(12) if number != lost] for lost in (lost_left, lost_right)]
+    with pytest.raises(CameraError, match=f"picture '[^']*{named}' has no .* the first of 2"):
+        open_source(write_eyes(tmp_path, *names))
+
+
+@pytest.mark.parametrize(
+    ("names", "steps_ns"),
+    [
+        (["1403636579763555584", "1403636579813555584"], 50_000_000),
+        (["1403636579763555", "1403636579813555"], 50_000_000),
+        (["1403636579763", "1403636579813"], 50_000_000),
+        (["1403636579.763555", "1403636579.813555"], 50_000_000),
+        (["0000000000", "0000000001"], 100_000),  # numbers, at 10 kHz
+        (["frame7", "frame12"], 100_000),
+    ],
+)
+def test_folder_names_are_times_where_a_unit_makes_them_one(tmp_path: Path, names: list[str], steps_ns: int) -> None:
+    files = [f"{name}.png" for name in names]
+    first, second = (t_ns for _, _, t_ns in played(write_eyes(tmp_path, files, files)))
+    assert second - first == steps_ns
+
+
+def test_folder_names_whose_unit_is_unknown_are_refused_until_it_is_set(tmp_path: Path) -> None:
+    settings = write_eyes(tmp_path, ["50000000000000000.png"], ["50000000000000000.png"])
+    with pytest.raises(CameraError, match="stamp_unit"):
+        open_source(settings)
+    assert played(replace(settings, stamp_unit="ns"))[0][2] == 50_000_000_000_000_000
+    assert played(replace(settings, stamp_unit="us"))[0][2] == 50_000_000_000_000_000_000
+    assert played(replace(settings, stamp_unit="number"))[0][2] == 0
 
 
 def test_video_file_gives_every_frame(tmp_path: Path) -> None:
