@@ -15,6 +15,9 @@ from machine.description import Machine
 from machine.kinematics import tcp_pose
 from server.calibration.contracts import Array, CalibrationStatus
 from server.calibration.joint_lens import (
+    FOCAL,
+    N_LENS,
+    FocalFound,
     LensPrior,
     layout_covariance,
     look_sensitivity,
@@ -62,7 +65,7 @@ class JointPrior:
 
 @dataclass(frozen=True, slots=True)
 class JointEstimate:
-    """The fit. `state` and `covariance` (p + 26, p + 26; order of `JointState.moved`) are None unless status is OK."""
+    """The fit. `state` and `covariance` (p + 27, p + 27; order of `JointState.moved`) are None unless status is OK."""
 
     status: CalibrationStatus
     reason: str
@@ -88,7 +91,7 @@ class _Problem:
     sigma: Array
     runs: list[tuple[OdometryRun, RunSamples, Array]]
     scatters: list[Scatter]  # of each run
-    looks: tuple[tuple[LookAt, Array, Array], ...]  # with weight (12, 12) and sensitivity to the lens (12, 6)
+    looks: tuple[tuple[LookAt, Array, Array], ...]  # with weight (12, 12) and sensitivity to the lens (12, 7)
     bending: Array
     weights: list[Array]
 
@@ -96,6 +99,14 @@ class _Problem:
     def mount(self) -> slice:
         """Of the camera's rotation among the unknowns."""
         return slice(self.model.n, self.model.n + 3)
+
+
+def focal_of(estimate: JointEstimate) -> FocalFound | None:
+    """The common focal length as the estimate found it; None where it is refused."""
+    if estimate.state is None or estimate.covariance is None:
+        return None
+    variance = estimate.covariance[FOCAL - N_LENS, FOCAL - N_LENS]
+    return FocalFound(float(estimate.state.lens[FOCAL]), float(np.sqrt(variance)))
 
 
 def estimate_jointly(

@@ -121,7 +121,7 @@ def run_residuals(
 ) -> tuple[Array, Array]:
     """Expected less measured: positions (k - 1, 3) [m] in the first camera's axes, rotation vectors (k - 1, 3).
 
-    bending (6, 3, 3): what each lens unknown adds to a step (`joint_lens.odometry_sensitivity`).
+    bending (7, 3, 3): what each lens unknown adds to a step (`joint_lens.odometry_sensitivity`).
     """
     qs, sides = run.joints.at(samples.t_s + state.time_offset_s)
     Ts_base_cam = tcp_poses_with_errors(model, qs, state.errors, sides) @ state.T_tcp_cam
@@ -137,7 +137,7 @@ def run_residuals(
 def look_residual(model: ErrorModel, state: JointState, look: LookAt, sensitivity: Array) -> Array:
     """Expected less measured (12,): tool, then OOI; rotation vector [rad], then position [m], camera axes.
 
-    sensitivity (12, 6): to the lens unknowns (`joint_lens.look_sensitivity`).
+    sensitivity (12, 7): to the lens unknowns (`joint_lens.look_sensitivity`).
     """
     sides = None if look.side is None else look.side[None]
     T_base_tcp = tcp_poses_with_errors(model, look.q[None], state.errors, sides)[0]
