@@ -15,9 +15,7 @@ from machine.description import Machine
 from machine.kinematics import tcp_pose
 from server.calibration.contracts import Array, CalibrationStatus
 from server.calibration.joint_lens import (
-    FOCAL,
     N_LENS,
-    FocalFound,
     LensPrior,
     layout_covariance,
     look_sensitivity,
@@ -39,6 +37,7 @@ from server.calibration.joint_observations import (
 from server.calibration.joint_state import JointState, state_steps
 from server.calibration.joint_verdict import SEEING_FREEDOMS, Fitted, verdict, widened
 from server.calibration.kinematic_errors import ErrorModel, ErrorPrior, error_model
+from server.calibration.lens_evidence import LensEvidence, mean_evidence
 
 ROUNDS_MAX = 8
 STEP_DONE = 1e-3  # of a standard deviation
@@ -94,19 +93,12 @@ class _Problem:
     looks: tuple[tuple[LookAt, Array, Array], ...]  # with weight (12, 12) and sensitivity to the lens (12, 7)
     bending: Array
     weights: list[Array]
+    evidence: LensEvidence  # what the looks' corners say of lens and prints beyond their poses
 
     @property
     def mount(self) -> slice:
         """Of the camera's rotation among the unknowns."""
         return slice(self.model.n, self.model.n + 3)
-
-
-def focal_of(estimate: JointEstimate) -> FocalFound | None:
-    """The common focal length as the estimate found it; None where it is refused."""
-    if estimate.state is None or estimate.covariance is None:
-        return None
-    variance = estimate.covariance[FOCAL - N_LENS, FOCAL - N_LENS]
-    return FocalFound(float(estimate.state.lens[FOCAL]), float(np.sqrt(variance)))
 
 
 def estimate_jointly(
@@ -161,6 +153,7 @@ def estimate_jointly(
         ),
         bending=odometry_sensitivity(machine.camera, looks[-1].T_cam_ooi),
         weights=[np.ones(len(samples.t_s) - 1) for _, samples in usable],
+        evidence=mean_evidence([look.evidence for look in looks if look.evidence is not None]),
     )
     state, information = _settled(problem, start)
     if state is None:
@@ -294,6 +287,8 @@ def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tupl
         J = np.column_stack([(other[1][i] - looks[i]) / h for other, h in zip(shifted, steps, strict=True)])
         information += J.T @ W @ J
         gradient += J.T @ W @ looks[i]
+    information[-N_LENS:, -N_LENS:] += problem.evidence.information
+    gradient[-N_LENS:] += problem.evidence.information @ state.lens - problem.evidence.vector
     return information, gradient
 
 

@@ -64,25 +64,6 @@ class LensPrior:
         return np.array([self.sigma_focal_frac, *principal, self.sigma_k1, self.sigma_disparity_px, *prints])
 
 
-@dataclass(frozen=True, slots=True)
-class FocalFound:
-    """The focal length as paths and looks see it: true over the camera file's, less 1, with one sigma."""
-
-    off_frac: float
-    sigma_frac: float
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether the camera file's focal length is refuted."""
-        return abs(self.off_frac) > FOCAL_SIGMAS * float(np.hypot(self.sigma_frac, FOCAL_GOOD_FRAC))
-
-    @property
-    def text(self) -> str:
-        """The figure, and what to do where it refutes the file."""
-        found = f"focal length {100 * self.off_frac:+.2f} +- {100 * self.sigma_frac:.2f} % against the camera file"
-        return f"{found}: calibrate the camera" if self.doubtful else found
-
-
 def eyes_off(camera: StereoCamera, lens: Array) -> tuple[StereoCamera, StereoCamera]:
     """The true left and right eye, if the file's camera were off by `lens` (7,)."""
     focal, cx, cy, k1, disparity = lens[:TOOL_PRINT]
@@ -107,8 +88,8 @@ def look_sensitivity(machine: Machine, T_cam_tool: Array, T_cam_ooi: Array) -> A
     parts = []
     for own, T_cam_object, printed in seen:
         markers = own or (STAND_IN,)
-        changes = _pixel_changes(machine.camera, T_cam_object, markers, printed)
-        parts.append(_pose_inverse(machine.camera, T_cam_object, _corners(markers)) @ changes)
+        changes = pixel_changes(machine.camera, T_cam_object, markers, printed)
+        parts.append(_pose_inverse(machine.camera, T_cam_object, corners_of(markers)) @ changes)
     return np.vstack(parts)
 
 
@@ -136,20 +117,24 @@ def layout_covariance(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> A
     OOI axes: rotation vector [rad], then position [m]. No look at the same markers takes any of it away.
     """
     markers = machine.markers_on("ooi") or (STAND_IN,)
-    camera, everything = machine.camera, _corners(markers)
-    inverse = _pose_inverse(camera, T_cam_ooi, everything)
-    base = _pixels((camera, camera), transform_points(T_cam_ooi, everything))
+    inverse = _pose_inverse(machine.camera, T_cam_ooi, corners_of(markers))
+    R = np.kron(np.eye(2), T_cam_ooi[:3, :3].T)
+    found = R @ inverse @ layout_effects(machine.camera, T_cam_ooi, markers, prior)
+    return found @ found.T
+
+
+def layout_effects(camera: StereoCamera, T_cam_object: Array, markers: Sequence[Marker], prior: LensPrior) -> Array:
+    """What one sigma of each marker's place (six) and side does to all corners' pixels (4 n, 7 markers)."""
+    everything = corners_of(markers)
+    base = both_pixels((camera, camera), transform_points(T_cam_object, everything))
     sigmas = [*[prior.sigma_layout_rad] * 3, *[prior.sigma_layout_m] * 3, prior.sigma_side_frac]
     effects = []
     for i, marker in enumerate(markers):
         for k, sigma in enumerate(sigmas):
             moved = everything.copy()
             moved[4 * i : 4 * i + 4] = _marker_off(marker, k, sigma)
-            change = _pixels((camera, camera), transform_points(T_cam_ooi, moved)) - base
-            effects.append(inverse @ np.nan_to_num(change).ravel())
-    R = np.kron(np.eye(2), T_cam_ooi[:3, :3].T)
-    found = R @ np.array(effects).reshape(-1, 6).T
-    return found @ found.T
+            effects.append(both_pixels((camera, camera), transform_points(T_cam_object, moved)) - base)
+    return np.nan_to_num(np.array(effects)).T
 
 
 def odometry_sensitivity(camera: StereoCamera, T_cam_ooi: Array) -> Array:
@@ -164,7 +149,7 @@ def odometry_sensitivity(camera: StereoCamera, T_cam_ooi: Array) -> Array:
     found = np.zeros((N_LENS, 3, 3))
     for axis, step in enumerate(WAY_M * np.eye(3)):
         seen = points - step
-        pixels = _pixels((camera, camera), seen).reshape(-1, 4)
+        pixels = both_pixels((camera, camera), seen).reshape(-1, 4)
         rows = _in_image(camera, pixels[:, :2]) & _in_image(camera, pixels[:, 2:])
         J = _point_jacobian(camera, seen[rows])
         lacking = (J @ off[rows] - _lens_changes(camera, seen[rows])).reshape(-1, N_LENS)
@@ -180,7 +165,7 @@ def shows_plane(camera: StereoCamera, T_cam_ooi: Array) -> bool:
     return len(_plane_points(camera, T_cam_ooi)) >= PLANE_POINTS_MIN
 
 
-def _corners(markers: Sequence[Marker], grown: float = 0.0) -> Array:
+def corners_of(markers: Sequence[Marker], grown: float = 0.0) -> Array:
     """Corners (n, 3) [m] on their object, each marker grown by a share about its middle."""
     side = 1.0 + grown
     return np.vstack([transform_points(one.T_on_marker, marker_corners(one.side_m * side)) for one in markers])
@@ -196,37 +181,41 @@ def _marker_off(marker: Marker, number: int, by: float) -> Array:
     return transform_points(T, corners)
 
 
-def _pixels(eyes: tuple[StereoCamera, StereoCamera], points_cam: Array) -> Array:
+def both_pixels(eyes: tuple[StereoCamera, StereoCamera], points_cam: Array) -> Array:
     """Left and right pixels side by side, flat (4 n,)."""
     shift = np.array([eyes[0].baseline_m, 0.0, 0.0])
     return np.concatenate([project(eyes[0], points_cam), project(eyes[1], points_cam - shift)], axis=1).ravel()
 
 
 def _pose_inverse(camera: StereoCamera, T_cam_object: Array, corners: Array) -> Array:
-    """(d px / d pose)^+ (6, 4 n): rotation vector about the object's origin, then position, camera axes."""
+    """(d px / d pose)^+ (6, 4 n)."""
+    return np.asarray(np.linalg.pinv(pose_jacobian(camera, T_cam_object, corners)), dtype=np.float64)
+
+
+def pose_jacobian(camera: StereoCamera, T_cam_object: Array, corners: Array) -> Array:
+    """d px / d pose (4 n, 6): rotation vector about the object's origin, then position, camera axes."""
     J_points = _point_jacobian(camera, transform_points(T_cam_object, corners))
     arms = corners @ T_cam_object[:3, :3].T
     turns = np.array([-skew(arm) for arm in arms])
-    J = np.concatenate([J_points @ turns, J_points], axis=2).reshape(-1, 6)
-    return np.asarray(np.linalg.pinv(np.nan_to_num(J)), dtype=np.float64)
+    return np.nan_to_num(np.concatenate([J_points @ turns, J_points], axis=2).reshape(-1, 6))
 
 
-def _pixel_changes(camera: StereoCamera, T_cam_object: Array, markers: Sequence[Marker], printed: int) -> Array:
+def pixel_changes(camera: StereoCamera, T_cam_object: Array, markers: Sequence[Marker], printed: int) -> Array:
     """d px / d lens (4 n, 7); `printed`: which unknown is the scale of this object's print."""
-    points = transform_points(T_cam_object, _corners(markers))
+    points = transform_points(T_cam_object, corners_of(markers))
     changes = _lens_changes(camera, points).reshape(-1, N_LENS)
     h = LENS_STEPS[printed]
-    grown = transform_points(T_cam_object, _corners(markers, h))
-    changes[:, printed] = (_pixels((camera, camera), grown) - _pixels((camera, camera), points)) / h
+    grown = transform_points(T_cam_object, corners_of(markers, h))
+    changes[:, printed] = (both_pixels((camera, camera), grown) - both_pixels((camera, camera), points)) / h
     return np.nan_to_num(changes)
 
 
 def _lens_changes(camera: StereoCamera, points_cam: Array) -> Array:
     """d px / d lens (n, 4, 7); zero for the prints."""
-    base = _pixels((camera, camera), points_cam)
+    base = both_pixels((camera, camera), points_cam)
     steps = np.diag(LENS_STEPS)
     columns = [
-        (_pixels(eyes_off(camera, one), points_cam) - base) / h for one, h in zip(steps, LENS_STEPS, strict=True)
+        (both_pixels(eyes_off(camera, one), points_cam) - base) / h for one, h in zip(steps, LENS_STEPS, strict=True)
     ]
     return np.nan_to_num(np.stack(columns, axis=-1)).reshape(-1, 4, N_LENS)
 
@@ -250,7 +239,7 @@ def _plane_points(camera: StereoCamera, T_cam_ooi: Array) -> Array:
     points = points[np.isfinite(points).all(axis=1) & (points[:, 2] > 2.0 * WAY_M)]
     if not len(points):
         return points
-    right = _pixels((camera, camera), points).reshape(-1, 4)[:, 2:]
+    right = both_pixels((camera, camera), points).reshape(-1, 4)[:, 2:]
     return points[_in_image(camera, right)]
 
 

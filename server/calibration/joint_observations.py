@@ -11,6 +11,7 @@ from server.calibration.hand_eye_linear import rotation_vectors
 from server.calibration.joint_lens import N_LENS
 from server.calibration.joint_state import JointState
 from server.calibration.kinematic_errors import ErrorModel, play_widths, tcp_poses_with_errors
+from server.calibration.lens_evidence import LensEvidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +52,7 @@ class LookAt:
     tool_covariance: Array
     ooi_covariance: Array
     side: Array | None = None
+    evidence: LensEvidence | None = None  # of its corners on lens and prints
 
 
 @dataclass(frozen=True, slots=True)

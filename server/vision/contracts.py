@@ -1,6 +1,7 @@
 """What vision hands to everybody else: frozen results, each with covariance, count used, status and reason."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, Protocol
 
@@ -101,6 +102,7 @@ class Look:
     t_first_ns: int
     t_last_ns: int
     spread_mm: float  # robust spread of tool-to-OOI position over the pairs
+    corners_px: Mapping[int, tuple[Array | None, Array | None]] = field(default_factory=dict)  # mean, left and right
 
 
 class OdometryStatus(Enum):

@@ -86,7 +86,20 @@ def _averaged(
         t_first_ns=observations[0].t_exposure_ns,
         t_last_ns=observations[-1].t_exposure_ns,
         spread_mm=rest.spread_mm,
+        corners_px=_mean_corners(taken),
     )
+
+
+def _mean_corners(taken: Sequence[PairObservation]) -> dict[int, tuple[Array | None, Array | None]]:
+    """Median corners (4, 2) [raw px] of each marker in each eye, over the pairs that used it."""
+    views = [view for one in taken for view in one.views if view.used]
+    found: dict[int, tuple[Array | None, Array | None]] = {}
+    for marker_id in sorted({view.marker_id for view in views}):
+        own = [view for view in views if view.marker_id == marker_id]
+        eyes = ([view.corners_left_px for view in own], [view.corners_right_px for view in own])
+        left, right = ([px for px in eye if px is not None and px.shape == (4, 2)] for eye in eyes)
+        found[marker_id] = tuple(np.median(eye, axis=0) if len(eye) else None for eye in (left, right))
+    return found
 
 
 def _mean_of(found: Sequence[ObjectPose]) -> PoseMean:

@@ -17,7 +17,7 @@ from server.jobs.plans.diagnosed import believed_mount, believed_track
 from server.jobs.plans.learning import joint_estimate, remember_run, remember_side, side_now
 from server.jobs.plans.living import born, forget_expired
 from server.jobs.plans.planning import onto_reference, plan_settings
-from server.jobs.plans.seeing import focal_found
+from server.jobs.plans.seeing import doubts, focal_found
 from server.jobs.records import CalibrationRecord
 from server.jobs.requests import (
     Arm,
@@ -72,13 +72,8 @@ def _with_focal(ctx: PlanContext, record: CalibrationRecord) -> CalibrationRecor
     focal = focal_found(ctx)
     if focal is None:
         return record
-    off_pct, sigma_pct = 100.0 * focal.off_frac, 100.0 * focal.sigma_frac
-    return replace(
-        record,
-        focal_off_pct=off_pct,
-        focal_sigma_pct=sigma_pct,
-        reason=focal.text if focal.doubtful else record.reason,
-    )
+    off_pct, sigma_pct = (100.0 * value for value in focal)
+    return replace(record, focal_off_pct=off_pct, focal_sigma_pct=sigma_pct, reason=doubts(ctx))
 
 
 def possible_path(ctx: PlanContext, reading: MachineReading) -> tuple[PathPlan, JointTrajectory]:

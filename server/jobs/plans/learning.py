@@ -8,6 +8,7 @@ from server.calibration.contracts import Array, CalibrationStatus, CameraTrack, 
 from server.calibration.joint_estimate import JointEstimate, JointPrior, estimate_jointly
 from server.calibration.joint_observations import JointTrack, LookAt, OdometryRun
 from server.calibration.kinematic_errors import usual_play
+from server.calibration.lens_evidence import lens_evidence
 from server.calibration.play import play_sides
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
@@ -53,7 +54,8 @@ def remember_look(ctx: PlanContext, taken: LookTaken) -> None:
     if look.T_cam_tool is None or look.T_cam_ooi is None or look.tool_covariance is None or look.ooi_covariance is None:
         return
     covariances = look.tool_covariance, look.ooi_covariance
-    seen = LookAt(taken.reading.q_rad, look.T_cam_tool, look.T_cam_ooi, *covariances, side_now(ctx))
+    evidence = lens_evidence(ctx.machine, look.T_cam_tool, look.T_cam_ooi, look.corners_px, lens_prior(ctx))
+    seen = LookAt(taken.reading.q_rad, look.T_cam_tool, look.T_cam_ooi, *covariances, side_now(ctx), evidence)
     ctx.knowledge.looks.append(seen)
     del ctx.knowledge.looks[:-LOOKS_MAX]
     ctx.knowledge.joint = None

@@ -11,12 +11,12 @@ from server.calibration.joint_estimate import JointEstimate
 from server.calibration.joint_lens import (
     FOCAL,
     N_LENS,
-    FocalFound,
     LensPrior,
     common_covariance,
     layout_in_camera,
     look_sensitivity,
 )
+from server.calibration.lens_evidence import lens_doubts
 from server.calibration.nuisances import LAYOUT, Contribution, contributions, largest_in_words, lens_groups
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
@@ -43,12 +43,18 @@ def note_lens(ctx: PlanContext, estimate: JointEstimate) -> None:
     ctx.knowledge.lens = known
 
 
-def focal_found(ctx: PlanContext) -> FocalFound | None:
-    """What the paths driven so far say; None before one."""
+def focal_found(ctx: PlanContext) -> tuple[float, float] | None:
+    """True focal length over the camera file's, less 1, with one sigma, by the paths so far; None before one."""
     if ctx.knowledge.lens is None:
         return None
     mean, covariance = ctx.knowledge.lens
-    return FocalFound(float(mean[FOCAL]), float(np.sqrt(covariance[FOCAL, FOCAL])))
+    return float(mean[FOCAL]), float(np.sqrt(covariance[FOCAL, FOCAL]))
+
+
+def doubts(ctx: PlanContext) -> str:
+    """What the last estimate refutes of camera file and prints, with the remedy; empty for nothing."""
+    known = ctx.knowledge.lens
+    return "" if known is None else "; ".join(lens_doubts(*known, lens_prior(ctx)))
 
 
 def corrected_look(ctx: PlanContext, look: Look) -> Look:
@@ -92,10 +98,10 @@ def require_judgeable(ctx: PlanContext, taken: LookTaken) -> None:
     axis = int(np.argmax(sigma_mm))
     if 2.0 * sigma_mm[axis] <= goal.tolerance_mm:
         return
-    focal = focal_found(ctx)
+    doubt = doubts(ctx)
     raise JobFailedError(
         f"a look at the goal would know {'xyz'[axis]} to +-{2.0 * sigma_mm[axis]:.1f} mm only (2 sigma, allowed "
-        f"{goal.tolerance_mm:g}); {largest_in_words(found, axis)}{f'; {focal.text}' if focal else ''}",
+        f"{goal.tolerance_mm:g}); {largest_in_words(found, axis)}{f'; {doubt}' if doubt else ''}",
         "sigma_too_large",
     )
 
