@@ -45,7 +45,8 @@ def lens_evidence(
     """The evidence of one look.
 
     Model:   r = J d pose + G lens + layout + noise, in px; W = (sigma^2 I + E E^T)^-1 with E the layout's effects.
-             The pose is eliminated: information G^T M G, vector G^T M r, M = W - W J (J^T W J)^-1 J^T W.
+             The pose is eliminated: information G^T M G, vector G^T M r, M = W - W J (J^T W J)^-1 J^T W; both over
+             the mean square of what is left, where that is above 1.
     Args:    poses as measured; corners_px: of each marker, mean over the look.
     """
     information, vector = np.zeros((N_LENS, N_LENS)), np.zeros(N_LENS)
@@ -71,8 +72,11 @@ def _of_object(
     J, G = pose_jacobian(camera, T, points)[rows], pixel_changes(camera, T, markers, printed)[rows]
     W = np.linalg.inv(SIGMA_CORNER_PX**2 * np.eye(int(rows.sum())) + E @ E.T)
     M = W - W @ J @ np.linalg.pinv(J.T @ W @ J) @ J.T @ W
-    information = G.T @ M @ G
-    return LensEvidence(0.5 * (information + information.T), G.T @ M @ residual[rows])
+    information, vector, r = G.T @ M @ G, G.T @ M @ residual[rows], residual[rows]
+    freedoms = max(1, int(rows.sum()) - 6 - N_LENS)
+    left = float(r @ M @ r - vector @ np.linalg.pinv(information, hermitian=True) @ vector) / freedoms
+    worth = 1.0 / max(1.0, left)  # what no lens explains, such as a covered side, makes the corners worth less
+    return LensEvidence(0.5 * worth * (information + information.T), worth * vector)
 
 
 def _both_eyes(left: Array | None, right: Array | None) -> Array:

@@ -96,10 +96,14 @@ def _mean_corners(taken: Sequence[PairObservation]) -> dict[int, tuple[Array | N
     found: dict[int, tuple[Array | None, Array | None]] = {}
     for marker_id in sorted({view.marker_id for view in views}):
         own = [view for view in views if view.marker_id == marker_id]
-        eyes = ([view.corners_left_px for view in own], [view.corners_right_px for view in own])
-        left, right = ([px for px in eye if px is not None and px.shape == (4, 2)] for eye in eyes)
-        found[marker_id] = tuple(np.median(eye, axis=0) if len(eye) else None for eye in (left, right))
+        left, right = [view.corners_left_px for view in own], [view.corners_right_px for view in own]
+        found[marker_id] = _median_corners(left), _median_corners(right)
     return found
+
+
+def _median_corners(seen: Sequence[Array | None]) -> Array | None:
+    whole = [px for px in seen if px is not None and px.shape == (4, 2)]
+    return np.median(whole, axis=0) if whole else None
 
 
 def _mean_of(found: Sequence[ObjectPose]) -> PoseMean:
