@@ -40,7 +40,7 @@ def check_camera(
     """All lines, in the order of the way of the light: stream, pictures, rig, markers.
 
     Args:    machine: its camera is what the pictures are said to be. observe: the marker pose source. on_step: called
-             after each pair and each part, `steps(gathered)` times. tape: a distance between tool and OOI that was taped.
+             after each pair and each part, `steps(gathered)` times. tape: a taped distance between tool and OOI.
     """
     findings = check_stream(gathered.times)
     wrong = _wrong_size(gathered, machine)

@@ -42,7 +42,7 @@ def check_focal(machine: Machine, seen: Sequence[PairObservation], tape: Tape | 
     if tape is not None:
         taped = mean_evidence([_of_tape(machine, tool, ooi, tape) for tool, ooi, _ in looks])
         information, vector = information + taped.information, vector + taped.vector
-    covariance = np.linalg.inv(information)
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     lens = covariance @ vector
     off, sigma = float(lens[FOCAL]), float(np.sqrt(covariance[FOCAL, FOCAL]))
     doubts = lens_doubts(lens, covariance, UNKNOWN)

@@ -21,6 +21,9 @@ class PoseStatus(Enum):
     REJECTED = "rejected"  # seen, but residual, health or geometry forbids its use
 
 
+NO_WHITE_MARGIN = "no white margin"  # in the reason of a view: its sides are no edges by which to judge a picture
+
+
 @dataclass(frozen=True, slots=True)
 class MarkerView:
     """One marker in one stereo pair. Corners (4, 2) in raw (distorted) px, OpenCV order; None = the eye sees none."""

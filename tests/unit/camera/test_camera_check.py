@@ -12,8 +12,8 @@ from machine.camera import distort_rays, undistort_to_rays
 from machine.description import Machine
 from machine.rotations import Array, rotation_from_rotvec
 from server.camera.check import Gathered, check_camera, steps
-from server.camera.check_focal import Tape, check_focal
 from server.camera.check_findings import CheckFinding, Level, exit_code, worst
+from server.camera.check_focal import Tape, check_focal
 from server.camera.check_gathering import Gathering
 from server.camera.check_matching import match_eyes
 from server.camera.check_picture import check_exposure, check_sharpness, edge_blur_px
