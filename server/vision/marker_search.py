@@ -141,9 +141,10 @@ def refined(
     """The marker with sub-pixel corners; coarse ones where something lies over its border, or it has no margin."""
     fit, corners = refine_corners(image, marker.corners_px, cells_along_side(dictionary), camera)
     cells = marker_cells(dictionary, marker.marker_id)
-    if fit is SideFit.CLEAN:
-        if border_covered(image, corners, printed_pattern(cells), float(np.abs(side_sags(camera, corners)).max())):
-            fit, corners = SideFit.COVERED, marker.corners_px
+    if fit is SideFit.CLEAN and border_covered(
+        image, corners, printed_pattern(cells), float(np.abs(side_sags(camera, corners)).max())
+    ):
+        fit, corners = SideFit.COVERED, marker.corners_px
     if fit is SideFit.COVERED and sides_without_margin(image, marker.corners_px, cells) >= BARE_SIDES:
         fit = SideFit.NO_MARGIN
     return FoundMarker(marker.marker_id, corners, fit)
