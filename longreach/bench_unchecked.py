@@ -74,7 +74,7 @@ def row_of(name: str, runs: Sequence[MachineRun]) -> tuple[str, ...]:
         share([confident_miss(run) for run in runs]),
         share([run.inside(1) for run in runs]),
     )
-    return (name, str(len(runs)), *(_in_words(one) for one in shares))
+    return (name, str(len(runs)), *(_in_words(rate) for rate in shares))
 
 
 def first_held(run: MachineRun) -> bool:
@@ -103,5 +103,5 @@ def confident_miss(run: MachineRun) -> bool:
     return run.reached and run.end_true_mm is not None and max(map(abs, run.end_true_mm)) > INSIDE_MM
 
 
-def _in_words(one: Share) -> str:
-    return f"{100 * one.value:.0f} % ({one.k} of {one.n})"
+def _in_words(rate: Share) -> str:
+    return f"{100 * rate.value:.0f} % ({rate.k} of {rate.n})"

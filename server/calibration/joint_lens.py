@@ -168,7 +168,7 @@ def shows_plane(camera: StereoCamera, T_cam_ooi: Array) -> bool:
 def corners_of(markers: Sequence[Marker], grown: float = 0.0) -> Array:
     """Corners (n, 3) [m] on their object, each marker grown by a share about its middle."""
     side = 1.0 + grown
-    return np.vstack([transform_points(one.T_on_marker, marker_corners(one.side_m * side)) for one in markers])
+    return np.vstack([transform_points(marker.T_on_marker, marker_corners(marker.side_m * side)) for marker in markers])
 
 
 def _marker_off(marker: Marker, number: int, by: float) -> Array:

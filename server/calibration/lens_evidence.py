@@ -89,8 +89,8 @@ def mean_evidence(found: Sequence[LensEvidence]) -> LensEvidence:
     """Of several looks as of one: what spoils a corner (its print, its edge) is in all of them. None: no evidence."""
     if not found:
         return LensEvidence(np.zeros((N_LENS, N_LENS)), np.zeros(N_LENS))
-    information = np.mean([one.information for one in found], axis=0)
-    return LensEvidence(information, np.mean([one.vector for one in found], axis=0))
+    information = np.mean([look.information for look in found], axis=0)
+    return LensEvidence(information, np.mean([look.vector for look in found], axis=0))
 
 
 def lens_doubts(lens: Array, covariance: Array, prior: LensPrior) -> list[str]:

@@ -60,7 +60,7 @@ def check_camera(
         on_step()
     markers = {marker.marker_id: marker for marker in machine.markers}
     rig.append(check_scale(side_ratios(machine.camera, markers, seen)))
-    if all(one.level is Level.OK for one in rig):  # a turned eye looks like another focal length too
+    if all(finding.level is Level.OK for finding in rig):  # a turned eye looks like another focal length too
         rig.append(check_focal(machine, seen, tape))
     sound = all(one.level is not Level.FAIL for one in rig)
     return [*findings, *rig, *check_markers(tally(machine, eyes, seen), sound)]

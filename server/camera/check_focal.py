@@ -32,11 +32,11 @@ class Tape:
 def check_focal(machine: Machine, seen: Sequence[PairObservation], tape: Tape | None = None) -> CheckFinding:
     """Finding `focal`: focal length and prints by perspective, stereo and tape; what none of them shows stays OK with
     its sigma, which the settings' `sigma_focal_frac` should hold."""
-    looks = [(tool, ooi, one) for one in seen if (found := _poses(one)) is not None for tool, ooi in [found]]
+    looks = [(*poses, pair) for pair in seen if (poses := _poses(pair)) is not None]
     if not looks:
         remedy = "show tool and OOI to both eyes, one marker tilted by 45 deg"
         return CheckFinding("focal", Level.WARN, "tool and OOI not seen together: not checked", remedy)
-    evidence = mean_evidence([lens_evidence(machine, tool, ooi, _corners(one), UNKNOWN) for tool, ooi, one in looks])
+    evidence = mean_evidence([lens_evidence(machine, tool, ooi, _corners(pair), UNKNOWN) for tool, ooi, pair in looks])
     information = evidence.information + np.diag(UNKNOWN.sigma**-2.0)
     vector = evidence.vector
     if tape is not None:

@@ -96,9 +96,9 @@ def _unused_views(found: tuple[EyeDetection, EyeDetection], known: set[int]) -> 
                 f"marker {one} has {NO_WHITE_MARGIN} around its black border; print it with at least one cell of white"
             )
         views[one] = MarkerView(one, left.covered.get(one), right.covered.get(one), float("nan"), False, reason)
-    for one in sorted((left.inverted | right.inverted) - known - views.keys()):
-        reason = f"marker {one} is printed white on black; print it black on white"
-        views[one] = MarkerView(one, None, None, float("nan"), False, reason)
+    for number in sorted((left.inverted | right.inverted) - known - views.keys()):
+        reason = f"marker {number} is printed white on black; print it black on white"
+        views[number] = MarkerView(number, None, None, float("nan"), False, reason)
     for one in sorted(left.repeated_ids | right.repeated_ids):
         reason = f"marker id {one} is seen at two places; cover or remove one"
         views[one] = MarkerView(one, None, None, float("nan"), False, reason)

@@ -108,7 +108,7 @@ class EyeDetector:
             self._follower.remember(found)
         clean = {one.marker_id: one.corners_px for one in found.values() if not one.covered}
         covered = {one.marker_id: one.corners_px for one in found.values() if one.covered}
-        bare = frozenset(one.marker_id for one in found.values() if one.fit is SideFit.NO_MARGIN)
+        bare = frozenset(marker.marker_id for marker in found.values() if marker.fit is SideFit.NO_MARGIN)
         return EyeDetection(clean, covered, self._repeated, full_search, bare, self._inverted - found.keys())
 
     def _find(self, image: Image) -> tuple[FoundMarker, ...]:
@@ -159,7 +159,7 @@ class EyeDetector:
 
     def _white_on_black(self, image: Image) -> frozenset[int]:
         found = find_inverted(image, self._dictionary, self._settings.perimeter_min_px)
-        return frozenset(one.marker_id for one in found) & self._wanted
+        return frozenset(marker.marker_id for marker in found) & self._wanted
 
     def _everywhere(self, image: Image, known: dict[int, FoundMarker]) -> tuple[FoundMarker, ...]:
         """Every marker of the picture; at half size where those that are known are large."""

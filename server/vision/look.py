@@ -92,7 +92,7 @@ def _averaged(
 
 def _mean_corners(taken: Sequence[PairObservation]) -> dict[int, tuple[Array | None, Array | None]]:
     """Median corners (4, 2) [raw px] of each marker in each eye, over the pairs that used it."""
-    views = [view for one in taken for view in one.views if view.used]
+    views = [view for pair in taken for view in pair.views if view.used]
     found: dict[int, tuple[Array | None, Array | None]] = {}
     for marker_id in sorted({view.marker_id for view in views}):
         own = [view for view in views if view.marker_id == marker_id]

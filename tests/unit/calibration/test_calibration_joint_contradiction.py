@@ -141,10 +141,10 @@ def test_a_focal_length_off_alike_in_both_eyes_is_found_by_a_path_in_depth(off):
         Ts[:, :3, 3] = Ts[:, :3, 3] @ bend.T
         run = replace(run, camera=CameraTrack(run.camera.t_s, Ts))
         found.append(estimate_jointly(machine(), [run], [seen_through(here.look(Q_START), lens)]))
-    for one in found:
-        sigma = np.sqrt(one.covariance[FOCAL - N_LENS, FOCAL - N_LENS])
-        assert abs(one.state.lens[FOCAL] - off) < 4.0 * sigma < 0.02
-        assert ("calibrate the camera" in "; ".join(doubts_of(one))) == (off != 0.0)
+    for estimate in found:
+        sigma = np.sqrt(estimate.covariance[FOCAL - N_LENS, FOCAL - N_LENS])
+        assert abs(estimate.state.lens[FOCAL] - off) < 4.0 * sigma < 0.02
+        assert ("calibrate the camera" in "; ".join(doubts_of(estimate))) == (off != 0.0)
 
 
 def doubts_of(found):
