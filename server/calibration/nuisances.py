@@ -23,7 +23,7 @@ REMEDIES: Mapping[str, str] = {
     MOUNT: _CALIBRATE,
     SCALE: _CALIBRATE,
     CLOCK: _CALIBRATE,
-    FOCAL_LENGTH: "drive a path with 0.3 m in depth, or measure one distance with a tape (longreach camera check --tape)",
+    FOCAL_LENGTH: "drive a path with 0.3 m in depth, or tape one distance (longreach camera check --tape)",
     LENS: "calibrate the camera",
     MARKER: "measure how the marker sits on the tool, or look from nearer",
     TOOL_SIDE: _PRINT,
