@@ -47,6 +47,11 @@ BENCHES = (
         "The default method on many machines in the fast world: success by moves, refusals, honest ellipses, times.",
     ),
     Lazy(
+        "unchecked",
+        "longreach.bench_unchecked:unchecked",
+        "Focal lengths and prints that are off alike everywhere: reported, or inside the stated ellipse?",
+    ),
+    Lazy(
         "ablation",
         "longreach.bench_machines.command:ablation",
         "Each improvement switched off alone, on the same machines: change of the one-move success.",

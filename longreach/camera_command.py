@@ -16,6 +16,7 @@ from rich.table import Table
 from machine.description import Machine
 from server.camera.check import check_camera, steps
 from server.camera.check_findings import CheckFinding, Level, exit_code, worst
+from server.camera.check_focal import Tape
 from server.camera.check_gathering import Gathering
 from server.camera.check_picture import edge_blur_px
 from server.camera.contracts import StereoSource
@@ -72,6 +73,9 @@ def check(
     seconds: Seconds = 5.0,
     pairs: Pairs = 12,
     as_json: AsJson = False,
+    tape_mm: Annotated[
+        float | None, typer.Option("--tape", min=50.0, help="taped distance from tool marker to OOI's origin [mm]")
+    ] = None,
     seed: Annotated[int, typer.Option(help="seed of the robust fit")] = 1,
 ) -> None:
     """Check rate, loss, latency, sharpness, exposure, rig and markers. Exit code 0: usable, 1: something failed."""
@@ -88,7 +92,7 @@ def check(
         console.print("stopped early; what came until now is judged")
     finally:
         stereo.close()
-    findings = _judge(gathering, stereo, opened, seen_machine, seed, console)
+    findings = _judge(gathering, stereo, opened, seen_machine, seed, console, tape_mm)
     if as_json:
         typer.echo(json.dumps(as_document(findings, without_password(source or chosen.kind)), indent=2))
     else:
@@ -174,7 +178,13 @@ def _live_table(gathering: Gathering, blur: str, state: str) -> Table:
 
 
 def _judge(
-    gathering: Gathering, stereo: StereoSource, opened: SourceSettings, machine: Machine, seed: int, console: Console
+    gathering: Gathering,
+    stereo: StereoSource,
+    opened: SourceSettings,
+    machine: Machine,
+    seed: int,
+    console: Console,
+    tape_mm: float | None,
 ) -> list[CheckFinding]:
     """All findings; a source that gave nothing adds its own words."""
     from server.vision.aruco_source import ArucoPoseSource  # compiles; not for --help
@@ -192,6 +202,7 @@ def _judge(
             ArucoPoseSource(machine).observe,
             np.random.default_rng(seed),
             lambda: progress.advance(task),
+            None if tape_mm is None else Tape(1e-3 * tape_mm),
         )
     if stereo.state and not gathering.n:
         findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "mend what this line says"))

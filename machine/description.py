@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError
 from machine.boards import board_markers
 from machine.errors import MachineFileError
 from machine.field_units import unit_of
-from machine.lens import distorted_radius_max
+from machine.lens import PRINCIPAL_OFF_MAX_FRAC, distorted_radius_max, principal_off_frac
 from machine.marker_sections import REMEDIES, BoardSection, MarkerSection, MarkersSection, Pose16, Strict, check_markers
 from machine.remainder import Remainder, parse_baseline, parse_remainders
 from machine.rotations import Array
@@ -159,6 +159,7 @@ class _CameraSection(Strict):
     baseline_m: Positive
     rate_hz: Positive
     rectified: bool
+    off_centre: bool = False  # confirms a principal point far from the middle, as a cropped picture has
     T_tcp_cam_left: Pose16
 
 
@@ -277,15 +278,22 @@ def _camera(section: _CameraSection) -> StereoCamera:
         rate_hz=section.rate_hz,
         rectified=section.rectified,
     )
-    _check_lens(camera)
+    _check_lens(camera, section.off_centre)
     return camera
 
 
-def _check_lens(camera: StereoCamera) -> None:
-    """Refuse a principal point outside the image, and a lens model that folds back inside it."""
+def _check_lens(camera: StereoCamera, off_centre: bool) -> None:
+    """Refuse a principal point outside the image or far from its middle, and a lens that folds back inside it."""
     for name, value, size in (("cx", camera.cx_px, camera.width_px), ("cy", camera.cy_px, camera.height_px)):
         if not 0.0 <= value <= size - 1.0:
             raise MachineFileError(f"camera.{name}_px = {value} must lie inside the image, 0 .. {size - 1} [px]")
+    off_frac = principal_off_frac((camera.cx_px, camera.cy_px), (camera.width_px, camera.height_px))
+    if off_frac > PRINCIPAL_OFF_MAX_FRAC and not off_centre:
+        raise MachineFileError(
+            f"camera: principal point ({camera.cx_px:g}, {camera.cy_px:g}) px lies {100 * off_frac:.0f} % of the image "
+            f"from its middle (limit {100 * PRINCIPAL_OFF_MAX_FRAC:g} %); give the calibration of this image size, or "
+            "confirm a cropped picture with off_centre = true"
+        )
     x = max(camera.cx_px, camera.width_px - 1.0 - camera.cx_px) / camera.fx_px
     y = max(camera.cy_px, camera.height_px - 1.0 - camera.cy_px) / camera.fy_px
     corner, limit = float(np.hypot(x, y)), distorted_radius_max(camera.distortion)

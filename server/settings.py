@@ -91,9 +91,13 @@ class PositionSettings(Strict):
     sigma_tool_mount_deg: Annotated[float, Field(gt=0.0, le=20.0)] = 2.0
     sigma_systematic_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.7
     sigma_systematic_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.15
+    # where each of the OOI's markers hangs
     sigma_layout_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3
     sigma_layout_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.1
-    sigma_print_side_frac: Annotated[float, Field(ge=0.0, le=0.05)] = 7e-4
+    # scale of a print, tool and OOI each by itself: 0.3 mm of 150 mm, as a ruler shows it
+    sigma_print_side_frac: Annotated[float, Field(gt=0.0, le=0.05)] = 0.002
+    # what a data sheet or factory leaves; a calibration path reduces it
+    sigma_focal_frac: Annotated[float, Field(gt=0.0, le=0.2)] = 0.01
 
 
 class CalibrationSettings(Strict):

@@ -33,11 +33,13 @@ class _CameraSection(Strict):
     Absent: pictures are taken as they come, and the machine file's camera says what they are.
     `eye_width_px`, `eye_height_px`: size of one eye's pictures where it is not that of the machine file's camera; a
     ZED's file is read for this size.
+    `off_centre`: confirms a calibration whose principal point lies far from the middle, as of a cropped picture.
     """
 
     calibration: str | Annotated[list[str], Field(min_length=1, max_length=2)] | None = None
     eye_width_px: Annotated[int, Field(ge=16, le=8192)] | None = None
     eye_height_px: Annotated[int, Field(ge=16, le=8192)] | None = None
+    off_centre: bool = False
 
 
 class HttpCameraSettings(_CameraSection):

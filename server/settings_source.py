@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 
 from machine.description import Machine, StereoCamera
+from machine.lens import PRINCIPAL_OFF_MAX_FRAC, principal_off_frac
 from server.camera.rectification import rectification_of
 from server.camera.rectification_reading import read_calibration
 from server.camera.sources.settings import (
@@ -77,6 +78,9 @@ def machine_text_with(text: str, camera: StereoCamera) -> str:
         "rate_hz": camera.rate_hz,
         "rectified": "true" if camera.rectified else "false",
     }
+    off_frac = principal_off_frac((camera.cx_px, camera.cy_px), (camera.width_px, camera.height_px))
+    if off_frac > PRINCIPAL_OFF_MAX_FRAC:
+        values["off_centre"] = "true"
     begin = re.search(r"^\[camera\][^\n]*$", text, re.MULTILINE)
     if begin is None:
         raise SettingsError("machine file: no [camera] section; give a whole machine file")
@@ -101,7 +105,7 @@ def source_and_machine(camera: CameraSettings, machine: Machine) -> tuple[Source
     if camera.calibration is None:
         return source, machine
     paths = [camera.calibration] if isinstance(camera.calibration, str) else camera.calibration
-    rig = read_calibration(paths, eye_size_px(camera, machine))
+    rig = read_calibration(paths, eye_size_px(camera, machine), camera.off_centre)
     rate_hz = camera.rate_hz if isinstance(camera, DeviceCameraSettings) else machine.camera.rate_hz
     rectified = rectification_of(rig, rate_hz).camera
     return RectifiedSource(source, rig, rate_hz), replace(machine, camera=rectified)

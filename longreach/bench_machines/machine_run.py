@@ -8,6 +8,7 @@ import numpy as np
 from longreach.bench_machines.variants import Variant, applied
 from longreach.bench_machines.watched import LookChange, Notes, watched
 from longreach.reproduce.cases import MakeMachine
+from longreach.reproduce.error_budget import SOURCES, Change
 from longreach.reproduce.fast_cell import FastCell, context_of, fast_cell, run_plan
 from longreach.reproduce.fast_machine import QuasiStaticMachine
 from longreach.reproduce.noise_model import NoiseModel
@@ -58,6 +59,11 @@ class MachineRun:
     path_ooi_m: float = float("nan")
     rest_s: float = float("nan")
     second: MoveErrors | None = None  # where only one move was needed: after a second one made anyway
+    warning: str = ""  # of the calibration: what it found against camera and prints
+    reached: bool = False
+    end_true_mm: Three | None = None
+    end_image_mm: Three | None = None  # the job's last look, and its sigmas
+    end_sigma_mm: Three | None = None
     again_state: str = ""
     again_rest_s: float = float("nan")  # the same goal again from the start, with the calibration kept
 
@@ -102,14 +108,15 @@ def run_machine(
     variant: Variant,
     again: bool = False,
     make: MakeMachine = QuasiStaticMachine,
+    change: Change = SOURCES["as drawn"],
 ) -> MachineRun:
     """The default positioning job on the machine of a preset and seed.
 
     Args:    again: drive back to the start and position once more without calibrating, for its time.
-             make: the quasi-static machine, or the fine plant.
+             make: the quasi-static machine, or the fine plant. change: of the drawn world.
     """
     try:
-        world = draw_world(machine, preset, seed)
+        world = change(draw_world(machine, preset, seed))
     except PresetError as error:
         return MachineRun(seed, preset, variant.name, "undrawn", str(error))
     settings = ServerSettings.model_validate({"position": dict(variant.position)})
@@ -119,14 +126,18 @@ def run_machine(
 
 
 def _run(world: World, cell: FastCell, ctx: PlanContext, variant: Variant, again: bool) -> MachineRun:
-    notes, state, reason = Notes(), "done", ""
+    notes, state, reason, result = Notes(), "done", "", None
     start = true_errors(world, cell.machine.T_base_tcp(), ctx.T_ooi_goal).goal_mm
     try:
         plan = position(ctx, True, lambda: cell.clock_ns)
-        reason = run_plan(watched(plan, cell, ctx, notes, variant.look), cell).reason
+        result = run_plan(watched(plan, cell, ctx, notes, variant.look), cell)
+        reason = result.reason
     except ServerError as error:
         state, reason = "refused", str(error)
     moves, oriented = _moves(world, cell, ctx, notes)
+    end = None if result is None else result.end
+    warning = "" if ctx.knowledge.calibration is None else ctx.knowledge.calibration.reason
+    end_true = true_errors(world, cell.machine.T_base_tcp(), ctx.T_ooi_goal).goal_mm
     second, again_state, again_rest_s = None, "", float("nan")
     if again and state == "done":
         second = _second(world, cell, ctx) if len(moves) == 1 else None
@@ -146,6 +157,11 @@ def _run(world: World, cell: FastCell, ctx: PlanContext, variant: Variant, again
         path_ooi_m=notes.path_ooi_m,
         rest_s=notes.rest_s,
         second=second,
+        warning=warning,
+        reached=result is not None and result.reached,
+        end_true_mm=end_true,
+        end_image_mm=None if end is None else (end.x_mm, end.y_mm, end.z_mm),
+        end_sigma_mm=None if end is None else (end.sigma_x_mm, end.sigma_y_mm, end.sigma_z_mm),
         again_state=again_state,
         again_rest_s=again_rest_s,
     )

@@ -11,12 +11,14 @@ from pathlib import Path
 from longreach.bench_machines.machine_run import MachineRun, run_machine
 from longreach.bench_machines.variants import ABLATIONS, DEFAULT
 from longreach.one_thread import ONE_THREAD
+from longreach.reproduce.error_budget import SEEING, SOURCES
 from longreach.reproduce.fast_machine import QuasiStaticMachine
 from longreach.reproduce.fine_machine import FineMachine
 from longreach.reproduce.noise_model import fitted_noise
 from longreach.saved_lines import add_line, open_to_add, whole_lines
 from server.settings import read_machine
 
+CHANGES = {**SOURCES, **SEEING}
 VARIANTS = {one.name: one for one in (DEFAULT, *ABLATIONS)}
 Advance = Callable[[int], None]
 
@@ -30,12 +32,14 @@ class Order:
     again: bool = False
     fine: bool = False
     machine: str = "hiab033"
+    change: str = "as drawn"
 
     @property
     def file_name(self) -> str:
         """Of the lines of this order."""
-        name = f"{self.preset}-{self.variant}{'-fine' if self.fine else ''}{'-again' if self.again else ''}"
-        return "".join(c if c.isalnum() or c == "-" else "_" for c in name) + ".jsonl"
+        change = "" if self.change == "as drawn" else f"-{self.change}"
+        name = f"{self.preset}-{self.variant}{'-fine' if self.fine else ''}{'-again' if self.again else ''}{change}"
+        return "".join(c if c.isalnum() or c in "-+." else "_" for c in name) + ".jsonl"
 
 
 def run_machines(
@@ -75,4 +79,5 @@ def run_one(order: Order, seed: int) -> MachineRun:
     """One machine of an order."""
     machine, noise = read_machine(order.machine), fitted_noise()
     make = FineMachine if order.fine else QuasiStaticMachine
-    return run_machine(machine, order.preset, seed, noise, VARIANTS[order.variant], order.again, make)
+    change = CHANGES[order.change]
+    return run_machine(machine, order.preset, seed, noise, VARIANTS[order.variant], order.again, make, change)

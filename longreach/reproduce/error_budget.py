@@ -2,11 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from machine.poses import inverse_pose
 from machine.rotations import Array
+from machine.targets import Marker
 from sim_plc.plant.plant import Plant
 from sim_plc.world import World, rng_for
 
@@ -61,6 +63,43 @@ def without_vision_error(world: World) -> World:
     scene = replace(world.scene, ooi_markers=nominal.markers_on("ooi"), tool_markers=nominal.markers_on("tool"))
     return replace(world, camera=camera, scene=scene)
 
+
+def focal_off(share: float) -> Change:
+    """Both eyes' true focal length longer than drawn by a share: nothing between the eyes shows it."""
+
+    def change(world: World) -> World:
+        left, right = (
+            replace(eye, fx_px=eye.fx_px * (1.0 + share), fy_px=eye.fy_px * (1.0 + share))
+            for eye in (world.camera.left, world.camera.right)
+        )
+        return replace(world, camera=replace(world.camera, left=left, right=right))
+
+    return change
+
+
+def printed_off(share: float, *objects: Literal["tool", "ooi"]) -> Change:
+    """All markers of these objects printed larger than drawn by a share, where they hang."""
+
+    def change(world: World) -> World:
+        def grown(markers: tuple[Marker, ...], on: Literal["tool", "ooi"]) -> tuple[Marker, ...]:
+            by = 1.0 + share if on in objects else 1.0
+            return tuple(replace(marker, side_m=by * marker.side_m) for marker in markers)
+
+        scene = world.scene
+        tool, ooi = grown(scene.tool_markers, "tool"), grown(scene.ooi_markers, "ooi")
+        return replace(world, scene=replace(scene, tool_markers=tool, ooi_markers=ooi))
+
+    return change
+
+
+FOCAL_PCT, PRINT_PCT = (0.5, 1.0, -1.0, 2.0, -2.0, 4.0, -4.0), (0.2, 0.5, 1.0, -1.0)
+#: What all pairs have in common and no pair shows by itself (`longreach bench unchecked`).
+SEEING: dict[str, Change] = {
+    **{f"focal {pct:+g} %": focal_off(1e-2 * pct) for pct in FOCAL_PCT},
+    **{f"tool print {pct:+g} %": printed_off(1e-2 * pct, "tool") for pct in PRINT_PCT},
+    **{f"OOI print {pct:+g} %": printed_off(1e-2 * pct, "ooi") for pct in PRINT_PCT},
+    **{f"all prints {pct:+g} %": printed_off(1e-2 * pct, "tool", "ooi") for pct in PRINT_PCT},
+}
 
 SOURCES: dict[str, Change] = {
     "as drawn": lambda world: world,

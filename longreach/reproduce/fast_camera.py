@@ -9,7 +9,7 @@ from longreach.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel
 from longreach.reproduce.true_corners import EYES, EyeName, SeenMarker, TrueView
 from machine.rotations import Array
 from server.vision.aruco_source import ArucoSettings
-from server.vision.contracts import Look, ObjectPose, PairObservation
+from server.vision.contracts import Look, MarkerView, ObjectPose, PairObservation
 from server.vision.look import average_look
 from server.vision.mono_aruco import MonoArucoPoseSource
 from server.vision.object_pose import ObjectName, estimate_object_pose, not_seen
@@ -71,16 +71,19 @@ class FastCamera:
                 if exact is not None:
                     fleeting = share * own.frame_px * self._rng.standard_normal((4, 2))
                     corners[eye][one.marker_id] = biased(exact, own) + lasting[(one.marker_id, eye)] + fleeting
-        tool, ooi = (self._pose(name, corners["left"], corners["right"], source) for name in ("tool", "ooi"))
-        return PairObservation(0, tool, ooi, (), ())
+        tool, tool_views = self._pose("tool", corners["left"], corners["right"], source)
+        ooi, ooi_views = self._pose("ooi", corners["left"], corners["right"], source)
+        return PairObservation(0, tool, ooi, (*tool_views, *ooi_views), ())
 
-    def _pose(self, name: ObjectName, left: dict[int, Array], right: dict[int, Array], source: Source) -> ObjectPose:
+    def _pose(
+        self, name: ObjectName, left: dict[int, Array], right: dict[int, Array], source: Source
+    ) -> tuple[ObjectPose, tuple[MarkerView, ...]]:
         if source == "mono":
-            return self._mono._pose(name, left)  # the same estimate without its image search
+            return self._mono._pose(name, left), ()  # the same estimate without its image search
         sightings = sightings_of(self._markers[name], left, right)
         if not sightings:
-            return not_seen(name, f"no marker of the {name} in either eye")
-        return estimate_object_pose(name, sightings, self._camera, self._settings)[0]
+            return not_seen(name, f"no marker of the {name} in either eye"), ()
+        return estimate_object_pose(name, sightings, self._camera, self._settings)
 
 
 def biased(corners_px: Array, noise: CornerNoise) -> Array:

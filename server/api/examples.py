@@ -88,6 +88,8 @@ _CALIBRATION = {
     "n_used": 247,
     "observability": 0.31,
     "duration_s": 16.5,
+    "focal_off_pct": 0.11,
+    "focal_sigma_pct": 0.28,
     "valid": True,
     "expiry_reason": "",
     "age_s": 31.0,

@@ -139,7 +139,7 @@ class PanelMemory:
         taken = self.service.cell.knowledge.last_look
         if taken is None or taken is self._shown_look:
             return
-        again = self._shown_look is not None and self._shown_look.look is taken.look
+        again = self._shown_look is not None and self._shown_look.raw is taken.raw
         self._shown_look = taken
         self._looks += not again
         entry = HistoryView(

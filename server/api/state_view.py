@@ -224,7 +224,7 @@ def _caution(previewed: PreviewedPlan, ctx: PlanContext | None) -> str:
     """What the operator should know before Execute: an error that will not be known well enough."""
     if ctx is None or fits(ctx, previewed.predicted_sigma_mm):
         return ""
-    return f"{told(ctx, previewed.predicted_sigma_mm)}: calibrate, look from nearer, or look again after it"
+    return f"{told(ctx, previewed.predicted_sigma_mm)}; {previewed.largest_source}"
 
 
 def move_view(move: MoveRecord) -> MoveView:

@@ -116,6 +116,8 @@ class CalibrationView(View):
     n_used: int
     observability: float
     duration_s: float
+    focal_off_pct: float | None = Field(default=None, description="true focal length against the camera file's")
+    focal_sigma_pct: float | None = Field(default=None, description="one sigma of it")
     valid: bool = True
     expiry_reason: str = ""
     age_s: float | None = None

@@ -1,8 +1,11 @@
 """Hand-eye calibration: A X = X B over motions, A X = Y B over poses, each with covariance, status and reason."""
 
-import numpy as np
+from dataclasses import replace
 
-from server.calibration.checks import CalibrationInputError
+import numpy as np
+from numpy.typing import NDArray
+
+from server.calibration.checks import CalibrationInputError, require_covariance
 from server.calibration.contracts import Array, CalibrationStatus
 from server.calibration.hand_eye_contracts import HandEyeEstimate, HandEyeSettings, refused
 from server.calibration.hand_eye_linear import (
@@ -13,11 +16,20 @@ from server.calibration.hand_eye_linear import (
     rotation_vectors,
     start_ax_yb,
 )
-from server.calibration.hand_eye_models import HandEyeUnknowns, HandTrack, MotionModel, PoseModel
+from server.calibration.hand_eye_models import (
+    HandEyeUnknowns,
+    HandTrack,
+    MotionModel,
+    PoseModel,
+    WeightedModel,
+    whiteners_of,
+)
 from server.calibration.hand_eye_refinement import Refined, refine
 from server.calibration.trajectory_matching_refusals import usable_poses
 
 DEFAULT_SETTINGS = HandEyeSettings()
+#: What makes residuals that no camera and no encoder have.
+ORDER = " (order of Euler angles or quaternion, or a pose the wrong way round?)"
 
 
 def solve_ax_xb(As: Array, Bs: Array, settings: HandEyeSettings = DEFAULT_SETTINGS) -> HandEyeEstimate:
@@ -29,7 +41,7 @@ def solve_ax_xb(As: Array, Bs: Array, settings: HandEyeSettings = DEFAULT_SETTIN
     Raises:  CalibrationInputError: shapes.
     Source:  Park, Martin 1994; refinement as in `hand_eye_refinement`.
     """
-    As, Bs = _pairs(As, Bs)
+    As, Bs, _ = _pairs(As, Bs)
     spread = min(axis_spread(Ts[:, :3, :3]) for Ts in (As, Bs)) if len(As) else 0.0
     refusal = _refusal(len(As), settings.poses_min - 1, spread, settings)
     if refusal is not None:
@@ -46,18 +58,28 @@ def solve_ax_yb(
     unknown_scale: bool = False,
     settings: HandEyeSettings = DEFAULT_SETTINGS,
     rng: np.random.Generator | None = None,
+    camera_covariances: Array | None = None,
 ) -> HandEyeEstimate:
     """X and Y of A X = Y B from pairs of poses.
 
-    Model:   best of Park-Martin on all and on random triples, then robust refinement of B^-1 = X^-1 A^-1 Y.
+    Model:   best of Park-Martin on all and on random triples, then robust refinement of B^-1 = X^-1 A^-1 Y; once more
+             weighted, where the images' covariances are known.
     Args:    As: base from hand, Bs: target from camera (n, 4, 4) [m]; unknown_scale: B's lengths have an unknown factor
-             (one camera without a known length); rng: for the triples, seed 0 if None.
+             (one camera without a known length); rng: for the triples, seed 0 if None. camera_covariances (n, 6, 6): of
+             the target in the camera, as `ObjectPose.covariance`: far and frontal poses count for less.
     Returns: the estimate; no X when the poses cannot tell it.
     Raises:  CalibrationInputError: shapes.
     Source:  Park, Martin 1994; Zhuang, Roth, Sudhakar 1994 (A X = Y B).
     """
-    As, Bs = _pairs(As, Bs)
-    return solve_poses(lambda offset_s: As, Bs, 0.0, unknown_scale, False, settings, rng)
+    As, Bs, good = _pairs(As, Bs)
+    if camera_covariances is not None:
+        camera_covariances = np.asarray(camera_covariances, dtype=float)
+        if camera_covariances.shape != (len(good), 6, 6):
+            raise CalibrationInputError(f"camera_covariances {camera_covariances.shape} must be ({len(good)}, 6, 6)")
+        camera_covariances = np.array(
+            [require_covariance(C, 6, "camera_covariances") for C in camera_covariances[good]]
+        )
+    return solve_poses(lambda offset_s: As, Bs, 0.0, unknown_scale, False, settings, rng, camera_covariances)
 
 
 def solve_poses(
@@ -68,6 +90,7 @@ def solve_poses(
     free_offset: bool,
     settings: HandEyeSettings,
     rng: np.random.Generator | None,
+    camera_covariances: Array | None = None,
 ) -> HandEyeEstimate:
     """A X = Y B with the hand as a function of the clock offset; `free_offset`: the offset is refined along."""
     As = hand(offset_start_s)
@@ -81,6 +104,10 @@ def solve_poses(
     model = PoseModel(hand, Ts_cam_target, unknown_scale, free_offset)
     start = HandEyeUnknowns(X, Y, scale, offset_start_s)
     found = refine(model, start, settings.freedom, settings.iterations_max, unknown_scale, True)
+    if camera_covariances is not None:
+        weighted = WeightedModel(model, whiteners_of(camera_covariances, found.residuals, found.weights))
+        again = refine(weighted, found.unknowns, settings.freedom, settings.iterations_max, unknown_scale, True)
+        found = replace(again, residuals=model.evaluate(again.unknowns)[0])
     centred = Bs[:, :3, 3] - np.median(Bs[:, :3, 3], axis=0)
     turns = rotation_vectors(motions_between(Bs, *_far_pairs(len(Bs)))[:, :3, :3])
     return _judged(found, (_median_norm(turns), _median_norm(centred)), spread, settings, free_offset)
@@ -103,12 +130,13 @@ def _far_pairs(n: int) -> tuple[Indices, Indices]:
     return first, (first + shifts) % n
 
 
-def _pairs(As: Array, Bs: Array) -> tuple[Array, Array]:
+def _pairs(As: Array, Bs: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """The usable pairs, and which they are."""
     As, Bs = np.asarray(As, dtype=float), np.asarray(Bs, dtype=float)
     if As.ndim != 3 or As.shape[1:] != (4, 4) or As.shape != Bs.shape:
         raise CalibrationInputError(f"A {As.shape} and B {Bs.shape} must both be (n, 4, 4)")
     good = usable_poses(As) & usable_poses(Bs)
-    return As[good], Bs[good]
+    return As[good], Bs[good], good
 
 
 def _refusal(n: int, n_min: int, spread: float, settings: HandEyeSettings) -> HandEyeEstimate | None:
@@ -144,6 +172,12 @@ def _judged(
     sigma_translation = float(np.linalg.norm(sigmas[3:6]))
     offset_sigma = float(sigmas[-1]) if free_offset else 0.0
     for value, limit, text in (
+        (
+            np.rad2deg(turned),
+            np.rad2deg(settings.residual_rotation_max_rad),
+            f"rotations do not fit: residual [deg]{ORDER}",
+        ),
+        (1e3 * missed, 1e3 * settings.residual_translation_max_m, f"translations do not fit: residual [mm]{ORDER}"),
         (turned / max(sizes[0], 1e-9), settings.residual_relative_max, "rotations do not fit: residual over motion"),
         (missed / max(sizes[1], 1e-9), settings.residual_relative_max, "translations do not fit: residual over motion"),
         (np.rad2deg(sigma_rotation), np.rad2deg(settings.sigma_rotation_max_rad), "rotation hardly known: sigma [deg]"),

@@ -17,6 +17,9 @@ class HandEyeSettings:
     iterations_max: int = 60
     triples: int = 200  # random starts from three poses each
     residual_relative_max: float = 0.25  # median residual over the size of the motion, rotation and translation
+    # medians; a target's pose is known to about 1 deg and 10 mm, encoders and clock add as much
+    residual_rotation_max_rad: float = float(np.deg2rad(3.0))
+    residual_translation_max_m: float = 0.03
     sigma_rotation_max_rad: float = float(np.deg2rad(5.0))
     sigma_translation_max_m: float = 0.1
     offset_bound_s: float = 0.25

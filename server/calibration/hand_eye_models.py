@@ -102,6 +102,33 @@ class PoseModel:
         return R_XA @ at.Y[:3, :3], w @ R_X, w, R_XA
 
 
+@dataclass(frozen=True, slots=True)
+class WeightedModel:
+    """Another model's residuals and derivatives, each sample's multiplied by its own matrix (n, 6, 6)."""
+
+    model: PoseModel
+    whiteners: Array
+
+    def evaluate(self, at: HandEyeUnknowns) -> tuple[Array, Array]:
+        """Residuals (n, 6), of equal spread if the matrices are right, and their derivative."""
+        residuals, J = self.model.evaluate(at)
+        return np.einsum("nij,nj->ni", self.whiteners, residuals), self.whiteners @ J
+
+
+def whiteners_of(covariances: Array, residuals: Array, weights: Array) -> Array:
+    """Inverse Cholesky factors (n, 6, 6) of the camera's covariances plus what hand and clock add to all alike.
+
+    Model:   cov(r_i) = H + C_i; H: weighted mean of r r^T less that of C, its negative eigenvalues set to 0. A tenth of
+             a thousandth of the mean stays, so that no C_i of almost nothing outweighs the rest.
+    Args:    covariances C_i (n, 6, 6), residuals (n, 6) of a fit without them, its weights (n,).
+    """
+    share = weights / weights.sum()
+    scatter = np.einsum("n,ni,nj->ij", share, residuals, residuals)
+    values, vectors = np.linalg.eigh(scatter - np.einsum("n,nij->ij", share, covariances))
+    common = (vectors * np.maximum(values, 0.0)) @ vectors.T + 1e-4 * np.diag(np.diag(scatter))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariances + common)), dtype=np.float64)
+
+
 def _misses(Ts_seen: Array, R_pred: Array, t_pred: Array) -> Array:
     return np.hstack((rotation_vectors(Ts_seen[:, :3, :3] @ R_pred.transpose(0, 2, 1)), Ts_seen[:, :3, 3] - t_pred))
 

@@ -15,6 +15,7 @@ from machine.description import Machine
 from machine.kinematics import tcp_pose
 from server.calibration.contracts import Array, CalibrationStatus
 from server.calibration.joint_lens import (
+    N_LENS,
     LensPrior,
     layout_covariance,
     look_sensitivity,
@@ -36,6 +37,7 @@ from server.calibration.joint_observations import (
 from server.calibration.joint_state import JointState, state_steps
 from server.calibration.joint_verdict import SEEING_FREEDOMS, Fitted, verdict, widened
 from server.calibration.kinematic_errors import ErrorModel, ErrorPrior, error_model
+from server.calibration.lens_evidence import LensEvidence, mean_evidence
 
 ROUNDS_MAX = 8
 STEP_DONE = 1e-3  # of a standard deviation
@@ -62,7 +64,7 @@ class JointPrior:
 
 @dataclass(frozen=True, slots=True)
 class JointEstimate:
-    """The fit. `state` and `covariance` (p + 26, p + 26; order of `JointState.moved`) are None unless status is OK."""
+    """The fit. `state` and `covariance` (p + 27, p + 27; order of `JointState.moved`) are None unless status is OK."""
 
     status: CalibrationStatus
     reason: str
@@ -88,9 +90,10 @@ class _Problem:
     sigma: Array
     runs: list[tuple[OdometryRun, RunSamples, Array]]
     scatters: list[Scatter]  # of each run
-    looks: tuple[tuple[LookAt, Array, Array], ...]  # with weight (12, 12) and sensitivity to the lens (12, 6)
+    looks: tuple[tuple[LookAt, Array, Array], ...]  # with weight (12, 12) and sensitivity to the lens (12, 7)
     bending: Array
     weights: list[Array]
+    evidence: LensEvidence  # what the looks' corners say of lens and prints beyond their poses
 
     @property
     def mount(self) -> slice:
@@ -150,6 +153,7 @@ def estimate_jointly(
         ),
         bending=odometry_sensitivity(machine.camera, looks[-1].T_cam_ooi),
         weights=[np.ones(len(samples.t_s) - 1) for _, samples in usable],
+        evidence=mean_evidence([look.evidence for look in looks if look.evidence is not None]),
     )
     state, information = _settled(problem, start)
     if state is None:
@@ -283,6 +287,8 @@ def _normal_equations(problem: _Problem, state: JointState, gone: Array) -> tupl
         J = np.column_stack([(other[1][i] - looks[i]) / h for other, h in zip(shifted, steps, strict=True)])
         information += J.T @ W @ J
         gradient += J.T @ W @ looks[i]
+    information[-N_LENS:, -N_LENS:] += problem.evidence.information
+    gradient[-N_LENS:] += problem.evidence.information @ state.lens - problem.evidence.vector
     return information, gradient
 
 

@@ -13,6 +13,18 @@ from server.calibration.joint_estimate import JointEstimate
 from server.calibration.joint_observations import NoiseModel
 from server.calibration.joint_state import JointState, state_steps, tool_in_ooi
 from server.calibration.kinematic_errors import ErrorModel
+from server.calibration.nuisances import (
+    CLOCK,
+    LAYOUT,
+    MACHINE,
+    MARKER,
+    MOUNT,
+    REST,
+    SCALE,
+    Contribution,
+    contributions,
+    lens_groups,
+)
 
 ROUNDS_MAX = 12
 CLOSE_M, CLOSE_RAD = 1e-6, 1e-7
@@ -23,12 +35,14 @@ class JointGoal:
     """Joints (n,) [rad] of the encoders, or None with the reason; T_base_tcp is the nominal pose there.
 
     `covariance` (6, 6): of tool minus goal after the move, OOI axes: rotation vector [rad], then position [m].
+    `contributions`: what adds how much to its position.
     """
 
     q: Array | None
     reason: str
     T_base_tcp: Array | None
     covariance: Array | None
+    contributions: tuple[Contribution, ...] = ()
 
 
 def joints_for_goal(
@@ -65,7 +79,8 @@ def joints_for_goal(
         q = found.q
     else:
         return JointGoal(None, "the corrected goal does not converge; retract and calibrate again", T_nominal, None)
-    return JointGoal(q, "", tcp_pose(chain, q), goal_covariance(estimate, q, noise or estimate.noise, side))
+    covariance, found = goal_covariance(estimate, q, noise or estimate.noise, side)
+    return JointGoal(q, "", tcp_pose(chain, q), covariance, found)
 
 
 def _lacking(
@@ -87,8 +102,10 @@ def _corrected(T_base_tcp: Array, lacking: Array, turn: Array, state: JointState
     return T
 
 
-def goal_covariance(estimate: JointEstimate, q: Array, noise: NoiseModel, side: Array | None = None) -> Array:
-    """Covariance (6, 6) of T_ooi_tool at the joints q, OOI axes.
+def goal_covariance(
+    estimate: JointEstimate, q: Array, noise: NoiseModel, side: Array | None = None
+) -> tuple[Array, tuple[Contribution, ...]]:
+    """Covariance (6, 6) of T_ooi_tool at the joints q, OOI axes, and what contributes to its position.
 
     What is not known, where joints come to rest, and where the OOI's markers hang.
     """
@@ -110,8 +127,17 @@ def goal_covariance(estimate: JointEstimate, q: Array, noise: NoiseModel, side: 
         ]
     )
     play = np.resize(np.array(noise.sigma_joint_rad), len(q))
-    C = J @ covariance @ J.T + (Jq * play**2) @ Jq.T + _of_layout(estimate, here)
-    return 0.5 * (C + C.T)
+    rest, layout = (Jq * play**2) @ Jq.T, _of_layout(estimate, here)
+    C = J @ covariance @ J.T + rest + layout
+    found = contributions(J[3:], covariance, _groups(model.n))
+    others = [Contribution(name, np.diag(part)[3:]) for name, part in ((REST, rest), (LAYOUT, layout))]
+    return 0.5 * (C + C.T), (*found, *others)
+
+
+def _groups(p: int) -> dict[str, list[int]]:
+    """Unknowns of the joint state by source, p of them kinematic; the OOI's place is what the looks make of these."""
+    named = {MACHINE: range(p), MOUNT: range(p, p + 6), MARKER: range(p + 6, p + 12), SCALE: [p + 18], CLOCK: [p + 19]}
+    return {**{name: list(indices) for name, indices in named.items() if len(indices)}, **lens_groups(p + 20)}
 
 
 def _of_layout(estimate: JointEstimate, T_ooi_tool: Array) -> Array:

@@ -1,8 +1,9 @@
-"""What a camera that is calibrated a little wrong makes of looks and odometry: first-order, the same for all of them.
+"""Nuisance parameters of the looks: each has a name, a prior sigma and a Jacobian on every answer. First-order.
 
 A focal length, principal point, distortion and disparity that are off do not scatter: they move every look and bend all
-odometry together, and a printed tool marker that is too large seems too near every time. So they are unknowns of the
-joint estimate, with their tolerances as priors, and no noise of single observations.
+odometry together, and a print that is too large seems too near every time. So they are unknowns of the joint estimate,
+with what is believed of them before as priors. What no measurement has reduced widens every answer that depends on it:
+tool and OOI are seen by the same camera, so what moves both alike cancels in the Jacobian itself.
 """
 
 from collections.abc import Sequence
@@ -18,10 +19,20 @@ from machine.poses import transform_points
 from machine.rotations import rotation_from_rotvec, skew
 from server.calibration.contracts import Array
 
-LENS_NAMES = ("focal length", "principal point x", "principal point y", "k1", "disparity", "tool marker side")
-N_LENS = len(LENS_NAMES)
-#: Steps for numerical derivatives: share, px, px, 1, px, share.
-LENS_STEPS = np.array([1e-4, 1e-2, 1e-2, 1e-4, 1e-2, 1e-4])
+LENS_NAMES = (
+    "focal length",
+    "principal point x",
+    "principal point y",
+    "k1",
+    "disparity",
+    "tool marker print",
+    "OOI marker print",
+)
+N_LENS, FOCAL, TOOL_PRINT, OOI_PRINT = len(LENS_NAMES), 0, 5, 6
+#: Steps for numerical derivatives: share, px, px, 1, px, share, share.
+LENS_STEPS = np.array([1e-4, 1e-2, 1e-2, 1e-4, 1e-2, 1e-4, 1e-4])
+FOCAL_GOOD_FRAC = 0.0015  # one sigma that a careful calibration of the camera leaves
+FOCAL_SIGMAS = 3.0  # a right camera is doubted once in 370 paths
 PLANE_POINTS_MIN = 6
 STAND_IN_SIDE_M = 0.15  # for an object without single markers
 STAND_IN = Marker(-1, STAND_IN_SIDE_M, "ooi", np.eye(4))  # a board hangs and is printed as well as a marker
@@ -30,28 +41,32 @@ WALL_GRID, BORDER_PX, WAY_M = (8, 6), 20.0, 0.1
 
 @dataclass(frozen=True, slots=True)
 class LensPrior:
-    """What a calibration leaves, one sigma; the class's tolerances (docs/decisions/0008-honest-ellipses.md)."""
+    """What is believed before a measurement, one sigma (docs/decisions/0008-honest-ellipses.md).
 
-    sigma_focal_frac: float = 0.0015
+    sigma_focal_frac: of a focal length from a data sheet, a factory or an old calibration. sigma_print_frac: scale of
+    a print, the same for all markers of one object: a ruler reads 0.3 mm of 150 mm. sigma_side_frac: of one marker
+    against the others of its print.
+    """
+
+    sigma_focal_frac: float = 0.01
     sigma_principal_px: float = 1.0
     sigma_k1: float = 0.002
     sigma_disparity_px: float = 0.1
-    sigma_side_frac: float = 7e-4  # printed side of a marker
+    sigma_print_frac: float = 0.002
+    sigma_side_frac: float = 7e-4
     sigma_layout_m: float = 3e-4  # of each of the OOI's markers, per axis
     sigma_layout_rad: float = float(np.deg2rad(0.1))
 
     @property
     def sigma(self) -> Array:
-        """Of the lens unknowns (6,), in the order of `LENS_NAMES`."""
-        principal = [self.sigma_principal_px] * 2
-        return np.array(
-            [self.sigma_focal_frac, *principal, self.sigma_k1, self.sigma_disparity_px, self.sigma_side_frac]
-        )
+        """Of the lens unknowns (7,), in the order of `LENS_NAMES`."""
+        principal, prints = [self.sigma_principal_px] * 2, [self.sigma_print_frac] * 2
+        return np.array([self.sigma_focal_frac, *principal, self.sigma_k1, self.sigma_disparity_px, *prints])
 
 
 def eyes_off(camera: StereoCamera, lens: Array) -> tuple[StereoCamera, StereoCamera]:
-    """The true left and right eye, if the file's camera were off by `lens` (6,)."""
-    focal, cx, cy, k1, disparity, _ = lens
+    """The true left and right eye, if the file's camera were off by `lens` (7,)."""
+    focal, cx, cy, k1, disparity = lens[:TOOL_PRINT]
     left = replace(
         camera,
         fx_px=camera.fx_px * (1.0 + focal),
@@ -64,15 +79,36 @@ def eyes_off(camera: StereoCamera, lens: Array) -> tuple[StereoCamera, StereoCam
 
 
 def look_sensitivity(machine: Machine, T_cam_tool: Array, T_cam_ooi: Array) -> Array:
-    """Change of what a look measures per lens unknown (12, 6): tool, then OOI; rotation vector, then position.
+    """Change of what a look measures per lens unknown (12, 7): tool, then OOI; rotation vector, then position.
 
     Model:   the corners' pixels by the true eyes are explained by a pose before the file's eyes, least squares over
              both: d pose = (d px / d pose)^+ d px / d lens.
     """
-    tool, ooi = _corners(machine.markers_on("tool")), _corners(machine.markers_on("ooi"))
-    S_tool = _pose_inverse(machine.camera, T_cam_tool, tool) @ _pixel_changes(machine.camera, T_cam_tool, tool, True)
-    S_ooi = _pose_inverse(machine.camera, T_cam_ooi, ooi) @ _pixel_changes(machine.camera, T_cam_ooi, ooi, False)
-    return np.vstack([S_tool, S_ooi])
+    seen = ((machine.markers_on("tool"), T_cam_tool, TOOL_PRINT), (machine.markers_on("ooi"), T_cam_ooi, OOI_PRINT))
+    parts = []
+    for own, T_cam_object, printed in seen:
+        markers = own or (STAND_IN,)
+        changes = pixel_changes(machine.camera, T_cam_object, markers, printed)
+        parts.append(_pose_inverse(machine.camera, T_cam_object, corners_of(markers)) @ changes)
+    return np.vstack(parts)
+
+
+def common_covariance(machine: Machine, T_cam_tool: Array, T_cam_ooi: Array, prior: LensPrior, lens: Array) -> Array:
+    """Covariance (12, 12) of a look from all that its pairs have in common; order of `look_sensitivity`.
+
+    Model:   S L S^T; where the OOI's markers hang is added to its own block.
+    Args:    lens: covariance L (7, 7) of the lens unknowns, of the prior or of an estimate.
+    """
+    S = look_sensitivity(machine, T_cam_tool, T_cam_ooi)
+    C = S @ lens @ S.T
+    C[6:, 6:] += layout_in_camera(machine, T_cam_ooi, prior)
+    return 0.5 * (C + C.T)
+
+
+def layout_in_camera(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> Array:
+    """`layout_covariance` in camera axes (6, 6)."""
+    turned = np.kron(np.eye(2), T_cam_ooi[:3, :3])
+    return turned @ layout_covariance(machine, T_cam_ooi, prior) @ turned.T
 
 
 def layout_covariance(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> Array:
@@ -81,24 +117,28 @@ def layout_covariance(machine: Machine, T_cam_ooi: Array, prior: LensPrior) -> A
     OOI axes: rotation vector [rad], then position [m]. No look at the same markers takes any of it away.
     """
     markers = machine.markers_on("ooi") or (STAND_IN,)
-    camera, everything = machine.camera, _corners(markers)
-    inverse = _pose_inverse(camera, T_cam_ooi, everything)
-    base = _pixels((camera, camera), transform_points(T_cam_ooi, everything))
+    inverse = _pose_inverse(machine.camera, T_cam_ooi, corners_of(markers))
+    R = np.kron(np.eye(2), T_cam_ooi[:3, :3].T)
+    found = R @ inverse @ layout_effects(machine.camera, T_cam_ooi, markers, prior)
+    return found @ found.T
+
+
+def layout_effects(camera: StereoCamera, T_cam_object: Array, markers: Sequence[Marker], prior: LensPrior) -> Array:
+    """What one sigma of each marker's place (six) and side does to all corners' pixels (4 n, 7 markers)."""
+    everything = corners_of(markers)
+    base = both_pixels((camera, camera), transform_points(T_cam_object, everything))
     sigmas = [*[prior.sigma_layout_rad] * 3, *[prior.sigma_layout_m] * 3, prior.sigma_side_frac]
     effects = []
     for i, marker in enumerate(markers):
         for k, sigma in enumerate(sigmas):
             moved = everything.copy()
             moved[4 * i : 4 * i + 4] = _marker_off(marker, k, sigma)
-            change = _pixels((camera, camera), transform_points(T_cam_ooi, moved)) - base
-            effects.append(inverse @ np.nan_to_num(change).ravel())
-    R = np.kron(np.eye(2), T_cam_ooi[:3, :3].T)
-    found = R @ np.array(effects).reshape(-1, 6).T
-    return found @ found.T
+            effects.append(both_pixels((camera, camera), transform_points(T_cam_object, moved)) - base)
+    return np.nan_to_num(np.array(effects)).T
 
 
 def odometry_sensitivity(camera: StereoCamera, T_cam_ooi: Array) -> Array:
-    """Share of a step that odometry adds to it, per lens unknown (6, 3, 3), camera axes.
+    """Share of a step that odometry adds to it, per lens unknown (7, 3, 3), camera axes.
 
     Model:   points of the OOI's plane are triangulated once; a step of `WAY_M` later both eyes' pixels are explained by
              the camera's pose, least squares. All to first order.
@@ -109,7 +149,7 @@ def odometry_sensitivity(camera: StereoCamera, T_cam_ooi: Array) -> Array:
     found = np.zeros((N_LENS, 3, 3))
     for axis, step in enumerate(WAY_M * np.eye(3)):
         seen = points - step
-        pixels = _pixels((camera, camera), seen).reshape(-1, 4)
+        pixels = both_pixels((camera, camera), seen).reshape(-1, 4)
         rows = _in_image(camera, pixels[:, :2]) & _in_image(camera, pixels[:, 2:])
         J = _point_jacobian(camera, seen[rows])
         lacking = (J @ off[rows] - _lens_changes(camera, seen[rows])).reshape(-1, N_LENS)
@@ -125,11 +165,10 @@ def shows_plane(camera: StereoCamera, T_cam_ooi: Array) -> bool:
     return len(_plane_points(camera, T_cam_ooi)) >= PLANE_POINTS_MIN
 
 
-def _corners(markers: Sequence[Marker]) -> Array:
-    """Corners (n, 3) [m] on their object; of a stand-in where it has no single markers."""
-    if not markers:
-        return marker_corners(STAND_IN_SIDE_M)
-    return np.vstack([transform_points(one.T_on_marker, marker_corners(one.side_m)) for one in markers])
+def corners_of(markers: Sequence[Marker], grown: float = 0.0) -> Array:
+    """Corners (n, 3) [m] on their object, each marker grown by a share about its middle."""
+    side = 1.0 + grown
+    return np.vstack([transform_points(marker.T_on_marker, marker_corners(marker.side_m * side)) for marker in markers])
 
 
 def _marker_off(marker: Marker, number: int, by: float) -> Array:
@@ -142,38 +181,41 @@ def _marker_off(marker: Marker, number: int, by: float) -> Array:
     return transform_points(T, corners)
 
 
-def _pixels(eyes: tuple[StereoCamera, StereoCamera], points_cam: Array) -> Array:
+def both_pixels(eyes: tuple[StereoCamera, StereoCamera], points_cam: Array) -> Array:
     """Left and right pixels side by side, flat (4 n,)."""
     shift = np.array([eyes[0].baseline_m, 0.0, 0.0])
     return np.concatenate([project(eyes[0], points_cam), project(eyes[1], points_cam - shift)], axis=1).ravel()
 
 
 def _pose_inverse(camera: StereoCamera, T_cam_object: Array, corners: Array) -> Array:
-    """(d px / d pose)^+ (6, 4 n): rotation vector about the object's origin, then position, camera axes."""
+    """(d px / d pose)^+ (6, 4 n)."""
+    return np.asarray(np.linalg.pinv(pose_jacobian(camera, T_cam_object, corners)), dtype=np.float64)
+
+
+def pose_jacobian(camera: StereoCamera, T_cam_object: Array, corners: Array) -> Array:
+    """d px / d pose (4 n, 6): rotation vector about the object's origin, then position, camera axes."""
     J_points = _point_jacobian(camera, transform_points(T_cam_object, corners))
     arms = corners @ T_cam_object[:3, :3].T
     turns = np.array([-skew(arm) for arm in arms])
-    J = np.concatenate([J_points @ turns, J_points], axis=2).reshape(-1, 6)
-    return np.asarray(np.linalg.pinv(np.nan_to_num(J)), dtype=np.float64)
+    return np.nan_to_num(np.concatenate([J_points @ turns, J_points], axis=2).reshape(-1, 6))
 
 
-def _pixel_changes(camera: StereoCamera, T_cam_object: Array, corners: Array, sized: bool) -> Array:
-    """d px / d lens (4 n, 6); `sized`: with the object's own side as the last unknown."""
-    points = transform_points(T_cam_object, corners)
+def pixel_changes(camera: StereoCamera, T_cam_object: Array, markers: Sequence[Marker], printed: int) -> Array:
+    """d px / d lens (4 n, 7); `printed`: which unknown is the scale of this object's print."""
+    points = transform_points(T_cam_object, corners_of(markers))
     changes = _lens_changes(camera, points).reshape(-1, N_LENS)
-    if sized:
-        h = LENS_STEPS[-1]
-        grown = transform_points(T_cam_object, corners.mean(axis=0) + (1.0 + h) * (corners - corners.mean(axis=0)))
-        changes[:, -1] = (_pixels((camera, camera), grown) - _pixels((camera, camera), points)) / h
+    h = LENS_STEPS[printed]
+    grown = transform_points(T_cam_object, corners_of(markers, h))
+    changes[:, printed] = (both_pixels((camera, camera), grown) - both_pixels((camera, camera), points)) / h
     return np.nan_to_num(changes)
 
 
 def _lens_changes(camera: StereoCamera, points_cam: Array) -> Array:
-    """d px / d lens (n, 4, 6); zero for the side."""
-    base = _pixels((camera, camera), points_cam)
+    """d px / d lens (n, 4, 7); zero for the prints."""
+    base = both_pixels((camera, camera), points_cam)
     steps = np.diag(LENS_STEPS)
     columns = [
-        (_pixels(eyes_off(camera, one), points_cam) - base) / h for one, h in zip(steps, LENS_STEPS, strict=True)
+        (both_pixels(eyes_off(camera, one), points_cam) - base) / h for one, h in zip(steps, LENS_STEPS, strict=True)
     ]
     return np.nan_to_num(np.stack(columns, axis=-1)).reshape(-1, 4, N_LENS)
 
@@ -197,7 +239,7 @@ def _plane_points(camera: StereoCamera, T_cam_ooi: Array) -> Array:
     points = points[np.isfinite(points).all(axis=1) & (points[:, 2] > 2.0 * WAY_M)]
     if not len(points):
         return points
-    right = _pixels((camera, camera), points).reshape(-1, 4)[:, 2:]
+    right = both_pixels((camera, camera), points).reshape(-1, 4)[:, 2:]
     return points[_in_image(camera, right)]
 
 

@@ -11,6 +11,7 @@ from server.calibration.hand_eye_linear import rotation_vectors
 from server.calibration.joint_lens import N_LENS
 from server.calibration.joint_state import JointState
 from server.calibration.kinematic_errors import ErrorModel, play_widths, tcp_poses_with_errors
+from server.calibration.lens_evidence import LensEvidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +52,7 @@ class LookAt:
     tool_covariance: Array
     ooi_covariance: Array
     side: Array | None = None
+    evidence: LensEvidence | None = None  # of its corners on lens and prints
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +123,7 @@ def run_residuals(
 ) -> tuple[Array, Array]:
     """Expected less measured: positions (k - 1, 3) [m] in the first camera's axes, rotation vectors (k - 1, 3).
 
-    bending (6, 3, 3): what each lens unknown adds to a step (`joint_lens.odometry_sensitivity`).
+    bending (7, 3, 3): what each lens unknown adds to a step (`joint_lens.odometry_sensitivity`).
     """
     qs, sides = run.joints.at(samples.t_s + state.time_offset_s)
     Ts_base_cam = tcp_poses_with_errors(model, qs, state.errors, sides) @ state.T_tcp_cam
@@ -137,7 +139,7 @@ def run_residuals(
 def look_residual(model: ErrorModel, state: JointState, look: LookAt, sensitivity: Array) -> Array:
     """Expected less measured (12,): tool, then OOI; rotation vector [rad], then position [m], camera axes.
 
-    sensitivity (12, 6): to the lens unknowns (`joint_lens.look_sensitivity`).
+    sensitivity (12, 7): to the lens unknowns (`joint_lens.look_sensitivity`).
     """
     sides = None if look.side is None else look.side[None]
     T_base_tcp = tcp_poses_with_errors(model, look.q[None], state.errors, sides)[0]

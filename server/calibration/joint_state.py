@@ -1,7 +1,7 @@
 """The unknowns of the joint estimate, in one vector: small deviations from where they are believed to be.
 
 [ kinematic errors (p) | camera on the TCP (6) | tool marker on the TCP (6) | OOI in the base (6) | odometry's scale |
-time offset | lens and tool print (6, `joint_lens.py`) ]. Poses deviate by a rotation vector from the left and a
+time offset | lens and prints (7, `joint_lens.py`) ]. Poses deviate by a rotation vector from the left and a
 translation, both in the parent's axes.
 """
 
@@ -29,7 +29,7 @@ class JointState:
     lens: Array = field(default_factory=lambda: np.zeros(N_LENS))  # true less the camera file's
 
     def moved(self, step: Array) -> "JointState":
-        """The state further along by `step` (p + 26,)."""
+        """The state further along by `step` (p + 27,)."""
         p = len(self.errors)
         rest = step[p:]
         return JointState(
@@ -43,7 +43,7 @@ class JointState:
         )
 
     def less(self, believed: "JointState") -> Array:
-        """The step (p + 26,) from `believed` to here."""
+        """The step (p + 27,) from `believed` to here."""
         poses = [
             np.concatenate([rotvec_from_rotation(T[:3, :3] @ T0[:3, :3].T), T[:3, 3] - T0[:3, 3]])
             for T, T0 in (
@@ -61,7 +61,7 @@ def _turned(T: Array, step: Array) -> Array:
 
 
 def state_steps(model: ErrorModel) -> Array:
-    """Steps of all unknowns for numerical derivatives (p + 26,)."""
+    """Steps of all unknowns for numerical derivatives (p + 27,)."""
     six = np.array([1e-5] * 3 + [1e-4] * 3)
     return np.concatenate([model.steps, six, six, six, [1e-4, 1e-3], LENS_STEPS])
 

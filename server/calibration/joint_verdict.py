@@ -12,12 +12,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from server.calibration.contracts import Array, CalibrationStatus
+from server.calibration.joint_lens import N_LENS
 
 SURE = 0.999  # a sound look in a thousand is refused by chance
 LOOK_FREEDOMS, OOI_FREEDOMS = 12, 6  # of the looks together, as many go into where the OOI is
 RUN_MISFIT_MAX = 2.0  # scatter is renewed until right within a third, so twice is neither that nor chance
 MOUNT_SURE = 0.9999  # with a prior of 3 deg per axis: 14 deg from the machine file
-SEEING_FREEDOMS = 8
+SEEING_FREEDOMS = 2 + N_LENS  # scale, clock, lens and prints
 OUTLIERS_MAX_FRAC = 0.4
 
 

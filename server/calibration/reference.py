@@ -54,13 +54,19 @@ def reference_from_look(
 
 
 def look_error_covariance(
-    T_cam_tool: Array, T_cam_ooi: Array, T_ooi_goal: Array, tool_covariance: Array, ooi_covariance: Array
+    T_cam_tool: Array,
+    T_cam_ooi: Array,
+    T_ooi_goal: Array,
+    tool_covariance: Array,
+    ooi_covariance: Array,
+    common: Array | None = None,
 ) -> Array:
     """Covariance of the measured tool-to-goal vector, from the look alone.
 
-    Model:   p_goal = p_ooi + R_cam_ooi g, so an OOI turn acts through the lever g; tool and OOI are independent.
+    Model:   p_goal = p_ooi + R_cam_ooi g, so an OOI turn acts through the lever g; the scatter of tool and OOI is
+             independent, what all pairs have in common is not.
     Args:    poses as in `reference_from_look`; covariances (6, 6): rotation vector [rad], then translation [m], camera
-             axes.
+             axes. common (12, 12): of tool, then OOI (`joint_lens.common_covariance`).
     Returns: (3, 3) [m^2], camera axes.
     Raises:  CalibrationInputError: not a pose or covariance.
     """
@@ -68,8 +74,11 @@ def look_error_covariance(
     C_ooi = require_covariance(ooi_covariance, 6, "ooi_covariance")
     require_pose(T_cam_tool, "T_cam_tool")
     lever = require_pose(T_cam_ooi, "T_cam_ooi")[:3, :3] @ np.asarray(T_ooi_goal)[:3, 3]
-    J = np.hstack((-skew(lever), np.eye(3)))
-    return C_tool[3:, 3:] + J @ C_ooi @ J.T
+    both = np.zeros((12, 12)) if common is None else require_covariance(common, 12, "common").copy()
+    both[:6, :6] += C_tool
+    both[6:, 6:] += C_ooi
+    J = np.hstack((np.zeros((3, 3)), -np.eye(3), -skew(lever), np.eye(3)))
+    return J @ both @ J.T
 
 
 def predicted_error_covariance(
@@ -80,6 +89,7 @@ def predicted_error_covariance(
     T_ooi_goal: Array,
     tool_covariance: Array,
     ooi_covariance: Array,
+    common: Array | None = None,
     sigma_stretch_frac: float = 0.005,
     sigma_floor_m: float = 0.0007,
 ) -> Array:
@@ -96,7 +106,7 @@ def predicted_error_covariance(
     in_camera = R_cam_tcp @ require_covariance(rotation_covariance, 3, "rotation_covariance") @ R_cam_tcp.T
     goal = (np.asarray(T_cam_ooi) @ require_pose(T_ooi_goal, "T_ooi_goal"))[:3, 3]
     d = goal - require_pose(T_cam_tool, "T_cam_tool")[:3, 3]
-    look = look_error_covariance(T_cam_tool, T_cam_ooi, T_ooi_goal, tool_covariance, ooi_covariance)
+    look = look_error_covariance(T_cam_tool, T_cam_ooi, T_ooi_goal, tool_covariance, ooi_covariance, common)
     isotropic = (sigma_stretch_frac**2 * float(d @ d) + sigma_floor_m**2) * np.eye(3)
     total = skew(d) @ in_camera @ skew(d).T + look + isotropic
     R_ooi_cam = np.asarray(T_cam_ooi)[:3, :3].T

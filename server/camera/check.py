@@ -7,6 +7,7 @@ import numpy as np
 
 from machine.description import Machine
 from server.camera.check_findings import CheckFinding, Level
+from server.camera.check_focal import Tape, check_focal
 from server.camera.check_markers import check_markers, tally
 from server.camera.check_matching import match_eyes
 from server.camera.check_picture import check_exposure, check_sharpness
@@ -34,11 +35,12 @@ def check_camera(
     observe: Observe,
     rng: np.random.Generator,
     on_step: Callable[[], None] = lambda: None,
+    tape: Tape | None = None,
 ) -> list[CheckFinding]:
     """All lines, in the order of the way of the light: stream, pictures, rig, markers.
 
     Args:    machine: its camera is what the pictures are said to be. observe: the marker pose source. on_step: called
-             after each pair and each part, `steps(gathered)` times.
+             after each pair and each part, `steps(gathered)` times. tape: a taped distance between tool and OOI.
     """
     findings = check_stream(gathered.times)
     wrong = _wrong_size(gathered, machine)
@@ -58,6 +60,8 @@ def check_camera(
         on_step()
     markers = {marker.marker_id: marker for marker in machine.markers}
     rig.append(check_scale(side_ratios(machine.camera, markers, seen)))
+    if all(finding.level is Level.OK for finding in rig):  # a turned eye looks like another focal length too
+        rig.append(check_focal(machine, seen, tape))
     sound = all(one.level is not Level.FAIL for one in rig)
     return [*findings, *rig, *check_markers(tally(machine, eyes, seen), sound)]
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from machine.lens import PRINCIPAL_OFF_MAX_FRAC, principal_off_frac
 from server.camera.rectification_euroc import is_euroc, is_kalibr, parse_euroc, parse_kalibr
 from server.camera.rectification_kitti import is_kitti, parse_kitti
 from server.camera.rectification_opencv import is_opencv, parse_opencv
@@ -27,16 +28,34 @@ class CalibrationText:
     text: str
 
 
-def parse_calibration(files: Sequence[CalibrationText], size_px: tuple[int, int]) -> RigCalibration:
+def parse_calibration(
+    files: Sequence[CalibrationText], size_px: tuple[int, int], off_centre: bool = False
+) -> RigCalibration:
     """The rig that one or two files describe.
 
     Args:    files: left before right where each eye has its own. size_px: width and height of one eye's images, for
-             formats that hold several sizes (ZED) or none (KITTI, some OpenCV files).
+             formats that hold several sizes (ZED) or none (KITTI, some OpenCV files). off_centre: confirms a principal
+             point far from the middle.
     Returns: the rig, every number checked.
     Raises:  CalibrationFileError: file, field, value, remedy; also for a text of no known format.
     """
     if len(files) not in (1, 2):
         raise CalibrationFileError(f"calibration: {len(files)} files; give one or two: {KNOWN}")
+    plain = [CalibrationText(file.name, file.text.removeprefix("\ufeff")) for file in files]
+    rig = _parsed(plain, size_px)
+    for name, eye in (("left", rig.left), ("right", rig.right)):
+        off_frac = principal_off_frac((eye.cx_px, eye.cy_px), (rig.width_px, rig.height_px))
+        if off_frac > PRINCIPAL_OFF_MAX_FRAC and not off_centre:
+            raise CalibrationFileError(
+                f"{' and '.join(file.name for file in files)}: {name} eye: principal point ({eye.cx_px:g}, "
+                f"{eye.cy_px:g}) px lies {100 * off_frac:.0f} % of {rig.width_px} x {rig.height_px} px from the middle "
+                f"(limit {100 * PRINCIPAL_OFF_MAX_FRAC:g} %); give the calibration of this image size, or confirm a "
+                "cropped picture with [camera] off_centre = true"
+            )
+    return rig
+
+
+def _parsed(files: Sequence[CalibrationText], size_px: tuple[int, int]) -> RigCalibration:
     first = files[0]
     if first.text.lstrip().startswith("<"):
         raise CalibrationFileError(f"{first.name}: XML; save the calibration as YAML")

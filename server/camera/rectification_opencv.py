@@ -1,10 +1,13 @@
 """Stereo calibrations as OpenCV's FileStorage writes them (YAML): trees -> rig. Pure."""
 
+import re
+
 import cv2
 import numpy as np
 
 from machine.rotations import Array
 from server.camera.rectification_rig import (
+    FISHEYE_COUNT,
     CalibrationFileError,
     EyeCalibration,
     LensModel,
@@ -24,6 +27,13 @@ LENS_NAMES = (
     ("D1", "distCoeffs1", "dist_coeffs_left", "left_distortion", "D_left", "distCoeffsL"),
     ("D2", "distCoeffs2", "dist_coeffs_right", "right_distortion", "D_right", "distCoeffsR"),
 )
+MODELS: dict[str, LensModel] = {
+    **dict.fromkeys(("fisheye", "equidistant", "kannala_brandt"), "fisheye"),
+    **dict.fromkeys(
+        ("pinhole", "brown", "perspective", "plumb_bob", "radtan", "radial-tangential", "rational_polynomial"), "brown"
+    ),
+}
+OMNIDIRECTIONAL = re.compile(r"xi(_?[0-9lr].*)?$", re.IGNORECASE)  # the mirror's parameter of each eye
 ROTATION_NAMES = ("R", "rotation", "R_right_left")
 PLACE_NAMES = ("T", "translation", "t", "T_right_left")
 SIZE_NAMES = ("imageSize", "image_size", "size", "resolution")
@@ -78,10 +88,31 @@ def _needed(tree: Tree, names: tuple[str, ...], file: str) -> str:
 
 
 def _model(tree: Tree, file: str) -> LensModel:
+    """The lens model that a file states; one with four coefficients must state it, because both models have four.
+
+    Raises: CalibrationFileError: a model that is not read, or none where the numbers do not show which.
+    """
+    mirror = next((key for key in tree if OMNIDIRECTIONAL.match(str(key))), None)
+    if mirror is not None:
+        raise CalibrationFileError(
+            f"{file}: field {mirror} belongs to OpenCV's omnidirectional model (omnidir), which is not read; calibrate "
+            "with the pinhole or the fisheye model"
+        )
     for key in ("model", "camera_model", "distortion_model"):
         if key in tree:
-            return "fisheye" if text_of(tree, key, file) in ("fisheye", "equidistant", "kannala_brandt") else "brown"
-    return "fisheye" if "fisheye" in tree and text_of(tree, "fisheye", file) in ("1", "true") else "brown"
+            name = text_of(tree, key, file)
+            if name not in MODELS:
+                raise CalibrationFileError(f"{file}: {key} {name!r} is not read; known are {', '.join(sorted(MODELS))}")
+            return MODELS[name]
+    if "fisheye" in tree:
+        return "fisheye" if text_of(tree, "fisheye", file) in ("1", "true") else "brown"
+    lenses = [numbers(tree, name, file) for names in LENS_NAMES if (name := _found(tree, names)) is not None]
+    if any(len(lens) == FISHEYE_COUNT and lens.any() for lens in lenses):
+        raise CalibrationFileError(
+            f"{file}: {FISHEYE_COUNT} distortion coefficients are k1 k2 p1 p2 of the pinhole model or k1 k2 k3 k4 of "
+            "the fisheye model, and the file does not state which; add the line `model: pinhole` or `model: fisheye`"
+        )
+    return "brown"
 
 
 def _eye(tree: Tree, index: int, model: LensModel, file: str) -> EyeCalibration:

@@ -15,15 +15,17 @@ IN_FOLDER = (  # pairs looked for, in this order
 )
 
 
-def read_calibration(paths: Sequence[str], size_px: tuple[int, int]) -> RigCalibration:
+def read_calibration(paths: Sequence[str], size_px: tuple[int, int], off_centre: bool = False) -> RigCalibration:
     """The rig of one or two files, or of a folder with EuRoC's, ROS', OpenCV's or KITTI's files.
+
+    Args:   off_centre: a principal point far from the middle is right.
 
     Raises: CalibrationFileError: file, field, remedy.
     """
     files = (
         _in_folder(Path(paths[0])) if len(paths) == 1 and Path(paths[0]).is_dir() else [Path(path) for path in paths]
     )
-    return parse_calibration([CalibrationText(str(file), _text(file)) for file in files], size_px)
+    return parse_calibration([CalibrationText(str(file), _text(file)) for file in files], size_px, off_centre)
 
 
 def _in_folder(folder: Path) -> list[Path]:

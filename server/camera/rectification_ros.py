@@ -10,7 +10,7 @@ from server.camera.rectification_rig import (
     eye_from_matrix,
     metres,
 )
-from server.camera.rectification_yaml import Tree, matrix, numbers, text_of, whole
+from server.camera.rectification_yaml import Tree, mapping, matrix, numbers, text_of, whole
 
 MODELS: dict[str, tuple[LensModel, tuple[int, ...]]] = {
     "plumb_bob": ("brown", (4, 5)),
@@ -55,6 +55,7 @@ def parse_ros(left: Tree, right: Tree, files: tuple[str, str]) -> RigCalibration
 
 
 def _eye(tree: Tree, file: str) -> EyeCalibration:
+    _refuse_part_of_picture(tree, file)
     lens = numbers(tree, "distortion_coefficients", file)
     name = text_of(tree, "distortion_model", file)
     if name in ("", "none") and not lens.any():
@@ -65,3 +66,27 @@ def _eye(tree: Tree, file: str) -> EyeCalibration:
             f"{file}: distortion_model {name!r} with {len(lens)} coefficients; known are {known}"
         )
     return eye_from_matrix(matrix(tree, "camera_matrix", file, (3, 3)), lens, MODELS[name][0], file, "camera_matrix")
+
+
+def _refuse_part_of_picture(tree: Tree, file: str) -> None:
+    """Refuse binning and a region of interest: the matrices are of the whole sensor, the pictures then are not.
+
+    Source:  ROS sensor_msgs/CameraInfo: binning 0 is 1, a region of zeros is the whole picture.
+    """
+    for key in ("binning_x", "binning_y"):
+        if key in tree and float(numbers(tree, key, file)[0]) > 1.0:
+            raise CalibrationFileError(
+                f"{file}: {key} = {float(numbers(tree, key, file)[0]):g}, but the matrices are of the picture without "
+                "binning; switch the camera's binning off, or calibrate with it and write 1"
+            )
+    if "roi" not in tree:
+        return
+    roi = mapping(tree, "roi", file)
+    whole_side = {"width": "image_width", "height": "image_height"}
+    for key in ("x_offset", "y_offset", "width", "height"):
+        value = float(numbers(roi, key, f"{file}: roi")[0]) if key in roi else 0.0
+        if value != 0.0 and not (key in whole_side and value == whole(tree, whole_side[key], file)):
+            raise CalibrationFileError(
+                f"{file}: roi {key} = {value:g}, but the matrices are of the whole picture; switch the camera's region "
+                "of interest off, or calibrate with it and write zeros"
+            )

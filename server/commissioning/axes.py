@@ -10,6 +10,7 @@ from server.commissioning.contracts import Figure
 
 ANGLE_MAX_DEG = 25.0  # as far as calibration may correct the nominal mounting
 RATIO_MIN, RATIO_MAX = 0.8, 1.25  # of lengths: baseline, focal length
+DEPTH_OFF_MAX_FRAC = 0.03  # 3 sigma: legs of 80 mm to 0.5 mm, and 0.5 % of uncalibrated kinematics
 _CLEARLY = 0.7  # the best wrong mounting must fit this well before it is named
 _AXES = ("right", "down", "forward")
 _Rows = tuple[tuple[int, int], ...]  # of a signed permutation: source axis and sign
@@ -43,6 +44,21 @@ def axes_figures(seen: Seen, legs: list[str]) -> list[Figure]:
         ratio = got_length / max(length, 1e-12)
         figures.append(Figure(f"{leg}, by {seen.by}: length seen", ratio, "of expected", RATIO_MIN, RATIO_MAX))
     return figures
+
+
+def depth_figure(seen: Seen) -> list[Figure]:
+    """Depth seen against sideways seen, each over the encoders' way: the common focal length over its file's, inverted.
+
+    Model:   depth is f b / disparity and sideways is free of f, so their ratio alone shows a focal length that is off
+             alike in both eyes. None without a leg along depth and one across.
+    """
+    ratios = np.linalg.norm(seen.seen, axis=1) / np.maximum(np.linalg.norm(seen.expected, axis=1), 1e-12)
+    along = np.abs(seen.expected[:, 2]) > np.linalg.norm(seen.expected[:, :2], axis=1)
+    if along.all() or not along.any():
+        return []
+    value = float(np.mean(ratios[along]) / np.mean(ratios[~along]))
+    limits = 1.0 - DEPTH_OFF_MAX_FRAC, 1.0 + DEPTH_OFF_MAX_FRAC
+    return [Figure(f"depth against sideways, by {seen.by} (focal length)", value, "of expected", *limits)]
 
 
 def wrong_mounting(seen: Seen) -> str:

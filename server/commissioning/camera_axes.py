@@ -9,7 +9,7 @@ from machine.kinematics import tcp_pose
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array
 from server.camera.errors import CameraError
-from server.commissioning.axes import Seen, axes_figures, wrong_mounting
+from server.commissioning.axes import Seen, axes_figures, depth_figure, wrong_mounting
 from server.commissioning.contracts import Figure, StepResult, judged
 from server.commissioning.looking import camera_of, disparities_px, fresh_pairs, mean_pose
 from server.commissioning.moving import NotReadyError, Reading, arm, play, play_gently, require_leave, rest
@@ -20,7 +20,8 @@ from server.motion.settings import PlanSettings
 
 NAME = "camera axes"
 REMEDY = (
-    "correct the mounting, exchange the eyes, or correct T_tcp_cam_left in the machine file; then run this step again"
+    "correct the mounting, exchange the eyes, or correct T_tcp_cam_left in the machine file; where only depth is off, "
+    "calibrate the camera (focal length); then run this step again"
 )
 LEG_M = (0.08, 0.05)
 PAIRS = 10
@@ -67,7 +68,7 @@ def judge_axes(legs: Sequence[Leg], untold: Sequence[str], disparities: Sequence
             notes.append(f"{by} told nothing")
             continue
         seen = Seen(by, np.array([leg.expected for leg, _ in told]), np.array([step for _, step in told]))
-        figures += axes_figures(seen, [leg.name for leg, _ in told])
+        figures += axes_figures(seen, [leg.name for leg, _ in told]) + depth_figure(seen)
         mounting = wrong_mounting(seen) if len(told) == len(_LEGS) else ""
         mountings += [f"by {by}: {mounting}"] if mounting else []
     missing += [f"{leg.name}: neither odometry nor markers told" for leg in legs if leg.odometry is leg.markers is None]

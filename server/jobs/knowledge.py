@@ -18,12 +18,16 @@ from server.vision.contracts import Look
 
 @dataclass(frozen=True, slots=True)
 class LookTaken:
-    """A look with the joints it was taken at; they belong together or not at all."""
+    """A look with the joints it was taken at; they belong together or not at all.
+
+    `look`: by the camera as the calibration found it; `raw`: by the camera file, for what estimates or compares.
+    """
 
     look: Look
     reading: MachineReading
     error: ErrorMm | None
     record: LookRecord
+    raw: Look
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +42,7 @@ class PreviewedPlan:
     T_base_tcp_goal: Array
     before: ErrorMm
     predicted_sigma_mm: tuple[float, float, float]
+    largest_source: str  # of what is predicted on its worst axis, with its remedy
     t_made_ns: int
     expires_ns: int
 
@@ -57,6 +62,7 @@ class Knowledge:
     runs: list[OdometryRun] = field(default_factory=list)
     looks: list[LookAt] = field(default_factory=list)
     joint: JointEstimate | None = None
+    lens: tuple[Array, Array] | None = None  # camera and prints as the last estimate found them: mean, covariance
     side: Array | None = None  # where each joint rested in its play (n,), -1 to 1, when the encoders last told it
     life: LocalCalibration | None = None  # the calibration as a thing that is kept, shown and expires
     calibration_note: str = ""  # why a kept calibration was not taken up, or is not kept
@@ -77,7 +83,7 @@ class Knowledge:
 
     def forget_calibration(self) -> None:
         """Nothing learnt about this machine's mount and map is used any more."""
-        self.mount = self.calibration = self.joint = self.life = None
+        self.mount = self.calibration = self.joint = self.life = self.lens = None
         self.calibration_note = ""
         self.runs.clear()
         self.looks.clear()

@@ -77,6 +77,8 @@ class CalibrationRecord:
     n_used: int
     observability: float
     duration_s: float
+    focal_off_pct: float | None = None  # true focal length against the camera file's, as path and looks show it
+    focal_sigma_pct: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

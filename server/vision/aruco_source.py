@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from machine.description import Machine, Marker
 from server.vision.ambiguity_time import prior_from
 from server.vision.board_sightings import BoardFinder
-from server.vision.contracts import Image, MarkerView, ObjectPose, PairObservation
+from server.vision.contracts import NO_WHITE_MARGIN, Image, MarkerView, ObjectPose, PairObservation
 from server.vision.detection import DetectionSettings, EyeDetection, EyeDetector
 from server.vision.mono_aruco import MonoArucoPoseSource
 from server.vision.object_pose import ObjectName, PoseSettings, estimate_object_pose, not_seen, rig_contradiction
@@ -86,12 +86,19 @@ def _why_unused(found: tuple[EyeDetection, EyeDetection], markers: tuple[Marker,
 
 
 def _unused_views(found: tuple[EyeDetection, EyeDetection], known: set[int]) -> list[MarkerView]:
-    """Markers that are decoded but not fit for measuring: seen twice, or partly covered in every eye."""
+    """Markers seen but not fit for measuring: partly covered in every eye, badly printed, or seen twice."""
     left, right = found
     views = {}
     for one in sorted({*left.covered, *right.covered} - known):
         reason = f"marker {one} is partly covered or shaded; clear the view to all four of its sides"
+        if one in left.no_margin | right.no_margin:
+            reason = (
+                f"marker {one} has {NO_WHITE_MARGIN} around its black border; print it with at least one cell of white"
+            )
         views[one] = MarkerView(one, left.covered.get(one), right.covered.get(one), float("nan"), False, reason)
+    for number in sorted((left.inverted | right.inverted) - known - views.keys()):
+        reason = f"marker {number} is printed white on black; print it black on white"
+        views[number] = MarkerView(number, None, None, float("nan"), False, reason)
     for one in sorted(left.repeated_ids | right.repeated_ids):
         reason = f"marker id {one} is seen at two places; cover or remove one"
         views[one] = MarkerView(one, None, None, float("nan"), False, reason)

@@ -107,3 +107,46 @@ def border_covered(image: Image, corners_px: Array, pattern: Array, bow_px: floa
         return False
     moved = float(sides_moved_in(image, np.ascontiguousarray(corners_px, dtype=np.float64), pattern).max())
     return moved > MOVED_MIN_CELLS and moved * cell_px > MOVED_MIN_PX + bow_px
+
+
+@njit(cache=True, nogil=True)
+def sides_without_margin(image: Image, corners: Array, white: NDArray[np.bool_]) -> int:
+    """How many sides (0 to 4) have no white half a cell outside of the black border.
+
+    Model:   white ends halfway between the means of the cells printed white and black; a side has none where most of
+             its places, half a cell out, are darker. Places beyond the picture say nothing.
+    Args:    image: grey (h, w). corners (4, 2) [px], top left first, clockwise as printed. white (n, n): the cells.
+    """
+    n = white.shape[0]
+    good, place = of_unit_square(corners, 1e-9)
+    if not good:
+        return 0
+    a, b, c, d, e, f, g, h = place
+    bright, dark, n_bright, n_dark = 0.0, 0.0, 0, 0
+    for row in range(n):
+        for column in range(n):
+            s, t = (column + 0.5) / n, (row + 0.5) / n
+            w = g * s + h * t + 1.0
+            grey = grey_at(image, (a * s + b * t + c) / w, (d * s + e * t + f) / w)
+            if grey < 0.0:
+                continue
+            if white[row, column]:
+                bright, n_bright = bright + grey, n_bright + 1
+            else:
+                dark, n_dark = dark + grey, n_dark + 1
+    if n_bright == 0 or n_dark == 0:
+        return 0
+    limit, bare = 0.5 * (bright / n_bright + dark / n_dark), 0
+    for side in range(4):
+        darker, seen = 0, 0
+        for k in range(n):
+            along = (k + 0.5) / n
+            out = -0.5 / n if side in (0, 3) else 1.0 + 0.5 / n
+            s, t = (along, out) if side in (0, 2) else (out, along)
+            w = g * s + h * t + 1.0
+            grey = grey_at(image, (a * s + b * t + c) / w, (d * s + e * t + f) / w)
+            if grey >= 0.0:
+                seen += 1
+                darker += grey < limit
+        bare += 2 * darker > seen and seen > 0
+    return bare

@@ -1,6 +1,7 @@
 """What vision hands to everybody else: frozen results, each with covariance, count used, status and reason."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal, Protocol
 
@@ -18,6 +19,9 @@ class PoseStatus(Enum):
     ORIENTATION_AMBIGUOUS = "orientation_ambiguous"  # position usable, orientation not
     NOT_SEEN = "not_seen"
     REJECTED = "rejected"  # seen, but residual, health or geometry forbids its use
+
+
+NO_WHITE_MARGIN = "no white margin"  # in the reason of a view: its sides are no edges by which to judge a picture
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +105,7 @@ class Look:
     t_first_ns: int
     t_last_ns: int
     spread_mm: float  # robust spread of tool-to-OOI position over the pairs
+    corners_px: Mapping[int, tuple[Array | None, Array | None]] = field(default_factory=dict)  # mean, left and right
 
 
 class OdometryStatus(Enum):

@@ -10,9 +10,20 @@ import numpy as np
 
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
-from server.vision.edge_fit import side_length_min
+from server.vision.edge_fit import SideFit, side_length_min
 from server.vision.marker_following import MarkerFollower
-from server.vision.marker_search import FoundMarker, dictionary_by_name, find_markers, refined, require_ids, same_place
+from server.vision.marker_search import (
+    FoundMarker,
+    dictionary_by_name,
+    find_inverted,
+    find_markers,
+    refined,
+    require_ids,
+    same_place,
+)
+
+#: Searches in a row that missed a marker, at which white-on-black prints are looked for: soon, then twice again.
+LOOKS_FOR_INVERTED = (2, 8, 32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +47,8 @@ class EyeDetection:
     covered: dict[int, Array]  # decoded, but a side is no clean edge: something is in front of it
     repeated_ids: frozenset[int]
     full_search: bool
+    no_margin: frozenset[int] = frozenset()  # of the covered ones: printed without white around the black border
+    inverted: frozenset[int] = frozenset()  # missing, but seen white on black at the last look for such prints
 
 
 class EyeDetector:
@@ -66,6 +79,7 @@ class EyeDetector:
         self._phase = phase
         self._pair = -1
         self._missed_searches = 1
+        self._inverted: frozenset[int] = frozenset()
 
     def detect(self, image: Image) -> EyeDetection:
         """Wanted markers in the next image of this eye."""
@@ -94,7 +108,8 @@ class EyeDetector:
             self._follower.remember(found)
         clean = {one.marker_id: one.corners_px for one in found.values() if not one.covered}
         covered = {one.marker_id: one.corners_px for one in found.values() if one.covered}
-        return EyeDetection(clean, covered, self._repeated, full_search)
+        bare = frozenset(marker.marker_id for marker in found.values() if marker.fit is SideFit.NO_MARGIN)
+        return EyeDetection(clean, covered, self._repeated, full_search, bare, self._inverted - found.keys())
 
     def _find(self, image: Image) -> tuple[FoundMarker, ...]:
         return find_markers(image, self._dictionary, self._settings.perimeter_min_px)
@@ -138,7 +153,13 @@ class EyeDetector:
         everything = known | {marker_id: self._refined(marker, image) for marker_id, marker in new.items()}
         single = {marker_id: one for marker_id, one in everything.items() if marker_id not in self._repeated}
         self._missed_searches = 0 if self._wanted <= single.keys() else self._missed_searches + 1
+        if self._missed_searches in LOOKS_FOR_INVERTED or not self._missed_searches:
+            self._inverted = self._white_on_black(image) if self._missed_searches else frozenset()
         return self._keep(single, full_search=True)
+
+    def _white_on_black(self, image: Image) -> frozenset[int]:
+        found = find_inverted(image, self._dictionary, self._settings.perimeter_min_px)
+        return frozenset(marker.marker_id for marker in found) & self._wanted
 
     def _everywhere(self, image: Image, known: dict[int, FoundMarker]) -> tuple[FoundMarker, ...]:
         """Every marker of the picture; at half size where those that are known are large."""

@@ -186,6 +186,7 @@ class SideFit(Enum):
     CLEAN = "clean"
     TOO_SMALL = "too_small"  # too few pixels per cell for a band around the side
     COVERED = "covered"  # a side is no clean edge: something lies over it, or light falls across it
+    NO_MARGIN = "no_margin"  # the same, because the print has no white around its black border
 
 
 def fit_corners(image: Image, corners_px: Array, cells: int, sags_px: Array) -> tuple[SideFit, Array]:

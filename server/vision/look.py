@@ -86,7 +86,24 @@ def _averaged(
         t_first_ns=observations[0].t_exposure_ns,
         t_last_ns=observations[-1].t_exposure_ns,
         spread_mm=rest.spread_mm,
+        corners_px=_mean_corners(taken),
     )
+
+
+def _mean_corners(taken: Sequence[PairObservation]) -> dict[int, tuple[Array | None, Array | None]]:
+    """Median corners (4, 2) [raw px] of each marker in each eye, over the pairs that used it."""
+    views = [view for pair in taken for view in pair.views if view.used]
+    found: dict[int, tuple[Array | None, Array | None]] = {}
+    for marker_id in sorted({view.marker_id for view in views}):
+        own = [view for view in views if view.marker_id == marker_id]
+        left, right = [view.corners_left_px for view in own], [view.corners_right_px for view in own]
+        found[marker_id] = _median_corners(left), _median_corners(right)
+    return found
+
+
+def _median_corners(seen: Sequence[Array | None]) -> Array | None:
+    whole = [px for px in seen if px is not None and px.shape == (4, 2)]
+    return np.median(whole, axis=0) if whole else None
 
 
 def _mean_of(found: Sequence[ObjectPose]) -> PoseMean:

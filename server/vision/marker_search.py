@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from machine.description import StereoCamera
-from server.vision.border_fit import border_covered, printed_pattern
+from server.vision.border_fit import border_covered, printed_pattern, sides_without_margin
 from server.vision.contracts import Array, Image
 from server.vision.corners import refine_corners, side_sags
 from server.vision.edge_fit import SideFit
@@ -15,6 +15,7 @@ from server.vision.errors import UnknownDictionaryError
 from server.vision.marker_code import marker_cells
 
 SIDE_MIN_PX = 12  # of a picture; the smallest marker has 6 cells
+BARE_SIDES = 3  # of four without white: a cover lies over one or two, and a print may touch something bright
 SAME_PLACE_FRAC = 0.25  # of a marker's size: closer than that, two finds are one marker
 
 
@@ -29,7 +30,7 @@ class FoundMarker:
     @property
     def covered(self) -> bool:
         """Whether a side is no clean edge."""
-        return self.fit is SideFit.COVERED
+        return self.fit in (SideFit.COVERED, SideFit.NO_MARGIN)
 
 
 def dictionary_names() -> tuple[str, ...]:
@@ -118,6 +119,13 @@ def find_all_markers(
     return tuple(found)
 
 
+def find_inverted(
+    image: Image, dictionary: "cv2.aruco.Dictionary", perimeter_min_px: float = 32.0
+) -> tuple[FoundMarker, ...]:
+    """Markers printed white on black, which no search for black on white finds."""
+    return find_markers(np.asarray(255 - image, np.uint8), dictionary, perimeter_min_px)
+
+
 def same_place(one: FoundMarker, other: FoundMarker) -> bool:
     """Whether two finds are the same printed marker."""
     if one.marker_id != other.marker_id:
@@ -130,10 +138,13 @@ def same_place(one: FoundMarker, other: FoundMarker) -> bool:
 def refined(
     marker: FoundMarker, image: Image, dictionary: "cv2.aruco.Dictionary", camera: StereoCamera | None
 ) -> FoundMarker:
-    """The marker with sub-pixel corners; coarse ones where something lies over its border."""
+    """The marker with sub-pixel corners; coarse ones where something lies over its border, or it has no margin."""
     fit, corners = refine_corners(image, marker.corners_px, cells_along_side(dictionary), camera)
-    if fit is SideFit.CLEAN:
-        pattern = printed_pattern(marker_cells(dictionary, marker.marker_id))
-        if border_covered(image, corners, pattern, float(np.abs(side_sags(camera, corners)).max())):
-            return FoundMarker(marker.marker_id, marker.corners_px, SideFit.COVERED)
+    cells = marker_cells(dictionary, marker.marker_id)
+    if fit is SideFit.CLEAN and border_covered(
+        image, corners, printed_pattern(cells), float(np.abs(side_sags(camera, corners)).max())
+    ):
+        fit, corners = SideFit.COVERED, marker.corners_px
+    if fit is SideFit.COVERED and sides_without_margin(image, marker.corners_px, cells) >= BARE_SIDES:
+        fit = SideFit.NO_MARGIN
     return FoundMarker(marker.marker_id, corners, fit)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from machine.poses import pose
-from server.vision.border_fit import border_covered, printed_pattern
+from server.vision.border_fit import border_covered, printed_pattern, sides_without_margin
 from server.vision.charuco_saddle import fit_saddles
 from server.vision.edge_fit import fit_corners
 from server.vision.marker_code import wrong_cells
@@ -18,6 +18,7 @@ def warm_up_markers() -> None:
     fit_corners(image, square, 6, np.zeros(4))
     wrong_cells(image, square, np.zeros((6, 6), dtype=np.bool_))
     border_covered(image, square, printed_pattern(np.eye(6, dtype=np.bool_)))
+    sides_without_margin(image, square, np.eye(6, dtype=np.bool_))
     points = np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
     start = pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 5.0]))
     refine_pose(start, PointObservations(points, 100.0 * points[:, :2], np.zeros(4), np.array([500.0, 500.0])))

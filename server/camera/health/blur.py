@@ -10,7 +10,7 @@ from numba import njit
 from server.camera.health.findings import FaultCode, Finding
 from server.camera.health.pair import Pair
 from server.camera.health.thumbnail import EyeCells
-from server.vision.contracts import Array, Image, MarkerView
+from server.vision.contracts import NO_WHITE_MARGIN, Array, Image, MarkerView
 
 SITE_STEP = 15  # has no factor in common with the grids that pictures are made of
 LEVEL_FROM = 15
@@ -144,7 +144,8 @@ class BlurMonitor:
 
     def at_markers(self, pair: Pair) -> tuple[Finding, ...]:
         """Measure some of the markers that this pair's observation tells of."""
-        views = () if pair.observation is None else pair.observation.views
+        seen = () if pair.observation is None else pair.observation.views
+        views = [view for view in seen if NO_WHITE_MARGIN not in view.reason]
         if not views:
             return ()
         self._turn += 1

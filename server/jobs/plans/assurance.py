@@ -18,6 +18,7 @@ from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.living import require_valid, validity
 from server.jobs.plans.looking import good_look
 from server.jobs.plans.moving import Sigmas, map_refused, preview
+from server.jobs.plans.seeing import require_judgeable
 from server.jobs.requests import Progress, Request
 
 LOOK_AGAIN_SHARE = 3  # times the usual pairs: what changes from pair to pair falls by 1.7
@@ -48,6 +49,7 @@ def assured_preview(
     if _must_renew(ctx, taken):
         taken, paths = (yield from _another_path(ctx, taken)), paths + 1
     previewed = preview(ctx, taken, t_now_ns)
+    require_judgeable(ctx, taken)
     if why := map_refused(ctx):
         yield Progress("assure", 0, 3, "", f"the learnt map is not used, the move goes by the look alone: {why}")
     if fits(ctx, previewed.predicted_sigma_mm):
@@ -61,7 +63,7 @@ def assured_preview(
         taken, paths = (yield from _further_path(ctx, taken)), paths + 1
         previewed = preview(ctx, taken, t_now_ns)
     if not fits(ctx, previewed.predicted_sigma_mm):
-        yield from _closer_look_or_refuse(ctx, previewed.predicted_sigma_mm, moves_left)
+        yield from _closer_look_or_refuse(ctx, previewed, moves_left)
     return Assured(taken, previewed, paths)
 
 
@@ -107,15 +109,18 @@ def _look_matters(ctx: PlanContext, taken: LookTaken, sigma_mm: Sigmas) -> bool:
     look = taken.look
     if look.T_cam_tool is None or look.T_cam_ooi is None or look.tool_covariance is None or look.ooi_covariance is None:
         return False
+    # of the scatter alone: what all pairs have in common, more pairs do not lessen
     C = look_error_covariance(
         look.T_cam_tool, look.T_cam_ooi, ctx.T_ooi_goal, look.tool_covariance, look.ooi_covariance
     )
     return float(np.trace(C)) * 1e6 > LOOK_MATTERS * float(np.sum(np.square(sigma_mm)))
 
 
-def _closer_look_or_refuse(ctx: PlanContext, sigma_mm: Sigmas, moves_left: int) -> Generator[Request, object, None]:
+def _closer_look_or_refuse(
+    ctx: PlanContext, previewed: PreviewedPlan, moves_left: int
+) -> Generator[Request, object, None]:
     """Drive it as a closer look while it can still be corrected and cannot reach the wall; else refuse."""
-    goal = ctx.settings.position
+    goal, sigma_mm = ctx.settings.position, previewed.predicted_sigma_mm
     spare_mm = goal.stand_off_mm - goal.wall_clearance_mm
     may = 2.0 * max(sigma_mm) <= CLOSER_LOOK_MAX * goal.tolerance_mm and 2.0 * sigma_mm[2] <= spare_mm
     if moves_left > 0 and may:
@@ -124,6 +129,6 @@ def _closer_look_or_refuse(ctx: PlanContext, sigma_mm: Sigmas, moves_left: int) 
     why = "no move is left to correct it" if may else "that is too little to approach by"
     raise JobFailedError(
         f"{told(ctx, sigma_mm)}, after {len(ctx.knowledge.runs)} calibration paths, and {why}; "
-        "start nearer to the target, clean lens and markers, or allow a wider tolerance",
+        f"{previewed.largest_source}; or start nearer to the target, or allow a wider tolerance",
         "sigma_too_large",
     )

@@ -1,6 +1,7 @@
 """Calibrate locally (section 3.2.2): drive a short path, match the camera's own trajectory to the encoders' TCP."""
 
 from collections.abc import Generator
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,9 +14,10 @@ from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.diagnosed import believed_mount, believed_track
-from server.jobs.plans.learning import remember_run, remember_side, side_now
+from server.jobs.plans.learning import joint_estimate, remember_run, remember_side, side_now
 from server.jobs.plans.living import born, forget_expired
 from server.jobs.plans.planning import onto_reference, plan_settings
+from server.jobs.plans.seeing import doubts, focal_found
 from server.jobs.records import CalibrationRecord
 from server.jobs.requests import (
     Arm,
@@ -56,10 +58,22 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     ctx.knowledge.mount = estimate
     born(ctx, estimate, taken, rested)
     remember_run(ctx, camera, encoder, before)
-    ctx.knowledge.calibration = record
+    ctx.knowledge.calibration = record = _with_focal(ctx, record)
     text = f"camera rotation known to {record.sigma_deg:.2f} deg, {record.time_offset_ms:.0f} ms to add to camera time"
-    yield Progress("calibrate", plan.duration_s, plan.duration_s, "s", text)
+    yield Progress("calibrate", plan.duration_s, plan.duration_s, "s", "; ".join(filter(None, (text, record.reason))))
     return record
+
+
+def _with_focal(ctx: PlanContext, record: CalibrationRecord) -> CalibrationRecord:
+    """The record with the camera's focal length as this path, the encoders and the looks show it."""
+    if ctx.method == "paper" or ctx.settings.position.local_map != "learnt":
+        return record
+    joint_estimate(ctx)
+    focal = focal_found(ctx)
+    if focal is None:
+        return record
+    off_pct, sigma_pct = (100.0 * value for value in focal)
+    return replace(record, focal_off_pct=off_pct, focal_sigma_pct=sigma_pct, reason=doubts(ctx))
 
 
 def possible_path(ctx: PlanContext, reading: MachineReading) -> tuple[PathPlan, JointTrajectory]:

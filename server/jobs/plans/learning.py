@@ -1,14 +1,18 @@
 """What every look and every calibration path adds to the joint estimate, and when the old part of it must go."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from server.calibration.contracts import Array, CalibrationStatus, CameraTrack, EncoderTrack
-from server.calibration.joint_estimate import JointEstimate, estimate_jointly
+from server.calibration.joint_estimate import JointEstimate, JointPrior, estimate_jointly
 from server.calibration.joint_observations import JointTrack, LookAt, OdometryRun
 from server.calibration.kinematic_errors import usual_play
+from server.calibration.lens_evidence import lens_evidence
 from server.calibration.play import play_sides
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
+from server.jobs.plans.seeing import lens_prior, note_lens
 from server.jobs.requests import MachineReading
 
 LOOKS_MAX = 12
@@ -46,11 +50,12 @@ def remember_side(ctx: PlanContext, reading: MachineReading) -> None:
 
 def remember_look(ctx: PlanContext, taken: LookTaken) -> None:
     """A good look at rest becomes an observation."""
-    look = taken.look
+    look = taken.raw
     if look.T_cam_tool is None or look.T_cam_ooi is None or look.tool_covariance is None or look.ooi_covariance is None:
         return
     covariances = look.tool_covariance, look.ooi_covariance
-    seen = LookAt(taken.reading.q_rad, look.T_cam_tool, look.T_cam_ooi, *covariances, side_now(ctx))
+    evidence = lens_evidence(ctx.machine, look.T_cam_tool, look.T_cam_ooi, look.corners_px, lens_prior(ctx))
+    seen = LookAt(taken.reading.q_rad, look.T_cam_tool, look.T_cam_ooi, *covariances, side_now(ctx), evidence)
     ctx.knowledge.looks.append(seen)
     del ctx.knowledge.looks[:-LOOKS_MAX]
     ctx.knowledge.joint = None
@@ -81,12 +86,13 @@ def joint_estimate(ctx: PlanContext) -> JointEstimate | None:
             if known.joint.status is CalibrationStatus.POOR_FIT and len(older) > 1:
                 del older[:-1]
                 known.joint = _estimated(ctx)
+        note_lens(ctx, known.joint)
     return known.joint
 
 
 def _estimated(ctx: PlanContext) -> JointEstimate:
     """From the nominal machine and its class's prior, or from the diagnosed machine where the settings name one."""
     known, diagnosed = ctx.knowledge, ctx.compensation
-    if diagnosed is None:
-        return estimate_jointly(ctx.machine, known.runs, known.looks)
-    return estimate_jointly(diagnosed.believed_machine(), known.runs, known.looks, prior=diagnosed.joint_prior())
+    machine = ctx.machine if diagnosed is None else diagnosed.believed_machine()
+    prior = JointPrior() if diagnosed is None else diagnosed.joint_prior()
+    return estimate_jointly(machine, known.runs, known.looks, prior=replace(prior, lens=lens_prior(ctx)))

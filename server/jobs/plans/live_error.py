@@ -1,8 +1,11 @@
 """The error in the newest pair, for display only: no motion is ever planned from it."""
 
+from dataclasses import replace
+
 from server.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.plans.looking import error_in_mm
+from server.jobs.plans.seeing import common_of, corrected_poses
 from server.jobs.records import ErrorMm
 from server.vision.contracts import PoseStatus
 from server.vision.goal_error import pair_error
@@ -18,4 +21,7 @@ def live_error(cell: Cell, ctx: PlanContext) -> ErrorMm | None:
         return None
     if tool.T_cam_object is None or ooi.T_cam_object is None:
         return None
-    return error_in_mm(ctx, pair_error(tool, ooi, ctx.T_ooi_goal), tool.T_cam_object, ooi.T_cam_object)
+    T_cam_tool, T_cam_ooi = corrected_poses(ctx, tool.T_cam_object, ooi.T_cam_object)
+    tool, ooi = replace(tool, T_cam_object=T_cam_tool), replace(ooi, T_cam_object=T_cam_ooi)
+    found = pair_error(tool, ooi, ctx.T_ooi_goal, common_of(ctx, T_cam_tool, T_cam_ooi))
+    return error_in_mm(ctx, found, T_cam_tool, T_cam_ooi)

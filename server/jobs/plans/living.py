@@ -48,7 +48,7 @@ def born(ctx: PlanContext, estimate: CameraRotationEstimate, taken: LookTaken, r
         path_length_m=estimate.path_length_m,
         observability=estimate.observability,
         made=made,
-        tool=tool_seen(taken.look),
+        tool=tool_seen(taken.raw),
         expiry=ctx.settings.calibration.expiry(),
     )
 
@@ -80,7 +80,7 @@ def note_map(ctx: PlanContext, estimate: JointEstimate) -> None:
 
 def watch_slip(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, None]:
     """Every good look compares the tool marker with what it was at the calibration. The paper's method does not."""
-    life, now = ctx.knowledge.life, tool_seen(taken.look)
+    life, now = ctx.knowledge.life, tool_seen(taken.raw)
     if ctx.method == "paper" or life is None or life.tool is None or now is None or life.slip:
         return
     verdict = judge_slip(life.tool, now)

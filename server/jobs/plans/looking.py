@@ -10,10 +10,11 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.learning import remember_look, remember_side
 from server.jobs.plans.living import watch_slip
+from server.jobs.plans.seeing import common_of, corrected_look
 from server.jobs.records import ErrorMm, LookRecord
 from server.jobs.requests import MachineReading, Progress, Request, Settle, TakeLook, expect
 from server.vision.contracts import Look, LookStatus
-from server.vision.goal_error import PoseError, PrintSigmas, error_to_goal
+from server.vision.goal_error import PoseError, error_to_goal
 
 
 def take_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, object, LookTaken]:
@@ -77,10 +78,11 @@ def ooi_in_base(ctx: PlanContext, taken: LookTaken) -> Array:
 
 def against_goal(ctx: PlanContext, taken: LookTaken) -> LookTaken:
     """The same look, its error judged against the context's goal: after the operator has set another one."""
-    return _taken(ctx, taken.look, taken.reading)
+    return _taken(ctx, taken.raw, taken.reading)
 
 
-def _taken(ctx: PlanContext, look: Look, reading: MachineReading) -> LookTaken:
+def _taken(ctx: PlanContext, raw: Look, reading: MachineReading) -> LookTaken:
+    look = corrected_look(ctx, raw)
     error = _error(ctx, look)
     record = LookRecord(
         status=look.status.value,
@@ -91,7 +93,7 @@ def _taken(ctx: PlanContext, look: Look, reading: MachineReading) -> LookTaken:
         t_plc_ns=reading.t_plc_ns,
         t_mono_ns=reading.t_mono_ns,
     )
-    return LookTaken(look=look, reading=reading, error=error, record=record)
+    return LookTaken(look=look, reading=reading, error=error, record=record, raw=raw)
 
 
 def _error(ctx: PlanContext, look: Look) -> ErrorMm | None:
@@ -99,16 +101,12 @@ def _error(ctx: PlanContext, look: Look) -> ErrorMm | None:
         return None
     if look.T_cam_tool is None or look.T_cam_ooi is None:
         return None
-    goal = ctx.settings.position
-    layout_m, layout_rad = goal.sigma_layout_mm * 1e-3, float(np.deg2rad(goal.sigma_layout_deg))
-    tool_prints = PrintSigmas(side_frac=goal.sigma_print_side_frac)  # the tool's marker defines the tool
-    ooi_prints = PrintSigmas(goal.sigma_print_side_frac, layout_m, layout_rad)
-    error = error_to_goal(look, ctx.T_ooi_goal, tool_prints, ooi_prints)
+    error = error_to_goal(look, ctx.T_ooi_goal, common_of(ctx, look.T_cam_tool, look.T_cam_ooi))
     return error_in_mm(ctx, error, look.T_cam_tool, look.T_cam_ooi)
 
 
 def error_in_mm(ctx: PlanContext, found: PoseError, T_cam_tool: Array, T_cam_ooi: Array) -> ErrorMm:
-    """The error in the operator's units; systematic sigmas (layout, intrinsics, print) are added to the look's own."""
+    """The error in the operator's units; what no other term holds (corners of one printing, rest) is added."""
     sigma_mm = np.hypot(found.sigma_position_m * 1e3, ctx.settings.position.sigma_systematic_mm)
     sigma_deg = np.hypot(np.rad2deg(found.sigma_angle_rad), ctx.settings.position.sigma_systematic_deg)
     x_mm, y_mm, z_mm = found.position_m * 1e3

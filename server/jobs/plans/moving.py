@@ -1,12 +1,14 @@
 """Preview and execute one look-then-move."""
 
 from collections.abc import Generator
+from dataclasses import dataclass
 
 import numpy as np
 
 from machine.rotations import Array
 from server.calibration.joint_estimate import JointEstimate
 from server.calibration.joint_goal import joints_for_goal
+from server.calibration.nuisances import largest_in_words
 from server.calibration.reference import position_reference_paper, predicted_error_covariance
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
@@ -17,6 +19,7 @@ from server.jobs.plans.learning import joint_estimate
 from server.jobs.plans.living import note_map, require_valid, validity, validity_at
 from server.jobs.plans.looking import good_look, mount_rotation
 from server.jobs.plans.planning import plan_to
+from server.jobs.plans.seeing import common_of
 from server.jobs.plans.unmoved import require_unmoved
 from server.jobs.records import MoveRecord
 from server.jobs.requests import MachineReading, Progress, ReadMachine, Record, Request, expect
@@ -24,6 +27,7 @@ from server.motion.contracts import PlanStatus
 
 Sigmas = tuple[float, float, float]
 
+BY_LOOK_ALONE = "the move would go by the look alone, without a learnt map; calibrate"
 FAR_M = 0.25  # after a longer move the camera has more to correct than the encoders can show
 
 
@@ -35,7 +39,8 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
     if taken.error is None:
         raise JobFailedError(f"no usable look: {taken.record.reason}; look again", "no_look")
     require_valid(validity(ctx, taken.reading), "preview")
-    T_goal, sigma_mm = move_goal(ctx, taken)
+    goal = move_goal(ctx, taken)
+    T_goal = goal.T_base_tcp
     plan = plan_to(ctx, taken.reading, T_goal)
     if plan.status is not PlanStatus.OK:
         raise JobFailedError(f"preview: {plan.reason}", f"plan_{plan.status.value}")
@@ -48,7 +53,8 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
         q_goal=plan.q_end,
         T_base_tcp_goal=T_goal,
         before=taken.error,
-        predicted_sigma_mm=sigma_mm,
+        predicted_sigma_mm=goal.sigma_mm,
+        largest_source=goal.largest_source,
         t_made_ns=t_now_ns,
         expires_ns=t_now_ns + int(ctx.settings.position.plan_expires_s * 1e9),
     )
@@ -56,8 +62,17 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
     return previewed
 
 
-def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
-    """T_base_tcp of the goal by the method, and one sigma of x, y, z after the move [mm], OOI axes.
+@dataclass(frozen=True, slots=True)
+class MoveGoal:
+    """T_base_tcp to plan for, one sigma of x, y, z after the move [mm], OOI axes, and the largest source of it."""
+
+    T_base_tcp: Array
+    sigma_mm: Sigmas
+    largest_source: str = ""
+
+
+def move_goal(ctx: PlanContext, taken: LookTaken) -> MoveGoal:
+    """The goal by the method, and what is predicted of the error there.
 
     Ours: from the joint estimate once a path was driven, else a step from the look; the paper's: eq. 20-22 with held
     orientation.
@@ -72,7 +87,7 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
         T_base_tcp = ctx.tcp(taken.reading.q_rad)
         R_base_cam = T_base_tcp[:3, :3] @ R_tcp_cam
         T_goal = position_reference_paper(T_base_tcp, R_base_cam, look.T_cam_tool[:3, 3], look.T_cam_ooi[:3, 3], b_m)
-        return T_goal, predicted_sigma_mm(ctx, taken)
+        return MoveGoal(T_goal, predicted_sigma_mm(ctx, taken))
     estimate = joint_estimate(ctx) if ctx.settings.position.local_map == "learnt" else None
     if estimate is not None and estimate.state is not None:
         note_map(ctx, estimate)
@@ -81,7 +96,7 @@ def move_goal(ctx: PlanContext, taken: LookTaken) -> tuple[Array, Sigmas]:
     # what contradicts the learnt map contradicts the step from the look as much
     wider = 1.0 if estimate is None or not np.isfinite(estimate.misfit) else max(1.0, estimate.misfit) ** 0.5
     x, y, z = predicted_sigma_mm(ctx, taken)
-    return T_goal, (wider * x, wider * y, wider * z)
+    return MoveGoal(T_goal, (wider * x, wider * y, wider * z), BY_LOOK_ALONE)
 
 
 def map_refused(ctx: PlanContext) -> str:
@@ -92,13 +107,14 @@ def map_refused(ctx: PlanContext) -> str:
     return known.reason
 
 
-def _joint_goal(ctx: PlanContext, estimate: JointEstimate, q_rad: Array) -> tuple[Array, Sigmas]:
+def _joint_goal(ctx: PlanContext, estimate: JointEstimate, q_rad: Array) -> MoveGoal:
     from_below = np.ones(ctx.chain.n)  # as every approach ends
     goal = joints_for_goal(ctx.chain, estimate, q_rad, ctx.T_ooi_goal, side=from_below)
     if goal.T_base_tcp is None or goal.covariance is None:
         raise JobFailedError(f"preview: {goal.reason}", "plan_out_of_reach")
     x, y, z = np.sqrt(np.diag(goal.covariance)[3:]) * 1e3
-    return goal.T_base_tcp, (float(x), float(y), float(z))
+    worst = int(np.argmax((x, y, z)))
+    return MoveGoal(goal.T_base_tcp, (float(x), float(y), float(z)), largest_in_words(goal.contributions, worst))
 
 
 def predicted_sigma_mm(ctx: PlanContext, taken: LookTaken) -> Sigmas:
@@ -117,6 +133,7 @@ def predicted_sigma_mm(ctx: PlanContext, taken: LookTaken) -> Sigmas:
         ctx.T_ooi_goal,
         look.tool_covariance,
         look.ooi_covariance,
+        common_of(ctx, look.T_cam_tool, look.T_cam_ooi),
     )
     sigma_mm = np.sqrt(np.diag(covariance)) * 1e3
     return float(sigma_mm[0]), float(sigma_mm[1]), float(sigma_mm[2])

@@ -13,6 +13,7 @@ from server.jobs.plans.living import require_valid, validity
 from server.jobs.plans.looking import good_look, ooi_in_base
 from server.jobs.plans.moving import execute
 from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orient
+from server.jobs.plans.seeing import doubts
 from server.jobs.records import CalibrationRecord, ErrorMm, PositionResult
 from server.jobs.requests import Progress, Request
 
@@ -112,8 +113,8 @@ def _result(
     reason = f"inside +-{goal.tolerance_mm:g} mm and {goal.tolerance_deg:g} deg after {count} moves"
     if not reached:
         reason = (
-            f"not inside +-{goal.tolerance_mm:g} mm after {count} moves (limit {goal.moves_max}); "
-            "calibrate and try again"
+            f"not inside +-{goal.tolerance_mm:g} mm and {goal.tolerance_deg:g} deg after {count} moves (limit "
+            f"{goal.moves_max}); {doubts(ctx) or 'calibrate and try again'}"
         )
     return PositionResult(
         reached=reached,

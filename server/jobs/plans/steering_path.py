@@ -12,6 +12,7 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.looking import mount_rotation
 from server.jobs.plans.pair_gate import PairGate
+from server.jobs.plans.seeing import corrected_poses
 from server.jobs.requests import MachineReading
 from server.jobs.steer_requests import Correct, NextPair, PairSeen
 from server.motion.closed_loop import JOIN_AHEAD_S, Join, join_after, path_to_rest, reference_goal, with_tail
@@ -132,7 +133,7 @@ def _goal_seen(ctx: PlanContext, seen: PairSeen) -> tuple[Array, float, float]:
     T_cam_ooi = None if seen.ooi is None else seen.ooi.T_cam_object
     if taken is None or T_cam_tool is None or T_cam_ooi is None or seen.q_rad is None:
         raise JobFailedError("a pair without poses came through the gate", "internal")
-    T_goal = goal_of(ctx, taken, seen.q_rad, T_cam_tool, T_cam_ooi)
+    T_goal = goal_of(ctx, taken, seen.q_rad, *corrected_poses(ctx, T_cam_tool, T_cam_ooi))
     way_m = float(np.linalg.norm(T_goal[:3, 3] - ctx.tcp(seen.q_rad)[:3, 3]))
     return T_goal, PairGate(ctx).sigma_m(seen), way_m
 

@@ -100,7 +100,7 @@ async def client(service):
 def looked(age_s=0.0):
     t_ns = mono_ns() - int(age_s * 1e9)
     reading = MachineReading(np.zeros(6), np.zeros(6), t_ns, t_ns)
-    return LookTaken(None, reading, ERROR, LookRecord("ok", "", ERROR, 20, 0.1, t_ns, t_ns))
+    return LookTaken(None, reading, ERROR, LookRecord("ok", "", ERROR, 20, 0.1, t_ns, t_ns), None)
 
 
 def previewed(expires_in_s):
@@ -110,7 +110,7 @@ def previewed(expires_in_s):
     now = mono_ns()
     expires = now + int(expires_in_s * 1e9)
     q = np.zeros(6)
-    return PreviewedPlan(plan, "0123456789abcdef", q, q, q, np.eye(4), ERROR, (1, 1, 1), now, expires)
+    return PreviewedPlan(plan, "0123456789abcdef", q, q, q, np.eye(4), ERROR, (1, 1, 1), "", now, expires)
 
 
 async def test_the_state_is_json_even_when_nothing_is_there(client):

@@ -53,12 +53,12 @@ def test_a_second_run_reads_what_is_saved_and_mends_a_broken_line(tmp_path, one)
 
 
 def test_every_variant_takes_its_replacements_back():
-    before = (learning.estimate_jointly, planning.plan_approach, driving.worth_trimming)
+    before = (learning.JointPrior, planning.plan_approach, driving.worth_trimming)
     for variant in ABLATIONS:
         with applied(variant):
             pass
-    assert (learning.estimate_jointly, planning.plan_approach, driving.worth_trimming) == before
-    assert before[0] is joint_estimate.estimate_jointly
+    assert (learning.JointPrior, planning.plan_approach, driving.worth_trimming) == before
+    assert before[0] is joint_estimate.JointPrior
 
 
 def test_a_replacement_for_what_is_not_there_fails():

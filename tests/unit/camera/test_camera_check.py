@@ -13,6 +13,7 @@ from machine.description import Machine
 from machine.rotations import Array, rotation_from_rotvec
 from server.camera.check import Gathered, check_camera, steps
 from server.camera.check_findings import CheckFinding, Level, exit_code, worst
+from server.camera.check_focal import Tape, check_focal
 from server.camera.check_gathering import Gathering
 from server.camera.check_matching import match_eyes
 from server.camera.check_picture import check_exposure, check_sharpness, edge_blur_px
@@ -76,6 +77,7 @@ def turned(image: Image, rotvec_deg: tuple[float, float, float]) -> Image:
 def test_a_good_camera_passes_in_every_line() -> None:
     found = judged(rendered())
     assert {name: one.text for name, one in found.items() if one.level is not Level.OK} == {}
+    assert "focal" in found
     assert set(RIG_NAMES) <= set(found)
     assert all(one.remedy == "" for one in found.values())
     assert exit_code(list(found.values())) == 0
@@ -114,6 +116,35 @@ def test_a_focal_length_that_differs_is_named() -> None:
     found = judged((left, np.asarray(cv2.warpAffine(right, zoom, (1280, 720), flags=cv2.INTER_CUBIC), np.uint8)))
     assert found["focal_ratio"].level is Level.FAIL
     assert found["focal_ratio"].figures["focal_ratio_pct"] == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("share", "level"), [(1.0, Level.OK), (1.5, Level.FAIL), (0.67, Level.FAIL)])
+def test_a_focal_length_off_alike_in_both_eyes_is_found_by_the_markers(share: float, level: Level) -> None:
+    """Nothing between the eyes shows it: rows, pitch and the ratio of their focal lengths stay as they are."""
+    machine = with_focal(share)
+    seen = ArucoPoseSource(machine).observe(*rendered(), 0)
+    found = check_focal(machine, [seen])
+    assert found.level is level, found
+    assert abs(found.figures["focal_off_frac"] - (1.0 / share - 1.0)) < 0.2
+    assert ("calibrate the camera" in found.remedy) == (level is Level.FAIL)
+
+
+def test_one_taped_distance_measures_the_focal_length() -> None:
+    machine = with_focal(1.04)
+    true = ArucoPoseSource(MACHINE).observe(*rendered(), 0)
+    tape = Tape(float(np.linalg.norm(true.tool.T_cam_object[:3, 3] - true.ooi.T_cam_object[:3, 3])))
+    seen = ArucoPoseSource(machine).observe(*rendered(), 0)
+    alone, taped = check_focal(machine, [seen]), check_focal(machine, [seen], tape)
+    assert taped.figures["focal_sigma_frac"] < 0.5 * alone.figures["focal_sigma_frac"]
+    assert taped.figures["focal_off_frac"] == pytest.approx(1.0 / 1.04 - 1.0, abs=0.012)
+    assert taped.level is not Level.OK
+    right = check_focal(MACHINE, [true], tape)
+    assert right.level is Level.OK, right
+
+
+def with_focal(share: float) -> Machine:
+    camera = MACHINE.camera
+    return replace(MACHINE, camera=replace(camera, fx_px=share * camera.fx_px, fy_px=share * camera.fy_px))
 
 
 @pytest.mark.parametrize("share", [0.95, 1.05])

@@ -266,3 +266,53 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 def test_eye_defaults_to_no_lens() -> None:
     assert EyeCalibration(500.0, 500.0, 320.0, 240.0).coefficients.tolist() == [0.0] * 4
+
+
+def opencv_with(D="[-0.05, 0.01, 0.0, 0.0, 0.0]", more="", cx=320.0):
+    K = f"{{rows: 3, cols: 3, data: [500, 0, {cx}, 0, 500, 239, 0, 0, 1]}}"
+    n = D.count(",") + 1
+    lens = f"{{rows: {n}, cols: 1, data: {D}}}"
+    places = "R: {rows: 3, cols: 3, data: [1, 0, 0, 0, 1, 0, 0, 0, 1]}\nT: [-0.12, 0, 0]\nimageSize: [640, 480]\n"
+    return f"K1: {K}\nD1: {lens}\nK2: {K}\nD2: {lens}\n{places}{more}"
+
+
+@pytest.mark.parametrize("field", ["xi1", "xi_1", "xi", "xi_left"])
+def test_an_omnidirectional_calibration_is_not_read_as_a_plain_lens(field):
+    with pytest.raises(CalibrationFileError, match=rf"{field} belongs to OpenCV's omnidirectional model.*calibrate"):
+        parsed(opencv_with(more=f"{field}: 1.2\n"), size_px=(640, 480))
+
+
+def test_four_coefficients_without_a_model_are_refused_and_with_one_are_read_as_it_says():
+    D = "[-0.01, 0.02, -0.01, 0.003]"
+    with pytest.raises(CalibrationFileError, match=r"does not state which; add the line `model: pinhole` or"):
+        parsed(opencv_with(D), size_px=(640, 480))
+    assert parsed(opencv_with(D, "model: fisheye\n"), size_px=(640, 480)).left.model == "fisheye"
+    assert parsed(opencv_with(D, "model: pinhole\n"), size_px=(640, 480)).left.model == "brown"
+    with pytest.raises(CalibrationFileError, match="'omni' is not read; known are"):
+        parsed(opencv_with(D, "model: omni\n"), size_px=(640, 480))
+
+
+def test_a_byte_order_mark_changes_nothing():
+    assert parsed("\ufeff" + ZED, size_px=(1280, 720)).left.fx_px == parsed(ZED, size_px=(1280, 720)).left.fx_px
+
+
+@pytest.mark.parametrize("cx", [968.0 / 2.0, 607.0, 200.0])
+def test_a_principal_point_far_from_the_middle_must_be_confirmed(cx):
+    text = CalibrationText("rig.yaml", opencv_with(cx=cx))
+    with pytest.raises(CalibrationFileError, match=r"principal point .* from the middle .*off_centre = true"):
+        parse_calibration([text], (640, 480))
+    assert parse_calibration([text], (640, 480), off_centre=True).left.cx_px == cx
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ("binning_x: 2\nbinning_y: 2\n", r"binning_x = 2, but the matrices are of the picture without binning"),
+        ("roi: {x_offset: 0, y_offset: 120, height: 240, width: 640}\n", r"roi y_offset = 120.*write zeros"),
+    ],
+)
+def test_a_ros_calibration_of_a_part_of_the_picture_is_refused(more, told):
+    with pytest.raises(CalibrationFileError, match=told):
+        parsed(ROS_LEFT + more, ROS_RIGHT + more)
+    whole = "binning_x: 0\nbinning_y: 1\nroi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}\n"
+    assert_same(parsed(ROS_LEFT + whole, ROS_RIGHT + whole), parsed(ROS_LEFT, ROS_RIGHT))

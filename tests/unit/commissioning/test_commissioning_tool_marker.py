@@ -119,6 +119,16 @@ def test_an_upside_down_camera_fails_and_is_named():
     assert "upside down" in result.summary
 
 
+@pytest.mark.parametrize(("stretch", "verdict"), [(1.01, Verdict.PASS), (1.04, Verdict.FAIL), (0.96, Verdict.FAIL)])
+def test_a_depth_that_is_stretched_alone_is_a_focal_length_that_is_off(stretch, verdict):
+    result = judge_axes(legs(np.diag([1.0, 1.0, stretch])), [], [90.0])
+    assert result.verdict is verdict
+    assert ("focal length" in result.summary) == (verdict is Verdict.FAIL)
+    assert judge_axes(legs(1.04 * np.eye(3)), [], [90.0]).verdict is Verdict.PASS, (
+        "a scale alike in all axes is not one"
+    )
+
+
 def test_negative_disparity_fails_whatever_else_is_seen():
     assert judge_axes(legs(), [], [-90.0]).verdict is Verdict.FAIL
 

@@ -14,6 +14,11 @@ WRONG = [
     ("fx_px = 528.0", "fx_px = nan", "camera.fx_px = nan: Input should be a finite number"),
     ("fx_px = 528.0", 'fx_px = "528"', "camera.fx_px = '528': Input should be a valid number"),
     ("cx_px = 639.5", "cx_px = 1300.0", "camera.cx_px = 1300.0 must lie inside the image, 0 .. 1279 [px]"),
+    (
+        "cx_px = 639.5",
+        "cx_px = 968.0",
+        "camera: principal point (968, 359.5) px lies 26 % of the image from its middle",
+    ),
     ("width_px = 1280", "width_px = 9000", "camera.width_px = 9000: Input should be less than or equal to 8192"),
     ("width_px = 1280", "width_px = 1280.5", "camera.width_px = 1280.5: Input should be a valid integer"),
     ("[-0.042, 0.011", "[-0.342, 0.011", "camera.distortion = [-0.342, 0.011, 0.0, 0.0, -0.005] folds back at"),
@@ -108,3 +113,9 @@ def test_nominal_machine_in_si():
 def test_a_rectified_image_carries_no_distortion_whatever_the_file_says():
     assert any(MACHINE.camera.distortion)
     assert parse_machine_toml(TEXT.replace("rectified = false", "rectified = true")).camera.distortion == (0.0,) * 5
+
+
+def test_a_principal_point_far_from_the_middle_is_taken_where_it_is_confirmed():
+    text = TEXT.replace("cx_px = 639.5", "cx_px = 968.0\noff_centre = true")
+    text = text.replace("rectified = false", "rectified = true")
+    assert parse_machine_toml(text).camera.cx_px == 968.0

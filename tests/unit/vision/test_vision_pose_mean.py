@@ -7,7 +7,6 @@ from vision_scenes import deviation, facing_pose
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
 from server.vision.ambiguity import mirrored_pose
-from server.vision.goal_error import PrintSigmas, error_to_goal, pose_error, with_print_errors
 from server.vision.pose_mean import pose_mean, white_eigenvalue_max
 
 TRUE = facing_pose(1.0, 15.0, 30.0, (0.1, 0.05))
@@ -96,21 +95,3 @@ def test_limit_of_white_scatter():
     rng = np.random.default_rng(4)
     largest = [np.linalg.eigvalsh(x.T @ x / 19)[-1] for x in rng.normal(size=(800, 19, 6))]
     assert white_eigenvalue_max(19) == pytest.approx(np.quantile(largest, 0.99), rel=0.06)
-
-
-def test_print_errors_grow_with_the_distance():
-    prints = PrintSigmas(side_frac=0.002, layout_m=0.0005, layout_rad=0.003)
-    ooi = facing_pose(1.0)
-    sigmas = []
-    for distance_m in (0.1, 0.7):
-        tool = ooi @ pose(np.eye(3), np.array([0.0, 0.0, distance_m]))
-        found = pose_error(tool, ooi, np.eye(4), np.zeros((6, 6)), with_print_errors(ooi, np.zeros((6, 6)), prints))
-        sigmas.append(found.sigma_position_m)
-    assert sigmas[1][0] == pytest.approx(np.hypot(0.7 * 0.003, 0.0005), rel=1e-6), "layout turned: lever arm"
-    assert sigmas[0][0] < 0.3 * sigmas[1][0]
-    assert sigmas[1][2] == pytest.approx(np.hypot(1.0 * 0.002, 0.0005), rel=1e-6), "print too large: range"
-
-
-def test_exact_prints_change_nothing():
-    assert with_print_errors(TRUE, COVARIANCE, PrintSigmas()) == pytest.approx(COVARIANCE)
-    assert error_to_goal.__defaults__ == (PrintSigmas(), PrintSigmas())
