@@ -13,6 +13,8 @@ from diagnosis.localise import Localisation, Place, localise
 from diagnosis.reading.read import Read, stages_present
 from diagnosis.replay.repeats import overlaid
 from diagnosis.replay.stretches import repeat_groups, stood_still
+from diagnosis.search.fit import neutral_fit
+from diagnosis.search.score import Compared, score
 from diagnosis.search.work import Progress, Work, silent
 from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
 from diagnosis.whole_model.linear import Term
@@ -95,6 +97,7 @@ class Budget:
     stages: tuple[StageLine, ...]
     before: Localisation
     after: Localisation
+    compared: tuple[Compared, ...]
     verdict: Verdict
     why: str
 
@@ -146,7 +149,14 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
     stages = _stages(whole, lines, columns, (before, after), float(np.sqrt(total)))
     verdict, why = verdict_of(whole, lines, columns, stages, fits)
-    return Budget(whole, fits, lines, columns, stages, before, after, verdict, why)
+    work.conclude("held-out data", 0.8)
+    compared = tuple(
+        Compared(
+            fit.cell, score(fit.cell, neutral_fit(fit.cell)), score(fit.cell, fit_of(fit.best.terms, fit.best.lin))
+        )
+        for fit in fits
+    )
+    return Budget(whole, fits, lines, columns, stages, before, after, compared, verdict, why)
 
 
 def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:

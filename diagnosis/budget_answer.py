@@ -13,8 +13,6 @@ from diagnosis.experiments.choice import experiment_for
 from diagnosis.experiments.live import Pair, differing
 from diagnosis.experiments.prediction import held
 from diagnosis.localise import merged_stages
-from diagnosis.search.fit import neutral_fit
-from diagnosis.search.folds import refitted
 from diagnosis.search.limits import Interval
 from diagnosis.sliding import in_metres
 from diagnosis.verdict.shrink import Shrink, Squares, shrunk, squares_of_part
@@ -189,16 +187,13 @@ def _mm(value: float | None) -> float | None:
 def _shrinks(found: Budget) -> tuple[list[Shrink], list[Squares]]:
     """Each part's residual without effects, and with them where they were refitted without that kind of motion."""
     rows, squares = [], []
-    for fit in found.fits:
-        before = neutral_fit(fit.cell).residual
-        own = fit_of(fit.best.terms, fit.best.lin)
-        folds, residuals = refitted(fit.cell, own)
-        after = residuals[np.searchsorted(folds.numbers, fit.cell.rows.fold), np.arange(fit.cell.rows.count)]
+    for one in found.compared:
+        before, after = one.none.held_out, one.chosen.held_out
         of_rows = np.stack([before**2, after**2, np.zeros(len(before))], axis=1)
-        for part, values in fit.cell.by_part(of_rows):
-            sums = squares_of_part(part, values, own.k)
+        for part, values in one.cell.by_part(of_rows):
+            sums = squares_of_part(part, values, one.chosen.fit.k)
             rows.append(shrunk(part, sums))
-            if own.k:
+            if one.chosen.fit.k:
                 squares.append(sums)
     return rows, squares
 

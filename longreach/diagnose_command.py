@@ -23,6 +23,7 @@ from diagnosis.report.budget import budget_lines
 from diagnosis.report.curves import CellCurves, curves_of
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
+from diagnosis.search.score import Compared
 from longreach.diagnosis_outlook import outlook
 from longreach.fit_baseline import BaselineError, make_baseline
 from longreach.machine_out import MachineOutError, machine_text, require_room, write_machine
@@ -189,7 +190,12 @@ def _with_progress(
         if leaving:
             shown.also("without each name")
             result["left_out"] = leave_named_out(found)
-        return found, result, curves_of(found)
+        cells = [Compared(one.search.cell, one.search.none, one.chosen) for one in found.cells]
+        return found, result, curves_of(cells, _sliding(whole))
+
+
+def _sliding(whole: Read) -> tuple[bool, ...]:
+    return () if whole.nominal is None else whole.nominal.sliding
 
 
 def by_budget(whole: Read) -> bool:
@@ -203,7 +209,7 @@ def _budget(
     with outlook(screen) as shown:
         found = budget_of(whole, shown.heard, left_out)
         shown.also("next experiment")
-        return found, budget_answer(found), ()
+        return found, budget_answer(found), curves_of(found.compared, _sliding(whole))
 
 
 def _within_reach(place: Path | None, screen: Console) -> None:

@@ -38,6 +38,15 @@ class Score:
         return float(self.by_block.sum())
 
 
+@dataclass(frozen=True, slots=True)
+class Compared:
+    """A cell without effects and with those found, both on held-out data."""
+
+    cell: Cell
+    none: Score
+    chosen: Score
+
+
 def score(cell: Cell, found: Fit) -> Score:
     """Leave each fold (kind of trajectory) out: refit on the rest (`search/folds.py`), then replay it, not linearly."""
     folds, residuals = refitted(cell, found)

@@ -221,7 +221,7 @@ def test_the_command_writes_json_and_a_page(tmp_path: Path) -> None:
     assert {one["name"] for one in result["hypotheses"][0]["effects"]} <= set(NAMES)
     text = files[1].read_text()
     assert "gravity_sag" in text
-    assert "Cause found" in text
+    assert "The model misses the tool by" in text
     assert "<script" not in text
     assert text.count('class="plot"') >= 3  # residual over time, its distribution, its autocorrelation
 

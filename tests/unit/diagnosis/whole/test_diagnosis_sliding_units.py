@@ -14,6 +14,7 @@ from diagnosis.localise import Place, totals_of
 from diagnosis.reading.read import read
 from diagnosis.report.chain import is_total, stage_shares
 from diagnosis.report.curves import curves_of
+from diagnosis.search.score import Compared
 from diagnosis.sliding import column_of, in_metres, unit_of
 
 
@@ -66,6 +67,8 @@ def test_a_cylinder_is_told_in_metres_throughout(tmp_path: Path) -> None:
     assert ("actuator", "m/s") in places
     assert not [unit for _, unit in places if "rad" in unit]
     assert not [one["unit"] for one in told["shrink"]["stages"] if "rad" in one["unit"]]
-    plots = {(one.replayed.signal, one.replayed.unit) for one in curves_of(found) if one.replayed is not None}
+    cells = [Compared(one.search.cell, one.search.none, one.chosen) for one in found.cells]
+    sliding = found.whole.nominal.sliding
+    plots = {(one.replayed.signal, one.replayed.unit) for one in curves_of(cells, sliding) if one.replayed is not None}
     assert ("joint position", "m") in plots
     assert "joint angle" not in {signal for signal, _ in plots}
