@@ -4,14 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from machine.chain import chain_of
 from machine.description import Machine, Marker
+from machine.kinematics import link_poses
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
 from sim_plc.draw_camera import random_axis
 from sim_plc.presets import spread_of
-from sim_plc.world import SceneTruth, rng_for
+from sim_plc.world import SceneTruth, StructureTruth, rng_for
 
 WALL_OFFSET_M = 0.06  # the wall's mean plane behind the OOI's origin
+_ELBOW_LINK = 2  # the lift boom ends where the tilt boom begins
 NOMINAL_SIDE_MM = 150.0  # to which the printing error refers
 
 
@@ -55,8 +58,33 @@ def draw_tool(machine: Machine, preset: str, rng: np.random.Generator) -> Array:
     return machine.T_tcp_tool @ turned
 
 
+def draw_structure(machine: Machine, preset: str, seed: int, q_start: Array) -> StructureTruth | None:
+    """What of itself the crane shows its camera; None: only the tool. The boom counts from the nominal elbow."""
+
+    def draw(name: str) -> float:
+        return float(spread_of(preset, name).draw(rng_for(seed, name))[0])
+
+    cover_frac = draw("structure_cover")
+    if cover_frac == 0.0:
+        return None
+    gravity = machine.gravity_base_m_s2
+    return StructureTruth(
+        cover_frac=cover_frac,
+        contrast_frac=draw("structure_contrast"),
+        hoses_move=draw("hoses_move") == 1.0,
+        elbow_base_m=link_poses(chain_of(machine), q_start)[_ELBOW_LINK, :3, 3],
+        down_base=gravity / np.linalg.norm(gravity),
+    )
+
+
 def draw_scene(
-    machine: Machine, preset: str, seed: int, T_base_tcp: Array, T_tcp_tool: Array, T_ooi_tool: Array
+    machine: Machine,
+    preset: str,
+    seed: int,
+    T_base_tcp: Array,
+    T_tcp_tool: Array,
+    T_ooi_tool: Array,
+    structure: StructureTruth | None,
 ) -> SceneTruth:
     """The wall and its markers so that the tool, truly at T_base_tcp, stands at T_ooi_tool."""
 
@@ -73,6 +101,7 @@ def draw_scene(
         texture_contrast_frac=draw("texture_contrast"),
         texture_seed=int(rng_for(seed, "texture_seed").integers(1, 2**31)),
         ooi_boards=tuple(board for board in machine.boards_on("ooi") if board.kind == "charuco"),
+        structure=structure,
     )
 
 

@@ -15,7 +15,7 @@ from machine.rotations import Array
 from machine.visibility import FACING_COSINE_MIN
 from sim_plc.draw_camera import draw_camera, draw_mount
 from sim_plc.draw_plant import draw_plant
-from sim_plc.draw_scene import draw_posture, draw_scene, draw_start, draw_tool
+from sim_plc.draw_scene import draw_posture, draw_scene, draw_start, draw_structure, draw_tool
 from sim_plc.plant.plant import Plant
 from sim_plc.presets import PRESET_NAMES, PresetError
 from sim_plc.world import CameraTruth, SceneTruth, World, rng_for
@@ -67,7 +67,8 @@ def draw_world_reported(machine: Machine, preset: str, seed: int) -> tuple[World
         reason = posture_fault(machine, q_start)
         if reason is None and q_start is not None:
             T_base_tcp = Plant(plant, q_start).T_base_tcp()
-            scene = draw_scene(machine, preset, seed, T_base_tcp, T_tcp_tool, T_ooi_tool)
+            structure = draw_structure(machine, preset, seed, q_start)
+            scene = draw_scene(machine, preset, seed, T_base_tcp, T_tcp_tool, T_ooi_tool, structure)
             camera = draw_camera(machine, preset, seed, T_tcp_cam_left)
             reason = scene_fault(machine, q_start, T_base_tcp, scene, camera)
             if reason is None:

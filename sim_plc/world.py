@@ -26,6 +26,17 @@ class CameraTruth:
 
 
 @dataclass(frozen=True, slots=True)
+class StructureTruth:
+    """The crane's own structure in the picture: housing and beams at the tool, and two hoses."""
+
+    cover_frac: float  # of the picture, both eyes' mean, tool included and hoses at rest; 0: no structure
+    contrast_frac: float  # of its texture; 0: plain paint
+    hoses_move: bool  # with the wrist and with gravity; else they rest in the picture
+    elbow_base_m: Array  # from there comes the boom that carries the hoses' rear ends; counts as fixed
+    down_base: Array  # unit vector of gravity
+
+
+@dataclass(frozen=True, slots=True)
 class SceneTruth:
     """The wall, the OOI on it and the tool marker, as they truly are (printed sizes and places included)."""
 
@@ -38,6 +49,7 @@ class SceneTruth:
     texture_contrast_frac: float
     texture_seed: int
     ooi_boards: tuple[Board, ...] = ()  # chess boards with markers, T_on_board = true T_ooi_board
+    structure: StructureTruth | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,12 +38,16 @@ class FilmCase:
     rate_hz: float = 30.0
     disparity_bias_px: float = 0.0
     contrast_frac: float | None = None
+    structure_frac: float = 0.0  # of the picture, covered by the crane itself; 0: only the tool
+    structure_contrast_frac: float = 1.0
 
     @property
     def name(self) -> str:
         """One word, good as a file name."""
         extra = f"-bias{self.disparity_bias_px:g}" if self.disparity_bias_px else ""
         extra += "" if self.contrast_frac is None else f"-contrast{self.contrast_frac:g}"
+        if self.structure_frac:
+            extra += f"-structure{self.structure_frac:g}x{self.structure_contrast_frac:g}"
         return f"{self.shape}-{self.distance_m:g}m-{self.rate_hz:g}hz-{self.seed}{extra}"
 
 
@@ -97,6 +101,8 @@ def draw_scene(case: FilmCase) -> tuple[CameraTruth, SceneTruth]:
         wall_relief_m=draw("wall_relief"),
         texture_contrast_frac=draw("texture_contrast") if case.contrast_frac is None else case.contrast_frac,
         texture_seed=case.seed,
+        structure_frac=case.structure_frac,
+        structure_contrast_frac=case.structure_contrast_frac,
     )
     right = replace(machine.camera, cx_px=machine.camera.cx_px + case.disparity_bias_px)
     return replace(camera, right=right), replace(scene, ooi_markers=(), wall_offset_m=WALL_OFFSET_M)

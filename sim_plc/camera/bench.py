@@ -41,13 +41,15 @@ class _Approach:
 
 
 def bench_render(n: int = 50, seed: int = 1) -> RenderFigures:
-    """Render `n` pairs of an approach from 0.9 m to 0.1 m with relief, rolling shutter, exposure and noise."""
+    """Render `n` pairs of an approach from 0.9 m to 0.1 m with everything on: relief, structure, shutter, noise."""
     machine = parse_machine_toml(files("machine").joinpath("machines", _MACHINE).read_text())
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
         start = time.perf_counter()
-        truths = demo_world(machine, wall_relief_m=0.05, readout_s=0.011, exposure_s=0.004, texture_seed=seed)
+        truths = demo_world(
+            machine, wall_relief_m=0.05, readout_s=0.011, exposure_s=0.004, texture_seed=seed, structure_frac=0.15
+        )
         renderer = StereoRenderer(RenderSetup(*truths))
         tilt = pose(rotation_from_rotvec(np.array([0.05, -0.06, 0.04])), np.zeros(3))
         approach = _Approach(demo_tcp_pose(machine, 0.9, (0.05, 0.0)) @ tilt)

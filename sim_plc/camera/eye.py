@@ -31,8 +31,13 @@ class EyeRays:
 
 def can_project(points_cam: Array) -> bool:
     """Whether all points lie where the lens model is one to one (in front, and not far outside the field of view)."""
-    in_front = points_cam[:, 2] > 0.02
-    return bool(np.all(in_front) and np.all(np.hypot(*points_cam[:, :2].T) < _FOLD_RADIUS * points_cam[:, 2]))
+    return bool(np.all(can_project_each(points_cam)))
+
+
+def can_project_each(points_cam: Array) -> NDArray[np.bool_]:
+    """Which points (n, 3) lie where the lens model is one to one, (n,)."""
+    depth = points_cam[:, 2]
+    return np.asarray((depth > 0.02) & (np.hypot(*points_cam[:, :2].T) < _FOLD_RADIUS * depth))
 
 
 def rays_at(camera: StereoCamera, u_px: ArrayLike, v_px: ArrayLike) -> Array:

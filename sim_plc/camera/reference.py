@@ -9,7 +9,8 @@ from machine.poses import inverse_pose
 from machine.rotations import Array
 from sim_plc.camera.boards import Board
 from sim_plc.camera.eye import rays_at
-from sim_plc.camera.renderer import Eye, StereoRenderer
+from sim_plc.camera.own_structure import EyeView
+from sim_plc.camera.renderer import StereoRenderer
 from sim_plc.camera.texture import Grey
 from sim_plc.camera.wall import height_at, pose_at_row
 
@@ -107,9 +108,9 @@ def _board_keys(board: Board, Ts_object_cam: Array) -> Array:
 
 
 def reference_window(
-    renderer: StereoRenderer, eye: Eye, Ts_base_tcp: Array, window: Window, supersample: int = 4
+    renderer: StereoRenderer, eye: EyeView, Ts_base_tcp: Array, window: Window, supersample: int = 4
 ) -> Array:
-    """Part of one eye's sharp picture with the tool, before point spread and noise, (rows, cols) float grey.
+    """Part of one eye's sharp picture before point spread and noise, own structure without hoses: (rows, cols) grey.
 
     Args:    renderer: whose scene. eye: one of its eyes. Ts_base_tcp: tool poses at the shutter's key rows (n, 4, 4).
              window: which part. supersample: rays per pixel and axis; every ray is undistorted by itself.
@@ -120,8 +121,9 @@ def reference_window(
     v_px = (np.arange(window.v0, window.v1)[:, None] + shift).ravel()
     keys = renderer.Ts_ooi_cam(eye, Ts_base_tcp)
     rigid = np.repeat(eye.T_tcp_cam[None], len(keys), axis=0)
-    boards = (*renderer.ooi_boards, *renderer.tool_boards)
-    parents = [keys] * len(renderer.ooi_boards) + [rigid] * len(renderer.tool_boards)
+    fixed = (*renderer.structure.boards, *renderer.tool_boards)
+    boards = (*renderer.ooi_boards, *fixed)
+    parents = [keys] * len(renderer.ooi_boards) + [rigid] * len(fixed)
     board_keys = np.stack([_board_keys(board, parent) for board, parent in zip(boards, parents, strict=True)])
     sides = np.array([[2.0 * board.outline[1, 0], 2.0 * board.outline[1, 1]] for board in boards])
     level, relief = renderer.levels[0], renderer.relief

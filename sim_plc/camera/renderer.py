@@ -1,4 +1,4 @@
-"""The stereo renderer: wall, OOI markers, motion blur, tool, point spread, noise; one step per line."""
+"""The stereo renderer: wall, OOI markers, motion blur, own structure, point spread, noise; one step per line."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from machine.camera import project
 from machine.description import StereoCamera
-from machine.poses import inverse_pose, pose
+from machine.poses import inverse_pose
 from machine.rotations import Array
 from sim_plc.camera.boards import Board, chess_board, marker_board, paint_board, shank_board
 from sim_plc.camera.exposure import PoseHistory, StaticPose, key_poses
-from sim_plc.camera.eye import EyeRays, eye_rays
+from sim_plc.camera.own_structure import EyeView, OwnStructure, eye_views
 from sim_plc.camera.sensor import add_noise, motion_blur, noise_bank, point_spread
 from sim_plc.camera.texture import Grey, TextureLevel, best_level, rock_texture, texture_levels
 from sim_plc.camera.wall import Relief, node_map, paint_map, texel_map, wall_relief
@@ -36,24 +36,6 @@ class RenderSetup:
     dictionary: str = "DICT_4X4_50"
 
 
-@dataclass(frozen=True, slots=True)
-class ToolPatch:
-    """The tool as one eye sees it, always the same: picture = ink + (1 - cover) * what lies behind."""
-
-    roi: tuple[int, int, int, int]  # u0, v0, u1, v1
-    ink: NDArray[np.float32]
-    see_through: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True)
-class Eye:
-    """One eye of the stereo camera, ready to render."""
-
-    rays: EyeRays
-    T_tcp_cam: Array
-    tool: ToolPatch | None
-
-
 @lru_cache(maxsize=2)
 def _levels(seed: int, contrast_frac: float) -> tuple[TextureLevel, ...]:
     return texture_levels(rock_texture(seed, contrast_frac))
@@ -62,35 +44,6 @@ def _levels(seed: int, contrast_frac: float) -> tuple[TextureLevel, ...]:
 @lru_cache(maxsize=1)
 def _bank() -> NDArray[np.int8]:
     return noise_bank(np.random.default_rng(_NOISE_BANK_SEED))
-
-
-@lru_cache(maxsize=4)
-def _rays(camera: StereoCamera) -> EyeRays:
-    return eye_rays(camera)
-
-
-def tool_patch(rays: EyeRays, boards: tuple[Board, ...], T_tcp_cam: Array) -> ToolPatch | None:
-    """The tool's boards over black and over white give ink and cover at once; None when the eye does not see them."""
-    shape = (rays.camera.height_px, rays.camera.width_px)
-    black, white = np.zeros(shape, np.uint8), np.full(shape, 255, np.uint8)
-    keys = np.repeat(T_tcp_cam[None], 2, axis=0)
-    for board in boards:
-        paint_board(black, rays, board, keys)
-        paint_board(white, rays, board, keys)
-    see_through = (white.astype(np.float32) - black) / np.float32(255.0)
-    v, u = np.nonzero(see_through < 1.0)
-    if v.size == 0:
-        return None
-    roi = int(u.min()), int(v.min()), int(u.max()) + 1, int(v.max()) + 1
-    window = np.s_[roi[1] : roi[3], roi[0] : roi[2]]
-    return ToolPatch(roi, black[window].astype(np.float32), see_through[window].copy())
-
-
-def paint_tool(image: Grey, patch: ToolPatch) -> None:
-    """Lay the tool over a picture, in place."""
-    u0, v0, u1, v1 = patch.roi
-    window = image[v0:v1, u0:u1]
-    window[:] = (patch.ink + patch.see_through * window + np.float32(0.5)).astype(np.uint8)
 
 
 def far_to_near(boards: tuple[Board, ...], T_object_cam: Array) -> list[Board]:
@@ -133,17 +86,9 @@ class StereoRenderer:
         self._ooi_boards = markers + chess
         plates = tuple(marker_board(dictionary, marker, scene.T_tcp_tool) for marker in scene.tool_markers)
         self.tool_boards = tuple(shank_board(plate) for plate in plates) + plates
-        T_left_right = pose(np.eye(3), np.array([self._camera.left.baseline_m, 0.0, 0.0]))
-        T_tcp_cam_right = self._camera.T_tcp_cam_left @ T_left_right
-        self.eyes = (
-            self._eye(self._camera.left, self._camera.T_tcp_cam_left),
-            self._eye(self._camera.right, T_tcp_cam_right),
-        )
+        self.eyes = eye_views(self._camera, self.tool_boards)
+        self.structure = OwnStructure(scene.structure, scene.texture_seed, self.eyes)
         self.times = StageTimes()
-
-    def _eye(self, camera: StereoCamera, T_tcp_cam: Array) -> Eye:
-        rays = _rays(camera)
-        return Eye(rays, T_tcp_cam, tool_patch(rays, self.tool_boards, T_tcp_cam))
 
     @property
     def relief(self) -> Relief:
@@ -160,7 +105,7 @@ class StereoRenderer:
         """The OOI's boards, in OOI axes."""
         return self._ooi_boards
 
-    def Ts_ooi_cam(self, eye: Eye, Ts_base_tcp: Array) -> Array:
+    def Ts_ooi_cam(self, eye: EyeView, Ts_base_tcp: Array) -> Array:
         """Camera poses in the OOI for tool poses (n, 4, 4)."""
         return np.ascontiguousarray(self._T_ooi_base @ Ts_base_tcp @ eye.T_tcp_cam)
 
@@ -175,13 +120,13 @@ class StereoRenderer:
         half_ns = round(0.5e9 * self._camera.exposure_s)
         ends = np.stack([poses.pose_at(t_mid_ns - half_ns), poses.pose_at(t_mid_ns + half_ns)])
         self.times.mark("poses")
-        return self._picture(self.eyes[0], Ts_base_tcp, ends, rng), self._picture(self.eyes[1], Ts_base_tcp, ends, rng)
+        return self._picture(0, Ts_base_tcp, ends, rng), self._picture(1, Ts_base_tcp, ends, rng)
 
     def render_static(self, T_base_tcp: Array, rng: np.random.Generator | None = None) -> tuple[Grey, Grey]:
         """A pair with the tool at rest; noise from `rng`, or seed 0."""
         return self.render(StaticPose(T_base_tcp), 0, np.random.default_rng(0) if rng is None else rng)
 
-    def sharp(self, eye: Eye, Ts_base_tcp: Array) -> Grey:
+    def sharp(self, eye: EyeView, Ts_base_tcp: Array) -> Grey:
         """Wall and OOI in one eye, before motion, point spread, tool and noise. `Ts_base_tcp` at the key rows."""
         keys = self.Ts_ooi_cam(eye, Ts_base_tcp)
         image = self._wall(eye, keys)
@@ -191,7 +136,7 @@ class StereoRenderer:
         self.times.mark("markers")
         return image
 
-    def _wall(self, eye: Eye, keys: Array) -> Grey:
+    def _wall(self, eye: EyeView, keys: Array) -> Grey:
         camera, rays = eye.rays.camera, eye.rays
         image = np.empty((camera.height_px, camera.width_px), np.uint8)
         relief = self._relief
@@ -210,7 +155,7 @@ class StereoRenderer:
         towards = min(float(T_ooi_cam[2, 2]), -1e-3)
         return float(np.clip((self._relief.mean_z_m - T_ooi_cam[2, 3]) / towards, 0.05, 30.0))
 
-    def _streak(self, eye: Eye, ends_base_tcp: Array) -> Array:
+    def _streak(self, eye: EyeView, ends_base_tcp: Array) -> Array:
         """How far the wall's middle moves in the picture during the exposure, (2,) [px]."""
         start, end = self.Ts_ooi_cam(eye, ends_base_tcp)
         middle = start[:3, 3] + start[:3, 2] * self._depth(start)
@@ -218,14 +163,13 @@ class StereoRenderer:
         pixels = project(eye.rays.camera, seen)
         return pixels[1] - pixels[0]
 
-    def _picture(self, eye: Eye, Ts_base_tcp: Array, ends: Array, rng: np.random.Generator) -> Grey:
-        image = self.sharp(eye, Ts_base_tcp)
+    def _picture(self, number: int, Ts_base_tcp: Array, ends: Array, rng: np.random.Generator) -> Grey:
+        image = self.sharp(self.eyes[number], Ts_base_tcp)
         if self._camera.exposure_s > 0.0:
-            image = motion_blur(image, self._streak(eye, ends))
+            image = motion_blur(image, self._streak(self.eyes[number], ends))
         self.times.mark("motion blur")
-        if eye.tool is not None:
-            paint_tool(image, eye.tool)
-        self.times.mark("tool")
+        self.structure.paint(image, number, Ts_base_tcp[len(Ts_base_tcp) // 2])
+        self.times.mark("own structure")
         image = point_spread(image, self._camera.psf_px)
         self.times.mark("point spread")
         add_noise(image, _bank(), self._camera.noise_grey, rng)
