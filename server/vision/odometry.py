@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
@@ -23,7 +24,7 @@ from server.vision.odometry_motion import (
     standing,
     with_scale_error,
 )
-from server.vision.odometry_motions import PosePrior, Scene, motions, without_still, world_motion
+from server.vision.odometry_motions import PosePrior, Scene, motions, parted, world_motion
 from server.vision.odometry_observation import Observed, expected_right, observe_map
 from server.vision.odometry_own import OwnStructure, vote
 from server.vision.odometry_pose import PoseFit, pose_problem, rough, settled
@@ -52,15 +53,18 @@ class Last:
 
 @dataclass(frozen=True, slots=True)
 class Located:
-    """A pose, the points that it was fitted to (as shifted for the shutter), and the velocity that was assumed.
+    """A pose, the points that it was fitted to (as shifted for the shutter), the velocity that was assumed, and what is
+    left of each point if it moved with the camera instead.
 
-    rival: the fit of another motion that may be the world's as well, and `doubt` says so; None and "": there is none.
+    rival: the fit of another motion that may be the world's as well; the covariance holds both. doubt: why the pose may
+    be quite another one, or "".
     """
 
     observed: Observed
     fit: PoseFit
     points_vo: Array
     twist: Twist
+    rest_squares: Array
     rival: PoseFit | None = None
     doubt: str = ""
 
@@ -84,6 +88,10 @@ class StereoOdometry:
     def readout(self) -> Readout:
         """The rolling shutter's readout as told or learned so far."""
         return self._readout
+
+    def hides(self, left_px: Array) -> NDArray[np.bool_]:
+        """Which places (n, 2) [raw px] of the left picture were recognised as own structure so far."""
+        return self._own.hides(left_px)
 
     def map_points(self, count_max: int) -> Array:
         """At most so many of the map's points (n, 3) in vo [m]: for looking at, not for measuring."""
@@ -204,21 +212,24 @@ class StereoOdometry:
             return None
         scene = Scene(
             left_px=observed.left_px,
-            moved_squares=observed.moved_squares,
+            rest_squares=problem.squares(np.eye(4), observed.points_row),
             votes=observed.votes,
             points_vo=points_vo,
+            noise=problem.noise,
             shape=self._shape,
             count_good=settings.count_good(self._shape),
             coverage_good=settings.coverage_good,
             prior=self._prior,
         )
-        problem, first = without_still(problem, first, scene, settings.inliers_min)
-        fits = motions(problem, first, settings.inliers_min)
+        parts, sure = parted(problem, first, scene, settings.inliers_min)
+        fits = parts if sure else motions(problem, first, settings.inliers_min)
         fit, rival, doubt = world_motion(fits, scene)
+        if parts and not sure and rival is None:
+            rival = world_motion(parts, scene)[0]  # within the noise: not decided, but held by the covariance
         open_to = (problem.roots[:, 0, 0] > 0.0) & ~np.any([one.inliers for one in fits if one is not fit], axis=0)
         if fit.inliers.sum() < max(settings.inliers_min, INLIERS_MIN_FRAC * np.sum(open_to | fit.inliers)):
             return None
-        return Located(observed, fit, points_vo, twist, rival, doubt)
+        return Located(observed, fit, points_vo, twist, scene.rest_squares, rival, doubt)
 
     @property
     def _rolls(self) -> bool:
@@ -254,7 +265,7 @@ class StereoOdometry:
         fit, observed = located.fit, located.observed
         observed.count(fit.inliers)
         if not located.doubt:
-            vote(self._own, sight, observed, fit)
+            vote(self._own, sight, observed, fit, located.rest_squares)
         T_vo_cam = inverse_pose(fit.T_cam_vo)
         T_vo_cam[:3, :3] = nearest_rotation(T_vo_cam[:3, :3])
         inliers_px = observed.left_px[fit.inliers]
@@ -264,17 +275,17 @@ class StereoOdometry:
         covariance += self._readout.sigma_s**2 * np.outer(gains.of_readout, gains.of_readout)
         self._learn_readout(gains)
         distance_m = float(np.linalg.norm(T_vo_cam[:3, 3]))
-        status, reason = self._judged(
-            Evidence(
-                inliers_px=inliers_px,
-                covariance=covariance,
-                rms_sigma=fit.rms_sigma,
-                texture_grey=self._texture_grey,
-                distance_m=distance_m,
-                right_frac=self._right_frac(located),
-                doubt=located.doubt,
-            )
+        held = covariance if located.rival is None else _holding(covariance, T_vo_cam, located.rival)
+        evidence = Evidence(
+            inliers_px=inliers_px,
+            covariance=held,
+            rms_sigma=fit.rms_sigma,
+            texture_grey=self._texture_grey,
+            distance_m=distance_m,
+            right_frac=self._right_frac(located),
+            doubt=located.doubt,
         )
+        status, reason = self._judged(evidence)
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
         wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls) and not located.doubt
         kept = sight.keep() if wanted else sight
@@ -286,10 +297,7 @@ class StereoOdometry:
             T_vo_cam = keyframe.T_vo_cam
             motion = replace(motion, T_vo_cam=T_vo_cam)
         self._last = Last(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)
-        reported = with_scale_error(covariance, T_vo_cam[:3, 3], self._settings.sigma_scale_frac)
-        if located.rival is not None:
-            apart = pose_difference(T_vo_cam, inverse_pose(located.rival.T_cam_vo))
-            reported += np.outer(apart, apart)
+        reported = with_scale_error(held, T_vo_cam[:3, 3], self._settings.sigma_scale_frac)
         return OdometryPose(sight.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
 
     def _right_frac(self, located: Located) -> float:
@@ -366,3 +374,9 @@ class StereoOdometry:
     def _lost(self, t_exposure_ns: int, reason: str) -> OdometryPose:
         T_vo_cam = np.eye(4) if self._last is None else self._last.motion.T_vo_cam
         return OdometryPose(t_exposure_ns, T_vo_cam, UNKNOWN_COVARIANCE.copy(), OdometryStatus.LOST, reason, 0)
+
+
+def _holding(covariance: Array, T_vo_cam: Array, rival: PoseFit) -> Array:
+    """A pose's covariance (6, 6) that holds another motion's pose as well."""
+    apart = pose_difference(T_vo_cam, inverse_pose(rival.T_cam_vo))
+    return covariance + covariance_in_vo(rival.T_cam_vo, rival.covariance) + np.outer(apart, apart)

@@ -17,7 +17,7 @@ from machine.poses import inverse_pose, transform_points
 from server.vision.contracts import Array
 from server.vision.odometry_features import N_CELLS, cell_numbers, coverage
 from server.vision.odometry_motion import covariance_in_vo, pose_difference
-from server.vision.odometry_pose import PoseFit, PoseProblem, equations, minimise, settled
+from server.vision.odometry_pose import PoseFit, PoseProblem, equations, minimise, rough, settled
 
 SAMPLE = 3  # points that determine a pose, seen by both eyes
 SAMPLE_ROUNDS = 5
@@ -45,16 +45,18 @@ class PosePrior:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What distinguishes motions, of n points: raw left pixels (n, 2); squared way in the picture since they were kept,
-    in sigmas; earlier votes (n,): above 0 it went with the world, below with the camera; places (n, 3) in vo.
+    """What distinguishes motions, of n points: raw left pixels (n, 2); squared whitened residuals (n,) as if they had
+    moved with the camera since they were kept; earlier votes (n,): above 0 it went with the world, below with the
+    camera; places (n, 3) in vo; noise: as `PoseProblem`.
 
     count_good, coverage_good: from so many points, in so many cells of the picture, a motion could be the world's.
     """
 
     left_px: Array
-    moved_squares: Array
+    rest_squares: Array
     votes: NDArray[np.int8]
     points_vo: Array
+    noise: float
     shape: tuple[int, int]
     count_good: int
     coverage_good: int
@@ -111,42 +113,46 @@ def motions(problem: PoseProblem, first: PoseFit, needed: int) -> list[PoseFit]:
     return found
 
 
-def without_still(problem: PoseProblem, fit: PoseFit, scene: Scene, needed: int) -> tuple[PoseProblem, PoseFit]:
-    """The problem and its fit without the parts of the picture that stand still while the rest moves, if any do.
+def _fit_of(problem: PoseProblem, T_cam_vo: Array) -> PoseFit | None:
+    return settled(problem, *rough(problem, T_cam_vo))
+
+
+def parted(problem: PoseProblem, fit: PoseFit, scene: Scene, needed: int) -> tuple[list[PoseFit], bool]:
+    """The motion of one part of the picture and the rest of the other, and whether they are surely two.
 
     Model:   two motions that differ by less than the inliers' limit pass for one. But one of them is known beforehand:
-             none at all. Cells of the picture that moved less than its mean are given to rest, then each of 40 cells to
-             rest or to the fit of the others, whichever leaves less, until nothing changes. Rest counts if that explains
-             more than the labels may by chance (a bit for each cell: minimum description length), and if its part is the
-             smaller one and lies in front.
+             none at all, of own structure or of a world before a standing camera. Cells of the picture that moved less
+             than its mean are given to rest, then each of 40 cells to rest or to the fit of the others, whichever
+             leaves less, until nothing changes. They are two if that explains more than labels may by chance (a bit
+             for each cell: minimum description length).
+    Returns: nothing where either part has less than `needed` points.
     """
-    at_rest = np.minimum(scene.moved_squares, problem.limit)
+    at_rest = np.minimum(scene.rest_squares, problem.limit)
     if (at_rest < problem.limit).sum() < needed:
-        return problem, fit
+        return [], False
     cells, moving = cell_numbers(scene.left_px, scene.shape), fit
     on = (np.bincount(cells, at_rest - at_rest.mean(), N_CELLS) < 0.0)[cells]
     squares = single = np.minimum(fit.squares, problem.limit)
     for _ in range(STILL_ROUNDS):
-        again = settled(problem.without(on), fit.T_cam_vo[:3, :3], fit.T_cam_vo[:3, 3])
+        again = _fit_of(problem.without(on), fit.T_cam_vo)
         if again is None:
-            return problem, fit
+            return [], False
         moving, squares, before = again, np.minimum(problem.squares(again.T_cam_vo), problem.limit), on
         on = (np.bincount(cells, squares - at_rest, N_CELLS) > 0.0)[cells]
-        if (on == before).all() or on.sum() < needed:
+        if (on == before).all():
             break
+    resting = _fit_of(problem.without(~on), fit.T_cam_vo)
+    if resting is None or min(resting.inliers.sum(), moving.inliers.sum()) < needed:
+        return [], False
     gained = (single.sum() - squares[~on].sum() - at_rest[on].sum()) / problem.noise**2
-    if on.sum() < needed or gained < 2.0 * np.log(2.0) * N_CELLS:
-        return problem, fit
-    depths = transform_points(moving.T_cam_vo, scene.points_vo)[:, 2]
-    smaller = len(np.unique(cells[on])) < len(np.unique(cells[~on]))
-    if not smaller or np.median(depths[on]) >= np.median(depths[~on]):
-        return problem, fit
-    return problem.without(on), replace(moving, squares=problem.squares(moving.T_cam_vo))
+    whole = [replace(part, squares=problem.squares(part.T_cam_vo)) for part in (moving, resting)]
+    return whole, bool(gained > 2.0 * np.log(2.0) * N_CELLS)
 
 
 @dataclass(frozen=True, slots=True)
 class _Side:
-    """One motion and the points that only it explains."""
+    """One motion and the points that only it explains. still: it moved them
+    in the picture by less than the noise."""
 
     fit: PoseFit
     count: int
@@ -161,11 +167,12 @@ def _side(fit: PoseFit, other: PoseFit, scene: Scene) -> _Side:
     on = fit.inliers & ~other.inliers
     count, spread = int(on.sum()), coverage(scene.left_px[on], scene.shape)
     depths = transform_points(fit.T_cam_vo, scene.points_vo[on])[:, 2]
+    gained = np.sum(np.minimum(scene.rest_squares[on], fit.limit) - fit.squares[on])
     return _Side(
         fit=fit,
         count=count,
         spread=spread,
-        still=count > 0 and bool((scene.moved_squares[on] < fit.limit).mean() > 0.5),
+        still=count > 0 and bool(gained < 4.0 * count * scene.noise**2),
         vote=float(np.sign(scene.votes[on]).mean()) if count else 0.0,
         depth_m=float(np.median(depths)) if count else 0.0,
         able=count >= scene.count_good and spread >= scene.coverage_good,
@@ -186,9 +193,9 @@ def world_motion(fits: Sequence[PoseFit], scene: Scene) -> tuple[PoseFit, PoseFi
 def _decided(one: _Side, two: _Side, scene: Scene) -> tuple[PoseFit, PoseFit, str]:
     """Winner, loser, and why that is doubtful: encoders first, then what earlier motion showed, then the picture.
 
-    Own structure stands still in the picture while the camera moves; it lies in front of the world and spreads less. A
-    thing that moves by itself in front of a world at rest lies before it, too. Where neither fits, the larger spread
-    wins; in doubt where the other one is large enough to be the world.
+    Own structure stands still in the picture while the world behind it moves; a thing that moves by itself does so in
+    front of a world at rest. So where one side stands still the farther one is the world, in doubt where it spreads
+    less. Where that does not decide, the larger spread wins, in doubt where the other is large enough to be the world.
     """
     if scene.prior is not None:
         inside = [scene.prior.chi2_of(side.fit) < PRIOR_CHI2 for side in (one, two)]
@@ -197,9 +204,8 @@ def _decided(one: _Side, two: _Side, scene: Scene) -> tuple[PoseFit, PoseFit, st
     if abs(one.vote - two.vote) > 0.5:  # more than half of the points of either side are known
         return (one.fit, two.fit, "") if one.vote > two.vote else (two.fit, one.fit, "")
     large, small = (one, two) if (one.spread, one.count) >= (two.spread, two.count) else (two, one)
-    if small.still and not large.still and small.depth_m < large.depth_m:
-        return large.fit, small.fit, ""
-    if not small.able:
+    before = small.depth_m < large.depth_m
+    if before if one.still != two.still else not small.able:
         return large.fit, small.fit, ""
     return (
         large.fit,

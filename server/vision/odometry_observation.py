@@ -24,8 +24,8 @@ MARGIN = 0.7  # half of the image and some more
 @dataclass(frozen=True, slots=True)
 class Observed:
     """Map points found in a pair: keyframe and number in it (n,), raw pixels (n, 2) (right NaN where not shown), and
-    the same for the fit. moved_squares (n,): squared way in the pictures since a point was kept, in sigmas. votes (n,):
-    of earlier pairs, above 0 for a point that went with the world, below for one that went with the camera."""
+    the same for the fit. points_row (n, 3): in the axes of the camera that kept them. votes (n,): of earlier pairs,
+    above 0 for a point that went with the world, below for one that went with the camera."""
 
     keyframes: NDArray[np.int64]
     indices: NDArray[np.int64]
@@ -33,7 +33,7 @@ class Observed:
     right_px: Array
     n_expected: int
     seen: StereoPoints
-    moved_squares: Array
+    points_row: Array
     votes: NDArray[np.int8]
     tried: tuple["Tried", ...] = ()
 
@@ -69,7 +69,6 @@ class _Part:
     right_px: Array
     points_vo: Array
     covariances_vo: Array
-    moved_squares: Array
 
 
 def observe_map(
@@ -92,7 +91,7 @@ def observe_map(
         if number > 0 and number < len(keyframes) - 1 and not in_view(camera, keyframe, T_vo_cam):
             continue
         wanted = expect_points(camera, keyframe, T_vo_cam, sight, hides)
-        part, expected = _observe_keyframe(number, keyframe, sight, wanted, points_max - n_found, sigma_px)
+        part, expected = _observe_keyframe(number, keyframe, sight, wanted, points_max - n_found)
         parts.append(part)
         n_expected += expected
         n_found += len(part.indices)
@@ -113,15 +112,9 @@ def observe_map(
     )
     numbers = [np.concatenate([getattr(part, name) for part in parts]) for name in ("keyframes", "indices")]
     tried = tuple(part.tried for part in parts)
-    moved = np.concatenate([part.moved_squares for part in parts])
+    points_row = np.concatenate([part.tried.keyframe.points_row[part.indices] for part in parts])
     votes = np.concatenate([part.tried.keyframe.votes[part.indices] for part in parts])
-    return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, moved, votes, tried)
-
-
-def moved_squares(kept: Wanted, left_px: Array, right_px: Array, sigma_px: float) -> Array:
-    """Squared way in both pictures since a point was kept (n,), in sigmas; the right eye's only where it shows it."""
-    ways = np.concatenate([left_px - kept.places_left_px, right_px - kept.places_right_px], axis=1)
-    return np.asarray(np.nansum(ways**2, axis=1) / (2.0 * sigma_px**2))
+    return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, points_row, votes, tried)
 
 
 def expected_right(camera: StereoCamera, points_cam: Array) -> NDArray[np.bool_]:
@@ -142,9 +135,7 @@ def in_view(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array) -> bool:
     return bool((near & beside & above).any())
 
 
-def _observe_keyframe(
-    number: int, keyframe: Keyframe, sight: Sight, wanted: Wanted, room: int, sigma_px: float
-) -> tuple[_Part, int]:
+def _observe_keyframe(number: int, keyframe: Keyframe, sight: Sight, wanted: Wanted, room: int) -> tuple[_Part, int]:
     if len(wanted.indices) > room:
         wanted = wanted.some(np.linspace(0, len(wanted.indices) - 1, room).astype(np.int64))
     left, right = sight.find(keyframe.sight, wanted)
@@ -158,6 +149,5 @@ def _observe_keyframe(
         right_px=right_px,
         points_vo=keyframe.points_vo[on[good]],
         covariances_vo=keyframe.covariances_vo[on[good]],
-        moved_squares=moved_squares(wanted.some(np.flatnonzero(good)), left_px, right_px, sigma_px),
     )
     return part, len(on)

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from server.vision.contracts import Array
 from server.vision.odometry_align import AWAY_MAX_PX
-from server.vision.odometry_observation import Observed, Tried, moved_squares
+from server.vision.odometry_observation import Observed, Tried
 from server.vision.odometry_pose import PoseFit
 from server.vision.odometry_sight import Sight, Wanted
 
@@ -41,43 +41,37 @@ class OwnStructure:
         return cells[:, 1], cells[:, 0]
 
 
-def vote(own: OwnStructure, sight: Sight, observed: Observed, fit: PoseFit) -> None:
+def vote(own: OwnStructure, sight: Sight, observed: Observed, fit: PoseFit, rest_squares: Array) -> None:
     """Let a located pair vote: on its points, on their keyframes, and on the picture's cells.
 
     A point votes where the world's motion and rest in the picture exclude each other: it fits one of them only. Points
     that were not found where the world has them are looked for where they were.
     """
-    moved = observed.moved_squares > fit.limit
-    with_world = fit.inliers & moved
-    with_camera = (fit.squares >= fit.limit) & ~moved
+    moved = rest_squares > fit.limit
+    with_world, with_camera = fit.inliers & moved, (fit.squares >= fit.limit) & ~moved
     own_px, start = [observed.left_px[with_camera]], 0
+    limit_px = observed.seen.sigma_px * np.sqrt(2.0 * fit.limit)
     for tried in observed.tried:
         end = start + int(tried.found.sum())
         at = tried.wanted.indices[tried.found]
         tried.keyframe.vote(at, with_world[start:end].astype(np.int8) - with_camera[start:end].astype(np.int8))
-        own_px.append(_standing(sight, tried, observed.seen.sigma_px, fit.limit))
+        own_px.append(_standing(sight, tried, limit_px))
         start = end
     own.vote(np.concatenate(own_px), observed.left_px[with_world])
 
 
-def _standing(sight: Sight, tried: Tried, sigma_px: float, limit: float) -> Array:
-    """Places (n, 2) of points that were missed, and that lie where they were kept."""
+def _standing(sight: Sight, tried: Tried, limit_px: float) -> Array:
+    """Places (n, 2) of points that were missed, and that lie where they were kept, in both eyes."""
     wanted = tried.wanted
     away = np.linalg.norm(wanted.guesses_left_px - wanted.places_left_px, axis=1) > AWAY_MAX_PX
     missed = np.flatnonzero(~tried.found & away & sight.may_show(wanted.places_left_px))
     if len(missed) == 0:
         return np.zeros((0, 2))
     some = wanted.some(missed)
-    still = Wanted(
-        some.indices,
-        some.places_left_px,
-        some.places_right_px,
-        np.tile(np.eye(2), (len(missed), 1, 1)),
-        some.places_left_px,
-        some.places_right_px,
-    )
-    left, right = sight.find(tried.keyframe.sight, still)
-    moved = moved_squares(still, left.points_px, right.points_px, sigma_px) > limit
-    good = left.good & right.good & ~moved
+    warps, places = np.tile(np.eye(2), (len(missed), 1, 1)), (some.places_left_px, some.places_right_px)
+    found = sight.find(tried.keyframe.sight, Wanted(some.indices, *places, warps, *places))
+    good = np.ones(len(missed), dtype=bool)
+    for eye, place in zip(found, places, strict=True):
+        good &= eye.good & (np.linalg.norm(eye.points_px - place, axis=1) < limit_px)
     tried.keyframe.vote(some.indices[good], np.full(int(good.sum()), -1, dtype=np.int8))
-    return left.points_px[good]
+    return places[0][good]

@@ -273,10 +273,11 @@ class PoseProblem:
         """The same without some of the points (n,): they agree with no pose."""
         return replace(self, roots=np.where(points[:, None, None], 0.0, self.roots))
 
-    def squares(self, T_cam_vo: Array) -> Array:
-        """Squared whitened residuals (n,) at a pose."""
+    def squares(self, T_cam_vo: Array, points: Array | None = None) -> Array:
+        """Squared whitened residuals (n,) at a pose, of the problem's points or of others in their place (n, 3)."""
         rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
-        return equations(rotation, position, self.points, self.rays, self.roots, self.shape, self.limit)[3]
+        places = self.points if points is None else np.ascontiguousarray(points)
+        return equations(rotation, position, places, self.rays, self.roots, self.shape, self.limit)[3]
 
 
 def pose_problem(T_cam_vo: Array, seen: StereoPoints) -> PoseProblem:

@@ -42,7 +42,7 @@ class OdometrySettings:
 class Evidence:
     """What a pose rests on: its inliers' raw left pixels (n, 2), covariance (6, 6) without the rig's scale, residuals
     in their sigmas, distance from the start, share of the points that the right eye shows, variation of grey about
-    points, and why it is doubtful all the same ("": it is not)."""
+    points, and why the covariance is as wide as it is ("": nothing special)."""
 
     inliers_px: Array
     covariance: Array
@@ -58,10 +58,8 @@ def verdict(settings: OdometrySettings, shape: tuple[int, int], found: Evidence)
     good_m = settings.sigma_good_m + settings.sigma_good_frac * found.distance_m
     count, covered, wanted = len(found.inliers_px), coverage(found.inliers_px, shape), settings.count_good(shape)
     sigma_m = float(np.sqrt(max(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1], 0.0)))
-    reason = found.doubt
-    if reason:
-        pass
-    elif count < wanted:
+    reason = ""
+    if count < wanted:
         reason = f"{count} points (good from {wanted}); little texture, or something covers the wall"
     elif found.texture_grey < settings.texture_good_grey:
         reason = (
@@ -76,7 +74,8 @@ def verdict(settings: OdometrySettings, shape: tuple[int, int], found: Evidence)
             f"{100 * settings.right_good_frac:.0f} %); covered, frozen, out of step, or the eyes are swapped"
         )
     elif sigma_m > good_m:
-        reason = f"position only known to {1e3 * sigma_m:.1f} mm (good to {1e3 * good_m:.1f}); go slower or nearer"
+        why = found.doubt or "go slower or nearer"
+        reason = f"position only known to {1e3 * sigma_m:.1f} mm (good to {1e3 * good_m:.1f}); {why}"
     elif found.rms_sigma > settings.rms_good:
         reason = (
             f"points disagree {found.rms_sigma:.1f} times more than they should; calibration, sync or moving things"
