@@ -76,7 +76,7 @@ def test_structure_that_moves_with_the_camera_does_not_pull_the_pose(frac, step_
     _, out = drive(frac, step_m)
     assert all(found.status is OdometryStatus.OK for found, _ in out), [found.reason for found, _ in out]
     assert max(off_m(*one) for one in out) < 1.5e-3, "m"
-    assert all(off_m(*one) < 6e-4 or is_held(*one) for one in out), "slow motion that hides in the noise is held"
+    assert all(off_m(*one) < 1e-3 or is_held(*one) for one in out), "slow motion that hides in the noise is held"
 
 
 def test_what_was_recognised_as_own_stays_out():
