@@ -24,9 +24,10 @@ from server.vision.odometry_motion import (
     standing,
     with_scale_error,
 )
-from server.vision.odometry_motions import PosePrior, Scene, motions, parted, world_motion
+from server.vision.odometry_motions import Located, PosePrior, Scene, motions, parted, world_motion
 from server.vision.odometry_observation import Observed, expected_right, observe_map
 from server.vision.odometry_own import OwnStructure, vote
+from server.vision.odometry_place import best_place, travelled
 from server.vision.odometry_pose import PoseFit, pose_problem, rough, settled
 from server.vision.odometry_readout import Readout, readout_of
 from server.vision.odometry_relocation import by_flow, by_recognition
@@ -49,24 +50,6 @@ class Last:
     left_px: Array
     points_vo: Array
     is_keyframe: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Located:
-    """A pose, the points that it was fitted to (as shifted for the shutter), the velocity that was assumed, and what is
-    left of each point if it moved with the camera instead.
-
-    rival: the fit of another motion that may be the world's as well; the covariance holds both. doubt: why the pose may
-    be quite another one, or "".
-    """
-
-    observed: Observed
-    fit: PoseFit
-    points_vo: Array
-    twist: Twist
-    rest_squares: Array
-    rival: PoseFit | None = None
-    doubt: str = ""
 
 
 class StereoOdometry:
@@ -109,6 +92,8 @@ class StereoOdometry:
         self._full_points = 0
         self._full_coverage = 0
         self._texture_grey = float("inf")
+        self._unique_depth = True
+        self._unsure_m = 0.0  # how far the camera may have come unseen, as long as its place may be another one
         self._prior: PosePrior | None = None
         height, width = self._shape
         self._own = OwnStructure(self._shape, int(np.sqrt(height * width / self._settings.features)))
@@ -145,9 +130,10 @@ class StereoOdometry:
             return self._start(sight)
         located = self._locate(sight, self._last)
         if located is None:
-            reason = "too few known points found again: dark, covered, or a new place; go back or start anew"
+            reason = "too few known points found again: dark, covered, or a new place; go back or start again"
             return self._lost(sight.t_exposure_ns, reason)
-        if self._last.is_keyframe:
+        located = self._unique(sight, self._last, located)
+        if self._last.is_keyframe and not located.doubt:
             located = self._settle_keyframe(sight, self._last, located)
         return self._accept(sight, self._last, located)
 
@@ -167,8 +153,30 @@ class StereoOdometry:
         located = self._fit(sight, last.motion, last.motion.predict(sight.t_exposure_ns), False)
         if located is not None:
             return located
+        self._unsure_m = max(self._unsure_m, travelled(last.motion, sight.t_exposure_ns))
         T_coarse = self._coarse(sight, last)
         return None if T_coarse is None else self._fit(sight, last.motion, T_coarse, True)
+
+    def _unique(self, sight: Sight, last: Last, located: Located) -> Located:
+        """After a gap: the best of the places that look alike, in doubt until no other is nearly as good."""
+        if last.motion.is_gap(sight.t_exposure_ns):
+            self._unsure_m = max(self._unsure_m, travelled(last.motion, sight.t_exposure_ns))
+        if self._unsure_m == 0.0:
+            return located
+        ways_px = sight.repeats()
+        best, others = best_place(
+            self._camera, ways_px, located, lambda T_vo_cam: self._fit(sight, last.motion, T_vo_cam, False)
+        )
+        if not others:
+            self._unsure_m = 0.0
+            return replace(best, after_gap=True)
+        apart_m = min(float(np.linalg.norm(way)) for way in others)
+        spread = sum(np.outer(way, way) for way in others) + self._unsure_m**2 * np.eye(3)
+        doubt = (
+            f"what is seen repeats itself every {1e3 * apart_m:.0f} mm, and after a gap this may be any of its places; "
+            "go to where something does not repeat, or start again"
+        )
+        return replace(best, places=np.asarray(spread), doubt=doubt, after_gap=True)
 
     def _coarse(self, sight: Sight, last: Last) -> Array | None:
         """T_vo_cam by flow from the last pair, the first and the newest keyframe; else by recognising a keyframe."""
@@ -182,7 +190,7 @@ class StereoOdometry:
         return by_recognition(self._camera, sight, self._keyframes, self._recognitions, self._settings.inliers_min)
 
     def _judged(self, found: Evidence) -> tuple[OdometryStatus, str]:
-        return verdict(self._settings, self._shape, found)
+        return verdict(self._settings, self._shape, replace(found, unique_depth=self._unique_depth))
 
     def _fit(self, sight: Sight, motion: Motion, T_vo_cam: Array, coarse: bool) -> Located | None:
         settings = self._settings
@@ -276,6 +284,7 @@ class StereoOdometry:
         self._learn_readout(gains)
         distance_m = float(np.linalg.norm(T_vo_cam[:3, 3]))
         held = covariance if located.rival is None else _holding(covariance, T_vo_cam, located.rival)
+        held = held + np.kron(np.diag([0.0, 1.0]), located.places)
         evidence = Evidence(
             inliers_px=inliers_px,
             covariance=held,
@@ -287,6 +296,8 @@ class StereoOdometry:
         )
         status, reason = self._judged(evidence)
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
+        if located.after_gap:  # a step over places that look alike is no motion
+            motion = standing(T_vo_cam, sight.t_exposure_ns)
         wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls) and not located.doubt
         kept = sight.keep() if wanted else sight
         if wanted:
@@ -297,7 +308,8 @@ class StereoOdometry:
             T_vo_cam = keyframe.T_vo_cam
             motion = replace(motion, T_vo_cam=T_vo_cam)
         self._last = Last(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)
-        reported = with_scale_error(held, T_vo_cam[:3, 3], self._settings.sigma_scale_frac)
+        scale_frac = self._settings.sigma_scale_frac if self._unique_depth else 1.0
+        reported = with_scale_error(held, T_vo_cam[:3, 3], scale_frac)
         return OdometryPose(sight.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
 
     def _right_frac(self, located: Located) -> float:
@@ -355,7 +367,7 @@ class StereoOdometry:
         found = sight.match_eyes(camera, settings.features, occupied_px)
         free = ~self._own.hides(found.left_px)
         found = replace(found, left_px=found.left_px[free], right_px=found.right_px[free])
-        self._texture_grey = found.texture_grey
+        self._texture_grey, self._unique_depth = found.texture_grey, self._unique_depth and found.unique
         twist = motion.twist()
         readout_s, self._serial = self._readout.value_s, self._serial + 1
         keyframe = make_keyframe(

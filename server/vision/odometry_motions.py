@@ -6,7 +6,7 @@ as well as the wall's do, so no residual says which of the motions is the camera
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -16,7 +16,8 @@ from scipy.stats import chi2
 from machine.poses import inverse_pose, transform_points
 from server.vision.contracts import Array
 from server.vision.odometry_features import N_CELLS, cell_numbers, coverage
-from server.vision.odometry_motion import covariance_in_vo, pose_difference
+from server.vision.odometry_motion import Twist, covariance_in_vo, pose_difference
+from server.vision.odometry_observation import Observed
 from server.vision.odometry_pose import PoseFit, PoseProblem, equations, minimise, rough, settled
 
 SAMPLE = 3  # points that determine a pose, seen by both eyes
@@ -28,6 +29,26 @@ QUADRATIC = -1e12  # Cauchy size at which every point of a sample counts fully
 STILL_ROUNDS = 5
 PRIOR_CHI2 = float(chi2.ppf(0.9999, 6))
 Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Located:
+    """A pose, the points that it was fitted to (as shifted for the shutter), the velocity that was assumed, and what is
+    left of each point if it moved with the camera instead.
+
+    rival: the fit of another motion that may be the world's as well; the covariance holds both. doubt: why the pose may
+    be quite another one, or "". places (3, 3) [m^2]: covariance in vo of the places that look alike.
+    """
+
+    observed: Observed
+    fit: PoseFit
+    points_vo: Array
+    twist: Twist
+    rest_squares: Array
+    rival: PoseFit | None = None
+    doubt: str = ""
+    places: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    after_gap: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,6 +35,7 @@ class Observed:
     seen: StereoPoints
     points_row: Array
     votes: NDArray[np.int8]
+    correlations: Array
     tried: tuple["Tried", ...] = ()
 
     def count(self, good: NDArray[np.bool_]) -> None:
@@ -69,6 +70,7 @@ class _Part:
     right_px: Array
     points_vo: Array
     covariances_vo: Array
+    correlations: Array
 
 
 def observe_map(
@@ -113,8 +115,9 @@ def observe_map(
     numbers = [np.concatenate([getattr(part, name) for part in parts]) for name in ("keyframes", "indices")]
     tried = tuple(part.tried for part in parts)
     points_row = np.concatenate([part.tried.keyframe.points_row[part.indices] for part in parts])
+    correlations = np.concatenate([part.correlations for part in parts])
     votes = np.concatenate([part.tried.keyframe.votes[part.indices] for part in parts])
-    return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, points_row, votes, tried)
+    return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, points_row, votes, correlations, tried)
 
 
 def expected_right(camera: StereoCamera, points_cam: Array) -> NDArray[np.bool_]:
@@ -149,5 +152,6 @@ def _observe_keyframe(number: int, keyframe: Keyframe, sight: Sight, wanted: Wan
         right_px=right_px,
         points_vo=keyframe.points_vo[on[good]],
         covariances_vo=keyframe.covariances_vo[on[good]],
+        correlations=left.correlation[good],
     )
     return part, len(on)

@@ -42,7 +42,7 @@ class OdometrySettings:
 class Evidence:
     """What a pose rests on: its inliers' raw left pixels (n, 2), covariance (6, 6) without the rig's scale, residuals
     in their sigmas, distance from the start, share of the points that the right eye shows, variation of grey about
-    points, and why the covariance is as wide as it is ("": nothing special)."""
+    points, why the covariance is as wide as it is ("": nothing special), and whether no other disparity fits."""
 
     inliers_px: Array
     covariance: Array
@@ -51,6 +51,7 @@ class Evidence:
     distance_m: float = 0.0
     right_frac: float = 1.0
     doubt: str = ""
+    unique_depth: bool = True
 
 
 def verdict(settings: OdometrySettings, shape: tuple[int, int], found: Evidence) -> tuple[OdometryStatus, str]:
@@ -61,6 +62,8 @@ def verdict(settings: OdometrySettings, shape: tuple[int, int], found: Evidence)
     reason = ""
     if count < wanted:
         reason = f"{count} points (good from {wanted}); little texture, or something covers the wall"
+    elif not found.unique_depth:
+        reason = "texture repeats along the rows: depth and scale may be quite others; turn the camera, or go nearer"
     elif found.texture_grey < settings.texture_good_grey:
         reason = (
             f"texture is faint: grey varies by {found.texture_grey:.1f} levels (good from "

@@ -25,7 +25,7 @@ def warm_up() -> None:
     if fit is None:
         return
     numbers = np.zeros(12, dtype=np.int64)
-    observed = Observed(numbers, numbers, left, right, 12, seen, points, np.zeros(12, dtype=np.int8))
+    observed = Observed(numbers, numbers, left, right, 12, seen, points, np.zeros(12, dtype=np.int8), np.ones(12))
     shutter = Shutter(left[:, 0], left[:, 0], np.ones(6), 0.01)
     sensitivity(observed, fit, points, shutter, [_keyframe()])
 

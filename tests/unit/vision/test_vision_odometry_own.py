@@ -125,3 +125,11 @@ def test_the_rows_of_both_eyes_tell_the_noise_whatever_moves():
         seen = StereoPoints(points, np.zeros((400, 3, 3)), left + noise[0], right + noise[1], 0.08, 528.0, 0.12)
         assert row_factor(seen) == pytest.approx(factor, rel=0.15)
     assert row_factor(replace(seen, rays_right=np.full((400, 2), np.nan))) == 1.0
+
+
+def test_a_smaller_picture_has_room_for_fewer_points():
+    settings = OdometrySettings()
+    assert settings.count_good((720, 1280)) == 60
+    assert settings.count_good((480, 752)) == 24, "EuRoC: 53 points were right to 0.2 mm"
+    assert settings.count_good((2160, 3840)) == 60, "no more than are tracked"
+    assert settings.count_good((120, 160)) == settings.inliers_min
