@@ -19,6 +19,8 @@ from server.camera.check_findings import CheckFinding, Level, exit_code, worst
 from server.camera.check_gathering import Gathering
 from server.camera.check_picture import edge_blur_px
 from server.camera.contracts import StereoSource
+from server.camera.masking import mask_polygons
+from server.camera.own_structure import Masks
 from server.camera.sources.opening import open_source
 from server.camera.sources.settings import DeviceSource, HttpSource, RectifiedSource, RtspSource, SourceSettings
 from server.errors import SettingsError
@@ -87,7 +89,11 @@ def check(
         console.print("stopped early; what came until now is judged")
     finally:
         stereo.close()
-    findings = _judge(gathering, stereo, opened, seen_machine, seed, console)
+    masks = (
+        mask_polygons(chosen.mask_left, seen_machine.camera, "mask_left"),
+        mask_polygons(chosen.mask_right, seen_machine.camera, "mask_right"),
+    )
+    findings = _judge(gathering, stereo, opened, seen_machine, seed, console, masks)
     if as_json:
         typer.echo(json.dumps(as_document(findings, source or chosen.kind), indent=2))
     else:
@@ -171,7 +177,13 @@ def _live_table(gathering: Gathering, blur: str, state: str) -> Table:
 
 
 def _judge(
-    gathering: Gathering, stereo: StereoSource, opened: SourceSettings, machine: Machine, seed: int, console: Console
+    gathering: Gathering,
+    stereo: StereoSource,
+    opened: SourceSettings,
+    machine: Machine,
+    seed: int,
+    console: Console,
+    masks: Masks,
 ) -> list[CheckFinding]:
     """All findings; a source that gave nothing adds its own words."""
     from server.vision.aruco_source import ArucoPoseSource  # compiles; not for --help
@@ -189,6 +201,7 @@ def _judge(
             ArucoPoseSource(machine).observe,
             np.random.default_rng(seed),
             lambda: progress.advance(task),
+            masks,
         )
     if stereo.state and not gathering.n:
         findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "mend what this line says"))

@@ -4,6 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+Pixel = Annotated[float, Field(ge=-8192.0, le=16384.0)]
+MaskPolygon = Annotated[tuple[tuple[Pixel, Pixel], ...], Field(min_length=3, max_length=400)]
+Mask = Annotated[str, Field(min_length=1)] | Annotated[tuple[MaskPolygon, ...], Field(max_length=60)]
+
 
 class _CameraSection(BaseModel):
     """What every kind of source has in common.
@@ -14,6 +18,9 @@ class _CameraSection(BaseModel):
     Absent: pictures are taken as they come, and the machine file's camera says what they are.
     `eye_width_px`, `eye_height_px`: size of one eye's pictures where it is not that of the machine file's camera; a
     ZED's file is read for this size.
+    `mask_left`, `mask_right`: where an eye sees the machine itself, and nothing of the scene is looked for: polygons of
+    [u, v] in px of the picture as vision sees it (rectified, where a calibration is given), or a picture file of the
+    same size, white there. `longreach camera check` proposes them.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -21,6 +28,8 @@ class _CameraSection(BaseModel):
     calibration: str | Annotated[list[str], Field(min_length=1, max_length=2)] | None = None
     eye_width_px: Annotated[int, Field(ge=16, le=8192)] | None = None
     eye_height_px: Annotated[int, Field(ge=16, le=8192)] | None = None
+    mask_left: Mask = ()
+    mask_right: Mask = ()
 
 
 class HttpCameraSettings(_CameraSection):

@@ -13,6 +13,7 @@ from server.camera.check_picture import check_exposure, check_sharpness
 from server.camera.check_rig import check_rig
 from server.camera.check_scale import check_scale, side_ratios
 from server.camera.check_stream import StreamTimes, check_stream
+from server.camera.own_structure import Masks, check_own_structure
 from server.vision.contracts import Image, PairObservation
 
 MATCHED_PAIRS_MAX = 6  # more add little: a still scene shows the same spots again
@@ -34,11 +35,12 @@ def check_camera(
     observe: Observe,
     rng: np.random.Generator,
     on_step: Callable[[], None] = lambda: None,
+    masks: Masks = ((), ()),
 ) -> list[CheckFinding]:
     """All lines, in the order of the way of the light: stream, pictures, rig, markers.
 
     Args:    machine: its camera is what the pictures are said to be. observe: the marker pose source. on_step: called
-             after each pair and each part, `steps(gathered)` times.
+             after each pair and each part, `steps(gathered)` times. masks: of the settings, left and right eye.
     """
     findings = check_stream(gathered.times)
     wrong = _wrong_size(gathered, machine)
@@ -59,7 +61,7 @@ def check_camera(
     markers = {marker.marker_id: marker for marker in machine.markers}
     rig.append(check_scale(side_ratios(machine.camera, markers, seen)))
     sound = all(one.level is not Level.FAIL for one in rig)
-    return [*findings, *rig, *check_markers(tally(machine, eyes, seen), sound)]
+    return [*findings, *rig, *check_markers(tally(machine, eyes, seen), sound), check_own_structure(eyes, masks)]
 
 
 def steps(gathered: Gathered) -> int:
