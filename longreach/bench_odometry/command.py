@@ -135,8 +135,8 @@ def bench_gaps(n: int, seed: int, folder: Path, console: Console) -> Case:
     wrong = sum(case["wrong"] > 0 for case in cases)
     worst_mm = max((case["worst_mm"] for case in cases), default=0.0)
     console.print(
-        f"{len(cases)} gaps over a wall that repeats itself: wrong by 4 sigma and 2 mm while OK after {wrong}; poses after "
-        f"them by state {states}; at most {worst_mm:.2f} mm off while OK"
+        f"{len(cases)} gaps over a wall that repeats itself: wrong by 4 sigma and 2 mm while OK after {wrong}; poses "
+        f"after them by state {states}; at most {worst_mm:.2f} mm off while OK"
     )
     return {"n": len(cases), "wanted": n, "cases": cases}
 
