@@ -8,18 +8,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from machine.description import StereoCamera
 from server.vision.contracts import Image
 from server.vision.evidence import (
     grid_figures,
     odometry_figures,
     parse_poses,
     parse_tag_truth,
+    path_length,
     rectified_camera,
     tag_figures,
 )
-
-KITTI_SIZE_PX = (1226, 370)
-KITTI_LENGTH_M = 60.5  # by two independent odometries; the GPS poses are no translation truth for so short a clip
 
 
 def bench_vision_real(data: Path, console: Console) -> None:
@@ -74,14 +73,23 @@ def _kitti(folder: Path, console: Console) -> None:
     if not folder.is_dir():
         console.print(f"no {folder}: skipped")
         return
-    camera = rectified_camera((folder / "calib.txt").read_text(encoding="utf-8"), *KITTI_SIZE_PX)
-    poses = parse_poses((folder / "poses.txt").read_text(encoding="utf-8"))
-    found = odometry_figures(camera, kitti_pairs(folder), poses)
-    off_pct = 100.0 * (found.path_length_m / KITTI_LENGTH_M - 1.0)
+    if next(kitti_pairs(folder), None) is None:
+        console.print(f"no pictures in {folder / 'image_l'}: skipped")
+        return
+    camera, text = kitti_camera(folder), (folder / "poses.txt").read_text(encoding="utf-8")
+    found, recorded_m = odometry_figures(camera, kitti_pairs(folder), parse_poses(text)), path_length(text)
+    off_pct = 100.0 * (found.path_length_m / recorded_m - 1.0)
     console.print(
-        f"KITTI clip: {found.n_ok} of {found.n_frames} frames OK, rotation error {found.rotation_mean_deg:.3f} deg per "
-        f"frame, path {found.path_length_m:.2f} m ({off_pct:+.2f} % of {KITTI_LENGTH_M} m)"
+        f"KITTI clip, {camera.width_px} x {camera.height_px} px: {found.n_ok} of {found.n_frames} frames OK, rotation "
+        f"error {found.rotation_mean_deg:.3f} deg per frame, path {found.path_length_m:.2f} m ({off_pct:+.2f} % of the "
+        f"recorded poses' {recorded_m:.2f} m; by GPS, which is no truth of translation over so short a way)"
     )
+
+
+def kitti_camera(folder: Path) -> StereoCamera:
+    """The clip's rectified camera, its size as its pictures say."""
+    height_px, width_px = next(kitti_pairs(folder))[0].shape
+    return rectified_camera((folder / "calib.txt").read_text(encoding="utf-8"), width_px, height_px)
 
 
 def kitti_pairs(folder: Path) -> Iterator[tuple[Image, Image]]:

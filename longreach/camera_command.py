@@ -20,6 +20,8 @@ from server.camera.check_focal import Tape
 from server.camera.check_gathering import Gathering
 from server.camera.check_picture import edge_blur_px
 from server.camera.contracts import StereoSource
+from server.camera.masking import mask_polygons
+from server.camera.own_structure import Masks
 from server.camera.sources.opening import open_source
 from server.camera.sources.settings import DeviceSource, HttpSource, RectifiedSource, RtspSource, SourceSettings
 from server.errors import SettingsError
@@ -92,7 +94,11 @@ def check(
         console.print("stopped early; what came until now is judged")
     finally:
         stereo.close()
-    findings = _judge(gathering, stereo, opened, seen_machine, seed, console, tape_mm)
+    masks = (
+        mask_polygons(chosen.mask_left, seen_machine.camera, "mask_left"),
+        mask_polygons(chosen.mask_right, seen_machine.camera, "mask_right"),
+    )
+    findings = _judge(gathering, stereo, opened, seen_machine, seed, console, tape_mm, masks)
     if as_json:
         typer.echo(json.dumps(as_document(findings, without_password(source or chosen.kind)), indent=2))
     else:
@@ -185,6 +191,7 @@ def _judge(
     seed: int,
     console: Console,
     tape_mm: float | None,
+    masks: Masks,
 ) -> list[CheckFinding]:
     """All findings; a source that gave nothing adds its own words."""
     from server.vision.aruco_source import ArucoPoseSource  # compiles; not for --help
@@ -203,6 +210,7 @@ def _judge(
             np.random.default_rng(seed),
             lambda: progress.advance(task),
             None if tape_mm is None else Tape(1e-3 * tape_mm),
+            masks,
         )
     if stereo.state and not gathering.n:
         findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "mend what this line says"))

@@ -170,7 +170,7 @@ async def _vision(
     if not any(Need.CAMERA in step.needs for step in steps):
         return None, machine
     source, seen_by = source_and_machine(settings.camera, machine)
-    vision = VisionClient(vision_settings(source), seen_by)
+    vision = VisionClient(vision_settings(source, settings.camera, seen_by.camera), seen_by)
     await vision.start()
     stack.push_async_callback(vision.close)
     return vision, seen_by

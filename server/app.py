@@ -63,7 +63,7 @@ def build_cell(settings: ServerSettings) -> Cell:
         chain=chain_of(machine),
         machine_text=machine_text,
         link=LinkClient(link_settings(settings), machine),
-        vision=VisionClient(vision_settings(source), machine),
+        vision=VisionClient(vision_settings(source, settings.camera, machine.camera), machine),
         recorder=Recorder(Path(settings.recording.folder), machine, images=settings.recording.images),
     )
 

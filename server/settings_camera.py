@@ -8,6 +8,10 @@ from server.shown_address import without_password
 
 Shown = PlainSerializer(without_password, return_type=str)  # a dump goes to REST, recordings and reports
 
+Pixel = Annotated[float, Field(ge=-8192.0, le=16384.0)]
+MaskPolygon = Annotated[tuple[tuple[Pixel, Pixel], ...], Field(min_length=3, max_length=400)]
+Mask = Annotated[str, Field(min_length=1)] | Annotated[tuple[MaskPolygon, ...], Field(max_length=60)]
+
 
 class Strict(BaseModel):
     """A section of the settings: unknown fields are refused."""
@@ -34,12 +38,17 @@ class _CameraSection(Strict):
     `eye_width_px`, `eye_height_px`: size of one eye's pictures where it is not that of the machine file's camera; a
     ZED's file is read for this size.
     `off_centre`: confirms a calibration whose principal point lies far from the middle, as of a cropped picture.
+    `mask_left`, `mask_right`: where an eye sees the machine itself, and nothing of the scene is looked for: polygons of
+    [u, v] in px of the picture as vision sees it (rectified, where a calibration is given), or a picture file of the
+    same size, white there. `longreach camera check` proposes them.
     """
 
     calibration: str | Annotated[list[str], Field(min_length=1, max_length=2)] | None = None
     eye_width_px: Annotated[int, Field(ge=16, le=8192)] | None = None
     eye_height_px: Annotated[int, Field(ge=16, le=8192)] | None = None
     off_centre: bool = False
+    mask_left: Mask = ()
+    mask_right: Mask = ()
 
 
 class HttpCameraSettings(_CameraSection):

@@ -2,14 +2,17 @@
 
 from pathlib import Path
 
+from machine.description import StereoCamera
 from protocol.authentication import parse_key
 from protocol.errors import LocalProtocolError
 from recording.files import read_text
 from server.camera.contracts import VisionSettings
+from server.camera.masking import mask_polygons
 from server.camera.sources.settings import SourceSettings
 from server.errors import SettingsError
 from server.link.client import LinkSettings
 from server.settings import ServerSettings
+from server.settings_camera import CameraSettings
 
 PREVIEW_WIDTH_PX = 1280  # the panel shows 720p; recordings keep ten pictures a second of it
 PREVIEW_RATE_HZ = 30.0
@@ -45,6 +48,15 @@ def link_settings(settings: ServerSettings) -> LinkSettings:
     )
 
 
-def vision_settings(source: SourceSettings) -> VisionSettings:
-    """How pictures from this source are looked through."""
-    return VisionSettings(source=source, preview_width_px=PREVIEW_WIDTH_PX, preview_rate_hz=PREVIEW_RATE_HZ)
+def vision_settings(source: SourceSettings, section: CameraSettings, camera: StereoCamera) -> VisionSettings:
+    """How pictures from this source, of this camera, are looked through.
+
+    Raises: SettingsError: a mask's picture cannot be used.
+    """
+    return VisionSettings(
+        source=source,
+        preview_width_px=PREVIEW_WIDTH_PX,
+        preview_rate_hz=PREVIEW_RATE_HZ,
+        mask_left=mask_polygons(section.mask_left, camera, "mask_left"),
+        mask_right=mask_polygons(section.mask_right, camera, "mask_right"),
+    )

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from longreach.bench_rate.pairs import PairsInMemory
-from longreach.bench_vision import KITTI_SIZE_PX, kitti_pairs
+from longreach.bench_vision import kitti_camera, kitti_pairs
 from machine.description import StereoCamera
 from machine.rotations import geodesic_angle
 from server.vision.contracts import Array, Image
-from server.vision.evidence import odometry_figures, parse_poses, rectified_camera
+from server.vision.evidence import odometry_figures, parse_poses
 from server.vision.marker_search import dictionary_by_name
 
 
@@ -42,7 +42,7 @@ class OdometryRace:
 
 def race_on_kitti(folder: Path) -> list[OdometryRace]:
     """Ours, and toy-vo where it is installed; process time, so that a busy machine does not decide."""
-    camera = rectified_camera((folder / "calib.txt").read_text(encoding="utf-8"), *KITTI_SIZE_PX)
+    camera = kitti_camera(folder)
     truth = parse_poses((folder / "poses.txt").read_text(encoding="utf-8"))
     odometry_figures(camera, list(kitti_pairs(folder))[:3], truth)  # compiled before it is timed
     pairs = list(kitti_pairs(folder))

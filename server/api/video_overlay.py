@@ -47,6 +47,7 @@ class FrameOverlay(View):
     tool: CrossOverlay | None
     goal: CrossOverlay | None
     warnings: list[str]
+    masks_px: list[list[list[float]]]  # polygons of the settings: nothing of the scene is looked for there
 
 
 def overlay_of(cell: Cell, ctx: PlanContext, report: FrameReport, age_ms: float) -> FrameOverlay:
@@ -66,6 +67,7 @@ def overlay_of(cell: Cell, ctx: PlanContext, report: FrameReport, age_ms: float)
         tool=_cross(camera, _pose(seen.tool)),
         goal=_goal(camera, seen.ooi, ctx.T_ooi_goal),
         warnings=list(report.warnings),
+        masks_px=[np.round(polygon, 1).tolist() for polygon in cell.vision.mask_left],
     )
 
 

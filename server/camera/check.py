@@ -14,6 +14,7 @@ from server.camera.check_picture import check_exposure, check_sharpness
 from server.camera.check_rig import check_rig
 from server.camera.check_scale import check_scale, side_ratios
 from server.camera.check_stream import StreamTimes, check_stream
+from server.camera.own_structure import Masks, check_own_structure
 from server.vision.contracts import Image, PairObservation
 
 MATCHED_PAIRS_MAX = 6  # more add little: a still scene shows the same spots again
@@ -36,11 +37,13 @@ def check_camera(
     rng: np.random.Generator,
     on_step: Callable[[], None] = lambda: None,
     tape: Tape | None = None,
+    masks: Masks = ((), ()),
 ) -> list[CheckFinding]:
     """All lines, in the order of the way of the light: stream, pictures, rig, markers.
 
     Args:    machine: its camera is what the pictures are said to be. observe: the marker pose source. on_step: called
-             after each pair and each part, `steps(gathered)` times. tape: a taped distance between tool and OOI.
+             after each pair and each part, `steps(gathered)` times. tape: a taped distance between tool and OOI. masks:
+             of the settings, left and right eye.
     """
     findings = check_stream(gathered.times)
     wrong = _wrong_size(gathered, machine)
@@ -63,7 +66,7 @@ def check_camera(
     if all(finding.level is Level.OK for finding in rig):  # a turned eye looks like another focal length too
         rig.append(check_focal(machine, seen, tape))
     sound = all(one.level is not Level.FAIL for one in rig)
-    return [*findings, *rig, *check_markers(tally(machine, eyes, seen), sound)]
+    return [*findings, *rig, *check_markers(tally(machine, eyes, seen), sound), check_own_structure(eyes, masks)]
 
 
 def steps(gathered: Gathered) -> int:

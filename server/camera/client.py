@@ -34,7 +34,7 @@ from server.camera.process import LIFE_S, run_vision
 from server.camera.tracking import TrackCollector
 from server.listeners import Listeners
 from server.supervised_tasks import whole_in_thread
-from server.vision.contracts import Look, OdometryPose
+from server.vision.contracts import Array, Look, OdometryPose
 
 KEEP_REPORTS = 600  # 40 s at 15 Hz
 FRESH_S = 0.5  # a stream without a report for longer is silent
@@ -74,6 +74,11 @@ class VisionClient:
         self.last_odometry: tuple[OdometryPose, ...] = ()
         self.last_map: OdometryMap | None = None  # of last_odometry, a little later than it
         self.restarts = 0
+
+    @property
+    def mask_left(self) -> tuple[Array, ...]:
+        """Polygons (k, 2) [px] of the settings over the machine itself in the left picture."""
+        return self._settings.mask_left
 
     @property
     def latest(self) -> FrameReport | None:

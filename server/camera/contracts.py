@@ -15,6 +15,7 @@ class VisionSettings:
 
     `threads`: OpenCV's own; one, since markers and odometry already run side by side.
     `mask_scale`: the tool marker's square is blown up by this much to cover the tool's plate in odometry.
+    `mask_left`, `mask_right`: polygons (k, 2) [px] over the machine itself, as the settings have them.
     `exposure_slack_s`: a mapped exposure may lie this much behind the true one (the camera's smallest latency).
     """
 
@@ -24,6 +25,8 @@ class VisionSettings:
     preview_quality: int = 75
     preview_rate_hz: float = 10.0
     mask_scale: float = 2.0
+    mask_left: tuple[Array, ...] = ()
+    mask_right: tuple[Array, ...] = ()
     exposure_slack_s: float = 0.2
 
 

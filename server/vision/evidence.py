@@ -185,8 +185,17 @@ def rectified_camera(calibration_text: str, width_px: int, height_px: int) -> St
 
 def parse_poses(text: str) -> Array:
     """Rotations (n, 3, 3) of a poses file with 12 numbers a line, brought back onto SO(3)."""
+    return np.array([nearest_rotation(pose[:, :3]) for pose in _pose_rows(text)])
+
+
+def path_length(text: str) -> float:
+    """Way [m] through the positions of a poses file with 12 numbers a line."""
+    return float(np.linalg.norm(np.diff(_pose_rows(text)[:, :, 3], axis=0), axis=1).sum())
+
+
+def _pose_rows(text: str) -> Array:
     rows = np.array([[float(value) for value in line.split()] for line in text.splitlines() if line.strip()])
-    return np.array([nearest_rotation(pose[:, :3]) for pose in rows.reshape(-1, 3, 4)])
+    return rows.reshape(-1, 3, 4)
 
 
 def odometry_figures(

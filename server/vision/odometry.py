@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
@@ -18,44 +19,26 @@ from server.vision.odometry_motion import (
     Twist,
     covariance_in_vo,
     moved_by_twist,
+    pose_difference,
     row_fractions,
     standing,
     with_scale_error,
 )
+from server.vision.odometry_motions import Located, PosePrior, Scene, motions, parted, world_motion
 from server.vision.odometry_observation import Observed, expected_right, observe_map
-from server.vision.odometry_pose import PoseFit, refine_camera
+from server.vision.odometry_own import OwnStructure, vote
+from server.vision.odometry_place import best_place, travelled
+from server.vision.odometry_pose import PoseFit, pose_problem, rough, settled
 from server.vision.odometry_readout import Readout, readout_of
 from server.vision.odometry_relocation import by_flow, by_recognition
 from server.vision.odometry_sensitivity import Sensitivity, Shutter, sensitivity
 from server.vision.odometry_sight import ImageSight, Sight
+from server.vision.odometry_verdict import Evidence, OdometrySettings, verdict
 from server.vision.odometry_warm_up import warm_up
 
 UNKNOWN_COVARIANCE = np.diag([np.pi**2] * 3 + [1e6] * 3)
 COARSE_ALIGNED_MIN_FRAC = 0.1  # after a coarse start: it has RANSAC behind it
 INLIERS_MIN_FRAC = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class OdometrySettings:
-    """How much is tracked, and when the result is believed."""
-
-    features: int = 400  # grid cells for new corners, one corner each
-    points_max: int = 320  # map points laid onto each pair
-    sigma_px: float = 0.08  # of one coordinate of a corner in one image
-    aligned_min_frac: float = 0.5  # of the expected points; below, the prediction was wrong and flow must help
-    keyframe_below_frac: float = 0.55  # of the last keyframe's points or coverage
-    keyframes_max: int = 40
-    window: int = 6  # newest keyframes that are adjusted together when one is added
-    inliers_good: int = 60
-    inliers_min: int = 15
-    coverage_good: int = 10  # of 40 cells of the image
-    right_good_frac: float = 0.5  # of the points that lie in the right eye's view
-    sigma_good_m: float = 2e-3  # of the position, the rig's scale apart, near the start
-    sigma_good_frac: float = 0.005  # of the distance from the start, added to that
-    rms_good: float = 6.0  # of the residuals in their sigmas; photographs of a street reach 3.5
-    texture_good_grey: float = 9.0  # variation of grey about a typical point; three times a camera's noise
-    sigma_scale_frac: float = 0.004  # of the rig's calibration: 0.2 px of disparity at 1.3 m; no pair can show it
-    readout_s: float | None = None  # rolling shutter, first to last row; 0 = global; None = learned from the motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +50,6 @@ class Last:
     left_px: Array
     points_vo: Array
     is_keyframe: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Located:
-    """A pose, the points that it was fitted to (as shifted for the shutter), and the velocity that was assumed."""
-
-    observed: Observed
-    fit: PoseFit
-    points_vo: Array
-    twist: Twist
 
 
 class StereoOdometry:
@@ -99,6 +72,10 @@ class StereoOdometry:
         """The rolling shutter's readout as told or learned so far."""
         return self._readout
 
+    def hides(self, left_px: Array) -> NDArray[np.bool_]:
+        """Which places (n, 2) [raw px] of the left picture were recognised as own structure so far."""
+        return self._own.hides(left_px)
+
     def map_points(self, count_max: int) -> Array:
         """At most so many of the map's points (n, 3) in vo [m]: for looking at, not for measuring."""
         points_vo = np.vstack([np.zeros((0, 3)), *(keyframe.points_vo for keyframe in self._keyframes)])
@@ -115,6 +92,11 @@ class StereoOdometry:
         self._full_points = 0
         self._full_coverage = 0
         self._texture_grey = float("inf")
+        self._unique_depth = True
+        self._unsure_m = 0.0  # how far the camera may have come unseen, as long as its place may be another one
+        self._prior: PosePrior | None = None
+        height, width = self._shape
+        self._own = OwnStructure(self._shape, int(np.sqrt(height * width / self._settings.features)))
 
     def process(
         self,
@@ -123,12 +105,15 @@ class StereoOdometry:
         t_exposure_ns: int,
         mask_polygons_left: Sequence[Array] = (),
         mask_polygons_right: Sequence[Array] = (),
+        prior: PosePrior | None = None,
     ) -> OdometryPose:
         """Pose of the left camera at this exposure.
 
         Model:   predict by the last motion; align patches of the oldest keyframes that still see enough; if too few
-                 fit, flow from the last pair and PnP-RANSAC give a better start; robust two-view fit over all points.
+                 fit, flow from the last pair and PnP-RANSAC give a better start; robust two-view fit over all points,
+                 one for each motion in the picture, of which one is the world's (`odometry_motions.py`).
         Args:    left, right: raw grey (h, w). Mask polygons (k, 2) [raw px]: what is not part of the wall (the tool).
+                 prior: where the encoders have the camera; decides where two motions are in the picture.
         Returns: OdometryPose; covariance by left perturbation in vo axes, then translation. While LOST the last pose
                  stays and its covariance says that nothing is known.
         """
@@ -136,17 +121,19 @@ class StereoOdometry:
             found = f"{left.shape} {left.dtype} and {right.shape} {right.dtype}"
             return self._lost(t_exposure_ns, f"pair is {found}; the camera file says {self._shape} uint8")
         masks = allowed_mask(self._shape, mask_polygons_left), allowed_mask(self._shape, mask_polygons_right)
-        return self.process_sight(ImageSight(left, right, masks, t_exposure_ns))
+        return self.process_sight(ImageSight(left, right, masks, t_exposure_ns), prior)
 
-    def process_sight(self, sight: Sight) -> OdometryPose:
+    def process_sight(self, sight: Sight, prior: PosePrior | None = None) -> OdometryPose:
         """As `process`, for a pair that was looked at in another way (a simulation of points)."""
+        self._prior = prior
         if self._last is None:
             return self._start(sight)
         located = self._locate(sight, self._last)
         if located is None:
-            reason = "too few known points found again: dark, covered, or a new place; go back or start anew"
+            reason = "too few known points found again: dark, covered, or a new place; go back or start again"
             return self._lost(sight.t_exposure_ns, reason)
-        if self._last.is_keyframe:
+        located = self._unique(sight, self._last, located)
+        if self._last.is_keyframe and not located.doubt:
             located = self._settle_keyframe(sight, self._last, located)
         return self._accept(sight, self._last, located)
 
@@ -159,15 +146,37 @@ class StereoOdometry:
             reason = f"{keyframe.n_points} points in both eyes (need {self._settings.inliers_min}); too little texture"
             return self._lost(sight.t_exposure_ns, reason)
         self._last = Last(kept, motion, keyframe.places_left_px, keyframe.points_vo, True)
-        status, reason = self._verdict(keyframe.places_left_px, np.zeros((6, 6)), 1.0)
+        status, reason = self._judged(Evidence(keyframe.places_left_px, np.zeros((6, 6)), 1.0, self._texture_grey))
         return OdometryPose(sight.t_exposure_ns, np.eye(4), np.zeros((6, 6)), status, reason, keyframe.n_points)
 
     def _locate(self, sight: Sight, last: Last) -> Located | None:
         located = self._fit(sight, last.motion, last.motion.predict(sight.t_exposure_ns), False)
         if located is not None:
             return located
+        self._unsure_m = max(self._unsure_m, travelled(last.motion, sight.t_exposure_ns))
         T_coarse = self._coarse(sight, last)
         return None if T_coarse is None else self._fit(sight, last.motion, T_coarse, True)
+
+    def _unique(self, sight: Sight, last: Last, located: Located) -> Located:
+        """After a gap: the best of the places that look alike, in doubt until no other is nearly as good."""
+        if last.motion.is_gap(sight.t_exposure_ns):
+            self._unsure_m = max(self._unsure_m, travelled(last.motion, sight.t_exposure_ns))
+        if self._unsure_m == 0.0:
+            return located
+        ways_px = sight.repeats()
+        best, others = best_place(
+            self._camera, ways_px, located, lambda T_vo_cam: self._fit(sight, last.motion, T_vo_cam, False)
+        )
+        if not others:
+            self._unsure_m = 0.0
+            return replace(best, after_gap=True)
+        apart_m = min(float(np.linalg.norm(way)) for way in others)
+        spread = sum(np.outer(way, way) for way in others) + self._unsure_m**2 * np.eye(3)
+        doubt = (
+            f"what is seen repeats itself every {1e3 * apart_m:.0f} mm, and after a gap this may be any of its places; "
+            "go to where something does not repeat, or start again"
+        )
+        return replace(best, places=np.asarray(spread), doubt=doubt, after_gap=True)
 
     def _coarse(self, sight: Sight, last: Last) -> Array | None:
         """T_vo_cam by flow from the last pair, the first and the newest keyframe; else by recognising a keyframe."""
@@ -180,23 +189,55 @@ class StereoOdometry:
         self._recognitions += 1
         return by_recognition(self._camera, sight, self._keyframes, self._recognitions, self._settings.inliers_min)
 
+    def _judged(self, found: Evidence) -> tuple[OdometryStatus, str]:
+        return verdict(self._settings, self._shape, replace(found, unique_depth=self._unique_depth))
+
     def _fit(self, sight: Sight, motion: Motion, T_vo_cam: Array, coarse: bool) -> Located | None:
         settings = self._settings
-        observed = observe_map(self._camera, self._keyframes, sight, T_vo_cam, settings.points_max, settings.sigma_px)
+        observed = observe_map(
+            self._camera, self._keyframes, sight, T_vo_cam, settings.points_max, settings.sigma_px, self._own.hides
+        )
         frac = COARSE_ALIGNED_MIN_FRAC if coarse else settings.aligned_min_frac
         if len(observed.left_px) < max(frac * observed.n_expected, settings.inliers_min):
             return None
         twist, located = motion.twist(), None
         for _ in range(2 if self._rolls else 1):
             points_vo = self._as_exposed(observed, T_vo_cam, twist.value)
-            fit = refine_camera(inverse_pose(T_vo_cam), replace(observed.seen, points_vo=points_vo))
-            if fit is None or fit.inliers.sum() < max(settings.inliers_min, INLIERS_MIN_FRAC * len(fit.inliers)):
+            located = self._fit_motions(observed, points_vo, T_vo_cam, twist)
+            if located is None:
                 return None
-            T_vo_cam = inverse_pose(fit.T_cam_vo)
+            T_vo_cam = inverse_pose(located.fit.T_cam_vo)
             T_vo_cam[:3, :3] = nearest_rotation(T_vo_cam[:3, :3])
-            located = Located(observed, fit, points_vo, twist)
             twist = motion.moved_to(T_vo_cam, sight.t_exposure_ns).twist()
         return located
+
+    def _fit_motions(self, observed: Observed, points_vo: Array, T_vo_cam: Array, twist: Twist) -> Located | None:
+        """The world's motion among those in the picture; None where too few of the other points agree with it."""
+        settings, T_cam_vo = self._settings, inverse_pose(T_vo_cam)
+        problem = pose_problem(T_cam_vo, replace(observed.seen, points_vo=points_vo))
+        first = settled(problem, *rough(problem, T_cam_vo))
+        if first is None:
+            return None
+        scene = Scene(
+            left_px=observed.left_px,
+            rest_squares=problem.squares(np.eye(4), observed.points_row),
+            votes=observed.votes,
+            points_vo=points_vo,
+            noise=problem.noise,
+            shape=self._shape,
+            count_good=settings.count_good(self._shape),
+            coverage_good=settings.coverage_good,
+            prior=self._prior,
+        )
+        parts, sure = parted(problem, first, scene, settings.inliers_min)
+        fits = parts if sure else motions(problem, first, settings.inliers_min)
+        fit, rival, doubt = world_motion(fits, scene)
+        if parts and not sure and rival is None:
+            rival = world_motion(parts, scene)[0]  # within the noise: not decided, but held by the covariance
+        open_to = (problem.roots[:, 0, 0] > 0.0) & ~np.any([one.inliers for one in fits if one is not fit], axis=0)
+        if fit.inliers.sum() < max(settings.inliers_min, INLIERS_MIN_FRAC * np.sum(open_to | fit.inliers)):
+            return None
+        return Located(observed, fit, points_vo, twist, scene.rest_squares, rival, doubt)
 
     @property
     def _rolls(self) -> bool:
@@ -230,8 +271,9 @@ class StereoOdometry:
 
     def _accept(self, sight: Sight, last: Last, located: Located) -> OdometryPose:
         fit, observed = located.fit, located.observed
-        for tried in observed.tried:
-            tried.count()
+        observed.count(fit.inliers)
+        if not located.doubt:
+            vote(self._own, sight, observed, fit, located.rest_squares)
         T_vo_cam = inverse_pose(fit.T_cam_vo)
         T_vo_cam[:3, :3] = nearest_rotation(T_vo_cam[:3, :3])
         inliers_px = observed.left_px[fit.inliers]
@@ -241,9 +283,22 @@ class StereoOdometry:
         covariance += self._readout.sigma_s**2 * np.outer(gains.of_readout, gains.of_readout)
         self._learn_readout(gains)
         distance_m = float(np.linalg.norm(T_vo_cam[:3, 3]))
-        status, reason = self._verdict(inliers_px, covariance, fit.rms_sigma, distance_m, self._right_frac(located))
+        held = covariance if located.rival is None else _holding(covariance, T_vo_cam, located.rival)
+        held = held + np.kron(np.diag([0.0, 1.0]), located.places)
+        evidence = Evidence(
+            inliers_px=inliers_px,
+            covariance=held,
+            rms_sigma=fit.rms_sigma,
+            texture_grey=self._texture_grey,
+            distance_m=distance_m,
+            right_frac=self._right_frac(located),
+            doubt=located.doubt,
+        )
+        status, reason = self._judged(evidence)
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
-        wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls)
+        if located.after_gap:  # a step over places that look alike is no motion
+            motion = standing(T_vo_cam, sight.t_exposure_ns)
+        wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls) and not located.doubt
         kept = sight.keep() if wanted else sight
         if wanted:
             seen_here = self._seen_here(located)  # by the list as it is: adding one may forget another
@@ -253,7 +308,8 @@ class StereoOdometry:
             T_vo_cam = keyframe.T_vo_cam
             motion = replace(motion, T_vo_cam=T_vo_cam)
         self._last = Last(kept, motion, inliers_px, observed.seen.points_vo[fit.inliers], wanted)
-        reported = with_scale_error(covariance, T_vo_cam[:3, 3], self._settings.sigma_scale_frac)
+        scale_frac = self._settings.sigma_scale_frac if self._unique_depth else 1.0
+        reported = with_scale_error(held, T_vo_cam[:3, 3], scale_frac)
         return OdometryPose(sight.t_exposure_ns, T_vo_cam, reported, status, reason, len(inliers_px))
 
     def _right_frac(self, located: Located) -> float:
@@ -299,39 +355,6 @@ class StereoOdometry:
             Ts = np.array([keyframe.T_vo_cam for keyframe in window])
             self._known.replace_poses(range(first, len(self._keyframes)), joint, Ts)
 
-    def _verdict(
-        self,
-        inliers_px: Array,
-        covariance: Array,
-        rms_sigma: float,
-        distance_m: float = 0.0,
-        right_frac: float = 1.0,
-    ) -> tuple[OdometryStatus, str]:
-        settings = self._settings
-        good_m = settings.sigma_good_m + settings.sigma_good_frac * distance_m
-        count, covered = len(inliers_px), coverage(inliers_px, self._shape)
-        sigma_m = float(np.sqrt(max(np.linalg.eigvalsh(covariance[3:, 3:])[-1], 0.0)))
-        reason = ""
-        if count < settings.inliers_good:
-            reason = f"{count} points (good from {settings.inliers_good}); little texture, or something covers the wall"
-        elif self._texture_grey < settings.texture_good_grey:
-            reason = (
-                f"texture is faint: grey varies by {self._texture_grey:.1f} levels (good from "
-                f"{settings.texture_good_grey:g}); more light, or go nearer"
-            )
-        elif covered < settings.coverage_good:
-            reason = f"points in {covered} of 40 cells of the image (good from {settings.coverage_good})"
-        elif right_frac < settings.right_good_frac:
-            reason = (
-                f"the right eye shows {100 * right_frac:.0f} % of the known points that it should (good from "
-                f"{100 * settings.right_good_frac:.0f} %); covered, frozen, out of step, or the eyes are swapped"
-            )
-        elif sigma_m > good_m:
-            reason = f"position only known to {1e3 * sigma_m:.1f} mm (good to {1e3 * good_m:.1f}); go slower or nearer"
-        elif rms_sigma > settings.rms_good:
-            reason = f"points disagree {rms_sigma:.1f} times more than they should; calibration, sync or moving things"
-        return (OdometryStatus.DEGRADED if reason else OdometryStatus.OK), reason
-
     def _wants_keyframe(self, inliers_px: Array) -> bool:
         frac = self._settings.keyframe_below_frac
         few = len(inliers_px) < frac * self._full_points
@@ -342,7 +365,9 @@ class StereoOdometry:
     ) -> Keyframe:
         camera, settings = self._camera, self._settings
         found = sight.match_eyes(camera, settings.features, occupied_px)
-        self._texture_grey = found.texture_grey
+        free = ~self._own.hides(found.left_px)
+        found = replace(found, left_px=found.left_px[free], right_px=found.right_px[free])
+        self._texture_grey, self._unique_depth = found.texture_grey, self._unique_depth and found.unique
         twist = motion.twist()
         readout_s, self._serial = self._readout.value_s, self._serial + 1
         keyframe = make_keyframe(
@@ -361,3 +386,9 @@ class StereoOdometry:
     def _lost(self, t_exposure_ns: int, reason: str) -> OdometryPose:
         T_vo_cam = np.eye(4) if self._last is None else self._last.motion.T_vo_cam
         return OdometryPose(t_exposure_ns, T_vo_cam, UNKNOWN_COVARIANCE.copy(), OdometryStatus.LOST, reason, 0)
+
+
+def _holding(covariance: Array, T_vo_cam: Array, rival: PoseFit) -> Array:
+    """A pose's covariance (6, 6) that holds another motion's pose as well."""
+    apart = pose_difference(T_vo_cam, inverse_pose(rival.T_cam_vo))
+    return covariance + covariance_in_vo(rival.T_cam_vo, rival.covariance) + np.outer(apart, apart)

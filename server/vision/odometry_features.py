@@ -12,6 +12,8 @@ BORDER_PX = 14  # a patch and its gradient must fit in
 QUALITY_FRAC = 0.003  # of the image's strongest corner
 STRENGTH_MIN = 2e-5  # smaller eigenvalue of the gradient matrix, cv2's scale: sensor noise of 2 grey levels gives 5e-6
 BLOCK_PX = 5
+COLUMNS, ROWS = 8, 5  # of the image's coarse cells
+N_CELLS = COLUMNS * ROWS
 SPACING_FRAC = 0.6  # of a cell, to points that are tracked already
 
 
@@ -72,9 +74,14 @@ def texture_grey(image: Image, points_px: Array, half_px: int = 7) -> float:
     return float(np.median(image[down, across].std(axis=(1, 2))))
 
 
-def coverage(points_px: Array, shape: tuple[int, int], columns: int = 8, rows: int = 5) -> int:
-    """How many of the image's coarse cells hold a point."""
+def cell_numbers(points_px: Array, shape: tuple[int, int]) -> NDArray[np.int64]:
+    """Which of the image's coarse cells, 0 to 39, each point (n, 2) [px] lies in."""
     height, width = shape
-    x = np.clip(points_px[:, 0] * columns / width, 0, columns - 1).astype(int)
-    y = np.clip(points_px[:, 1] * rows / height, 0, rows - 1).astype(int)
-    return len(np.unique(y * columns + x))
+    x = np.clip(points_px[:, 0] * COLUMNS / width, 0, COLUMNS - 1).astype(np.int64)
+    y = np.clip(points_px[:, 1] * ROWS / height, 0, ROWS - 1).astype(np.int64)
+    return y * COLUMNS + x
+
+
+def coverage(points_px: Array, shape: tuple[int, int]) -> int:
+    """How many of the image's coarse cells hold a point."""
+    return len(np.unique(cell_numbers(points_px, shape)))

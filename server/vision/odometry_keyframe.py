@@ -1,5 +1,6 @@
 """Keyframes: a stereo pair that is kept, and the points it put into the map."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +17,9 @@ from server.vision.odometry_sight import Sight, StereoMatches, Wanted
 FAILURES_MAX = 8  # more failed than found, and this often: the point is asked in turn only
 TURNS = 32  # pairs in which each of those is asked once more: what covered it may have gone
 DEPTH_MIN_M = 0.05
+VOTES_MAX = 8  # pairs in a row that turn a point's verdict round
+OWN_VOTES = -2  # of two pairs: one may be chance, as where a texture repeats
+Hides = Callable[[Array], NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +41,8 @@ class Keyframe:
     row was exposed. support_row (n, 2, 3): the points one raw pixel to the right and below, at the same depth.
     covariances_row (n, 3, 3) [m^2]. The same in vo, at mid-exposure of the middle row: points_vo, support_vo,
     covariances_vo. mixing: by a keyframe's serial (n, 3, 3): how far each point goes where that keyframe goes; they sum
-    to the identity. seen_here: older points found again in this pair. twist_gain (6, 6): what the velocity's error
+    to the identity. votes (n,): above 0 for a point that went with the world, below for one that went with the camera.
+    seen_here: older points found again in this pair. twist_gain (6, 6): what the velocity's error
     did to this pose.
     """
 
@@ -54,6 +59,7 @@ class Keyframe:
     support_vo: Array
     covariances_vo: Array
     failures: NDArray[np.int64]
+    votes: NDArray[np.int8]
     serial: int = 0
     counted: int = 0
     mixing: dict[int, Array] = field(default_factory=dict)
@@ -71,6 +77,10 @@ class Keyframe:
         self.counted += 1
         turn = np.arange(self.counted % TURNS, self.n_points, TURNS)
         self.failures[turn] = np.minimum(self.failures[turn], FAILURES_MAX - 1)
+
+    def vote(self, indices: NDArray[np.int64], signs: NDArray[np.int8]) -> None:
+        """One more pair says that points (m,) went with the world (1), with the camera (-1), or neither (0)."""
+        self.votes[indices] = np.clip(self.votes[indices] + signs, -VOTES_MAX, VOTES_MAX)
 
     def place(self, T_vo_cam: Array, twist: Array, readout_s: float) -> None:
         """Put the map points where this pose, velocity (6,) and readout of the shutter say they are."""
@@ -146,6 +156,7 @@ def make_keyframe(
         support_vo=empty,
         covariances_vo=empty,
         failures=np.zeros(len(points), dtype=np.int64),
+        votes=np.zeros(len(points), dtype=np.int8),
     )
     keyframe.serial = serial
     keyframe.mixing = {serial: np.tile(np.eye(3), (len(points), 1, 1))}
@@ -153,17 +164,20 @@ def make_keyframe(
     return keyframe
 
 
-def expect_points(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array, sight: Sight) -> Wanted:
+def expect_points(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array, sight: Sight, hides: Hides) -> Wanted:
     """Which of a keyframe's points a pair taken at `T_vo_cam` shows, and where.
 
-    A point is left out where it lies under the mask, where the patch would be seen at less than 0.4 or more than 2.5
-    times its area, or where it has failed too often and it is not its turn.
+    A point is left out where it lies under the mask or own structure hides it, where it is own structure itself, where
+    the patch would be seen at less than 0.4 or more than 2.5 times its area, or where it has failed too often and it is
+    not its turn.
     """
     T_cam_vo = inverse_pose(T_vo_cam)
     points_cam = transform_points(T_cam_vo, keyframe.points_vo)
-    indices = np.flatnonzero((points_cam[:, 2] > DEPTH_MIN_M) & (keyframe.failures < FAILURES_MAX))
+    indices = np.flatnonzero(
+        (points_cam[:, 2] > DEPTH_MIN_M) & (keyframe.failures < FAILURES_MAX) & (keyframe.votes > OWN_VOTES)
+    )
     left_px, right_px = project_stereo(camera, points_cam[indices])
-    near = sight.may_show(left_px)
+    near = sight.may_show(left_px) & ~hides(left_px)
     indices, left_px, right_px = indices[near], left_px[near], right_px[near]
     columns = [
         project_stereo(camera, transform_points(T_cam_vo, keyframe.support_vo[indices, k]))[0] - left_px

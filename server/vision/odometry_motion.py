@@ -38,6 +38,11 @@ class Motion:
         """T_vo_cam at a time if the last motion goes on."""
         return predict_pose(self.T_vo_cam, self.step, self.step_ns, t_ns - self.t_ns)
 
+    def is_gap(self, t_ns: int) -> bool:
+        """Whether so long after the last pose no motion is carried on."""
+        elapsed_ns = t_ns - self.t_ns
+        return elapsed_ns > GAP_MAX_NS or 0 < RATIO_MAX * self.step_ns < elapsed_ns
+
     def moved_to(self, T_vo_cam: Array, t_ns: int) -> "Motion":
         """The motion after another pose became known."""
         known = 0 < self.step_ns < GAP_MAX_NS
@@ -131,6 +136,11 @@ def covariance_in_vo(T_cam_vo: Array, covariance: Array) -> Array:
     """
     J = inverse_jacobian(T_cam_vo)
     return J @ covariance @ J.T
+
+
+def pose_difference(T_one: Array, T_other: Array) -> Array:
+    """The step (6,) from one pose to another: rotation vector by left perturbation, then translation."""
+    return np.concatenate([rotvec_from_rotation(T_other[:3, :3] @ T_one[:3, :3].T), T_other[:3, 3] - T_one[:3, 3]])
 
 
 def with_scale_error(covariance: Array, position_vo: Array, sigma_scale_frac: float) -> Array:

@@ -10,10 +10,10 @@ from machine.camera import project_stereo, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, transform_points
 from server.vision.contracts import Array
-from server.vision.odometry_keyframe import DEPTH_MIN_M, Keyframe, expect_points
+from server.vision.odometry_keyframe import DEPTH_MIN_M, Hides, Keyframe, expect_points
 from server.vision.odometry_lens import ray_noise
 from server.vision.odometry_pose import StereoPoints
-from server.vision.odometry_sight import Sight
+from server.vision.odometry_sight import Sight, Wanted
 
 ENOUGH_FRAC = 0.5  # of the points wanted: found, not only expected
 SAMPLE = 24  # points of a keyframe that are asked first
@@ -24,7 +24,8 @@ MARGIN = 0.7  # half of the image and some more
 @dataclass(frozen=True, slots=True)
 class Observed:
     """Map points found in a pair: keyframe and number in it (n,), raw pixels (n, 2) (right NaN where not shown), and
-    the same for the fit."""
+    the same for the fit. points_row (n, 3): in the axes of the camera that kept them. votes (n,): of earlier pairs,
+    above 0 for a point that went with the world, below for one that went with the camera."""
 
     keyframes: NDArray[np.int64]
     indices: NDArray[np.int64]
@@ -32,20 +33,32 @@ class Observed:
     right_px: Array
     n_expected: int
     seen: StereoPoints
+    points_row: Array
+    votes: NDArray[np.int8]
+    correlations: Array
     tried: tuple["Tried", ...] = ()
+
+    def count(self, good: NDArray[np.bool_]) -> None:
+        """Hold misses, and finds that are not `good` (n,), against the points.
+
+        Only right where the pair was located: in the dark all are missed.
+        """
+        start = 0
+        for tried in self.tried:
+            found = tried.found.copy()
+            end = start + int(found.sum())
+            found[found] = good[start:end]
+            tried.keyframe.count(tried.wanted.indices, found)
+            start = end
 
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """Which points of a keyframe (n,) were looked for, and which of them were found."""
+    """Points of a keyframe (n,) that were looked for, and which of them were found."""
 
     keyframe: Keyframe
-    indices: NDArray[np.int64]
+    wanted: Wanted
     found: NDArray[np.bool_]
-
-    def count(self) -> None:
-        """Hold the misses against the points; only right where the pair was located: in the dark all are missed."""
-        self.keyframe.count(self.indices, self.found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,22 +70,30 @@ class _Part:
     right_px: Array
     points_vo: Array
     covariances_vo: Array
+    correlations: Array
 
 
 def observe_map(
-    camera: StereoCamera, keyframes: Sequence[Keyframe], sight: Sight, T_vo_cam: Array, points_max: int, sigma_px: float
+    camera: StereoCamera,
+    keyframes: Sequence[Keyframe],
+    sight: Sight,
+    T_vo_cam: Array,
+    points_max: int,
+    sigma_px: float,
+    hides: Hides,
 ) -> Observed:
     """Map points in a pair taken near `T_vo_cam`.
 
     Args:    keyframes: oldest first. points_max: no further keyframe once this many points were expected.
-             sigma_px: of one coordinate in one image.
+             sigma_px: of one coordinate in one image. hides: which places of the left picture show own structure.
     """
     parts: list[_Part] = []
     n_expected = n_found = 0
     for number, keyframe in enumerate(keyframes):
         if number > 0 and number < len(keyframes) - 1 and not in_view(camera, keyframe, T_vo_cam):
             continue
-        part, expected = _observe_keyframe(camera, number, keyframe, sight, T_vo_cam, points_max - n_found)
+        wanted = expect_points(camera, keyframe, T_vo_cam, sight, hides)
+        part, expected = _observe_keyframe(number, keyframe, sight, wanted, points_max - n_found)
         parts.append(part)
         n_expected += expected
         n_found += len(part.indices)
@@ -93,7 +114,10 @@ def observe_map(
     )
     numbers = [np.concatenate([getattr(part, name) for part in parts]) for name in ("keyframes", "indices")]
     tried = tuple(part.tried for part in parts)
-    return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, tried)
+    points_row = np.concatenate([part.tried.keyframe.points_row[part.indices] for part in parts])
+    correlations = np.concatenate([part.correlations for part in parts])
+    votes = np.concatenate([part.tried.keyframe.votes[part.indices] for part in parts])
+    return Observed(numbers[0], numbers[1], left_px, right_px, n_expected, seen, points_row, votes, correlations, tried)
 
 
 def expected_right(camera: StereoCamera, points_cam: Array) -> NDArray[np.bool_]:
@@ -114,21 +138,20 @@ def in_view(camera: StereoCamera, keyframe: Keyframe, T_vo_cam: Array) -> bool:
     return bool((near & beside & above).any())
 
 
-def _observe_keyframe(
-    camera: StereoCamera, number: int, keyframe: Keyframe, sight: Sight, T_vo_cam: Array, room: int
-) -> tuple[_Part, int]:
-    wanted = expect_points(camera, keyframe, T_vo_cam, sight)
+def _observe_keyframe(number: int, keyframe: Keyframe, sight: Sight, wanted: Wanted, room: int) -> tuple[_Part, int]:
     if len(wanted.indices) > room:
         wanted = wanted.some(np.linspace(0, len(wanted.indices) - 1, room).astype(np.int64))
     left, right = sight.find(keyframe.sight, wanted)
     on, good = wanted.indices, left.good
+    left_px, right_px = left.points_px[good], np.where(right.good[:, None], right.points_px, np.nan)[good]
     part = _Part(
-        tried=Tried(keyframe, on, good),
+        tried=Tried(keyframe, wanted, good),
         keyframes=np.full(int(good.sum()), number, dtype=np.int64),
         indices=on[good],
-        left_px=left.points_px[good],
-        right_px=np.where(right.good[:, None], right.points_px, np.nan)[good],
+        left_px=left_px,
+        right_px=right_px,
         points_vo=keyframe.points_vo[on[good]],
         covariances_vo=keyframe.covariances_vo[on[good]],
+        correlations=left.correlation[good],
     )
     return part, len(on)

@@ -1,6 +1,6 @@
 """Pose of the left camera from known points: a start that survives outliers, then a robust two-view refinement."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,8 +18,8 @@ ROUNDS_MAX = 20
 SETTLE_ROUNDS = 3  # after the robust fit, with the inliers' full weight
 CAUCHY_SQUARE = 8.0  # [sigma^2] over the four coordinates of a point
 INLIER_SQUARE = 20.0  # 99.95 % of chi2 with 4 degrees of freedom
-MEDIAN_SQUARE = 3.36  # of that chi2
-SCALE_SQUARE_MAX = 16.0  # images may be noisier than assumed, up to 4 times
+MAD_OF_NORMAL = 0.6745  # median absolute deviation of a normal distribution, in its sigmas
+ROW_FACTOR_MAX = 4.0  # images may be noisier than assumed, up to so many times
 NOISE_FACTOR_MIN = 0.4  # residuals may show better images, but not what a patch errs by in all pairs alike
 INLIERS_MIN = 6
 DEPTH_MIN_M = 0.05
@@ -45,7 +45,8 @@ class StereoPoints:
 class PoseFit:
     """T_cam_vo, covariance (6, 6) (left perturbation in camera axes, then translation), inliers (n,), rms [sigma].
 
-    `information` (6, 6) and `whiteners` (n, 4, 4) [1/px] are what the fit worked with.
+    `information` (6, 6) and `whiteners` (n, 4, 4) [1/px] are what the fit worked with; `squares` (n,) what it left of
+    each point, whitened and squared; below `limit` a point is an inlier.
     """
 
     T_cam_vo: Array
@@ -54,6 +55,8 @@ class PoseFit:
     rms_sigma: float
     information: Array
     whiteners: Array
+    squares: Array
+    limit: float
 
     @property
     def noise_factor(self) -> float:
@@ -178,11 +181,11 @@ def white_rows(
 
 
 @njit(cache=True, nogil=True)
-def _equations(
+def equations(
     rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array, limit: float
 ) -> tuple[Array, Array, float, Array]:
     """Weighted J^T J, J^T r, cost, squared whitened residual per point. `limit`: points below it count fully, others
-    not at all; 0 = all count by the Cauchy weight."""
+    not at all; negative: all count by the Cauchy weight of this size."""
     information, gradient, cost = np.zeros((6, 6)), np.zeros(6), 0.0
     squares = np.full(len(points), np.inf)
     rows, slope, white = np.zeros((4, 6)), np.zeros((4, 3)), np.zeros(4)
@@ -199,8 +202,8 @@ def _equations(
             weight = 1.0 if square < limit else 0.0
             cost += min(square, limit)
         else:
-            weight = 1.0 / (1.0 + square / CAUCHY_SQUARE)
-            cost += CAUCHY_SQUARE * np.log1p(square / CAUCHY_SQUARE)
+            weight = 1.0 / (1.0 - square / limit)
+            cost -= limit * np.log1p(-square / limit)
         if weight == 0.0:
             continue
         for a in range(4):
@@ -216,10 +219,11 @@ def _equations(
 
 
 @njit(cache=True, nogil=True)
-def _minimise(
+def minimise(
     rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array, limit: float, rounds: int
 ) -> tuple[Array, Array, Array, Array]:
-    information, gradient, cost, squares = _equations(rotation, position, points, rays, roots, shape, limit)
+    """Levenberg-Marquardt from a pose: rotation, position, J^T J and squared residuals at the end; `limit` as above."""
+    information, gradient, cost, squares = equations(rotation, position, points, rays, roots, shape, limit)
     damping = 1e-4
     for _ in range(rounds):
         damped = information.copy()
@@ -227,7 +231,7 @@ def _minimise(
             damped[k, k] += damping * information[k, k] + 1e-6
         step = solve_positive(damped, -gradient)
         new_rotation, new_position = rotated(rotation, step[:3]), position + step[3:]
-        new = _equations(new_rotation, new_position, points, rays, roots, shape, limit)
+        new = equations(new_rotation, new_position, points, rays, roots, shape, limit)
         if new[2] <= cost:
             small = cost - new[2] < 1e-6 * cost
             rotation, position = new_rotation, new_position
@@ -247,28 +251,89 @@ def stacked_rays(seen: StereoPoints) -> Array:
     return np.concatenate([seen.rays_left, seen.rays_right], axis=1)
 
 
+@dataclass(frozen=True, slots=True)
+class PoseProblem:
+    """Points and observations near a start pose, ready for as many fits as are wanted.
+
+    rays (n, 4); shape: focal length [px], baseline [m]; noise: how many times noisier than assumed the images are.
+    """
+
+    points: Array
+    rays: Array
+    roots: Array
+    shape: Array
+    noise: float
+
+    @property
+    def limit(self) -> float:
+        """Squared whitened residual below which a point is an inlier."""
+        return INLIER_SQUARE * max(self.noise, 1.0) ** 2
+
+    def without(self, points: NDArray[np.bool_]) -> "PoseProblem":
+        """The same without some of the points (n,): they agree with no pose."""
+        return replace(self, roots=np.where(points[:, None, None], 0.0, self.roots))
+
+    def squares(self, T_cam_vo: Array, points: Array | None = None) -> Array:
+        """Squared whitened residuals (n,) at a pose, of the problem's points or of others in their place (n, 3)."""
+        rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
+        places = self.points if points is None else np.ascontiguousarray(points)
+        return equations(rotation, position, places, self.rays, self.roots, self.shape, self.limit)[3]
+
+
+def pose_problem(T_cam_vo: Array, seen: StereoPoints) -> PoseProblem:
+    """What a fit near `T_cam_vo` works with.
+
+    Model:   C = sigma^2 I + P C_map P^T for the four coordinates of a point: the map's error is common to both eyes.
+    """
+    rays, points = stacked_rays(seen), np.ascontiguousarray(seen.points_vo)
+    shape = np.array([seen.focal_px, seen.baseline_m])
+    noise = np.tile(np.eye(2), (len(points), 2, 1, 1)) if seen.noise is None else seen.noise
+    rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
+    covariances = np.ascontiguousarray(seen.covariances_vo)
+    roots = _whiteners(rotation, position, points, covariances, rays, seen.sigma_px**2 * noise, shape)
+    return PoseProblem(points, rays, roots, shape, row_factor(seen))
+
+
+def row_factor(seen: StereoPoints) -> float:
+    """How many times noisier than assumed the images are, 0.4 to 4, as the rows of both eyes show it.
+
+    Model:   the rows of a point's two rays are equal whatever moves, so their difference, of sigma sqrt(2), is noise
+             alone: median absolute deviation from zero. Residuals of a pose would take a second motion for noise.
+    """
+    apart = np.abs(seen.rays_left[:, 1] - seen.rays_right[:, 1]) * seen.focal_px
+    apart = apart[np.isfinite(apart)]
+    if len(apart) < INLIERS_MIN:
+        return 1.0
+    factor = float(np.median(apart)) / (MAD_OF_NORMAL * np.sqrt(2.0) * seen.sigma_px)
+    return float(np.clip(factor, NOISE_FACTOR_MIN, ROW_FACTOR_MAX))
+
+
 def refine_camera(T_cam_vo: Array, seen: StereoPoints) -> PoseFit | None:
     """Robust pose of the camera from all points in both eyes; None where they do not determine it.
 
-    Model:   min over T of sum of rho(r^T C^-1 r), r = the four coordinates of a point minus their prediction,
-             C = sigma^2 I + P C_map P^T: the map's error is common to both eyes. rho Cauchy, LM with analytic Jacobian,
-             left perturbation; then the inliers with full weight: r^T C^-1 r < 20, times the scale by the median where
-             the images are noisier than assumed. Covariance: (J^T C^-1 J)^-1 times the inliers' mean square, but not
-             less than 0.16.
+    Model:   min over T of sum of rho(r^T C^-1 r), r = the four coordinates of a point minus their prediction. rho
+             Cauchy, LM with analytic Jacobian, left perturbation; then the inliers with full weight: r^T C^-1 r < 20
+             times the square of `row_factor` where that is above 1. Covariance: (J^T C^-1 J)^-1 times the inliers' mean
+             square, but not less than 0.16.
     Args:    T_cam_vo: start (4, 4), near enough for C. seen: points and observations.
     """
-    rays = stacked_rays(seen)
-    points = np.ascontiguousarray(seen.points_vo)
+    problem = pose_problem(T_cam_vo, seen)
+    return settled(problem, *rough(problem, T_cam_vo))
+
+
+def rough(problem: PoseProblem, T_cam_vo: Array) -> tuple[Array, Array]:
+    """Rotation and position by the Cauchy cost of all points: the nearest of its minima."""
     rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
-    shape = np.array([seen.focal_px, seen.baseline_m])
-    covariances = np.ascontiguousarray(seen.covariances_vo)
-    noise = np.tile(np.eye(2), (len(points), 2, 1, 1)) if seen.noise is None else seen.noise
-    roots = _whiteners(rotation, position, points, covariances, rays, seen.sigma_px**2 * noise, shape)
-    rotation, position, _, squares = _minimise(rotation, position, points, rays, roots, shape, 0.0, ROUNDS_MAX)
-    limit = INLIER_SQUARE * _scale_square(squares)
-    rotation, position, information, squares = _minimise(
-        rotation, position, points, rays, roots, shape, limit, SETTLE_ROUNDS
-    )
+    data = problem.points, problem.rays, problem.roots, problem.shape
+    found = minimise(rotation, position, *data, -CAUCHY_SQUARE * max(problem.noise, 1.0) ** 2, ROUNDS_MAX)
+    return found[0], found[1]
+
+
+def settled(problem: PoseProblem, rotation: Array, position: Array) -> PoseFit | None:
+    """The fit of the inliers about a pose, at their full weight."""
+    rays, limit = problem.rays, problem.limit
+    data = problem.points, rays, problem.roots, problem.shape
+    rotation, position, information, squares = minimise(rotation, position, *data, limit, SETTLE_ROUNDS)
     inliers = np.asarray(squares < limit)
     if inliers.sum() < INLIERS_MIN or np.linalg.cond(information) > 1e14:
         return None
@@ -281,16 +346,12 @@ def refine_camera(T_cam_vo: Array, seen: StereoPoints) -> PoseFit | None:
         inliers=inliers,
         rms_sigma=float(np.sqrt(mean_square)),
         information=information,
-        whiteners=roots,
+        whiteners=problem.roots,
+        squares=squares,
+        limit=limit,
     )
 
 
 def noise_factor(mean_square: float) -> float:
     """Noise over the assumed one from the mean square of whitened residuals."""
     return float(np.sqrt(max(mean_square, NOISE_FACTOR_MIN**2)))
-
-
-def _scale_square(squares: Array) -> float:
-    """How much noisier than assumed the residuals are, by their median; 1 to 16."""
-    finite = squares[np.isfinite(squares)]
-    return float(np.clip(np.median(finite) / MEDIAN_SQUARE, 1.0, SCALE_SQUARE_MAX)) if len(finite) else 1.0

@@ -1,4 +1,4 @@
-"""Places of one image recognised in another without any idea of where the camera is: ORB features."""
+"""Places of one image recognised in another without any idea of where the camera is, and an image in itself."""
 
 import cv2
 import numpy as np
@@ -7,6 +7,11 @@ from server.vision.contracts import Array, Image
 
 FEATURES = 1200
 RATIO_MAX = 0.85  # of the best distance to the second best
+SCALE = 0.25  # at which a picture is compared with itself
+LOBE_PX = 4  # at that scale: nearer, a picture resembles itself whatever it shows
+ALIKE_FRAC = 0.8  # of the strongest repetition: its neighbours on the same lattice
+REPEATS_MAX = 4  # nearest repetitions
+UNIQUE_RATIO_MAX = 0.8  # of the best dissimilarity to the second best: below, the best is unique (Lowe 2004)
 
 
 def recognise(first: Image, mask_first: Image, second: Image, mask_second: Image) -> tuple[Array, Array]:
@@ -31,3 +36,23 @@ def recognise(first: Image, mask_first: Image, second: Image, mask_second: Image
     ]
     chosen = np.array(good, dtype=np.int64).reshape(-1, 2)
     return places[0][chosen[:, 0]], places[1][chosen[:, 1]]
+
+
+def repeats(image: Image, along_rows: bool = False) -> Array:
+    """Ways (k, 2) [px] by which a picture may repeat itself, the nearest first; few or none where it does not.
+
+    Model:   normalised correlation of its middle half, each way, with the whole: local maxima beside the main one.
+    """
+    small = cv2.resize(image, None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_AREA)
+    top, left = small.shape[0] // 4, small.shape[1] // 4
+    middle = small[top : small.shape[0] - top, left : small.shape[1] - left]
+    likeness = np.asarray(cv2.matchTemplate(small, middle, cv2.TM_CCOEFF_NORMED))
+    if along_rows:
+        likeness, top = likeness[top : top + 1], 0
+    peaks = likeness >= np.asarray(cv2.dilate(likeness, np.ones((2 * LOBE_PX + 1,) * 2, np.uint8)))
+    ways = np.argwhere(peaks & (likeness > 0.0))[:, ::-1] - [left, top]
+    heights = likeness[ways[:, 1] + top, ways[:, 0] + left]
+    apart = np.linalg.norm(ways, axis=1)
+    ways, heights = ways[apart > LOBE_PX], heights[apart > LOBE_PX]
+    ways = ways[heights >= ALIKE_FRAC * heights.max(initial=0.0)]
+    return np.asarray(ways[np.argsort(np.linalg.norm(ways, axis=1))][:REPEATS_MAX] / SCALE, dtype=np.float64)

@@ -9,23 +9,26 @@ from numpy.typing import NDArray
 from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
-from server.vision.odometry_align import Alignment, align
+from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, Alignment, align
 from server.vision.odometry_features import inside_mask, spread_corners, texture_grey
 from server.vision.odometry_flow import Flow, flow
-from server.vision.odometry_recognition import recognise
+from server.vision.odometry_recognition import UNIQUE_RATIO_MAX, recognise, repeats
 
 EPIPOLAR_MAX_PX = 1.0
 DISPARITY_MIN_PX = 1.5
+SAMPLE = 40  # points that say which disparity is the right one where a texture repeats
+REPETITIONS_MAX = 8
 
 
 @dataclass(frozen=True, slots=True)
 class StereoMatches:
     """Raw pixels (n, 2) of the same points in both eyes; `texture_grey`: how much the grey varies about a typical one
-    (standard deviation over its patch), infinite where there are no images."""
+    (standard deviation over its patch), infinite where there are no images. unique: no other disparity is as good."""
 
     left_px: Array
     right_px: Array
     texture_grey: float = float("inf")
+    unique: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +83,10 @@ class Sight(Protocol):
         """Left places (n, 2) of a kept pair and where they seem to be in this left eye, wherever the camera is."""
         ...
 
+    def repeats(self) -> Array:
+        """Ways (k, 2) [px] by which the left picture may repeat itself."""
+        ...
+
     def keep(self) -> "Sight":
         """A copy that stays true when the caller's buffers are used again."""
         ...
@@ -112,8 +119,46 @@ class ImageSight:
             retried = good.copy()
             retried[~good] = again.good
             good = plausible(camera, rays_left, right_px, retried)
-        good &= inside_mask(self.masks[1], right_px)
-        return StereoMatches(corners[good], right_px[good], texture_grey(self.left, corners[good]))
+        right_px, unique = self._best_disparity(corners, right_px, good)
+        good = plausible(camera, rays_left, right_px, good) & inside_mask(self.masks[1], right_px)
+        return StereoMatches(corners[good], right_px[good], texture_grey(self.left, corners[good]), unique)
+
+    def _best_disparity(self, corners: Array, right_px: Array, good: NDArray[np.bool_]) -> tuple[Array, bool]:
+        """Right places (n, 2), moved along the rows by as many repetitions of the texture as make both eyes most alike,
+        and whether that is clearly better than one repetition more or less."""
+        some = np.flatnonzero(good)[:: max(1, int(good.sum()) // SAMPLE)]
+        ways = repeats(self.left, along_rows=True)
+        if len(some) == 0 or len(ways) == 0:
+            return right_px, True
+        warps, offset = np.tile(np.eye(2), (len(some), 1, 1)), np.zeros(2)
+        border = np.array([2.0 * HALF_PX, 0.0])
+        size = np.array([self.left.shape[1], self.left.shape[0]])
+
+        def unlike(way: Array) -> Array:
+            guesses = right_px[some] + way
+            found = align(self.left, corners[some], warps, self.right, guesses)
+            inside = ((guesses >= border) & (guesses < size - border)).all(axis=1)
+            least = np.where(found.good, 1.0 - found.correlation**2, 1.0 - CORRELATION_MIN**2)
+            return np.where(inside, least, np.nan)
+
+        best, ratio = unlike(offset), 0.0
+        for _ in range(REPETITIONS_MAX):
+            others = [unlike(offset + way) for way in ways]
+            both = [~np.isnan(best) & ~np.isnan(other) for other in others]
+            ratios = [
+                float(np.median(best[on]) / np.median(other[on])) if on.any() else 0.0
+                for on, other in zip(both, others, strict=True)
+            ]
+            ratio = max(ratios)
+            if ratio <= 1.0:
+                break
+            chosen = int(np.argmax(ratios))
+            offset, best = offset + ways[chosen], others[chosen]
+        unique = bool(ratio <= UNIQUE_RATIO_MAX)
+        if not offset.any():
+            return right_px, unique
+        moved = align(self.left, corners, np.tile(np.eye(2), (len(corners), 1, 1)), self.right, right_px + offset)
+        return np.where(moved.good[:, None], moved.points_px, np.nan), unique
 
     def find(self, kept: Sight, wanted: Wanted) -> tuple[Alignment, Alignment]:
         """Patches of the kept pair, warped, laid onto this one; what lies under a mask is no find."""
@@ -140,6 +185,10 @@ class ImageSight:
         if not isinstance(kept, ImageSight):
             raise TypeError(f"a pair of images is compared with images, not with {type(kept).__name__}")
         return recognise(kept.left, kept.masks[0], self.left, self.masks[0])
+
+    def repeats(self) -> Array:
+        """By its likeness to itself."""
+        return repeats(self.left)
 
     def keep(self) -> "ImageSight":
         """With images of its own."""

@@ -25,7 +25,7 @@ def warm_up() -> None:
     if fit is None:
         return
     numbers = np.zeros(12, dtype=np.int64)
-    observed = Observed(numbers, numbers, left, right, 12, seen)
+    observed = Observed(numbers, numbers, left, right, 12, seen, points, np.zeros(12, dtype=np.int8), np.ones(12))
     shutter = Shutter(left[:, 0], left[:, 0], np.ones(6), 0.01)
     sensitivity(observed, fit, points, shutter, [_keyframe()])
 
@@ -46,5 +46,6 @@ def _keyframe() -> Keyframe:
         support_vo=points[:, None],
         covariances_vo=np.eye(3)[None],
         failures=np.zeros(1, dtype=np.int64),
+        votes=np.zeros(1, dtype=np.int8),
         mixing={0: np.eye(3)[None]},
     )

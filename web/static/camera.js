@@ -54,6 +54,7 @@ function draw() {
   bitmap.close();
   const scale = canvas.width / header.width_px;
   context.save();
+  for (const polygon of header.masks_px ?? []) drawMask(polygon, scale);
   for (const marker of header.markers) drawMarker(marker, scale);
   if (header.goal) drawCross(header.goal, scale, t("legend_goal"), "#ffd84d", true);
   if (header.tool) drawCross(header.tool, scale, t("legend_tool"), "#ff8ad8", false);
@@ -65,6 +66,20 @@ function draw() {
 }
 
 const place = (scale) => ([u, v]) => [(u + 0.5) * scale, (v + 0.5) * scale];
+
+// Where nothing of the scene is looked for: the machine itself, as the settings have it.
+function drawMask(polygon, scale) {
+  context.beginPath();
+  polygon.map(place(scale)).forEach(([u, v], i) => (i ? context.lineTo(u, v) : context.moveTo(u, v)));
+  context.closePath();
+  context.fillStyle = "#0d1b2a80";
+  context.fill();
+  context.setLineDash([10, 6]);
+  context.lineWidth = 2;
+  context.strokeStyle = "#aab4b9";
+  context.stroke();
+  context.setLineDash([]);
+}
 
 function drawMarker(marker, scale) {
   const points = marker.corners_px.map(place(scale));

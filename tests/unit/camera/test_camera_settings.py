@@ -144,9 +144,13 @@ def test_calibration_of_a_data_set_by_its_folder_or_two_files(tmp_path: Path) ->
 def test_a_stream_on_the_command_line_keeps_the_rig_of_the_file(tmp_path: Path, kind: str) -> None:
     """Pictures that are not rectified any more put every pose off, and nothing says so."""
     path = tmp_path / "settings.toml"
-    path.write_text(f"[camera]\n{kind}\ncalibration = 'SN1.conf'\neye_width_px = 1280\neye_height_px = 720\n")
+    path.write_text(
+        f"[camera]\n{kind}\ncalibration = 'SN1.conf'\neye_width_px = 1280\neye_height_px = 720\n"
+        "mask_left = 'left.png'\n"
+    )
     section = read_settings(path).camera
     rig = {"calibration": "SN1.conf", "eye_width_px": 1280, "eye_height_px": 720, "off_centre": False}
+    rig |= {"mask_left": "left.png", "mask_right": ()}
     assert with_stream(section, "http://cam/s") == {"kind": "http", "url": "http://cam/s", **rig}
     assert with_stream(section, "") == section.model_dump() == with_stream(section, None)
     served = _with_options(

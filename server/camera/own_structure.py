@@ -1,0 +1,100 @@
+"""Where an eye sees the machine itself: proposed from what stood still in its picture while the camera moved. Pure."""
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from server.camera.check_findings import CheckFinding, Level
+from server.camera.masking import outlines
+from server.vision.contracts import Array, Image
+
+BLOCK_PX = 16
+PAIRS_MIN = 5
+TEXTURE_MIN_GREY = 6.0  # of a block; twice a camera's noise, below it nothing says whether it moved
+STILL_FRAC = 0.35  # change over time by texture: blocks that keep still have noise only, those that move about 1
+MOVED_FRAC = 0.7
+MOVED_BLOCKS_MIN_FRAC = 0.2  # of all blocks with texture: fewer, and the camera stood
+UNMASKED_MIN_FRAC = 0.02  # of the picture; outlines of blocks differ by less from run to run
+BORDER_BLOCKS = 1  # a mask reaches so far beyond what was seen: a corner's patch must not touch it
+
+
+Masks = tuple[Sequence[Array], Sequence[Array]]
+
+
+def still_mask(images: Sequence[Image]) -> Image | None:
+    """A mask (h, w), 255 over what stood still in one eye's pictures (h, w); None where the camera did not move.
+
+    Model:   by blocks: standard deviation of grey over time against that over the block. Of a moving texture they are
+             alike, of one that stands still the first is noise. Plain blocks between still ones are taken with them.
+    """
+    if len(images) < PAIRS_MIN:
+        return None
+    stack = np.stack([image.astype(np.float64) for image in images])
+    over_time, texture = _blocks(stack.var(axis=0)), _texture(stack)
+    ratio = np.sqrt(over_time) / np.maximum(texture, 1e-3)
+    textured = texture > TEXTURE_MIN_GREY
+    moved = textured & (ratio > MOVED_FRAC)
+    if moved.sum() < max(1.0, MOVED_BLOCKS_MIN_FRAC * textured.sum()):
+        return None
+    still = np.asarray(textured & (ratio < STILL_FRAC), np.uint8)
+    seen = cv2.morphologyEx(still, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    closed = np.asarray(cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))) > 0
+    kept = np.asarray(closed & ~moved, np.uint8)
+    wide = np.asarray(cv2.dilate(kept, np.ones((2 * BORDER_BLOCKS + 1,) * 2, np.uint8)), np.uint8)
+    height, width = images[0].shape
+    return np.asarray(255 * np.kron(wide, np.ones((BLOCK_PX, BLOCK_PX), np.uint8))[:height, :width], np.uint8)
+
+
+def _blocks(values: Array) -> Array:
+    """Means over blocks; what is left over at the right and below counts with the last ones."""
+    height, width = values.shape
+    rows, columns = -(-height // BLOCK_PX), -(-width // BLOCK_PX)
+    padded = np.pad(values, ((0, rows * BLOCK_PX - height), (0, columns * BLOCK_PX - width)), mode="edge")
+    return padded.reshape(rows, BLOCK_PX, columns, BLOCK_PX).mean(axis=(1, 3))
+
+
+def _texture(stack: Array) -> Array:
+    """Standard deviation of grey over each block, mean square over the pictures."""
+    variances = [_blocks(image**2) - _blocks(image) ** 2 for image in stack]
+    return np.sqrt(np.maximum(np.mean(variances, axis=0), 0.0))
+
+
+def check_own_structure(pairs: Sequence[tuple[Image, Image]], masks: Masks = ((), ())) -> CheckFinding:
+    """The line of the camera check: what of each eye stood still, and the settings that mask it."""
+    found = [still_mask([pair[eye] for pair in pairs]) for eye in range(2)]
+    left, right = found
+    if left is None or right is None:
+        text = "the picture did not move, so what of it is the machine itself is not known"
+        return CheckFinding("own structure", Level.OK, text)
+    open_fracs = [float(_uncovered(mask, polygons).mean()) for mask, polygons in zip((left, right), masks, strict=True)]
+    shares = [float((mask > 0).mean()) for mask in (left, right)]
+    figures = {
+        "left_frac": shares[0],
+        "right_frac": shares[1],
+        "left_unmasked_frac": open_fracs[0],
+        "right_unmasked_frac": open_fracs[1],
+    }
+    text = (
+        f"{100 * shares[0]:.0f} % of the left and {100 * shares[1]:.0f} % of the right picture move with the camera; "
+        f"{100 * open_fracs[0]:.0f} % and {100 * open_fracs[1]:.0f} % are not masked"
+    )
+    if max(open_fracs) < UNMASKED_MIN_FRAC:
+        return CheckFinding("own structure", Level.OK, text, figures=figures)
+    remedy = f"put into [camera] of the settings: {mask_line('left', left)} {mask_line('right', right)}"
+    return CheckFinding("own structure", Level.WARN, text, remedy, figures)
+
+
+def _uncovered(mask: Image, polygons: Sequence[Array]) -> NDArray[np.bool_]:
+    covered = np.zeros(mask.shape, np.uint8)
+    for polygon in polygons:
+        cv2.fillPoly(covered, [np.round(polygon).astype(np.int32).reshape(-1, 1, 2)], 255)
+    return np.asarray((mask > 0) & (covered == 0))
+
+
+def mask_line(eye: str, mask: Image | None) -> str:
+    """A line of TOML for [camera]."""
+    polygons = () if mask is None else outlines(mask)
+    texts = ", ".join("[" + ", ".join(f"[{u:.0f}, {v:.0f}]" for u, v in polygon) + "]" for polygon in polygons)
+    return f"mask_{eye} = [{texts}]"

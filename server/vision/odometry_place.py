@@ -1,0 +1,76 @@
+"""Whether a place found again after a gap is the only one: a wall of bricks looks alike one brick farther on."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from machine.description import StereoCamera
+from machine.poses import inverse_pose, pose, transform_points
+from server.vision.contracts import Array
+from server.vision.odometry_align import CORRELATION_MIN
+from server.vision.odometry_motion import ACCELERATION, Motion
+from server.vision.odometry_motions import Located
+from server.vision.odometry_recognition import UNIQUE_RATIO_MAX
+
+CLIMBS_MAX = 8  # from place to better place in one pair
+
+
+def shifted(camera: StereoCamera, located: Located, way_px: Array) -> Array:
+    """T_vo_cam from which the points would appear this way (2,) [px] from where they are seen.
+
+    Model:   the camera goes along the plane that fits the points best (inverse depth is linear in the picture).
+    """
+    T_cam_vo = located.fit.T_cam_vo
+    points_cam = transform_points(T_cam_vo, located.points_vo[located.fit.inliers])
+    rays = points_cam / points_cam[:, 2:]
+    plane = np.linalg.lstsq(rays, 1.0 / points_cam[:, 2], rcond=None)[0]
+    half = np.array([0.5 * way_px[0] / camera.fx_px, 0.5 * way_px[1] / camera.fy_px, 0.0])
+    ends = [ray / (plane @ ray) for ray in (np.array([0.0, 0.0, 1.0]) + half, np.array([0.0, 0.0, 1.0]) - half)]
+    return np.asarray(inverse_pose(T_cam_vo) @ pose(np.eye(3), ends[1] - ends[0]))
+
+
+def dissimilarity(located: Located) -> float:
+    """How unlike their kept patches the expected points look here: mean of 1 - correlation^2, a missed one at most."""
+    observed, worst = located.observed, 1.0 - CORRELATION_MIN**2
+    on = located.fit.inliers
+    found = np.minimum(1.0 - observed.correlations[on] ** 2, worst)
+    return float((found.sum() + worst * (observed.n_expected - len(found))) / max(observed.n_expected, 1))
+
+
+def best_place(
+    camera: StereoCamera, ways_px: Array, located: Located, fit: Callable[[Array], Located | None]
+) -> tuple[Located, list[Array]]:
+    """The place among its repetitions that looks most like the map, and the ways (3,) in vo [m] to others that cannot
+    be excluded. `fit`: an accepted fit about a pose, or None."""
+    best = located
+    others: list[tuple[float, Located]] = []
+    for _ in range(CLIMBS_MAX):
+        found = [fit(shifted(camera, best, way)) for way in ways_px]
+        others = [
+            (dissimilarity(one), one) for one in found if one is not None and _apart(best, one, ways_px, camera.fx_px)
+        ]
+        nearest = min(others, default=None, key=lambda pair: pair[0])
+        if nearest is None or nearest[0] >= dissimilarity(best):
+            break
+        best = nearest[1]
+    alike = [one for unlike, one in others if dissimilarity(best) > UNIQUE_RATIO_MAX * unlike]
+    return best, [_position(one) - _position(best) for one in alike]
+
+
+def _position(located: Located) -> Array:
+    return inverse_pose(located.fit.T_cam_vo)[:3, 3]
+
+
+def _apart(one: Located, other: Located, ways_px: Array, focal_px: float) -> bool:
+    """Whether two fits did not end at the same place: more than half of the shortest repetition between them."""
+    points_cam = transform_points(one.fit.T_cam_vo, one.points_vo[one.fit.inliers])
+    half_px = 0.5 * np.linalg.norm(ways_px, axis=1).min()
+    half_m = half_px / focal_px * float(np.median(points_cam[:, 2]))
+    return bool(np.linalg.norm(_position(one) - _position(other)) > half_m)
+
+
+def travelled(motion: Motion, t_ns: int) -> float:
+    """How far [m] the camera may have come since its last pose: at its speed and with a boom's acceleration."""
+    elapsed_s = 1e-9 * (t_ns - motion.t_ns)
+    speed_m_s = float(np.linalg.norm(motion.twist().value[3:]))
+    return speed_m_s * elapsed_s + 0.5 * float(ACCELERATION[3]) * elapsed_s**2
