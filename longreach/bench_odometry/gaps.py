@@ -95,15 +95,18 @@ def run_gap(case: GapCase) -> dict[str, Any]:
     wall = brick_wall(case.brick_mm, case.own_frac, rng)
     odometry = StereoOdometry(nominal_machine().camera, OdometrySettings(readout_s=0.0, sigma_scale_frac=0.0))
     states, wrong, worst_mm = dict.fromkeys((status.value for status in OdometryStatus), 0), 0, 0.0
+    start_m = None  # the odometry's frame begins with its first pose
     for k in range(BEFORE + case.black + AFTER):
         way_m = 1e-3 * k * np.array(case.step_mm)
         pair = wall_pair(wall, np.array([*way_m, case.distance_m]), rng)
         if BEFORE <= k < BEFORE + case.black:
             pair = np.zeros_like(pair[0]), np.zeros_like(pair[1])
         found = odometry.process(*pair, k * PERIOD_NS)
-        if k < BEFORE + case.black:
+        if start_m is None and found.status is not OdometryStatus.LOST:
+            start_m = way_m
+        if k < BEFORE + case.black or start_m is None:
             continue
-        error_mm = 1e3 * float(np.linalg.norm(found.T_vo_cam[:3, 3] - [*way_m, 0.0]))
+        error_mm = 1e3 * float(np.linalg.norm(found.T_vo_cam[:3, 3] - [*(way_m - start_m), 0.0]))
         sigma_mm = 1e3 * float(np.sqrt(np.linalg.eigvalsh(found.covariance[3:, 3:])[-1]))
         states[found.status.value] += 1
         if found.status is OdometryStatus.OK:

@@ -169,14 +169,14 @@ class StereoOdometry:
         )
         if not others:
             self._unsure_m = 0.0
-            return replace(best, after_gap=True)
+            return replace(best, jumped=best is not located)
         apart_m = min(float(np.linalg.norm(way)) for way in others)
         spread = sum(np.outer(way, way) for way in others) + self._unsure_m**2 * np.eye(3)
         doubt = (
             f"what is seen repeats itself every {1e3 * apart_m:.0f} mm, and after a gap this may be any of its places; "
             "go to where something does not repeat, or start again"
         )
-        return replace(best, places=np.asarray(spread), doubt=doubt, after_gap=True)
+        return replace(best, places=np.asarray(spread), doubt=doubt, jumped=True)
 
     def _coarse(self, sight: Sight, last: Last) -> Array | None:
         """T_vo_cam by flow from the last pair, the first and the newest keyframe; else by recognising a keyframe."""
@@ -296,7 +296,7 @@ class StereoOdometry:
         )
         status, reason = self._judged(evidence)
         motion = last.motion.moved_to(T_vo_cam, sight.t_exposure_ns)
-        if located.after_gap:  # a step over places that look alike is no motion
+        if located.jumped:  # a step over places that look alike is no motion
             motion = standing(T_vo_cam, sight.t_exposure_ns)
         wanted = self._wants_keyframe(inliers_px) and (motion.steady or not self._rolls) and not located.doubt
         kept = sight.keep() if wanted else sight

@@ -37,7 +37,8 @@ class Located:
     left of each point if it moved with the camera instead.
 
     rival: the fit of another motion that may be the world's as well; the covariance holds both. doubt: why the pose may
-    be quite another one, or "". places (3, 3) [m^2]: covariance in vo of the places that look alike.
+    be quite another one, or "". places (3, 3) [m^2]: covariance in vo of the places that look alike. jumped: to
+    one of them, which is no motion.
     """
 
     observed: Observed
@@ -48,7 +49,7 @@ class Located:
     rival: PoseFit | None = None
     doubt: str = ""
     places: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    after_gap: bool = False
+    jumped: bool = False
 
 
 @dataclass(frozen=True, slots=True)

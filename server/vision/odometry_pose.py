@@ -219,6 +219,25 @@ def equations(
 
 
 @njit(cache=True, nogil=True)
+def squares_at(rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array) -> Array:
+    """Squared whitened residuals (n,) alone; infinite for a point behind the eye or left out."""
+    squares = np.full(len(points), np.inf)
+    for i in range(len(points)):
+        point_cam = apply(rotation, points[i]) + position
+        if point_cam[2] < DEPTH_MIN_M or roots[i, 0, 0] == 0.0:
+            continue
+        n, total = 2 if np.isnan(rays[i, 2]) else 4, 0.0
+        for a in range(n):
+            white = 0.0
+            for b in range(a + 1):
+                place = point_cam[1] if b % 2 else point_cam[0] - (shape[1] if b == 2 else 0.0)
+                white += roots[i, a, b] * shape[0] * (place / point_cam[2] - rays[i, b])
+            total += white * white
+        squares[i] = total
+    return squares
+
+
+@njit(cache=True, nogil=True)
 def minimise(
     rotation: Array, position: Array, points: Array, rays: Array, roots: Array, shape: Array, limit: float, rounds: int
 ) -> tuple[Array, Array, Array, Array]:
@@ -277,7 +296,7 @@ class PoseProblem:
         """Squared whitened residuals (n,) at a pose, of the problem's points or of others in their place (n, 3)."""
         rotation, position = np.ascontiguousarray(T_cam_vo[:3, :3]), np.ascontiguousarray(T_cam_vo[:3, 3])
         places = self.points if points is None else np.ascontiguousarray(points)
-        return equations(rotation, position, places, self.rays, self.roots, self.shape, self.limit)[3]
+        return squares_at(rotation, position, places, self.rays, self.roots, self.shape)
 
 
 def pose_problem(T_cam_vo: Array, seen: StereoPoints) -> PoseProblem:

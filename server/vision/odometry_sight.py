@@ -133,20 +133,21 @@ class ImageSight:
         warps, offset = np.tile(np.eye(2), (len(some), 1, 1)), np.zeros(2)
         border = np.array([2.0 * HALF_PX, 0.0])
         size = np.array([self.left.shape[1], self.left.shape[0]])
+        worst = 1.0 - CORRELATION_MIN**2
 
         def unlike(way: Array) -> Array:
             guesses = right_px[some] + way
             found = align(self.left, corners[some], warps, self.right, guesses)
             inside = ((guesses >= border) & (guesses < size - border)).all(axis=1)
-            least = np.where(found.good, 1.0 - found.correlation**2, 1.0 - CORRELATION_MIN**2)
+            least = np.where(found.good, 1.0 - found.correlation**2, worst)
             return np.where(inside, least, np.nan)
 
         best, ratio = unlike(offset), 0.0
         for _ in range(REPETITIONS_MAX):
             others = [unlike(offset + way) for way in ways]
-            both = [~np.isnan(best) & ~np.isnan(other) for other in others]
+            both = [np.minimum(best, other) < worst for other in others]  # NaN: not in the picture
             ratios = [
-                float(np.median(best[on]) / np.median(other[on])) if on.any() else 0.0
+                float(np.median(best[on]) / np.median(other[on])) if 2 * on.sum() > len(some) else 0.0
                 for on, other in zip(both, others, strict=True)
             ]
             ratio = max(ratios)

@@ -1,12 +1,15 @@
 """Compiles the odometry's kernels before the first pair; a cold start costs seconds, later ones find the cache."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from server.vision.bundle_warm_up import warm_up_bundle
 from server.vision.odometry_align import align
 from server.vision.odometry_keyframe import Keyframe
+from server.vision.odometry_motions import motions
 from server.vision.odometry_observation import Observed
-from server.vision.odometry_pose import StereoPoints, refine_camera
+from server.vision.odometry_pose import StereoPoints, pose_problem, refine_camera
 from server.vision.odometry_sensitivity import Shutter, sensitivity
 from server.vision.odometry_sight import ImageSight
 
@@ -24,6 +27,9 @@ def warm_up() -> None:
     fit = refine_camera(np.eye(4), seen)
     if fit is None:
         return
+    problem = pose_problem(np.eye(4), seen)
+    problem.squares(np.eye(4))
+    motions(problem, replace(fit, inliers=np.zeros(12, dtype=bool)), 3)
     numbers = np.zeros(12, dtype=np.int64)
     observed = Observed(numbers, numbers, left, right, 12, seen, points, np.zeros(12, dtype=np.int8), np.ones(12))
     shutter = Shutter(left[:, 0], left[:, 0], np.ones(6), 0.01)

@@ -33,5 +33,7 @@ def test_a_path_with_a_quarter_of_the_picture_covered_calibrates(texture):
     encoders = EncoderTrack(t_s=t_s, Ts_base_tcp=T_tcp_cam @ film.Ts_vo_cam @ inverse_pose(T_tcp_cam))
     estimate = estimate_camera_rotation(camera, encoders, T_tcp_cam)
     assert estimate.status is CalibrationStatus.OK, estimate.reason
+    assert estimate.R_tcp_cam is not None
+    assert estimate.covariance is not None
     sigma_rad = np.sqrt(np.linalg.eigvalsh(estimate.covariance)[-1])
     assert geodesic_angle(T_tcp_cam[:3, :3], estimate.R_tcp_cam) < 3.0 * sigma_rad

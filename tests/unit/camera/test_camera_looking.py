@@ -42,7 +42,7 @@ def unsearched(number: int, **changes: object) -> FrameReport:
 def odometry_pose(t_ns: int, status: OdometryStatus = OdometryStatus.OK) -> OdometryPose:
     T = np.eye(4)
     T[0, 3] = t_ns * 1e-9
-    return OdometryPose(t_ns, T, np.eye(6), status, "", 100)
+    return OdometryPose(t_ns, T, 1e-8 * np.eye(6), status, "", 100)
 
 
 def report(number: int, **changes: object) -> FrameReport:
@@ -142,6 +142,8 @@ def test_track_leaves_out_lost_poses_and_uses_one_offset() -> None:
         pose = odometry_pose(number * 66 * MS, status)
         mapped_ns = number * 66 * MS + latency_ms * MS
         taking.add(report(number, odometry=pose, t_exposure_mapped_ns=mapped_ns))
+    unknown = replace(odometry_pose(264 * MS, OdometryStatus.DEGRADED), covariance=np.diag([1e-8] * 5 + [0.06**2]))
+    taking.add(report(4, odometry=unknown, t_exposure_mapped_ns=294 * MS))  # perhaps one brick off
     taking.add(report(9))
     taking.add(report(9, odometry=odometry_pose(594 * MS, OdometryStatus.OK), odometry_run=7))  # of another run
     track = taking.track()
