@@ -80,13 +80,13 @@ class Kind:
 
 CATALOGUE = (
     Kind("valve_deadband", (), 0.0, lambda r, _: {"half_width_frac": _between(r, 0.01, 0.04)}),
-    Kind("valve_hysteresis", (), 0.7, lambda r, _: {"half_width_frac": _between(r, 0.001, 0.008)}),
+    Kind("valve_hysteresis", (), 0.0, lambda r, _: {"half_width_frac": _between(r, 0.001, 0.008)}),
     Kind("flow_gain_error", (), 0.8, lambda r, _: {"gain_frac": _signed(r, 0.03, 0.15)}),
     Kind("valve_asymmetry", (), 0.4, lambda r, _: {"gain_frac": _signed(r, 0.03, 0.12)}),
     Kind("valve_lag", (), 0.4, lambda r, _: {"time_constant_s": _between(r, 0.015, 0.08)}),
     Kind("internal_leakage", LOADED, 0.5, lambda r, _: {"drift_rad_s": _between(r, 0.0005, 0.003)}),
     Kind("load_droop", LOADED, 0.6, lambda r, _: {"droop_frac": _between(r, 0.05, 0.2)}),
-    Kind("supply_droop", None, 0.6, lambda r, _: {"flow_limit_frac": _between(r, 0.5, 1.2)}),
+    Kind("supply_droop", None, 0.6, lambda r, _: {"flow_limit_frac": _between(r, 0.3, 0.7)}),
     Kind("stiction", (), 0.05, lambda r, _: {"breakaway_frac": _between(r, 0.03, 0.06)}),
     Kind("encoder_bias", (), 4.0, lambda r, _: {"bias_rad": _normal(r, 0.005, 0.0008)}),
     Kind("encoder_scale", (), 0.06, lambda r, _: {"scale_frac": _signed(r, 0.001, 0.005)}),
@@ -239,14 +239,16 @@ def working_range(n: int) -> tuple[Array, Array]:
 
 
 def draw_many(rng: Rng, n: int) -> list[Entry]:
-    """A dead band in every valve and more effects, FEWEST to MOST in all."""
-    entries = [_entry(BY_NAME["valve_deadband"], joint, rng) for joint in range(1, n + 1)]
-    wanted = int(rng.integers(max(FEWEST, n + 4), MOST + 1))
-    places = [(kind, joint, kind.weight) for kind in CATALOGUE for joint in _places(kind, n)]
-    weights = np.array([weight for _, _, weight in places])
-    order = rng.choice(len(places), size=wanted - n, replace=False, p=weights / weights.sum())
-    entries += [_entry(places[k][0], places[k][1], rng) for k in sorted(order)]
-    return entries
+    """A dead band in every valve, hysteresis in about half of them, and more effects: FEWEST to MOST in all."""
+    joints = range(1, n + 1)
+    places: list[tuple[Kind, int | None]] = [(BY_NAME["valve_deadband"], joint) for joint in joints]
+    places += [(BY_NAME["valve_hysteresis"], joint) for joint in joints if rng.uniform() < 0.5]
+    more = int(rng.integers(max(FEWEST, len(places) + 4), MOST + 1)) - len(places)
+    others = [(kind, joint) for kind in CATALOGUE if kind.weight > 0.0 for joint in _places(kind, n)]
+    weights = np.array([kind.weight for kind, _ in others])
+    chosen = rng.choice(len(others), size=more, replace=False, p=weights / weights.sum())
+    places += [others[k] for k in sorted(chosen)]
+    return [_entry(kind, joint, rng) for kind, joint in places]
 
 
 def draw_one(rng: Rng, n: int, kinds: tuple[Kind, ...], number: int) -> Entry:

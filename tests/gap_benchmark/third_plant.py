@@ -1,7 +1,7 @@
 """`python -m tests.gap_benchmark.third_plant OUT --n N --seed S [--kind KIND]`: sealed first-day cases.
 
-The third plant, written from the contract alone: it imports nothing of machine, sim_plc or diagnosis. OUT/case_000/ is what the tool
-gets, with the hash of its truth; OUT/truth.json holds all truths and is for the scorer.
+The third plant is written from the contract alone and imports nothing of machine, sim_plc or diagnosis. OUT/case_000/
+is what the tool gets, with the hash of its truth; OUT/truth.json holds all truths and is for the scorer.
 """
 
 import argparse
