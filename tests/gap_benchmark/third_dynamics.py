@@ -12,12 +12,13 @@ from numba import njit
 
 from tests.gap_benchmark.third_arm import Arm, Array, arm_of, reference_torques, torques_at
 
+COLUMNS = 31
 # Columns of the per-joint table; NEUTRAL where the neutral value is not 0
 (
     GAIN, LAG, LIMIT, DEAD_BAND, HYSTERESIS, VALVE_LAG, ASYMMETRY, FLOW, DROOP, LEAK, BREAKAWAY, BACKLASH,
-    BIAS, SCALE, WAVE, WAVE_ORDER, WAVE_PHASE, FLEX_GAIN, FLEX_HZ, FLEX_DAMPING, REF_STEP, REF_RATE,
+    BIAS, SCALE, WAVE, WAVE_ORDER, WAVE_PHASE, FLEX_GAIN, FLEX_HZ, FLEX_DAMPING, REF_STEP, REF_RATE, LAPPED,
     SPOOL_RATE, WARM, WARM_S, GEAR, GEAR_ORDER, TUG, TUG_FROM, TUG_SIDE,
-) = range(30)  # fmt: skip
+) = range(COLUMNS)  # fmt: skip
 NEUTRAL = {LIMIT: 1.0, REF_RATE: np.inf, SPOOL_RATE: np.inf, WARM_S: 1.0, TUG_SIDE: 1.0, FLEX_HZ: 1.0}
 COLUMN = {
     ("controller_gain_error", "gain_frac"): GAIN,
@@ -42,7 +43,8 @@ COLUMN = {
     ("link_flexibility", "damping"): FLEX_DAMPING,
     ("reference_quantisation", "step_rad"): REF_STEP,
     ("reference_rate_limit", "rate_rad_s"): REF_RATE,
-    ("spool_rate_limit", "rate_frac_s"): SPOOL_RATE,  # from here on outside the catalogue
+    ("valve_deadband", "in_band_frac"): LAPPED,  # a detail: flow per command inside the band, of that outside
+    ("spool_rate_limit", "rate_frac_s"): SPOOL_RATE,  # from here on not of the catalogue
     ("thermal_gain_drift", "gain_frac"): WARM,
     ("thermal_gain_drift", "time_constant_s"): WARM_S,
     ("gear_eccentricity", "amplitude_rad"): GEAR,
@@ -53,7 +55,7 @@ COLUMN = {
 }
 STICKS_AGAIN = 0.2  # of the breakaway command
 STEP_S = 0.001
-DISTURBANCE_MEMORY = 0.983  # of the speed disturbance, from PLC cycle to PLC cycle
+DISTURBANCE_MEMORY = 0.98  # of the speed disturbance, from PLC cycle to PLC cycle
 
 
 @dataclass(frozen=True)
@@ -88,7 +90,7 @@ def drive_of(machine: dict[str, Any], effects: list[dict[str, Any]]) -> Drive:
     """The drive of a machine file (as parsed) with the dynamic effects of a list of entries."""
     joints, plc = machine["joint"], machine["plc"]
     n = len(joints)
-    table = np.zeros((n, 30))
+    table = np.zeros((n, COLUMNS))
     for column, value in NEUTRAL.items():
         table[:, column] = value
     flow_limit, delay, loss = np.inf, plc["transport_delay_s"], 0.0
@@ -97,7 +99,7 @@ def drive_of(machine: dict[str, Any], effects: list[dict[str, Any]]) -> Drive:
         flow_limit = min(flow_limit, values.get("flow_limit_frac", np.inf))
         delay += values["delay_s"] if name == "transport_delay" else 0.0
         loss += values["loss_frac"] if name == "packet_loss" else 0.0
-        for parameter, value in values.items():
+        for parameter, value in (values | effect.get("detail", {})).items():
             if (name, parameter) in COLUMN:
                 table[effect["joint"] - 1, COLUMN[name, parameter]] = value
     nominal = np.array(
@@ -214,7 +216,8 @@ def _run(
                     moving[j] = 0.0
                 if moving[j] == 0.0 and abs(x[j]) > w[BREAKAWAY]:
                     moving[j] = np.sign(x[j])
-                open_by = max(abs(x[j]) - w[DEAD_BAND], 0.0) * np.sign(x[j]) if moving[j] != 0.0 else 0.0
+                within = min(abs(x[j]), w[DEAD_BAND])
+                open_by = (abs(x[j]) - within + w[LAPPED] * within) * np.sign(x[j]) if moving[j] != 0.0 else 0.0
                 flow = open_by * (1.0 + w[FLOW]) * (1.0 + w[WARM] * (1.0 - np.exp(-time / w[WARM_S])))
                 if open_by > 0.0:
                     flow *= 1.0 + w[ASYMMETRY]

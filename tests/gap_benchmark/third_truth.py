@@ -148,7 +148,8 @@ def truth_of(scene: Scene, effects: list[Entry]) -> dict[str, Any]:
         without = effects[:k] + effects[k + 1 :]
         value = next(iter(effect["parameters"].values()))
         entry = {"name": effect["name"], "joint": effect["joint"], "stage": STAGE[effect["name"]], "value": value}
-        entry |= {"parameters": effect["parameters"], "catalogue": effect.get("catalogue", True)}
+        entry |= {"parameters": effect["parameters"], "detail": effect.get("detail", {})}
+        entry["catalogue"] = effect.get("catalogue", True)
         entry |= worth(scene, effects, without) | {"seen_mm": seen(scene, effects, without) if _sees([effect]) else 0.0}
         out["effects"].append(entry)
     return out
