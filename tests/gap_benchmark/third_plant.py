@@ -38,28 +38,36 @@ JOINTS = (6, 6, 6, 6, 4, 3)
 
 
 @dataclass(frozen=True)
-class Recipe:
-    """What a kind of case drives, which effects it has, and which files it writes."""
+class Recording:
+    """What is driven, which files are written, and how many poses at rest are visited twice."""
 
-    effects: str  # none, one, many, foreign, foreign_many
     programme: str = "identify"
     files: frozenset[str] = frozenset({"sent", "plc", "markers", "static", "tracker"})
     twice: int = TWICE
 
+    @property
+    def moves(self) -> bool:
+        """Whether anything of the motion is written."""
+        return "plc" in self.files
 
-CAMERA = frozenset({"sent", "plc", "markers"})
-KINDS = {
-    "many": Recipe("many"),
-    "healthy": Recipe("none"),
-    "healthy_no_repeats": Recipe("none", "no_repeats", twice=0),
-    "single": Recipe("one"),
-    "foreign": Recipe("foreign"),
-    "foreign_many": Recipe("foreign_many"),
-    "no_repeats": Recipe("many", "no_repeats", twice=0),
-    "one_job": Recipe("many", "one_job", CAMERA),
-    "no_tracker": Recipe("many", files=CAMERA),
-    "camera_only": Recipe("many", "rests", frozenset({"plc", "markers"})),
-    "static_only": Recipe("many", files=frozenset({"static"}), twice=0),
+
+CAMERA_AND_PLC = frozenset({"sent", "plc", "markers"})
+RECORDINGS = {
+    "full": Recording(),
+    "no_repeats": Recording("no_repeats", twice=0),
+    "one_job": Recording("one_job", CAMERA_AND_PLC),
+    "no_tracker": Recording("identify", CAMERA_AND_PLC),
+    "camera_only": Recording("rests", frozenset({"plc", "markers"})),
+    "static_only": Recording("identify", frozenset({"static"}), twice=0),
+}
+KINDS = {  # effects (none, one, many, foreign, foreign_many) and the recording of each kind
+    "many": ("many", "full"),
+    "healthy": ("none", "full"),
+    "healthy_no_repeats": ("none", "no_repeats"),
+    "single": ("one", "full"),
+    "foreign": ("foreign", "full"),
+    "foreign_many": ("foreign_many", "full"),
+    **{name: ("many", name) for name in RECORDINGS if name != "full"},
 }
 
 
@@ -77,29 +85,28 @@ class Case:
     clocks: tuple[float, float]  # plc to pc, camera to pc [s]
     tracked: bool
     seed: tuple[int, int]
-
-    @property
-    def recipe(self) -> Recipe:
-        """What its kind asks for."""
-        return KINDS[self.kind]
+    recording: Recording
 
 
-def draw(kind: str, number: int, seed: int, shorten: float = 1.0) -> Case:
-    """Case `number` of a kind, the same for the same seed. shorten: of the motion's length, for tests."""
-    recipe = KINDS[kind]
+def draw(kind: str, number: int, seed: int, recording: str | None = None, shorten: float = 1.0) -> Case:
+    """Case `number` of a kind, the same for the same seed.
+
+    Args: recording: another one than the kind's own. shorten: of the motion's length, for tests.
+    """
+    drawn, recorded = KINDS[kind][0], RECORDINGS[recording or KINDS[kind][1]]
     rng = np.random.default_rng([seed, number, list(KINDS).index(kind)])
     n = int(rng.choice(JOINTS))
     machine, home = machine_of(rng, n), home_of(rng, n)
     effects: list[Entry] = []
-    if "many" in recipe.effects:
+    if "many" in drawn:
         effects += draw_many(rng, n)
-    if recipe.effects == "one":
+    if drawn == "one":
         effects.append(draw_one(rng, n, CATALOGUE, number))
-    if "foreign" in recipe.effects:
+    if "foreign" in drawn:
         effects.append(draw_one(rng, n, FOREIGN, number) | {"catalogue": False})
         if effects[-1]["name"] == "cable_tug":
             effects[-1]["parameters"]["from_rad"] = float(home[effects[-1]["joint"] - 1])
-    sent, segments = programme(recipe.programme, rng, home, machine["plc"]["cycle_s"], shorten)
+    sent, segments = programme(recorded.programme, rng, home, machine["plc"]["cycle_s"], shorten)
     plant = plant_of(machine, effects)
     T_cam_ooi = np.eye(4)
     T_cam_ooi[:3, :3] = rotation(rng.normal(size=3), float(rng.uniform(0.0, 0.3))) @ np.diag([1.0, -1.0, -1.0])
@@ -107,22 +114,20 @@ def draw(kind: str, number: int, seed: int, shorten: float = 1.0) -> Case:
     T_base_ooi = plant.arm.frames(home[None])[0, -1] @ camera.eyes_of(machine, []).T_tcp_cam @ T_cam_ooi
     clocks = (round(float(rng.uniform(-0.5, 0.5)), 6), round(float(rng.uniform(-0.5, 0.5)), 6))
     level, tracked = float(rng.choice(LEVELS)), bool(rng.uniform() < 0.5)
-    return Case(kind, machine, effects, sent, segments, level, T_base_ooi, clocks, tracked, (seed, number))
+    return Case(kind, machine, effects, sent, segments, level, T_base_ooi, clocks, tracked, (seed, number), recorded)
 
 
 def write_case(case: Case, folder: Path) -> dict[str, Any]:
     """Write what the tool gets, sealed by its truth's hash; the truth is returned."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng([*case.seed, 1])
-    plant, files = plant_of(case.machine, case.effects), case.recipe.files
+    plant, files = plant_of(case.machine, case.effects), case.recording.files
     shock = SPEED_RAD_S * case.level * np.sqrt(1.0 - DISTURBANCE_MEMORY**2) * rng.normal(size=case.sent.shape)
     motion = run(plant.drive, case.sent, shock, rng)
     t = np.arange(len(case.sent)) * case.machine["plc"]["cycle_s"]
     if "sent" in files:
-        write_csv(
-            folder / "sent.csv",
-            {"t_pc_s": t + case.clocks[0], "seq": np.arange(len(t))} | _columns("q_sent_{}_rad", case.sent),
-        )
+        columns = {"t_pc_s": t + case.clocks[0], "seq": np.arange(len(t))} | _columns("q_sent_{}_rad", case.sent)
+        write_csv(folder / "sent.csv", columns)
     if "plc" in files:
         _write_plc(case, motion, t, folder)
     if "markers" in files:
@@ -131,27 +136,32 @@ def write_case(case: Case, folder: Path) -> dict[str, Any]:
         _write_static(case, plant, rng, folder)
     if "tracker" in files and case.tracked:
         _write_tracker(case, plant, motion, t, rng, folder)
-    machine = (
-        case.machine if files & {"static", "tracker"} else {k: v for k, v in case.machine.items() if k != "tracker"}
-    )
-    write_toml(folder / "machine.toml", machine)
-    moving = bool(files & {"plc", "sent"})
+    write_toml(folder / "machine.toml", _without_tracker(case))
+    moving = case.recording.moves
     write_run(folder / "run.toml", folder.name, case.segments if moving else (), case.clocks if moving else (0.0, 0.0))
     scene = scene_of(case.machine, case.sent if moving else None, case.T_base_ooi, np.random.default_rng(200))
-    truth: dict[str, Any] = {
+    truth = _header(case, plant, folder) | truth_of(scene, case.effects)
+    (folder / "seal.json").write_text(json.dumps({"sha256": digest(truth)}), encoding="utf-8")
+    return truth
+
+
+def _without_tracker(case: Case) -> dict[str, Any]:
+    """The machine file; a tracker that measured nothing is left out."""
+    measured = bool(case.recording.files & {"static", "tracker"})
+    return {table: values for table, values in case.machine.items() if measured or table != "tracker"}
+
+
+def _header(case: Case, plant: Plant, folder: Path) -> dict[str, Any]:
+    """What a scorer needs of a case besides its effects."""
+    return {
         "kind": case.kind,
         "seed": case.seed[0],
         "number": case.seed[1],
         "joints": len(case.machine["joint"]),
-    }
-    truth |= {"noise": {"level": case.level, "pixel_px": PIXEL * case.level, "place_m": PLACE_M * case.level}}
-    truth |= {
+        "noise": {"level": case.level, "pixel_px": PIXEL * case.level, "place_m": PLACE_M * case.level},
         "reference_torque_nm": plant.drive.reference_torque.tolist(),
-        "files": sorted(p.name for p in folder.glob("*.csv")),
+        "files": sorted(path.name for path in folder.glob("*.csv")),
     }
-    truth |= truth_of(scene, case.effects)
-    (folder / "seal.json").write_text(json.dumps({"sha256": digest(truth)}), encoding="utf-8")
-    return truth
 
 
 def digest(truth: dict[str, Any]) -> str:
@@ -165,10 +175,10 @@ def _columns(name: str, values: Array) -> dict[str, Array]:
 
 def _write_plc(case: Case, motion: Motion, t: Array, folder: Path) -> None:
     columns = {"t_plc_s": t, "seq_received": motion.seq}
-    if case.recipe.programme != "rests":
+    if case.recording.programme != "rests":
         columns |= _columns("q_ref_{}_rad", motion.ref)
     columns |= _columns("q_{}_rad", motion.encoder)
-    if case.recipe.programme != "rests":
+    if case.recording.programme != "rests":
         columns |= _columns("u_{}_frac", motion.u)
     write_csv(folder / "plc.csv", columns)
 
@@ -202,7 +212,7 @@ def _write_static(case: Case, plant: Plant, rng: np.random.Generator, folder: Pa
     """Poses at rest, the first ones visited twice; the arm comes from a random side each time."""
     low, high = working_range(len(case.machine["joint"]))
     q = rng.uniform(low, high, (POSES, len(low)))
-    index = np.concatenate([np.arange(POSES), np.arange(case.recipe.twice)])
+    index = np.concatenate([np.arange(POSES), np.arange(case.recording.twice)])
     true = true_angles(q[index], plant.drive.table)
     link = true + rng.choice((-0.5, 0.5), true.shape) * plant.drive.table[:, BACKLASH]
     places = plant.arm.points(link, _points(case))
@@ -234,12 +244,13 @@ def main() -> None:
     parser.add_argument("--n", type=int, default=1, help="machines")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kind", choices=(*KINDS, "mixed"), default="many", help="mixed: every kind in turn")
+    parser.add_argument("--recording", choices=tuple(RECORDINGS), help="another recording than the kind's own")
     given = parser.parse_args()
     truths: dict[str, Any] = {}
     for number in range(given.n):
         kind = list(KINDS)[number % len(KINDS)] if given.kind == "mixed" else given.kind
         name = f"case_{number:03d}"
-        truths[name] = write_case(draw(kind, number, given.seed), given.out / name)
+        truths[name] = write_case(draw(kind, number, given.seed, given.recording), given.out / name)
         (given.out / "truth.json").write_text(json.dumps(truths, indent=1), encoding="utf-8")
         print(name, kind, f"nominal {truths[name]['nominal_tip_mm']:.2f} mm", flush=True)
 
