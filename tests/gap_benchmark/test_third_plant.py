@@ -25,6 +25,7 @@ MACHINE = cases.machine_of(np.random.default_rng(3), 6)
 HOME = np.deg2rad([10.0, 35.0, -75.0, 5.0, 40.0, 5.0])
 MACHINE_CAMERA = np.array(MACHINE["camera"]["T_tcp_cam_left"]).reshape(4, 4)
 SENT = HOME + 0.1 * np.sin(np.linspace(0.0, 9.0, 400))[:, None] * np.linspace(0.6, 1.4, 6)
+SENT[200:] += 0.15  # a jump shows how fast a spool may move, and fills the clip
 SIZE = {  # the shared truth gives one number an effect; the rest is in its README or was fitted to its pixels
     "valve_deadband": "half_width_frac",
     "flow_gain_error": "gain_frac",

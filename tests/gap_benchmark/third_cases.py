@@ -143,7 +143,10 @@ CATALOGUE = (
     Kind("clock_drift", None, 0.1, lambda r, _: {"rate_ppm": _signed(r, 80.0, 400.0), "zero_s": 0.0}),
 )  # fmt: skip
 FOREIGN = (
-    Kind("spool_rate_limit", (), 1.0, lambda r, _: {"rate_frac_s": _between(r, 0.3, 1.0)}),
+    Kind(  # slower ones make the controller of that joint hunt by centimetres
+        "spool_rate_limit", (), 1.0,
+        lambda r, joint: {"rate_frac_s": _between(r, 0.9, 1.6) if joint <= 3 else _between(r, 0.3, 0.9)},
+    ),
     Kind(
         "thermal_gain_drift", (), 1.0,
         lambda r, _: {"gain_frac": _signed(r, 0.1, 0.3), "time_constant_s": _between(r, 60.0, 200.0)},
@@ -154,7 +157,7 @@ FOREIGN = (
     ),
     Kind(
         "cable_tug", (), 1.0,
-        lambda r, _: {"speed_rad_s": _between(r, 0.005, 0.03), "from_rad": 0.0, "side": float(r.choice((-1.0, 1.0)))},
+        lambda r, _: {"speed_rad_s": _between(r, 0.003, 0.015), "from_rad": 0.0, "side": float(r.choice((-1.0, 1.0)))},
     ),
     Kind(
         "loose_marker", None, 1.0,
@@ -186,8 +189,9 @@ def machine_of(rng: Rng, n: int) -> dict[str, Any]:
             "name": f"joint{j + 1}", "type": "revolute", "dh_convention": "classic", "a_m": a[j], "d_m": d[j],
             "alpha_deg": (90, 0, 90, 90, -90, 90)[j], "theta_offset_deg": 90 if j == 2 else 0,
             "q_min_deg": ranges[j][0], "q_max_deg": ranges[j][1], "qd_max_deg_s": round(float(np.rad2deg(gain[j])), 4),
-            "velocity_gain_rad_s": gain[j], "valve_frequency_hz": frequency, "valve_damping": damping,
-            "kp_frac_per_rad": (6.0, 8.0, 8.0, 4.0, 4.0, 4.0)[j], "pt1_tau_s": 0.15 if j in (1, 2) else 0.0,
+            "qdd_max_deg_s2": 120.0, "velocity_gain_rad_s": gain[j], "valve_frequency_hz": frequency,
+            "valve_damping": damping, "kp_frac_per_rad": (6.0, 8.0, 8.0, 4.0, 4.0, 4.0)[j],
+            "pt1_tau_s": 0.15 if j in (1, 2) else 0.0,
             "mass_kg": mass[j], "com_m": com[j], "encoder_counts_rev": 262144,
         }
         for j in range(n)
