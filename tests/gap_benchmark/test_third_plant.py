@@ -191,7 +191,7 @@ def test_the_shared_recordings_are_reproduced_to_their_noise(name: str, level: f
     assert off_q == pytest.approx(np.mean(scatter_q), rel=0.15)
     assert off_u == pytest.approx(np.mean(scatter_u), rel=0.15)
     static = table(SHARED / name / "static.csv", (*six("q_{}_rad"), "x_m", "y_m", "z_m"))
-    points = tuple((one["joint"], np.array(one["xyz_m"])) for one in machine["points"].values())
+    points = tuple((point["joint"], np.array(point["xyz_m"])) for point in machine["points"].values())
     places = plant.arm.points(static[::2, :6] - plant.drive.table[:, BIAS], points)
     assert np.sqrt(((places.reshape(-1, 3) - static[:, 6:]) ** 2).mean()) == pytest.approx(PLACE_M * level, rel=0.1)
     off_px = corners_off(name, machine, plant, encoder)

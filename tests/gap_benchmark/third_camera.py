@@ -78,11 +78,11 @@ def eyes_of(machine: dict[str, Any], effects: list[dict[str, Any]]) -> Eyes:
         elif name == "loose_marker":
             eyes.slip[values["marker"]] = 0.8 * values["slip_m"], -0.6 * values["slip_m"], 0.0
             eyes = replace(eyes, slips_from_frac=values["from_frac"])
-    markers = [one for one in machine["markers"]["marker"] if one["on"] == "ooi"]
-    poses = np.array([one["T_on_marker"] for one in markers], dtype=float).reshape(-1, 4, 4)
-    corners = SQUARE * np.array([one["side_m"] * scale for one in markers])[:, None, None]
+    markers = [marker for marker in machine["markers"]["marker"] if marker["on"] == "ooi"]
+    poses = np.array([marker["T_on_marker"] for marker in markers], dtype=float).reshape(-1, 4, 4)
+    corners = SQUARE * np.array([marker["side_m"] * scale for marker in markers])[:, None, None]
     corners = corners @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
-    return replace(eyes, T_tcp_cam=T, corners_ooi=corners, ids=tuple(one["id"] for one in markers))
+    return replace(eyes, T_tcp_cam=T, corners_ooi=corners, ids=tuple(marker["id"] for marker in markers))
 
 
 def project(eyes: Eyes, T_cam_ooi: Array, slipped: Array) -> Array:
@@ -121,7 +121,7 @@ def read_poses(eyes: Eyes, pixels: Array, start: Array) -> Array:
     steps = np.concatenate([np.zeros((1, 6)), 1e-6 * np.eye(6)])
     for _ in range(ROUNDS):
         tried = np.stack([_stepped(T, np.broadcast_to(step, (len(T), 6))) for step in steps])
-        drawn = np.stack([project(eyes, one, fixed).reshape(len(T), -1) for one in tried])
+        drawn = np.stack([project(eyes, T_tried, fixed).reshape(len(T), -1) for T_tried in tried])
         J = np.moveaxis((drawn[1:] - drawn[0]) / 1e-6, 0, -1)
         miss = pixels.reshape(len(T), -1) - drawn[0]
         T = _stepped(T, np.linalg.solve(J.transpose(0, 2, 1) @ J, (J.transpose(0, 2, 1) @ miss[..., None]))[..., 0])

@@ -27,9 +27,9 @@ def write_csv(path: Path, columns: dict[str, Array], decimals: int | None = None
 
 def _value(value: Any) -> str:
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_value(one)}" for key, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{key} = {_value(item)}" for key, item in value.items()) + " }"
     if isinstance(value, list):
-        return "[" + ", ".join(_value(one) for one in value) + "]"
+        return "[" + ", ".join(_value(item) for item in value) + "]"
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -42,14 +42,14 @@ def write_toml(path: Path, machine: dict[str, Any]) -> None:
     lines: list[str] = []
     for table, values in machine.items():
         if isinstance(values, list):
-            for one in values:
-                lines += [f"[[{table}]]", *(f"{key} = {_value(value)}" for key, value in one.items())]
+            for row in values:
+                lines += [f"[[{table}]]", *(f"{key} = {_value(value)}" for key, value in row.items())]
             continue
         lines.append(f"[{table}]")
         lines += [f"{key} = {_value(value)}" for key, value in values.items() if not _tables(value)]
         for key, value in values.items():
-            for one in value if _tables(value) else ():
-                lines += [f"[[{table}.{key}]]", *(f"{name} = {_value(item)}" for name, item in one.items())]
+            for row in value if _tables(value) else ():
+                lines += [f"[[{table}.{key}]]", *(f"{name} = {_value(item)}" for name, item in row.items())]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -61,8 +61,8 @@ def write_run(path: Path, name: str, segments: tuple[Segment, ...], clocks: tupl
     """run.toml: the best known clock offsets and the segments."""
     lines = ["[run]", f'name = "{name}"', "format_version = 1", "[clocks]"]
     lines += [f"plc_to_pc_offset_s = {clocks[0]}", f"camera_to_pc_offset_s = {clocks[1]}"]
-    for one in segments:
-        lines += ["[[segment]]", f'name = "{one.name}"', f'kind = "{one.kind}"']
-        lines += [f"t_start_plc_s = {one.start_s:.3f}", f"t_end_plc_s = {one.end_s:.3f}"]
-        lines += [f'repeat_of = "{one.repeat_of}"'] if one.repeat_of else []
+    for segment in segments:
+        lines += ["[[segment]]", f'name = "{segment.name}"', f'kind = "{segment.kind}"']
+        lines += [f"t_start_plc_s = {segment.start_s:.3f}", f"t_end_plc_s = {segment.end_s:.3f}"]
+        lines += [f'repeat_of = "{segment.repeat_of}"'] if segment.repeat_of else []
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

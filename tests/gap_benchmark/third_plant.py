@@ -205,7 +205,7 @@ def _write_markers(case: Case, plant: Plant, motion: Motion, t: Array, rng: np.r
 
 
 def _points(case: Case) -> tuple[tuple[int, Array], ...]:
-    return tuple((one["joint"], np.array(one["xyz_m"])) for one in case.machine["points"].values())
+    return tuple((point["joint"], np.array(point["xyz_m"])) for point in case.machine["points"].values())
 
 
 def _write_static(case: Case, plant: Plant, rng: np.random.Generator, folder: Path) -> None:
