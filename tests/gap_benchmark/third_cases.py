@@ -100,7 +100,10 @@ CATALOGUE = (
     Kind("backlash", (), 0.25, lambda r, _: {"width_rad": _between(r, 0.0006, 0.003)}),
     Kind("gravity_sag", LOADED, 12.0, lambda r, _: {"compliance_rad_nm": _between(r, 0.5e-6, 2.5e-6)}),
     Kind("link_length_error", (), 1.3, _length),
-    Kind("joint_axis_tilt", (2, 3, 4, 5, 6), 0.4, lambda r, _: {"tilt_rad": _normal(r, 0.002, 4e-4), "about": _xy(r)}),
+    Kind(
+        "joint_axis_tilt", (2, 3, 4, 5, 6), 0.4,
+        lambda r, joint: {"tilt_rad": _normal(r, 0.002, 4e-4), "about": _xy(r, joint)},
+    ),
     Kind(
         "base_tilt", None, 1.0, lambda r, _: {"tilt_rad": _between(r, 0.001, 0.006), "axis": [*_direction(r, 2), 0.0]}
     ),
@@ -169,8 +172,10 @@ FOREIGN = (
 BY_NAME = {kind.name: kind for kind in (*CATALOGUE, *FOREIGN)}
 
 
-def _xy(rng: Rng) -> str:
-    return "x" if rng.uniform() < 0.5 else "y"
+def _xy(rng: Rng, joint: int) -> str:
+    """About x or y; behind a twist of 90 degrees y is the axis of the joint before, whose zero moves the tip alike."""
+    drawn = "x" if rng.uniform() < 0.5 else "y"
+    return drawn if joint == 3 else "x"
 
 
 def machine_of(rng: Rng, n: int) -> dict[str, Any]:
