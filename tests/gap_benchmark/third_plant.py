@@ -1,4 +1,4 @@
-"""`python -m tests.gap_benchmark.third_plant OUT --n N --seed S [--kind KIND]`: sealed first-day cases.
+"""`python -m tests.gap_benchmark.third_plant OUT --n N --seed S [--kind KIND] [--first K]`: sealed first-day cases.
 
 The third plant is written from the contract alone and imports nothing of machine, sim_plc or diagnosis. OUT/case_000/
 is what the tool gets, with the hash of its truth; OUT/truth.json holds all truths and is for the scorer.
@@ -242,12 +242,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--n", type=int, default=1, help="machines")
+    parser.add_argument("--first", type=int, default=0, help="number of the first machine")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kind", choices=(*KINDS, "mixed"), default="many", help="mixed: every kind in turn")
     parser.add_argument("--recording", choices=tuple(RECORDINGS), help="another recording than the kind's own")
     given = parser.parse_args()
     truths: dict[str, Any] = {}
-    for number in range(given.n):
+    for number in range(given.first, given.first + given.n):
         kind = list(KINDS)[number % len(KINDS)] if given.kind == "mixed" else given.kind
         name = f"case_{number:03d}"
         truths[name] = write_case(draw(kind, number, given.seed, given.recording), given.out / name)
