@@ -29,6 +29,7 @@ def first_day(
     seed: Annotated[int, typer.Option(help="of the campaign; from 1000 on they train, below they judge")] = 1,
     kind: Annotated[str, typer.Option(help="a kind of the third plant, or mixed")] = "mixed",
     recording: Annotated[str | None, typer.Option(help="another recording than the kind's own")] = None,
+    shorten: Annotated[float, typer.Option(help="of the motion's length: shorter cases cost less", max=1.0)] = 1.0,
     workers: Annotated[int, typer.Option(help="cases at a time")] = 1,
     calibrate: Annotated[Path | None, typer.Option(help="fit the probabilities on the scored cases into this")] = None,
     folder: Annotated[Path, typer.Option(help="where every case is saved")] = Path("runs/bench-first-day"),
@@ -38,7 +39,7 @@ def first_day(
         raise typer.BadParameter("--calibrate fits on scored cases: give the files that earlier runs have written")
     try:
         if not scored:
-            campaign, numbers = Campaign(kind, seed, folder.resolve(), recording), range(first, first + n)
+            campaign, numbers = Campaign(kind, seed, folder.resolve(), recording, shorten), range(first, first + n)
             with Progress(console=console) as shown:
                 task = shown.add_task("cases", total=n)
                 failed = run_campaign(campaign, numbers, lambda: shown.advance(task), workers)

@@ -36,17 +36,22 @@ class FirstDayError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """What is asked for. `kind`: one of the third plant's, or "mixed". `recording`: in place of the kind's own."""
+    """What is asked for. `kind`: one of the third plant's, or "mixed". `recording`: in place of the kind's own.
+
+    `shorten`: of the motion's length, for cases that cost less.
+    """
 
     kind: str
     seed: int
     folder: Path
     recording: str | None = None
+    shorten: float = 1.0
 
     @property
     def name(self) -> str:
         """Its name in the folder."""
-        return "-".join((self.kind, *([self.recording] if self.recording else []), str(self.seed)))
+        shorter = [f"{self.shorten:g}x"] if self.shorten != 1.0 else []
+        return "-".join((self.kind, *([self.recording] if self.recording else []), *shorter, str(self.seed)))
 
     @property
     def scored(self) -> Path:
@@ -101,6 +106,7 @@ def _case(campaign: Campaign, number: int) -> Scored | None:
     """One case from its truth to its answer; None where a process crashed or was stopped."""
     folder, kind = campaign.folder / campaign.name / f"{number:04d}", campaign.kind_of(number)
     drawn = ["--n", "1", "--first", str(number), "--seed", str(campaign.seed), "--kind", kind]
+    drawn += ["--shorten", str(campaign.shorten)]
     recording = ["--recording", campaign.recording] if campaign.recording else []
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -122,6 +128,7 @@ def _case(campaign: Campaign, number: int) -> Scored | None:
     return {
         "kind": kind,
         "recording": campaign.recording,
+        "shorten": campaign.shorten,
         "seed": campaign.seed,
         "number": number,
         "seconds": round(seconds, 1),

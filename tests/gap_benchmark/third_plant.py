@@ -246,12 +246,13 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--kind", choices=(*KINDS, "mixed"), default="many", help="mixed: every kind in turn")
     parser.add_argument("--recording", choices=tuple(RECORDINGS), help="another recording than the kind's own")
+    parser.add_argument("--shorten", type=float, default=1.0, help="of the motion's length")
     given = parser.parse_args()
     truths: dict[str, Any] = {}
     for number in range(given.first, given.first + given.n):
         kind = list(KINDS)[number % len(KINDS)] if given.kind == "mixed" else given.kind
         name = f"case_{number:03d}"
-        truths[name] = write_case(draw(kind, number, given.seed, given.recording), given.out / name)
+        truths[name] = write_case(draw(kind, number, given.seed, given.recording, given.shorten), given.out / name)
         (given.out / "truth.json").write_text(json.dumps(truths, indent=1), encoding="utf-8")
         print(name, kind, f"nominal {truths[name]['nominal_tip_mm']:.2f} mm", flush=True)
 
