@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from diagnosis.search.fit import costs
-from diagnosis.whole_model.linear import Term
+from diagnosis.whole_model.linear import Term, linearised
 from diagnosis.whole_model.solve import Fitted, WholeFit
 from machine.rotations import Array
 
@@ -46,30 +46,30 @@ class Evidence:
 
 
 def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
-    """The evidence of every present effect of a part."""
+    """The evidence of every present effect of a part.
+
+    Why tangents, of thresholds, too: deviations and the score test belong to the slope at the best numbers. The secant
+    back to absence, by which a set is judged, has a score of its own there.
+    """
     best = fit.best
     present = np.nonzero(best.present)[0]
-    cols = np.repeat(best.present, np.diff(best.lin.first))
-    where = np.cumsum(cols) - 1
-    w = best.lin.weight * fit.trust
-    J = best.lin.J[:, cols] * np.sqrt(w)[:, None]
-    residual = best.lin.residual * np.sqrt(w)
-    slab = best.problem.slab[cols]
-    S = np.asarray(np.linalg.inv(J.T @ J + np.diag(slab**-2.0)), dtype=float)
-    left = float(np.mean(best.lin.weight * best.lin.residual**2))
+    if not len(present):
+        return ()
+    lin = linearised(fit.cell, tuple(best.terms[k] for k in present), to_move=True)
+    w = lin.weight * fit.trust
+    J, residual = lin.J * np.sqrt(w)[:, None], lin.residual * np.sqrt(w)
+    S = np.asarray(np.linalg.inv(J.T @ J + np.diag(lin.problem(fit.trust).slab ** -2.0)), dtype=float)
+    left = float(np.mean(lin.weight * lin.residual**2))
     out = []
-    for k in present:
-        term = best.terms[k]
-        own = where[np.arange(best.lin.first[k], best.lin.first[k + 1])]
+    for term, k, own in zip(lin.terms, present, np.split(np.arange(J.shape[1]), lin.first[1:-1]), strict=True):
         sd = _with_open(term, np.sqrt(np.maximum(np.diag(S)[own], 0.0)))
-        sizes = slice(0, term.sizes)
         out.append(
             Evidence(
                 term=term,
                 part=fit.cell.label,
                 gain_nats=_gain(fit, int(k)),
                 sd=sd,
-                z=_z(term, sd[sizes]),
+                z=_z(term, sd[: term.sizes]),
                 invariance_p=invariance(J, residual, S, own, fit.cell.rows.fold),
                 equals=_equals(fit, int(k)),
                 left=left,
@@ -87,8 +87,6 @@ def _z(term: Term, sd: Array) -> float:
 
 def _with_open(term: Term, sd: Array) -> Array:
     """Deviations (slots,) of a term's numbers, with what the effect's definition leaves open."""
-    if term.limits:  # its columns say whether the limit is there; how large it is the refit says
-        sd = np.concatenate([[0.05 * abs(term.theta[0])], sd[1:]])
     open_part = [
         max(slot.spec.open_size, slot.spec.open_frac * abs(x))
         for slot, x in zip(term.effect.slots, term.theta, strict=True)
