@@ -1,10 +1,13 @@
 """Invariance of a size between groups, and the trained model from the figures to a probability."""
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from diagnosis.whole_model.evidence import invariance
+from diagnosis.whole_model.evidence import groupings_of, invariance
 from diagnosis.whole_model.probability import FEATURES, calibration, fitted, logistic, probability_of
 from machine.rotations import Array
 
@@ -38,6 +41,31 @@ def test_p_is_small_where_the_size_differs() -> None:
     rng = np.random.default_rng(7)
     p = [invariance_of(rng, np.array([3.0, 3.0, 3.0, 3.0, 4.0])) for _ in range(50)]
     assert np.quantile(p, 0.9) < 1e-6
+
+
+def test_a_size_that_goes_with_the_position_or_the_time_of_one_part_is_found_out() -> None:
+    """Kinds of motion agree: every one holds all positions and lasts as long; a cable or warm oil is seen only so."""
+    rng = np.random.default_rng(5)
+    kind, position = np.arange(ROWS) % GROUPS, rng.uniform(-1.0, 1.0, ROWS)
+    parts = tuple(
+        SimpleNamespace(rows=SimpleNamespace(count=count), t_s=np.arange(count) * 0.1, regressors=regressors)
+        for count, regressors in ((100, ()), (ROWS - 100, (("position", position[100:]),)))
+    )
+    cell = cast(Any, SimpleNamespace(rows=SimpleNamespace(fold=kind, count=ROWS), parts=parts))
+    late = (np.arange(ROWS) - 100.0) / (ROWS - 100.0)
+    p = {}
+    for name, size in (
+        ("the same", np.full(ROWS, 3.0)),
+        ("by position", 3.0 + np.where(position > 0.0, 0.6, -0.6)),
+        ("by time", 3.0 + np.where(late > 0.0, late, 0.0)),
+    ):
+        J = rng.normal(size=(ROWS, COLUMNS))
+        y = J[:, 0] * size + rng.normal(size=ROWS)
+        residual = J @ np.linalg.lstsq(J, y, rcond=None)[0] - y
+        p[name] = [invariance(J, residual, np.array([0]), groups) for groups in ([kind], groupings_of(cell))]
+    assert min(p["the same"]) > 0.05
+    assert p["by position"][0] > 0.01 > 1e-4 > p["by position"][1]
+    assert p["by time"][0] > 0.01 > 1e-3 > p["by time"][1]
 
 
 def test_one_group_alone_says_nothing() -> None:
