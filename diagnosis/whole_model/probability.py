@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from diagnosis.whole_model.evidence import Evidence
+from diagnosis.whole_model.evidence import FOUND_90_OF_98, Evidence
 from machine.rotations import Array
 
 #: Figures of the evidence, each the better the larger.
-FEATURES = ("gain", "size", "invariance", "remainder", "noise_known")
+FEATURES = ("gain", "size", "detectable", "invariance", "remainder", "noise_known")
 CAP = 1e3
 RIDGE = 2.5**-2.0
 
@@ -29,6 +29,7 @@ def features(evidence: Evidence) -> Array:
         [
             np.log1p(np.clip(evidence.gain_nats, 0.0, CAP)),
             np.log1p(min(evidence.z, CAP)),
+            min(evidence.z / FOUND_90_OF_98, 1.0),
             -np.log1p(-np.log(p)),
             -np.log(max(evidence.left, 1.0)),
             float(evidence.noise_known),
@@ -44,7 +45,8 @@ def probability(evidence: Evidence) -> float:
 def probability_of(figures: Array) -> float:
     """The same from the figures (FEATURES,) of its evidence."""
     table = calibration()
-    return float(logistic(float(table["intercept"]) + figures @ np.array(table["weights"])))
+    weights = [float(table["weights"].get(name, 0.0)) for name in FEATURES]  # 0: a figure that is newer than the fit
+    return float(logistic(float(table["intercept"]) + figures @ np.array(weights)))
 
 
 def logistic(score: Array | float) -> Array:

@@ -31,8 +31,7 @@ def calibrated(scores: Scores) -> dict[str, Any]:
     stated = _held_out(X, right, case)
     return {
         "intercept": round(intercept, 4),
-        "weights": [round(float(weight), 4) for weight in weights],
-        "features": list(FEATURES),
+        "weights": {name: round(float(weight), 4) for name, weight in zip(FEATURES, weights, strict=True)},
         "fitted_on": f"{len(scores)} cases of the third plant by `longreach bench first-day --calibrate`",
         "cases": len(scores),
         "effects": len(right),
@@ -56,7 +55,7 @@ def calibrated(scores: Scores) -> dict[str, Any]:
 
 def _table(scores: Scores) -> tuple[Array, Array, Array]:
     """Figures (n, FEATURES), whether right (n,), and the number of the case (n,)."""
-    rows = [(one.figures, float(one.right), k) for k, score in enumerate(scores) for one in score.reported]
+    rows = [(effect.figures, float(effect.right), k) for k, score in enumerate(scores) for effect in score.reported]
     X = np.array([figures for figures, _, _ in rows]).reshape(-1, len(FEATURES))
     return X, np.array([right for _, right, _ in rows]), np.array([k for _, _, k in rows], dtype=float)
 

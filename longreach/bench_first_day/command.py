@@ -65,8 +65,8 @@ def report(scores: figures.Scores) -> None:
         (kind, str(n), *(str(count.get(word, 0)) for word in words)) for kind, n, count in figures.verdicts(scores)
     ]
     _print("verdicts, as stated", ("kind", "cases", *words), counts)
-    effects = [one for score in scores for one in score.reported]
-    curve = figures.reliability([one.probability for one in effects], [one.right for one in effects])
+    effects = [effect for score in scores for effect in score.reported]
+    curve = figures.reliability([effect.probability for effect in effects], [effect.right for effect in effects])
     rows = [(name, f"{mean:.2f}", told(share)) for name, mean, share in curve]
     _print("reported effects: probability stated against share right", ("stated", "mean", "right"), rows)
     for line in figures.failures(scores):

@@ -29,24 +29,26 @@ def wilson(flags: Sequence[bool]) -> Share:
 
 def rows(scores: Scores) -> list[Row]:
     """The table of a campaign."""
-    confirmed = [one for score in scores for one in score.reported if one.confirmed]
+    confirmed = [effect for score in scores for effect in score.reported if effect.confirmed]
     return [
         _middle("true squared tip error covered by confirmed effects", ">= 0.9", _coverage(scores, seen=False)),
         _middle("true squared error of what the camera sees, covered", ">= 0.9", _coverage(scores, seen=True)),
-        _share("confirmed effects that are there (or an equal is)", ">= 98 %", [one.there for one in confirmed]),
-        _share("true effects > 2 mm that are confirmed", "", [one.found for one in _large(scores)]),
-        _share("shares within 5 points", ">= 90 %", [_share_is_right(one) for one in confirmed if one.true_share]),
+        _share("confirmed effects that are there (or an equal is)", ">= 98 %", [effect.there for effect in confirmed]),
+        _share("true effects > 2 mm that are confirmed", "", [effect.found for effect in _large(scores)]),
+        _share(
+            "shares within 5 points", ">= 90 %", [_share_is_right(effect) for effect in confirmed if effect.true_share]
+        ),
         _share(
             "90 % limits of confirmed sizes that hold the truth",
             "90 %",
-            [one.inside for one in confirmed if one.inside is not None],
+            [effect.inside for effect in confirmed if effect.inside is not None],
         ),
         _middle("left / miss after adding the confirmed effects, as stated", "<= 0.3", _shrinks(scores)),
-        _share("healthy: verdict none", ">= 98 %", [one.verdict == "none" for one in _of(scores, HEALTHY)]),
+        _share("healthy: verdict none", ">= 98 %", [effect.verdict == "none" for effect in _of(scores, HEALTHY)]),
         _share(
             "foreign: no effect confirmed that is not there",
             ">= 98 %",
-            [not any(_is_false(one) for one in score.reported) for score in _of(scores, FOREIGN)],
+            [not any(_is_false(effect) for effect in score.reported) for score in _of(scores, FOREIGN)],
         ),
         _middle("seconds a case", "", [score.seconds for score in scores]),
     ]
@@ -56,16 +58,16 @@ def _of(scores: Scores, kinds: Sequence[str]) -> list[Score]:
     return [score for score in scores if score.kind in kinds]
 
 
-def _is_false(one: Reported) -> bool:
-    return one.confirmed and not one.there
+def _is_false(effect: Reported) -> bool:
+    return effect.confirmed and not effect.there
 
 
-def _share_is_right(one: Reported) -> bool:
-    return one.true_share is not None and abs(one.share - one.true_share) <= POINTS
+def _share_is_right(effect: Reported) -> bool:
+    return effect.true_share is not None and abs(effect.share - effect.true_share) <= POINTS
 
 
 def _large(scores: Scores) -> list[TrueEffect]:
-    return [one for score in scores for one in score.true if max(one.tip_mm, one.seen_mm) > 2.0]
+    return [effect for score in scores for effect in score.true if max(effect.tip_mm, effect.seen_mm) > 2.0]
 
 
 def _coverage(scores: Scores, seen: bool) -> list[float]:
@@ -113,9 +115,11 @@ def failures(scores: Scores) -> list[str]:
     """Case by case, the false confirmed effects, and the large true ones that were not found."""
     out = []
     for score in scores:
-        false = [f"{one.name} {one.joint} {one.mm:.2f} mm" for one in score.reported if _is_false(one)]
+        false = [f"{effect.name} {effect.joint} {effect.mm:.2f} mm" for effect in score.reported if _is_false(effect)]
         missed = [
-            f"{one.name} {one.joint} {max(one.tip_mm, one.seen_mm):.1f} mm" for one in _large([score]) if not one.found
+            f"{effect.name} {effect.joint} {max(effect.tip_mm, effect.seen_mm):.1f} mm"
+            for effect in _large([score])
+            if not effect.found
         ]
         if false or missed:
             out.append(

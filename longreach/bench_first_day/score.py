@@ -75,8 +75,8 @@ class Score:
 
     def coverage(self, seen: bool) -> float | None:
         """Share of the true effects' squared millimetres that confirmed effects cover; None where there are none."""
-        squares = np.array([(one.seen_mm if seen else one.tip_mm) ** 2 for one in self.true])
-        found = np.array([one.found for one in self.true], dtype=bool)
+        squares = np.array([(effect.seen_mm if seen else effect.tip_mm) ** 2 for effect in self.true])
+        found = np.array([effect.found for effect in self.true], dtype=bool)
         total = float(squares.sum())
         return float(squares[found].sum()) / total if total > 0.0 else None
 
@@ -90,7 +90,7 @@ def score_of(case: Scored) -> Score:
     total = sum(float(entry["tool_mm"] or 0.0) ** 2 for entry in entries)
     true_total = sum(_true_mm2(effect) for effect in truth["effects"])
     reported = tuple(_compared(entry, effects, total, true_total) for entry in entries)
-    confirmed = [entry for entry, one in zip(entries, reported, strict=True) if one.confirmed]
+    confirmed = [entry for entry, effect in zip(entries, reported, strict=True) if effect.confirmed]
     true = tuple(
         TrueEffect(
             effect["name"],

@@ -71,9 +71,9 @@ def test_a_found_effect_covers_its_squares_and_a_doubtful_one_does_not() -> None
     score = score_of(case([BIAS, LENGTH], effects))
     assert score.coverage(seen=False) == pytest.approx(64.0 / 100.0)
     assert score.coverage(seen=True) is None
-    assert [one.inside for one in score.reported] == [True, True]
+    assert [effect.inside for effect in score.reported] == [True, True]
     assert score.reported[0].true_share == pytest.approx(0.64)
-    assert [one.right for one in score.reported] == [True, True]
+    assert [effect.right for effect in score.reported] == [True, True]
 
 
 @pytest.mark.parametrize(
@@ -88,22 +88,22 @@ def test_a_found_effect_covers_its_squares_and_a_doubtful_one_does_not() -> None
     ],
 )
 def test_what_is_there_and_what_is_right(entry: dict[str, Any], there: bool, right: bool) -> None:
-    (one,) = score_of(case([BIAS, LENGTH], [entry])).reported
-    assert (one.there, one.right) == (there, right)
+    (effect,) = score_of(case([BIAS, LENGTH], [entry])).reported
+    assert (effect.there, effect.right) == (there, right)
 
 
 def test_an_effect_outside_the_catalogue_is_never_there() -> None:
     foreign = true("thermal_gain_drift", 2, 5.0, gain_frac=0.2) | {"catalogue": False}
     score = score_of(case([foreign], [said("flow_gain_error", 2, 5.0, {"gain_frac": (0.2, 0.1, 0.3)})], "foreign"))
-    assert [one.there for one in score.reported] == [False]
-    told = {what: reached for what, _, reached in rows([score])}
-    assert told["foreign: no effect confirmed that is not there"].startswith("0.0 %")
+    assert [effect.there for effect in score.reported] == [False]
+    table = {what: reached for what, _, reached in rows([score])}
+    assert table["foreign: no effect confirmed that is not there"].startswith("0.0 %")
     assert "flow_gain_error 2" in failures([score])[0]
 
 
 def test_wilson_is_the_interval_of_his_paper() -> None:
-    one = wilson([True] * 8 + [False] * 2)
-    assert (one.low, one.high) == (pytest.approx(0.4902, abs=1e-4), pytest.approx(0.9433, abs=1e-4))
+    share = wilson([True] * 8 + [False] * 2)
+    assert (share.low, share.high) == (pytest.approx(0.4902, abs=1e-4), pytest.approx(0.9433, abs=1e-4))
 
 
 def test_reliability_bins_hold_every_effect_once() -> None:
@@ -132,7 +132,7 @@ def test_a_second_run_goes_on_where_the_first_one_stopped(tmp_path: Path, monkey
     assert run_campaign(campaign, range(3)) == 1
     assert run_campaign(campaign, range(3)) == 0
     assert ran == [0, 1, 2, 1]
-    assert sorted(one["number"] for one in runner.read_scored([campaign.scored])) == [0, 1, 2]
+    assert sorted(effect["number"] for effect in runner.read_scored([campaign.scored])) == [0, 1, 2]
 
 
 def scored_file(folder: Path, both: bool = True) -> Path:
@@ -154,9 +154,9 @@ def test_the_command_reports_scored_cases_and_fits_the_calibration(tmp_path: Pat
     assert "N = 40 cases, seed 1000" in done.output
     table = json.loads(out.read_text(encoding="utf-8"))
     assert (table["cases"], table["effects"], table["right"], table["seeds"]) == (40, 40, 20, [1000])
-    assert min(table["weights"]) >= 0.0
-    assert np.isfinite([table["intercept"], *table["weights"]]).all()
-    assert [one["share_right"] for one in table["reliability"]] == [0.0, 1.0]
+    assert min(table["weights"].values()) >= 0.0
+    assert np.isfinite([table["intercept"], *table["weights"].values()]).all()
+    assert [effect["share_right"] for effect in table["reliability"]] == [0.0, 1.0]
 
 
 def test_labels_of_one_sort_fit_nothing(tmp_path: Path) -> None:
