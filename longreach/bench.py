@@ -104,6 +104,11 @@ BENCHES = (
         "Blind cases of the gap diagnosis: names, refusals, probabilities, limits and shrink against sealed truths.",
     ),
     Lazy(
+        "first-day",
+        "longreach.bench_first_day.command:first_day",
+        "Error budget of sealed machines that nobody has measured: coverage, false effects, sizes, verdicts.",
+    ),
+    Lazy(
         "experiments",
         "longreach.bench_experiments.command:experiments",
         "Ambiguous recording, proposed experiment, executed, both diagnosed together: is the true effect sure then?",

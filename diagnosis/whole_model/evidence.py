@@ -1,18 +1,22 @@
 """The evidence of each effect of the best set: gain, size against its uncertainty, invariance, rivals, remainder."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs
-from diagnosis.whole_model.linear import Term
+from diagnosis.whole_model.linear import Term, linearised
 from diagnosis.whole_model.solve import Fitted, WholeFit
 from machine.rotations import Array
 
 QUANTILE_95 = 1.6448536269514722
 FOUND_90_OF_98 = 3.3354  # deviations: found with 90 % probability at 2 % false alarms
+RANK = 1e-6  # of the largest power: below, columns of finite steps are the same to rounding
+QUARTERS, HALVES = (0.25, 0.5, 0.75), (0.5,)
 EQUAL_T = 9.0  # least squared distance below which two sets are not distinguished (contract)
 
 
@@ -21,8 +25,8 @@ class Evidence:
     """What speaks for one effect of the best set of its part.
 
     `gain_nats`: what the best set without it loses. `sd`: (slots,) of its numbers, with what its definition leaves
-    open. `z`: its size over that. `invariance_p`: probability of sizes that differ so much between kinds of motion or
-    families of postures, if it is one cause. `equals`: sets of effects that take its place at a distance T
+    open. `z`: its size over that. `invariance_p`: probability of sizes that differ so much between kinds of motion,
+    times, amplitudes or postures, if it is one cause. `equals`: sets of effects that take its place at a distance T
     below 9. `left`: mean squared residual of its part in noise floors. `noise_known`: from repeats or stated accuracy.
     """
 
@@ -46,31 +50,32 @@ class Evidence:
 
 
 def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
-    """The evidence of every present effect of a part."""
+    """The evidence of every present effect of a part.
+
+    Why tangents, of thresholds, too: deviations and the score test belong to the slope at the best numbers. The secant
+    back to absence, by which a set is judged, has a score of its own there.
+    """
     best = fit.best
     present = np.nonzero(best.present)[0]
-    cols = np.repeat(best.present, np.diff(best.lin.first))
-    where = np.cumsum(cols) - 1
-    w = best.lin.weight * fit.trust
-    J = best.lin.J[:, cols] * np.sqrt(w)[:, None]
-    residual = best.lin.residual * np.sqrt(w)
-    slab = best.problem.slab[cols]
-    S = np.asarray(np.linalg.inv(J.T @ J + np.diag(slab**-2.0)), dtype=float)
-    left = float(np.mean(best.lin.weight * best.lin.residual**2))
+    if not len(present):
+        return ()
+    lin = linearised(fit.cell, tuple(best.terms[k] for k in present), to_move=True)
+    w = lin.weight * fit.trust
+    J, residual = lin.J * np.sqrt(w)[:, None], lin.residual * np.sqrt(w)
+    S = np.asarray(np.linalg.inv(J.T @ J + np.diag(lin.problem(fit.trust).slab ** -2.0)), dtype=float)
+    left = float(np.mean(lin.weight * lin.residual**2))
+    groupings = groupings_of(fit.cell)
     out = []
-    for k in present:
-        term = best.terms[k]
-        own = where[np.arange(best.lin.first[k], best.lin.first[k + 1])]
+    for term, k, own in zip(lin.terms, present, np.split(np.arange(J.shape[1]), lin.first[1:-1]), strict=True):
         sd = _with_open(term, np.sqrt(np.maximum(np.diag(S)[own], 0.0)))
-        sizes = slice(0, term.sizes)
         out.append(
             Evidence(
                 term=term,
                 part=fit.cell.label,
                 gain_nats=_gain(fit, int(k)),
                 sd=sd,
-                z=_z(term, sd[sizes]),
-                invariance_p=invariance(J, residual, S, own, fit.cell.rows.fold),
+                z=_z(term, sd[: term.sizes]),
+                invariance_p=invariance(J, residual, own, groupings),
                 equals=_equals(fit, int(k)),
                 left=left,
                 noise_known=fit.cell.floor_known,
@@ -87,8 +92,6 @@ def _z(term: Term, sd: Array) -> float:
 
 def _with_open(term: Term, sd: Array) -> Array:
     """Deviations (slots,) of a term's numbers, with what the effect's definition leaves open."""
-    if term.limits:  # its columns say whether the limit is there; how large it is the refit says
-        sd = np.concatenate([[0.05 * abs(term.theta[0])], sd[1:]])
     open_part = [
         max(slot.spec.open_size, slot.spec.open_frac * abs(x))
         for slot, x in zip(term.effect.slots, term.theta, strict=True)
@@ -123,33 +126,48 @@ def _cost(one: Fitted, fit: WholeFit) -> float:
     return float((costs(one.lin.residual) * fit.trust).sum())
 
 
-def invariance(J: Array, residual: Array, S: Array, own: NDArray[np.int64], group: NDArray[np.int64]) -> float:
+def invariance(J: Array, residual: Array, own: NDArray[np.int64], groupings: Sequence[NDArray[np.int64]]) -> float:
     """Probability of a size that differs between groups by as much as here, if it is the same in all.
 
-    Model:  score test of a size of its own in every group, the other numbers common to all.
+    Model:  score test of columns `own` of J with a number of their own in every group, against all of J common to all;
+            the smallest p of the groupings, times their number (Bonferroni).
+    Why projected: a fit stops short of its optimum and leans on its priors; what J can still explain is no difference.
     Source: invariance as a sign of a cause: Peters, Buehlmann, Meinshausen 2016; the test: Rao 1948.
     """
-    numbers = np.unique(group)
-    if len(numbers) < 2:
-        return 1.0
-    scores, cross, power = [], [], []
-    for number in numbers:
-        rows = group == number
-        mine = J[rows][:, own]
-        scores.append(mine.T @ residual[rows])
-        cross.append(mine.T @ J[rows])
-        power.append(mine.T @ mine)
-    s, B = np.concatenate(scores), np.concatenate(cross)
-    m = len(own)
-    V = -B @ S @ B.T
-    for g, one in enumerate(power):
-        V[g * m : (g + 1) * m, g * m : (g + 1) * m] += one
-    values, vectors = np.linalg.eigh(0.5 * (V + V.T))
-    kept = values > 1e-6 * max(float(values.max()), 1e-300)
+    norm = np.sqrt((J**2).sum(axis=0))
+    U, sizes, _ = np.linalg.svd(J[:, norm > 0.0] / norm[norm > 0.0], full_matrices=False)
+    Q = U[:, sizes > RANK * sizes.max(initial=0.0)]
+    found = [_agreement(Q, J[:, own], residual, group) for group in groupings]
+    return min(1.0, len(found) * min(found, default=1.0))
+
+
+def _agreement(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64]) -> float:
+    """p of one grouping; Q: orthonormal columns of what is common to all groups."""
+    apart = (columns[:, None] * (group[:, None] == np.unique(group))[:, :, None]).reshape(len(residual), -1)
+    power = float((apart**2).sum(axis=0).max())
+    apart = apart - Q @ (Q.T @ apart)
+    values, vectors = np.linalg.eigh(apart.T @ apart)
+    kept = values > RANK * power
     if not kept.any():
         return 1.0
-    T = float((((vectors[:, kept].T @ s) ** 2) / values[kept]).sum())
-    return float(chi2.sf(T, int(kept.sum())))
+    scores = vectors[:, kept].T @ (apart.T @ residual)
+    return float(chi2.sf(float((scores**2 / values[kept]).sum()), int(kept.sum())))
+
+
+def groupings_of(cell: Cell) -> list[NDArray[np.int64]]:
+    """Groups of rows in which a true cause has one size: kinds of motion; of each part quarters of its time, and the
+    lower and upper half of whatever a remainder may go with (position, speed, command, posture).
+    """
+    out, start = [cell.rows.fold], 0
+    for part in cell.parts or (cell,):
+        own = slice(start, start + part.rows.count)
+        start += part.rows.count
+        for values, cuts in ((part.t_s, QUARTERS), *((values, HALVES) for _, values in part.regressors)):
+            group = np.zeros(cell.rows.count, dtype=np.int64)
+            if len(values) == part.rows.count:
+                group[own] = 1 + np.searchsorted(np.quantile(values, cuts), values)
+            out.append(group)
+    return [group for group in out if len(np.unique(group)) > 1]
 
 
 def detectable(fit: WholeFit) -> dict[int, float]:

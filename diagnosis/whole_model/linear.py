@@ -98,8 +98,9 @@ class Linearised:
         w = self.weight * trust
         H = (self.J * w[:, None]).T @ self.J
         c = H @ self.x - self.J.T @ (w * self.residual)
-        slab = np.concatenate([_slabs(term) for term in self.terms])
-        nonnegative = np.concatenate([_nonnegative(term) for term in self.terms])
+        shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
+        slab = np.concatenate([np.zeros(0), *(_slabs(term) for term in shown)])
+        nonnegative = np.concatenate([np.zeros(0, dtype=bool), *(_nonnegative(term) for term in shown)])
         log_odds = np.array([_log_odds(term.effect) for term in self.terms])
         return LinearProblem(H, c, slab, self.first, nonnegative, log_odds)
 
@@ -116,14 +117,14 @@ def packed(cell: Cell, terms: Sequence[Term], thetas: Array | None = None) -> Pa
     return put(cell.base, tuple(term.effect for term in some), own if thetas is None else thetas)
 
 
-def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False) -> Linearised:
+def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False, absent: bool = True) -> Linearised:
     """Columns of all terms about the present ones as they stand. `to_move`: tangents of present thresholds, too, for a
-    step of their sizes, in place of the secants by which they are left out.
+    step of their sizes, in place of the secants by which they are left out. `absent`: whether absent terms get columns.
     """
     base = packed(cell, terms)
     residual = evaluated_at(cell, base)[0]
     tangents = _tangents(cell, terms, residual, to_move)
-    smooth = [k for k, term in enumerate(terms) if not term.present and term.smooth]
+    smooth = [k for k, term in enumerate(terms) if absent and not term.present and term.smooth]
     steps = [(k, row) for k in smooth for row in np.diag(_steps(terms[k]))]
     moved = _evaluated(cell, base, [(terms[k].effect, row) for k, row in steps])
     columns: dict[int, list[Array]] = {k: [] for k in range(len(terms))}
@@ -136,7 +137,7 @@ def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False) -> Line
     for k, term in enumerate(terms):
         if term.present:
             columns[k] = tangents[k]
-        elif not term.smooth:
+        elif absent and not term.smooth:
             out[k], columns[k] = _scanned(cell, base, term, residual, known)
     x = [_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
     first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)

@@ -1,8 +1,8 @@
 """From the evidence of an effect to the probability that it is there with that size: one trained, monotone model.
 
 Model:  logistic regression with coefficients of known sign on a few figures of the evidence (`features`). The numbers
-        are in calibration.json, with the cases they were fitted on and the reliability curve; a command makes them anew
-        (docs/diagnosis.md). Nothing else in the diagnosis is a threshold on evidence.
+        are in calibration.json, with the cases they were fitted on and the reliability curve; `longreach bench
+        first-day --calibrate` fits them (docs/first-day.md). Nothing else in the diagnosis is a threshold on evidence.
 """
 
 import json
@@ -11,13 +11,15 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from scipy.optimize import minimize
 
-from diagnosis.whole_model.evidence import Evidence
+from diagnosis.whole_model.evidence import FOUND_90_OF_98, Evidence
 from machine.rotations import Array
 
 #: Figures of the evidence, each the better the larger.
-FEATURES = ("gain", "size", "invariance", "remainder", "noise_known")
+FEATURES = ("gain", "size", "detectable", "invariance", "remainder", "noise_known")
 CAP = 1e3
+RIDGE = 2.5**-2.0
 
 
 def features(evidence: Evidence) -> Array:
@@ -27,6 +29,7 @@ def features(evidence: Evidence) -> Array:
         [
             np.log1p(np.clip(evidence.gain_nats, 0.0, CAP)),
             np.log1p(min(evidence.z, CAP)),
+            min(evidence.z / FOUND_90_OF_98, 1.0),
             -np.log1p(-np.log(p)),
             -np.log(max(evidence.left, 1.0)),
             float(evidence.noise_known),
@@ -36,9 +39,19 @@ def features(evidence: Evidence) -> Array:
 
 def probability(evidence: Evidence) -> float:
     """Probability that the effect is there with this size, equals counted as it."""
+    return probability_of(features(evidence))
+
+
+def probability_of(figures: Array) -> float:
+    """The same from the figures (FEATURES,) of its evidence."""
     table = calibration()
-    score = float(table["intercept"]) + float(np.dot(table["weights"], features(evidence)))
-    return float(1.0 / (1.0 + np.exp(-score)))
+    weights = [float(table["weights"].get(name, 0.0)) for name in FEATURES]  # 0: a figure that is newer than the fit
+    return float(logistic(float(table["intercept"]) + figures @ np.array(weights)))
+
+
+def logistic(score: Array | float) -> Array:
+    """1 / (1 + e^-score), without overflow."""
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * np.asarray(score))), dtype=float)
 
 
 @cache
@@ -48,19 +61,23 @@ def calibration() -> dict[str, Any]:
     return json.loads(text)
 
 
-def fitted(X: Array, right: Array, penalty: float = 1e-2, rounds: int = 4000) -> tuple[float, Array]:
-    """Intercept and weights, none below zero, that make `right` (n,) most likely from features X (n, k).
+def fitted(X: Array, right: Array, penalty: float = RIDGE) -> tuple[float, Array]:
+    """Intercept and weights, none below zero, that make `right` (n,) most likely from figures X (n, k).
 
-    Model: maximum likelihood with a small ridge, by projected gradient; the problem is convex.
+    Model:  logistic regression, figures standardised, w_j ~ N(0, 1 / penalty): finite where the data are separable.
+    Source: Gelman, Jakulin, Pittau, Su 2008 (weakly informative scale 2.5).
     """
-    n, k = X.shape
-    centre, scale = X.mean(axis=0), np.maximum(X.std(axis=0), 1e-9)
-    Z = np.concatenate([np.ones((n, 1)), (X - centre) / scale], axis=1)
-    w = np.zeros(k + 1)
-    step = 4.0 / float(np.linalg.eigvalsh(Z.T @ Z / n).max())
-    for _ in range(rounds):
-        p = 1.0 / (1.0 + np.exp(-(Z @ w)))
-        w -= step * (Z.T @ (p - right) / n + penalty * np.concatenate([[0.0], w[1:]]) / n)
-        w[1:] = np.maximum(w[1:], 0.0)
+    centre, scale = X.mean(axis=0), X.std(axis=0)
+    scale = np.where(scale > 1e-9, scale, np.inf)  # a figure that never varies says nothing
+    Z = np.concatenate([np.ones((len(X), 1)), (X - centre) / scale], axis=1)
+    sign = 2.0 * right - 1.0
+
+    def cost(w: Array) -> tuple[float, Array]:
+        margin = sign * (Z @ w)
+        ridge = np.concatenate([[0.0], penalty * w[1:]])
+        return float(np.logaddexp(0.0, -margin).sum() + 0.5 * ridge @ w), ridge - Z.T @ (sign * logistic(-margin))
+
+    bounds = [(None, None), *[(0.0, None)] * X.shape[1]]
+    w = minimize(cost, np.zeros(Z.shape[1]), jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-12}).x
     weights = w[1:] / scale
     return float(w[0] - weights @ centre), weights

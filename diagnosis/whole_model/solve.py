@@ -54,8 +54,9 @@ class WholeFit:
     """The best set of one part with its rivals and the posterior over sets about it.
 
     `trust`: (N,) how far each row speaks for itself, since what the model leaves is correlated. `rivals`: by present
-    term, the best set found without it, refitted; None where the linear model leaves no doubt. `twins`: terms whose
-    column another one has, too: (kept, left out). `settled`: whether no rival and no further choice was better.
+    term, the best set found without it, refitted, with columns of its own terms only; None where the linear model
+    leaves no doubt. `twins`: terms whose column another one has, too: (kept, left out). `settled`: whether no rival and
+    no further choice was better.
     """
 
     cell: Cell
@@ -99,7 +100,8 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
         if better is None or better.score <= fitted.score + SETTLED_NATS:
             settled = True
             break
-        fitted, lin = better, better.lin
+        fitted = _fitted(cell, better.terms, trust)
+        lin = fitted.lin
     if fitted is None:
         raise DiagnosisError(f"{cell.label}: no round of the fit was run")
     posterior = posterior_over_sets(fitted.problem, fitted.present, own)
@@ -117,8 +119,8 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
     return Fit(effects, theta, residual, J, float(costs(residual).sum()), tuple(False for _ in theta))
 
 
-def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array) -> Fitted:
-    lin = linearised(cell, terms)
+def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:
+    lin = linearised(cell, terms, absent=absent)
     return Fitted(lin, lin.problem(trust), _score_at(lin, trust))
 
 
@@ -143,7 +145,7 @@ def _rival(cell: Cell, fitted: Fitted, term: int, own: Members, trust: Array) ->
     members = best_set_without(problem, fitted.present, term, own)
     if problem.score(fitted.present) - problem.score(members) > CLEAR_NATS:
         return None
-    return _fitted(cell, refined(cell, _chosen(fitted.lin, problem, members), trust), trust)
+    return _fitted(cell, refined(cell, _chosen(fitted.lin, problem, members), trust), trust, absent=False)
 
 
 def _chosen(lin: Linearised, problem: LinearProblem, members: Members) -> tuple[Term, ...]:

@@ -1,0 +1,1 @@
+"""`longreach bench first-day`: sealed machines that nobody has measured, diagnosed without a baseline, and scored."""

@@ -1,0 +1,69 @@
+"""The words of the budget: a row of the verdict's table each, and a stage judged by itself."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+
+from diagnosis.budget import Column, Line, StageLine, stage_verdict, verdict_of
+
+
+def line_of(probability: float) -> Line:
+    return Line(cast(Any, None), "stands", 1.0, 0.9, 1.1, 1.0, 1.0, probability)
+
+
+def column_of(before_mm: float, after_mm: float) -> Column:
+    return Column("stands", before_mm, after_mm, 0.0, True)
+
+
+def verdict(
+    probabilities: tuple[float, ...], before_mm: float, after_mm: float, gap: bool, known: bool, fits: int = 1
+) -> str:
+    """The word for these effects, miss, remainder; a tracker measured poses at rest."""
+    whole = SimpleNamespace(stretches=(), tables=SimpleNamespace(static=object()))
+    stage = StageLine("structure", None, "unexplained" if gap else "none", before_mm, after_mm, "")
+    fit = SimpleNamespace(cell=SimpleNamespace(floor_known=known))
+    given = (tuple(map(line_of, probabilities)), (column_of(before_mm, after_mm),), (stage,), (fit,) * fits)
+    return verdict_of(cast(Any, whole), *cast(Any, given))[0]
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "before_mm", "after_mm", "gap", "known", "word"),
+    [
+        ((0.95, 0.3), 10.0, 3.0, False, True, "effects"),  # 91 % of the squared miss
+        ((0.95,), 10.0, 3.3, True, True, "partly"),  # 89 %
+        ((0.95,), 10.0, 9.9, True, False, "partly"),
+        ((0.89,), 10.0, 1.0, True, True, "undecided"),  # likely, not confirmed
+        ((0.4,), 10.0, 10.0, True, True, "outside"),
+        ((0.4,), 10.0, 10.0, True, False, "undecided"),  # it may be noise that was never measured
+        ((0.4,), 0.1, 0.1, False, True, "none"),
+        ((), 0.1, 0.1, False, True, "none"),
+        ((), 0.1, 0.1, False, False, "undecided"),
+    ],
+)
+def test_the_first_row_of_the_table_that_holds(
+    probabilities: tuple[float, ...], before_mm: float, after_mm: float, gap: bool, known: bool, word: str
+) -> None:
+    assert verdict(probabilities, before_mm, after_mm, gap, known) == word
+
+
+def test_without_any_part_that_could_be_fitted_nothing_is_decided() -> None:
+    assert verdict((), 0.0, 0.0, False, True, fits=0) == "undecided"
+
+
+@pytest.mark.parametrize(
+    ("was", "left", "confirmed", "word"),
+    [
+        (None, 1.0, True, "not_measured"),
+        (1.0, None, False, "not_measured"),
+        (10.0, 3.1, True, "explained"),  # 90 % of the square
+        (10.0, 3.3, True, "partly"),
+        (1.0, 0.5, True, "explained"),  # what is left is small
+        (0.5, 0.5, False, "none"),
+        (0.6, 0.6, False, "unexplained"),
+    ],
+)
+def test_a_stage_is_judged_by_its_own_millimetres(
+    was: float | None, left: float | None, confirmed: bool, word: str
+) -> None:
+    assert stage_verdict(was, left, confirmed, small_mm=0.5) == word

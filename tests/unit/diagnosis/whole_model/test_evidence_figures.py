@@ -1,0 +1,110 @@
+"""Invariance of a size between groups, and the trained model from the figures to a probability."""
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from diagnosis.whole_model.evidence import groupings_of, invariance
+from diagnosis.whole_model.probability import FEATURES, calibration, fitted, logistic, probability_of
+from machine.rotations import Array
+
+GROUPS, ROWS, COLUMNS = 5, 400, 3
+
+
+def invariance_of(rng: np.random.Generator, sizes: Array, short: float = 0.0) -> float:
+    """Its p for the first column, whose true size in each group is given; the others are the same everywhere.
+
+    `short`: by how much the fit stopped short of its optimum.
+    """
+    group = np.arange(ROWS) * GROUPS // ROWS
+    J = rng.normal(size=(ROWS, COLUMNS)) + 0.5 * rng.normal(size=(ROWS, 1))
+    y = J[:, 0] * sizes[group] + J[:, 1:] @ np.array([2.0, -1.0]) + rng.normal(size=ROWS)
+    best = np.linalg.lstsq(J, y, rcond=None)[0]
+    return invariance(J, J @ (best + short) - y, np.array([0]), [group])
+
+
+def test_p_is_uniform_where_the_size_is_the_same_in_every_group() -> None:
+    rng = np.random.default_rng(7)
+    p = [invariance_of(rng, np.full(GROUPS, 3.0)) for _ in range(400)]
+    assert kstest(p, "uniform").pvalue > 0.01
+
+
+def test_a_fit_that_stopped_short_of_its_optimum_is_no_difference_between_groups() -> None:
+    exact, short = (invariance_of(np.random.default_rng(7), np.full(GROUPS, 3.0), short) for short in (0.0, 0.5))
+    assert short == pytest.approx(exact)
+
+
+def test_p_is_small_where_the_size_differs() -> None:
+    rng = np.random.default_rng(7)
+    p = [invariance_of(rng, np.array([3.0, 3.0, 3.0, 3.0, 4.0])) for _ in range(50)]
+    assert np.quantile(p, 0.9) < 1e-6
+
+
+def test_a_size_that_goes_with_the_position_or_the_time_of_one_part_is_found_out() -> None:
+    """Kinds of motion agree: every one holds all positions and lasts as long; a cable or warm oil is seen only so."""
+    rng = np.random.default_rng(5)
+    kind, position = np.arange(ROWS) % GROUPS, rng.uniform(-1.0, 1.0, ROWS)
+    parts = tuple(
+        SimpleNamespace(rows=SimpleNamespace(count=count), t_s=np.arange(count) * 0.1, regressors=regressors)
+        for count, regressors in ((100, ()), (ROWS - 100, (("position", position[100:]),)))
+    )
+    cell = cast(Any, SimpleNamespace(rows=SimpleNamespace(fold=kind, count=ROWS), parts=parts))
+    late = (np.arange(ROWS) - 100.0) / (ROWS - 100.0)
+    p = {}
+    for name, size in (
+        ("the same", np.full(ROWS, 3.0)),
+        ("by position", 3.0 + np.where(position > 0.0, 0.6, -0.6)),
+        ("by time", 3.0 + np.where(late > 0.0, late, 0.0)),
+    ):
+        J = rng.normal(size=(ROWS, COLUMNS))
+        y = J[:, 0] * size + rng.normal(size=ROWS)
+        residual = J @ np.linalg.lstsq(J, y, rcond=None)[0] - y
+        p[name] = [invariance(J, residual, np.array([0]), groups) for groups in ([kind], groupings_of(cell))]
+    assert min(p["the same"]) > 0.05
+    assert p["by position"][0] > 0.01 > 1e-4 > p["by position"][1]
+    assert p["by time"][0] > 0.01 > 1e-3 > p["by time"][1]
+
+
+def test_one_group_alone_says_nothing() -> None:
+    J = np.ones((4, 1))
+    assert invariance(J, np.ones(4), np.array([0]), [np.zeros(4, dtype=np.int64)]) == 1.0
+
+
+def test_fitted_reproduces_the_logistic_that_drew_the_labels() -> None:
+    rng = np.random.default_rng(3)
+    X = rng.normal(size=(8000, 3)) * np.array([1.0, 2.0, 0.5]) + np.array([0.0, 4.0, -1.0])
+    intercept, weights = -3.0, np.array([1.5, 0.6, 0.0])
+    right = (rng.uniform(size=len(X)) < logistic(intercept + X @ weights)).astype(float)
+    found, w = fitted(X, right)
+    assert np.abs(logistic(found + X @ w) - logistic(intercept + X @ weights)).mean() < 0.015
+    assert w == pytest.approx(weights, abs=0.15)
+
+
+def test_fitted_is_monotone_where_the_labels_are_not() -> None:
+    rng = np.random.default_rng(4)
+    X = rng.normal(size=(500, 2))
+    right = (X[:, 0] < 0.0).astype(float)  # the larger, the less right: against what a figure means
+    _, w = fitted(X, right)
+    assert w[0] == 0.0
+    assert (w >= 0.0).all()
+
+
+def test_separable_labels_and_figures_that_never_vary_give_finite_numbers() -> None:
+    X = np.stack([np.linspace(-1.0, 1.0, 40), np.ones(40)], axis=1)
+    right = (X[:, 0] > 0.0).astype(float)
+    intercept, w = fitted(X, right)
+    assert np.isfinite([intercept, *w]).all()
+    assert w[1] == 0.0
+    assert (logistic(intercept + X @ w)[right > 0.5] > 0.5).all()
+
+
+def test_the_shipped_calibration_is_monotone_and_says_what_it_was_fitted_on() -> None:
+    table = calibration()
+    assert set(table["weights"]) == set(FEATURES)
+    assert min(table["weights"].values()) >= 0.0
+    assert table["cases"] >= 20
+    assert table["reliability"]
+    assert probability_of(np.zeros(len(FEATURES))) < 0.5
