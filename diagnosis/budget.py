@@ -147,7 +147,7 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
         evidence, errors, chance
     )
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
-    stages = _stages(whole, lines, columns, (before, after), float(np.sqrt(total)))
+    stages = _stages(whole, lines, columns, (before, after))
     verdict, why = verdict_of(whole, lines, columns, stages, fits)
     work.conclude("held-out data", 0.8)
     compared = tuple(
@@ -203,12 +203,13 @@ def _column(
 ) -> Column:
     """One column's miss before and after; measured where the recording measured it."""
     chosen = [k for k, term in enumerate(error.terms) if any(term is one for one in confirmed)]
+    explained = _rms_mm(error.by_effect[chosen].sum(axis=0)) if chosen else 0.0
     floor = _tracking_floor_mm(whole) if error.column == "gets_there" else 0.0
     if error.measured is not None and error.left is not None:
         unconfirmed = error.total - error.by_effect[chosen].sum(axis=0)
-        return Column(
-            error.column, _rms_mm(error.measured, floor), _rms_mm(error.left + unconfirmed, floor), floor, True
-        )
+        left_mm = _rms_mm(error.left + unconfirmed, floor)
+        before_mm = float(np.hypot(explained, left_mm)) if chosen else _rms_mm(error.measured, floor)
+        return Column(error.column, before_mm, left_mm, floor, True)
     unconfirmed = _rms_mm(error.total - error.by_effect[chosen].sum(axis=0))
     if error.column == "sees":
         left_mm = float(np.hypot(unconfirmed, _corners_left_mm(fits)))
@@ -216,7 +217,6 @@ def _column(
     left = _measured_mm(after, "structure")
     if left is None:
         return Column(error.column, _rms_mm(error.total), unconfirmed, 0.0, False)
-    explained = _rms_mm(error.by_effect[chosen].sum(axis=0)) if chosen else 0.0
     return Column(error.column, float(np.hypot(explained, left)), left, 0.0, True)
 
 
@@ -281,12 +281,11 @@ def _stages(
     lines: tuple[Line, ...],
     columns: tuple[Column, ...],
     places: tuple[Localisation, Localisation],
-    total_mm: float,
 ) -> tuple[StageLine, ...]:
     """Every stage, and of those that drive joints every joint, judged by itself."""
     before, after = places
     present = stages_present(whole)
-    small = max(SMALL_MM, SMALL_SHARE * float(total_mm))
+    small = small_mm(columns)
     out = []
     for stage in WOULD_MEASURE:
         if stage not in present:
@@ -323,17 +322,22 @@ def _is(place: Place, stage: str, joint: int | None) -> bool:
     return place.stage == stage and place.regime == "all" and joint in (None, place.joint)
 
 
-def stage_verdict(was: float | None, left: float | None, confirmed: bool, small_mm: float) -> StageVerdict:
+def small_mm(columns: tuple[Column, ...]) -> float:
+    """A miss at the tool that nobody acts on [mm]."""
+    return max(SMALL_MM, SMALL_SHARE * _together(one.before_mm for one in columns))
+
+
+def stage_verdict(was: float | None, left: float | None, confirmed: bool, small: float) -> StageVerdict:
     """One stage's word from its miss before and after [mm], and whether one of its effects is confirmed.
 
     A miss that nobody acts on is none, however clear its cause is.
     """
     if was is None or left is None:
         return "not_measured"
-    if was <= small_mm:
+    if was <= small:
         return "none"
     if confirmed:
-        done = left**2 <= (1.0 - EXPLAINED) * was**2 or left <= small_mm
+        done = left**2 <= (1.0 - EXPLAINED) * was**2 or left <= small
         return "explained" if done else "partly"
     return "unexplained"
 
@@ -350,6 +354,7 @@ def verdict_of(
     squares = sum(one.before_mm**2 for one in columns)
     left = sum(one.after_mm**2 for one in columns)
     explained = 1.0 - left / squares if squares > 0.0 else 0.0
+    done = explained >= EXPLAINED or float(np.sqrt(left)) <= small_mm(columns)
     known = all(fit.cell.floor_known for fit in fits) and bool(fits)
     likely = any(line.status != "doubtful" for line in lines)
     gap = any(one.verdict == "unexplained" for one in stages)
@@ -357,7 +362,7 @@ def verdict_of(
     table: tuple[tuple[bool, Verdict, str], ...] = (
         (not fits, "undecided", "no stage could be replayed"),
         (stood_still(whole.stretches) and not static, "undecided", "no joint moved, and there are no poses at rest"),
-        (confirmed and explained >= EXPLAINED, "effects", f"confirmed effects explain {100 * explained:.0f} % of it"),
+        (confirmed and done, "effects", f"confirmed effects explain {100 * explained:.0f} % of it"),
         (confirmed, "partly", f"confirmed effects explain {100 * explained:.0f} % of it; the rest has no cause yet"),
         (gap and likely, "undecided", "effects are likely, none is confirmed"),
         (gap and known, "outside", "there is a gap, and no effect of the catalogue explains it"),

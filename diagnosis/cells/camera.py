@@ -30,6 +30,7 @@ FRAMES_MAX = 160
 TIME_TOLERANCE_S = 1e-6
 SIGMA_MIN_PX = 0.03
 STILL_RAD = 3e-3
+LATE_S = 0.1  # a camera may be as late or early as this: postures that are equal at other speeds are no repeats
 VISITS_S = 3.0
 VISITED_MIN = 20  # corners seen again
 VIEWS_MIN = 4  # poses of the object to place it by
@@ -199,7 +200,9 @@ def _visits(placed: CornerResidual, base: ParameterSets) -> list[Array]:
     flat = pixels.copy()
     flat[np.isfinite(flat)] = placed(base)[0]
     flat = flat.reshape(len(pixels), -1, 2)
-    q = link_angles(placed.paths, base, 0, placed.at, placed.frames.t_s)
+    t_s = placed.frames.t_s
+    late = [link_angles(placed.paths, base, 0, placed.at, t_s + late_s) for late_s in (-LATE_S, 0.0, LATE_S)]
+    q = np.stack(late, axis=1)
     visits: list[Array] = []
     left = list(range(len(q)))
     while left:

@@ -21,7 +21,10 @@ def verdict(
 ) -> str:
     """The word for these effects, miss, remainder; a tracker measured poses at rest."""
     whole = SimpleNamespace(stretches=(), tables=SimpleNamespace(static=object()))
-    stage = StageLine("structure", None, "unexplained" if gap else "none", before_mm, after_mm, "")
+    confirmed = any(probability >= 0.9 for probability in probabilities)
+    word = stage_verdict(before_mm, after_mm, confirmed, small=0.5)
+    assert (word == "unexplained") == (gap and not confirmed)
+    stage = StageLine("structure", None, word, before_mm, after_mm, "")
     fit = SimpleNamespace(cell=SimpleNamespace(floor_known=known))
     given = (tuple(map(line_of, probabilities)), (column_of(before_mm, after_mm),), (stage,), (fit,) * fits)
     return verdict_of(cast(Any, whole), *cast(Any, given))[0]
@@ -66,4 +69,4 @@ def test_without_any_part_that_could_be_fitted_nothing_is_decided() -> None:
 def test_a_stage_is_judged_by_its_own_millimetres(
     was: float | None, left: float | None, confirmed: bool, word: str
 ) -> None:
-    assert stage_verdict(was, left, confirmed, small_mm=0.5) == word
+    assert stage_verdict(was, left, confirmed, small=0.5) == word
