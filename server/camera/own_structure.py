@@ -12,11 +12,13 @@ from server.vision.contracts import Array, Image
 
 BLOCK_PX = 16
 PAIRS_MIN = 5
-TEXTURE_MIN_GREY = 6.0  # of a block; twice a camera's noise, below it nothing says whether it moved
+NOISE_PCT = 5.0  # of the blocks change least over time: what changes there is noise, or the camera saw no still part
+TEXTURE_MIN_NOISE = 1.0  # of a block, in sigmas of the noise: below it nothing says whether it moved
 STILL_FRAC = 0.35  # change over time by texture: blocks that keep still have noise only, those that move about 1
 MOVED_FRAC = 0.7
 MOVED_BLOCKS_MIN_FRAC = 0.2  # of all blocks with texture: fewer, and the camera stood
 UNMASKED_MIN_FRAC = 0.02  # of the picture; outlines of blocks differ by less from run to run
+STILL_BLOCKS_MIN = 4  # of a part; fewer are chance
 BORDER_BLOCKS = 1  # a mask reaches so far beyond what was seen: a corner's patch must not touch it
 
 
@@ -26,23 +28,29 @@ Masks = tuple[Sequence[Array], Sequence[Array]]
 def still_mask(images: Sequence[Image]) -> Image | None:
     """A mask (h, w), 255 over what stood still in one eye's pictures (h, w); None where the camera did not move.
 
-    Model:   by blocks: standard deviation of grey over time against that over the block. Of a moving texture they are
-             alike, of one that stands still the first is noise. Plain blocks between still ones are taken with them.
+    Model:   by blocks: variance of grey over time against that over the block, each less the noise's. Of a moving
+             texture they are alike, of one that stands still the first is 0. Plain blocks say nothing: they are taken
+             where they hang together with still ones (morphological reconstruction).
     """
     if len(images) < PAIRS_MIN:
         return None
     stack = np.stack([image.astype(np.float64) for image in images])
-    over_time, texture = _blocks(stack.var(axis=0)), _texture(stack)
-    ratio = np.sqrt(over_time) / np.maximum(texture, 1e-3)
-    textured = texture > TEXTURE_MIN_GREY
+    over_time, over_block = _blocks(stack.var(axis=0)), _texture(stack)
+    noise = max(float(np.percentile(over_time, NOISE_PCT)), 0.25)  # grey^2; half a grey level is what 8 bits leave
+    change, texture = np.maximum(over_time - noise, 0.0), np.maximum(over_block - noise, 1e-9)
+    textured = texture > TEXTURE_MIN_NOISE**2 * noise
+    ratio = np.sqrt(change / texture)
     moved = textured & (ratio > MOVED_FRAC)
     if moved.sum() < max(1.0, MOVED_BLOCKS_MIN_FRAC * textured.sum()):
         return None
-    still = np.asarray(textured & (ratio < STILL_FRAC), np.uint8)
-    seen = cv2.morphologyEx(still, cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
-    closed = np.asarray(cv2.morphologyEx(seen, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))) > 0
-    kept = np.asarray(closed & ~moved, np.uint8)
-    wide = np.asarray(cv2.dilate(kept, np.ones((2 * BORDER_BLOCKS + 1,) * 2, np.uint8)), np.uint8)
+    still = textured & (ratio < STILL_FRAC)
+    open_to = cv2.morphologyEx(np.asarray(still | ~textured, np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+    parts = np.asarray(cv2.connectedComponents(np.asarray(open_to, np.uint8), connectivity=4)[1], np.int64)
+    counts = np.bincount(parts[still], minlength=int(parts.max()) + 1)
+    own = (counts >= STILL_BLOCKS_MIN) & (np.arange(len(counts)) > 0)
+    wide = np.asarray(
+        cv2.dilate(own[parts].astype(np.uint8), np.ones((2 * BORDER_BLOCKS + 1,) * 2, np.uint8)), np.uint8
+    )
     height, width = images[0].shape
     return np.asarray(255 * np.kron(wide, np.ones((BLOCK_PX, BLOCK_PX), np.uint8))[:height, :width], np.uint8)
 
@@ -56,9 +64,8 @@ def _blocks(values: Array) -> Array:
 
 
 def _texture(stack: Array) -> Array:
-    """Standard deviation of grey over each block, mean square over the pictures."""
-    variances = [_blocks(image**2) - _blocks(image) ** 2 for image in stack]
-    return np.sqrt(np.maximum(np.mean(variances, axis=0), 0.0))
+    """Variance of grey over each block, mean over the pictures."""
+    return np.asarray(np.mean([_blocks(image**2) - _blocks(image) ** 2 for image in stack], axis=0))
 
 
 def check_own_structure(pairs: Sequence[tuple[Image, Image]], masks: Masks = ((), ())) -> CheckFinding:

@@ -7,7 +7,7 @@ from server.vision.contracts import Array, Image
 
 FEATURES = 1200
 RATIO_MAX = 0.85  # of the best distance to the second best
-SCALE = 0.25  # at which a picture is compared with itself
+SCALE = 0.5  # at which a picture is compared with itself
 LOBE_PX = 4  # at that scale: nearer, a picture resembles itself whatever it shows
 ALIKE_FRAC = 0.8  # of the strongest repetition: its neighbours on the same lattice
 REPEATS_MAX = 4  # nearest repetitions
@@ -46,9 +46,9 @@ def repeats(image: Image, along_rows: bool = False) -> Array:
     small = cv2.resize(image, None, fx=SCALE, fy=SCALE, interpolation=cv2.INTER_AREA)
     top, left = small.shape[0] // 4, small.shape[1] // 4
     middle = small[top : small.shape[0] - top, left : small.shape[1] - left]
-    likeness = np.asarray(cv2.matchTemplate(small, middle, cv2.TM_CCOEFF_NORMED))
     if along_rows:
-        likeness, top = likeness[top : top + 1], 0
+        small, top = small[top : small.shape[0] - top], 0
+    likeness = np.asarray(cv2.matchTemplate(small, middle, cv2.TM_CCOEFF_NORMED))
     peaks = likeness >= np.asarray(cv2.dilate(likeness, np.ones((2 * LOBE_PX + 1,) * 2, np.uint8)))
     ways = np.argwhere(peaks & (likeness > 0.0))[:, ::-1] - [left, top]
     heights = likeness[ways[:, 1] + top, ways[:, 0] + left]

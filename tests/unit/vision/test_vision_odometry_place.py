@@ -14,7 +14,14 @@ from server.vision.odometry_sight import ImageSight
 CASE = GapCase(seed=3, brick_mm=60, own_frac=0.3, black=15, step_mm=(4.0, 0.0), distance_m=1.3)
 
 
-@pytest.mark.parametrize("case", [CASE, replace(CASE, seed=7, brick_mm=80, own_frac=0.35, step_mm=(-0.9, -4.1))])
+@pytest.mark.parametrize(
+    "case",
+    [
+        CASE,
+        replace(CASE, seed=7, brick_mm=80, own_frac=0.35, step_mm=(-0.9, -4.1)),
+        GapCase(seed=31, brick_mm=50, own_frac=0.2, black=10, step_mm=(-1.86, 4.08), distance_m=1.5),  # 18 px a brick
+    ],
+)
 def test_one_brick_off_is_never_called_ok(case):
     run = run_gap(case)
     assert run["wrong"] == 0
