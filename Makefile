@@ -25,7 +25,7 @@ demo: $(VENV)/run.stamp  ## simulated machine, server and panel; prints the addr
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 NUMBA_NUM_THREADS=1
 
 # Real processes in real time; all else is pure or in virtual time.
-REAL := tests/system tests/loop/test_link_process.py tests/loop/test_relay_udp.py
+REAL := tests/system tests/loop/test_link_process.py tests/loop/test_link_process_start.py tests/loop/test_relay_udp.py
 
 test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores, then those with real processes one by one
 	$(ONE_THREAD) $(BIN)/python -m pytest -m "not slow" -n auto --maxprocesses 4 --dist loadfile --durations 20 $(REAL:%=--ignore %)
