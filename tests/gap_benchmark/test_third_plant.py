@@ -19,7 +19,7 @@ from tests.gap_benchmark.third_plant import KINDS, PIXEL, PLACE_M, SPEED_RAD_S, 
 from tests.gap_benchmark.third_truth import Weighed, plant_of, scene_of
 
 HERE = Path(__file__).parent
-SHARED = Path("/work/shared/data/gap/many_at_once")
+SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "gap" / "many_at_once"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"the shared recordings are not at {SHARED}")
 MACHINE = cases.machine_of(np.random.default_rng(3), 6)
 HOME = np.deg2rad([10.0, 35.0, -75.0, 5.0, 40.0, 5.0])
