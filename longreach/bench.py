@@ -106,7 +106,7 @@ BENCHES = (
     Lazy(
         "first-day",
         "longreach.bench_first_day.command:first_day",
-        "Error budget of sealed machines that nobody has measured: coverage, false effects, sizes, verdicts.",
+        "Sealed machines diagnosed without a baseline: coverage, false effects, sizes, verdicts, probabilities.",
     ),
     Lazy(
         "experiments",
