@@ -104,12 +104,12 @@ class Budget:
     @property
     def miss_mm(self) -> float:
         """How far the nominal model misses the tool: where it stands and how it gets there, together."""
-        return _together(one.before_mm for one in self.columns if one.name != "sees")
+        return _together(column.before_mm for column in self.columns if column.name != "sees")
 
     @property
     def left_mm(self) -> float:
         """The same with the confirmed effects added."""
-        return _together(one.after_mm for one in self.columns if one.name != "sees")
+        return _together(column.after_mm for column in self.columns if column.name != "sees")
 
     @property
     def confirmed(self) -> tuple[Line, ...]:
@@ -135,14 +135,14 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     work = Work(progress)
     fits = fit_machine(whole, work, left_out)
     work.conclude("weighing", 0.0)
-    evidence = [one for fit in fits for one in evidence_of(fit)]
-    errors = tool_errors(whole, [one.term for one in evidence], [fit.cell for fit in fits])
-    chance = {id(one.term): probability(one) for one in evidence}
-    confirmed = [one.term for one in evidence if chance[id(one.term)] >= CONFIRMED]
+    evidence = [found for fit in fits for found in evidence_of(fit)]
+    errors = tool_errors(whole, [found.term for found in evidence], [fit.cell for fit in fits])
+    chance = {id(found.term): probability(found) for found in evidence}
+    confirmed = [found.term for found in evidence if chance[id(found.term)] >= CONFIRMED]
     work.conclude("localising", 0.6)
     before, after = localise(whole), localise(_with_effects(whole, entries_of(confirmed)))
     columns = tuple(_column(whole, error, confirmed, after, fits) for error in errors)
-    total = sum(one.before_mm**2 for one in columns)
+    total = sum(column.before_mm**2 for column in columns)
     lines = tuple(line for error in errors for line in _lines(error, evidence, chance, total)) + _unplaced(
         evidence, errors, chance
     )
@@ -167,7 +167,7 @@ def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:
 
 
 def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float], total_mm2: float) -> list[Line]:
-    by_term = {id(one.term): one for one in evidence}
+    by_term = {id(found.term): found for found in evidence}
     out = []
     for term, rms, squares in zip(error.terms, error.rms_m * MM, error.squares_m2 * MM**2, strict=True):
         one = by_term[id(term)]
@@ -194,7 +194,9 @@ def _unplaced(evidence: list[Evidence], errors: tuple[ToolError, ...], chance: d
     """Effects of which nothing says what they do at the tool (no arm in the machine file, no controller)."""
     placed = {id(term) for error in errors for term in error.terms}
     return tuple(
-        Line(one, "", 0.0, 0.0, 0.0, 0.0, 0.0, chance[id(one.term)]) for one in evidence if id(one.term) not in placed
+        Line(found, "", 0.0, 0.0, 0.0, 0.0, 0.0, chance[id(found.term)])
+        for found in evidence
+        if id(found.term) not in placed
     )
 
 
@@ -202,7 +204,7 @@ def _column(
     whole: Read, error: ToolError, confirmed: list[Term], after: Localisation, fits: tuple[WholeFit, ...]
 ) -> Column:
     """One column's miss before and after; measured where the recording measured it."""
-    chosen = [k for k, term in enumerate(error.terms) if any(term is one for one in confirmed)]
+    chosen = [k for k, term in enumerate(error.terms) if any(term is known for known in confirmed)]
     explained = _rms_mm(error.by_effect[chosen].sum(axis=0)) if chosen else 0.0
     floor = _tracking_floor_mm(whole) if error.column == "gets_there" else 0.0
     if error.measured is not None and error.left is not None:
@@ -256,9 +258,9 @@ def _tracking_floor_mm(whole: Read) -> float:
     nominal = whole.nominal
     squares = []
     for members in repeat_groups(whole.stretches).values():
-        if nominal is None or nominal.arm is None or any(one.enc is None for one in members):
+        if nominal is None or nominal.arm is None or any(stretch.enc is None for stretch in members):
             continue
-        laid = overlaid(members, [np.nan_to_num(one.enc) for one in members if one.enc is not None])
+        laid = overlaid(members, [np.nan_to_num(stretch.enc) for stretch in members if stretch.enc is not None])
         flat = laid.reshape(-1, nominal.n)
         at = tcp_poses(nominal.arm, neutral_sets(nominal.n), flat)[:, :3, 3].reshape(*laid.shape[:2], 3)
         off = at - at.mean(axis=0)
@@ -324,7 +326,7 @@ def _is(place: Place, stage: str, joint: int | None) -> bool:
 
 def small_mm(columns: tuple[Column, ...]) -> float:
     """A miss at the tool that nobody acts on [mm]."""
-    return max(SMALL_MM, SMALL_SHARE * _together(one.before_mm for one in columns))
+    return max(SMALL_MM, SMALL_SHARE * _together(column.before_mm for column in columns))
 
 
 def stage_verdict(was: float | None, left: float | None, confirmed: bool, small: float) -> StageVerdict:
@@ -350,14 +352,14 @@ def verdict_of(
     fits: tuple[WholeFit, ...],
 ) -> tuple[Verdict, str]:
     """The overall verdict: the first row of the table that holds."""
-    confirmed = any(one.verdict in ("explained", "partly") for one in stages)
-    squares = sum(one.before_mm**2 for one in columns)
-    left = sum(one.after_mm**2 for one in columns)
+    confirmed = any(stage.verdict in ("explained", "partly") for stage in stages)
+    squares = sum(column.before_mm**2 for column in columns)
+    left = sum(column.after_mm**2 for column in columns)
     explained = 1.0 - left / squares if squares > 0.0 else 0.0
     done = explained >= EXPLAINED or float(np.sqrt(left)) <= small_mm(columns)
     known = all(fit.cell.floor_known for fit in fits) and bool(fits)
     likely = any(line.status != "doubtful" for line in lines)
-    gap = any(one.verdict == "unexplained" for one in stages)
+    gap = any(stage.verdict == "unexplained" for stage in stages)
     static = whole.tables is not None and whole.tables.static is not None
     table: tuple[tuple[bool, Verdict, str], ...] = (
         (not fits, "undecided", "no stage could be replayed"),

@@ -92,7 +92,7 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
             terms = refined(cell, _chosen(lin, problem, best), trust)
             trust = trusted(cell, terms)
             tried = _fitted(cell, terms, trust)
-            if fitted is None or tried.score > _fitted_score(cell, fitted, trust):
+            if fitted is None or tried.score > _score_at(fitted.lin, trust):
                 fitted, lin = tried, tried.lin
                 continue
         rivals = {int(k): _rival(cell, fitted, int(k), own, trust) for k in np.nonzero(fitted.present)[0]}
@@ -122,11 +122,6 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
 def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:
     lin = linearised(cell, terms, absent=absent)
     return Fitted(lin, lin.problem(trust), _score_at(lin, trust))
-
-
-def _fitted_score(cell: Cell, fitted: Fitted, trust: Array) -> float:
-    """The score of another fit under this trust: two are compared by one measure."""
-    return _score_at(fitted.lin, trust)
 
 
 def _score_at(lin: Linearised, trust: Array) -> float:
