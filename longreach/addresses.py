@@ -5,6 +5,7 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 from server.errors import SettingsError
 
@@ -36,6 +37,12 @@ class Address:
                 if family == socket.AF_INET6:
                     probe.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
                 probe.bind(where)
+
+    @classmethod
+    def of_plc_link(cls, host: str, port: int, taken_by: str) -> Self:
+        """Our end of the link to the PLC. `taken_by`: what most likely has it, and what to do."""
+        kinds = (socket.SOCK_DGRAM, socket.AF_INET)
+        return cls(host, port, "[plc] local_host", "--plc-local-port", *kinds, taken_by)
 
     def problem(self, error: OSError) -> str:
         """What is wrong, and what to do."""

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import hashlib
-import socket
 import time
 from dataclasses import replace
 from datetime import datetime
@@ -247,16 +246,7 @@ def _with_options(
 def _require_free_port(settings: ServerSettings) -> None:
     """Raises SettingsError when our port is taken: most likely by the server."""
     plc, taken_by = settings.plc, f"another program: {ONE_CONTROLLER}; stop it first, or give another port"
-    local = Address(
-        plc.local_host,
-        plc.local_port,
-        "[plc] local_host",
-        "--plc-local-port",
-        socket.SOCK_DGRAM,
-        socket.AF_INET,
-        taken_by,
-    )
-    require_bindable((local,))
+    require_bindable((Address.of_plc_link(plc.local_host, plc.local_port, taken_by),))
 
 
 def _show(console: Console, operator: TerminalOperator, result: StepResult) -> None:

@@ -1,6 +1,5 @@
 """`longreach serve`: the server, from a settings file and what the command line puts over it."""
 
-import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -68,15 +67,7 @@ def addresses_of(settings: "ServerSettings") -> "tuple[Address, ...]":
     taken_by = "another program, perhaps another server or `longreach commission`; give another one"
     found = (
         Address(http.host, http.port, "--host", "--port"),
-        Address(
-            plc.local_host,
-            plc.local_port,
-            "[plc] local_host",
-            "--plc-local-port",
-            socket.SOCK_DGRAM,
-            socket.AF_INET,
-            taken_by,
-        ),
+        Address.of_plc_link(plc.local_host, plc.local_port, taken_by),
     )
     return (*found, Address(opcua.host, opcua.port, "[opcua] host", "[opcua] port")) if opcua.enabled else found
 
