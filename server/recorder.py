@@ -23,6 +23,7 @@ from server.calibration.contracts import CameraRotationEstimate
 from server.camera.contracts import FrameReport
 from server.link.contracts import PlcSample
 from server.motion.contracts import PathPlan
+from server.motion.identification_courses import Mark
 from server.recorder_rows import calibration_row, finding, frame_poses, look_row, plan_row, plc_row, report_rows
 from server.version import __version__
 from server.vision.contracts import Look
@@ -70,6 +71,7 @@ class Recorder:
         self._last_plc_ns = 0
         self._segments: list[Segment] = []
         self._open_segment: tuple[str, SegmentKind, str, int] | None = None
+        self._marks: tuple[tuple[Mark, ...], int] = (), 0  # of the trajectory that is played, and when it began
         self._transforms_ns = 0
         self._camera_ns = self._image_ns = 0
         self._problem = ""
@@ -109,7 +111,7 @@ class Recorder:
         utc_minus_mono_s = (time.time_ns() - mono_ns()) * 1e-9
         self._run = RunInfo(run_id, now.isoformat(timespec="seconds"), seed, pc_to_utc_offset_s=utc_minus_mono_s)
         self._plc_offset_ns = self._camera_offset_ns = self._first_plc_ns = None
-        self._segments, self._open_segment = [], None
+        self._segments, self._open_segment, self._marks = [], None, ((), 0)
         attachments = [
             Attachment("machine.toml", "application/toml", machine_toml.encode()),
             Attachment("settings.json", "application/json", settings_json.encode()),
@@ -231,7 +233,27 @@ class Recorder:
             self._segments.append(Segment(name, kind, start_ns * 1e-9, end_ns * 1e-9, repeat_of))
             self._open_segment = None
 
+    @_noted
+    def begin_marks(self, marks: tuple[Mark, ...]) -> None:
+        """A trajectory is about to be played of which these stretches are segments."""
+        self._marks = marks, self._last_plc_ns
+
+    @_noted
+    def end_marks(self) -> None:
+        """The trajectory ended, or was stopped: what was driven of its stretches are segments.
+
+        All count from one moment, so that repeats lie on each other to the PLC's cycle. A repeat that was cut is none.
+        """
+        (marks, start_ns), self._marks = self._marks, ((), 0)
+        driven_s = (self._last_plc_ns - start_ns) * 1e-9
+        for mark in marks:
+            whole = mark.end_s <= driven_s
+            if mark.start_s < driven_s and (whole or not mark.repeat_of):
+                start_s, end_s = (start_ns * 1e-9 + min(s, driven_s) for s in (mark.start_s, mark.end_s))
+                self._segments.append(Segment(mark.name, mark.kind, start_s, end_s, mark.repeat_of))
+
     def _end_segments(self) -> None:
+        self.end_marks()
         self.end_segment()
         if not self._segments and self._first_plc_ns is not None:  # nobody said what it was: a job of the server
             span = self._first_plc_ns * 1e-9, self._last_plc_ns * 1e-9

@@ -257,6 +257,8 @@ EXAMPLES: dict[str, Example] = {
         "wall_free": False,
         "keep": "tempo",
     },
+    "PlanIdentifyRequest": {"kind": "plan_identify", "minutes": 6.0, "wall_free": False, "resume": False},
+    "IdentifyRequest": {"kind": "identify", "plan_hash": PLAN_HASH},
     "PlanView": _PLAN,
     "PositionRequest": {"kind": "position", "method": "ours", "recalibrate": True},
     "PreviewRequest": {"kind": "preview"},

@@ -315,6 +315,22 @@ class ExperimentRequest(JobRequest):
     plan_hash: str = Field(min_length=16, max_length=16, pattern="^[0-9a-f]{16}$")
 
 
+class PlanIdentifyRequest(JobRequest):
+    """Plan the drive that shows what this machine's model leaves out: look, and move nothing. `identify` drives it."""
+
+    kind: Literal["plan_identify"]
+    minutes: float = Field(default=6.0, ge=1.5, le=6.0, description="about how long; shorter shows less")
+    wall_free: bool = Field(default=False, description="there is no wall within reach; needed where none is seen")
+    resume: bool = Field(default=False, description="only the parts of a paused drive that are left")
+
+
+class IdentifyRequest(JobRequest):
+    """Drive the planned identification of that hash, record it, and diagnose it with its earlier parts."""
+
+    kind: Literal["identify"]
+    plan_hash: str = Field(min_length=16, max_length=16, pattern="^[0-9a-f]{16}$")
+
+
 class RetractRequest(JobRequest):
     """Back away from the wall along the tool's axis."""
 

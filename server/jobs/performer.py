@@ -151,7 +151,11 @@ class Performer:
     async def _move(self, request: Move) -> None:
         self.may_be_moving = True
         trajectory = self._from_reference(request.trajectory)
-        ended = await self._cell.link.run(trajectory)
+        self._cell.recorder.begin_marks(request.marks)
+        try:
+            ended = await self._cell.link.run(trajectory)
+        finally:
+            self._cell.recorder.end_marks()
         if not ended.reached:  # why it ended may be wrong or not the last word: a stop follows, until it is at rest
             raise JobFailedError(f"{request.purpose}: motion ended early: {ended.reason}", "motion_ended_early")
         self.may_be_moving = False

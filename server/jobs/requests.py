@@ -13,6 +13,7 @@ from server.jobs.records import MoveRecord
 from server.jobs.steer_requests import Steer
 from server.jobs.watching import StartWatching, StopWatching
 from server.motion.contracts import JointTrajectory, PathPlan
+from server.motion.identification_courses import Mark
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +42,14 @@ class Arm:
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """Play a trajectory of the reference to its end. Reply: None; a stop or refusal fails the job."""
+    """Play a trajectory of the reference to its end. Reply: None; a stop or refusal fails the job.
+
+    `marks`: stretches that become segments of the recording, as far as they were driven.
+    """
 
     trajectory: JointTrajectory
     purpose: str
+    marks: tuple[Mark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,13 @@ from server.api.views import (
     CalibrateRequest,
     ExecuteRequest,
     ExperimentRequest,
+    IdentifyRequest,
     LineRequest,
     LookRequest,
     OrientRequest,
     ParkRequest,
     PlanExperimentRequest,
+    PlanIdentifyRequest,
     PositionRequest,
     PreviewRequest,
     RetractRequest,
@@ -35,9 +37,11 @@ from server.jobs.diagnosing import Diagnoses
 from server.jobs.engine import Job, JobEngine, JobEvent
 from server.jobs.experiments import Experiments
 from server.jobs.finding_log import FindingLog
+from server.jobs.identification import Identification
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.experimenting import drive_experiment, plan_experiment
+from server.jobs.plans.identifying import drive_identification, plan_identification
 from server.jobs.plans.line import line_run
 from server.jobs.plans.looking import take_look
 from server.jobs.plans.moving import check_executable, execute, preview
@@ -64,6 +68,8 @@ JobBody = (
     | ServoRequest
     | PlanExperimentRequest
     | ExperimentRequest
+    | PlanIdentifyRequest
+    | IdentifyRequest
     | RetractRequest
     | ReturnRequest
     | ParkRequest
@@ -93,6 +99,7 @@ class JobService:
         )
         self.diagnoses = Diagnoses(Path(cell.settings.recording.folder))
         self._experiments = Experiments(self.diagnoses)
+        self.identification = Identification(self.diagnoses)
         self._suspend, self._resumed = SuspendWatch(), False
         cell.knowledge.unix_minus_mono_s = time.time() - mono_s()
         expiry = cell.settings.calibration.expiry()
@@ -121,7 +128,7 @@ class JobService:
         self._note_resume()
         plan = self._plan(body)
         owner = body.owner or (lease.owner if lease else "server")
-        plan_hash = body.plan_hash if isinstance(body, ExecuteRequest | ExperimentRequest) else ""
+        plan_hash = getattr(body, "plan_hash", "")
 
         async def keep(job: Job) -> None:
             if self.keeper is not None:
@@ -152,6 +159,7 @@ class JobService:
             self._resumed = True
             self.cell.knowledge.forget_sight()
             self._experiments.forget()
+            self.identification.forget()
             self.engine.leases.expel(SUSPENDED)
 
     def _plan(self, body: JobBody) -> Plan:
@@ -179,6 +187,11 @@ class JobService:
                 return plan_experiment(ctx, asked, self._experiments.keep)
             case ExperimentRequest():
                 return drive_experiment(ctx, self._experiments.executable(body, mono_ns()))
+            case PlanIdentifyRequest():
+                desk = self.identification
+                return plan_identification(ctx, body.minutes, body.wall_free, desk.unfinished(body), desk.keep)
+            case IdentifyRequest():
+                return drive_identification(ctx, *self.identification.executable(body, mono_ns()))
             case RetractRequest():
                 return retract(ctx, body.distance_mm)
             case ReturnRequest():
@@ -216,7 +229,9 @@ class JobService:
         if event.name == "ended":
             self._store.keep(self.cell.knowledge)
             recorder.result(job.result if job.result is not None else job.reason)
-            self._experiments.follow(job, recorder.stop())
+            recording = recorder.stop()
+            self._experiments.follow(job, recording)
+            self.identification.follow(job, recording)
 
 
 def _previewing(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, PreviewedPlan]:

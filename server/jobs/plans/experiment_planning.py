@@ -23,6 +23,7 @@ from server.link.knots import knots_from, knots_of, refusals_text
 from server.motion.approach import play_of
 from server.motion.contracts import JointTrajectory
 from server.motion.experiment_course import Course, Keep, fitted_course
+from server.motion.identification_courses import Mark
 from server.motion.joint_limits import range_refusal
 from server.motion.point_to_point import plan_joint_move
 from server.motion.refusal import Refusal
@@ -42,6 +43,7 @@ class Step:
     trajectory: JointTrajectory
     purpose: str
     then: Literal["", "segment", "look"] = ""
+    marks: tuple[Mark, ...] = ()  # stretches of it that are segments of their own
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,11 +106,11 @@ def _steps(
         return _look_steps(ctx, np.array(proposal.q_rad, dtype=float), q_ref), 1.0, 1.0
     course = Course(proposal.course(), proposal.t_knot_s)
     wanted = keep or ("tempo" if float(np.abs(course.q - course.q[0]).max()) <= AROUND_RAD else "size")
-    fitted = fitted_course(ctx.machine, ctx.chain, course, _settings(ctx), wanted)
+    fitted = fitted_course(ctx.machine, ctx.chain, course, experiment_settings(ctx), wanted)
     if isinstance(fitted, Refusal):
         raise _refused(fitted)
     check_driven(ctx, fitted.trajectory)
-    way = _way(ctx, q_ref, course.q[0], "to where the experiment begins")
+    way = way_to(ctx, q_ref, course.q[0], "to where the experiment begins")
     steps = (*way, Step(fitted.trajectory, f"experiment: {proposal.name}", "segment"))
     return steps, fitted.size_frac, fitted.slower
 
@@ -119,25 +121,25 @@ def _look_steps(ctx: PlanContext, postures: Array, q_ref: Array) -> tuple[Step, 
     here, steps = q_ref, []
     for number, (under, posture) in enumerate(zip(below, postures, strict=True), start=1):
         purpose = f"posture {number} of {len(postures)}"
-        legs = [step.trajectory for a, b in pairwise((here, under, posture)) for step in _way(ctx, a, b, purpose)]
+        legs = [step.trajectory for a, b in pairwise((here, under, posture)) for step in way_to(ctx, a, b, purpose)]
         if legs:
             steps.append(Step(join(legs), purpose, "look"))
         here = posture
     return tuple(steps)
 
 
-def _way(ctx: PlanContext, q_from: Array, q_to: Array, purpose: str) -> tuple[Step, ...]:
+def way_to(ctx: PlanContext, q_from: Array, q_to: Array, purpose: str) -> tuple[Step, ...]:
     """A move of the reference; none where it is there already."""
     if float(np.abs(q_to - q_from).max()) < THERE_RAD:
         return ()
-    plan = plan_joint_move(ctx.machine, q_from, q_to, _settings(ctx), ctx.wall)
+    plan = plan_joint_move(ctx.machine, q_from, q_to, experiment_settings(ctx), ctx.wall)
     if plan.trajectory is None:
         raise JobFailedError(f"experiment: {purpose}: {plan.reason}", f"plan_{plan.status.value}")
     check_driven(ctx, plan.trajectory)
     return (Step(plan.trajectory, purpose),)
 
 
-def _settings(ctx: PlanContext) -> PlanSettings:
+def experiment_settings(ctx: PlanContext) -> PlanSettings:
     """A plain reference: what leads the joints would be another experiment than the one that was foretold."""
     return replace(plan_settings(ctx), shape_reference=False, limit_share=LIMIT_SHARE)
 
@@ -148,7 +150,7 @@ def check_driven(ctx: PlanContext, trajectory: JointTrajectory) -> None:
     Raises: JobFailedError: the first that refuses.
     """
     _, motion = sample(trajectory, 0.02)
-    beyond = range_refusal(ctx.machine, motion.q, _settings(ctx).joint_margin_rad)
+    beyond = range_refusal(ctx.machine, motion.q, experiment_settings(ctx).joint_margin_rad)
     if beyond is not None:
         raise _refused(beyond)
     nearer_m = 0.0 if ctx.wall is None else stall_reach(ctx.chain, motion.q, ctx.stall, ctx.wall)
@@ -179,7 +181,7 @@ def told_plan(
 ) -> ExperimentPlan:
     """A planned experiment as the operator checks it."""
     trajectories = [step.trajectory for step in planned.steps]
-    clearance = min((_clearance(ctx, one) for one in trajectories), default=float("inf"))
+    clearance = min((clearance_of(ctx, one) for one in trajectories), default=float("inf"))
     travel = sum((np.abs(np.diff(one.q, axis=0)).sum(axis=0) for one in trajectories), np.zeros(ctx.chain.n))
     return ExperimentPlan(
         diagnosis_id=planned.diagnosis_id,
@@ -198,7 +200,8 @@ def told_plan(
     )
 
 
-def _clearance(ctx: PlanContext, trajectory: JointTrajectory) -> float:
+def clearance_of(ctx: PlanContext, trajectory: JointTrajectory) -> float:
+    """Smallest distance of the tool to the wall [m]; infinite without a known wall."""
     _, motion = sample(trajectory, 0.05)
     return wall_refusal(tcp_poses(ctx.chain, motion.q), ctx.machine.T_tcp_tool, ctx.wall)[0]
 

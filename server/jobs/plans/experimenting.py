@@ -27,7 +27,7 @@ from server.jobs.requests import (
     TakeLook,
     expect,
 )
-from server.motion.contracts import PathPlan, PlanStatus
+from server.motion.contracts import Array, JointTrajectory, PathPlan, PlanStatus
 from server.motion.experiment_course import Keep
 from server.motion.timing import tcp_speed
 from server.motion.trajectory import join
@@ -99,14 +99,13 @@ def check_experiment(
 def drive_experiment(ctx: PlanContext, planned: PlannedExperiment) -> Generator[Request, object, ExperimentDriven]:
     """Drive a planned experiment and record it as a segment of its own kind; it ends at rest where the plan ends."""
     reading = expect((yield ReadMachine()), MachineReading)
-    _require_there(reading, planned)
+    require_reference(reading, planned.q_ref_start)
     for step in planned.steps:  # a look since then may have found a wall, or found it nearer
         check_driven(ctx, step.trajectory)
     if ctx.knowledge.q_start is None:
         ctx.knowledge.q_start = reading.q_rad
-    yield Record(
-        _path(ctx, planned), f"{planned.what}, proposed by diagnosis {planned.diagnosis_id}, plan {planned.plan_hash}"
-    )
+    said = f"{planned.what}, proposed by diagnosis {planned.diagnosis_id}, plan {planned.plan_hash}"
+    yield Record(path_of(ctx, [step.trajectory for step in planned.steps]), said)
     yield Arm()
     good = 0
     if planned.looks:  # one segment over all of them: what is between two looks tells how each was come to
@@ -126,8 +125,9 @@ def drive_experiment(ctx: PlanContext, planned: PlannedExperiment) -> Generator[
     )
 
 
-def _require_there(reading: MachineReading, planned: PlannedExperiment) -> None:
-    shift = float(np.abs(reading.q_ref_rad - planned.q_ref_start).max())
+def require_reference(reading: MachineReading, q_ref_start: Array) -> None:
+    """Raises: PlanRefusedError: the reference is not where a plan begins."""
+    shift = float(np.abs(reading.q_ref_rad - q_ref_start).max())
     if shift > STARTED_RAD:
         raise PlanRefusedError(
             f"the machine's reference moved by {np.rad2deg(shift):.3f} deg since the experiment was planned "
@@ -149,9 +149,9 @@ def _driven(ctx: PlanContext, planned: PlannedExperiment, step: Step) -> Generat
     return int(look.status is LookStatus.OK)
 
 
-def _path(ctx: PlanContext, planned: PlannedExperiment) -> PathPlan:
-    """The experiment as a planned path, for the recording."""
-    whole = join([step.trajectory for step in planned.steps])
+def path_of(ctx: PlanContext, trajectories: list[JointTrajectory]) -> PathPlan:
+    """Motions one after the other as a planned path, for the recording."""
+    whole = join(trajectories)
     Ts = tcp_poses(ctx.chain, whole.q)
     return PathPlan(
         status=PlanStatus.OK,

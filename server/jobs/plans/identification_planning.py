@@ -1,0 +1,221 @@
+"""The identification drive, planned whole: motions about the present posture, then looks from a dozen postures."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from machine.kinematics import tcp_poses
+from server.calibration.contracts import Array
+from server.errors import JobFailedError
+from server.jobs.context import PlanContext
+from server.jobs.identification_records import IdentificationPart, IdentificationPlan
+from server.jobs.plans.experiment_planning import (
+    Step,
+    check_driven,
+    clearance_of,
+    experiment_settings,
+    steps_hash,
+    way_to,
+)
+from server.motion.approach import play_of
+from server.motion.contracts import JointTrajectory
+from server.motion.experiment_course import fitted_course
+from server.motion.identification_courses import PARTS, MotionPart, part_course, part_marks
+from server.motion.identification_postures import Postures, SeenObject, choose_postures
+from server.motion.refusal import Refusal
+from server.motion.timing import tcp_speed
+from server.motion.trajectory import join
+
+LOOKS = "looks"
+LOOKS_SHOW = ("zeros", "lengths", "sag", "camera's mount", "backlash", "lens")
+POSTURES, POSTURES_MIN = 12, 6
+TURNED_ABOUT = 4  # postures that are come to from above as well: what differs is the play
+LOOK_S = 3.0  # to come to rest and look, without the way
+OPEN_SHARE = 0.6  # of what was not known before: a number that the looks leave as open as that is not shown by them
+SIZES = (1.0, 0.6, 0.35)
+SHORTEST_S = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPart:
+    """One part: motions from rest to rest, in the order in which they are driven."""
+
+    told: IdentificationPart
+    steps: tuple[Step, ...]
+
+    @property
+    def name(self) -> str:
+        """As in the recording."""
+        return self.told.name
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedIdentification:
+    """A whole drive, known by its hash, from the reference that it begins at."""
+
+    parts: tuple[PlannedPart, ...]
+    cannot: tuple[str, ...]
+    plan_hash: str
+    q_ref_start: Array
+    t_made_ns: int
+    expires_ns: int
+
+    @property
+    def trajectories(self) -> list[JointTrajectory]:
+        """All motions in their order."""
+        return [step.trajectory for part in self.parts for step in part.steps]
+
+    @property
+    def duration_s(self) -> float:
+        """Of all motion and looks [s]."""
+        return sum(part.told.duration_s for part in self.parts)
+
+
+@dataclass(slots=True)
+class Drive:
+    """What a drive is made of, before it is planned: kept between its jobs, so that the rest of it can be planned.
+
+    `q_home`: where the motions begin and end; `seen`: the object to look at, None without one.
+    """
+
+    q_home: Array
+    seen: SeenObject | None
+    share: float
+    done: set[str] = field(default_factory=set)
+
+
+def planned_drive(ctx: PlanContext, drive: Drive, q_ref: Array, t_now_ns: int) -> PlannedIdentification:
+    """Every part of a drive that is not done yet, from the present reference. Nothing moves.
+
+    A part that is not possible here is left out, and the plan says why.
+    Raises: JobFailedError: nothing at all is possible here.
+    """
+    parts: list[PlannedPart] = []
+    cannot: list[str] = []
+    here = np.asarray(q_ref, dtype=float)
+    for part in (one for one in PARTS if one.name not in drive.done):
+        try:
+            planned = _motion_part(ctx, replace(part, seconds=_seconds(part, drive.share)), here, drive.q_home)
+        except JobFailedError as error:
+            cannot.append(f"{part.name} is left out, so {', '.join(part.shows)} may stay open: {error}")
+            continue
+        parts.append(planned)
+        here = drive.q_home
+    if LOOKS not in drive.done:
+        looks, why = _looks_part(ctx, drive, here)
+        parts += [looks] if looks else []
+        cannot += why
+    if not parts:
+        raise JobFailedError(f"identify: nothing can be driven from here: {'; '.join(cannot)}", "identify_nothing")
+    expires_ns = t_now_ns + int(ctx.settings.position.plan_expires_s * 1e9)
+    steps = tuple(step for part in parts for step in part.steps)
+    start = np.asarray(q_ref, dtype=float)
+    return PlannedIdentification(tuple(parts), tuple(cannot), steps_hash(steps), start, t_now_ns, expires_ns)
+
+
+def _seconds(part: MotionPart, share: float) -> float:
+    return max(SHORTEST_S, share * part.seconds)
+
+
+def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array) -> PlannedPart:
+    """A motion as large as the room allows. Raises: JobFailedError: none is possible, with the last reason."""
+    settings = experiment_settings(ctx)
+    course = part_course(ctx.machine, ctx.chain, part, q_home, settings)
+    refused: JobFailedError | None = None
+    for size in SIZES:
+        smaller = replace(course, q=q_home + size * (course.q - q_home))
+        fitted = fitted_course(ctx.machine, ctx.chain, smaller, settings, "tempo")
+        if isinstance(fitted, Refusal):
+            refused = JobFailedError(fitted.reason, f"plan_{fitted.status.value}")
+            continue
+        try:
+            check_driven(ctx, fitted.trajectory)
+            way = way_to(ctx, here, q_home, "to where the motions begin")
+        except JobFailedError as error:
+            refused = error
+            continue
+        step = Step(fitted.trajectory, part.name, marks=part_marks(part, fitted.slower))
+        told = IdentificationPart(part.name, _duration((*way, step)), part.shows, _small(size))
+        return PlannedPart(told, (*way, step))
+    raise refused or JobFailedError("no size of it fits", "plan_too_fast")
+
+
+def _small(size: float) -> str:
+    return "" if size == 1.0 else f"{100 * size:.0f} % of its size, for the room there is: it shows less"
+
+
+def _looks_part(ctx: PlanContext, drive: Drive, here: Array) -> tuple[PlannedPart | None, list[str]]:
+    if drive.seen is None:
+        text = "no marker of the object is seen, so nothing can be looked at: zeros, lengths, sag and mount stay open"
+        return None, [f"{text}; begin where the camera sees it"]
+    count = max(POSTURES_MIN, round(POSTURES * min(1.0, drive.share / 0.66)))
+    margin_rad = experiment_settings(ctx).joint_margin_rad + float(play_of(ctx.chain.n).max())
+    found = choose_postures(ctx.machine, ctx.chain, drive.q_home, drive.seen, ctx.wall, count, margin_rad)
+    steps, dropped = _look_steps(ctx, found.q, here)
+    looked = sum(step.then == "look" for step in steps)
+    if not looked:
+        return None, [f"no posture can be looked from: of {found.in_view} with a marker in view none can be reached"]
+    back = way_to(ctx, steps[-1].trajectory.q[-1], drive.q_home, "back to where the drive began")
+    why = [dropped] if dropped else []
+    why += _stay_open(found)
+    told = IdentificationPart(LOOKS, _duration((*steps, *back)), LOOKS_SHOW, dropped)
+    return PlannedPart(told, (*steps, *back)), why
+
+
+def _look_steps(ctx: PlanContext, postures: Array, here: Array) -> tuple[tuple[Step, ...], str]:
+    """To each posture (k, n) from below in every joint, and to some from above as well; what cannot be reached."""
+    play = play_of(ctx.chain.n)
+    steps: list[Step] = []
+    reasons: list[str] = []
+    for number, posture in enumerate(postures, start=1):
+        sides = (-1.0, 1.0) if number % (len(postures) // TURNED_ABOUT or 1) == 0 else (-1.0,)
+        for side in sides:
+            purpose = f"posture {number} of {len(postures)}, from {'below' if side < 0.0 else 'above'}"
+            try:
+                before = posture + side * play
+                legs = [*way_to(ctx, here, before, purpose), *way_to(ctx, before, posture, purpose)]
+            except JobFailedError as error:
+                reasons.append(str(error))
+                continue
+            steps.append(Step(join([leg.trajectory for leg in legs]), purpose, "look"))
+            here = posture
+    told = f"{len(reasons)} of the looks are left out: {reasons[0]}" if reasons else ""
+    return tuple(steps), told
+
+
+def _stay_open(found: Postures) -> list[str]:
+    """Numbers that looks from these postures leave about as open as they were."""
+    left = [_word(name, joint) for name, joint, ratio in found.known if ratio > OPEN_SHARE]
+    return [f"the looks cannot tell {', '.join(dict.fromkeys(left))} from where object and camera are"] if left else []
+
+
+def _word(name: str, joint: int | None) -> str:
+    return name if joint is None else f"{name} of joint {joint}"
+
+
+def _duration(steps: Iterable[Step]) -> float:
+    return round(sum(step.trajectory.duration_s + (LOOK_S if step.then == "look" else 0.5) for step in steps), 1)
+
+
+def told_drive(ctx: PlanContext, planned: PlannedIdentification, t_now_ns: int) -> IdentificationPlan:
+    """A planned drive as the operator checks it."""
+    trajectories = planned.trajectories
+    clearance = min(clearance_of(ctx, one) for one in trajectories)
+    travel = sum((np.abs(np.diff(one.q, axis=0)).sum(axis=0) for one in trajectories), np.zeros(ctx.chain.n))
+    whole = join(trajectories)
+    path = tcp_poses(ctx.chain, whole.q[:: max(1, len(whole.q) // 200)])[:, :3, 3]
+    caution = "no wall is known: clearance was not checked, watch the whole path" if ctx.wall is None else ""
+    return IdentificationPlan(
+        plan_hash=planned.plan_hash,
+        expires_in_s=round((planned.expires_ns - t_now_ns) * 1e-9, 1),
+        duration_s=round(planned.duration_s, 1),
+        parts=tuple(part.told for part in planned.parts),
+        cannot=planned.cannot,
+        looks=sum(step.then == "look" for part in planned.parts for step in part.steps),
+        tcp_speed_max_mm_s=round(max(tcp_speed(ctx.chain, one) for one in trajectories) * 1e3, 1),
+        clearance_mm=round(clearance * 1e3, 1) if np.isfinite(clearance) else None,
+        joint_travel_deg=tuple(round(float(value), 1) for value in np.rad2deg(travel)),
+        tcp_path_m=tuple((round(float(x), 3), round(float(y), 3), round(float(z), 3)) for x, y, z in path),
+        caution=caution,
+    )

@@ -1,0 +1,150 @@
+"""Identify the machine in one drive: planning shows a hash and moves nothing; driving names it and is recorded."""
+
+from collections.abc import Callable, Generator
+
+import numpy as np
+
+from machine.poses import pose
+from recording.clock import mono_ns
+from server.errors import JobFailedError, PlanRefusedError
+from server.jobs.context import PlanContext
+from server.jobs.identification_records import IdentificationDriven, IdentificationPlan
+from server.jobs.plans.experiment_planning import Step, check_driven
+from server.jobs.plans.experimenting import LOOK_PAIRS, path_of, require_reference
+from server.jobs.plans.identification_planning import (
+    LOOKS,
+    Drive,
+    PlannedIdentification,
+    PlannedPart,
+    planned_drive,
+    told_drive,
+)
+from server.jobs.plans.looking import mount_rotation, take_look
+from server.jobs.requests import (
+    Arm,
+    BeginSegment,
+    EndSegment,
+    MachineReading,
+    Move,
+    Progress,
+    ReadMachine,
+    Record,
+    Request,
+    Settle,
+    TakeLook,
+    expect,
+)
+from server.motion.identification_postures import SeenObject
+from server.vision.contracts import Look, LookStatus
+
+USUAL_MINUTES = 6.0  # that the parts' usual lengths make
+PAIRS = LOOK_PAIRS // 2  # of a look: every pair's corners are recorded
+
+
+def plan_identification(
+    ctx: PlanContext,
+    minutes: float,
+    wall_free: bool,
+    unfinished: Drive | None,
+    keep_plan: Callable[[Drive, PlannedIdentification], None],
+    clock_ns: Callable[[], int] = mono_ns,
+) -> Generator[Request, object, IdentificationPlan]:
+    """Look once, plan every part from where the machine rests, and keep the plan for `identify`. Nothing moves.
+
+    `unfinished`: a drive of which only the rest is planned.
+    """
+    taken = yield from take_look(ctx)
+    if ctx.wall is None and not wall_free:
+        raise JobFailedError(
+            f"no wall is known ({taken.record.reason}), so the drive cannot be checked against it: begin where the "
+            "camera sees the object, or plan with wall_free = true if there is no wall within reach",
+            "no_wall",
+        )
+    reading = expect((yield Settle()), MachineReading)
+    q_ref = np.asarray(reading.q_ref_rad, dtype=float)
+    drive = unfinished
+    if drive is None:
+        seen = None
+        if ctx.knowledge.T_base_ooi is not None and taken.error is not None:
+            T_tcp_cam = pose(mount_rotation(ctx, taken), ctx.machine.T_tcp_cam_left[:3, 3])
+            seen = SeenObject(ctx.knowledge.T_base_ooi, ctx.machine.markers_on("ooi"), T_tcp_cam)
+        drive = Drive(q_ref, seen, minutes / USUAL_MINUTES)
+    planned = planned_drive(ctx, drive, q_ref, clock_ns())
+    keep_plan(drive, planned)
+    told = told_drive(ctx, planned, clock_ns())
+    text = f"{len(told.parts)} parts, {told.looks} looks, {told.duration_s:.0f} s, plan {told.plan_hash}"
+    yield Progress("plan", 1.0, 1.0, "", text)
+    return told
+
+
+def drive_identification(
+    ctx: PlanContext, planned: PlannedIdentification, drive: Drive
+) -> Generator[Request, object, IdentificationDriven]:
+    """Drive a planned identification part by part, each from rest to rest and recorded under its own name.
+
+    A part is done when it has been driven whole; one that was cut short is planned again with the rest.
+    Raises: PlanRefusedError: the machine is not where the plan begins. JobFailedError: the wall is nearer than it was.
+    """
+    reading = expect((yield ReadMachine()), MachineReading)
+    require_reference(reading, planned.q_ref_start)
+    for trajectory in planned.trajectories:  # a look since then may have found a wall, or found it nearer
+        check_driven(ctx, trajectory)
+    if ctx.knowledge.q_start is None:
+        ctx.knowledge.q_start = reading.q_rad
+    yield Record(path_of(ctx, planned.trajectories), f"identification, plan {planned.plan_hash}")
+    yield Arm()
+    good = 0
+    for number, part in enumerate(planned.parts, start=1):
+        text = f"{part.name}: {part.told.duration_s:.0f} s, shows {', '.join(part.told.shows)}"
+        yield Progress("identify", number, len(planned.parts), "parts", text)
+        good += yield from _part(part)
+        drive.done.add(part.name)
+    return IdentificationDriven(
+        plan_hash=planned.plan_hash,
+        parts=tuple(part.name for part in planned.parts),
+        left=(),
+        duration_s=round(planned.duration_s, 1),
+        looks_good=good,
+    )
+
+
+def _part(part: PlannedPart) -> Generator[Request, object, int]:
+    good = 0
+    if part.name == LOOKS:  # one segment over all of them: what is between two looks tells how each was come to
+        yield BeginSegment(LOOKS, "static")
+    for number, step in enumerate(part.steps, start=1):
+        if step.then == "look":
+            yield Progress("look", number, len(part.steps), "motions", step.purpose)
+        good += yield from _step(step)
+    yield EndSegment()
+    return good
+
+
+def _step(step: Step) -> Generator[Request, object, int]:
+    """One motion, at rest after it; 1 if it ended in a good look."""
+    yield Move(step.trajectory, step.purpose, step.marks)
+    expect((yield Settle()), MachineReading)
+    if step.then != "look":
+        return 0
+    look = expect((yield TakeLook(pairs=PAIRS)), Look)
+    return int(look.status is LookStatus.OK)
+
+
+def check_identification(
+    planned: PlannedIdentification | None, wanted_hash: str, t_now_ns: int
+) -> PlannedIdentification:
+    """The planned drive, if it is the one named and still fresh.
+
+    Raises: PlanRefusedError saying which of the two it is not.
+    """
+    if planned is None:
+        raise PlanRefusedError("no identification was planned; send plan_identify first")
+    if planned.plan_hash != wanted_hash:
+        raise PlanRefusedError(f"plan {wanted_hash} is not the planned one ({planned.plan_hash}); plan again")
+    if t_now_ns > planned.expires_ns:
+        age_s, most_s = (t_now_ns - planned.t_made_ns) * 1e-9, (planned.expires_ns - planned.t_made_ns) * 1e-9
+        raise PlanRefusedError(
+            f"plan {wanted_hash} is {age_s:.0f} s old and has expired (limit {most_s:.0f} s, [position] plan_expires_s)"
+            "; plan again"
+        )
+    return planned

@@ -1,0 +1,176 @@
+"""Motions that show what a machine does between command and encoder: each kind as offsets from one posture."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from machine.chain import Chain
+from machine.description import Machine
+from machine.kinematics import tcp_jacobian
+from server.motion.contracts import Array
+from server.motion.experiment_course import Course
+from server.motion.settings import PlanSettings
+
+Kind = Literal["repeat", "multisine", "steps", "sweep", "staircase", "workcycle", "hold"]
+Shape = Callable[[np.random.Generator, float, int], Array]
+
+KNOT_S = 0.1
+REST_S = 1.5  # at both ends of a course: what moves is over before the next begins
+FADE_S = 1.5
+REPEATS = 4
+SPAN_RAD, SPAN_M = 0.18, 0.35  # most that a joint turns to either side, and most that the TCP goes by it
+TCP_SHARE = 0.55  # of the TCP's speed for each joint alone; the joints are not at their fastest at the same time
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A stretch of a trajectory that is a segment of the recording; `start_s`, `end_s` from the trajectory's start."""
+
+    name: str
+    kind: Kind
+    start_s: float
+    end_s: float
+    repeat_of: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionPart:
+    """A part of the drive in which the joints move. `seconds`: as long as it is in a drive of six minutes."""
+
+    name: str
+    kind: Kind
+    seconds: float
+    shape: Shape
+    shows: tuple[str, ...]
+    repeats: int = 1
+
+
+def multisine(rng: np.random.Generator, seconds: float, n: int) -> Array:
+    """Six sines of 0.07 to 0.8 Hz in every joint, the faster the smaller."""
+    t = _times(seconds)
+    out = np.zeros((len(t), n))
+    for j in range(n):
+        f = np.exp(rng.uniform(np.log(0.07), np.log(0.8), 6))
+        share = rng.uniform(0.3, 1.0, 6) / f**0.7
+        out[:, j] = np.sin(2.0 * np.pi * f * t[:, None] + rng.uniform(0.0, 2.0 * np.pi, 6)) @ share
+    return out * _fade(t, seconds)
+
+
+def slow_passes(rng: np.random.Generator, seconds: float, n: int) -> Array:
+    """One slow sine in every joint, each with a period of its own: the speed passes zero both ways again and again."""
+    t = _times(seconds)
+    period = seconds / rng.permutation(np.linspace(1.6, 3.6, n))
+    return np.sin(2.0 * np.pi * t[:, None] / period) * rng.choice((-1.0, 1.0), n) * _fade(t, seconds)
+
+
+def steps(rng: np.random.Generator, seconds: float, n: int) -> Array:
+    """Quick moves of 0.8 s to other places and a rest at each, every joint by its own clock."""
+    t = _times(seconds)
+    out = np.zeros((len(t), n))
+    for j in range(n):
+        at_s, here = float(rng.uniform(0.0, 1.0)), 0.0
+        while at_s < seconds - 2.0:
+            goal = 0.0 if at_s > seconds - 4.5 else float(rng.uniform(0.4, 1.0) * rng.choice((-1.0, 1.0)))
+            out[:, j] += (goal - here) * _smooth((t - at_s) / 0.8)
+            here, at_s = goal, at_s + float(rng.uniform(1.6, 2.8))
+        out[:, j] -= here * _smooth((t - seconds + 1.6) / 0.8)
+    return out
+
+
+def staircase(rng: np.random.Generator, seconds: float, n: int) -> Array:
+    """Small stairs up and down again with rests: what a command must be before anything moves."""
+    t = _times(seconds)
+    stairs = max(2, int(seconds / 1.6 / 2.0))
+    each_s = seconds / (2.0 * stairs)
+    rise = sum(_smooth((t - (k + 0.2) * each_s) / 0.5) for k in range(stairs))
+    fall = sum(_smooth((t - (stairs + k + 0.2) * each_s) / 0.5) for k in range(stairs))
+    height = np.asarray(rise - fall, dtype=float) / stairs
+    return height[:, None] * rng.uniform(0.15, 0.35, n) * rng.choice((-1.0, 1.0), n)
+
+
+def workcycle(rng: np.random.Generator, seconds: float, n: int) -> Array:
+    """All joints together from place to place, and a rest at each."""
+    t = _times(seconds)
+    count = max(2, round(seconds / 5.0))
+    each_s = seconds / count
+    out, here = np.zeros((len(t), n)), np.zeros(n)
+    for k in range(count):
+        goal = np.zeros(n) if k == count - 1 else rng.uniform(0.3, 1.0, n) * rng.choice((-1.0, 1.0), n)
+        out += _smooth((t - k * each_s) / (0.7 * each_s))[:, None] * (goal - here)
+        here = goal
+    return out
+
+
+def rest(rng: np.random.Generator, seconds: float, n: int) -> Array:
+    """Standing still: what creeps under load, and the noise of encoders and camera."""
+    del rng
+    return np.zeros((len(_times(seconds)), n))
+
+
+PARTS: tuple[MotionPart, ...] = (
+    MotionPart("repeats", "repeat", 9.0, multisine, ("how much the machine repeats to: the noise",), REPEATS),
+    MotionPart("slow passes", "sweep", 36.0, slow_passes, ("dead band", "hysteresis", "friction", "flow gain")),
+    MotionPart("multisine", "multisine", 25.0, multisine, ("delay", "lag", "controller", "camera's clock")),
+    MotionPart("work cycle", "workcycle", 30.0, workcycle, ("flow shared by joints", "load", "flow by direction")),
+    MotionPart("steps", "steps", 18.0, steps, ("lag", "limits of speed", "oscillation")),
+    MotionPart("stairs", "staircase", 18.0, staircase, ("dead band", "breakaway", "resolution")),
+    MotionPart("rest", "hold", 6.0, rest, ("creep under load",)),
+)
+
+
+def levers(chain: Chain, q: Array) -> Array:
+    """How far the TCP goes for each joint (n,) [m/rad], at least 0.1."""
+    return np.maximum(np.linalg.norm(tcp_jacobian(chain, q)[:3], axis=0), 0.1)
+
+
+def part_course(machine: Machine, chain: Chain, part: MotionPart, q_home: Array, settings: PlanSettings) -> Course:
+    """A part's course about a posture, each joint as large as its range and its share of the speeds allow.
+
+    Args:    q_home: the reference (n,) [rad] where it begins and ends.
+    Returns: knots every 0.1 s: rest, motion, rest; a part that is repeated comes so many times.
+    """
+    rng = np.random.default_rng([len(part.name), sum(part.name.encode())])  # the same plan for the same machine
+    unit = part.shape(rng, part.seconds, chain.n)
+    largest = np.abs(unit).max(axis=0)
+    size = np.where(largest > 0.0, _sizes(machine, chain, unit, q_home, settings), 0.0)
+    still = np.zeros((round(REST_S / KNOT_S), chain.n))
+    once = np.concatenate([still, unit * size, still])
+    return Course(q_home + np.concatenate([once, *([once[1:]] * (part.repeats - 1))]), KNOT_S)
+
+
+def part_marks(part: MotionPart, slower: float) -> tuple[Mark, ...]:
+    """The segments of a part whose course was made `slower` times as long."""
+    each_s = slower * (2.0 * REST_S + part.seconds - KNOT_S)
+    if part.repeats == 1:
+        return (Mark(part.name, part.kind, 0.0, each_s),)
+    return tuple(
+        Mark(f"{part.name} {k + 1}", part.kind, k * each_s, (k + 1) * each_s, part.name) for k in range(part.repeats)
+    )
+
+
+def _sizes(machine: Machine, chain: Chain, unit: Array, q_home: Array, settings: PlanSettings) -> Array:
+    lever = levers(chain, q_home)
+    rate = np.abs(np.gradient(unit, KNOT_S, axis=0)).max(axis=0)
+    bend = np.abs(np.gradient(np.gradient(unit, KNOT_S, axis=0), KNOT_S, axis=0)).max(axis=0)
+    v_max = np.array([joint.qd_max_rad_s for joint in machine.joints]) * settings.limit_share
+    a_max = np.array([joint.qdd_max_rad_s2 for joint in machine.joints]) * settings.limit_share
+    v_max = np.minimum(v_max, TCP_SHARE * machine.tcp_speed_max_m_s * settings.limit_share / lever)
+    room = np.minimum(chain.q_max - q_home, q_home - chain.q_min) - settings.joint_margin_rad
+    span = np.minimum(np.minimum(SPAN_RAD, SPAN_M / lever), np.maximum(room, 0.0))
+    with np.errstate(divide="ignore"):
+        return np.minimum.reduce([span / np.abs(unit).max(axis=0), v_max / rate, a_max / bend])
+
+
+def _times(seconds: float) -> Array:
+    return KNOT_S * np.arange(round(seconds / KNOT_S), dtype=np.float64)
+
+
+def _smooth(s: Array) -> Array:
+    s = np.clip(s, 0.0, 1.0)
+    return np.asarray(s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+
+
+def _fade(t: Array, seconds: float) -> Array:
+    return _smooth(np.minimum(t, seconds - KNOT_S - t) / FADE_S)[:, None]
