@@ -10,10 +10,10 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.known.days import FITTED_MOST, JUDGED_ENOUGH, RECORDINGS_ENOUGH
 from diagnosis.reading.read import Read, read
 from longreach.machine_out import MachineOutError, machine_text
-from longreach.machine_tables import with_tables, without_lists
 from machine.effects.entries import entries_to_toml
 from machine.effects.registry import effect_of
 from machine.errors import MachineFileError
+from machine.file_tables import with_tables, without_lists
 from machine.remainder import remainders_to_toml
 from recording.files import write_durably
 

@@ -8,10 +8,10 @@ from diagnosis.budget import Budget
 from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
 from diagnosis.search.candidates import in_words
-from longreach.machine_tables import with_room_for_effects, with_tables
 from longreach.shipped_machine import text_of_machine
 from machine.effects.entries import EffectEntry, entries_to_toml
 from machine.errors import MachineFileError
+from machine.file_tables import with_room_for_effects, with_tables
 from recording.errors import RecordingError
 from recording.files import write_durably
 from recording.opening import read_run

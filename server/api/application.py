@@ -17,8 +17,10 @@ from server.api.events import EventFeed, events_router
 from server.api.findings import LookLog, findings_router
 from server.api.guard import Guard
 from server.api.head import Head
+from server.api.identification import identification_router
 from server.api.jobs import jobs_router
 from server.api.lease import lease_router
+from server.api.machine_versions import machine_router
 from server.api.metrics import metrics_router
 from server.api.openapi import install_openapi
 from server.api.oversight import oversight_router
@@ -92,6 +94,8 @@ def application(app: FastAPI, served: Served) -> Running:
         calibration_router(service),
         runs_router(folder),
         diagnoses_router(folder, diagnoses),
+        identification_router(service.identification),
+        machine_router(service),
         oversight_router(service, log.life),
         session_router(served.gatekeeper, secure=served.secure_cookie),
         metrics_router(service, lambda: log.readers),

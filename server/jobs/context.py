@@ -29,7 +29,8 @@ class PlanContext:
     knowledge: Knowledge
     method: Method = "ours"
     machine_id: str = ""  # of the machine file: a calibration of another one is not used
-    compensation: Compensation | None = None  # a diagnosed machine, where the settings name one
+    compensation: Compensation | None = None  # a diagnosed machine, where the settings name one or a version is in use
+    version_id: str = ""  # of the version in use
 
     def with_method(self, method: Method) -> "PlanContext":
         """The same context for another method."""

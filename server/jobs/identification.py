@@ -26,6 +26,11 @@ class Session:
     diagnosis_id: str = ""
     ended: str = ""
 
+    @property
+    def done(self) -> list[str]:
+        """Parts that were driven whole, in their order."""
+        return [name for name in ALL_PARTS if name in self.drive.done]
+
 
 class Identification:
     """Belongs to the event loop. Holds one session and one plan: it fires once."""
@@ -33,6 +38,20 @@ class Identification:
     def __init__(self, diagnoses: Diagnoses) -> None:
         self._diagnoses = diagnoses
         self.session: Session | None = None
+
+    @property
+    def next_step(self) -> str:
+        """What there is to do; empty where nothing is."""
+        session = self.session
+        if session is None or session.planned is not None or session.diagnosis_id:
+            return ""
+        if not session.left:
+            return "diagnose its recordings" if session.recordings else "plan it again"
+        left = (
+            f"{len(session.left)} of {len(session.left) + len(session.done)} parts are left ({', '.join(session.left)})"
+        )
+        ended = f" after '{session.ended}'" if session.ended else ""
+        return f"paused{ended}: {left}; plan the rest with resume, or diagnose what is recorded"
 
     def unfinished(self, body: PlanIdentifyRequest) -> Drive | None:
         """The drive of which the rest is to be planned; None where a new one is asked for.

@@ -10,7 +10,7 @@ from server.calibration.calibration_life import LocalCalibration
 from server.calibration.contracts import Array, CameraRotationEstimate
 from server.calibration.joint_estimate import JointEstimate
 from server.calibration.joint_observations import LookAt, OdometryRun
-from server.jobs.records import CalibrationRecord, ErrorMm, LookRecord, MoveRecord
+from server.jobs.records import CalibrationRecord, ComparedMove, ErrorMm, LookRecord, MoveRecord
 from server.jobs.requests import MachineReading
 from server.motion.contracts import JointTrajectory, PathPlan
 from server.vision.contracts import Look
@@ -59,6 +59,7 @@ class Knowledge:
     T_base_ooi: Array | None = None
     stall_rad: Array | None = None
     moves: list[MoveRecord] = field(default_factory=list)
+    compared: list[ComparedMove] = field(default_factory=list)
     runs: list[OdometryRun] = field(default_factory=list)
     looks: list[LookAt] = field(default_factory=list)
     joint: JointEstimate | None = None

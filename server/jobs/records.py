@@ -46,6 +46,19 @@ class LookRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class ComparedMove:
+    """How far a move by one look and kinematics alone would have missed [mm], by the machine file and as in use.
+
+    Both by the same two looks. `in_use_mm` None: no version was in use.
+    """
+
+    number: int
+    nominal_mm: float
+    in_use_mm: float | None
+    version_id: str
+
+
+@dataclass(frozen=True, slots=True)
 class MoveRecord:
     """One orientation step or one look-then-move, with the errors before and after it.
 

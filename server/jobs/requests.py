@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 
 from recording.run import SegmentKind
 from server.calibration.contracts import Array, CameraRotationEstimate
-from server.jobs.records import MoveRecord
+from server.jobs.records import ComparedMove, MoveRecord
 from server.jobs.steer_requests import Steer
 from server.jobs.watching import StartWatching, StopWatching
 from server.motion.contracts import JointTrajectory, PathPlan
@@ -90,7 +90,7 @@ class Progress:
 class Record:
     """Put a finding into the recording and the job's own list. Reply: None."""
 
-    item: MoveRecord | CameraRotationEstimate | PathPlan
+    item: MoveRecord | ComparedMove | CameraRotationEstimate | PathPlan
     text: str = ""
 
 

@@ -26,9 +26,11 @@ from server.api.views import (
     ServoRequest,
 )
 from server.cell import Cell
+from server.compensation.errors import CompensationError
 from server.compensation.reading import compensation_from
+from server.compensation.versions import MachineVersions
 from server.disk_space import DiskSpace
-from server.errors import JobFailedError
+from server.errors import BusyError, JobFailedError
 from server.inner_faults import InnerFaults
 from server.jobs.calibration_store import CalibrationStore, machine_id_of
 from server.jobs.commands import INSIDE_COMMAND, Command, began
@@ -92,22 +94,60 @@ class JobService:
         )
         self._store = store or CalibrationStore(None)
         self._settings_json = cell.settings.model_dump_json()
-        known = compensation_from(cell.settings, cell.machine)
-        machine_id = machine_id_of(cell.machine_text, () if known is None else known.sorted.used)
-        self.context = PlanContext(
-            cell.machine, cell.chain, cell.settings, cell.knowledge, machine_id=machine_id, compensation=known
-        )
+        folder = Path(cell.settings.recording.folder)
+        self.versions = MachineVersions(folder / "machine-versions", cell.machine, cell.machine_text)
+        self._by_settings = compensation_from(cell.settings, cell.machine)
+        self.context = self._context()
         self.diagnoses = Diagnoses(Path(cell.settings.recording.folder))
         self._experiments = Experiments(self.diagnoses)
         self.identification = Identification(self.diagnoses)
         self._suspend, self._resumed = SuspendWatch(), False
         cell.knowledge.unix_minus_mono_s = time.time() - mono_s()
         expiry = cell.settings.calibration.expiry()
-        self._store.restore(cell.knowledge, machine_id, cell.chain.n, time.time(), expiry)
+        self._store.restore(cell.knowledge, self.context.machine_id, cell.chain.n, time.time(), expiry)
         engine.on_event(self._record)
         if keeper is not None:
             engine.on_event(keeper.note)
             engine.on_event(FindingLog(cell, keeper).note)
+
+    def _context(self) -> PlanContext:
+        """What plans are given: with what the settings name, else with the version in use."""
+        cell, known = self.cell, self._by_settings
+        version = None if known is not None else self.versions.in_use
+        known = known or self.versions.compensation()
+        machine_id = machine_id_of(cell.machine_text, () if known is None else known.sorted.used)
+        version_id = "" if version is None else version.version_id
+        return PlanContext(
+            cell.machine,
+            cell.chain,
+            cell.settings,
+            cell.knowledge,
+            machine_id=machine_id,
+            compensation=known,
+            version_id=version_id,
+        )
+
+    async def use_version(self, version_id: str, on: tuple[bool, ...] | None) -> None:
+        """Use a version of this machine, or none; what was learnt with another one is forgotten.
+
+        Raises: BusyError: a job runs. CompensationError: not of this machine, or the settings name a file.
+        """
+        if self._by_settings is not None:
+            raise CompensationError(
+                "[compensation] machine_file in the settings is in use; take it out of them and start the server again"
+            )
+        running = self.engine.current
+        if running is not None and not running.ended:
+            raise BusyError(f"job {running.job_id} ({running.kind}) is running; wait for its end or stop it", {})
+        if version_id:
+            self.versions.require_this_machine(version_id)
+            if on is not None:
+                self.versions.switched(version_id, on)
+        self.versions.use(version_id)
+        self.context = self._context()
+        self.cell.knowledge.forget_calibration()
+        self.cell.knowledge.forget_sight()
+        self.cell.knowledge.stall_rad = None
 
     @property
     def store_problem(self) -> str:

@@ -11,7 +11,9 @@ from server.calibration.reference import reference_from_look
 from server.compensation.errors import CompensationError
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
+from server.jobs.knowledge import LookTaken
 from server.jobs.plans.learning import play_width, side_at_goal, side_now
+from server.jobs.records import ComparedMove
 
 SIGMA_MOUNT_RAD = float(np.deg2rad(0.3))  # of a diagnosed camera mount
 
@@ -32,6 +34,42 @@ def goal_from_look(ctx: PlanContext, q_rad: Array, R_tcp_cam: Array, T_cam_tool:
         return known.nominal_goal(ctx.chain, q_rad, T_goal, side_at_goal(ctx))
     except CompensationError as error:
         raise JobFailedError(f"preview: {error}", "plan_out_of_reach") from error
+
+
+def compared_move(ctx: PlanContext, number: int, before: LookTaken, after: LookTaken) -> ComparedMove | None:
+    """How far a move by the first look and kinematics alone would have missed, as the second look shows it.
+
+    Model:  both looks place the object in the base; what its two places differ by is what the kinematics between the
+            two are wrong by, as the tool would have missed. By the machine file with the mount from the tool marker,
+            and by what is in use.
+    Returns: None where a look has no poses.
+    """
+    nominal = _apart_mm(replace(ctx, compensation=None), before, after)
+    if nominal is None:
+        return None
+    used = None if ctx.compensation is None else _apart_mm(ctx, before, after)
+    return ComparedMove(number, nominal, used, ctx.version_id)
+
+
+def _apart_mm(ctx: PlanContext, before: LookTaken, after: LookTaken) -> float | None:
+    places = [_object_place(ctx, taken) for taken in (before, after)]
+    if places[0] is None or places[1] is None:
+        return None
+    return round(1e3 * float(np.linalg.norm(places[1] - places[0])), 2)
+
+
+def _object_place(ctx: PlanContext, taken: LookTaken) -> Array | None:
+    """The object's origin in the base (3,) by one look, without any calibration."""
+    look, known = taken.raw, ctx.compensation
+    if look.T_cam_tool is None or look.T_cam_ooi is None:
+        return None
+    side = np.zeros(ctx.chain.n) if taken.reading.side is None else taken.reading.side
+    T_base_tcp = ctx.tcp(taken.reading.q_rad) if known is None else known.tcp_poses(taken.reading.q_rad[None], side)[0]
+    R_tcp_cam = ctx.machine.T_tcp_tool[:3, :3] @ look.T_cam_tool[:3, :3].T
+    if known is not None and known.knows_mount:
+        R_tcp_cam = known.T_tcp_cam[:3, :3]
+    p_base_tool = (T_base_tcp @ ctx.machine.T_tcp_tool)[:3, 3]
+    return p_base_tool + T_base_tcp[:3, :3] @ R_tcp_cam @ (look.T_cam_ooi[:3, 3] - look.T_cam_tool[:3, 3])
 
 
 def believed_track(ctx: PlanContext, encoder: EncoderTrack, before: Array) -> EncoderTrack:

@@ -53,17 +53,22 @@ def good_look(ctx: PlanContext, pairs_share: int = 1) -> Generator[Request, obje
 
 
 def mount_rotation(ctx: PlanContext, taken: LookTaken) -> Array:
-    """R_tcp_cam: calibrated if we are, else from the tool marker in the image, else (paper) the nominal mount."""
+    """R_tcp_cam: calibrated if we are, else as identified, else by the tool marker in the image, else nominal."""
     mount = ctx.knowledge.mount
     if mount is not None and mount.R_tcp_cam is not None:
         return mount.R_tcp_cam
+    if ctx.method != "paper" and ctx.compensation is not None and ctx.compensation.knows_mount:
+        return ctx.compensation.T_tcp_cam[:3, :3]
     if ctx.method == "paper" or taken.look.T_cam_tool is None:
         return ctx.machine.T_tcp_cam_left[:3, :3]
     return ctx.machine.T_tcp_tool[:3, :3] @ taken.look.T_cam_tool[:3, :3].T
 
 
 def ooi_in_base(ctx: PlanContext, taken: LookTaken) -> Array:
-    """T_base_ooi as this look and the nominal kinematics place it: the tool marker is the common point."""
+    """T_base_ooi as this look and the nominal kinematics place it: the tool marker is the common point.
+
+    Nominal with a version in use as well: paths are nominal, and the wall must be where they are.
+    """
     look = taken.look
     if look.T_cam_tool is None or look.T_cam_ooi is None:
         raise JobFailedError("no poses in the look; look again", "look_rejected")

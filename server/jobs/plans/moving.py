@@ -13,7 +13,7 @@ from server.calibration.reference import position_reference_paper, predicted_err
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken, PreviewedPlan, plan_hash
-from server.jobs.plans.diagnosed import goal_from_look
+from server.jobs.plans.diagnosed import compared_move, goal_from_look
 from server.jobs.plans.driving import TRIMS_MAX, drive
 from server.jobs.plans.learning import joint_estimate
 from server.jobs.plans.living import note_map, require_valid, validity, validity_at
@@ -169,6 +169,7 @@ def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generato
     if ctx.knowledge.q_start is None:
         ctx.knowledge.q_start = reading.q_rad
     yield Progress("execute", number, ctx.settings.position.moves_max, "moves", f"move {number}")
+    before = ctx.knowledge.last_look
     far = previewed.plan.length_m > FAR_M
     trims = yield from drive(ctx, previewed.plan, f"move {number}", trims_max=1 if far else TRIMS_MAX)
     taken = yield from good_look(ctx)
@@ -185,4 +186,8 @@ def execute(ctx: PlanContext, previewed: PreviewedPlan, number: int) -> Generato
     )
     ctx.knowledge.moves.append(record)
     yield Record(record)
+    compared = None if before is None else compared_move(ctx, number, before, taken)
+    if compared is not None:
+        ctx.knowledge.compared.append(compared)
+        yield Record(compared)
     return taken

@@ -4,7 +4,7 @@ import tomllib
 
 import pytest
 
-from longreach.machine_tables import with_room_for_effects, with_tables, without_lists
+from machine.file_tables import with_room_for_effects, with_tables, without_lists
 from machine.description import parse_machine_toml
 from machine.effects.entries import EffectEntry, entries_to_toml
 from machine.errors import MachineFileError

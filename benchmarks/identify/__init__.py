@@ -1,0 +1,1 @@
+"""Identifications of drawn machines, the truth beside each."""

@@ -1,0 +1,58 @@
+"""`python -m benchmarks.identify FOLDER --seed 1 --n 3`: identification drives of drawn machines in virtual time, the
+truth beside each.
+"""
+
+import argparse
+import dataclasses
+import json
+import time
+from importlib.resources import files
+from pathlib import Path
+
+from benchmarks.identify.truth import true_effects
+from benchmarks.identify.virtual_cell import recorded_cell, write_recording
+from longreach.reproduce.fast_cell import context_of, run_plan
+from longreach.reproduce.noise_model import fitted_noise
+from machine.description import parse_machine_toml
+from server.jobs.plans.identification_planning import Drive, PlannedIdentification
+from server.jobs.plans.identifying import drive_identification, plan_identification
+from sim_plc.draw_world import draw_world
+
+
+def record(machine_text: str, preset: str, seed: int, minutes: float, folder: Path) -> None:
+    """One drive: FOLDER/recording, FOLDER/truth.json, FOLDER/plan.json."""
+    world = draw_world(parse_machine_toml(machine_text), preset, seed)
+    cell, ctx = recorded_cell(world, fitted_noise()), context_of(world, "ours")
+    kept: list[tuple[Drive, PlannedIdentification]] = []
+    plan = plan_identification(ctx, minutes, False, None, lambda *one: kept.append(one), lambda: cell.clock_ns)
+    told = run_plan(plan, cell)
+    drive, planned = kept[0]
+    start_s = cell.machine.t_s
+    driven = run_plan(drive_identification(ctx, planned, drive), cell)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_recording(cell, machine_text, folder / "recording", start_s)
+    truth = {"preset": preset, "seed": seed, "effects": true_effects(world)}
+    (folder / "truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
+    seconds = round(cell.machine.t_s - start_s, 1)
+    plan_told = {"driven_s": seconds, "driven": dataclasses.asdict(driven), "plan": dataclasses.asdict(told)}
+    (folder / "plan.json").write_text(json.dumps(plan_told, indent=1), encoding="utf-8")
+
+
+def main() -> None:
+    """The command."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.identify", description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--n", type=int, default=1)
+    parser.add_argument("--preset", default="realistic")
+    parser.add_argument("--minutes", type=float, default=6.0)
+    given = parser.parse_args()
+    text = (files("machine") / "machines" / "hiab033.toml").read_text(encoding="utf-8")
+    for seed in range(given.seed, given.seed + given.n):
+        t0 = time.monotonic()
+        record(text, given.preset, seed, given.minutes, given.out / f"seed{seed}")
+        print(f"seed {seed}: recorded in {time.monotonic() - t0:.0f} s", flush=True)  # noqa: T201 # its only output
+
+
+if __name__ == "__main__":
+    main()
