@@ -36,6 +36,16 @@ COMMANDS = (
         "longreach.position:position",
         "Position the tool on its target: look, orient, calibrate, then look and move until inside tolerance.",
     ),
+    Lazy(
+        "identify",
+        "longreach.identify_command:identify",
+        "Identify this machine: one drive, the error budget of it, and the effects to use.",
+    ),
+    Lazy(
+        "compare",
+        "longreach.compare_command:compare",
+        "Replay a recording against machine files: how far each misses the tool over time, in mm.",
+    ),
     Lazy("demo", "longreach.demo:demo", "Start everything on this computer and show where the panel is."),
     Lazy(
         "diagnose",

@@ -105,6 +105,30 @@ class JobClient:
         """The state view."""
         return self._http.get("/v1/state").raise_for_status().json()
 
+    def get(self, path: str) -> Any:
+        """The JSON of a path. Raises: JobRefusedError: the server refuses, with its reason."""
+        return self._good(self._http.get(path)).json()
+
+    def text(self, path: str) -> str:
+        """The text of a path. Raises: JobRefusedError: the server refuses, with its reason."""
+        return self._good(self._http.get(path)).text
+
+    def send(self, method: str, path: str, body: dict[str, Any]) -> Any:
+        """Send a command other than a job, under control of its own; its answer.
+
+        Raises: JobRefusedError: control is not given, or the server refuses, with its reason.
+        """
+        try:
+            with LeaseHolder(self._http, self._owner, self._kind) as held:
+                return self._good(self._http.request(method, path, json=body, headers=held.headers)).json()
+        except ControlRefusedError as error:
+            raise JobRefusedError(str(error)) from error
+
+    def _good(self, answer: httpx.Response) -> httpx.Response:
+        if answer.is_success:
+            return answer
+        raise JobRefusedError(reason_in(answer))
+
     def stop(self) -> None:
         """Stop motion (software); asked for again when the connection broke, for two stops are one."""
         try:

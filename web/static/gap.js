@@ -1,9 +1,11 @@
 // Gap diagnosis: choose a recording, follow the run beside, and what came out in words. It moves nothing.
 import { send } from "./commands.js";
 import { byId, make, setText, whenChanged } from "./dom.js";
+import { closeIdentify, openIdentify, useButton, waterfall } from "./identify.js";
 import { t } from "./texts.js";
 
 const AGAIN_MS = 1500;
+const IDLE_MS = 5000;
 const SHOWN = 14; // effects
 const WORDS = new Set(["none", "effects", "partly", "outside", "undecided"]);
 const STILL = /-(look|preview)-/; // recordings of jobs that move nothing
@@ -11,6 +13,7 @@ const results = new Map(); // diagnosis id -> answer, once it is done
 let timer = 0;
 
 export function closeGap() {
+  closeIdentify();
   clearTimeout(timer);
 }
 
@@ -23,6 +26,7 @@ export async function openGap() {
     if (moved) box.value = moved.name;
   });
   byId("gap-start").onclick = start;
+  openIdentify();
   await follow();
 }
 
@@ -43,14 +47,14 @@ async function follow() {
     return;
   }
   for (const one of data.filter((each) => each.state === "done" && !results.has(each.diagnosis_id))) await fetchResult(one);
-  const running = data.some((one) => one.state === "running");
+  const running = data.some((one) => ["running", "waiting"].includes(one.state));
   byId("gap-start").disabled = running || !byId("gap-run").value;
   setText(byId("gap-why"), running ? t("gap_one") : byId("gap-run").value ? "" : t("no_recordings"));
   byId("gap-empty").hidden = data.length > 0;
   const key = data.map((one) => [one.diagnosis_id, one.state, results.has(one.diagnosis_id)]); // what a button outlives
   whenChanged("gap-list", key, (list) => list.replaceChildren(...data.map(card)));
   data.forEach(goingOn);
-  if (running) timer = setTimeout(follow, AGAIN_MS);
+  timer = setTimeout(follow, running ? AGAIN_MS : IDLE_MS); // a drive that ends begins a diagnosis by itself
 }
 
 async function fetchResult({ diagnosis_id }) {
@@ -65,7 +69,7 @@ function card(one) {
   if (running) parts.push(make("progress", { id: id("bar"), "aria-label": t("gap_state_running"), max: 100 }), make("p", { id: id("line"), class: "soft" }), stopButton(one));
   if (one.state === "failed") parts.push(make("p", { class: "bad" }, one.reason));
   const result = results.get(one.diagnosis_id);
-  if (one.state === "done" && result) parts.push(...answer(result));
+  if (one.state === "done" && result) parts.push(...answer(result), ...useButton(one, result));
   if (one.state === "done") parts.push(make("p", {}, make("a", { href: `v1/diagnoses/${one.diagnosis_id}/report`, target: "_blank", rel: "noopener" }, t("gap_report"))));
   return make("li", { class: "card" }, ...parts);
 }
@@ -105,7 +109,8 @@ function following(experiment) {
 }
 
 // The error budget: a line an effect, the largest share first, with a bar of what it does at the tool.
-function inMillimetres({ sentence, effects }) {
+function inMillimetres(budget) {
+  const { sentence, effects } = budget;
   if (!effects.length) return [make("p", {}, sentence)];
   const most = Math.max(...effects.map((one) => one.tool_mm), 1e-9);
   const row = (one) => {
@@ -114,7 +119,7 @@ function inMillimetres({ sentence, effects }) {
     return make("tr", {}, make("td", {}, name), make("td", {}, bar), make("td", {}, `${one.tool_mm.toPrecision(2)} mm`), make("td", {}, `${(100 * one.probability).toFixed(0)} %`));
   };
   const columns = ["gap_cause", "", "gap_tool", "gap_likely"].map((key) => make("th", { scope: "col" }, key ? t(key) : ""));
-  return [make("p", {}, sentence), make("table", {}, make("thead", {}, make("tr", {}, ...columns)), make("tbody", {}, ...effects.slice(0, SHOWN).map(row)))];
+  return [make("p", {}, sentence), ...waterfall(budget), make("table", {}, make("thead", {}, make("tr", {}, ...columns)), make("tbody", {}, ...effects.slice(0, SHOWN).map(row)))];
 }
 
 // Each effect with the probability of all hypotheses that hold it; its numbers are those of the most likely one.

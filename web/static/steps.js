@@ -39,7 +39,7 @@ function stepButton(kind) {
   return button;
 }
 
-const mustHold = () => Boolean(state) && (state.panel.hold.required || byId("hold-switch").checked);
+export const mustHold = () => Boolean(state) && (state.panel.hold.required || byId("hold-switch").checked);
 
 function bodyOf(kind) {
   const body = { kind: JOB_OF[kind] ?? kind };

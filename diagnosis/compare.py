@@ -1,0 +1,147 @@
+"""How far each of several machine files misses the tool over a recording: simulated by what was sent, against what was
+seen.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.behind.link_angles import inside, link_angles, paths_of, without_encoders
+from diagnosis.behind.views import views_of
+from diagnosis.datagrams.clocks import camera_to_plc_s
+from diagnosis.errors import DiagnosisError
+from diagnosis.log.nominal import Nominal, nominal_of
+from diagnosis.log.tables import MarkerTable, Tables
+from diagnosis.reading.read import Read
+from diagnosis.replay.replayer import Replayer, replayer_of
+from diagnosis.replay.stretches import Stretch
+from machine.effects.dynamics import DynamicStage, drive_controller, simulate
+from machine.effects.entries import pack_under
+from machine.effects.layout import MARKER_SIZE, ParameterSets, neutral_sets
+from machine.effects.seen import camera_mount, true_camera, true_times
+from machine.effects.structure import tcp_poses
+from machine.rotations import Array
+from machine.targets import Marker
+
+SKIPPED_S = 1.0  # at a stretch's start: what the valves were doing there is not known
+MM = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class Miss:
+    """One machine file's miss at the tool. `t_s` (m,) on the PLC's clock, `mm` (m,); by what it was measured.
+
+    `by`: "camera" (where the object seems to be, about its median: all that is wrong is in it), or "encoders" (how the
+    tool follows what was sent).
+    """
+
+    name: str
+    by: str
+    t_s: Array
+    mm: Array
+
+    @property
+    def rms_mm(self) -> float:
+        """Over the whole recording."""
+        return float(np.sqrt(np.mean(self.mm**2))) if len(self.mm) else float("nan")
+
+
+def misses(whole: Read, machines: Sequence[tuple[str, str]]) -> tuple[Miss, ...]:
+    """Every machine file's miss, by the encoders and, where the object was seen, by the camera.
+
+    Args:   machines: (name, text) of each file.
+    Raises: DiagnosisError: nothing in the recording can drive a simulation.
+    """
+    out: list[Miss] = []
+    for name, text in machines:
+        nominal = nominal_of(text)
+        runs = _runs(whole, nominal)
+        if not runs:
+            raise DiagnosisError(
+                "nothing recorded can drive a simulation: it needs encoders and the reference, as sent or received"
+            )
+        out.append(_by_encoders(name, nominal, runs))
+        seen = _by_camera(name, whole.tables, nominal, [one for _, one in runs])
+        out += [seen] if seen is not None else []
+    return tuple(out)
+
+
+def _runs(whole: Read, nominal: Nominal) -> list[tuple[Stretch, Stretch]]:
+    """Every stretch as recorded, and as a machine with the file's effects drives it by what was sent."""
+    replayer = replayer_of(nominal, whole.stretches)
+    if replayer is None or nominal.arm is None or not nominal.has_controller:
+        return []
+    base, out = pack_under(nominal.baseline, nominal.n), []
+    for stretch in whole.stretches:
+        simulated = _simulated(replayer, stretch, base)
+        out += [] if simulated is None else [(stretch, replace(stretch, enc=simulated))]
+    return out
+
+
+def _simulated(replayer: Replayer, stretch: Stretch, sets: ParameterSets) -> Array | None:
+    """Encoders (rows, n) with the loop closed, driven by what was sent or else received; None without either."""
+    if stretch.enc is None or not np.isfinite(stretch.enc).all():
+        return None
+    prepared = replayer.prepare(stretch)
+    drive = prepared.drives.get("link")
+    if drive is None:
+        if stretch.ref is None or not np.isfinite(stretch.ref).all():
+            return None
+        u = np.zeros(replayer.nominal.n) if stretch.u is None else np.nan_to_num(stretch.u[0])
+        drive = drive_controller(prepared.plant, stretch.ref, stretch.enc, u)
+    loads = replayer.loads(stretch.enc)
+    if loads is not None:
+        drive = replace(drive, load=loads[0], load_kg=loads[1])
+    drive = replace(drive, enc_start=stretch.enc[0].copy())  # inside a dead band a joint rests anywhere
+    return np.asarray(simulate(prepared.plant, sets, drive, DynamicStage.ACTUATOR).enc[0])
+
+
+def _by_encoders(name: str, nominal: Nominal, runs: list[tuple[Stretch, Stretch]]) -> Miss:
+    times, miss = [], []
+    for recorded, simulated in runs:
+        if nominal.arm is None or recorded.enc is None or simulated.enc is None:
+            continue
+        rows = slice(round(SKIPPED_S / recorded.dt_s), None, max(1, round(0.05 / recorded.dt_s)))
+        plain = neutral_sets(nominal.n)
+        at = [tcp_poses(nominal.arm, plain, enc[rows])[:, :3, 3] for enc in (recorded.enc, simulated.enc)]
+        times.append(recorded.t_s[rows])
+        miss.append(MM * np.linalg.norm(at[0] - at[1], axis=1))
+    return Miss(name, "encoders", np.concatenate(times), np.concatenate(miss))
+
+
+def _by_camera(name: str, tables: Tables | None, nominal: Nominal, simulated: list[Stretch]) -> Miss | None:
+    """Where the object seems to be by the simulated machine; about its mean, since nobody knows where it is."""
+    if tables is None or tables.markers is None or nominal.camera is None or nominal.arm is None:
+        return None
+    if nominal.T_tcp_cam_left is None or not simulated:
+        return None
+    base = pack_under(nominal.baseline, nominal.n)
+    eyes = _eyes(nominal, base)
+    paths = paths_of(tuple(simulated))
+    stamps = tables.markers.t_s + camera_to_plc_s(tables)
+    starts = np.array([path.t_s[0] for path in paths])
+    exposed = true_times(base, stamps, float(starts.min()))
+    there = inside(paths, exposed, SKIPPED_S) >= 0
+    seen = views_of(eyes, _rows(tables.markers, np.nonzero(there)[0]), "ooi")
+    if len(seen.t_s) < 2:
+        return None
+    t_s = true_times(base, seen.t_s + camera_to_plc_s(tables), float(starts.min()))
+    angles = link_angles(paths, base, 0, inside(paths, t_s), t_s)
+    Ts = tcp_poses(nominal.arm, without_encoders(base), angles) @ camera_mount(base, nominal.T_tcp_cam_left)
+    places = (Ts @ seen.Ts_cam_object)[:, :3, 3]
+    return Miss(name, "camera", t_s, MM * np.linalg.norm(places - np.median(places, axis=0), axis=1))
+
+
+def _eyes(nominal: Nominal, base: ParameterSets) -> Nominal:
+    """The nominal machine with the camera and the markers as the file's effects have them."""
+    if nominal.camera is None:
+        return nominal
+    size = 1.0 + float(base.machine[0, MARKER_SIZE])
+    markers: tuple[Marker, ...] = tuple(replace(one, side_m=one.side_m * size) for one in nominal.markers)
+    return replace(nominal, camera=true_camera(base, nominal.camera), markers=markers)
+
+
+def _rows(table: MarkerTable, rows: NDArray[np.int64]) -> MarkerTable:
+    return MarkerTable(table.t_s[rows], table.eye[rows], table.ids[rows], table.corners[rows])

@@ -1,0 +1,78 @@
+"""`longreach compare`: one recording replayed by several machine files, and how far each misses the tool over time."""
+
+from html import escape
+from itertools import cycle
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from diagnosis.compare import Miss, misses
+from diagnosis.errors import DiagnosisError
+from diagnosis.reading.together import read_together
+from diagnosis.report.html import document, section, table
+from diagnosis.report.svg import Line, chart
+from longreach.shipped_machine import file_of_machine, text_of_machine
+from machine.errors import MachineError, MachineFileError
+from recording.files import write_durably
+
+COLOURS = ("before", "after", "measured", "floor")
+BY = {"camera": "by the camera, all effects together", "encoders": "how the tool follows what was sent"}
+
+
+def compare(
+    recording: Annotated[Path, typer.Argument(help="an MCAP file or a folder of CSV files")],
+    machine: Annotated[list[str], typer.Option("--machine", help="a machine file, or a shipped one by name; several")],
+    html_file: Annotated[Path | None, typer.Option("--html", help="write the curves here")] = None,
+) -> None:
+    """Replay a recording against machine files: the miss at the tool over time [mm], for each."""
+    screen = Console(stderr=True)
+    try:
+        files = [file_of_machine(Path(one)) or Path(one) for one in machine]
+        texts = [(path.name, text_of_machine(path)) for path in files]
+        whole = read_together([recording], files[0])
+        if not whole.usable:
+            raise DiagnosisError("; ".join(str(one) for one in whole.findings if one.severity == "fatal"))
+        found = misses(whole, texts)
+        if html_file is not None:
+            write_durably(html_file, page(recording.name, found))
+    except (DiagnosisError, MachineError, MachineFileError, OSError) as error:
+        screen.print(f"[bold red]longreach:[/] {error}", soft_wrap=True)
+        raise typer.Exit(2) from error
+    Console().print(shown(found))
+
+
+def shown(found: tuple[Miss, ...]) -> Table:
+    """Machine files by RMS and largest miss, each against the first."""
+    out = Table(box=None, padding=(0, 2, 0, 0))
+    for heading in ("machine file", "measured", "RMS mm", "95 % below mm", "of the first"):
+        out.add_column(heading, justify="left" if heading in ("machine file", "measured") else "right")
+    for by in BY:
+        own = [one for one in found if one.by == by]
+        for one in own:
+            share = one.rms_mm / own[0].rms_mm
+            out.add_row(one.name, BY[by], f"{one.rms_mm:.2f}", f"{_high(one):.2f}", f"{100.0 * share:.0f} %")
+    return out
+
+
+def page(name: str, found: tuple[Miss, ...]) -> str:
+    """The curves as a page without scripts."""
+    parts = []
+    for by, what in BY.items():
+        own = [one for one in found if one.by == by]
+        if not own:
+            continue
+        start_s = min(float(one.t_s.min()) for one in own)
+        lines = [Line(one.name, css, one.t_s - start_s, one.mm) for one, css in zip(own, cycle(COLOURS), strict=False)]
+        rows = [(one.name, f"{one.rms_mm:.2f}", f"{_high(one):.2f}") for one in own]
+        drawn = chart(lines, "time [s]", "miss at the tool [mm]", f"Miss at the tool, {what}")
+        parts.append(
+            section(f"Miss at the tool, {what}", drawn + table(("machine file", "RMS mm", "95 % below"), rows))
+        )
+    return document(f"Compared: {name}", f"<h1>{escape(name)}</h1>" + "".join(parts))
+
+
+def _high(one: Miss) -> float:
+    return sorted(one.mm.tolist())[int(0.95 * (len(one.mm) - 1))]
