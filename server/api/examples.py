@@ -163,6 +163,30 @@ _STATE = {
     "steps": {"look": "position of fleet 1 is running", "stop": ""},
 }
 
+VERSION_ID = "5c1e0d7a92b4"
+_FOUND: Example = {
+    "name": "gravity_sag",
+    "joint": 2,
+    "parameters": {"compliance_rad_nm": 1.1e-06},
+    "tool_mm": 26.1,
+    "probability": 0.99,
+    "does": "kinematics",
+    "on": True,
+}
+_VERSION: Example = {
+    "version_id": VERSION_ID,
+    "made_unix_s": T_UNIX_S - 86400.0,
+    "machine": "hiab033",
+    "serial": "7",
+    "recordings": ["20261129T102045-identify-91f66b75d4ab.mcap"],
+    "diagnosis_id": "0a1b2c3d4e5f",
+    "sentence": "The model misses the tool by 41 mm. With the 9 confirmed effects it misses by 3.1 mm.",
+    "miss_mm": 41.0,
+    "left_mm": 3.1,
+    "effects": [_FOUND],
+}
+_COMPARED: Example = {"number": 1, "nominal_mm": 14.2, "in_use_mm": 2.9, "version_id": VERSION_ID}
+
 EXAMPLES: dict[str, Example] = {
     "AskRequest": {"owner": "anna"},
     "AuditView": {
@@ -223,6 +247,19 @@ EXAMPLES: dict[str, Example] = {
     "HealthView": {"status": "ok"},
     "JobEventView": _EVENT,
     "JobView": _JOB,
+    "ComparedView": _COMPARED,
+    "FoundEffectView": _FOUND,
+    "IdentificationView": {
+        "parts_done": ["repeats", "slow passes"],
+        "parts_left": ["multisine", "looks"],
+        "recordings": ["20261129T102045-identify-91f66b75d4ab.mcap"],
+        "diagnosis_id": "",
+        "next_step": "paused after 'hold-to-run: button up': 2 of 4 parts are left (multisine, looks); plan the rest",
+    },
+    "InUse": {"version_id": VERSION_ID, "on": [True]},
+    "NewVersion": {"diagnosis_id": "0a1b2c3d4e5f"},
+    "VersionView": _VERSION,
+    "VersionsView": {"in_use": VERSION_ID, "problem": "", "versions": [_VERSION], "compared": [_COMPARED]},
     "LeaseRequest": {"owner": "fleet 1", "kind": "fleet", "ttl_s": 15.0},
     "LeaseView": _LEASE,
     "LineRequest": {"kind": "line", "variant": "fit"},

@@ -66,7 +66,7 @@ class MachineVersions:
 
     def __init__(self, folder: Path, machine: Machine, machine_text: str) -> None:
         self._folder, self._machine, self._text = folder, machine, machine_text
-        self._base_id = base_id_of(machine_text)
+        self._base_id = base_id_of(machine)
         self.problem = ""  # why a version that was in use is not
 
     def all(self) -> tuple[MachineVersion, ...]:
@@ -193,9 +193,9 @@ class MachineVersions:
             return None
 
 
-def base_id_of(machine_text: str) -> str:
+def base_id_of(machine: Machine) -> str:
     """A fingerprint of what found sizes count from: the machine file's content, whatever its comments are."""
-    parts = asdict(parse_machine_toml(machine_text))
+    parts = asdict(machine)
     parts.pop("effects")
     return hashlib.sha256(json.dumps(parts, default=np.ndarray.tolist, sort_keys=True).encode()).hexdigest()[:16]
 

@@ -110,12 +110,12 @@ def rest(rng: np.random.Generator, seconds: float, n: int) -> Array:
 
 
 PARTS: tuple[MotionPart, ...] = (
-    MotionPart("repeats", "repeat", 9.0, multisine, ("how much the machine repeats to: the noise",), REPEATS),
-    MotionPart("slow passes", "sweep", 36.0, slow_passes, ("dead band", "hysteresis", "friction", "flow gain")),
-    MotionPart("multisine", "multisine", 25.0, multisine, ("delay", "lag", "controller", "camera's clock")),
-    MotionPart("work cycle", "workcycle", 30.0, workcycle, ("flow shared by joints", "load", "flow by direction")),
-    MotionPart("steps", "steps", 18.0, steps, ("lag", "limits of speed", "oscillation")),
-    MotionPart("stairs", "staircase", 18.0, staircase, ("dead band", "breakaway", "resolution")),
+    MotionPart("repeats", "repeat", 8.0, multisine, ("how much the machine repeats to: the noise",), REPEATS),
+    MotionPart("slow passes", "sweep", 32.0, slow_passes, ("dead band", "hysteresis", "friction", "flow gain")),
+    MotionPart("multisine", "multisine", 22.0, multisine, ("delay", "lag", "controller", "camera's clock")),
+    MotionPart("work cycle", "workcycle", 28.0, workcycle, ("flow shared by joints", "load", "flow by direction")),
+    MotionPart("steps", "steps", 15.0, steps, ("lag", "limits of speed", "oscillation")),
+    MotionPart("stairs", "staircase", 16.0, staircase, ("dead band", "breakaway", "resolution")),
     MotionPart("rest", "hold", 6.0, rest, ("creep under load",)),
 )
 

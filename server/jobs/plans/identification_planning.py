@@ -30,7 +30,7 @@ from server.motion.trajectory import join
 LOOKS = "looks"
 LOOKS_SHOW = ("zeros", "lengths", "sag", "camera's mount", "backlash", "lens")
 POSTURES, POSTURES_MIN = 12, 6
-TURNED_ABOUT = 4  # postures that are come to from above as well: what differs is the play
+TURNED_ABOUT = 3  # postures that are come to from above as well: what differs is the play
 LOOK_S = 3.0  # to come to rest and look, without the way
 OPEN_SHARE = 0.6  # of what was not known before: a number that the looks leave as open as that is not shown by them
 SIZES = (1.0, 0.6, 0.35)

@@ -4,10 +4,10 @@ import tomllib
 
 import pytest
 
-from machine.file_tables import with_room_for_effects, with_tables, without_lists
 from machine.description import parse_machine_toml
 from machine.effects.entries import EffectEntry, entries_to_toml
 from machine.errors import MachineFileError
+from machine.file_tables import with_room_for_effects, with_tables, without_lists
 from server.settings import read_machine_text
 
 TEXT = read_machine_text("hiab033")

@@ -18,6 +18,7 @@ from server.calibration.contracts import CalibrationStatus, CameraRotationEstima
 from server.camera.contracts import FrameReport
 from server.link.contracts import PlcSample
 from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
+from server.motion.identification_courses import Mark
 from server.recorder import Recorder
 from server.vision.contracts import Look, LookStatus, MarkerView, ObjectPose, PairObservation, PoseStatus
 
@@ -150,6 +151,23 @@ def test_segments_name_repeats(tmp_path: Path) -> None:
     assert [(segment.name, segment.repeat_of) for segment in recording.run.segments] == [("r0", "r0"), ("r1", "r0")]
     assert recording.run.segments[1].t_start_plc_s == pytest.approx(1001.0, abs=1e-9)
     assert recording.images == 0
+
+
+def test_stretches_of_a_trajectory_count_from_one_moment_and_a_cut_repeat_is_none(tmp_path: Path) -> None:
+    marks = [Mark(f"repeats {k}", "repeat", 0.25 * k, 0.25 * (k + 1), "repeats") for k in range(3)]
+    recorder = Recorder(tmp_path, MACHINE, images=False)
+    recorder.start("identify", "{}", MACHINE_TOML)
+    recorder.sample(sample(0))
+    recorder.begin_marks((*marks, Mark("steps", "steps", 0.5, 9.0), Mark("rest", "hold", 9.0, 10.0)))
+    for number in range(1, 61):  # 0.6 s: in the third repeat the machine is stopped
+        recorder.sample(sample(number))
+    recorder.end_marks()
+    path = recorder.stop()
+    assert path is not None
+    found = [(one.name, one.t_start_plc_s - 1000.0, one.t_end_plc_s - 1000.0) for one in read_run(path).run.segments]
+    wanted = [("repeats 0", 0.0, 0.25), ("repeats 1", 0.25, 0.5), ("steps", 0.5, 0.6)]
+    assert [one[0] for one in found] == [one[0] for one in wanted]
+    assert np.allclose([one[1:] for one in found], [one[1:] for one in wanted], atol=1e-6)
 
 
 def test_a_folder_that_cannot_be_written_is_told_not_raised(tmp_path: Path) -> None:
