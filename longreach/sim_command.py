@@ -7,13 +7,21 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from machine.description import parse_machine_toml
+from machine.effects.entries import entries_to_toml
+from machine.file_tables import with_tables, without_lists
 from server.errors import SettingsError
 from server.settings import read_machine_text
 from server.shell_settings import read_key
 
 
 def sim(
-    preset: Annotated[str, typer.Option(help="ideal, realistic or paper")] = "realistic",
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            help="ideal, realistic, paper or nominal; default: nominal for a file with effects, else realistic"
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="which machine is drawn")] = 1,
     machine: Annotated[str, typer.Option(help="machine file, or the name of a shipped one")] = "hiab033",
     plc_host: Annotated[str, typer.Option(help="address the PLC listens on")] = "127.0.0.1",
@@ -48,7 +56,8 @@ def sim(
     )
 
     try:
-        checked_preset(preset)
+        text, left_out = _simulated(read_machine_text(machine))
+        preset = checked_preset(preset or ("realistic" if left_out is None else "nominal"))
         require_bindable(
             (
                 Address(plc_host, plc_port, "--plc-host", "--plc-port", SOCK_DGRAM, AF_INET),
@@ -59,9 +68,11 @@ def sim(
             f"simulated machine '{preset}', seed {seed}: PLC on udp {plc_host}:{plc_port}, "
             f"camera on http://{camera_host}:{camera_port}/stream"
         )
+        for name in left_out or ():
+            Console(stderr=True).print(f"[yellow]not simulated:[/] {name} of the machine file: this plant has none")
         run_sim(
             SimSettings(
-                machine_text=read_machine_text(machine),
+                machine_text=text,
                 preset=preset,
                 seed=seed,
                 plc_host=plc_host,
@@ -82,3 +93,15 @@ def sim(
         )
     except (SimSettingsError, PresetError) as error:
         raise SettingsError(str(error)) from error
+
+
+def _simulated(text: str) -> tuple[str, tuple[str, ...] | None]:
+    """A machine file's text with the effects that the plant can have; what is left out, None of a file without any."""
+    from sim_plc.diagnosed import not_simulated
+
+    machine = parse_machine_toml(text)
+    if not machine.effects:
+        return text, None
+    left_out = not_simulated(machine)
+    kept = tuple(one for one in machine.effects if one.name not in left_out)
+    return with_tables(without_lists(text, ("effect",)), entries_to_toml(kept)), left_out

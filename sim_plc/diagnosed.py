@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from machine.description import Machine
 from machine.effects.entries import EffectEntry
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
@@ -13,6 +14,16 @@ from sim_plc.world import World
 
 SPRUNG = {2: 0, 3: 2}  # joints (1-based) with a spring about their own axis, and its number
 Change = Callable[[World, EffectEntry], World]
+
+
+def not_simulated(machine: Machine) -> tuple[str, ...]:
+    """Effects of a machine file that this plant cannot have, once each."""
+    beyond = (one.name for one in machine.effects if one.name not in CHANGES or _bends_elsewhere(one))
+    return tuple(dict.fromkeys(beyond))
+
+
+def _bends_elsewhere(entry: EffectEntry) -> bool:
+    return entry.name == "gravity_sag" and entry.joint not in SPRUNG
 
 
 def with_effects(world: World) -> World:

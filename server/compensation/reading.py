@@ -14,7 +14,7 @@ from server.compensation.errors import CompensationError
 from server.settings import ServerSettings
 
 VERDICT_LINE = re.compile(r"^# longreach diagnose: verdict (\w+)", re.MULTILINE)  # as `--machine-out` writes it
-USABLE = ("effects", "none")
+USABLE = ("effects", "none", "partly")  # of a budget the confirmed effects stand by themselves
 GEOMETRY = ("a_m", "d_m", "alpha_rad", "theta_offset_rad", "mass_kg", "com_m")  # what diagnosed sizes count from
 
 FRAMES, MOUNT = ("T_flange_tcp", "gravity_base_m_s2"), "T_tcp_cam_left"
