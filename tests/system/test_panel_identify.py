@@ -5,7 +5,7 @@ Set LONGREACH_SCREENSHOTS to a folder to keep a picture of each step.
 
 import httpx
 import pytest
-from panel_browser import CHROMIUM, FLAGS, keep, person, picture_folder
+from panel_browser import CHROMIUM, FLAGS, person, picture_folder
 
 from longreach.fleet_client import JobClient
 from longreach.processes import Stack, StackPorts
@@ -22,9 +22,22 @@ DIAGNOSED_MS = 3_600_000
 CLICKS_MOST = 8
 
 
+def shoot(page, name, folder):
+    page.locator("#identify").screenshot(path=folder / f"{name}.png", timeout=180_000)
+
+
 @pytest.fixture
 def stack(tmp_path):
-    made = Stack(StackPorts.free(), seed=1, runs=tmp_path / "runs", log_folder=tmp_path / "logs", camera_rate_hz=5.0)
+    settings = tmp_path / "settings.toml"
+    settings.write_text("[position]\nplan_expires_s = 600\n", encoding="utf-8")  # pictures take their time
+    made = Stack(
+        StackPorts.free(),
+        seed=1,
+        runs=tmp_path / "runs",
+        log_folder=tmp_path / "logs",
+        camera_rate_hz=5.0,
+        settings_file=settings,
+    )
     with made, JobClient(made.url) as client:
         client.wait_ready(READY_S)
         yield made
@@ -41,21 +54,21 @@ def test_a_machine_is_identified_and_its_effects_used_by_eight_clicks(stack, tmp
         anna.click("[data-tab=gap]")
         page.locator("#identify-plan:enabled").wait_for(timeout=60_000)
         page.select_option("#identify-minutes", "2")
-        keep(page, "identify-1-ask", folder)
+        shoot(page, "identify-1-ask", folder)
         anna.click("#identify-plan")
         page.locator("#identify-drive:enabled").wait_for(timeout=240_000)
         assert "min" in anna.text("#identify-told")
         assert "slow passes" in anna.text("#identify-told")
-        keep(page, "identify-2-plan", folder)
+        shoot(page, "identify-2-plan", folder)
         anna.click("#identify-drive")
         page.wait_for_function("() => document.getElementById('identify-bar').value >= 3", timeout=600_000)
-        keep(page, "identify-3-drive", folder)
+        shoot(page, "identify-3-drive", folder)
         page.locator(".use-effects").wait_for(timeout=DIAGNOSED_MS)
-        keep(page, "identify-4-budget", folder)
+        page.locator("#gap-list").screenshot(path=folder / "identify-4-budget.png", timeout=180_000)
         anna.click(".use-effects")
         page.locator("#identify-off:enabled").wait_for(timeout=60_000)
         assert anna.clicks <= CLICKS_MOST
-        keep(page, "identify-5-used", folder)
+        shoot(page, "identify-5-used", folder)
         state = httpx.get(f"{stack.url}/v1/state", timeout=10.0).json()
         versions = httpx.get(f"{stack.url}/v1/machine/versions", timeout=10.0).json()
         assert state["compensation"]["active"]

@@ -9,7 +9,7 @@ from recording.clock import mono_ns
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.identification_records import IdentificationDriven, IdentificationPlan
-from server.jobs.plans.experiment_planning import Step, check_driven
+from server.jobs.plans.experiment_planning import check_driven
 from server.jobs.plans.experimenting import LOOK_PAIRS, path_of, require_reference
 from server.jobs.plans.identification_planning import (
     LOOKS,
@@ -37,6 +37,7 @@ from server.jobs.requests import (
 from server.motion.identification_postures import SeenObject
 from server.vision.contracts import Look, LookStatus
 
+MISSED_MOST = 3  # looks in a row without a good one: then the camera is gone, or the object is
 USUAL_MINUTES = 6.0  # that the parts' usual lengths make
 PAIRS = LOOK_PAIRS // 2  # of a look: every pair's corners are recorded
 
@@ -109,25 +110,25 @@ def drive_identification(
 
 
 def _part(part: PlannedPart) -> Generator[Request, object, int]:
-    good = 0
+    good = missed = 0
     if part.name == LOOKS:  # one segment over all of them: what is between two looks tells how each was come to
         yield BeginSegment(LOOKS, "static")
     for number, step in enumerate(part.steps, start=1):
-        if step.then == "look":
-            yield Progress("look", number, len(part.steps), "motions", step.purpose)
-        good += yield from _step(step)
+        yield Move(step.trajectory, step.purpose, step.marks)
+        expect((yield Settle()), MachineReading)
+        if step.then != "look":
+            continue
+        yield Progress("look", number, len(part.steps), "motions", step.purpose)
+        look = expect((yield TakeLook(pairs=PAIRS)), Look)
+        good, missed = (good + 1, 0) if look.status is LookStatus.OK else (good, missed + 1)
+        if missed == MISSED_MOST:
+            raise JobFailedError(
+                f"identify: {missed} looks in a row failed, the last one at {step.purpose} ({look.reason}); see to "
+                "camera and light, then plan the rest with resume",
+                "looks_failed",
+            )
     yield EndSegment()
     return good
-
-
-def _step(step: Step) -> Generator[Request, object, int]:
-    """One motion, at rest after it; 1 if it ended in a good look."""
-    yield Move(step.trajectory, step.purpose, step.marks)
-    expect((yield Settle()), MachineReading)
-    if step.then != "look":
-        return 0
-    look = expect((yield TakeLook(pairs=PAIRS)), Look)
-    return int(look.status is LookStatus.OK)
 
 
 def check_identification(

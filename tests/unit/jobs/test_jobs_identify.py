@@ -12,9 +12,10 @@ from server.api.views import IdentifyRequest, PlanIdentifyRequest
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.diagnosing import Diagnosis
 from server.jobs.engine import Job, JobState
-from server.jobs.identification import ALL_PARTS, Identification
+from server.jobs.identification import ALL_PARTS, Identification, Session
+from server.jobs.plans import identifying
 from server.jobs.plans.identifying import drive_identification, plan_identification
-from server.jobs.requests import BeginSegment, Move, TakeLook
+from server.jobs.requests import BeginSegment, MachineReading, Move, ReadMachine, Settle, TakeLook
 from server.vision.contracts import LookStatus
 
 MINUTES = 1.5
@@ -123,3 +124,66 @@ def test_where_no_marker_is_seen_the_plan_says_what_stays_open(stage):
     assert [part.name for part in told.parts] == list(ALL_PARTS[:-1])
     assert any("no marker of the object is seen" in text for text in told.cannot)
     assert "no wall is known" in told.caution
+
+
+class Interrupted:
+    """A stand-in that goes wherever it is sent; at one request, what `kind` says happens."""
+
+    def __init__(self, world, kind, at):
+        self.world, self.kind, self.at, self.count = world, kind, at, 0
+        self.q_ref, self.moving = world.q_ref.copy(), False
+
+    def perform(self, request):
+        self.count += 1
+        due = self.count >= self.at
+        if isinstance(request, Move):
+            assert np.abs(request.trajectory.q[0] - self.q_ref).max() < 1e-9
+            if due and self.kind in ("stop", "e-stop"):
+                raise JobFailedError("motion ended early: e-stop", "motion_ended_early")
+            self.q_ref = request.trajectory.q[-1].copy()
+        if due and self.kind == "plc" and isinstance(request, Settle | ReadMachine):
+            raise JobFailedError("PLC state is 1200 ms old", "plc_silent")
+        if isinstance(request, TakeLook):
+            self.world.look_status = list(LookStatus)[1] if due and self.kind == "camera" else LookStatus.OK
+            return self.world.look(request.pairs)
+        if isinstance(request, Settle | ReadMachine):
+            return MachineReading(self.q_ref.copy(), self.q_ref.copy(), self.world.t_ns, self.world.t_ns)
+        return None
+
+
+def test_two_hundred_interruptions_leave_whole_parts_and_a_next_step(stage, tmp_path, monkeypatch):
+    monkeypatch.setattr(identifying, "check_driven", lambda _ctx, _trajectory: None)  # it takes seconds, 200 times
+    told = planned(stage.ctx, stage.world, stage.desk)
+    whole, start = stage.desk.session.planned, stage.world.q_ref.copy()
+    length = 2 * sum(len(part.steps) for part in whole.parts) + 2 * told.looks
+    rng = np.random.default_rng(57)
+    for number in range(200):
+        kind = ("stop", "e-stop", "plc", "camera")[number % 4]
+        stage.desk.session = replace_session(stage.desk.session, whole)
+        stage.world.q_ref, stage.world.q = start.copy(), start.copy()
+        case = Interrupted(stage.world, kind, int(rng.integers(1, length)))
+        plan, driven, reply, failed = driving(stage.ctx, stage.world, stage.desk, told), [], None, None
+        while failed is None:
+            try:
+                request = plan.send(reply)
+                driven += [request.purpose] if isinstance(request, Move) else []
+                reply = case.perform(request)
+            except StopIteration:
+                break
+            except JobFailedError as error:
+                failed = error
+        plan.close()
+        done = stage.desk.session.done
+        steps = [step.purpose for part in whole.parts if part.name in done for step in part.steps]
+        assert driven[: len(steps)] == steps  # what counts as done was driven to its end
+        if failed is None:
+            assert done == list(ALL_PARTS)
+            continue
+        stage.desk.follow(Job("a" * 12, "identify", "anna", JobState.FAILED, reason=str(failed)), tmp_path / "x.mcap")
+        assert "plan the rest with resume" in stage.desk.next_step
+        assert stage.desk.session.left == tuple(name for name in ALL_PARTS if name not in done)
+
+
+def replace_session(session, planned_whole):
+    """The session as it was when its plan was made."""
+    return Session(replace(session.drive, done=set()), planned_whole, tuple(part.name for part in planned_whole.parts))
