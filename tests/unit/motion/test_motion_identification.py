@@ -84,3 +84,11 @@ def test_without_room_for_a_look_there_is_no_posture():
     seen, T_base_ooi = in_front(CHAIN, HOME)
     behind = Wall(T_base_ooi[:3, 3] + 3.0 * T_base_ooi[:3, 2], T_base_ooi[:3, 2], 0.05)
     assert len(choose_postures(MACHINE, CHAIN, HOME, seen, behind, 12, 0.01).q) == 0
+
+
+def test_an_arm_of_other_kinematics_is_looked_from_as_well_or_the_plan_says_why_not():
+    chain = chain_of(FOUR)
+    seen, _ = in_front(chain, HOME[:4])
+    found = choose_postures(FOUR, chain, HOME[:4], seen, None, 12, 0.01)
+    assert len(found.q) == min(12, found.in_view) > 3
+    assert {name for name, _, _ in found.known} >= {"encoder_bias", "gravity_sag", "hand_eye_rotation"}
