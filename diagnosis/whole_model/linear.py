@@ -21,6 +21,7 @@ from machine.rotations import Array
 
 SLAB = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is no outlier
 SCANNED_AT_ONCE = 64  # parameter sets in one call, for memory
+CHANGED_SINCE = 0.02  # of the effects that a machine has: how many are expected to change between two diagnoses
 TWINS = 1e-5  # of the cosine between columns, by finite steps of different length
 
 
@@ -65,7 +66,8 @@ class Term:
 class Linearised:
     """Residual (N,) and columns J (N, k) about the terms as they stand; x (k,): their numbers in those columns.
 
-    `first`: (terms + 1,) columns of each term. `weight`: (N,) of each row in a least-squares step.
+    `first`: (terms + 1,) columns of each term. `weight`: (N,) of each row in a least-squares step. `log_odds`:
+    (terms,), prior, of a term being there.
     """
 
     terms: tuple[Term, ...]
@@ -74,6 +76,7 @@ class Linearised:
     x: Array
     first: NDArray[np.int64]
     weight: Array
+    log_odds: Array
 
     def twins(self) -> tuple[tuple[int, int], ...]:
         """Pairs of terms of one column whose columns are the same to rounding: the one kept, and the one it stands for.
@@ -85,7 +88,7 @@ class Linearised:
         norm = np.linalg.norm(columns, axis=0)
         unit = columns / np.where(norm > 0.0, norm, 1.0)
         alike = np.abs(unit.T @ unit) > 1.0 - TWINS
-        odds = np.array([_log_odds(self.terms[k].effect) for k in single])
+        odds = self.log_odds[single]
         out = []
         for i in range(len(single)):
             better = [j for j in range(len(single)) if alike[i, j] and (odds[j], -j) > (odds[i], -i)]
@@ -101,8 +104,7 @@ class Linearised:
         shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
         slab = np.concatenate([np.zeros(0), *(_slabs(term) for term in shown)])
         nonnegative = np.concatenate([np.zeros(0, dtype=bool), *(_nonnegative(term) for term in shown)])
-        log_odds = np.array([_log_odds(term.effect) for term in self.terms])
-        return LinearProblem(H, c, slab, self.first, nonnegative, log_odds)
+        return LinearProblem(H, c, slab, self.first, nonnegative, self.log_odds)
 
     @property
     def present(self) -> Members:
@@ -142,7 +144,8 @@ def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False, absent:
     x = [_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
     first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)
     J = np.array([one for k in range(len(out)) for one in columns[k]]).reshape(-1, len(residual)).T
-    return Linearised(tuple(out), residual, J, np.concatenate([*x, np.zeros(0)]), first, weights(residual))
+    odds = np.array([log_odds_of(cell, term) for term in out])
+    return Linearised(tuple(out), residual, J, np.concatenate([*x, np.zeros(0)]), first, weights(residual), odds)
 
 
 def _offsets(term: Term, to_move: bool) -> Array:
@@ -258,6 +261,12 @@ def _nonnegative(term: Term) -> Members:
     return np.array([first and k < term.sizes for k in range(columns)], dtype=bool)
 
 
-def _log_odds(effect: Candidate) -> float:
-    share = effect_of(effect.name).prevalence
-    return float(np.log(share / (1.0 - share)))
+def log_odds_of(cell: Cell, term: Term) -> float:
+    """Prior log odds of an effect: of a machine that has it, or beside a baseline of one that got it since.
+
+    Why less what it usually gains: by so much it explains the undisturbed machine's own wrong form.
+    """
+    share = effect_of(term.effect.name).prevalence
+    if not cell.usual_known:
+        return float(np.log(share / (1.0 - share)))
+    return float(np.log(CHANGED_SINCE * share)) - cell.usual_nats(term.effect, term.theta)
