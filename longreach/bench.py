@@ -27,16 +27,6 @@ BENCHES = (
         "Marker poses over the two-view Cramer-Rao bound, planar flips and covariances, beside OpenCV's.",
     ),
     Lazy(
-        "bundle",
-        "longreach.bench_bundle.command:bundle",
-        "Our bundle adjustment beside gtsam's and SciPy's on gtsam's stereo data; time per window; honest covariance.",
-    ),
-    Lazy(
-        "registration",
-        "longreach.bench_registration.command:registration",
-        "Our chords beside mixture model, Umeyama (evo) and CPD (pycpd): rotation error and time on simulated tracks.",
-    ),
-    Lazy(
         "hand-eye",
         "longreach.bench_registration.hand_eye_command:hand_eye",
         "A X = Y B on real and simulated arms, trajectories beside evo, and kinhec's tracks beside its own solvers.",
@@ -86,17 +76,10 @@ BENCHES = (
         "longreach.bench_load.command:load",
         "REST answers, PLC underruns and vision's rate: 50 readers and 200 questions a second, a move on.",
     ),
-    Lazy("rerun", "longreach.bench_rerun:rerun", "Convert a recording for Rerun and compare every value."),
-    Lazy("scale", "longreach.bench_scale:scale", "Events, bytes and diagnosis CPU of one machine; the same for many."),
     Lazy(
         "jobs-soak",
         "longreach.bench_jobs_soak.command:jobs_soak",
         "Memory, handles, tasks and database over many jobs with faults; that the server always finds back.",
-    ),
-    Lazy(
-        "video",
-        "longreach.bench_video.command:video",
-        "Frames drawn a second, exposure to pixel, and vision's rate with several viewers; live simulated stream.",
     ),
     Lazy(
         "gap",

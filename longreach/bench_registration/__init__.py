@@ -1,1 +1,1 @@
-"""Evidence for the registration and hand-eye methods: `longreach bench registration`, `longreach bench hand-eye`."""
+"""Evidence for the hand-eye methods: `longreach bench hand-eye`."""

@@ -1,14 +1,11 @@
-"""Three ways to the optimum of one problem from one start: ours, gtsam's LM, SciPy's sparse least squares."""
+"""Two ways to the optimum of one problem from one start: ours and gtsam's LM."""
 
 import time
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.sparse import csr_array
-from scipy.spatial.transform import Rotation
+from gtsam_stereo_data import StereoData
 
-from longreach.bench_bundle.stereo_data import StereoData
 from server.vision.bundle import BundleLoss, BundleProblem, BundleSettings, adjust_bundle
 from server.vision.contracts import Array
 
@@ -94,47 +91,3 @@ def solve_gtsam(data: StereoData, huber_px: float | None) -> Solved:
     Ts = np.array([values.atPose3(X(number)).matrix() for number in range(len(data.Ts_vo_cam))])
     points = np.array([values.atPoint3(L(number)) for number in range(len(data.points_vo))])
     return Solved("gtsam", Ts, points, optimiser.iterations(), spent, f"its own cost {optimiser.error():.6f}")
-
-
-def solve_scipy(data: StereoData, evaluations_max: int = 50) -> Solved:
-    """`scipy.optimize.least_squares` with the sparse structure of the Jacobian, differences instead of derivatives.
-
-    At its own tolerances: tightened to 1e-12 it did not end within minutes, and gained less than 1e-6 of the cost.
-    """
-    free = np.arange(1, len(data.Ts_vo_cam))
-    n_poses = 6 * len(free)
-    start = np.concatenate([np.zeros(n_poses), data.points_vo.ravel()])
-
-    def unpack(x: Array) -> tuple[Array, Array]:
-        steps = x[:n_poses].reshape(-1, 6)
-        Ts = data.Ts_vo_cam.copy()
-        Ts[free, :3, :3] = Rotation.from_rotvec(steps[:, :3]).as_matrix() @ Ts[free, :3, :3]
-        Ts[free, :3, 3] += steps[:, 3:]
-        return Ts, x[n_poses:].reshape(-1, 3)
-
-    def residuals(x: Array) -> Array:
-        Ts, points = unpack(x)
-        fx, fy, _, u0, v0, baseline = data.calibration
-        T = Ts[data.frames]
-        X, Y, Z = np.einsum("nji,nj->ni", T[:, :3, :3], points[data.points] - T[:, :3, 3]).T
-        left = fx * X / Z + u0
-        return (np.column_stack([left, left - fx * baseline / Z, fy * Y / Z + v0]) - data.measured_px).ravel()
-
-    started = time.process_time()
-    found = least_squares(
-        residuals, start, jac_sparsity=_structure(data, n_poses), x_scale="jac", max_nfev=evaluations_max
-    )
-    spent = time.process_time() - started
-    return Solved("scipy", *unpack(found.x), int(found.njev), spent, str(found.message))
-
-
-def _structure(data: StereoData, n_poses: int) -> csr_array:
-    """Which unknowns each of the 3 n residuals depends on."""
-    n = len(data.frames)
-    rows = np.repeat(np.arange(3 * n), 9)
-    pose_columns = 6 * (data.frames[:, None] - 1) + np.arange(6)
-    columns = np.concatenate([pose_columns, n_poses + 3 * data.points[:, None] + np.arange(3)], axis=1)
-    columns = np.repeat(columns, 3, axis=0).ravel()
-    kept = columns >= 0
-    rows, columns = rows[kept], columns[kept]
-    return csr_array((np.ones(len(rows), dtype=int), (rows, columns)), shape=(3 * n, n_poses + 3 * len(data.points_vo)))

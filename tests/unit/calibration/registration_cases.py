@@ -1,4 +1,4 @@
-"""Simulated tracks for the registration bench: three paths, five kinds of error, exact truth."""
+"""Simulated tracks for registration: three paths, five kinds of error, exact truth."""
 
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,23 +1,17 @@
-"""`longreach bench rerun`: what of a recording arrives in Rerun, channel by channel and value by value.
-
-Needs Rerun itself: see longreach/rerun_view.py.
-"""
+"""What of a recording arrives in Rerun, channel by channel and value by value. Needs Rerun itself."""
 
 import math
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-import typer
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from rich.console import Console
-from rich.table import Table
 
-from longreach.rerun_view import RerunError, convert, library
+from longreach.rerun_view import convert, library
 from machine.description import parse_machine_toml
 from recording.messages import CODECS
 from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, LOG_TOPIC, TRANSFORM_TOPIC
@@ -43,27 +37,6 @@ class Arrival:
     def whole(self) -> bool:
         """Nothing is lost."""
         return self.written == self.arrived == self.equal
-
-
-def rerun(
-    recording: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="an MCAP recording")],
-    out: Annotated[Path | None, typer.Option(help="keep the converted recording here (.rrd)")] = None,
-) -> None:
-    """Convert a recording for Rerun and compare every value."""
-    console, target = Console(width=160), out or recording.with_suffix(".check.rrd")
-    try:
-        found = arrivals(recording, target)
-    except RerunError as error:
-        raise typer.BadParameter(str(error)) from error
-    finally:
-        if out is None:
-            target.unlink(missing_ok=True)
-    table = Table("channel", "schema", "written", "arrived", "equal", "how", title=str(recording.name))
-    for one in found:
-        table.add_row(one.topic, one.schema, *(str(n) for n in (one.written, one.arrived, one.equal)), one.kind)
-    console.print(table)
-    if not all(one.whole for one in found):
-        raise typer.Exit(1)
 
 
 def arrivals(recording: Path, target: Path) -> list[Arrival]:
