@@ -1,4 +1,4 @@
-"""`longreach bench ...`: one subcommand per claim, each imported when it is called."""
+"""`python -m benchmarks ...`, `longreach bench ...`: one subcommand per claim, each imported when it is called."""
 
 import typer
 
@@ -6,136 +6,143 @@ from longreach.lazy_commands import Lazy, LazyGroup
 
 BENCHES = (
     Lazy(
+        "reproduce",
+        "benchmarks.reproduce.command:reproduce",
+        "Tables 2, 3, 4 and Figures 5 to 9: fast over n machines, rendered over a few. Resumes where it was stopped.",
+    ),
+    Lazy(
         "schedules",
-        "longreach.bench_schedules:schedules",
+        "benchmarks.link.schedules:schedules",
         "Run seeded fault schedules through the link and watch every PLC cycle.",
     ),
-    Lazy("fuzz", "longreach.bench_fuzz:fuzz", "Fuzz both ends of the PLC link; exit code 1 if a rule was broken."),
+    Lazy(
+        "fuzz", "benchmarks.link.fuzz.command:fuzz", "Fuzz both ends of the PLC link; exit code 1 if a rule was broken."
+    ),
     Lazy(
         "vision",
-        "longreach.bench_rate.command:vision",
+        "benchmarks.vision.rate.command:vision",
         "Pairs per second, latency, CPU time by stage; beside them OpenCV's plain detector and toy-vo.",
     ),
     Lazy(
         "odometry",
-        "longreach.bench_odometry.command:odometry",
+        "benchmarks.vision.odometry.command:odometry",
         "Stereo odometry on rendered paths of preset realistic, without markers, calibration exact.",
     ),
     Lazy(
         "markers",
-        "longreach.bench_markers.command:markers",
+        "benchmarks.vision.markers.command:markers",
         "Marker poses over the two-view Cramer-Rao bound, planar flips and covariances, beside OpenCV's.",
     ),
     Lazy(
         "hand-eye",
-        "longreach.bench_registration.hand_eye_command:hand_eye",
+        "benchmarks.hand_eye.command:hand_eye",
         "A X = Y B on real and simulated arms, trajectories beside evo, and kinhec's tracks beside its own solvers.",
     ),
     Lazy(
         "machines",
-        "longreach.bench_machines.command:machines",
+        "benchmarks.positioning.machines.command:machines",
         "The default method on many machines in the fast world: success by moves, refusals, honest ellipses, times.",
     ),
     Lazy(
         "unchecked",
-        "longreach.bench_unchecked:unchecked",
+        "benchmarks.positioning.unchecked:unchecked",
         "Focal lengths and prints that are off alike everywhere: reported, or inside the stated ellipse?",
     ),
     Lazy(
         "ablation",
-        "longreach.bench_machines.command:ablation",
+        "benchmarks.positioning.machines.command:ablation",
         "Each improvement switched off alone, on the same machines: change of the one-move success.",
     ),
     Lazy(
         "camera-faults",
-        "longreach.bench_camera_faults.command:camera_faults",
+        "benchmarks.vision.camera_faults.command:camera_faults",
         "Inject every camera fault: pairs until it is found, looks that used it, pairs until recovery, false alarms.",
     ),
     Lazy(
         "vision-soak",
-        "longreach.bench_soak:vision_soak",
+        "benchmarks.vision.soak:vision_soak",
         "Markers, odometry and preview on pairs looped from memory: growth of memory per hour and per pair.",
     ),
     Lazy(
         "servo",
-        "longreach.bench_servo:servo",
+        "benchmarks.positioning.servo:servo",
         "Closed-loop control over real UDP and rendered images: does it reach the tolerance, truly.",
     ),
     Lazy(
         "crashes",
-        "longreach.bench_crashes:crashes",
+        "benchmarks.kills.crashes:crashes",
         "SIGKILL the server at random points of a run; look at what the next life finds.",
     ),
     Lazy(
         "hold",
-        "longreach.bench_hold.command:hold",
+        "benchmarks.server.hold.command:hold",
         "Hold-to-run in a real browser: time from letting go to the ramp in the PLC's states.",
     ),
     Lazy(
         "load",
-        "longreach.bench_load.command:load",
+        "benchmarks.server.load.command:load",
         "REST answers, PLC underruns and vision's rate: 50 readers and 200 questions a second, a move on.",
     ),
     Lazy(
         "jobs-soak",
-        "longreach.bench_jobs_soak.command:jobs_soak",
+        "benchmarks.server.jobs_soak.command:jobs_soak",
         "Memory, handles, tasks and database over many jobs with faults; that the server always finds back.",
     ),
     Lazy(
         "gap",
-        "longreach.bench_gap.command:gap",
+        "benchmarks.diagnosis.gap.command:gap",
         "Blind cases of the gap diagnosis: names, refusals, probabilities, limits and shrink against sealed truths.",
     ),
     Lazy(
         "first-day",
-        "longreach.bench_first_day.command:first_day",
+        "benchmarks.diagnosis.first_day.command:first_day",
         "Sealed machines diagnosed without a baseline: coverage, false effects, sizes, verdicts, probabilities.",
     ),
     Lazy(
         "experiments",
-        "longreach.bench_experiments.command:experiments",
+        "benchmarks.diagnosis.experiments.command:experiments",
         "Ambiguous recording, proposed experiment, executed, both diagnosed together: is the true effect sure then?",
     ),
     Lazy(
         "compensation",
-        "longreach.bench_compensation.command:compensation",
+        "benchmarks.positioning.compensation.command:compensation",
         "Diagnosed effects compensated against not, paired on drawn machines in the fast world.",
     ),
     Lazy(
         "links",
-        "longreach.bench_links.command:links",
+        "benchmarks.diagnosis.links.command:links",
         "Six joints behind links that jitter, drift, lose and delay, logged every 1 to 10 ms: is only the fault named?",
     ),
     Lazy(
         "diagnosis",
-        "longreach.bench_diagnosis.command:diagnosis",
+        "benchmarks.diagnosis.cost.command:diagnosis",
         "Time and memory of a diagnosis of eight minutes, six joints and one; a fleet's answers, however made.",
     ),
     Lazy(
         "position",
-        "longreach.bench_small:position",
+        "benchmarks.small:position",
         "Position n seeds end to end and compare image-based with true errors.",
     ),
     Lazy(
         "kinematics",
-        "longreach.bench_small:kinematics",
+        "benchmarks.small:kinematics",
         "Inverse recovers random joint vectors; microseconds per call.",
     ),
-    Lazy("plant", "longreach.bench_small:plant", "Real-time factor of the fine plant on one core."),
-    Lazy("render", "longreach.bench_small:render", "Stereo pairs rendered per second."),
+    Lazy("plant", "benchmarks.small:plant", "Real-time factor of the fine plant on one core."),
+    Lazy("render", "benchmarks.small:render", "Stereo pairs rendered per second."),
     Lazy(
         "vision-real",
-        "longreach.bench_small:vision_real",
+        "benchmarks.small:vision_real",
         "Detector and odometry on real photographs and the KITTI clip.",
     ),
     Lazy(
         "link",
-        "longreach.bench_small:link",
+        "benchmarks.small:link",
         "Underruns, lateness and buffer depth of the PLC link in real time beside the vision load.",
     ),
     Lazy(
         "kills",
-        "longreach.bench_small:kills",
+        "benchmarks.small:kills",
         "SIGKILL in the middle of real jobs: ramp, rest, travel, and that nothing moves again by itself.",
     ),
 )
@@ -147,7 +154,7 @@ class Benches(LazyGroup):
     table = BENCHES
 
 
-app = typer.Typer(cls=Benches, no_args_is_help=True)
+app = typer.Typer(cls=Benches, no_args_is_help=True, add_completion=False)
 
 
 @app.callback()

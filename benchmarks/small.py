@@ -9,8 +9,10 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from longreach import bench_kills, bench_link, bench_position
-from longreach.bench_vision import bench_vision_real
+from benchmarks.kills import repeated as bench_kills
+from benchmarks.link import real_time as bench_link
+from benchmarks.positioning import end_to_end as bench_position
+from benchmarks.vision.real_pictures import bench_vision_real
 from machine.chain import chain_of
 from machine.inverse import inverse_all, inverse_nearest
 from machine.kinematics import tcp_jacobian, tcp_pose
@@ -85,7 +87,7 @@ def plant(
     seed: Annotated[int, typer.Option(help="seed")] = 1,
 ) -> None:
     """Real-time factor of the fine plant on one core."""
-    from sim_plc.plant.bench import bench_plant
+    from benchmarks.simulator.plant import bench_plant
 
     told = bench_plant(seconds, preset, seed)
     console.print(
@@ -100,7 +102,7 @@ def render(
     seed: Annotated[int, typer.Option(help="seed")] = 1,
 ) -> None:
     """Stereo pairs rendered per second."""
-    from sim_plc.camera.bench import bench_render
+    from benchmarks.simulator.render import bench_render
 
     told = bench_render(n, seed)
     stages = ", ".join(f"{stage} {spent_ms:g}" for stage, spent_ms in told.ms_per_stage.items())

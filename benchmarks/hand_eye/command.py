@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import track as progress_over
 from rich.table import Table
 
-from longreach.bench_registration.kinhec_tracks import (
+from benchmarks.hand_eye.kinhec_tracks import (
     TRACKS,
     SequenceResult,
     TrackResult,
@@ -18,8 +18,8 @@ from longreach.bench_registration.kinhec_tracks import (
     kinhec_available,
     run_track,
 )
-from longreach.bench_registration.real_pairs import Alignment, PairResiduals, align_trajectories, hand_eye_residuals
-from longreach.bench_registration.streams import HAND_EYE_FILES, TRAJECTORY_FILES
+from benchmarks.hand_eye.real_pairs import Alignment, PairResiduals, align_trajectories, hand_eye_residuals
+from benchmarks.hand_eye.streams import HAND_EYE_FILES, TRAJECTORY_FILES
 
 console = Console(width=170)
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from longreach.bench_registration.streams import read_hand_eye, read_trajectories
+from benchmarks.hand_eye.streams import read_hand_eye, read_trajectories
 from machine.rotations import Array, geodesic_angle
 from server.calibration.chord_rotation import fit_chord_rotation
 from server.calibration.chords import arc_lengths

@@ -7,7 +7,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from longreach.kill_drill.figures import KillFigures, figures_of, largest_step
+from benchmarks.kills.figures import KillFigures, figures_of, largest_step
 from machine.description import Machine
 from protocol.codes import PlcState
 from protocol.messages import State

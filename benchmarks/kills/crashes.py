@@ -16,10 +16,10 @@ import numpy as np
 import typer
 from rich.console import Console
 
-from longreach.kill_drill.drill import fast_machine
-from longreach.kill_drill.plc_process import PlcProcess, free_udp_port
-from longreach.kill_drill.relay import Relay
-from longreach.kill_drill.under_test import START_S, ServerUnderTest
+from benchmarks.kills.drill import fast_machine
+from benchmarks.kills.plc_process import PlcProcess, free_udp_port
+from benchmarks.kills.relay import Relay
+from benchmarks.kills.under_test import START_S, ServerUnderTest
 from protocol.codes import PlcState
 from recording.errors import RecordingError
 from recording.files import read_text, write_durably

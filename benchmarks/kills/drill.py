@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from longreach.kill_drill.case import VICTIMS, KillCase, Observed, Victim, judged
-from longreach.kill_drill.plc_process import PlcProcess, free_udp_port
-from longreach.kill_drill.relay import Relay
-from longreach.kill_drill.under_test import START_S, ServerUnderTest
+from benchmarks.kills.case import VICTIMS, KillCase, Observed, Victim, judged
+from benchmarks.kills.plc_process import PlcProcess, free_udp_port
+from benchmarks.kills.relay import Relay
+from benchmarks.kills.under_test import START_S, ServerUnderTest
 from machine.description import Machine, parse_machine_toml
 from protocol.codes import PlcState
 from recording.files import read_text

@@ -10,7 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from longreach.kill_drill.case import (
+from benchmarks.kills.case import (
     RAMP_START_MAX_MS,
     STEP_MAX,
     TRAVEL_MAX_MM,
@@ -19,8 +19,8 @@ from longreach.kill_drill.case import (
     Victim,
     failed_case,
 )
-from longreach.kill_drill.drill import run_case
-from longreach.kill_drill.figures import KillFigures
+from benchmarks.kills.drill import run_case
+from benchmarks.kills.figures import KillFigures
 from recording.files import write_durably
 from server.errors import SettingsError
 

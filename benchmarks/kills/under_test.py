@@ -8,7 +8,7 @@ from typing import Any
 
 import httpx
 
-from longreach.kill_drill.victims import holder_of_udp_port
+from benchmarks.kills.victims import holder_of_udp_port
 from longreach.processes import Stack, StackPorts
 
 START_S = 120.0  # the first start on a machine compiles

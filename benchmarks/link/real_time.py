@@ -16,13 +16,13 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
-from longreach.kill_drill.plc_process import PlcProcess, free_udp_port
-from longreach.link_load.in_server import InServerLink, InServerVision
-from longreach.link_load.minute import Minute, Total, as_data, minute_from, total_of
-from longreach.link_load.rendered_pairs import render_pairs
-from longreach.link_load.replay_camera import ReplayCamera
-from longreach.link_load.session import Session, vision_alone
-from longreach.link_load.tap import Tap
+from benchmarks.kills.plc_process import PlcProcess, free_udp_port
+from benchmarks.link.load.in_server import InServerLink, InServerVision
+from benchmarks.link.load.minute import Minute, Total, as_data, minute_from, total_of
+from benchmarks.link.load.rendered_pairs import render_pairs
+from benchmarks.link.load.replay_camera import ReplayCamera
+from benchmarks.link.load.session import Session, vision_alone
+from benchmarks.link.load.tap import Tap
 from machine.description import Machine, parse_machine_toml
 from recording.files import write_durably
 from server.camera.client import VisionClient

@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.saved_lines import add_line, open_to_add, whole_lines
+from benchmarks.saved_lines import add_line, open_to_add, whole_lines
 
 FILE = "schedules.jsonl"
 _SHARES = ("|qd_ref| / qd_max", "|qdd_ref| / qdd_max", "change of qd_ref / (qdd_max dt)", "step / (qdd_max dt^2)")
@@ -71,8 +71,11 @@ def _run_all(seeds: list[int], workers: int) -> Iterable[Case]:
 
 def run_case(seed: int) -> Case:
     """One schedule; an exception anywhere in the two ends is a breach like any other."""
-    from sim_plc.relay.drill import as_json, run_schedule  # here: the server's process never loads the simulator
-    from sim_plc.relay.schedule import draw_schedule
+    from benchmarks.link.drill.drill import (  # here: the server's process never loads the simulator
+        as_json,
+        run_schedule,
+    )
+    from benchmarks.link.drill.schedule import draw_schedule
 
     started = time.process_time()
     try:

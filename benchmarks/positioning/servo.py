@@ -13,10 +13,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.bench_position import READY_S, StepErrors, ends_inside, join_truth, read_truth
+from benchmarks.positioning.end_to_end import READY_S, StepErrors, ends_inside, join_truth, read_truth
+from benchmarks.same_options import require_same_options
 from longreach.fleet_client import Finished, JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
-from longreach.same_options import require_same_options
 from recording.files import write_durably
 
 SETTINGS = "[position]\nclosed_loop = true\n[closed_loop]\nsilence_max_ms = {silence_max_ms}\n"

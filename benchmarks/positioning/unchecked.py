@@ -14,11 +14,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.bench_machines.figures import CHI2_95_OF_3, drawn
-from longreach.bench_machines.machine_run import INSIDE_MM, MachineRun
-from longreach.bench_machines.saved import Order, run_machines
-from longreach.reproduce.error_budget import SEEING
-from longreach.reproduce.summary import Share, share
+from benchmarks.positioning.machines.figures import CHI2_95_OF_3, drawn
+from benchmarks.positioning.machines.machine_run import INSIDE_MM, MachineRun
+from benchmarks.positioning.machines.saved import Order, run_machines
+from benchmarks.reproduce.error_budget import SEEING
+from benchmarks.reproduce.summary import Share, share
 
 AS_DRAWN = "as drawn"
 FOLDER = Path("runs/bench-unchecked")

@@ -4,13 +4,13 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 from typing import Literal
 
-from longreach.reproduce.error_budget import Change, changed
-from longreach.reproduce.fast_cell import FastCell, context_of, fast_cell, run_plan
-from longreach.reproduce.fast_machine import QuasiStaticMachine, TrueMachine
-from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.paper_setup import NoSetUpError, beside, nearer
-from longreach.reproduce.point_sets import PointSets, matched_sets
-from longreach.reproduce.true_error import StepErrors, Three, euler_deg, true_errors
+from benchmarks.reproduce.error_budget import Change, changed
+from benchmarks.reproduce.fast_cell import FastCell, context_of, fast_cell, run_plan
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine, TrueMachine
+from benchmarks.reproduce.noise_model import NoiseModel
+from benchmarks.reproduce.paper_setup import NoSetUpError, beside, nearer
+from benchmarks.reproduce.point_sets import PointSets, matched_sets
+from benchmarks.reproduce.true_error import StepErrors, Three, euler_deg, true_errors
 from machine.description import Machine
 from machine.kinematics import tcp_poses
 from machine.rotations import Array

@@ -40,7 +40,7 @@ def reproduce(
     ship: Annotated[bool, typer.Option("--ship", help="noise: put the fit into the package")] = False,
 ) -> None:
     """Tables 2, 3, 4 and Figures 5 to 9: fast over n machines, rendered over a few. Resumes where it was stopped."""
-    from longreach.reproduce.rendered_paths import one_thread
+    from benchmarks.reproduce.rendered_paths import one_thread
 
     one_thread()
     console = Console()
@@ -56,9 +56,9 @@ def reproduce(
 
 
 def _run_tables(what: What, seeds: range, rendered: range, out: Path, console: Console) -> None:
-    from longreach.reproduce.fast_tables import table_2, table_4
-    from longreach.reproduce.noise_model import fitted_noise
-    from longreach.reproduce.rendered_tables import TABLE_2_KINDS, TABLE_4_KINDS, rendered_tables
+    from benchmarks.reproduce.fast_tables import table_2, table_4
+    from benchmarks.reproduce.noise_model import fitted_noise
+    from benchmarks.reproduce.rendered_tables import TABLE_2_KINDS, TABLE_4_KINDS, rendered_tables
 
     machine, noise, kinds = read_machine("hiab033"), fitted_noise(), ()
     if what in (What.TABLE3, What.TABLE4, What.ALL):
@@ -72,8 +72,8 @@ def _run_tables(what: What, seeds: range, rendered: range, out: Path, console: C
 
 
 def _noise(n: int, folder: Path, ship: bool, console: Console) -> None:
-    from longreach.reproduce.noise_command import run_noise
-    from longreach.reproduce.noise_model import ship_fitted
+    from benchmarks.reproduce.noise_command import run_noise
+    from benchmarks.reproduce.noise_model import ship_fitted
 
     model, _ = run_noise(n, n, folder, console)
     console.print(f"fitted: {folder / 'noise_fitted.json'}")
@@ -82,8 +82,8 @@ def _noise(n: int, folder: Path, ship: bool, console: Console) -> None:
 
 
 def _report(out: Path, seed: int, console: Console) -> None:
-    from longreach.reproduce.compose import printed_tables, write_report
-    from longreach.reproduce.noise_model import fitted_noise
+    from benchmarks.reproduce.compose import printed_tables, write_report
+    from benchmarks.reproduce.noise_model import fitted_noise
 
     for view in printed_tables(out):
         table = Table(*view.headings, title=view.title, title_justify="left")

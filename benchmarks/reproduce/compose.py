@@ -4,11 +4,11 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-from longreach.reproduce.cases import Case, FastRun, fast_line_run, fast_matching_run
-from longreach.reproduce.fast_tables import LINE_VARIANTS, TABLE_4_FILE, case_of, table_2_file
-from longreach.reproduce.noise_command import AGREEMENT_FILE
-from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.pictures import (
+from benchmarks.reproduce.cases import Case, FastRun, fast_line_run, fast_matching_run
+from benchmarks.reproduce.fast_tables import LINE_VARIANTS, TABLE_4_FILE, case_of, table_2_file
+from benchmarks.reproduce.noise_command import AGREEMENT_FILE
+from benchmarks.reproduce.noise_model import NoiseModel
+from benchmarks.reproduce.pictures import (
     agreement_picture,
     figure_5,
     figure_6,
@@ -19,9 +19,9 @@ from longreach.reproduce.pictures import (
     spread_of_table_2,
     spread_of_table_4,
 )
-from longreach.reproduce.rendered_tables import saved_rendered
-from longreach.reproduce.report import Picture, Section, defects_view, page
-from longreach.reproduce.report_tables import (
+from benchmarks.reproduce.rendered_tables import saved_rendered
+from benchmarks.reproduce.report import Picture, Section, defects_view, page
+from benchmarks.reproduce.report_tables import (
     TableView,
     checks,
     refusals_view,
@@ -29,8 +29,8 @@ from longreach.reproduce.report_tables import (
     table_3_view,
     table_4_view,
 )
-from longreach.reproduce.report_words import LEAD, MISMATCH, NOISE_WORDS, SET_UP, figure_title
-from longreach.saved_lines import Line, read_lines
+from benchmarks.reproduce.report_words import LEAD, MISMATCH, NOISE_WORDS, SET_UP, figure_title
+from benchmarks.saved_lines import Line, read_lines
 from machine.description import Machine
 
 EXAMPLES_TRIED = 20  # seeds, until one runs through

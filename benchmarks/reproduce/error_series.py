@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from longreach.reproduce.cases import FastRun
-from longreach.reproduce.fast_cell import FastCell
-from longreach.reproduce.true_error import euler_deg
+from benchmarks.reproduce.cases import FastRun
+from benchmarks.reproduce.fast_cell import FastCell
+from benchmarks.reproduce.true_error import euler_deg
 from machine.chain import chain_of
 from machine.kinematics import tcp_poses
 from machine.rotations import Array

@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-from longreach.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel
-from longreach.reproduce.true_corners import EYES, EyeName, SeenMarker, TrueView
+from benchmarks.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel
+from benchmarks.reproduce.true_corners import EYES, EyeName, SeenMarker, TrueView
 from machine.rotations import Array
 from server.vision.aruco_source import ArucoSettings
 from server.vision.contracts import Look, MarkerView, ObjectPose, PairObservation

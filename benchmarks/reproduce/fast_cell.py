@@ -6,12 +6,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from longreach.reproduce.fast_camera import FastCamera, Source
-from longreach.reproduce.fast_lens import bent_path, lens_affine
-from longreach.reproduce.fast_machine import Trace, TrueMachine
-from longreach.reproduce.fast_odometry import odometry_path
-from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.watching import watch
+from benchmarks.reproduce.fast_camera import FastCamera, Source
+from benchmarks.reproduce.fast_lens import bent_path, lens_affine
+from benchmarks.reproduce.fast_machine import Trace, TrueMachine
+from benchmarks.reproduce.fast_odometry import odometry_path
+from benchmarks.reproduce.noise_model import NoiseModel
+from benchmarks.reproduce.watching import watch
 from machine.chain import chain_of
 from machine.kinematics import tcp_poses
 from machine.rotations import Array

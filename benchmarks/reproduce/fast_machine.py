@@ -5,8 +5,8 @@ from typing import Protocol
 
 import numpy as np
 
-from longreach.reproduce.fast_servo import STEP_S, follow, resting_servo, servo_parameters
-from longreach.reproduce.fast_structure import Structure
+from benchmarks.reproduce.fast_servo import STEP_S, follow, resting_servo, servo_parameters
+from benchmarks.reproduce.fast_structure import Structure
 from machine.rotations import Array
 from server.jobs.performer import REST_SPEED_RAD_S, REST_WINDOW_S
 from server.motion.contracts import JointTrajectory

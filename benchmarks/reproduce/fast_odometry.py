@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from longreach.reproduce.noise_model import OdometryNoise
+from benchmarks.reproduce.noise_model import OdometryNoise
 from machine.poses import inverse_pose
 from machine.rotations import Array, rotation_from_rotvec
 from server.calibration.chords import arc_lengths

@@ -6,10 +6,10 @@ from typing import Any, cast
 
 from rich.console import Console
 
-from longreach.reproduce.cases import Case, State, line_case, matching_case
-from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.true_error import StepErrors, Three
-from longreach.saved_lines import Line, run_saved
+from benchmarks.reproduce.cases import Case, State, line_case, matching_case
+from benchmarks.reproduce.noise_model import NoiseModel
+from benchmarks.reproduce.true_error import StepErrors, Three
+from benchmarks.saved_lines import Line, run_saved
 from machine.description import Machine
 from server.jobs.plans.line import LineVariant
 

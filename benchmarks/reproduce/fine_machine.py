@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from longreach.reproduce.fast_machine import SETTLE_MAX_S, Trace
+from benchmarks.reproduce.fast_machine import SETTLE_MAX_S, Trace
 from machine.rotations import Array
 from server.jobs.performer import REST_SPEED_RAD_S, REST_WINDOW_S
 from server.motion.contracts import JointTrajectory

@@ -6,15 +6,15 @@ from itertools import product
 
 import numpy as np
 
-from longreach.reproduce.fast_camera import FastCamera, Source
-from longreach.reproduce.fast_odometry import odometry_path
-from longreach.reproduce.noise_fit import Agreement, agreement, fit_corner_noise, pose_errors
-from longreach.reproduce.noise_gather import preset_of
-from longreach.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel, OdometryNoise
-from longreach.reproduce.odometry_fit import OdometryRunPair, fit_odometry_noise
-from longreach.reproduce.rendered_looks import RenderedLook
-from longreach.reproduce.rendered_paths import RenderedPath
-from longreach.reproduce.true_corners import ObjectOn
+from benchmarks.reproduce.fast_camera import FastCamera, Source
+from benchmarks.reproduce.fast_odometry import odometry_path
+from benchmarks.reproduce.noise_fit import Agreement, agreement, fit_corner_noise, pose_errors
+from benchmarks.reproduce.noise_gather import preset_of
+from benchmarks.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel, OdometryNoise
+from benchmarks.reproduce.odometry_fit import OdometryRunPair, fit_odometry_noise
+from benchmarks.reproduce.rendered_looks import RenderedLook
+from benchmarks.reproduce.rendered_paths import RenderedPath
+from benchmarks.reproduce.true_corners import ObjectOn
 from machine.description import Machine
 from machine.rotations import Array, rotvec_from_rotation
 from server.calibration.chords import arc_lengths

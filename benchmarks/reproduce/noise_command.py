@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from longreach.reproduce.noise_agreement import Compared, compare, fit_all
-from longreach.reproduce.noise_fit import AXES
-from longreach.reproduce.noise_gather import FRAMES, SEED_FIRST, STANDPOINTS, gather_looks, gather_paths, preset_of
-from longreach.reproduce.noise_model import NoiseModel, fitted_noise
-from longreach.reproduce.rendered_looks import JPEG_QUALITY
-from longreach.reproduce.rendered_paths import one_thread
-from longreach.saved_lines import Line
+from benchmarks.reproduce.noise_agreement import Compared, compare, fit_all
+from benchmarks.reproduce.noise_fit import AXES
+from benchmarks.reproduce.noise_gather import FRAMES, SEED_FIRST, STANDPOINTS, gather_looks, gather_paths, preset_of
+from benchmarks.reproduce.noise_model import NoiseModel, fitted_noise
+from benchmarks.reproduce.rendered_looks import JPEG_QUALITY
+from benchmarks.reproduce.rendered_paths import one_thread
+from benchmarks.saved_lines import Line
 from server.settings import read_machine
 
 AGREEMENT_FILE = "agreement.json"

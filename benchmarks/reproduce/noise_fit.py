@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import ks_2samp, kstwobign
 
-from longreach.reproduce.noise_model import CornerNoise
-from longreach.reproduce.rendered_looks import RenderedLook
-from longreach.reproduce.true_corners import EYES
+from benchmarks.reproduce.noise_model import CornerNoise
+from benchmarks.reproduce.rendered_looks import RenderedLook
+from benchmarks.reproduce.true_corners import EYES
 from machine.camera import project_stereo
 from machine.description import Machine
 from machine.markers import marker_corners

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.odometry_fit import OdometryRunPair
-from longreach.reproduce.rendered_looks import RenderedLook, rendered_looks, standpoints
-from longreach.reproduce.rendered_paths import NoPathError, RenderedPath, rendered_path
-from longreach.saved_lines import Line, run_saved
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.noise_model import NoiseModel
+from benchmarks.reproduce.odometry_fit import OdometryRunPair
+from benchmarks.reproduce.rendered_looks import RenderedLook, rendered_looks, standpoints
+from benchmarks.reproduce.rendered_paths import NoPathError, RenderedPath, rendered_path
+from benchmarks.saved_lines import Line, run_saved
 from machine.description import Machine
 from machine.rotations import Array
 from server.jobs.context import Method

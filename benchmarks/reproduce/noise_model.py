@@ -78,7 +78,7 @@ class NoiseModel:
 
 def fitted_noise() -> NoiseModel:
     """The model that is shipped: fitted by `longreach reproduce noise`."""
-    return _parsed(files("longreach.reproduce").joinpath(FITTED_FILE).read_text(encoding="utf-8"), FITTED_FILE)
+    return _parsed(files("benchmarks.reproduce").joinpath(FITTED_FILE).read_text(encoding="utf-8"), FITTED_FILE)
 
 
 def ship_fitted(model: NoiseModel) -> Path:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import nnls
 
-from longreach.reproduce.noise_model import OdometryNoise
+from benchmarks.reproduce.noise_model import OdometryNoise
 from machine.rotations import Array, rotvec_from_rotation
 from server.calibration.chords import arc_lengths
 

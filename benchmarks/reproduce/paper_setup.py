@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from longreach.reproduce.paper_tables import tool_distances_mm
-from longreach.reproduce.true_corners import TrueView
+from benchmarks.reproduce.paper_tables import tool_distances_mm
+from benchmarks.reproduce.true_corners import TrueView
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array
 from sim_plc.world import World, rng_for

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from longreach.reproduce.cases import Case, FastRun
-from longreach.reproduce.error_series import (
+from benchmarks.reproduce.cases import Case, FastRun
+from benchmarks.reproduce.error_series import (
     ErrorSeries,
     encoder_path,
     encoder_pose,
     error_series,
     look_times_s,
 )
-from longreach.reproduce.paper_tables import STAND_OFF_MM, TABLE_2, TABLE_4, TOLERANCE_MM
+from benchmarks.reproduce.paper_tables import STAND_OFF_MM, TABLE_2, TABLE_4, TOLERANCE_MM
 from machine.rotations import Array
 from server.calibration.line_equation import circle_points
 

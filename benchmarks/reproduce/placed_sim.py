@@ -1,4 +1,4 @@
-"""`python -m longreach.reproduce.placed_sim`: the simulated machine with its OOI where the paper had it."""
+"""`python -m benchmarks.reproduce.placed_sim`: the simulated machine with its OOI where the paper had it."""
 
 import sys
 from collections.abc import Callable
@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from benchmarks.reproduce.paper_setup import beside, nearer
 from longreach.processes import Stack
-from longreach.reproduce.paper_setup import beside, nearer
 from machine.rotations import Array
 from server.settings import read_machine_text
 from sim_plc.plant.plant import Plant
@@ -31,7 +31,7 @@ class PlacedStack(Stack):
         if self.truth_log is None:
             raise ValueError("truth_log: the placed simulator is only run to be judged; give a folder")
         words = [self.set_up, self.seed, self.ports.plc, self.ports.camera, self.camera_rate_hz, self.truth_log]
-        self._start_module("sim", "longreach.reproduce.placed_sim", [str(word) for word in words])
+        self._start_module("sim", "benchmarks.reproduce.placed_sim", [str(word) for word in words])
 
 
 def placed(world: World, set_up: str) -> World:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longreach.reproduce.paper_tables import PointSetErrors
+from benchmarks.reproduce.paper_tables import PointSetErrors
 from machine.rotations import Array
 from server.calibration.contracts import CameraTrack, EncoderTrack
 from server.calibration.hybrid_mixture import register_poses

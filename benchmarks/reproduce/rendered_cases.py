@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from longreach.bench_position import REST_NS, resting
+from benchmarks.positioning.end_to_end import REST_NS, resting
+from benchmarks.reproduce.cases import Case
+from benchmarks.reproduce.paper_setup import NoSetUpError
+from benchmarks.reproduce.placed_sim import PRESET, PlacedStack, SetUp, placed
+from benchmarks.reproduce.true_error import StepErrors, Three, true_errors
 from longreach.fleet_client import Finished, JobClient, JobRefusedError
 from longreach.processes import StackPorts
-from longreach.reproduce.cases import Case
-from longreach.reproduce.paper_setup import NoSetUpError
-from longreach.reproduce.placed_sim import PRESET, PlacedStack, SetUp, placed
-from longreach.reproduce.true_error import StepErrors, Three, true_errors
 from machine.description import Machine
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_from_quat_wxyz

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from longreach.reproduce.fast_camera import FastCamera, Source
-from longreach.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel, OdometryNoise
-from longreach.reproduce.true_corners import EYES, EyeName, ObjectOn, TrueView, true_poses_cam
+from benchmarks.reproduce.fast_camera import FastCamera, Source
+from benchmarks.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel, OdometryNoise
+from benchmarks.reproduce.true_corners import EYES, EyeName, ObjectOn, TrueView, true_poses_cam
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_from_rotvec
 from server.vision.aruco_source import ArucoPoseSource

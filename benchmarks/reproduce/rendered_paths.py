@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from longreach.reproduce.fast_cell import FastCell, context_of, fast_cell, run_plan
-from longreach.reproduce.fast_lens import bent_path, lens_affine
-from longreach.reproduce.fast_machine import QuasiStaticMachine, Trace
-from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.odometry_fit import OdometryRunPair
-from longreach.reproduce.rendered_looks import as_sent
-from longreach.reproduce.true_corners import TrueView
+from benchmarks.reproduce.fast_cell import FastCell, context_of, fast_cell, run_plan
+from benchmarks.reproduce.fast_lens import bent_path, lens_affine
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine, Trace
+from benchmarks.reproduce.noise_model import NoiseModel
+from benchmarks.reproduce.odometry_fit import OdometryRunPair
+from benchmarks.reproduce.rendered_looks import as_sent
+from benchmarks.reproduce.true_corners import TrueView
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
 from server.camera.masking import plate_and_shaft

@@ -4,10 +4,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from longreach.reproduce.cases import Case
-from longreach.reproduce.fast_tables import case_line, case_of
-from longreach.reproduce.rendered_cases import rendered_line_case, rendered_matching_case
-from longreach.saved_lines import Line, read_lines, run_saved
+from benchmarks.reproduce.cases import Case
+from benchmarks.reproduce.fast_tables import case_line, case_of
+from benchmarks.reproduce.rendered_cases import rendered_line_case, rendered_matching_case
+from benchmarks.saved_lines import Line, read_lines, run_saved
 from machine.description import Machine
 from server.jobs.plans.line import LineVariant
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 
-from longreach.reproduce.paper_tables import DEFECTS
-from longreach.reproduce.report_tables import Check, TableView
+from benchmarks.reproduce.paper_tables import DEFECTS
+from benchmarks.reproduce.report_tables import Check, TableView
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; max-width: 1100px; margin: 2em auto; padding: 0 1em; color: #222; }

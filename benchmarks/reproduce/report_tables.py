@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longreach.reproduce.cases import Case
-from longreach.reproduce.error_budget import bootstrap_mean
-from longreach.reproduce.paper_tables import (
+from benchmarks.reproduce.cases import Case
+from benchmarks.reproduce.error_budget import bootstrap_mean
+from benchmarks.reproduce.paper_tables import (
     STAND_OFF_MM,
     TABLE_2,
     TABLE_2_MEAN,
@@ -15,7 +15,7 @@ from longreach.reproduce.paper_tables import (
     TABLE_4,
     TABLE_4_MEAN,
 )
-from longreach.reproduce.summary import mean_errors
+from benchmarks.reproduce.summary import mean_errors
 from machine.rotations import Array
 
 

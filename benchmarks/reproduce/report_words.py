@@ -1,7 +1,7 @@
 """The words of the report: set-up, what a reader must know, and where ours does not match the paper and why."""
 
-from longreach.reproduce.paper_tables import FIGURES
-from longreach.reproduce.report_tables import TableView
+from benchmarks.reproduce.paper_tables import FIGURES
+from benchmarks.reproduce.report_tables import TableView
 
 LEAD = (
     "Makinen, Mustalahti, Launis, Mattila: Vision-aided precise positioning for long-reach robotic manipulators using "

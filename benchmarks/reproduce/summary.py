@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import binomtest
 
-from longreach.reproduce.cases import Case
-from longreach.reproduce.true_error import StepErrors, Three
+from benchmarks.reproduce.cases import Case
+from benchmarks.reproduce.true_error import StepErrors, Three
 
 
 @dataclass(frozen=True, slots=True)

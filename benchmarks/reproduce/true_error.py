@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from longreach.reproduce.true_corners import true_poses_cam
+from benchmarks.reproduce.true_corners import true_poses_cam
 from machine.poses import inverse_pose
 from machine.rotations import Array, geodesic_angle
 from sim_plc.world import World

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from longreach.reproduce.fast_camera import FastCamera, Source
-from longreach.reproduce.fast_machine import Trace
+from benchmarks.reproduce.fast_camera import FastCamera, Source
+from benchmarks.reproduce.fast_machine import Trace
 from server.jobs.watching import Sighted, sighted_of
 
 RATE_HZ = 10.0

@@ -7,10 +7,10 @@ from importlib.resources import files
 import cv2
 import numpy as np
 
+from benchmarks.simulator.demo_scene import demo_tcp_pose, demo_world
 from machine.description import parse_machine_toml
 from machine.poses import pose
 from machine.rotations import Array, rotation_from_rotvec
-from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 
 _MACHINE = "hiab033.toml"

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.simulator.closed_loop import Gains, run_closed_loop
 from machine.chain import chain_of
 from machine.description import Machine
 from machine.kinematics import tcp_pose
@@ -11,7 +12,6 @@ from machine.rotations import Array
 from sim_plc.draw_plant import draw_plant
 from sim_plc.draw_scene import draw_posture
 from sim_plc.draw_world import posture_fault
-from sim_plc.plant.closed_loop import Gains, run_closed_loop
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.truth import PlantTruth
 from sim_plc.world import rng_for

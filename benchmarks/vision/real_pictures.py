@@ -8,9 +8,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from machine.description import StereoCamera
-from server.vision.contracts import Image
-from server.vision.evidence import (
+from benchmarks.vision.evidence import (
     grid_figures,
     odometry_figures,
     parse_poses,
@@ -19,6 +17,8 @@ from server.vision.evidence import (
     rectified_camera,
     tag_figures,
 )
+from machine.description import StereoCamera
+from server.vision.contracts import Image
 
 
 def bench_vision_real(data: Path, console: Console) -> None:

@@ -22,10 +22,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from scipy.stats import theilslopes
 
-from longreach.link_load.rendered_pairs import render_pairs
-from longreach.link_load.replay_camera import to_and_fro
-from longreach.same_options import require_same_options, text_mark
-from longreach.saved_lines import every_line
+from benchmarks.link.load.rendered_pairs import render_pairs
+from benchmarks.link.load.replay_camera import to_and_fro
+from benchmarks.same_options import require_same_options, text_mark
+from benchmarks.saved_lines import every_line
 from machine.description import Machine, parse_machine_toml
 from recording.files import write_durably
 from server.camera.contracts import StereoFrame, VisionSettings

@@ -8,10 +8,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.bench_diagnosis.everywhere import everywhere, written
-from longreach.bench_diagnosis.made import LONG, LONG_S, Size
-from longreach.bench_diagnosis.timed import Timed, timed
-from longreach.saved_lines import Line, run_saved
+from benchmarks.diagnosis.cost.everywhere import everywhere, written
+from benchmarks.diagnosis.cost.made import LONG, LONG_S, Size
+from benchmarks.diagnosis.cost.timed import Timed, timed
+from benchmarks.saved_lines import Line, run_saved
 
 console = Console(width=120)
 SIZES = (6, 1)

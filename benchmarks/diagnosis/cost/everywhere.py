@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from longreach.bench_diagnosis.made import write_short
+from benchmarks.diagnosis.cost.made import write_short
 
 ONE = "one process"
 WORKERS = 2

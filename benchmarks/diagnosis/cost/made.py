@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from longreach.bench_links.cases import entry
-from longreach.bench_links.recorded import Course, Link, over
+from benchmarks.diagnosis.links.cases import entry
+from benchmarks.diagnosis.links.recorded import Course, Link, over
 from machine.effects.entries import EffectEntry
 from recording.folder import write_folder
 

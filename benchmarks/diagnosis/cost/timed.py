@@ -4,8 +4,8 @@ import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from longreach.bench_diagnosis.made import Size
-from longreach.diagnose_child import Used, diagnosed_in_a_child
+from benchmarks.diagnosis.cost.made import Size
+from benchmarks.diagnosis.diagnose_child import Used, diagnosed_in_a_child
 
 
 @dataclass(frozen=True, slots=True)

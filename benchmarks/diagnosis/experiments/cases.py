@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from longreach.bench_experiments import arm
-from longreach.bench_experiments.arm import BOOM_ARM, CRANE_ARM, TELESCOPE_ARM, Truth
-from longreach.bench_experiments.recorded import SAMPLE_S, Rig, Run, of_points, of_runs, of_tour
+from benchmarks.diagnosis.experiments import arm
+from benchmarks.diagnosis.experiments.arm import BOOM_ARM, CRANE_ARM, TELESCOPE_ARM, Truth
+from benchmarks.diagnosis.experiments.recorded import SAMPLE_S, Rig, Run, of_points, of_runs, of_tour
 from machine.rotations import Array
 from recording.content import Recording
 

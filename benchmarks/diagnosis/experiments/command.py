@@ -8,10 +8,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.bench_experiments.cases import PAIRS
-from longreach.bench_experiments.run import Outcome, run_case
-from longreach.reproduce.summary import share
-from longreach.saved_lines import open_to_add, whole_lines
+from benchmarks.diagnosis.experiments.cases import PAIRS
+from benchmarks.diagnosis.experiments.run import Outcome, run_case
+from benchmarks.reproduce.summary import share
+from benchmarks.saved_lines import open_to_add, whole_lines
 
 console = Console(width=150)
 HEADINGS = ("pair", "ambiguous", "separated", "95 %", "nothing beside it", "nothing proposed", "clear at once")

@@ -7,7 +7,7 @@ files come in as arguments: a compiled cache sees changes of its own file only.
 import numpy as np
 from numba import njit
 
-from longreach.bench_experiments.arm import ACTUATORS, CYCLE_S, DELAY_S, LOG_S, Truth
+from benchmarks.diagnosis.experiments.arm import ACTUATORS, CYCLE_S, DELAY_S, LOG_S, Truth
 from machine.rotations import Array
 
 STEP_S = 0.00025

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.diagnosis.experiments import arm, plant
+from benchmarks.diagnosis.experiments.arm import Link, Truth
 from diagnosis.experiments.library import Experiment, Motion
-from longreach.bench_experiments import arm, plant
-from longreach.bench_experiments.arm import Link, Truth
 from machine.rotations import Array
 from recording.content import Recording
 from recording.rows import MarkerCorners, PlcState, Row, Sent, StaticPoint

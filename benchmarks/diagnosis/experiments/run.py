@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.diagnosis.answered import answered
+from benchmarks.diagnosis.experiments.arm import Truth
+from benchmarks.diagnosis.experiments.cases import NAMES, Key, draw
+from benchmarks.diagnosis.experiments.recorded import executed
 from diagnosis.experiments.described import experiment_of
 from diagnosis.reading.together import together
-from longreach.answered import answered
-from longreach.bench_experiments.arm import Truth
-from longreach.bench_experiments.cases import NAMES, Key, draw
-from longreach.bench_experiments.recorded import executed
 
 SURE = 0.95
 EXECUTED_STREAM = 77

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.diagnosis.first_day.figures import Scores, reliability
 from diagnosis.whole_model.probability import FEATURES, fitted, logistic
-from longreach.bench_first_day.figures import Scores, reliability
 from machine.rotations import Array
 
 PARTS = 5  # of the cases; each is judged by what the others gave

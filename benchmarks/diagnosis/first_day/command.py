@@ -10,11 +10,11 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from longreach.bench_first_day import figures
-from longreach.bench_first_day.calibrate import TooFewError, calibrated
-from longreach.bench_first_day.runner import Campaign, FirstDayError, read_scored, run_campaign
-from longreach.bench_first_day.score import score_of
-from longreach.bench_machines.command import told
+from benchmarks.diagnosis.first_day import figures
+from benchmarks.diagnosis.first_day.calibrate import TooFewError, calibrated
+from benchmarks.diagnosis.first_day.runner import Campaign, FirstDayError, read_scored, run_campaign
+from benchmarks.diagnosis.first_day.score import score_of
+from benchmarks.positioning.machines.command import told
 
 console = Console(width=150)
 JUDGEMENT = 1000  # seeds below judge; from here on they may fit the calibration

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import binomtest
 
-from longreach.bench_first_day.score import Reported, Score, TrueEffect
-from longreach.bench_machines.command import told
-from longreach.reproduce.summary import Share
+from benchmarks.diagnosis.first_day.score import Reported, Score, TrueEffect
+from benchmarks.positioning.machines.command import told
+from benchmarks.reproduce.summary import Share
 
 Scores = Sequence[Score]
 Row = tuple[str, str, str]  # what, wanted, reached

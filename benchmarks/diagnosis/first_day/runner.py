@@ -14,11 +14,11 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
+from benchmarks.diagnosis.case_code import CASES, ROOT
 from longreach.code_mark import code_mark
 from longreach.one_thread import ONE_THREAD
 
-ROOT = Path(__file__).parents[2]
-PLANT = "tests.gap_benchmark.third_plant"
+PLANT = "benchmarks.diagnosis.sealed.third_plant"
 CASE_S = 3600.0  # a process that takes longer is stopped, and its case is run again next time
 BAD_INPUT = 2  # exit code of a recording that the diagnosis does not take: an answer, not a crash
 POORER = ("no_repeats", "one_job", "no_tracker", "camera_only", "static_only")
@@ -69,12 +69,10 @@ def run_campaign(
 ) -> int:
     """Run the cases that are not on file yet, `workers` at a time; how many could not be diagnosed.
 
-    Raises: FirstDayError: no third plant here, or the file of scored cases cannot be read.
+    Raises: FirstDayError: the file of scored cases cannot be read.
     """
-    if not (ROOT / "tests" / "gap_benchmark").is_dir():
-        raise FirstDayError("the third plant lies in tests/ of the source tree; run this from a checkout")
     done = {case["number"] for case in read_scored([campaign.scored])} if campaign.scored.is_file() else set[int]()
-    mark, lock = code_mark(ROOT), Lock()
+    mark, lock = code_mark(ROOT, CASES), Lock()
 
     def one(number: int) -> bool:
         case = None if number in done else _case(campaign, number)

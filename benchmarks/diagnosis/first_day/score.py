@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.diagnosis.first_day.runner import Scored
 from diagnosis.budget import CONFIRMED, LIKELY
 from diagnosis.whole_model.probability import FEATURES, probability_of
-from longreach.bench_first_day.runner import Scored
 from machine.rotations import Array
 
 WIDER = 2.0  # a size is right within this many half widths of its 90 % limits, or within CLOSE of the truth

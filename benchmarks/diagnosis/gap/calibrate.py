@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
+from benchmarks.diagnosis.gap.figures import Cases
+from benchmarks.diagnosis.gap.reliability import Bin, share_of_first
 from diagnosis.verdict.unseen import counted_as
 from diagnosis.verdict.weigh import calibration
-from longreach.bench_gap.figures import Cases
-from longreach.bench_gap.reliability import Bin, share_of_first
 from machine.rotations import Array
 
 Ladder = list[tuple[int, float, bool]]  # effects, probability among the catalogue's, whether it is the truth

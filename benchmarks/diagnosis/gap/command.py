@@ -9,10 +9,10 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from longreach.bench_gap import figures, reliability
-from longreach.bench_gap.calibrate import calibrated, fit, restated, shares_of_today, with_equals_known
-from longreach.bench_gap.runner import PLANTS, ROOT, Campaign, CampaignError, pack, run_campaign, scores
-from longreach.bench_machines.command import told
+from benchmarks.diagnosis.gap import figures, reliability
+from benchmarks.diagnosis.gap.calibrate import calibrated, fit, restated, shares_of_today, with_equals_known
+from benchmarks.diagnosis.gap.runner import PLANTS, ROOT, Campaign, CampaignError, pack, run_campaign, scores
+from benchmarks.positioning.machines.command import told
 
 console = Console(width=170)
 JUDGEMENT = 100  # seeds from here on judge

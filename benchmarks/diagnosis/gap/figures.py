@@ -6,8 +6,8 @@ from itertools import pairwise
 from statistics import median
 from typing import Any
 
+from benchmarks.reproduce.summary import Share, share
 from diagnosis.refusal.shapes import REFUSED_NATS
-from longreach.reproduce.summary import Share, share
 
 Cases = Sequence[dict[str, Any]]
 LARGE = 2.0  # times the detection limit: from there on names are expected

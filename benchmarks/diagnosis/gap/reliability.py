@@ -3,7 +3,7 @@
 from itertools import pairwise
 from typing import Any
 
-from longreach.bench_gap.figures import Cases
+from benchmarks.diagnosis.gap.figures import Cases
 
 Bin = tuple[str, int, float, float]  # what was stated, cases, mean stated, share right
 BINS = 5

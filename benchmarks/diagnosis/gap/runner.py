@@ -12,19 +12,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.diagnosis.case_code import CASES, ROOT
+from benchmarks.diagnosis.gap.packed import Packed, PackedError, read_packed, write_packed
+from benchmarks.diagnosis.gap.warm import Warm, with_path
 from diagnosis.verdict.equals import rows_alike
-from longreach.bench_gap.packed import Packed, PackedError, read_packed, write_packed
-from longreach.bench_gap.warm import Warm, with_path
 from longreach.code_mark import code_mark
 from longreach.one_thread import ONE_THREAD
 
-ROOT = Path(__file__).parents[2]
 PLANTS = ("own", "foreign")
-GENERATE = "tests.gap_benchmark.generate"
+GENERATE = "benchmarks.diagnosis.sealed.generate"
 STAGES = {  # module -> what it imports beforehand
     GENERATE: GENERATE,
     "longreach.cli": "longreach.diagnose_command",
-    "tests.gap_benchmark.judge": "tests.gap_benchmark.judge",
+    "benchmarks.diagnosis.sealed.judge": "benchmarks.diagnosis.sealed.judge",
 }
 UNDISTURBED = 36  # recordings: three to fit, the others to judge; fifteen do not tell a wander from chance
 CASE_S = 3600.0  # a process that takes longer is stopped, and its case is run again next time
@@ -32,7 +32,7 @@ BAD_INPUT = 2  # exit code of a recording that the tool will not judge: a refusa
 
 
 class CampaignError(Exception):
-    """The benchmark cannot be run here: no generator, or no baseline could be made."""
+    """The benchmark cannot be run here: no baseline could be made."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,11 +79,9 @@ def run_campaign(
 ) -> int:
     """Run the cases that are not on file yet, `workers` at a time; how many could not be judged.
 
-    Raises: CampaignError: no generator here, cases made by other code, packed scores that cannot be read, or no
-            baseline or table of limits could be made.
+    Raises: CampaignError: cases made by other code, packed scores that cannot be read, or no baseline or table of
+            limits could be made.
     """
-    if not (ROOT / "tests" / "gap_benchmark").is_dir():
-        raise CampaignError("the generator lies in tests/ of the source tree; run this from a checkout")
     packed = _packed(asked)
     _mark(asked, packed.code)
     numbers_left = [number for number in numbers if number not in packed.scores]
@@ -108,7 +106,7 @@ def run_campaign(
 
 def _mark(asked: Campaign, packed: str | None) -> None:
     """Write down which code makes these cases, or refuse to mix them with other ones."""
-    file, mark = asked.place / "code.txt", code_mark(ROOT)
+    file, mark = asked.place / "code.txt", code_mark(ROOT, CASES)
     made_by = {file.read_text(encoding="utf-8").strip() if file.is_file() else mark, packed or mark}
     if made_by != {mark}:
         raise CampaignError(
@@ -149,7 +147,7 @@ def _fit(asked: Campaign) -> None:
 def _limits(asked: Campaign) -> None:
     folder = asked.folder / f"{asked.plant}-undisturbed"
     table = ["--machine", str(asked.machine), "--out", str(asked.limits), "--plant", asked.plant]
-    _run(["-m", "tests.gap_benchmark.limits", *table], folder)
+    _run(["-m", "benchmarks.diagnosis.sealed.limits", *table], folder)
     if not asked.limits.is_file():
         raise CampaignError(f"no table of limits could be made; see {folder / 'log.txt'}")
 
@@ -172,7 +170,7 @@ def _case(asked: Campaign, number: int, folder: Path, hands: Hands) -> bool:
         answer.write_text(json.dumps({"refused_to_read": told.text[-2000:]}), encoding="utf-8")
     elif told.code != 0:
         return False
-    judged = _stage(hands, "tests.gap_benchmark.judge", ["--folder", str(folder), *machine], folder)
+    judged = _stage(hands, "benchmarks.diagnosis.sealed.judge", ["--folder", str(folder), *machine], folder)
     if judged.code == 0:
         for file in (folder / "recording").glob("*.csv"):
             file.unlink()  # the generator makes it again from its numbers

@@ -31,7 +31,7 @@ class Warm:
     def __init__(self, module: str, beforehand: str, root: Path) -> None:
         self._module = module
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "longreach.bench_gap.warm", beforehand],
+            [sys.executable, "-P", "-m", "benchmarks.diagnosis.gap.warm", beforehand],
             cwd=root,
             env={**with_path(root), **ONE_THREAD},
             stdin=subprocess.PIPE,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longreach.bench_links.recorded import JOINTS, Link
+from benchmarks.diagnosis.links.recorded import JOINTS, Link
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_of
 

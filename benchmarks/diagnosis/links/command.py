@@ -8,10 +8,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.bench_links.cases import KINDS
-from longreach.bench_links.run import Outcome, run_case
-from longreach.reproduce.summary import share
-from longreach.saved_lines import Line, run_saved
+from benchmarks.diagnosis.links.cases import KINDS
+from benchmarks.diagnosis.links.run import Outcome, run_case
+from benchmarks.reproduce.summary import share
+from benchmarks.saved_lines import Line, run_saved
 
 console = Console(width=150)
 HEADINGS = ("case", "N", "exact", "95 %", "refused", "something false", "sizes within their limits")

@@ -2,9 +2,9 @@
 
 from dataclasses import asdict, dataclass
 
-from longreach.answered import answered
-from longreach.bench_links.cases import draw
-from longreach.bench_links.recorded import over
+from benchmarks.diagnosis.answered import answered
+from benchmarks.diagnosis.links.cases import draw
+from benchmarks.diagnosis.links.recorded import over
 
 SIZES = ("gain_frac", "time_constant_s", "half_width_frac", "delay_s")
 

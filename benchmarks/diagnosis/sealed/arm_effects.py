@@ -1,6 +1,6 @@
 """Faults of the arm's shape, as the generator injects them and as the catalogue states them: both bend it alike."""
 
-from tests.gap_benchmark.faults import Injected
+from benchmarks.diagnosis.sealed.faults import Injected
 
 ARM_EFFECTS = (
     (Injected("link_length_error", 2, {"error_m": 0.01}, "a"), {"error_m": 0.01, "of": "a"}),

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.faults import Faults
+from benchmarks.diagnosis.sealed.filters import filtered_by
+from benchmarks.diagnosis.sealed.own_plant import encoder_rows, true_at, truth
 from machine.description import StereoCamera
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
 from sim_plc.plant.statics import frames, sagged
 from sim_plc.plant.tree import MOTORS, N_JOINTS, Tree, build_tree
 from sim_plc.plant.truth import KinematicTruth, PlantTruth
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.faults import Faults
-from tests.gap_benchmark.filters import filtered_by
-from tests.gap_benchmark.own_plant import encoder_rows, true_at, truth
 
 TILTED_STEP = (0, 1, 4)  # the tree's step that ends at slew, lift, tilt
 POINT_BODY = {2: 3, 3: 6}  # the tree's body that carries link 2, link 3

@@ -4,12 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.faults import FOREIGN, Injected
-from tests.gap_benchmark.limits import Table, key
-from tests.gap_benchmark.recorded import NOISES
-from tests.gap_benchmark.scales import BY_NAME, FOREIGN_SIZES, KINDS, Kind, placed, scaled
-from tests.gap_benchmark.sensitivity import sized
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.faults import FOREIGN, Injected
+from benchmarks.diagnosis.sealed.limits import Table, key
+from benchmarks.diagnosis.sealed.recorded import NOISES
+from benchmarks.diagnosis.sealed.scales import BY_NAME, FOREIGN_SIZES, KINDS, Kind, placed, scaled
+from benchmarks.diagnosis.sealed.sensitivity import sized
 
 BLOCK = ("none",) * 5 + ("single",) * 7 + ("double",) * 4 + ("foreign",) * 2 + ("lacking",) * 2
 FACTORS = (0.5, 8.0)  # of the detection limit, drawn evenly in the logarithm

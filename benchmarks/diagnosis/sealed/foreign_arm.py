@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed import foreign_geometry as g
+from benchmarks.diagnosis.sealed import foreign_machine as m
+from benchmarks.diagnosis.sealed import foreign_numbers as k
+from benchmarks.diagnosis.sealed.faults import Faults
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
-from tests.gap_benchmark import foreign_geometry as g
-from tests.gap_benchmark import foreign_machine as m
-from tests.gap_benchmark import foreign_numbers as k
-from tests.gap_benchmark.faults import Faults
 
 GRAVITY = np.array([0.0, 0.0, -k.GRAVITY])
 

@@ -16,10 +16,10 @@ import exudyn as exu
 from exudyn import itemInterface as items  # noqa: N813
 from exudyn.advancedUtilities import CreateSymbolicUserFunction
 
+from benchmarks.diagnosis.sealed import foreign_geometry as g
+from benchmarks.diagnosis.sealed import foreign_numbers as k
+from benchmarks.diagnosis.sealed.foreign_valves import STEP_S
 from machine.rotations import Array
-from tests.gap_benchmark import foreign_geometry as g
-from tests.gap_benchmark import foreign_numbers as k
-from tests.gap_benchmark.foreign_valves import STEP_S
 
 TOLERANCE = 1e-4  # of Newton's residual; see the test of the step
 RACK_AT = 1.0  # where the rack stands with slew at 0 [m]

@@ -8,8 +8,8 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed import foreign_numbers as k
 from machine.rotations import Array
-from tests.gap_benchmark import foreign_numbers as k
 
 SKEW = float(np.arctan2(k.TILT_PIVOT[1], k.TILT_PIVOT[0]))  # the published boom's x axis lies this far below ours
 A1, D1 = k.LIFT_PIVOT

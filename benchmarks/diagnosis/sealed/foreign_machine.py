@@ -4,11 +4,11 @@ from functools import cache
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed import foreign_geometry as g
+from benchmarks.diagnosis.sealed import foreign_numbers as k
+from benchmarks.diagnosis.sealed import nominal_own as own
 from machine.description import Joint
 from machine.rotations import Array
-from tests.gap_benchmark import foreign_geometry as g
-from tests.gap_benchmark import foreign_numbers as k
-from tests.gap_benchmark import nominal_own as own
 
 NAMES = ("slew", "lift", "tilt")
 POINTS = {"elbow": (2, (-0.30, 0.15, 0.06)), "tip": (3, (0.12, 0.0, 2.20)), "side": (3, (-0.06, 0.35, 1.30))}

@@ -9,16 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from benchmarks.diagnosis.sealed import foreign_exudyn, foreign_valves
+from benchmarks.diagnosis.sealed import foreign_geometry as g
+from benchmarks.diagnosis.sealed import foreign_machine as m
+from benchmarks.diagnosis.sealed import foreign_numbers as k
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.faults import TUG, Faults, faults_of
+from benchmarks.diagnosis.sealed.foreign_arm import ForeignArm, arm_of
+from benchmarks.diagnosis.sealed.own_plant import Course, encoder_rows, true_at
 from machine.description import Joint
 from machine.rotations import Array
-from tests.gap_benchmark import foreign_exudyn, foreign_valves
-from tests.gap_benchmark import foreign_geometry as g
-from tests.gap_benchmark import foreign_machine as m
-from tests.gap_benchmark import foreign_numbers as k
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.faults import TUG, Faults, faults_of
-from tests.gap_benchmark.foreign_arm import ForeignArm, arm_of
-from tests.gap_benchmark.own_plant import Course, encoder_rows, true_at
 
 REST_HALF = np.array([0.9, 0.4, 0.5])  # of the poses at rest, about home [rad]
 

@@ -1,7 +1,7 @@
 """The foreign plant's PLC and valves, compiled: controller, spool, flow set point, and what the oil is asked to do.
 
 Exudyn integrates arm, cylinders and oil; before each of its steps this says how far every edge of the valves is open.
-Effects enter where their definitions say; names and columns of `tests.gap_benchmark.faults`.
+Effects enter where their definitions say; names and columns of `benchmarks.diagnosis.sealed.faults`.
 """
 
 from typing import NamedTuple
@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from benchmarks.diagnosis.sealed import faults as f
+from benchmarks.diagnosis.sealed import foreign_geometry as g
+from benchmarks.diagnosis.sealed import foreign_machine as m
+from benchmarks.diagnosis.sealed import foreign_numbers as k
 from machine.rotations import Array
-from tests.gap_benchmark import faults as f
-from tests.gap_benchmark import foreign_geometry as g
-from tests.gap_benchmark import foreign_machine as m
-from tests.gap_benchmark import foreign_numbers as k
 
 STEP_S = 1e-3  # of Exudyn's integrator
 STEPS = 5  # in a PLC cycle

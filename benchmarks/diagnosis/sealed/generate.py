@@ -1,4 +1,4 @@
-"""`python -m tests.gap_benchmark.generate --case K --seed S --machine FILE --limits FILE --out DIR`: a sealed case.
+"""`python -m benchmarks.diagnosis.sealed.generate --case K --seed S --machine FILE --limits FILE --out DIR`: a case.
 
 DIR/recording is what the tool gets (with the baseline's machine file and the truth's hash), DIR/sealed/truth.json is
 for the scorer alone. `--undisturbed N` writes N recordings without any fault, to fit a baseline on.
@@ -10,12 +10,12 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.cases import Case, draw, recording_seed
-from tests.gap_benchmark.faults import faults_of
-from tests.gap_benchmark.limits import Table
-from tests.gap_benchmark.plants import NAMES, OWN, Plant, plant_named
-from tests.gap_benchmark.recorded import NOISES, make, write
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.cases import Case, draw, recording_seed
+from benchmarks.diagnosis.sealed.faults import faults_of
+from benchmarks.diagnosis.sealed.limits import Table
+from benchmarks.diagnosis.sealed.plants import NAMES, OWN, Plant, plant_named
+from benchmarks.diagnosis.sealed.recorded import NOISES, make, write
 
 UNDISTURBED_SEED = 900_000  # no case's seed
 IN_LOG = ("dropped_samples", "swapped_joints")
@@ -51,7 +51,7 @@ def main() -> None:
     parser.add_argument("--case", type=int, default=0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--machine", type=Path, help="the plant's machine file with its baseline")
-    parser.add_argument("--limits", type=Path, help="the table by tests.gap_benchmark.limits")
+    parser.add_argument("--limits", type=Path, help="the table by benchmarks.diagnosis.sealed.limits")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--factor", type=float, help="size over the detection limit, for all effects of the case")
     parser.add_argument("--undisturbed", type=int, default=0)

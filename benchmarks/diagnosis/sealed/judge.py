@@ -1,4 +1,4 @@
-"""`python -m tests.gap_benchmark.judge --folder DIR --machine FILE [--plant own]`: one answer against its truth.
+"""`python -m benchmarks.diagnosis.sealed.judge --folder DIR --machine FILE [--plant own]`: an answer against its truth.
 
 Opens the sealed truth, checks its hash, and writes DIR/score.json. Names count as one only where the scorer's own
 separation T on that recording is below 9.
@@ -15,16 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.cases import recording_seed
+from benchmarks.diagnosis.sealed.faults import Injected, faults_of
+from benchmarks.diagnosis.sealed.plants import NAMES, OWN, Plant, plant_named
+from benchmarks.diagnosis.sealed.recorded import NOISES, make
+from benchmarks.diagnosis.sealed.scales import BY_NAME
+from benchmarks.diagnosis.sealed.sensitivity import FOUND, Scene, Signature, scene_of, separation, signature, size2
 from machine.effects.registry import effect_named
 from machine.remainder import Remainder, parse_remainders
 from recording.files import write_durably
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.cases import recording_seed
-from tests.gap_benchmark.faults import Injected, faults_of
-from tests.gap_benchmark.plants import NAMES, OWN, Plant, plant_named
-from tests.gap_benchmark.recorded import NOISES, make
-from tests.gap_benchmark.scales import BY_NAME
-from tests.gap_benchmark.sensitivity import FOUND, Scene, Signature, scene_of, separation, signature, size2
 
 SEPARATED = 9.0
 IN_LOG = ("dropped_samples", "swapped_joints", "loose_marker")  # spoil what was written down, however strong

@@ -1,4 +1,4 @@
-"""`python -m tests.gap_benchmark.limits --machine FILE --out FILE`: the scorer's detection limits, one table a plant.
+"""`python -m benchmarks.diagnosis.sealed.limits --machine FILE --out FILE`: detection limits, one table a plant.
 
 Every effect at a few sizes on one undisturbed recording, whitened for each noise level; the size at which |s|^2
 reaches 24.7 lies between them on a straight line of the logarithms. Effects with a direction or a word: the geometric
@@ -13,13 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from machine.remainder import Remainder, parse_remainders
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.faults import faults_of
-from tests.gap_benchmark.plants import NAMES, OWN, Plant, plant_named
-from tests.gap_benchmark.recorded import NOISES, make
-from tests.gap_benchmark.scales import DIRECTIONS, KINDS, OPTIONS, Kind, placed
-from tests.gap_benchmark.sensitivity import (
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.faults import faults_of
+from benchmarks.diagnosis.sealed.plants import NAMES, OWN, Plant, plant_named
+from benchmarks.diagnosis.sealed.recorded import NOISES, make
+from benchmarks.diagnosis.sealed.scales import DIRECTIONS, KINDS, OPTIONS, Kind, placed
+from benchmarks.diagnosis.sealed.sensitivity import (
     FOUND,
     OF_PLANT,
     Scene,
@@ -32,6 +31,7 @@ from tests.gap_benchmark.sensitivity import (
     sized,
     speed_noise_of,
 )
+from machine.remainder import Remainder, parse_remainders
 
 SEED = 4242  # of the recording that the table is made on
 SHARES = (0.1, 0.4, 1.6, 6.4)  # of the guess

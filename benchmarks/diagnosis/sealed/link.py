@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed import faults as f
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.faults import Faults
 from machine.rotations import Array
-from tests.gap_benchmark import faults as f
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.faults import Faults
 
 
 def received(

@@ -31,7 +31,7 @@ Bodies = Sequence[tuple[float, Array]]
 @cache
 def six_joints() -> Machine:
     """The whole machine that the fine plant is sized for."""
-    file = Path(__file__).parents[2] / "machine" / "machines" / "hiab033.toml"
+    file = Path(__file__).parents[3] / "machine" / "machines" / "hiab033.toml"
     return parse_machine_toml(file.read_text(encoding="utf-8"))
 
 

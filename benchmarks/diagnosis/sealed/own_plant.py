@@ -6,6 +6,8 @@ from functools import cache
 import numpy as np
 from numba import njit
 
+from benchmarks.diagnosis.sealed import faults as f
+from benchmarks.diagnosis.sealed import nominal_own as own
 from machine.rotations import Array
 from sim_plc.draw_plant import draw_plant, nominal_kinematics
 from sim_plc.plant import kernel
@@ -18,8 +20,6 @@ from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import gravity_torques
 from sim_plc.plant.tree import FLEXES, MOTORS, N_JOINTS
 from sim_plc.plant.truth import PlantTruth
-from tests.gap_benchmark import faults as f
-from tests.gap_benchmark import nominal_own as own
 
 PLANT_SEED = 7  # the one machine of this benchmark
 GRID = 15

@@ -6,12 +6,12 @@ from typing import Protocol
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed import behind, own_plant
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.faults import Faults
 from machine.description import Joint
 from machine.rotations import Array
 from sim_plc.plant.tree import FLEXES, MOTORS
-from tests.gap_benchmark import behind, own_plant
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.faults import Faults
 
 NAMES = ("own", "foreign")
 
@@ -146,7 +146,7 @@ def plant_named(name: str) -> Plant:
     if name == "own":
         return OWN
     if name == "foreign":
-        from tests.gap_benchmark.foreign_plant import ForeignPlant  # Exudyn is optional
+        from benchmarks.diagnosis.sealed.foreign_plant import ForeignPlant  # Exudyn is optional
 
         return ForeignPlant()
     raise KeyError(f"no plant {name}; there are {', '.join(NAMES)}")

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed import behind, motion, own_plant
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.faults import Faults
+from benchmarks.diagnosis.sealed.link import received
+from benchmarks.diagnosis.sealed.plants import OWN, Arm, Plant
 from machine.rotations import Array
-from tests.gap_benchmark import behind, motion, own_plant
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.faults import Faults
-from tests.gap_benchmark.link import received
-from tests.gap_benchmark.plants import OWN, Arm, Plant
 
 TRACKER_S, CAMERA_S = 1.6, 1.6  # between two samples; a whole number of them from repeat to repeat
 STATIC = 24

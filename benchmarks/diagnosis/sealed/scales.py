@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed.faults import Injected
 from machine.rotations import Array
-from tests.gap_benchmark.faults import Injected
 
 LOADED = (2, 3)
 ALL = (1, 2, 3)

@@ -9,18 +9,18 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from benchmarks.diagnosis.sealed import behind, own_plant
+from benchmarks.diagnosis.sealed import faults as f
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.faults import Faults, Injected, faults_of
+from benchmarks.diagnosis.sealed.filters import filtered_by, whitened_by
+from benchmarks.diagnosis.sealed.link import received
+from benchmarks.diagnosis.sealed.plants import Arm, Plant
+from benchmarks.diagnosis.sealed.recorded import CAMERA_S, STATIC, TRACKER_S, Made, Noise, streams
+from benchmarks.diagnosis.sealed.scales import BY_NAME, Kind
+from benchmarks.diagnosis.sealed.whitening import beside, covariance_of, filtered, process
 from machine.remainder import Remainder
 from machine.rotations import Array
-from tests.gap_benchmark import behind, own_plant
-from tests.gap_benchmark import faults as f
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.faults import Faults, Injected, faults_of
-from tests.gap_benchmark.filters import filtered_by, whitened_by
-from tests.gap_benchmark.link import received
-from tests.gap_benchmark.plants import Arm, Plant
-from tests.gap_benchmark.recorded import CAMERA_S, STATIC, TRACKER_S, Made, Noise, streams
-from tests.gap_benchmark.scales import BY_NAME, Kind
-from tests.gap_benchmark.whitening import beside, covariance_of, filtered, process
 
 BLOCK = round(0.05 / own.CYCLE_S)
 LEAST = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # smaller moves the tip by less than 0.1 mm

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.gap_benchmark.third_arm import Array, rotation
+from benchmarks.diagnosis.sealed.third_arm import Array, rotation
 
 SQUARE = np.array([(-0.5, 0.5, 0.0), (0.5, 0.5, 0.0), (0.5, -0.5, 0.0), (-0.5, -0.5, 0.0)])  # in sides, as OpenCV lists
 MARGIN_PX = 3.0

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.gap_benchmark.third_arm import Array
+from benchmarks.diagnosis.sealed.third_arm import Array
 
 Rng = np.random.Generator
 Entry = dict[str, Any]

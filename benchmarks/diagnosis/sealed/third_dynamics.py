@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from tests.gap_benchmark.third_arm import Arm, Array, arm_of, reference_torques, torques_at
+from benchmarks.diagnosis.sealed.third_arm import Arm, Array, arm_of, reference_torques, torques_at
 
 COLUMNS = 31
 # Columns of the per-joint table; NEUTRAL where the neutral value is not 0

@@ -4,8 +4,8 @@ import csv
 from pathlib import Path
 from typing import Any
 
-from tests.gap_benchmark.third_arm import Array
-from tests.gap_benchmark.third_motion import Segment
+from benchmarks.diagnosis.sealed.third_arm import Array
+from benchmarks.diagnosis.sealed.third_motion import Segment
 
 DIGITS = 8
 

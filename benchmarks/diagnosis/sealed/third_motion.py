@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.gap_benchmark.third_arm import Array
+from benchmarks.diagnosis.sealed.third_arm import Array
 
 SPAN = np.array([0.10, 0.085, 0.105, 0.14, 0.14, 0.18])  # half of the range that is driven about home [rad]
 SPEED = np.array([0.11, 0.08, 0.11, 0.16, 0.16, 0.18])  # largest speed of a move [rad/s]

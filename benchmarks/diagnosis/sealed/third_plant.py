@@ -1,4 +1,4 @@
-"""`python -m tests.gap_benchmark.third_plant OUT --n N --seed S [--kind KIND] [--first K]`: sealed first-day cases.
+"""`python -m benchmarks.diagnosis.sealed.third_plant OUT --n N --seed S [--kind KIND] [--first K]`: first-day cases.
 
 The third plant is written from the contract alone and imports nothing of machine, sim_plc or diagnosis. OUT/case_000/
 is what the tool gets, with the hash of its truth; OUT/truth.json holds all truths and is for the scorer.
@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from tests.gap_benchmark import third_camera as camera
-from tests.gap_benchmark.third_arm import Array, rotation
-from tests.gap_benchmark.third_cases import (
+from benchmarks.diagnosis.sealed import third_camera as camera
+from benchmarks.diagnosis.sealed.third_arm import Array, rotation
+from benchmarks.diagnosis.sealed.third_cases import (
     CATALOGUE,
     FOREIGN,
     Entry,
@@ -25,10 +25,10 @@ from tests.gap_benchmark.third_cases import (
     machine_of,
     working_range,
 )
-from tests.gap_benchmark.third_dynamics import BACKLASH, DISTURBANCE_MEMORY, Motion, run, true_angles
-from tests.gap_benchmark.third_files import write_csv, write_run, write_toml
-from tests.gap_benchmark.third_motion import Segment, programme
-from tests.gap_benchmark.third_truth import Plant, angles_at, plant_of, scene_of, truth_of
+from benchmarks.diagnosis.sealed.third_dynamics import BACKLASH, DISTURBANCE_MEMORY, Motion, run, true_angles
+from benchmarks.diagnosis.sealed.third_files import write_csv, write_run, write_toml
+from benchmarks.diagnosis.sealed.third_motion import Segment, programme
+from benchmarks.diagnosis.sealed.third_truth import Plant, angles_at, plant_of, scene_of, truth_of
 
 POSES, TWICE = 60, 10
 TRACKER_S = 0.1

@@ -5,10 +5,18 @@ from typing import Any
 
 import numpy as np
 
-from tests.gap_benchmark import third_camera as camera
-from tests.gap_benchmark.third_arm import Arm, Array, arm_of
-from tests.gap_benchmark.third_cases import STAGE, Entry, working_range
-from tests.gap_benchmark.third_dynamics import BACKLASH, Drive, Motion, drive_of, encoder_angles, run, true_angles
+from benchmarks.diagnosis.sealed import third_camera as camera
+from benchmarks.diagnosis.sealed.third_arm import Arm, Array, arm_of
+from benchmarks.diagnosis.sealed.third_cases import STAGE, Entry, working_range
+from benchmarks.diagnosis.sealed.third_dynamics import (
+    BACKLASH,
+    Drive,
+    Motion,
+    drive_of,
+    encoder_angles,
+    run,
+    true_angles,
+)
 
 RANDOM_POSTURES, OWN_POSTURES, LOOKS = 200, 200, 40
 SHAKEN = ("backlash", "link_flexibility")  # between the true joint and its link

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.linalg import solve_toeplitz
 
+from benchmarks.diagnosis.sealed.filters import response_of, whitened_by
 from machine.rotations import Array
-from tests.gap_benchmark.filters import response_of, whitened_by
 
 ORDER = 20  # a second: the remainders of a machine file remember as long
 RESPONSE = 1000

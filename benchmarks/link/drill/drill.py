@@ -7,6 +7,10 @@ from importlib.resources import files
 
 import numpy as np
 
+from benchmarks.link.drill.drill_plant import DrillPlant, IdealPlant
+from benchmarks.link.drill.invariants import Breach, Longest, Watch
+from benchmarks.link.drill.operator import Operator
+from benchmarks.link.drill.schedule import Act, Action, FaultPhase, FaultSchedule
 from machine.description import Machine, parse_machine_toml
 from protocol.client_events import ClientEvent, Closed, TailAnswered, TrajectoryEnded
 from protocol.client_link import ClientLink
@@ -18,11 +22,7 @@ from protocol.timeouts import COMMAND_PERIOD, LINK_CLOSED, MS, STATE_PERIOD
 from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.logic import PlcLogic
 from sim_plc.plc.reference import Motion
-from sim_plc.relay.drill_plant import DrillPlant, IdealPlant
 from sim_plc.relay.faults import FaultChannel, FaultCounts, Faults
-from sim_plc.relay.invariants import Breach, Longest, Watch
-from sim_plc.relay.operator import Operator
-from sim_plc.relay.schedule import Act, Action, FaultPhase, FaultSchedule
 
 _FRAMING = RawFraming()
 _Q_START_DEG = (10.0, 40.0, -80.0, 5.0, -40.0, 3.0)

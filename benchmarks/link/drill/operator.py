@@ -2,6 +2,7 @@
 
 import random
 
+from benchmarks.link.drill.motions import draw_motion, draw_tail, roughen
 from protocol.client_events import ClientPhase
 from protocol.client_link import ClientLink
 from protocol.errors import LocalProtocolError
@@ -9,7 +10,6 @@ from protocol.limits import LimitTable
 from protocol.messages import Axes, Knot, axes8
 from protocol.timeouts import MS, TAIL_AHEAD_NS
 from sim_plc.plc.local_panel import LocalPanel
-from sim_plc.relay.motions import draw_motion, draw_tail, roughen
 
 _REACTION_NS = 60 * MS
 

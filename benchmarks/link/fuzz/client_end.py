@@ -3,19 +3,19 @@
 from dataclasses import dataclass
 from random import Random
 
+from benchmarks.link.fuzz.frames import sealed
+from benchmarks.link.fuzz.honest_motion import tail, trajectory
+from benchmarks.link.fuzz.honest_plc import HonestPlc
+from benchmarks.link.fuzz.oracle_bytes import Subscription, unframed
+from benchmarks.link.fuzz.oracle_client import ClientOracle
+from benchmarks.link.fuzz.oracle_fields import command_fields
+from benchmarks.link.fuzz.plc_end import PC_ID, PLC_ID, Variant
 from protocol.client_events import ClientEvent, ClientPhase
 from protocol.client_link import ClientLink
 from protocol.codes import PlcState
 from protocol.errors import LocalProtocolError
 from protocol.framing import EapFraming, RawFraming
 from protocol.limits import LimitTable, cfg_id
-from sim_plc.fuzz.frames import sealed
-from sim_plc.fuzz.honest_motion import tail, trajectory
-from sim_plc.fuzz.honest_plc import HonestPlc
-from sim_plc.fuzz.oracle_bytes import Subscription, unframed
-from sim_plc.fuzz.oracle_client import ClientOracle
-from sim_plc.fuzz.oracle_fields import command_fields
-from sim_plc.fuzz.plc_end import PC_ID, PLC_ID, Variant
 
 MS = 1_000_000
 _LEAVING = {

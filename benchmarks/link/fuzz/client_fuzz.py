@@ -3,22 +3,22 @@
 from collections import deque
 from random import Random
 
+from benchmarks.link.fuzz.client_end import ClientEnd
+from benchmarks.link.fuzz.corpus import Corpus
+from benchmarks.link.fuzz.counts import FuzzCounts
+from benchmarks.link.fuzz.coverage import LineTrace
+from benchmarks.link.fuzz.frames import framed, sealed
+from benchmarks.link.fuzz.mutators import mutated_state
+from benchmarks.link.fuzz.oracle_bytes import unframed
+from benchmarks.link.fuzz.oracle_fields import state_fields
+from benchmarks.link.fuzz.picture import picture
+from benchmarks.link.fuzz.plc_check import Outcome
+from benchmarks.link.fuzz.plc_end import VARIANTS
+from benchmarks.link.fuzz.verdict import Kind, Verdict, Violation
 from protocol.client_events import ClientEvent, ClientPhase, Closed, Dropped, RejectSeen, StateReceived
 from protocol.codes import RejectCode
 from protocol.layout import STATE_SIZE
 from protocol.limits import LimitTable
-from sim_plc.fuzz.client_end import ClientEnd
-from sim_plc.fuzz.corpus import Corpus
-from sim_plc.fuzz.counts import FuzzCounts
-from sim_plc.fuzz.coverage import LineTrace
-from sim_plc.fuzz.frames import framed, sealed
-from sim_plc.fuzz.mutators import mutated_state
-from sim_plc.fuzz.oracle_bytes import unframed
-from sim_plc.fuzz.oracle_fields import state_fields
-from sim_plc.fuzz.picture import picture
-from sim_plc.fuzz.plc_check import Outcome
-from sim_plc.fuzz.plc_end import VARIANTS
-from sim_plc.fuzz.verdict import Kind, Verdict, Violation
 
 _SEAL_SHARE = 0.8
 _TRACE_EVERY = 199  # one datagram in this many is run with lines traced

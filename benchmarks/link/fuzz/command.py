@@ -16,11 +16,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.same_options import require_same_options, text_mark
+from benchmarks.link.fuzz.counts import FuzzCounts, counts_from_json
+from benchmarks.link.fuzz.engine import ENDS, End, fuzz_chunk
+from benchmarks.same_options import require_same_options, text_mark
 from recording.files import write_durably
 from server.settings import read_machine, read_machine_text
-from sim_plc.fuzz.counts import FuzzCounts, counts_from_json
-from sim_plc.fuzz.engine import ENDS, End, fuzz_chunk
 
 _CHUNK = 10_000
 _LANES = 2  # per end: as many chunks of it can run at once

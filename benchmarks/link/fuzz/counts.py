@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from sim_plc.fuzz.verdict import Violation
+from benchmarks.link.fuzz.verdict import Violation
 
 _KEPT_VIOLATIONS = 20
 

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from random import Random
 from typing import Literal
 
+from benchmarks.link.fuzz.client_fuzz import ClientFuzz
+from benchmarks.link.fuzz.corpus import Corpus
+from benchmarks.link.fuzz.counts import FuzzCounts
+from benchmarks.link.fuzz.plc_fuzz import PlcFuzz
 from machine.description import Machine
 from protocol.limits import limits_of
-from sim_plc.fuzz.client_fuzz import ClientFuzz
-from sim_plc.fuzz.corpus import Corpus
-from sim_plc.fuzz.counts import FuzzCounts
-from sim_plc.fuzz.plc_fuzz import PlcFuzz
 
 End = Literal["plc", "client"]
 ENDS: tuple[End, ...] = ("plc", "client")

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
 
-from sim_plc.fuzz.mutators import mutated_bytes, with_value
+from benchmarks.link.fuzz.mutators import mutated_bytes, with_value
 
 _TAG_AT = {1304: 1280, 568: 544}
 _FRAME_FIELDS = ((0, 2), (2, 4), (6, 2), (8, 2), (10, 2), (12, 1), (13, 1), (14, 2), (16, 2), (18, 2), (20, 2))

@@ -3,15 +3,15 @@
 from random import Random
 from typing import Any
 
+from benchmarks.link.fuzz.elements import Near
+from benchmarks.link.fuzz.honest_motion import tail, trajectory
+from benchmarks.link.fuzz.mutators import with_value
 from protocol.codec import encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState
 from protocol.layout import KNOTS_PER_COMMAND
 from protocol.limits import LimitTable, axis_mask, cfg_id
 from protocol.messages import ZEROS, Command, Knot, State, axes8
 from protocol.playback import Playback
-from sim_plc.fuzz.elements import Near
-from sim_plc.fuzz.honest_motion import tail, trajectory
-from sim_plc.fuzz.mutators import with_value
 
 _MODULUS = 0x1_0000_0000
 _SERVO_REACH_S = 0.25

@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
+from benchmarks.link.fuzz.elements import Near
+from benchmarks.link.fuzz.mutators import with_value
+from benchmarks.link.fuzz.oracle_fields import CommandFields
 from protocol.codec import encode_state
 from protocol.codes import CommandFlag, LinkState, Mode, PlcState, RejectCode
 from protocol.limits import LimitTable, axis_mask, cfg_id
 from protocol.messages import State, axes8
-from sim_plc.fuzz.elements import Near
-from sim_plc.fuzz.mutators import with_value
-from sim_plc.fuzz.oracle_fields import CommandFields
 
 _PERIOD_NS = 10_000_000
 _RAMP_TICKS = 30

@@ -4,8 +4,7 @@ import struct
 from collections.abc import Callable, Sequence
 from random import Random
 
-from protocol.layout import COMMAND_SIZE, KNOT_SIZE, KNOTS_OFFSET
-from sim_plc.fuzz.elements import (
+from benchmarks.link.fuzz.elements import (
     COMMAND_ELEMENTS,
     HEADER_ELEMENTS,
     KNOT_ELEMENTS,
@@ -15,6 +14,7 @@ from sim_plc.fuzz.elements import (
     Near,
     mutated_number,
 )
+from protocol.layout import COMMAND_SIZE, KNOT_SIZE, KNOTS_OFFSET
 
 _KNOT_FLOATS = struct.Struct("<24d")
 _MOTION_FIELDS = ("axis_mask", "traj_id", "knot_first", "knot_count", "interp", "cmd_flags", "speed_override")

@@ -7,8 +7,8 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from benchmarks.link.fuzz.verdict import Breach
 from protocol.codes import RejectCode
-from sim_plc.fuzz.verdict import Breach
 
 _LAYOUT_ID = 0xAE60A802
 _EAP_TYPE = 4

@@ -3,12 +3,12 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from benchmarks.link.fuzz.oracle_bytes import Subscription, command_breach, state_breach, unframed
+from benchmarks.link.fuzz.oracle_fields import CommandFields, StateFields, command_fields, state_fields
+from benchmarks.link.fuzz.oracle_knots import at_rest, one_knot, servo_target, start, step
+from benchmarks.link.fuzz.verdict import SILENT, TAKEN, Breach, Verdict, refused
 from protocol.codes import Mode, PlcState, RejectCode
 from protocol.limits import LimitTable, axis_mask
-from sim_plc.fuzz.oracle_bytes import Subscription, command_breach, state_breach, unframed
-from sim_plc.fuzz.oracle_fields import CommandFields, StateFields, command_fields, state_fields
-from sim_plc.fuzz.oracle_knots import at_rest, one_knot, servo_target, start, step
-from sim_plc.fuzz.verdict import SILENT, TAKEN, Breach, Verdict, refused
 
 _LATE_NS, _LOST_NS, _HELLO_NS = 100_000_000, 250_000_000, 100_000_000
 _JUMP = 1000

@@ -3,10 +3,10 @@
 import math
 from collections.abc import Iterator, Sequence
 
+from benchmarks.link.fuzz.oracle_fields import KnotFields
+from benchmarks.link.fuzz.verdict import Breach
 from protocol.codes import RejectCode
 from protocol.limits import AxisLimits, LimitTable
-from sim_plc.fuzz.oracle_fields import KnotFields
-from sim_plc.fuzz.verdict import Breach
 
 _REST = 1e-6  # rad/s, rad/s^2: "at rest"
 _DIRECT = 2e-9  # relative, and absolute for positions: a number that stands in the datagram

@@ -6,13 +6,13 @@ It follows the PLC by its state datagrams and remembers what those do not tell: 
 from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
 
+from benchmarks.link.fuzz.oracle_bytes import Subscription, command_breach, unframed
+from benchmarks.link.fuzz.oracle_fields import CommandFields, StateFields, command_fields
+from benchmarks.link.fuzz.oracle_knots import servo_target
+from benchmarks.link.fuzz.oracle_ring import RingShadow
+from benchmarks.link.fuzz.verdict import SILENT, TAKEN, Breach, Verdict, refused
 from protocol.codes import Mode, PlcState, RejectCode
 from protocol.limits import LimitTable, axis_mask
-from sim_plc.fuzz.oracle_bytes import Subscription, command_breach, unframed
-from sim_plc.fuzz.oracle_fields import CommandFields, StateFields, command_fields
-from sim_plc.fuzz.oracle_knots import servo_target
-from sim_plc.fuzz.oracle_ring import RingShadow
-from sim_plc.fuzz.verdict import SILENT, TAKEN, Breach, Verdict, refused
 
 _ECHO_NS = 250_000_000
 _JUMP = 1000

@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from benchmarks.link.fuzz.oracle_fields import CommandFields, KnotFields, StateFields
+from benchmarks.link.fuzz.oracle_knots import at_rest, one_knot, place, start, step
+from benchmarks.link.fuzz.verdict import Breach
 from protocol.codes import RejectCode
 from protocol.limits import LimitTable
-from sim_plc.fuzz.oracle_fields import CommandFields, KnotFields, StateFields
-from sim_plc.fuzz.oracle_knots import at_rest, one_knot, place, start, step
-from sim_plc.fuzz.verdict import Breach
 
 _RING = 64
 _FROZEN_NS = 100_000_000

@@ -3,14 +3,14 @@
 from collections.abc import Hashable
 from dataclasses import dataclass
 
+from benchmarks.link.fuzz.oracle_bytes import unframed
+from benchmarks.link.fuzz.oracle_fields import CommandFields, StateFields, command_fields
+from benchmarks.link.fuzz.picture import picture
+from benchmarks.link.fuzz.plc_end import PlcEnd
+from benchmarks.link.fuzz.verdict import Breach, Kind, Verdict
 from protocol.codes import PlcState, RejectCode
 from protocol.plc_events import PlcLinkEvent, Rejected, StateChanged
 from protocol.plc_states import PlcEvent
-from sim_plc.fuzz.oracle_bytes import unframed
-from sim_plc.fuzz.oracle_fields import CommandFields, StateFields, command_fields
-from sim_plc.fuzz.picture import picture
-from sim_plc.fuzz.plc_end import PlcEnd
-from sim_plc.fuzz.verdict import Breach, Kind, Verdict
 
 _APART = frozenset({"_counters", "_reject", "peer"})  # looked at one by one below
 

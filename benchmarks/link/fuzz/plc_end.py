@@ -6,18 +6,18 @@ from random import Random
 
 import numpy as np
 
+from benchmarks.link.fuzz.frames import Wire, sealed
+from benchmarks.link.fuzz.honest_pc import HonestPc
+from benchmarks.link.fuzz.mutators import with_value
+from benchmarks.link.fuzz.oracle_bytes import Subscription, state_breach
+from benchmarks.link.fuzz.oracle_fields import state_fields
+from benchmarks.link.fuzz.oracle_plc import PlcOracle, Surroundings
 from machine.description import Machine
 from protocol.codec import decode_state
 from protocol.codes import FaultBit, Mode, PlcState
 from protocol.framing import EAP_OVERHEAD, EapFraming, RawFraming
 from protocol.limits import cfg_id
 from protocol.plc_events import Rejected
-from sim_plc.fuzz.frames import Wire, sealed
-from sim_plc.fuzz.honest_pc import HonestPc
-from sim_plc.fuzz.mutators import with_value
-from sim_plc.fuzz.oracle_bytes import Subscription, state_breach
-from sim_plc.fuzz.oracle_fields import state_fields
-from sim_plc.fuzz.oracle_plc import PlcOracle, Surroundings
 from sim_plc.plc.local_panel import LocalPanel
 from sim_plc.plc.logic import PlcLogic
 from sim_plc.plc.reference import Motion

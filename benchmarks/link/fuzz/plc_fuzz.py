@@ -4,17 +4,17 @@ from collections import deque
 from collections.abc import Hashable
 from random import Random
 
+from benchmarks.link.fuzz.corpus import Corpus
+from benchmarks.link.fuzz.counts import FuzzCounts
+from benchmarks.link.fuzz.coverage import LineTrace
+from benchmarks.link.fuzz.frames import framed, sealed
+from benchmarks.link.fuzz.mutators import mutated_command, mutated_meaning, mutated_motion
+from benchmarks.link.fuzz.plc_check import Outcome, PlcCheck
+from benchmarks.link.fuzz.plc_end import SOURCE, VARIANTS, PlcEnd
+from benchmarks.link.fuzz.verdict import Violation
 from machine.description import Machine
 from protocol.codes import Mode, PlcState, RejectCode
 from protocol.layout import COMMAND_SIZE
-from sim_plc.fuzz.corpus import Corpus
-from sim_plc.fuzz.counts import FuzzCounts
-from sim_plc.fuzz.coverage import LineTrace
-from sim_plc.fuzz.frames import framed, sealed
-from sim_plc.fuzz.mutators import mutated_command, mutated_meaning, mutated_motion
-from sim_plc.fuzz.plc_check import Outcome, PlcCheck
-from sim_plc.fuzz.plc_end import SOURCE, VARIANTS, PlcEnd
-from sim_plc.fuzz.verdict import Violation
 
 _SEAL_SHARE = 0.8  # of the mutated ones, so that what lies behind the CRC is met
 _TRACE_EVERY = 199  # one datagram in this many is run with lines traced

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
-from longreach.link_load.lateness import Percentiles, lateness_us, percentiles
-from longreach.link_load.tap import TapFigures
+from benchmarks.link.load.lateness import Percentiles, lateness_us, percentiles
+from benchmarks.link.load.tap import TapFigures
 from protocol.timeouts import COMMAND_PERIOD
 from server.link.contracts import LinkHealth
 

@@ -9,10 +9,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from longreach.link_load.back_and_forth import back_and_forth
-from longreach.link_load.minute import Marks, Minute, wire_figures
-from longreach.link_load.tap import Tap
-from longreach.link_load.usage import cpu_s, major_faults, policy
+from benchmarks.link.load.back_and_forth import back_and_forth
+from benchmarks.link.load.minute import Marks, Minute, wire_figures
+from benchmarks.link.load.tap import Tap
+from benchmarks.link.load.usage import cpu_s, major_faults, policy
 from machine.description import Machine
 from server.camera.contracts import FrameReport
 from server.link.contracts import LinkHealth, MotionEnded, PlcSample

@@ -9,12 +9,12 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.bench_compensation.run import VARIANTS, Compared, compare
-from longreach.bench_machines.paired import paired_change
-from longreach.reproduce.noise_model import fitted_noise
-from longreach.reproduce.summary import share
-from longreach.same_options import require_same_options, text_mark
-from longreach.saved_lines import open_to_add, whole_lines
+from benchmarks.positioning.compensation.run import VARIANTS, Compared, compare
+from benchmarks.positioning.machines.paired import paired_change
+from benchmarks.reproduce.noise_model import fitted_noise
+from benchmarks.reproduce.summary import share
+from benchmarks.same_options import require_same_options, text_mark
+from benchmarks.saved_lines import open_to_add, whole_lines
 from server.settings import read_machine, read_machine_text
 
 console = Console(width=150)

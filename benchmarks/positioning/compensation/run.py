@@ -5,13 +5,13 @@ from collections.abc import Generator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from longreach.bench_compensation.diagnosed import Found, effects_of
-from longreach.bench_compensation.tour import toured
-from longreach.bench_machines.machine_run import INSIDE_MM
-from longreach.reproduce.fast_cell import context_of, fast_cell, run_plan
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.true_error import Three, true_errors
+from benchmarks.positioning.compensation.diagnosed import Found, effects_of
+from benchmarks.positioning.compensation.tour import toured
+from benchmarks.positioning.machines.machine_run import INSIDE_MM
+from benchmarks.reproduce.fast_cell import context_of, fast_cell, run_plan
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.noise_model import NoiseModel
+from benchmarks.reproduce.true_error import Three, true_errors
 from machine.description import Machine
 from machine.effects.entries import EffectEntry
 from server.compensation.compensation import compensation_of

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longreach.reproduce.fast_camera import biased
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.true_corners import EYES, TrueView
+from benchmarks.reproduce.fast_camera import biased
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.noise_model import NoiseModel
+from benchmarks.reproduce.true_corners import EYES, TrueView
 from machine.chain import chain_of
 from machine.inverse import inverse_nearest
 from machine.kinematics import tcp_pose

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from longreach.bench_machines.figures import (
+from benchmarks.positioning.machines.figures import (
     Accuracy,
     Honesty,
     accuracy,
@@ -22,11 +22,11 @@ from longreach.bench_machines.figures import (
     two_made,
     worst,
 )
-from longreach.bench_machines.machine_run import LOOK_MIN_M, PATH_MIN_M, MachineRun
-from longreach.bench_machines.paired import paired_change
-from longreach.bench_machines.saved import Order, run_machines
-from longreach.bench_machines.variants import ABLATIONS, DEFAULT
-from longreach.reproduce.summary import Share, share
+from benchmarks.positioning.machines.machine_run import LOOK_MIN_M, PATH_MIN_M, MachineRun
+from benchmarks.positioning.machines.paired import paired_change
+from benchmarks.positioning.machines.saved import Order, run_machines
+from benchmarks.positioning.machines.variants import ABLATIONS, DEFAULT
+from benchmarks.reproduce.summary import Share, share
 from machine.rotations import Array
 
 console = Console(width=190)

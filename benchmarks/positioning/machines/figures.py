@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longreach.bench_machines.machine_run import INSIDE_MM, MachineRun, MoveErrors
-from longreach.reproduce.summary import Share, share
+from benchmarks.positioning.machines.machine_run import INSIDE_MM, MachineRun, MoveErrors
+from benchmarks.reproduce.summary import Share, share
 from machine.rotations import Array
 
 SIGMA_95 = 1.959964

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from longreach.bench_machines.variants import Variant, applied
-from longreach.bench_machines.watched import LookChange, Notes, watched
-from longreach.reproduce.cases import MakeMachine
-from longreach.reproduce.error_budget import SOURCES, Change
-from longreach.reproduce.fast_cell import FastCell, context_of, fast_cell, run_plan
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.noise_model import NoiseModel
-from longreach.reproduce.true_error import Three, true_errors
+from benchmarks.positioning.machines.variants import Variant, applied
+from benchmarks.positioning.machines.watched import LookChange, Notes, watched
+from benchmarks.reproduce.cases import MakeMachine
+from benchmarks.reproduce.error_budget import SOURCES, Change
+from benchmarks.reproduce.fast_cell import FastCell, context_of, fast_cell, run_plan
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.noise_model import NoiseModel
+from benchmarks.reproduce.true_error import Three, true_errors
 from machine.description import Machine
 from server.errors import ServerError
 from server.jobs.context import PlanContext

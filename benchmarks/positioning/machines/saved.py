@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from longreach.bench_machines.machine_run import MachineRun, run_machine
-from longreach.bench_machines.variants import ABLATIONS, DEFAULT
+from benchmarks.positioning.machines.machine_run import MachineRun, run_machine
+from benchmarks.positioning.machines.variants import ABLATIONS, DEFAULT
+from benchmarks.reproduce.error_budget import SEEING, SOURCES
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.fine_machine import FineMachine
+from benchmarks.reproduce.noise_model import fitted_noise
+from benchmarks.saved_lines import add_line, open_to_add, whole_lines
 from longreach.one_thread import ONE_THREAD
-from longreach.reproduce.error_budget import SEEING, SOURCES
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.fine_machine import FineMachine
-from longreach.reproduce.noise_model import fitted_noise
-from longreach.saved_lines import add_line, open_to_add, whole_lines
 from server.settings import read_machine
 
 CHANGES = {**SOURCES, **SEEING}

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from longreach.bench_machines.watched import LookChange
+from benchmarks.positioning.machines.watched import LookChange
 from machine.rotations import Array
 from server.calibration.joint_estimate import JointPrior
 from server.calibration.kinematic_errors import ErrorPrior

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from longreach.reproduce.fast_cell import FastCell
+from benchmarks.reproduce.fast_cell import FastCell
 from machine.poses import inverse_pose
 from machine.rotations import Array
 from server.calibration.joint_goal import joints_for_goal

@@ -10,9 +10,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from longreach.bench_hold.drill import LIMIT_MS, WAYS, HoldCase, HoldDrill
-from longreach.headless import headless
-from longreach.saved_lines import add_line, open_to_add, whole_lines
+from benchmarks.saved_lines import add_line, open_to_add, whole_lines
+from benchmarks.server.headless import headless
+from benchmarks.server.hold.drill import LIMIT_MS, WAYS, HoldCase, HoldDrill
 
 console = Console(width=160)
 RETRIES = 3

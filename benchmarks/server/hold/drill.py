@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from longreach.bench_hold.network import Network
+from benchmarks.kills.plc_process import PlcProcess, free_udp_port
+from benchmarks.kills.relay import Relay
+from benchmarks.kills.under_test import START_S, ServerUnderTest
+from benchmarks.server.hold.network import Network
 from longreach.fleet_client import JobClient
-from longreach.kill_drill.plc_process import PlcProcess, free_udp_port
-from longreach.kill_drill.relay import Relay
-from longreach.kill_drill.under_test import START_S, ServerUnderTest
 from protocol.codes import PlcState
 from recording.clock import mono_ns
 from server.settings import read_machine_text

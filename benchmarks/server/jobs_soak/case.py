@@ -9,9 +9,9 @@ from typing import Any
 
 import httpx
 
-from longreach.bench_jobs_soak.faults import BAD_LINK, CUT, HARMLESS, Planned
-from longreach.bench_jobs_soak.sample import samples_of
-from longreach.bench_jobs_soak.stand import OWNER, Stand
+from benchmarks.server.jobs_soak.faults import BAD_LINK, CUT, HARMLESS, Planned
+from benchmarks.server.jobs_soak.sample import samples_of
+from benchmarks.server.jobs_soak.stand import OWNER, Stand
 from longreach.fleet_client import Finished, JobClient, JobRefusedError
 
 FULL: tuple[dict[str, Any], ...] = ({"kind": "position"},)

@@ -10,14 +10,14 @@ import httpx
 import typer
 from rich.console import Console
 
-from longreach.bench_jobs_soak.case import SoakCase, run_all, run_case
-from longreach.bench_jobs_soak.faults import planned
-from longreach.bench_jobs_soak.figures import SoakKind, figures_of, line, summary
-from longreach.bench_jobs_soak.stand import OWNER, Stand
+from benchmarks.kills.drill import fast_machine
+from benchmarks.same_options import require_same_options
+from benchmarks.saved_lines import add_line, every_line, open_to_add
+from benchmarks.server.jobs_soak.case import SoakCase, run_all, run_case
+from benchmarks.server.jobs_soak.faults import planned
+from benchmarks.server.jobs_soak.figures import SoakKind, figures_of, line, summary
+from benchmarks.server.jobs_soak.stand import OWNER, Stand
 from longreach.fleet_client import JobClient, JobRefusedError
-from longreach.kill_drill.drill import fast_machine
-from longreach.same_options import require_same_options
-from longreach.saved_lines import add_line, every_line, open_to_add
 
 FOLDER = Path("runs/bench-jobs-soak")
 START_S = 240.0  # the first start on a machine compiles

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from longreach.bench_jobs_soak.case import SoakCase
-from longreach.bench_jobs_soak.sample import MIB, Growth, growth_of
+from benchmarks.server.jobs_soak.case import SoakCase
+from benchmarks.server.jobs_soak.sample import MIB, Growth, growth_of
 
 SLOPE_MAX_MIB_H = 2.0
 WARM_UP_S = 400.0  # three minutes of PLC samples and 600 pairs with their previews are kept: until those are full

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import theilslopes
 
-from longreach.kill_drill.victims import children_of, holder_of_udp_port
+from benchmarks.kills.victims import children_of, holder_of_udp_port
 
 MIB = 1024.0**2
 SAMPLES_MIN = 5

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 import httpx
 
-from longreach.kill_drill.plc_process import shared_memories_of
+from benchmarks.kills.plc_process import shared_memories_of
 from longreach.processes import Stack, StackPorts
 from sim_plc.relay.faults import Faults
 from sim_plc.relay.relay_process import UdpRelay

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from longreach.link_load.lateness import percentiles
+from benchmarks.link.load.lateness import percentiles
 
 P99_MAX_MS = 50.0
 LOST_MAX_FRAC = 0.10

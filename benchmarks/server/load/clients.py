@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection as Pipe
 from typing import Self, cast
 
-from longreach.bench_load.http_client import AnswerError, Connection
+from benchmarks.server.load.http_client import AnswerError, Connection
 
 CONNECTIONS = 16  # kept alive for the questions
 DRAIN_S = 5.0

@@ -10,13 +10,13 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from longreach.bench_load.block import LOST_MAX_FRAC, P99_MAX_MS, Block, Verdict, block_from, verdict_of
-from longreach.bench_load.clients import Demand
-from longreach.bench_load.stage import stage
-from longreach.link_load.lateness import percentiles
-from longreach.link_load.rendered_pairs import render_pairs
-from longreach.link_load.replay_camera import ReplayCamera
-from longreach.link_load.session import vision_alone
+from benchmarks.link.load.lateness import percentiles
+from benchmarks.link.load.rendered_pairs import render_pairs
+from benchmarks.link.load.replay_camera import ReplayCamera
+from benchmarks.link.load.session import vision_alone
+from benchmarks.server.load.block import LOST_MAX_FRAC, P99_MAX_MS, Block, Verdict, block_from, verdict_of
+from benchmarks.server.load.clients import Demand
+from benchmarks.server.load.stage import stage
 from machine.description import Machine, parse_machine_toml
 from server.camera.client import VisionClient
 from server.camera.contracts import VisionSettings

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import httpx
 
-from longreach.bench_load.block import Block
-from longreach.bench_load.clients import ClientProcess, Demand, Seen
-from longreach.bench_load.mover import Mover
+from benchmarks.kills.plc_process import PlcProcess
+from benchmarks.kills.victims import children_of, holder_of_udp_port
+from benchmarks.link.load.replay_camera import ReplayCamera
+from benchmarks.link.load.usage import cpu_s
+from benchmarks.server.load.block import Block
+from benchmarks.server.load.clients import ClientProcess, Demand, Seen
+from benchmarks.server.load.mover import Mover
 from longreach.fleet_client import JobClient
-from longreach.kill_drill.plc_process import PlcProcess
-from longreach.kill_drill.victims import children_of, holder_of_udp_port
-from longreach.link_load.replay_camera import ReplayCamera
-from longreach.link_load.usage import cpu_s
 from longreach.processes import Stack, StackPorts
 from sim_plc.settings import SimSettings
 
@@ -28,7 +28,7 @@ class BusyStack(Stack):
     """A server whose odometry is on from the start."""
 
     def _start(self, name: str, command: list[str]) -> None:
-        self._start_module(name, "longreach.bench_load.server_process", command)
+        self._start_module(name, "benchmarks.server.load.server_process", command)
 
 
 @dataclass(slots=True)

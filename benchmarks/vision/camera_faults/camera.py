@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from longreach.bench_camera_faults.pictures import RATE_HZ, PairOfEyes
+from benchmarks.vision.camera_faults.pictures import RATE_HZ, PairOfEyes
 from server.camera.contracts import StereoFrame
 from server.camera.errors import StreamError
 from server.camera.sources.side_by_side import decode_side_by_side

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from longreach.bench_camera_faults.camera import Arrival, Line
-from longreach.bench_camera_faults.looks import Looks
-from longreach.bench_camera_faults.pictures import RATE_HZ, Pictures
+from benchmarks.vision.camera_faults.camera import Arrival, Line
+from benchmarks.vision.camera_faults.looks import Looks
+from benchmarks.vision.camera_faults.pictures import RATE_HZ, Pictures
 from machine.description import Machine
 from server.camera.contracts import FrameReport, VisionSettings
 from server.camera.health import ImageHealth, silence

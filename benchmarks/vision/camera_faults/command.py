@@ -13,12 +13,12 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from longreach.bench_camera_faults.case import AT_REST_ONLY, IN_MOTION_ONLY, FaultCase, run_case
-from longreach.bench_camera_faults.damaged import DAMAGES, QUALITIES, DamagedCase, run_damaged
-from longreach.bench_camera_faults.good import GOOD_KINDS, GoodCase, run_good
-from longreach.bench_camera_faults.pictures import render_pictures
-from longreach.same_options import require_same_options, text_mark
-from longreach.saved_lines import add_line, open_to_add, whole_lines
+from benchmarks.same_options import require_same_options, text_mark
+from benchmarks.saved_lines import add_line, open_to_add, whole_lines
+from benchmarks.vision.camera_faults.case import AT_REST_ONLY, IN_MOTION_ONLY, FaultCase, run_case
+from benchmarks.vision.camera_faults.damaged import DAMAGES, QUALITIES, DamagedCase, run_damaged
+from benchmarks.vision.camera_faults.good import GOOD_KINDS, GoodCase, run_good
+from benchmarks.vision.camera_faults.pictures import render_pictures
 from machine.description import Machine, parse_machine_toml
 from server.settings import read_machine_text
 from sim_plc.camera.faults import FaultKind

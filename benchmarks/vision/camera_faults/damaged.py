@@ -7,9 +7,9 @@ from itertools import count
 import cv2
 import numpy as np
 
-from longreach.bench_camera_faults.camera import CAMERA_EPOCH_NS, LATENCY_S, PC_EPOCH_NS
-from longreach.bench_camera_faults.looks import Looks
-from longreach.bench_camera_faults.pictures import RATE_HZ, Pictures
+from benchmarks.vision.camera_faults.camera import CAMERA_EPOCH_NS, LATENCY_S, PC_EPOCH_NS
+from benchmarks.vision.camera_faults.looks import Looks
+from benchmarks.vision.camera_faults.pictures import RATE_HZ, Pictures
 from machine.description import Machine
 from machine.rotations import Array
 from server.camera.contracts import FrameReport, StereoFrame, VisionSettings

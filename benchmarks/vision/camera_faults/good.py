@@ -7,16 +7,16 @@ from itertools import islice
 
 import numpy as np
 
-from longreach.bench_camera_faults.camera import Line
-from longreach.bench_camera_faults.pictures import PairOfEyes
-from longreach.link_load.replay_camera import to_and_fro
+from benchmarks.link.load.replay_camera import to_and_fro
+from benchmarks.simulator.demo_scene import demo_tcp_pose, demo_world
+from benchmarks.vision.camera_faults.camera import Line
+from benchmarks.vision.camera_faults.pictures import PairOfEyes
 from machine.description import Machine
 from machine.poses import pose
 from machine.rotations import Array
 from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.process import build_pipeline
 from server.camera.sources.settings import HttpSource
-from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.exposure import PoseHistory
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 from sim_plc.camera.texture import Grey

@@ -6,7 +6,7 @@ from itertools import count
 
 import numpy as np
 
-from longreach.link_load.replay_camera import to_and_fro
+from benchmarks.link.load.replay_camera import to_and_fro
 from machine.description import Machine
 from machine.poses import pose
 from machine.rotations import Array

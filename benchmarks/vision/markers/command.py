@@ -12,13 +12,13 @@ import typer
 from rich.console import Console
 from rich.progress import track
 
-from longreach.bench_markers.cells import Cell, grid
-from longreach.bench_markers.exact import run_cell
-from longreach.bench_markers.images import SensorSettings, Studio
-from longreach.bench_markers.judged import CellResult
-from longreach.bench_markers.rendered import RenderedCell, run_rendered_cell, settings_name
-from longreach.bench_markers.tables import exact_lines, exact_table, rendered_lines, rendered_table
-from longreach.same_options import require_same_options, text_mark
+from benchmarks.same_options import require_same_options, text_mark
+from benchmarks.vision.markers.cells import Cell, grid
+from benchmarks.vision.markers.exact import run_cell
+from benchmarks.vision.markers.images import SensorSettings, Studio
+from benchmarks.vision.markers.judged import CellResult
+from benchmarks.vision.markers.rendered import RenderedCell, run_rendered_cell, settings_name
+from benchmarks.vision.markers.tables import exact_lines, exact_table, rendered_lines, rendered_table
 from recording.files import write_durably
 from server.settings import read_machine, read_machine_text
 

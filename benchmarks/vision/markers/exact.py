@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from longreach.bench_markers.cells import Cell, random_pose
-from longreach.bench_markers.judged import (
+from benchmarks.vision.markers.cells import Cell, random_pose
+from benchmarks.vision.markers.judged import (
     OPTIMAL_MARGIN,
     CellResult,
     Looks,
@@ -13,8 +13,8 @@ from longreach.bench_markers.judged import (
     ratios,
     tilt_bound_deg,
 )
-from longreach.bench_markers.opencv_rivals import ippe_left
-from longreach.bench_markers.optimal import bounds, global_fit, predict
+from benchmarks.vision.markers.opencv_rivals import ippe_left
+from benchmarks.vision.markers.optimal import bounds, global_fit, predict
 from machine.description import Marker, StereoCamera
 from machine.markers import marker_corners
 from machine.rotations import Array

@@ -6,13 +6,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.simulator.demo_scene import demo_world
+from benchmarks.simulator.exact_renderer import Window, reference_window
 from machine.camera import project_stereo
 from machine.description import Machine, Marker
 from machine.markers import marker_corners
 from machine.poses import inverse_pose
 from machine.rotations import Array
-from sim_plc.camera.demo_scene import demo_world
-from sim_plc.camera.reference import Window, reference_window
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 
 MARKER_ID = 1

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from longreach.bench_markers.errors import deviations, split, split_covariances
-from longreach.bench_markers.optimal import mirrored
+from benchmarks.vision.markers.errors import deviations, split, split_covariances
+from benchmarks.vision.markers.optimal import mirrored
 from machine.rotations import Array
 
 CHI2_95 = {2: 5.991, 3: 7.815}

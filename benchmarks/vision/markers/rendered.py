@@ -4,13 +4,13 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from longreach.bench_markers.cells import Cell, random_pose
-from longreach.bench_markers.corner_noise import corner_covariances
-from longreach.bench_markers.exact import look
-from longreach.bench_markers.images import MARKER_ID, SensorSettings, Studio, sensed
-from longreach.bench_markers.judged import counts, normalised_bias, ratios, tilt_bound_deg
-from longreach.bench_markers.opencv_rivals import ippe_left
-from longreach.bench_markers.optimal import correlated_bounds, predict
+from benchmarks.vision.markers.cells import Cell, random_pose
+from benchmarks.vision.markers.corner_noise import corner_covariances
+from benchmarks.vision.markers.exact import look
+from benchmarks.vision.markers.images import MARKER_ID, SensorSettings, Studio, sensed
+from benchmarks.vision.markers.judged import counts, normalised_bias, ratios, tilt_bound_deg
+from benchmarks.vision.markers.opencv_rivals import ippe_left
+from benchmarks.vision.markers.optimal import correlated_bounds, predict
 from machine.description import Machine
 from machine.markers import marker_corners
 from machine.rotations import Array

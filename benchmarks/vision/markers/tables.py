@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from rich.table import Table
 
-from longreach.bench_markers.judged import CellResult
-from longreach.bench_markers.rendered import RenderedCell
+from benchmarks.vision.markers.judged import CellResult
+from benchmarks.vision.markers.rendered import RenderedCell
 from server.vision.object_pose import PoseSettings
 
 KNOWN, SHIPPED = "noise known", f"shipped setting, {PoseSettings().sigma_px:g} px"

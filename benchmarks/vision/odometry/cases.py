@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from longreach.bench_odometry.film import FilmCase
-from longreach.bench_odometry.run import Run
+from benchmarks.vision.odometry.film import FilmCase
+from benchmarks.vision.odometry.run import Run
 
 DISTANCES_M = (0.7, 1.0, 1.4, 2.0)
 MAX_MM, END_MM, SCALE_FRAC, WRONG_SIGMA = 2.5, 1.0, 0.004, 3.0

@@ -12,12 +12,12 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from longreach.bench_odometry.cases import DISTANCES_M, disturbed_runs, kept, plain_runs
-from longreach.bench_odometry.features import POSES_PER_RUN, READOUT_S, held, run_points
-from longreach.bench_odometry.film import Film, FilmCase, render_film
-from longreach.bench_odometry.gaps import gap_case, run_gap
-from longreach.bench_odometry.run import Run, run_film
-from longreach.bench_odometry.structure import StructureRun, run_structure, structure_runs
+from benchmarks.vision.odometry.cases import DISTANCES_M, disturbed_runs, kept, plain_runs
+from benchmarks.vision.odometry.features import POSES_PER_RUN, READOUT_S, held, run_points
+from benchmarks.vision.odometry.film import Film, FilmCase, render_film
+from benchmarks.vision.odometry.gaps import gap_case, run_gap
+from benchmarks.vision.odometry.run import Run, run_film
+from benchmarks.vision.odometry.structure import StructureRun, run_structure, structure_runs
 from recording.files import write_durably
 
 Case = dict[str, Any]

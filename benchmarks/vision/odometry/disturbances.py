@@ -6,7 +6,7 @@ from typing import Literal, get_args
 import cv2
 import numpy as np
 
-from longreach.bench_odometry.film import Film
+from benchmarks.vision.odometry.film import Film
 from server.vision.contracts import Image
 
 Disturbance = Literal["none", "every 4th", "blackout", "hand"]

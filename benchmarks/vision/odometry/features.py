@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from longreach.bench_odometry.film import nominal_machine
-from longreach.bench_odometry.judged import judge
-from longreach.bench_odometry.paths import SHAPES, SwayingPath, drawn_path
+from benchmarks.vision.odometry.film import nominal_machine
+from benchmarks.vision.odometry.judged import judge
+from benchmarks.vision.odometry.paths import SHAPES, SwayingPath, drawn_path
 from machine.camera import project_stereo
 from machine.description import StereoCamera
 from machine.poses import inverse_pose, pose, transform_points

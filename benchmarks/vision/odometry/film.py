@@ -8,7 +8,8 @@ from importlib.resources import files
 import cv2
 import numpy as np
 
-from longreach.bench_odometry.paths import Shape, drawn_path
+from benchmarks.simulator.demo_scene import demo_world
+from benchmarks.vision.odometry.paths import Shape, drawn_path
 from machine.camera import project_stereo
 from machine.description import Machine, parse_machine_toml
 from machine.markers import marker_corners
@@ -16,7 +17,6 @@ from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import Array, rotation_from_rotvec
 from server.camera.masking import plate_and_shaft
 from server.vision.contracts import Image
-from sim_plc.camera.demo_scene import demo_world
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 from sim_plc.presets import spread_of
 from sim_plc.world import CameraTruth, SceneTruth, rng_for

@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from longreach.bench_odometry.film import nominal_machine
+from benchmarks.vision.odometry.film import nominal_machine
 from machine.camera import undistort_to_rays
 from machine.rotations import Array
 from server.vision.contracts import Image, OdometryStatus

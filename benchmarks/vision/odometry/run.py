@@ -4,9 +4,9 @@ import time
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from longreach.bench_odometry.disturbances import Disturbance, Showing
-from longreach.bench_odometry.film import Film, FilmCase, nominal_machine
-from longreach.bench_odometry.judged import figures_of, judge
+from benchmarks.vision.odometry.disturbances import Disturbance, Showing
+from benchmarks.vision.odometry.film import Film, FilmCase, nominal_machine
+from benchmarks.vision.odometry.judged import figures_of, judge
 from server.vision.odometry import OdometrySettings, StereoOdometry
 
 

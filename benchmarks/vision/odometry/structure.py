@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from longreach.bench_odometry.film import Film, FilmCase, nominal_machine
+from benchmarks.vision.odometry.film import Film, FilmCase, nominal_machine
 from server.camera.masking import outlines
 from server.camera.own_structure import still_mask
 from server.vision.contracts import Array, OdometryStatus

@@ -9,9 +9,9 @@ from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from longreach.bench_rate.others import plain_aruco_ms, race_on_kitti
-from longreach.bench_rate.pairs import load_pairs
-from longreach.bench_rate.run import RateFigures, run_rate
+from benchmarks.vision.rate.others import plain_aruco_ms, race_on_kitti
+from benchmarks.vision.rate.pairs import load_pairs
+from benchmarks.vision.rate.run import RateFigures, run_rate
 from server.settings import read_machine
 
 console = Console(width=160)

@@ -7,12 +7,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from longreach.bench_rate.pairs import PairsInMemory
-from longreach.bench_vision import kitti_camera, kitti_pairs
+from benchmarks.vision.evidence import odometry_figures, parse_poses
+from benchmarks.vision.rate.pairs import PairsInMemory
+from benchmarks.vision.real_pictures import kitti_camera, kitti_pairs
 from machine.description import StereoCamera
 from machine.rotations import geodesic_angle
 from server.vision.contracts import Array, Image
-from server.vision.evidence import odometry_figures, parse_poses
 from server.vision.marker_search import dictionary_by_name
 
 

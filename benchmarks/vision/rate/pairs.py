@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from longreach.link_load.rendered_pairs import render_pairs
-from longreach.link_load.replay_camera import to_and_fro
+from benchmarks.link.load.rendered_pairs import render_pairs
+from benchmarks.link.load.replay_camera import to_and_fro
 from machine.description import Machine
 from server.camera.contracts import StereoFrame
 from server.camera.sources.side_by_side import decode_side_by_side

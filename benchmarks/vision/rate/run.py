@@ -9,8 +9,8 @@ from itertools import islice
 import cv2
 import numpy as np
 
-from longreach.bench_rate.pairs import RATE_HZ, PairsInMemory
-from longreach.bench_rate.stages import StageTimes, TimedOdometry, timed_sources
+from benchmarks.vision.rate.pairs import RATE_HZ, PairsInMemory
+from benchmarks.vision.rate.stages import StageTimes, TimedOdometry, timed_sources
 from machine.description import Machine
 from server.camera.contracts import FrameReport, VisionSettings
 from server.camera.pipeline import Odometry, VisionPipeline
