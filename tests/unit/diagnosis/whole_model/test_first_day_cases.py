@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.diagnosis.sealed.third_plant import draw, write_case
 from diagnosis.budget import Budget, budget_of
 from diagnosis.reading.read import read
-from tests.gap_benchmark.third_plant import draw, write_case
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "data" / "gap" / "many_at_once"
 SEED, NUMBER = 5, 3  # a machine with three joints and 17 effects
