@@ -6,7 +6,7 @@ left; where it is present, the secant back to absence, so that leaving it out is
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,9 +102,23 @@ class Linearised:
         H = (self.J * w[:, None]).T @ self.J
         c = H @ self.x - self.J.T @ (w * self.residual)
         shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
-        slab = np.concatenate([np.zeros(0), *(_slabs(term) for term in shown)])
         nonnegative = np.concatenate([np.zeros(0, dtype=bool), *(_nonnegative(term) for term in shown)])
-        return LinearProblem(H, c, slab, self.first, nonnegative, self.log_odds)
+        return LinearProblem(H, c, self.slab, self.first, nonnegative, self.log_odds)
+
+    @property
+    def slab(self) -> Array:
+        """Prior deviations of the columns' numbers (k,)."""
+        shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
+        return np.concatenate([np.zeros(0), *(_slabs(term) for term in shown)])
+
+    def columns(self, k: int) -> Array:
+        """Columns of one term (N, its columns)."""
+        return self.J[:, self.first[k] : self.first[k + 1]]
+
+    def at(self, terms: tuple[Term, ...], residual: Array) -> "Linearised":
+        """The same columns, where present terms have other numbers that leave another residual, for a further step."""
+        x = np.concatenate([_offsets(term, True) for term in terms])
+        return replace(self, terms=terms, residual=residual, x=x, weight=weights(residual))
 
     @property
     def present(self) -> Members:
@@ -135,17 +149,29 @@ def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False, absent:
     known = (
         np.array([one for own in (*tangents.values(), *columns.values()) for one in own]).reshape(-1, len(residual)).T
     )
+    w = np.sqrt(weights(residual))
+    scanned = absent and any(not term.present and not term.smooth for term in terms)
+    Q = np.linalg.qr(known * w[:, None])[0] if scanned and known.size else np.zeros((len(residual), 0))
     out = list(terms)
     for k, term in enumerate(terms):
         if term.present:
             columns[k] = tangents[k]
         elif absent and not term.smooth:
-            out[k], columns[k] = _scanned(cell, base, term, residual, known)
+            out[k], columns[k] = _scanned(cell, base, term, residual, w, Q)
     x = [_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
     first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)
     J = np.array([one for k in range(len(out)) for one in columns[k]]).reshape(-1, len(residual)).T
     odds = np.array([log_odds_of(cell, term) for term in out])
     return Linearised(tuple(out), residual, J, np.concatenate([*x, np.zeros(0)]), first, weights(residual), odds)
+
+
+def about(cell: Cell, terms: tuple[Term, ...], columns: Sequence[Array]) -> Linearised:
+    """Present terms with columns (N, numbers of each) that were found nearby."""
+    first = np.concatenate([[0], np.cumsum([len(term.theta) for term in terms])]).astype(np.int64)
+    residual = evaluated_at(cell, packed(cell, terms))[0]
+    x = np.concatenate([_offsets(term, True) for term in terms])
+    odds = np.array([log_odds_of(cell, term) for term in terms])
+    return Linearised(tuple(terms), residual, np.concatenate(list(columns), axis=1), x, first, weights(residual), odds)
 
 
 def _offsets(term: Term, to_move: bool) -> Array:
@@ -186,13 +212,15 @@ def _tangents(cell: Cell, terms: Sequence[Term], residual: Array, to_move: bool)
     return out
 
 
-def _scanned(cell: Cell, base: ParameterSets, term: Term, residual: Array, known: Array) -> tuple[Term, list[Array]]:
-    """The start at which an absent term explains most of what the known columns leave, and its secant."""
+def _scanned(
+    cell: Cell, base: ParameterSets, term: Term, residual: Array, w: Array, Q: Array
+) -> tuple[Term, list[Array]]:
+    """The start at which an absent term explains most of what known columns leave, and its secant; Q (N, k): their
+    orthonormal basis, rows weighted by w (N,).
+    """
     starts = _starts(term)
     there = _evaluated(cell, base, [(term.effect, row) for row in starts])
     columns = there - residual
-    w = np.sqrt(weights(residual))
-    Q = np.linalg.qr(known * w[:, None])[0] if known.size else np.zeros((len(residual), 0))
 
     def left(rows: Array) -> Array:
         white = rows * w

@@ -104,7 +104,8 @@ def _shared_flow(
     apart = tuple(term for fit in own for term in fit.best.terms if term.present)
     terms = (*apart, *(Term(effect, effect.starts()[0], False) for effect in cell.candidates))
     lin = linearised(cell, terms)
-    if not best_set(lin.problem(trusted(cell, apart)), lin.present, np.ones(len(terms), dtype=bool))[len(apart) :].any():
+    best = best_set(lin.problem(trusted(cell, apart)), lin.present, np.ones(len(terms), dtype=bool))
+    if not best[len(apart) :].any():
         return own
     together = solve(cell, (), terms)
     if not any(term.present and term.effect.name == DROOP for term in together.best.terms):
