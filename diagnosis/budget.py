@@ -217,8 +217,8 @@ def _column(
         left_mm = float(np.hypot(unconfirmed, _corners_left_mm(fits)))
         return Column(error.column, float(np.hypot(_rms_mm(error.total), _corners_left_mm(fits))), left_mm, 0.0, True)
     left = _measured_mm(after, "structure")
-    if left is None:
-        return Column(error.column, _rms_mm(error.total), unconfirmed, 0.0, False)
+    if left is None:  # nothing measured it: all that is known is what the confirmed effects do
+        return Column(error.column, explained, 0.0, 0.0, False)
     return Column(error.column, float(np.hypot(explained, left)), left, 0.0, True)
 
 

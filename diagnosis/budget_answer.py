@@ -140,7 +140,7 @@ def _line(line: Line) -> dict[str, Any]:
         "evidence": {
             "gain_nats": rounded(evidence.gain_nats),
             "size_over_sd": rounded(evidence.z),
-            "invariance_p": rounded(evidence.invariance_p),
+            "scatter_frac": rounded(evidence.scatter),
             "left_floors": rounded(evidence.left),
             "noise_known": evidence.noise_known,
             "figures": dict(zip(FEATURES, [rounded(float(x)) for x in features(evidence)], strict=True)),

@@ -59,7 +59,7 @@ COMMANDS = (
     ),
     Lazy(
         "reproduce",
-        "longreach.reproduce_command:reproduce",
+        "benchmarks.reproduce.command:reproduce",
         "Tables 2, 3, 4 and Figures 5 to 9: fast over n machines, rendered over a few. Resumes where it was stopped.",
     ),
     Lazy(
@@ -67,7 +67,7 @@ COMMANDS = (
         "longreach.reference.command:docs",
         "Write the reference of REST, commands, settings, alarms and codes.",
     ),
-    Lazy("bench", "longreach.bench:app", "Measure; every figure in the README comes from here."),
+    Lazy("bench", "benchmarks.cli:app", "Measure; every figure in the README comes from here."),
     Lazy("calibration", "longreach.calibration_command:app", "Show and export the local calibration."),
     Lazy("camera", "longreach.camera_command:app", "Look at the stereo camera."),
     Lazy("target", "longreach.target_command:app", "Print targets; measure how they sit."),
@@ -96,12 +96,12 @@ def setup(verbose: Annotated[bool, typer.Option("--verbose", help="log what happ
     )
 
 
-def main() -> None:
+def main(command: typer.Typer = app) -> None:
     """Entry point: expected errors become one clear line and exit code 2; SIGTERM and SIGHUP end all as Ctrl-C does."""
     prepare()
     end_as_by_ctrl_c()
     try:
-        app()
+        command()
     except (ServerError, MachineError) as error:
         _complain(error)
     except SystemExit as ending:

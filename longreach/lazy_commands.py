@@ -8,6 +8,10 @@ import typer
 import typer.main
 from typer.core import TyperCommand, TyperGroup
 
+from server.errors import SettingsError
+
+CHECKOUT = "benchmarks"  # a package that is not in the wheel
+
 
 @dataclass(frozen=True, slots=True)
 class Lazy:
@@ -17,10 +21,23 @@ class Lazy:
     where: str
     about: str
 
+    @property
+    def of_checkout(self) -> bool:
+        """Whether it comes with the source checkout only."""
+        return self.where.startswith(f"{CHECKOUT}.")
+
     def load(self) -> Any:
         """The command itself, as typer makes it."""
         module, _, attribute = self.where.partition(":")
-        found, app = getattr(import_module(module), attribute), typer.Typer()
+        try:
+            found, app = getattr(import_module(module), attribute), typer.Typer()
+        except ModuleNotFoundError as error:
+            if error.name != CHECKOUT:
+                raise
+            raise SettingsError(
+                f"`{self.name}` is part of the source checkout and not of the installed package; clone the repository, "
+                "`pip install -e .` in it, and call it again"
+            ) from error
         if isinstance(found, typer.Typer):
             app.add_typer(found, name=self.name, help=self.about)
         else:
@@ -33,11 +50,11 @@ class LazyCommand(TyperCommand):
 
     def __init__(self, lazy: Lazy) -> None:
         super().__init__(lazy.name, help=lazy.about)
-        self._lazy = lazy
+        self.lazy = lazy
 
     def load(self) -> Any:
         """The command that this one stands for."""
-        return self._lazy.load()
+        return self.lazy.load()
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """That of the command itself, so that all that follows is its own."""

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from benchmarks.identify.truth import true_effects
 from benchmarks.identify.virtual_cell import recorded_cell, write_recording
-from longreach.reproduce.fast_cell import context_of, run_plan
-from longreach.reproduce.noise_model import fitted_noise
+from benchmarks.reproduce.fast_cell import context_of, run_plan
+from benchmarks.reproduce.noise_model import fitted_noise
 from machine.description import parse_machine_toml
 from server.jobs.plans.identification_planning import Drive, PlannedIdentification
 from server.jobs.plans.identifying import drive_identification, plan_identification
@@ -51,7 +51,7 @@ def main() -> None:
     for seed in range(given.seed, given.seed + given.n):
         t0 = time.monotonic()
         record(text, given.preset, seed, given.minutes, given.out / f"seed{seed}")
-        print(f"seed {seed}: recorded in {time.monotonic() - t0:.0f} s", flush=True)  # noqa: T201 # its only output
+        print(f"seed {seed}: recorded in {time.monotonic() - t0:.0f} s", flush=True)  # its only output
 
 
 if __name__ == "__main__":

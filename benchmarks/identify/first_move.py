@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.identify.truth import true_effects
-from longreach.reproduce.fast_cell import context_of, fast_cell, run_plan
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.noise_model import fitted_noise
+from benchmarks.reproduce.fast_cell import context_of, fast_cell, run_plan
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.noise_model import fitted_noise
 from machine.description import parse_machine_toml
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
@@ -68,9 +68,9 @@ def main() -> None:
         file = None if given.folder is None else given.folder / f"seed{seed}" / "identified.toml"
         entries = true_entries(world) if file is None else parse_machine_toml(file.read_text(encoding="utf-8")).effects
         pairs.append((missed_mm(world, None), missed_mm(world, entries)))
-        print(f"seed {seed}: {pairs[-1][0]:.1f} mm, with effects {pairs[-1][1]:.1f} mm", flush=True)  # noqa: T201 # output
+        print(f"seed {seed}: {pairs[-1][0]:.1f} mm, with effects {pairs[-1][1]:.1f} mm", flush=True)  # output
     inside = [sum(pair[k] <= 5.0 for pair in pairs) for k in (0, 1)]
-    print(f"inside 5 mm: {inside[0]} and {inside[1]} of {len(pairs)}")  # noqa: T201 # output
+    print(f"inside 5 mm: {inside[0]} and {inside[1]} of {len(pairs)}")  # output
 
 
 if __name__ == "__main__":

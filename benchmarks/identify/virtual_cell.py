@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from longreach.reproduce.fast_camera import FastCamera, biased
-from longreach.reproduce.fast_cell import FastCell
-from longreach.reproduce.fine_machine import NOTE_EVERY_MS, FineMachine
-from longreach.reproduce.noise_model import CornerNoise, NoiseModel
-from longreach.reproduce.true_corners import EYES, TrueView
+from benchmarks.reproduce.fast_camera import FastCamera, biased
+from benchmarks.reproduce.fast_cell import FastCell
+from benchmarks.reproduce.fine_machine import NOTE_EVERY_MS, FineMachine
+from benchmarks.reproduce.noise_model import CornerNoise, NoiseModel
+from benchmarks.reproduce.true_corners import EYES, TrueView
 from machine.rotations import Array
 from recording.content import Recording
 from recording.folder import write_folder

@@ -1,6 +1,6 @@
 """What arm, camera and markers leave of the corners that were seen, in units of their noise: the residual of a cell."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 
 from diagnosis.behind.link_angles import Path, link_angles, without_encoders
 from diagnosis.log.nominal import Nominal
+from diagnosis.noise.of_a_day import DayNoise, day_noise
 from diagnosis.noise.of_corners import CornerNoise, groups_of
 from machine.effects.layout import READOUT, ParameterSets
-from machine.effects.seen import camera_mount, seen_corners, true_times
+from machine.effects.seen import camera_mount, seen_corners, tool_place, true_times
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array, rotation_from_rotvec
 from machine.targets import Marker
@@ -47,7 +48,8 @@ class Frames:
 class CornerResidual:
     """Whitened corners (sets, N): measured less foreseen, the OOI's place in the base fitted each time.
 
-    `untimed`: so is by how much the camera's stamps are late, since nobody gave its clock's offset.
+    `untimed`: so is by how much the camera's stamps are late, since nobody gave its clock's offset. `layout`: noise of
+    the markers' places on their object, the same in all frames.
     """
 
     nominal: Nominal
@@ -60,20 +62,37 @@ class CornerResidual:
     nuisance: Array
     noise: CornerNoise
     untimed: bool = False
+    layout: DayNoise | None = None
 
     def __call__(self, sets: ParameterSets) -> Array:
         """One row per set."""
         plain = without_encoders(sets)
         white = self.noise.white(self.nuisance.T, self.frames.groups).T
         rows = [self._one(sets, plain, k, white) for k in range(sets.sets)]
-        return self.noise.white(np.array(rows), self.frames.groups)
+        out = self.noise.white(np.array(rows), self.frames.groups)
+        return out if self.layout is None else self.layout.white(out)
+
+    def with_layout(self, base: ParameterSets, sd_m: float) -> Self:
+        """With markers that are each off their place on the object by as much, and turned by that over half a side."""
+        plain, markers = without_encoders(base), self.frames.markers
+        Ts = self.poses(base, plain, 0, 0.0)
+        here = self.difference(plain, 0, Ts, None, self.T_base_ooi)
+        columns = []
+        for k, one in enumerate(markers):
+            for row in np.diag(np.repeat((sd_m, 2.0 * sd_m / one.side_m), 3)):
+                moved = replace(one, T_on_marker=one.T_on_marker @ small_motion(row))
+                other = replace(self, frames=replace(self.frames, markers=(*markers[:k], moved, *markers[k + 1 :])))
+                columns.append(other.difference(plain, 0, Ts, None, self.T_base_ooi) - here)
+        return replace(self, layout=day_noise(self.placeless(np.array(columns).T)))
 
     def _one(self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array) -> Array:
         """Not yet whitened (N,); `white`: the whitened nuisance (N, 6 or 7), which the parameters do not change."""
         later = bool(sets.machine[k, READOUT])
         T, T_later = self.poses(sets, plain, k, 0.0), self.poses(sets, plain, k, 0.01) if later else None
+        if self.on == "tool":
+            return self.difference(plain, k, T, T_later, tool_place(sets, self.T_base_ooi, k))
         residual = self.difference(plain, k, T, T_later, self.T_base_ooi)
-        if self.on == "tool" or self.nuisance.shape[1] == 0:
+        if self.nuisance.shape[1] == 0:
             return residual
         moved = self.T_base_ooi @ small_motion(-self._place(white, residual)[:6])
         residual = self.difference(plain, k, T, T_later, moved)

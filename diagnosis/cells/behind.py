@@ -31,6 +31,8 @@ from machine.effects.layout import (
     CLOCK_ZERO,
     FOCAL,
     STEREO,
+    TOOL_MARKER_ROTATION,
+    TOOL_MARKER_TRANSLATION,
     ParameterSets,
 )
 from machine.rotations import Array
@@ -38,7 +40,7 @@ from machine.rotations import Array
 REMEMBERED = 400  # residuals of one part
 OF_CLOCK = [CLOCK_OFFSET, CLOCK_RATE_PPM, CLOCK_ZERO]
 OF_ARM = [PAYLOAD, *range(BASE_TILT.start, BASE_TILT.stop), BASE_COMPLIANCE, *OF_CLOCK]
-OF_MOUNT = list(range(FOCAL, STEREO.stop))
+OF_MOUNT = [*range(FOCAL, STEREO.stop), *range(TOOL_MARKER_ROTATION.start, TOOL_MARKER_TRANSLATION.stop)]
 JOINED_UNIT = "floors"
 OF_A_TURN = ("encoder_eccentricity",)
 

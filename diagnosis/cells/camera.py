@@ -4,6 +4,8 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.cluster.vq import kmeans2
 
 from diagnosis.behind.corner_residual import CornerResidual, Frames, nuisance_of, small_motion, solved
 from diagnosis.behind.link_angles import Path, candidates_behind, inside, link_angles, paths_of, without_encoders
@@ -33,8 +35,11 @@ STILL_RAD = 3e-3
 LATE_S = 0.1  # a camera may be as late or early as this: postures that are equal at other speeds are no repeats
 VISITS_S = 3.0
 VISITED_MIN = 20  # corners seen again
+LAYOUT_M = 5e-4  # markers put on by hand, where the machine file states no accuracy
+POSTURES = 16  # groups of frames that speak for themselves
 VIEWS_MIN = 4  # poses of the object to place it by
 TIMED = ("clock_offset", "clock_drift", "camera_latency", "rolling_shutter")
+OF_TOOL = ("tool_marker_rotation", "tool_marker_translation")
 
 
 def camera_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...] | None = None) -> list[Cell]:
@@ -105,6 +110,7 @@ def _cell(
     if on == "ooi":
         candidates = candidates_behind(joints, paths) + candidates
         candidates += candidates_of("time", joints, True)
+        candidates = tuple(one for one in candidates if one.name not in OF_TOOL)
     else:
         candidates = tuple(one for one in candidates if one.name not in TIMED)
     untold = ("odometry_scale", *(UNTOLD if untimed else ()))
@@ -119,8 +125,13 @@ def _cell(
     noise = replace(noise, own=np.maximum(noise.own, SIGMA_MIN_PX))
     record = nominal.remainder("camera", on=on)
     rows, t_s = _rows(frames)
+    if on == "ooi":
+        rows = replace(rows, block=_postures(link_angles(paths, base, 0, at, frames.t_s))[_frame_of_rows(frames)])
     noise = noise.with_remainder(record)
     left = _share_left(record, noise) if record is not None else 0.0
+    placed = replace(placed, noise=noise)
+    if record is None:
+        placed = placed.with_layout(base, nominal.sensors.layout_m or LAYOUT_M)
     return [
         Cell(
             stage="camera",
@@ -128,7 +139,7 @@ def _cell(
             unit="px",
             candidates=candidates,
             base=base,
-            whitened=replace(placed, noise=noise),
+            whitened=placed,
             rows=rows,
             scale=np.hypot(noise.own, noise.shared)[rows.channel % 2],
             quiet=1.0,
@@ -176,6 +187,20 @@ def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: P
         residual = placed.difference(plain, 0, placed.poses(base, plain, 0, 0.0), None, placed.T_base_ooi)
         placed = replace(placed, T_base_ooi=placed.T_base_ooi @ small_motion(-solved(nuisance, residual)[:6]))
     return replace(placed, nuisance=nuisance_of(placed, base))
+
+
+def _postures(q: Array) -> NDArray[np.int64]:
+    """Numbers of at most POSTURES groups of frames whose joints stand alike, from angles (m, n).
+
+    Why: what a model is wrong by in one posture it is wrong by whenever the arm comes back, so that the frames of one
+    posture do not speak for themselves, however far apart in time.
+    """
+    _, group = kmeans2(q, min(POSTURES, len(q)), minit="++", seed=0)
+    return np.unique(group, return_inverse=True)[1].astype(np.int64)
+
+
+def _frame_of_rows(frames: Frames) -> NDArray[np.int64]:
+    return np.nonzero(np.isfinite(frames.pixels).reshape(len(frames.t_s), -1))[0]
 
 
 def _rows(frames: Frames) -> tuple[Rows, Array]:

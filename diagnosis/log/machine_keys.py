@@ -26,7 +26,7 @@ TABLES: dict[str, tuple[str, ...]] = {
     "markers": ("dictionary", "marker", "board"),
     "plc": ("cycle_s", "log_cycle_s", "transport_delay_s"),
     "tracker": ("T_base_tracker",),
-    "sensors": ("tracker_m", "static_m", "corners_px", "encoders_rad"),
+    "sensors": ("tracker_m", "static_m", "corners_px", "encoders_rad", "layout_m"),
 }
 SECTIONS = (*TABLES, "joint", "points", "effect", "remainder")
 POINT = ("joint", "xyz_m")

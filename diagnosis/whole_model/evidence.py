@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs
@@ -25,8 +24,8 @@ class Evidence:
     """What speaks for one effect of the best set of its part.
 
     `gain_nats`: what the best set without it loses. `sd`: (slots,) of its numbers, with what its definition leaves
-    open. `z`: its size over that. `invariance_p`: probability of sizes that differ so much between kinds of motion,
-    times, amplitudes or postures, if it is one cause. `equals`: sets of effects that take its place at a distance T
+    open. `z`: its size over that. `scatter`: by what share its size differs between kinds of motion, times, amplitudes
+    or postures, beyond noise; a cause has one size. `equals`: sets of effects that take its place at a distance T
     below 9. `left`: mean squared residual of its part in noise floors. `noise_known`: from repeats or stated accuracy.
     """
 
@@ -35,7 +34,7 @@ class Evidence:
     gain_nats: float
     sd: Array
     z: float
-    invariance_p: float
+    scatter: float
     equals: tuple[tuple[Term, ...], ...]
     left: float
     noise_known: bool
@@ -75,7 +74,7 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
                 gain_nats=_gain(fit, int(k)),
                 sd=sd,
                 z=_z(term, sd[: term.sizes]),
-                invariance_p=invariance(J, residual, own, groupings),
+                scatter=_share_of_size(term, scatter(J, residual, own[: term.sizes], groupings)),
                 equals=_equals(fit, int(k)),
                 left=left,
                 noise_known=fit.cell.floor_known,
@@ -88,6 +87,11 @@ def _z(term: Term, sd: Array) -> float:
     if term.limits:
         return float("inf")
     return float(np.linalg.norm(term.theta[: term.sizes] / np.maximum(sd, 1e-300)))
+
+
+def _share_of_size(term: Term, spread: float) -> float:
+    size = 1.0 if term.limits else float(np.linalg.norm(term.theta[: term.sizes]))
+    return spread / size if size > 0.0 else 0.0
 
 
 def _with_open(term: Term, sd: Array) -> Array:
@@ -126,32 +130,33 @@ def _cost(one: Fitted, fit: WholeFit) -> float:
     return float((costs(one.lin.residual) * fit.trust).sum())
 
 
-def invariance(J: Array, residual: Array, own: NDArray[np.int64], groupings: Sequence[NDArray[np.int64]]) -> float:
-    """Probability of a size that differs between groups by as much as here, if it is the same in all.
+def scatter(J: Array, residual: Array, own: NDArray[np.int64], groupings: Sequence[NDArray[np.int64]]) -> float:
+    """Standard deviation of a size between groups of rows beyond its noise, the largest of the groupings; 0 by chance.
 
-    Model:  score test of columns `own` of J with a number of their own in every group, against all of J common to all;
-            the smallest p of the groupings, times their number (Bonferroni).
+    Model:  a number of their own in every group for columns `own` of J, against all of J common to all; their sum of
+            squares d'Wd has the mean df + tau^2 tr W if the sizes scatter by tau (method of moments).
     Why projected: a fit stops short of its optimum and leans on its priors; what J can still explain is no difference.
-    Source: invariance as a sign of a cause: Peters, Buehlmann, Meinshausen 2016; the test: Rao 1948.
+    Source: invariance as a sign of a cause: Peters, Buehlmann, Meinshausen 2016; tau: DerSimonian, Laird 1986.
     """
     norm = np.sqrt((J**2).sum(axis=0))
     U, sizes, _ = np.linalg.svd(J[:, norm > 0.0] / norm[norm > 0.0], full_matrices=False)
     Q = U[:, sizes > RANK * sizes.max(initial=0.0)]
-    found = [_agreement(Q, J[:, own], residual, group) for group in groupings]
-    return min(1.0, len(found) * min(found, default=1.0))
+    return max((_scatter(Q, J[:, own], residual, group) for group in groupings), default=0.0)
 
 
-def _agreement(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64]) -> float:
-    """p of one grouping; Q: orthonormal columns of what is common to all groups."""
+def _scatter(Q: Array, columns: Array, residual: Array, group: NDArray[np.int64]) -> float:
+    """Of one grouping; Q: orthonormal columns of what is common to all groups."""
     apart = (columns[:, None] * (group[:, None] == np.unique(group))[:, :, None]).reshape(len(residual), -1)
     power = float((apart**2).sum(axis=0).max())
     apart = apart - Q @ (Q.T @ apart)
     values, vectors = np.linalg.eigh(apart.T @ apart)
     kept = values > RANK * power
     if not kept.any():
-        return 1.0
+        return 0.0
     scores = vectors[:, kept].T @ (apart.T @ residual)
-    return float(chi2.sf(float((scores**2 / values[kept]).sum()), int(kept.sum())))
+    squares, df = float((scores**2 / values[kept]).sum()), int(kept.sum())
+    beyond = max(0.0, squares - df - np.sqrt(2.0 * df))  # chance alone does not scatter
+    return float(np.sqrt(beyond / values[kept].sum()))
 
 
 def groupings_of(cell: Cell) -> list[NDArray[np.int64]]:

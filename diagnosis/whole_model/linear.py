@@ -6,7 +6,7 @@ left; where it is present, the secant back to absence, so that leaving it out is
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from machine.rotations import Array
 
 SLAB = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is no outlier
 SCANNED_AT_ONCE = 64  # parameter sets in one call, for memory
+CHANGED_SINCE = 0.02  # of the effects that a machine has: how many are expected to change between two diagnoses
 TWINS = 1e-5  # of the cosine between columns, by finite steps of different length
 
 
@@ -65,7 +66,8 @@ class Term:
 class Linearised:
     """Residual (N,) and columns J (N, k) about the terms as they stand; x (k,): their numbers in those columns.
 
-    `first`: (terms + 1,) columns of each term. `weight`: (N,) of each row in a least-squares step.
+    `first`: (terms + 1,) columns of each term. `weight`: (N,) of each row in a least-squares step. `log_odds`:
+    (terms,), prior, of a term being there.
     """
 
     terms: tuple[Term, ...]
@@ -74,6 +76,7 @@ class Linearised:
     x: Array
     first: NDArray[np.int64]
     weight: Array
+    log_odds: Array
 
     def twins(self) -> tuple[tuple[int, int], ...]:
         """Pairs of terms of one column whose columns are the same to rounding: the one kept, and the one it stands for.
@@ -85,7 +88,7 @@ class Linearised:
         norm = np.linalg.norm(columns, axis=0)
         unit = columns / np.where(norm > 0.0, norm, 1.0)
         alike = np.abs(unit.T @ unit) > 1.0 - TWINS
-        odds = np.array([_log_odds(self.terms[k].effect) for k in single])
+        odds = self.log_odds[single]
         out = []
         for i in range(len(single)):
             better = [j for j in range(len(single)) if alike[i, j] and (odds[j], -j) > (odds[i], -i)]
@@ -99,10 +102,23 @@ class Linearised:
         H = (self.J * w[:, None]).T @ self.J
         c = H @ self.x - self.J.T @ (w * self.residual)
         shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
-        slab = np.concatenate([np.zeros(0), *(_slabs(term) for term in shown)])
         nonnegative = np.concatenate([np.zeros(0, dtype=bool), *(_nonnegative(term) for term in shown)])
-        log_odds = np.array([_log_odds(term.effect) for term in self.terms])
-        return LinearProblem(H, c, slab, self.first, nonnegative, log_odds)
+        return LinearProblem(H, c, self.slab, self.first, nonnegative, self.log_odds)
+
+    @property
+    def slab(self) -> Array:
+        """Prior deviations of the columns' numbers (k,)."""
+        shown = [term for term, columns in zip(self.terms, np.diff(self.first), strict=True) if columns]
+        return np.concatenate([np.zeros(0), *(_slabs(term) for term in shown)])
+
+    def columns(self, k: int) -> Array:
+        """Columns of one term (N, its columns)."""
+        return self.J[:, self.first[k] : self.first[k + 1]]
+
+    def at(self, terms: tuple[Term, ...], residual: Array) -> "Linearised":
+        """The same columns, where present terms have other numbers that leave another residual, for a further step."""
+        x = np.concatenate([_offsets(term, True) for term in terms])
+        return replace(self, terms=terms, residual=residual, x=x, weight=weights(residual))
 
     @property
     def present(self) -> Members:
@@ -133,16 +149,29 @@ def linearised(cell: Cell, terms: Sequence[Term], to_move: bool = False, absent:
     known = (
         np.array([one for own in (*tangents.values(), *columns.values()) for one in own]).reshape(-1, len(residual)).T
     )
+    w = np.sqrt(weights(residual))
+    scanned = absent and any(not term.present and not term.smooth for term in terms)
+    Q = np.linalg.qr(known * w[:, None])[0] if scanned and known.size else np.zeros((len(residual), 0))
     out = list(terms)
     for k, term in enumerate(terms):
         if term.present:
             columns[k] = tangents[k]
         elif absent and not term.smooth:
-            out[k], columns[k] = _scanned(cell, base, term, residual, known)
+            out[k], columns[k] = _scanned(cell, base, term, residual, w, Q)
     x = [_offsets(term, to_move) if term.present else np.zeros(len(columns[k])) for k, term in enumerate(out)]
     first = np.concatenate([[0], np.cumsum([len(columns[k]) for k in range(len(out))])]).astype(np.int64)
     J = np.array([one for k in range(len(out)) for one in columns[k]]).reshape(-1, len(residual)).T
-    return Linearised(tuple(out), residual, J, np.concatenate([*x, np.zeros(0)]), first, weights(residual))
+    odds = np.array([log_odds_of(cell, term) for term in out])
+    return Linearised(tuple(out), residual, J, np.concatenate([*x, np.zeros(0)]), first, weights(residual), odds)
+
+
+def about(cell: Cell, terms: tuple[Term, ...], columns: Sequence[Array]) -> Linearised:
+    """Present terms with columns (N, numbers of each) that were found nearby."""
+    first = np.concatenate([[0], np.cumsum([len(term.theta) for term in terms])]).astype(np.int64)
+    residual = evaluated_at(cell, packed(cell, terms))[0]
+    x = np.concatenate([_offsets(term, True) for term in terms])
+    odds = np.array([log_odds_of(cell, term) for term in terms])
+    return Linearised(tuple(terms), residual, np.concatenate(list(columns), axis=1), x, first, weights(residual), odds)
 
 
 def _offsets(term: Term, to_move: bool) -> Array:
@@ -183,13 +212,15 @@ def _tangents(cell: Cell, terms: Sequence[Term], residual: Array, to_move: bool)
     return out
 
 
-def _scanned(cell: Cell, base: ParameterSets, term: Term, residual: Array, known: Array) -> tuple[Term, list[Array]]:
-    """The start at which an absent term explains most of what the known columns leave, and its secant."""
+def _scanned(
+    cell: Cell, base: ParameterSets, term: Term, residual: Array, w: Array, Q: Array
+) -> tuple[Term, list[Array]]:
+    """The start at which an absent term explains most of what known columns leave, and its secant; Q (N, k): their
+    orthonormal basis, rows weighted by w (N,).
+    """
     starts = _starts(term)
     there = _evaluated(cell, base, [(term.effect, row) for row in starts])
     columns = there - residual
-    w = np.sqrt(weights(residual))
-    Q = np.linalg.qr(known * w[:, None])[0] if known.size else np.zeros((len(residual), 0))
 
     def left(rows: Array) -> Array:
         white = rows * w
@@ -258,6 +289,12 @@ def _nonnegative(term: Term) -> Members:
     return np.array([first and k < term.sizes for k in range(columns)], dtype=bool)
 
 
-def _log_odds(effect: Candidate) -> float:
-    share = effect_of(effect.name).prevalence
-    return float(np.log(share / (1.0 - share)))
+def log_odds_of(cell: Cell, term: Term) -> float:
+    """Prior log odds of an effect: of a machine that has it, or beside a baseline of one that got it since.
+
+    Why less what it usually gains: by so much it explains the undisturbed machine's own wrong form.
+    """
+    share = effect_of(term.effect.name).prevalence
+    if not cell.usual_known:
+        return float(np.log(share / (1.0 - share)))
+    return float(np.log(CHANGED_SINCE * share)) - cell.usual_nats(term.effect, term.theta)

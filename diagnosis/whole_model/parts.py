@@ -12,14 +12,16 @@ from diagnosis.cells.dynamic import coupled_cell, stage_cells
 from diagnosis.cells.merged import merged_cells
 from diagnosis.chain.guessed_noise import SETTLED, by_noise_of, noise_about
 from diagnosis.chain.own_step import at_its_step
+from diagnosis.known.known import with_known
 from diagnosis.reading.read import Read
 from diagnosis.replay.replayer import Replayer, replayer_of
 from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import neutral_fit
 from diagnosis.search.work import Work
-from diagnosis.whole_model.linear import Term
-from diagnosis.whole_model.solve import WholeFit, fit_of, solve
+from diagnosis.whole_model.linear import Term, linearised
+from diagnosis.whole_model.solve import WholeFit, fit_of, solve, trusted
+from diagnosis.whole_model.subsets import best_set
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
@@ -34,7 +36,8 @@ def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...]
     work = work or Work()
     base = pack_under(nominal.baseline, nominal.n)
     replayer = replayer_of(nominal, whole.stretches) if whole.stretches else None
-    behind = without(fitting(behind_cells(whole, base), nominal), left_out)
+    cells = behind_cells(whole, base, with_odometry=not nominal.remainders)
+    behind = without(fitting(cells, nominal), left_out)
     found = _solved(behind, work)
     if replayer is None:
         return tuple(found)
@@ -43,7 +46,8 @@ def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...]
     replayer = at_its_step(replayer, whole.stretches, known)
     course = known
     for stage in DRIVEN_STAGES:
-        cells = fitting(stage_cells(stage, replayer, whole.stretches, known, course), nominal)
+        cells = with_known(stage_cells(stage, replayer, whole.stretches, known, course), nominal)
+        cells = fitting(cells, nominal)
         own = _solved(without(cells, unseen), work)
         if stage == "actuator" and DROOP not in left_out:
             own = _shared_flow(own, replayer, whole, (known, course))
@@ -98,8 +102,12 @@ def _shared_flow(
     if cell is None or len(own) != len(replayer.plant.joints):
         return own
     apart = tuple(term for fit in own for term in fit.best.terms if term.present)
-    droop = tuple(Term(effect, effect.starts()[0], False) for effect in cell.candidates)
-    together = solve(cell, (), (*apart, *droop))
+    terms = (*apart, *(Term(effect, effect.starts()[0], False) for effect in cell.candidates))
+    lin = linearised(cell, terms)
+    best = best_set(lin.problem(trusted(cell, apart)), lin.present, np.ones(len(terms), dtype=bool))
+    if not best[len(apart) :].any():
+        return own
+    together = solve(cell, (), terms)
     if not any(term.present and term.effect.name == DROOP for term in together.best.terms):
         return own
     everything = tuple(term for fit in own for term in fit.best.terms)

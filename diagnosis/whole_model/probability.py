@@ -17,20 +17,20 @@ from diagnosis.whole_model.evidence import FOUND_90_OF_98, Evidence
 from machine.rotations import Array
 
 #: Figures of the evidence, each the better the larger.
-FEATURES = ("gain", "size", "detectable", "invariance", "remainder", "noise_known")
+FEATURES = ("gain", "size", "detectable", "agreement", "remainder", "noise_known")
 CAP = 1e3
+AGREES = 0.01  # a size that is the same to a hundredth is the same
 RIDGE = 2.5**-2.0
 
 
 def features(evidence: Evidence) -> Array:
     """The figures (FEATURES,) of one effect's evidence."""
-    p = max(evidence.invariance_p, 1e-300)
     return np.array(
         [
             np.log1p(np.clip(evidence.gain_nats, 0.0, CAP)),
             np.log1p(min(evidence.z, CAP)),
             min(evidence.z / FOUND_90_OF_98, 1.0),
-            -np.log1p(-np.log(p)),
+            -np.log(AGREES + min(evidence.scatter, 1.0)),
             -np.log(max(evidence.left, 1.0)),
             float(evidence.noise_known),
         ]

@@ -10,7 +10,7 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import STEP_SHARE, Fit, costs, evaluated_at, weights
-from diagnosis.whole_model.linear import Linearised, Term, linearised, packed
+from diagnosis.whole_model.linear import Linearised, Term, about, linearised, packed
 from diagnosis.whole_model.subsets import (
     LinearProblem,
     Members,
@@ -22,7 +22,8 @@ from diagnosis.whole_model.subsets import (
 from machine.rotations import Array
 
 ROUNDS = 6
-STEPS = 6  # of Gauss-Newton between two choices
+STEPS = 10  # of Gauss-Newton between two choices
+NEARLY_NATS = 0.5  # a step that gains less by tangents that were kept is followed by one of fresh ones
 SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
 SETTLED_NATS = 0.05
 CLEAR_NATS = 50.0  # by the linear model: nobody refits a set that is so much worse
@@ -95,7 +96,8 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
             if fitted is None or tried.score > _score_at(fitted.lin, trust):
                 fitted, lin = tried, tried.lin
                 continue
-        rivals = {int(k): _rival(cell, fitted, int(k), own, trust) for k in np.nonzero(fitted.present)[0]}
+        columns = _tangents(cell, fitted)
+        rivals = {int(k): _rival(cell, fitted, int(k), own, trust, columns) for k in np.nonzero(fitted.present)[0]}
         better = max((one for one in rivals.values() if one is not None), key=lambda one: one.score, default=None)
         if better is None or better.score <= fitted.score + SETTLED_NATS:
             settled = True
@@ -134,13 +136,28 @@ def _score_at(lin: Linearised, trust: Array) -> float:
     return prior - float((costs(lin.residual) * trust).sum()) - 0.5 * float(np.linalg.slogdet(A)[1])
 
 
-def _rival(cell: Cell, fitted: Fitted, term: int, own: Members, trust: Array) -> Fitted | None:
-    """The best set without a present term, refitted; None where the linear model is sure that it is far worse."""
+def _rival(
+    cell: Cell, fitted: Fitted, term: int, own: Members, trust: Array, columns: dict[int, Array]
+) -> Fitted | None:
+    """The best set without a present term, refitted; None where the linear model is sure that it is far worse.
+
+    `columns`: tangents of the best set's terms; those that enter have theirs in its linear model.
+    """
     problem = fitted.problem
     members = best_set_without(problem, fitted.present, term, own)
     if problem.score(fitted.present) - problem.score(members) > CLEAR_NATS:
         return None
-    return _fitted(cell, refined(cell, _chosen(fitted.lin, problem, members), trust), trust, absent=False)
+    chosen = _chosen(fitted.lin, problem, members)
+    entering = {k: fitted.lin.columns(k) for k, one in enumerate(chosen) if one.present and k not in columns}
+    short = [k for k, J in entering.items() if J.shape[1] < len(chosen[k].theta)]  # shapes have no column while absent
+    given = None if short else {**columns, **entering}
+    return _fitted(cell, refined(cell, chosen, trust, given), trust, absent=False)
+
+
+def _tangents(cell: Cell, fitted: Fitted) -> dict[int, Array]:
+    some = [k for k, term in enumerate(fitted.terms) if term.present]
+    lin = linearised(cell, tuple(fitted.terms[k] for k in some), to_move=True)
+    return {k: lin.columns(at) for at, k in enumerate(some)}
 
 
 def _chosen(lin: Linearised, problem: LinearProblem, members: Members) -> tuple[Term, ...]:
@@ -162,30 +179,64 @@ def _bounded(term: Term, theta: Array) -> Array:
     return inside if term.present or not term.limits else theta
 
 
-def refined(cell: Cell, terms: tuple[Term, ...], trust: Array) -> tuple[Term, ...]:
-    """Gauss-Newton of the present terms under their priors, from where they stand."""
+def refined(
+    cell: Cell, terms: tuple[Term, ...], trust: Array, columns: dict[int, Array] | None = None
+) -> tuple[Term, ...]:
+    """Gauss-Newton of the present terms under their priors, from where they stand.
+
+    Args:  columns: by term, its tangents where the terms stood nearby; without them they are computed.
+    Model: tangents are kept while full steps by them help (chord method); the last step is by fresh ones.
+    """
     some = [k for k, term in enumerate(terms) if term.present]
     own = tuple(terms[k] for k in some)
-    for _ in range(STEPS if own else 0):
-        lin = linearised(cell, own, to_move=True)
-        problem = lin.problem(trust)
-        now = np.concatenate([term.theta for term in own])
-        x = problem.estimate(np.ones(len(own), dtype=bool))[0]
-        moved = np.split(now + x - lin.x, np.cumsum([len(term.theta) for term in own])[:-1])
-        target = np.concatenate([_bounded(term, theta) for term, theta in zip(own, moved, strict=True)])
-        trials = now + np.array((*SHARES, 0.0))[:, None] * (target - now)
-        left = evaluated_at(cell, packed(cell, own, trials))
-        sizes = np.concatenate([np.arange(len(term.theta)) < term.sizes for term in own])
-        limit = np.concatenate([np.full(len(term.theta), term.limits) for term in own]) & sizes
-        off = np.where(limit, 0.0, trials - np.where(sizes, 0.0, now)) / problem.slab
-        totals = (costs(left) * trust).sum(axis=1) + 0.5 * (off**2).sum(axis=1)
-        best = int(np.argmin(totals))
-        ends = np.cumsum([len(term.theta) for term in own])[:-1]
-        own = tuple(replace(term, theta=row) for term, row in zip(own, np.split(trials[best], ends), strict=True))
-        if totals[-1] - totals[best] < SETTLED_NATS:
+    if not own:
+        return terms
+    fresh = columns is None
+    lin = linearised(cell, own, to_move=True) if columns is None else about(cell, own, [columns[k] for k in some])
+    total = _total(lin, trust)
+    for _ in range(STEPS):
+        moved = _step(cell, lin, trust, SHARES if fresh else (1.0,), total)
+        gained = 0.0
+        if moved is not None:
+            gained, (lin, total) = total - moved[1], moved
+        if gained > NEARLY_NATS:
+            fresh = False
+        elif fresh:
             break
+        else:
+            lin, fresh = linearised(cell, lin.terms, to_move=True), True
+    own = lin.terms
     by_number = dict(zip(some, (replace(term, present=not _vanished(term)) for term in own), strict=True))
     return tuple(by_number.get(k, term) for k, term in enumerate(terms))
+
+
+def _step(
+    cell: Cell, lin: Linearised, trust: Array, shares: tuple[float, ...], total: float
+) -> tuple[Linearised, float] | None:
+    """The best of some shares of a Gauss-Newton step, with its total; None where none of them helps."""
+    own = lin.terms
+    now = np.concatenate([term.theta for term in own])
+    x = lin.problem(trust).estimate(np.ones(len(own), dtype=bool))[0]
+    ends = np.cumsum([len(term.theta) for term in own])[:-1]
+    moved = np.split(now + x - lin.x, ends)
+    target = np.concatenate([_bounded(term, theta) for term, theta in zip(own, moved, strict=True)])
+    trials = now + np.array(shares)[:, None] * (target - now)
+    tried = []
+    for row, left in zip(trials, evaluated_at(cell, packed(cell, own, trials)), strict=True):
+        there = tuple(replace(term, theta=theta) for term, theta in zip(own, np.split(row, ends), strict=True))
+        one = lin.at(there, left)
+        tried.append((_total(one, trust), one))
+    best, at = min(tried, key=lambda pair: pair[0])
+    return (at, best) if best < total else None
+
+
+def _total(lin: Linearised, trust: Array) -> float:
+    """Costs and priors of the terms as they stand [nats]."""
+    slab = lin.slab
+    sizes = np.concatenate([np.arange(len(term.theta)) < term.sizes for term in lin.terms])
+    limit = np.concatenate([np.full(len(term.theta), term.limits) for term in lin.terms]) & sizes
+    off = np.where(sizes & ~limit, np.concatenate([term.theta for term in lin.terms]), 0.0) / slab
+    return float((costs(lin.residual) * trust).sum() + 0.5 * (off**2).sum())
 
 
 def _vanished(term: Term) -> bool:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from machine.rotations import Array
 
 WINDOW_NATS = 7.0  # sets less likely than 1 to 1000 against the best one do not change a probability's third digit
+TRIED = 200  # exchanges that are tried with the bounds
 WINDOW_SETS = 60  # sets whose neighbours are looked at
 Members = NDArray[np.bool_]
 
@@ -121,7 +122,7 @@ def best_set_without(problem: LinearProblem, members: Members, term: int, allowe
 
 def _neighbours(problem: LinearProblem, members: Members, least: float) -> list[tuple[float, Members]]:
     args = (problem.H, problem.c, problem.slab, problem.first, problem.nonnegative, problem.log_odds)
-    scores, sets = _around(*args, members)
+    scores, sets = _around(*args, members, least)
     return [(float(s), one) for s, one in zip(scores, sets, strict=True) if s > least]
 
 
@@ -169,62 +170,158 @@ def _score(H, c, slab, first, nonnegative, log_odds, members):
 
 
 @njit(cache=True)
+def _with_each(G, b, first, nonnegative, log_odds, P, own, members):
+    """By how much each absent term would raise a set's score (terms,); own (k,): its columns, P (k, k): inverse.
+
+    Model: G, b in slabs; a block U enters with 1/2 r' S^-1 r - 1/2 log |S|, S = G_UU + I - G_UO P G_OU,
+           r = b_U - G_UO x.
+    """
+    terms, k = members.shape[0], own.shape[0]
+    x = np.zeros(k)
+    for i in range(k):
+        for j in range(k):
+            x[i] += P[i, j] * b[own[j]]
+    out = np.full(terms, -np.inf)
+    for t in range(terms):
+        m = first[t + 1] - first[t]
+        if members[t] or m == 0:
+            continue
+        S, r = np.empty((m, m)), np.empty(m)
+        for i in range(m):
+            u = first[t] + i
+            row = np.zeros(k)
+            r[i] = b[u]
+            for q in range(k):
+                g = G[u, own[q]]
+                r[i] -= g * x[q]
+                if g != 0.0:
+                    for j in range(k):
+                        row[j] += g * P[q, j]
+            for j in range(m):
+                S[i, j] = G[u, first[t] + j]
+                for q in range(k):
+                    S[i, j] -= row[q] * G[own[q], first[t] + j]
+            S[i, i] += 1.0
+        if m == 1 and nonnegative[first[t]] and r[0] < 0.0:
+            out[t] = log_odds[t] - WINDOW_NATS
+            continue
+        values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+        values = np.maximum(values, 1.0)  # less is rounding
+        z = vectors.T @ r
+        out[t] = log_odds[t] + 0.5 * np.sum(z * z / values) - 0.5 * np.sum(np.log(values))
+    return out
+
+
+@njit(cache=True)
+def _steps_from(H, c, slab, first, nonnegative, log_odds, members):
+    """By how much the score of a set changes, by the linear model without bounds: one term more or less (terms,), and
+    by exchanges (terms that leave, terms that enter).
+    """
+    terms = members.shape[0]
+    G, b = H * slab * slab.reshape(-1, 1), c * slab
+    cols = np.empty(c.shape[0], np.int64)
+    m = 0
+    for t in range(terms):
+        if members[t]:
+            for col in range(first[t], first[t + 1]):
+                cols[m] = col
+                m += 1
+    own = np.sort(_solved(H, c, slab, nonnegative, cols[:m])[1])
+    k = own.shape[0]
+    A = np.empty((k, k))
+    for i in range(k):
+        for j in range(k):
+            A[i, j] = G[own[i], own[j]]
+        A[i, i] += 1.0
+    P = np.linalg.inv(A)
+    x = P @ b[own]
+    flips = _with_each(G, b, first, nonnegative, log_odds, P, own, members)
+    swaps = np.full((terms, terms), -np.inf)
+    for t in range(terms):
+        if not members[t]:
+            continue
+        inside = (own >= first[t]) & (own < first[t + 1])
+        T, R = np.nonzero(inside)[0], np.nonzero(~inside)[0]
+        flips[t] = -log_odds[t]
+        if T.shape[0] == 0:
+            continue
+        PTT, PRT = np.empty((T.shape[0], T.shape[0])), np.empty((R.shape[0], T.shape[0]))
+        for j in range(T.shape[0]):
+            for i in range(T.shape[0]):
+                PTT[i, j] = P[T[i], T[j]]
+            for i in range(R.shape[0]):
+                PRT[i, j] = P[R[i], T[j]]
+        back = np.linalg.inv(PTT)
+        flips[t] -= 0.5 * (x[T] @ back @ x[T]) + 0.5 * np.log(max(np.linalg.det(PTT), 1e-300))
+        left = np.empty((R.shape[0], R.shape[0]))
+        for i in range(R.shape[0]):
+            for j in range(R.shape[0]):
+                left[i, j] = P[R[i], R[j]]
+        left -= PRT @ back @ PRT.T
+        swaps[t] = flips[t] + _with_each(G, b, first, nonnegative, log_odds, left, own[R], members)
+    return flips, swaps
+
+
+@njit(cache=True)
 def _climbed(H, c, slab, first, nonnegative, log_odds, start, allowed):
     members = start.copy()
     terms = members.shape[0]
-    now = _score(H, c, slab, first, nonnegative, log_odds, members)
+    given = (H, c, slab, first, nonnegative, log_odds)
+    now = _score(*given, members)
     for _ in range(4 * terms):
-        best, out, into = now + 1e-9, -1, -1
-        for t in range(terms):
+        flips, swaps = _steps_from(*given, members)
+        found = False
+        for t in np.argsort(-flips):
+            if flips[t] < 0.0:
+                break
             if not (members[t] or allowed[t]):
                 continue
             members[t] = not members[t]
-            value = _score(H, c, slab, first, nonnegative, log_odds, members)
+            value = _score(*given, members)  # with the bounds
+            if value > now + 1e-9:
+                now, found = value, True
+                break
             members[t] = not members[t]
-            if value > best:
-                best, out, into = value, t, -1
-        if out < 0:  # exchanges only where no single step helps
-            for t in range(terms):
-                if not members[t]:
-                    continue
-                members[t] = False
-                for u in range(terms):
-                    if members[u] or not allowed[u] or u == t:
-                        continue
-                    members[u] = True
-                    value = _score(H, c, slab, first, nonnegative, log_odds, members)
-                    members[u] = False
-                    if value > best:
-                        best, out, into = value, t, u
-                members[t] = True
-        if out < 0:
+        if found:
+            continue
+        flat = swaps.ravel()
+        for at in np.argsort(-flat)[:TRIED]:  # exchanges only where no single step helps
+            if flat[at] < 0.0:
+                break
+            t, u = at // terms, at % terms
+            if not allowed[u]:
+                continue
+            members[t], members[u] = False, True
+            value = _score(*given, members)
+            if value > now + 1e-9:
+                now, found = value, True
+                break
+            members[t], members[u] = True, False
+        if not found:
             break
-        members[out] = not members[out]
-        if into >= 0:
-            members[into] = True
-        now = best
     return members
 
 
 @njit(cache=True)
-def _around(H, c, slab, first, nonnegative, log_odds, members):
-    """Scores and sets one addition, removal or exchange away."""
+def _around(H, c, slab, first, nonnegative, log_odds, members, least):
+    """Scores and sets one addition, removal or exchange away, of those that the linear model sees above `least`."""
     terms = members.shape[0]
-    inside = np.sum(members)
-    count = terms + inside * (terms - inside)
+    given = (H, c, slab, first, nonnegative, log_odds)
+    now = _score(*given, members)
+    flips, swaps = _steps_from(*given, members)
+    count = np.sum(now + flips > least) + np.sum(now + swaps > least)
     sets, scores = np.empty((count, terms), np.bool_), np.empty(count)
     row = 0
     for t in range(terms):
-        sets[row] = members
-        sets[row, t] = not members[t]
-        scores[row] = _score(H, c, slab, first, nonnegative, log_odds, sets[row])
-        row += 1
-    for t in range(terms):
+        if now + flips[t] > least:
+            sets[row] = members
+            sets[row, t] = not members[t]
+            scores[row] = _score(*given, sets[row])
+            row += 1
         for u in range(terms):
-            if members[t] and not members[u]:
+            if now + swaps[t, u] > least:
                 sets[row] = members
-                sets[row, t] = False
-                sets[row, u] = True
-                scores[row] = _score(H, c, slab, first, nonnegative, log_odds, sets[row])
+                sets[row, t], sets[row, u] = False, True
+                scores[row] = _score(*given, sets[row])
                 row += 1
     return scores, sets

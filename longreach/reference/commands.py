@@ -5,7 +5,7 @@ from typing import Any
 
 import typer
 
-from longreach.lazy_commands import loaded
+from longreach.lazy_commands import LazyCommand, loaded
 from longreach.reference.markdown import code, table
 
 
@@ -23,6 +23,8 @@ def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
         yield path, command
         return
     for name in sorted(children):
+        if isinstance(children[name], LazyCommand) and children[name].lazy.of_checkout:
+            continue  # evidence: not part of the package
         yield from _walk(f"{path} {name}", children[name])
 
 

@@ -2,7 +2,7 @@
 
 Each term is an exact identity at its neutral value, so that the nominal model comes out bit by bit. The fixed order is
 delay and loss, rounding, rate limit | controller, its lag, its clip | valve hysteresis, lag, nominal spool, dead band,
-flow and load, stiction, pump sharing, leakage | encoder | backlash, flexibility. Columns of the parameter arrays are
+flow and load, stiction, pump sharing, leakage, friction, oil spring | encoder | backlash, flexibility. Columns of the parameter arrays are
 constants of this file, since a compiled cache sees changes of its own file only.
 """
 
@@ -20,6 +20,7 @@ BACKLASH, FLEX_GAIN, FLEX_HZ, FLEX_DAMPING = 18, 19, 20, 21
 KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING = 22, 23, 24  # a swing of the same joint that goes on beside that one
 DEADBAND_LOST = 25  # what is taken off every opening, also off a full one
 BREAKAWAY_ONCE = 26  # of a joint that, once moving, sticks again only where its spool changes sides
+FRICTION, OIL_PERIOD, OIL_DAMPING = 27, 28, 29  # how far the oil yields before a joint moves, and its spring
 # Columns of the machine's parameters (sets, MACHINE_COLUMNS).
 DELAY, LOSS, FLOW_LIMIT, PAYLOAD = 0, 1, 2, 3
 # Columns of the nominal actuators (joints, 5).
@@ -166,6 +167,20 @@ def _flow(x: float, deadband: float, gains: Gains, droop: float, load: float) ->
     return opening * inverse_span * gain_up * share if x > 0.0 else -opening * inverse_span * gain_down * share
 
 
+@njit(cache=True)
+def _spring(p: Array, dt: float, out: Array) -> None:
+    """Free motion (4,) of a joint on its oil's spring over dt; nothing without one."""
+    if p[OIL_PERIOD] > 0.0:
+        _swing(1.0 / p[OIL_PERIOD], p[OIL_DAMPING], dt, out)
+
+
+@njit(cache=True, inline="always")
+def _sprung(q: float, q_d: float, at: float, spring: Array) -> tuple[float, float]:
+    """Angle and speed of a joint after one step on a spring whose other end is at `at`."""
+    off = q - at
+    return at + spring[0] * off + spring[1] * q_d, spring[2] * off + spring[3] * q_d
+
+
 @njit(cache=True, inline="always")
 def _follow(behind: Array, q: float, p: Array, swing: Array, cycle_s: float) -> None:
     """One PLC cycle of a link behind its joint: play, then the swings that the link's side is kicked into."""
@@ -272,12 +287,15 @@ def _alone(
     slow_share, hysteresis, wn, zeta = _share(dt, p[LAG]), p[HYSTERESIS], nominal[WN], nominal[ZETA]
     deadband, droop, leak, breakaway = p[DEADBAND] + p[DEADBAND_LOST], p[DROOP], p[LEAK], p[BREAKAWAY]
     gains = _gains(p, nominal[KV])
+    friction, sprung, spring = p[FRICTION], p[OIL_PERIOD] > 0.0, np.zeros(4)
+    _spring(p, dt, spring)
     swing, behind = np.zeros(FREE), np.zeros(BEHIND)
     _swings(p, cycle_s, swing)
     ref = sent[kept[latest[0]], 0] if first == LINK else enc_start[0]
     enc, q = enc_start[0], _true_angle(enc_start[0], p)
     lagged = u = play = slow = spool = u_start[0]
-    spool_d = moving = 0.0
+    spool_d = moving = q_d = 0.0
+    oil = pushed = q
     behind[SIDE] = q
     row, until = -1, 0
     for k in range(max(latest.shape[0], ref_in.shape[0], u_in.shape[0], enc_in.shape[0])):
@@ -313,7 +331,12 @@ def _alone(
                 spool += dt * spool_d
                 moving = _moving(moving, spool, breakaway, p[BREAKAWAY_ONCE])
                 speed = _flow(spool, deadband, gains, droop, pull) if moving != 0.0 else 0.0
-                q += dt * (speed + leak * pull)
+                oil += dt * (speed + leak * pull)
+                pushed = play_operator(oil, pushed, friction)
+                if sprung:
+                    q, q_d = _sprung(q, q_d, pushed, spring)
+                else:
+                    q = pushed
 
 
 @njit(cache=True, nogil=True)
@@ -335,6 +358,7 @@ def _together(
     ref, lagged, u = np.zeros(n), np.zeros(n), np.zeros(n)
     play, slow, spool, spool_d, speed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     moving, q, enc, pull = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    oil, pushed, q_d, spring = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 4))
     behind, swing = np.zeros((n, BEHIND)), np.zeros((n, FREE))
     pt1, slow_share, gains = np.zeros(n), np.zeros(n), np.zeros((n, 3))
     for j in range(n):
@@ -342,11 +366,12 @@ def _together(
         slow_share[j] = _share(dt, P[j, LAG])
         gains[j, 0], gains[j, 1], gains[j, 2] = _gains(P[j], nominal[j, KV])
         _swings(P[j], cycle_s, swing[j])
+        _spring(P[j], dt, spring[j])
         ref[j] = sent[kept[latest[0]], j] if first == LINK else enc_start[j]
         enc[j] = enc_start[j]
         q[j] = _true_angle(enc_start[j], P[j])
         lagged[j] = u[j] = play[j] = slow[j] = spool[j] = u_start[j]
-        behind[j, SIDE] = q[j]
+        oil[j] = pushed[j] = behind[j, SIDE] = q[j]
     row, until, a, b = -1, 0, 0, 0
     for k in range(max(latest.shape[0], ref_in.shape[0], u_in.shape[0], enc_in.shape[0])):
         logged = until == 0
@@ -399,4 +424,9 @@ def _together(
                 total += abs(speed[j]) / nominal[j, KV]
             served = G[FLOW_LIMIT] / total if total > G[FLOW_LIMIT] else 1.0
             for j in range(n):
-                q[j] += dt * (speed[j] * served + P[j, LEAK] * pull[j])
+                oil[j] += dt * (speed[j] * served + P[j, LEAK] * pull[j])
+                pushed[j] = play_operator(oil[j], pushed[j], P[j, FRICTION])
+                if P[j, OIL_PERIOD] > 0.0:
+                    q[j], q_d[j] = _sprung(q[j], q_d[j], pushed[j], spring[j])
+                else:
+                    q[j] = pushed[j]

@@ -13,13 +13,14 @@ from machine.errors import MachineError
 from machine.rotations import Array
 
 # Columns behind the kernel's own, used by structure, camera and clocks.
-SAG, LENGTH_A, LENGTH_D, TILT_X, TILT_Y = 27, 28, 29, 30, 31
-JOINT_COLUMNS = 32
+SAG, LENGTH_A, LENGTH_D, TILT_X, TILT_Y = 30, 31, 32, 33, 34
+JOINT_COLUMNS = 35
 CLOCK_OFFSET, CLOCK_RATE_PPM, BASE_TILT, BASE_COMPLIANCE = 4, 5, slice(6, 9), 9
 FOCAL, PRINCIPAL, K1, MARKER_SIZE = 10, slice(11, 13), 13, 14
 HAND_EYE_ROTATION, HAND_EYE_TRANSLATION, STEREO = slice(15, 18), slice(18, 21), slice(21, 24)
 LATENCY, READOUT, ODOMETRY_SCALE, STAMP_ROW, CLOCK_ZERO = 24, 25, 26, 27, 28
-MACHINE_COLUMNS = 29
+TOOL_MARKER_ROTATION, TOOL_MARKER_TRANSLATION = slice(29, 32), slice(32, 35)
+MACHINE_COLUMNS = 35
 
 # (effect, parameter, option or "") -> column; a direction's size stands in as many columns as the vector has.
 _JOINT: dict[tuple[str, str, str], int] = {
@@ -38,6 +39,9 @@ _JOINT: dict[tuple[str, str, str], int] = {
     ("internal_leakage", "drift_rad_s", ""): kernel.LEAK,
     ("stiction", "breakaway_frac", "below_a_fifth"): kernel.BREAKAWAY,
     ("stiction", "breakaway_frac", "at_reversals"): kernel.BREAKAWAY_ONCE,
+    ("joint_friction", "compression_rad", ""): kernel.FRICTION,
+    ("oil_compliance", "period_s", ""): kernel.OIL_PERIOD,
+    ("oil_compliance", "damping", ""): kernel.OIL_DAMPING,
     ("encoder_bias", "bias_rad", ""): kernel.BIAS,
     ("encoder_scale", "scale_frac", ""): kernel.SCALE,
     ("encoder_eccentricity", "amplitude_rad", ""): kernel.ECC_AMPLITUDE,
@@ -74,6 +78,8 @@ _MACHINE: dict[tuple[str, str], int] = {
     ("rolling_shutter", "readout_s"): READOUT,
     ("rolling_shutter", "stamp_row"): STAMP_ROW,
     ("odometry_scale", "scale_frac"): ODOMETRY_SCALE,
+    ("tool_marker_rotation", "angle_rad"): TOOL_MARKER_ROTATION.start,
+    ("tool_marker_translation", "distance_m"): TOOL_MARKER_TRANSLATION.start,
 }
 
 

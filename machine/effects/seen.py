@@ -21,6 +21,8 @@ from machine.effects.layout import (
     READOUT,
     STAMP_ROW,
     STEREO,
+    TOOL_MARKER_ROTATION,
+    TOOL_MARKER_TRANSLATION,
     ParameterSets,
 )
 from machine.errors import MachineError
@@ -58,6 +60,14 @@ def camera_mount(sets: ParameterSets, T_tcp_cam_left: Array, which: int = 0) -> 
         T[:3, :3] = T[:3, :3] @ rotation_from_rotvec(G[HAND_EYE_ROTATION])
     T[:3, 3] += G[HAND_EYE_TRANSLATION]
     return T
+
+
+def tool_place(sets: ParameterSets, T_tcp_tool: Array, which: int = 0) -> Array:
+    """T_tcp_tool (4, 4) as the tool's markers show it: turned and moved in the tool's own frame."""
+    G = sets.machine[which]
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = rotation_from_rotvec(G[TOOL_MARKER_ROTATION]), G[TOOL_MARKER_TRANSLATION]
+    return np.asarray(T_tcp_tool @ T, dtype=float)
 
 
 def true_camera(sets: ParameterSets, camera: StereoCamera, which: int = 0) -> StereoCamera:

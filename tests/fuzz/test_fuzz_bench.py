@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from longreach import bench_fuzz
-from longreach.bench_fuzz import Lane, run_lane
-from sim_plc.fuzz.counts import FuzzCounts
-from sim_plc.fuzz.verdict import Violation
+from benchmarks.link.fuzz import command as bench_fuzz
+from benchmarks.link.fuzz.command import Lane, run_lane
+from benchmarks.link.fuzz.counts import FuzzCounts
+from benchmarks.link.fuzz.verdict import Violation
 
 
 @pytest.fixture(autouse=True)

@@ -9,17 +9,17 @@ from random import Random
 import numpy as np
 import pytest
 
+from benchmarks.link.fuzz import oracle_knots
+from benchmarks.link.fuzz.frames import sealed
+from benchmarks.link.fuzz.mutators import mutated_bytes, mutated_command, mutated_state, with_value
+from benchmarks.link.fuzz.oracle_bytes import Subscription, command_breach, state_breach, unframed
+from benchmarks.link.fuzz.oracle_fields import KnotFields, command_fields, state_fields
+from benchmarks.link.fuzz.picture import picture
+from benchmarks.link.fuzz.plc_end import VARIANTS, PlcEnd
+from benchmarks.link.fuzz.verdict import Breach
 from machine.description import parse_machine_toml
 from protocol.codes import PlcState, RejectCode
 from protocol.limits import AxisLimits, LimitTable
-from sim_plc.fuzz import oracle_knots
-from sim_plc.fuzz.frames import sealed
-from sim_plc.fuzz.mutators import mutated_bytes, mutated_command, mutated_state, with_value
-from sim_plc.fuzz.oracle_bytes import Subscription, command_breach, state_breach, unframed
-from sim_plc.fuzz.oracle_fields import KnotFields, command_fields, state_fields
-from sim_plc.fuzz.picture import picture
-from sim_plc.fuzz.plc_end import VARIANTS, PlcEnd
-from sim_plc.fuzz.verdict import Breach
 
 VECTORS = Path(__file__).parents[1] / "vectors"
 KEY = bytes(range(32))

@@ -11,6 +11,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.link.fuzz.counts import FuzzCounts, counts_from_json
+from benchmarks.link.fuzz.engine import End, fuzz_chunk
+from benchmarks.link.fuzz.frames import sealed
 from machine.description import parse_machine_toml
 from protocol import client_link, framing, plc_link
 from protocol.codec import decode_command
@@ -18,9 +21,6 @@ from protocol.codes import PlcState, RejectCode
 from protocol.gate import GateVerdict
 from protocol.plc_link import PlcLink
 from protocol.sequence import SequenceKind, classify_sequence
-from sim_plc.fuzz.counts import FuzzCounts, counts_from_json
-from sim_plc.fuzz.engine import End, fuzz_chunk
-from sim_plc.fuzz.frames import sealed
 from sim_plc.plc import knot_checks, knot_ring
 
 MACHINE = parse_machine_toml((files("machine") / "machines" / "hiab033.toml").read_text(encoding="utf-8"))

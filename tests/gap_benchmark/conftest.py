@@ -1,4 +1,4 @@
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).parents[2]))  # the generator is run as tests.gap_benchmark from the root
+sys.path.insert(0, str(Path(__file__).parents[2]))  # the generator is run as benchmarks.diagnosis.sealed from the root

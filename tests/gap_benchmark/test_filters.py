@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tests.gap_benchmark.filters import filtered_by, response_of, whitened_by
-from tests.gap_benchmark.whitening import beside
+from benchmarks.diagnosis.sealed.filters import filtered_by, response_of, whitened_by
+from benchmarks.diagnosis.sealed.whitening import beside
 
 X = np.random.default_rng(3).normal(size=300)
 AR = np.array([0.9, -0.3, 0.05])

@@ -5,20 +5,20 @@ import pytest
 
 pytest.importorskip("exudyn", reason="the foreign plant is simulated by Exudyn: pip install -e '.[bench]'")
 
+from benchmarks.diagnosis.sealed import foreign_exudyn, foreign_plant, foreign_valves
+from benchmarks.diagnosis.sealed import foreign_geometry as g
+from benchmarks.diagnosis.sealed import foreign_machine as m
+from benchmarks.diagnosis.sealed import foreign_numbers as k
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.arm_effects import ARM_EFFECTS
+from benchmarks.diagnosis.sealed.faults import Injected, faults_of
+from benchmarks.diagnosis.sealed.foreign_arm import arm_of
+from benchmarks.diagnosis.sealed.own_plant import Course
+from benchmarks.diagnosis.sealed.plants import OWN, plant_named
 from diagnosis.log.nominal import nominal_of
 from machine.effects.entries import make_entry, pack
 from machine.effects.registry import effect_named
 from machine.effects.structure import link_poses, reference_torques, tcp_poses
-from tests.gap_benchmark import foreign_exudyn, foreign_plant, foreign_valves
-from tests.gap_benchmark import foreign_geometry as g
-from tests.gap_benchmark import foreign_machine as m
-from tests.gap_benchmark import foreign_numbers as k
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.arm_effects import ARM_EFFECTS
-from tests.gap_benchmark.faults import Injected, faults_of
-from tests.gap_benchmark.foreign_arm import arm_of
-from tests.gap_benchmark.own_plant import Course
-from tests.gap_benchmark.plants import OWN, plant_named
 
 NOMINAL = nominal_of(m.toml())
 Q = np.array([0.3, 0.6, -1.5])

@@ -8,22 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.diagnosis.sealed import behind, link, motion, own_plant, recorded
+from benchmarks.diagnosis.sealed import nominal_own as own
+from benchmarks.diagnosis.sealed.arm_effects import ARM_EFFECTS
+from benchmarks.diagnosis.sealed.cases import BLOCK, draw, mix_of
+from benchmarks.diagnosis.sealed.faults import FOREIGN, Injected, faults_of
+from benchmarks.diagnosis.sealed.judge import Equal, SealError, judged, opened
+from benchmarks.diagnosis.sealed.limits import key, no_easier_beside_noise
+from benchmarks.diagnosis.sealed.scales import KINDS, NOT_JUDGED
+from benchmarks.diagnosis.sealed.sensitivity import separation, size2
 from diagnosis.log.nominal import nominal_of
 from machine.effects.entries import make_entry, pack
 from machine.effects.registry import NAMES, effect_named
 from machine.effects.structure import link_poses, tcp_poses
-from tests.gap_benchmark import behind, link, motion, own_plant, recorded
-from tests.gap_benchmark import nominal_own as own
-from tests.gap_benchmark.arm_effects import ARM_EFFECTS
-from tests.gap_benchmark.cases import BLOCK, draw, mix_of
-from tests.gap_benchmark.faults import FOREIGN, Injected, faults_of
-from tests.gap_benchmark.judge import Equal, SealError, judged, opened
-from tests.gap_benchmark.limits import key, no_easier_beside_noise
-from tests.gap_benchmark.scales import KINDS, NOT_JUDGED
-from tests.gap_benchmark.sensitivity import separation, size2
 
 NOMINAL = nominal_of(own.toml())
-HERE = Path(__file__).parent
+ROOT = Path(__file__).parents[2]
 LIMITS = {key(kind.name, joint): [kind.guess] * 3 for kind in KINDS for joint in kind.joints or (None,)}
 
 
@@ -249,5 +249,5 @@ def _imported(folder: Path) -> set[str]:
 
 
 def test_generator_and_diagnosis_know_nothing_of_each_other() -> None:
-    assert "diagnosis" not in _imported(HERE)
-    assert not {"tests", "sim_plc"} & _imported(HERE.parents[1] / "diagnosis")
+    assert "diagnosis" not in _imported(ROOT / "benchmarks" / "diagnosis" / "sealed")
+    assert not {"benchmarks", "sim_plc"} & _imported(ROOT / "diagnosis")

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from tests.gap_benchmark import third_camera as camera
-from tests.gap_benchmark import third_cases as cases
-from tests.gap_benchmark.third_arm import Array, rotation
-from tests.gap_benchmark.third_dynamics import BIAS, DISTURBANCE_MEMORY, Motion, drive_of, run
-from tests.gap_benchmark.third_plant import KINDS, PIXEL, PLACE_M, SPEED_RAD_S, digest, draw, write_case
-from tests.gap_benchmark.third_truth import Weighed, plant_of, scene_of
+from benchmarks.diagnosis.sealed import third_camera as camera
+from benchmarks.diagnosis.sealed import third_cases as cases
+from benchmarks.diagnosis.sealed.third_arm import Array, rotation
+from benchmarks.diagnosis.sealed.third_dynamics import BIAS, DISTURBANCE_MEMORY, Motion, drive_of, run
+from benchmarks.diagnosis.sealed.third_plant import KINDS, PIXEL, PLACE_M, SPEED_RAD_S, digest, draw, write_case
+from benchmarks.diagnosis.sealed.third_truth import Weighed, plant_of, scene_of
 
-HERE = Path(__file__).parent
+SEALED = Path(__file__).parents[2] / "benchmarks" / "diagnosis" / "sealed"
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data" / "gap" / "many_at_once"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=f"the shared recordings are not at {SHARED}")
 MACHINE = cases.machine_of(np.random.default_rng(3), 6)
@@ -43,15 +43,15 @@ def quiet(effects: list[dict[str, Any]], sent: Array = SENT, machine: dict[str, 
 
 
 def test_it_imports_nothing_of_simulator_effects_or_diagnosis() -> None:
-    for path in HERE.glob("third_*.py"):
+    for path in SEALED.glob("third_*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             for name in names:
                 ours = name.startswith(("machine", "sim_plc", "diagnosis", "server", "recording", "longreach"))
                 assert not ours, f"{path.name} imports {name}"
-                if name.startswith("tests."):
-                    assert name == "tests.gap_benchmark" or ".third_" in name
+                if name.startswith("benchmarks."):
+                    assert name == "benchmarks.diagnosis.sealed" or ".third_" in name
 
 
 def test_without_effects_it_is_the_nominal_model_of_the_contract() -> None:

@@ -4,6 +4,8 @@ import random
 
 import numpy as np
 
+from benchmarks.link.drill.drill import drill_machine
+from benchmarks.link.drill.drill_plant import IdealPlant
 from protocol.client_events import ClientPhase, TrajectoryEnded
 from protocol.client_link import ClientLink
 from protocol.codes import PlcState
@@ -11,8 +13,6 @@ from protocol.framing import RawFraming
 from protocol.limits import limits_of
 from protocol.messages import Axes, Knot
 from sim_plc.plc.logic import PlcLogic
-from sim_plc.relay.drill import drill_machine
-from sim_plc.relay.drill_plant import IdealPlant
 from sim_plc.relay.faults import FaultChannel, Faults
 
 MS = 1_000_000

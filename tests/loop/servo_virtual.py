@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from benchmarks.simulator.virtual import VirtualMachine
 from machine.chain import chain_of
 from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec
@@ -22,7 +23,6 @@ from server.link.knots import knots_from, knots_of
 from server.settings import ServerSettings, read_machine
 from server.vision.contracts import Look, LookStatus, ObjectPose, PoseStatus
 from sim_plc.draw_world import draw_world
-from sim_plc.virtual import VirtualMachine
 
 MS = 1_000_000
 NOISE = np.diag([1e-3] * 3 + [2e-4] * 3)

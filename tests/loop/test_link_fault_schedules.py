@@ -11,8 +11,12 @@ import pytest
 from link_virtual import MACHINE, MS, Q_START, TABLE, VirtualLink
 from rich.console import Console
 
-from longreach import bench_schedules
-from longreach.saved_lines import whole_lines
+from benchmarks.link import schedules as bench_schedules
+from benchmarks.link.drill.drill import drill_machine, run_schedule
+from benchmarks.link.drill.drill_plant import TruePlant
+from benchmarks.link.drill.motions import draw_motion, draw_tail, knots_between, reach, roughen
+from benchmarks.link.drill.schedule import Act, FaultPhase, FaultSchedule, draw_schedule
+from benchmarks.saved_lines import whole_lines
 from protocol.client_link import ClientLink
 from protocol.client_run import Run
 from protocol.codes import PlcState
@@ -23,11 +27,7 @@ from sim_plc.draw_world import draw_world
 from sim_plc.plc.joint_control import JointControl
 from sim_plc.plc.knot_checks import check_step
 from sim_plc.plc.reference import Motion, Reference
-from sim_plc.relay.drill import drill_machine, run_schedule
-from sim_plc.relay.drill_plant import TruePlant
 from sim_plc.relay.faults import Faults
-from sim_plc.relay.motions import draw_motion, draw_tail, knots_between, reach, roughen
-from sim_plc.relay.schedule import Act, FaultPhase, FaultSchedule, draw_schedule
 
 SLICE = range(1, 121)
 HIDDEN_START, HIDDEN_PEAK = 0.23426, (11.2484, -38.0305, 27.5477)  # cubic acceleration, shares of qdd_max
@@ -317,7 +317,7 @@ def test_an_exception_in_a_drill_is_a_breach(monkeypatch):
     def burst(self, out):
         raise ZeroDivisionError("here")
 
-    monkeypatch.setattr("sim_plc.relay.drill.Watch.cycle", burst)
+    monkeypatch.setattr("benchmarks.link.drill.drill.Watch.cycle", burst)
     case = bench_schedules.run_case(1)
     assert case["breaches"] == [{"name": "exception", "t_s": 0.0, "text": case["breaches"][0]["text"]}]
 

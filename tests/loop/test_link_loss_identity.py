@@ -9,9 +9,9 @@ from functools import cache
 import pytest
 from link_virtual import MACHINE, MS, NONE, Q_START, TABLE, Played, VirtualLink, playback
 
+from benchmarks.link.drill.motions import knots_between, reach
 from protocol.messages import Knot, axes8
 from sim_plc.relay.faults import Faults
-from sim_plc.relay.motions import knots_between, reach
 
 MACHINE_CYCLE_NS = round(MACHINE.plc_cycle_s * 1e9)
 LOSS = Faults(loss_frac=0.3)

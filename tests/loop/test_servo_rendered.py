@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from servo_virtual import VirtualCell, drive
 
-from longreach.reproduce.rendered_looks import as_sent
+from benchmarks.reproduce.rendered_looks import as_sent
 from server.jobs.plans.servoing import servo
 from server.vision.aruco_source import ArucoPoseSource
 from server.vision.look import average_look

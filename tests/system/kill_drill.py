@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from longreach.kill_drill.figures import KillFigures, figures_of, figures_table
-from longreach.kill_drill.plc_process import PlcProcess, free_udp_port
-from longreach.kill_drill.relay import Relay
+from benchmarks.kills.figures import KillFigures, figures_of, figures_table
+from benchmarks.kills.plc_process import PlcProcess, free_udp_port
+from benchmarks.kills.relay import Relay
 from machine.chain import chain_of
 from machine.description import Machine, parse_machine_toml
 from machine.kinematics import tcp_pose

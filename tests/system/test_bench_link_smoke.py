@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from longreach.bench_link import Plan, bench, line, summary
-from longreach.link_load.back_and_forth import KNOT_S, back_and_forth
-from longreach.link_load.lateness import lateness_us, percentiles
-from longreach.link_load.minute import minute_from, total_of
-from longreach.link_load.replay_camera import to_and_fro
+from benchmarks.link.load.back_and_forth import KNOT_S, back_and_forth
+from benchmarks.link.load.lateness import lateness_us, percentiles
+from benchmarks.link.load.minute import minute_from, total_of
+from benchmarks.link.load.replay_camera import to_and_fro
+from benchmarks.link.real_time import Plan, bench, line, summary
 from machine.description import parse_machine_toml
 from protocol.gate import check_trajectory
 from protocol.limits import limits_of

@@ -10,10 +10,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parent))
 from rest_stand import served
 
-from longreach.bench_load.block import Block, block_from, verdict_of
-from longreach.bench_load.clients import ClientProcess, Demand, demand
-from longreach.bench_load.command import held, line, summary
-from longreach.bench_load.http_client import Connection
+from benchmarks.server.load.block import Block, block_from, verdict_of
+from benchmarks.server.load.clients import ClientProcess, Demand, demand
+from benchmarks.server.load.command import held, line, summary
+from benchmarks.server.load.http_client import Connection
 
 pytestmark = pytest.mark.system
 

@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from benchmarks.simulator.demo_scene import demo_tcp_pose, demo_world
 from longreach.camera_command import camera_settings_of
 from machine.description import Machine
 from recording.clock import mono_ns
 from server.errors import SettingsError
 from server.settings import read_machine
 from server.settings_camera import DeviceCameraSettings, FolderCameraSettings, HttpCameraSettings, RtspCameraSettings
-from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.process import run_camera
 from sim_plc.pose_feed import PoseFeed
 from sim_plc.world import CameraTruth, SceneTruth

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from longreach.kill_drill.plc_process import PlcProcess
+from benchmarks.kills.plc_process import PlcProcess
 from longreach.processes import StackPorts, free_port
 from machine.chain import chain_of
 from machine.kinematics import tcp_pose

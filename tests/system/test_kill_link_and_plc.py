@@ -6,12 +6,12 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from longreach.bench_kills import UnknownVictimError, line, load_case, summary, victims_of
-from longreach.kill_drill.case import KillCase, Observed, failed_case, judged
-from longreach.kill_drill.drill import run_case
-from longreach.kill_drill.figures import KillFigures
-from longreach.kill_drill.plc_process import free_udp_port
-from longreach.kill_drill.victims import children_of, holder_of_udp_port
+from benchmarks.kills.case import KillCase, Observed, failed_case, judged
+from benchmarks.kills.drill import run_case
+from benchmarks.kills.figures import KillFigures
+from benchmarks.kills.plc_process import free_udp_port
+from benchmarks.kills.repeated import UnknownVictimError, line, load_case, summary, victims_of
+from benchmarks.kills.victims import children_of, holder_of_udp_port
 from machine.description import parse_machine_toml
 from protocol.codes import PlcState
 from protocol.messages import State, axes8

@@ -3,7 +3,7 @@
 import httpx
 import pytest
 
-from longreach.bench_position import join_truth, read_truth
+from benchmarks.positioning.end_to_end import join_truth, read_truth
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
 from recording.opening import read_run

@@ -2,7 +2,7 @@
 
 import pytest
 
-from longreach.bench_servo import SETTINGS, run_case, truly_inside
+from benchmarks.positioning.servo import SETTINGS, run_case, truly_inside
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(420)]
 

@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.diagnosis.cost import command
+from benchmarks.diagnosis.cost.everywhere import Way, written
+from benchmarks.diagnosis.cost.made import Size, write_short
+from benchmarks.diagnosis.cost.timed import Timed, timed
+from benchmarks.diagnosis.links.recorded import FIVE, Course
 from diagnosis.reading.read import read
-from longreach.bench_diagnosis import command
-from longreach.bench_diagnosis.everywhere import Way, written
-from longreach.bench_diagnosis.made import Size, write_short
-from longreach.bench_diagnosis.timed import Timed, timed
-from longreach.bench_links.recorded import FIVE, Course
 from longreach.cli import app
 
 

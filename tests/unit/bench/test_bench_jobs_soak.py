@@ -7,13 +7,13 @@ from dataclasses import asdict
 
 import pytest
 
-from longreach.bench_jobs_soak.case import SoakCase, _judged
-from longreach.bench_jobs_soak.command import _thin_out
-from longreach.bench_jobs_soak.faults import SHARES, Planned, planned
-from longreach.bench_jobs_soak.figures import figures_of, line, summary
-from longreach.bench_jobs_soak.sample import MIB, growth_of, samples_of
+from benchmarks.saved_lines import add_line, every_line, open_to_add
+from benchmarks.server.jobs_soak.case import SoakCase, _judged
+from benchmarks.server.jobs_soak.command import _thin_out
+from benchmarks.server.jobs_soak.faults import SHARES, Planned, planned
+from benchmarks.server.jobs_soak.figures import figures_of, line, summary
+from benchmarks.server.jobs_soak.sample import MIB, growth_of, samples_of
 from longreach.fleet_client import Finished
-from longreach.saved_lines import add_line, every_line, open_to_add
 from sim_plc.camera.faults import FaultKind
 
 WELL = Finished("done", "", {"reached": True}, 1.0)

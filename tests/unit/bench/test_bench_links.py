@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from longreach.bench_links import command
-from longreach.bench_links.cases import KINDS, draw
-from longreach.bench_links.run import Outcome
+from benchmarks.diagnosis.links import command
+from benchmarks.diagnosis.links.cases import KINDS, draw
+from benchmarks.diagnosis.links.run import Outcome
 from longreach.cli import app
 
 

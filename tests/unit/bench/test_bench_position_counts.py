@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from longreach.bench_position import TRUTH_COLUMNS, Case, StepErrors, inside, inside_after, join_truth
+from benchmarks.positioning.end_to_end import TRUTH_COLUMNS, Case, StepErrors, inside, inside_after, join_truth
 
 
 def step(name: str, x_mm: float) -> StepErrors:

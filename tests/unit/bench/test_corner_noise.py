@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from longreach.bench_markers.corner_noise import corner_covariances, edge_frames
+from benchmarks.vision.markers.corner_noise import corner_covariances, edge_frames
 
 SQUARE_PX = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 50.0], [0.0, 50.0]])
 

@@ -10,7 +10,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from longreach.bench import BENCHES
+from benchmarks.cli import BENCHES
 from longreach.cli import COMMANDS, app
 from longreach.lazy_commands import Lazy
 

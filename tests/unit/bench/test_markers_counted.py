@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from longreach.bench_markers.cells import Cell
-from longreach.bench_markers.exact import run_cell
-from longreach.bench_markers.judged import Looks, counts
-from longreach.bench_markers.tables import exact_lines
+from benchmarks.vision.markers.cells import Cell
+from benchmarks.vision.markers.exact import run_cell
+from benchmarks.vision.markers.judged import Looks, counts
+from benchmarks.vision.markers.tables import exact_lines
 from machine.poses import pose
 from server.settings import read_machine
 from server.vision.object_pose import PoseSettings

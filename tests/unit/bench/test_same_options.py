@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.same_options import FILE, require_same_options, text_mark
 from longreach.cli import app
-from longreach.same_options import FILE, require_same_options, text_mark
 from server.errors import SettingsError
 
 BENCHES = [

@@ -5,7 +5,7 @@ import logging
 
 import pytest
 
-from longreach.saved_lines import SavedLineError, add_line, every_line, open_to_add, read_lines, whole_lines
+from benchmarks.saved_lines import SavedLineError, add_line, every_line, open_to_add, read_lines, whole_lines
 
 WHOLE = b'{"key": 1}\n{"key": 2}\n'
 CUT = b'{"key": 3, "name": "'

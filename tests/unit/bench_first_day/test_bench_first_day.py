@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from benchmarks.diagnosis.first_day import runner
+from benchmarks.diagnosis.first_day.figures import failures, reliability, rows, wilson
+from benchmarks.diagnosis.first_day.runner import MIXTURE, Campaign, run_campaign
+from benchmarks.diagnosis.first_day.score import score_of
 from diagnosis.budget import CONFIRMED
 from diagnosis.whole_model.probability import FEATURES, probability_of
-from longreach.bench_first_day import runner
-from longreach.bench_first_day.figures import failures, reliability, rows, wilson
-from longreach.bench_first_day.runner import MIXTURE, Campaign, run_campaign
-from longreach.bench_first_day.score import score_of
 from longreach.cli import app
 
 STRONG = dict.fromkeys(FEATURES, 20.0)

@@ -1,6 +1,6 @@
 """How large the classes are that names are told in: one told apart from all others counts, too."""
 
-from tests.gap_benchmark.judge import _class_sizes
+from benchmarks.diagnosis.sealed.judge import _class_sizes
 
 LAG, GAIN, ASYMMETRY = ("valve_lag", 1), ("flow_gain_error", 2), ("valve_asymmetry", 2)
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from longreach.bench_gap import calibrate, figures, reliability
-from longreach.bench_gap.command import tell
-from longreach.bench_gap.runner import Campaign, scores
+from benchmarks.diagnosis.gap import calibrate, figures, reliability
+from benchmarks.diagnosis.gap.command import tell
+from benchmarks.diagnosis.gap.runner import Campaign, scores
 
 
 def case(mix: str, factor: float | None = None, **changed: object) -> dict:

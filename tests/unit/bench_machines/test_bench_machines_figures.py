@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from longreach.bench_machines.figures import accuracy, disobedient, honesty, refusals, seconds, worst
-from longreach.bench_machines.machine_run import MachineRun, MoveErrors
-from longreach.bench_machines.paired import paired_change
+from benchmarks.positioning.machines.figures import accuracy, disobedient, honesty, refusals, seconds, worst
+from benchmarks.positioning.machines.machine_run import MachineRun, MoveErrors
+from benchmarks.positioning.machines.paired import paired_change
 
 C = [[4.0, 0.0, 0.0], [0.0, 4.0, 0.0], [0.0, 0.0, 4.0]]
 

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from longreach.bench_machines.machine_run import MachineRun
-from longreach.bench_machines.saved import VARIANTS, Order, read_runs, run_machines, run_one
-from longreach.bench_machines.variants import ABLATIONS, Replacement, Variant, applied
-from longreach.bench_machines.watched import LookChange
+from benchmarks.positioning.machines.machine_run import MachineRun
+from benchmarks.positioning.machines.saved import VARIANTS, Order, read_runs, run_machines, run_one
+from benchmarks.positioning.machines.variants import ABLATIONS, Replacement, Variant, applied
+from benchmarks.positioning.machines.watched import LookChange
 from server.calibration import joint_estimate
 from server.jobs.plans import driving, learning, planning
 from server.jobs.requests import TakeLook

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from longreach.reproduce.fast_cell import context_of, fast_cell
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.noise_model import fitted_noise
+from benchmarks.reproduce.fast_cell import context_of, fast_cell
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.noise_model import fitted_noise
 from server.jobs.plans.positioning import position
 from server.jobs.requests import TakeLook
 from server.settings import read_machine

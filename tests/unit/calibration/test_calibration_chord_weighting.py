@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from registration_cases import T_TCP_CAM_NOMINAL, RegistrationCase, draw_case
 
-from longreach.bench_registration.cases import T_TCP_CAM_NOMINAL, draw_case
-from longreach.bench_registration.methods import METHODS
 from machine.rotations import geodesic_angle
 from server.calibration.chord_weighting import chord_weighting
-from server.calibration.trajectory_matching import estimate_camera_rotation
+from server.calibration.chords import chord_pairs, chord_vectors
+from server.calibration.rotation_fit import fit_rotation
+from server.calibration.time_offset import find_time_offset, positions_at
+from server.calibration.trajectory_matching import DEFAULT_SETTINGS, estimate_camera_rotation
 
 DRIFT, JITTER = 3e-5, 1e-6
 
@@ -75,13 +77,25 @@ def test_all_chords_beat_chords_of_one_length_and_least_squares(kind, path):
         found = estimate_camera_rotation(case.camera, case.encoder, T_TCP_CAM_NOMINAL)
         assert found.R_tcp_cam is not None, found.reason
         errors["all"].append(geodesic_angle(found.R_tcp_cam, case.R_tcp_cam))
-        errors["chords 8 cm"].append(geodesic_angle(METHODS["chords 8 cm"](case), case.R_base_vo))
+        errors["chords 8 cm"].append(geodesic_angle(_chords_8_cm(case), case.R_base_vo))
         t, points = case.camera.t_s, case.encoder.Ts_base_tcp[:, :3, 3]
         paired = np.column_stack([np.interp(t, case.encoder.t_s, points[:, axis]) for axis in range(3)])
         errors["least squares"].append(geodesic_angle(_kabsch(paired, case.camera.Ts_vo_cam[:, :3, 3]), case.R_base_vo))
     medians = {name: np.median(values) for name, values in errors.items()}
     assert medians["all"] < medians["chords 8 cm"]
     assert medians["all"] < medians["least squares"]
+
+
+def _chords_8_cm(case: RegistrationCase):
+    """Robust fit on chords of one length, after the clock's search."""
+    camera, encoder, s = case.camera, case.encoder, DEFAULT_SETTINGS
+    Ts = encoder.Ts_base_tcp
+    vo, base = camera.Ts_vo_cam[:, :3, 3], Ts[:, :3, 3] + Ts[:, :3, :3] @ T_TCP_CAM_NOMINAL[:3, 3]
+    pairs = chord_pairs(positions_at(camera.t_s, encoder.t_s, base)[0], s.chord_m)
+    clock = (s.time_offset_bound_s, s.time_offset_step_s, s.time_offset_contrast_min)
+    offset = find_time_offset(camera.t_s, vo, encoder.t_s, base, pairs, *clock)
+    points = positions_at(camera.t_s + offset.offset_s, encoder.t_s, base)[0]
+    return fit_rotation(chord_vectors(points, pairs), chord_vectors(vo, pairs)).R_a_b
 
 
 def _kabsch(a, b):

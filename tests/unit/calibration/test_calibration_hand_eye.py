@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from longreach.bench_registration.kinhec_tracks import kinhec_available
-from longreach.bench_registration.real_pairs import align_trajectories, hand_eye_residuals
+from benchmarks.hand_eye.kinhec_tracks import kinhec_available
+from benchmarks.hand_eye.real_pairs import align_trajectories, hand_eye_residuals
 from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec, rotvec_from_rotation
 from server.calibration.checks import CalibrationInputError
@@ -211,7 +211,7 @@ def test_alignment_is_evos(name, rigid_mm):
 @pytest.mark.skipif(not kinhec_available(), reason="kinhec is not installed")
 @pytest.mark.slow
 def test_kinhec_outliers_no_worse_than_its_best_solver(tmp_path):
-    from longreach.bench_registration.kinhec_tracks import generate, run_track
+    from benchmarks.hand_eye.kinhec_tracks import generate, run_track
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

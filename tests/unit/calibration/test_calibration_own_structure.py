@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from longreach.bench_odometry.film import FilmCase, nominal_machine, render_film
+from benchmarks.vision.odometry.film import FilmCase, nominal_machine, render_film
 from machine.poses import inverse_pose
 from machine.rotations import geodesic_angle
 from server.calibration.contracts import CalibrationStatus, CameraTrack, EncoderTrack

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.simulator.demo_scene import demo_tcp_pose, demo_world
 from machine.camera import distort_rays, undistort_to_rays
 from machine.description import Machine
 from machine.rotations import Array, rotation_from_rotvec
@@ -25,7 +26,6 @@ from server.camera.rectification_reading import read_calibration
 from server.settings import read_machine
 from server.vision.aruco_source import ArucoPoseSource
 from server.vision.contracts import Image
-from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 
 MACHINE = read_machine("hiab033")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from longreach.bench_links.recorded import FIVE, MACHINE_TOML, NOISE_RAD, OFFSET_S, PLANT, logged_rows
+from benchmarks.diagnosis.links.recorded import FIVE, MACHINE_TOML, NOISE_RAD, OFFSET_S, PLANT, logged_rows
 from machine.description import parse_machine_toml
 from machine.effects.dynamics import Actuators, drive_by_sent, simulate
 from machine.effects.entries import EffectEntry, make_entry, pack

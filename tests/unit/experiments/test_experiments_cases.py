@@ -6,6 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.diagnosis.experiments.arm import Truth
+from benchmarks.diagnosis.experiments.cases import NAMES, PAIRS, draw
+from benchmarks.diagnosis.experiments.run import alone, apart, run_case
 from diagnosis.behind.views_one_eye import planar_pose
 from diagnosis.cells.merged import merged_cells
 from diagnosis.errors import DiagnosisError
@@ -13,9 +16,6 @@ from diagnosis.reading.read import examine
 from diagnosis.reading.together import together
 from diagnosis.replay.merge import merge_of
 from diagnosis.replay.replayer import replayer_of
-from longreach.bench_experiments.arm import Truth
-from longreach.bench_experiments.cases import NAMES, PAIRS, draw
-from longreach.bench_experiments.run import alone, apart, run_case
 from machine.effects.layout import neutral_sets
 from machine.markers import marker_corners
 from machine.rotations import rotation_from_rotvec

@@ -14,8 +14,8 @@ from foxglove_schemas_protobuf import CameraCalibration_pb2, CompressedImage_pb2
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from rerun_arrivals import Arrival, arrivals
 
-from longreach.bench_rerun import Arrival, arrivals
 from longreach.rerun_view import RerunError, blueprint, convert
 from machine.description import parse_machine_toml
 from recording.content import Attachment

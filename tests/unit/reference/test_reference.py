@@ -31,7 +31,7 @@ def test_everything_is_in_it(text):
     assert len(operations) > 40
     names = [*operations, *(f"`{one.name}`" for one in (*RejectCode, *FaultBit)), *(f"`{code}`" for code in CATALOGUE)]
     names += [f"| `{name}` |" for name in ServerSettings().position.model_dump()]
-    names += ["### longreach serve", "### longreach bench load", "### longreach recording check", "### [http]"]
+    names += ["### longreach serve", "### longreach recording check", "### [http]"]
     assert [name for name in names if name not in text] == []
 
 

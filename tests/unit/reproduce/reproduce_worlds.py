@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from longreach.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel, OdometryNoise
+from benchmarks.reproduce.noise_model import CornerNoise, LookNoise, NoiseModel, OdometryNoise
 from machine.description import Machine
 from server.settings import read_machine
 from sim_plc.draw_world import draw_world

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from reproduce_worlds import NO_NOISE, NOISE, machine, world
 
-from longreach.reproduce.cases import Case, line_case, matching_case, ours_case
-from longreach.reproduce.error_budget import SOURCES, bootstrap_mean, changed
-from longreach.reproduce.fast_cell import FastWorldError, context_of, fast_cell, run_plan
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.paper_setup import beside, nearer
-from longreach.reproduce.summary import after_moves, held, inside, mean_errors, share
-from longreach.reproduce.true_corners import TrueView
-from longreach.reproduce.true_error import StepErrors
+from benchmarks.reproduce.cases import Case, line_case, matching_case, ours_case
+from benchmarks.reproduce.error_budget import SOURCES, bootstrap_mean, changed
+from benchmarks.reproduce.fast_cell import FastWorldError, context_of, fast_cell, run_plan
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.paper_setup import beside, nearer
+from benchmarks.reproduce.summary import after_moves, held, inside, mean_errors, share
+from benchmarks.reproduce.true_corners import TrueView
+from benchmarks.reproduce.true_error import StepErrors
 from machine.poses import inverse_pose
 from server.jobs.requests import ReadMachine
 from sim_plc.plant.plant import Plant

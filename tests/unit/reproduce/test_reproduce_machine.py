@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from reproduce_worlds import NO_NOISE, NOISE, machine, world
 
-from longreach.reproduce.fast_camera import FastCamera, Source
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.fine_machine import FineMachine
-from longreach.reproduce.true_corners import TrueView, true_poses_cam
+from benchmarks.reproduce.fast_camera import FastCamera, Source
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.fine_machine import FineMachine
+from benchmarks.reproduce.true_corners import TrueView, true_poses_cam
 from machine.rotations import geodesic_angle
 from server.motion.point_to_point import plan_joint_move
 from server.vision.contracts import LookStatus, PoseStatus

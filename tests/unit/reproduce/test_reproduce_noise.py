@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from reproduce_worlds import NO_NOISE, NOISE, machine, world
 
-from longreach.reproduce.fast_camera import FastCamera, Source
-from longreach.reproduce.fast_lens import bent_path, lens_affine
-from longreach.reproduce.fast_machine import QuasiStaticMachine
-from longreach.reproduce.fast_odometry import odometry_path
-from longreach.reproduce.noise_fit import TooFewLooksError, agreement, fit_corner_noise, pose_errors
-from longreach.reproduce.noise_model import NoiseFileError, NoiseModel, OdometryNoise, read_noise_model
-from longreach.reproduce.odometry_fit import OdometryRunPair, TooFewRunsError, fit_odometry_noise
-from longreach.reproduce.rendered_looks import RenderedLook, seen_by, standpoints
-from longreach.reproduce.true_corners import ObjectOn, TrueView, true_poses_cam
+from benchmarks.reproduce.fast_camera import FastCamera, Source
+from benchmarks.reproduce.fast_lens import bent_path, lens_affine
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.fast_odometry import odometry_path
+from benchmarks.reproduce.noise_fit import TooFewLooksError, agreement, fit_corner_noise, pose_errors
+from benchmarks.reproduce.noise_model import NoiseFileError, NoiseModel, OdometryNoise, read_noise_model
+from benchmarks.reproduce.odometry_fit import OdometryRunPair, TooFewRunsError, fit_odometry_noise
+from benchmarks.reproduce.rendered_looks import RenderedLook, seen_by, standpoints
+from benchmarks.reproduce.true_corners import ObjectOn, TrueView, true_poses_cam
 from machine.poses import pose
 from sim_plc.world import rng_for
 

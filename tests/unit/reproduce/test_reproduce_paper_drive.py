@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from reproduce_worlds import NO_NOISE, machine, world
 
-from longreach.reproduce.fast_camera import FastCamera
-from longreach.reproduce.fast_cell import context_of, fast_cell, run_plan
-from longreach.reproduce.fast_machine import QuasiStaticMachine
+from benchmarks.reproduce.fast_camera import FastCamera
+from benchmarks.reproduce.fast_cell import context_of, fast_cell, run_plan
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine
 from machine.chain import chain_of
 from machine.poses import pose
 from server.errors import JobFailedError

@@ -7,13 +7,13 @@ import pytest
 from reproduce_worlds import world
 from rich.console import Console
 
-from longreach.reproduce.fast_machine import QuasiStaticMachine, Trace
-from longreach.reproduce.paper_setup import NoSetUpError, nearer
-from longreach.reproduce.placed_sim import placed
-from longreach.reproduce.rendered_cases import TRUTH, _step, looks_of, read_truth
-from longreach.reproduce.rendered_paths import TraceHistory, tool_masks
-from longreach.reproduce.rendered_tables import FILE, saved_rendered
-from longreach.saved_lines import run_saved
+from benchmarks.reproduce.fast_machine import QuasiStaticMachine, Trace
+from benchmarks.reproduce.paper_setup import NoSetUpError, nearer
+from benchmarks.reproduce.placed_sim import placed
+from benchmarks.reproduce.rendered_cases import TRUTH, _step, looks_of, read_truth
+from benchmarks.reproduce.rendered_paths import TraceHistory, tool_masks
+from benchmarks.reproduce.rendered_tables import FILE, saved_rendered
+from benchmarks.saved_lines import run_saved
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
 from sim_plc.plant.plant import Plant

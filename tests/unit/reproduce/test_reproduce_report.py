@@ -9,14 +9,14 @@ import pytest
 from reproduce_worlds import NOISE, machine
 from rich.console import Console
 
-from longreach.reproduce.cases import Case, fast_line_run, fast_matching_run, line_case, matching_case
-from longreach.reproduce.compose import printed_tables, saved_cases, write_report
-from longreach.reproduce.error_series import error_series, look_times_s
-from longreach.reproduce.fast_tables import TABLE_4_FILE, case_line, case_of, table_2_file
-from longreach.reproduce.report import Check, page, table_html
-from longreach.reproduce.report_tables import TableView, checks, refusals_view, table_2_view, table_4_view
-from longreach.reproduce.true_error import StepErrors
-from longreach.saved_lines import SavedLineError, read_lines, run_saved
+from benchmarks.reproduce.cases import Case, fast_line_run, fast_matching_run, line_case, matching_case
+from benchmarks.reproduce.compose import printed_tables, saved_cases, write_report
+from benchmarks.reproduce.error_series import error_series, look_times_s
+from benchmarks.reproduce.fast_tables import TABLE_4_FILE, case_line, case_of, table_2_file
+from benchmarks.reproduce.report import Check, page, table_html
+from benchmarks.reproduce.report_tables import TableView, checks, refusals_view, table_2_view, table_4_view
+from benchmarks.reproduce.true_error import StepErrors
+from benchmarks.saved_lines import SavedLineError, read_lines, run_saved
 
 QUIET = Console(quiet=True)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from longreach.reproduce.paper_tables import (
+from benchmarks.reproduce.paper_tables import (
     DEFECTS,
     FIGURES,
     TABLE_2,

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.simulator.demo_scene import demo_tcp_pose, demo_world
 from machine.description import parse_machine_toml
 from machine.poses import inverse_pose, pose
 from recording.clock import mono_ns
-from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.process import CAMERA_EPOCH_NS, run_camera
 from sim_plc.pose_feed import PoseFeed
 

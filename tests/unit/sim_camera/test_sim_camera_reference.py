@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.simulator.demo_scene import demo_tcp_pose, demo_world
+from benchmarks.simulator.exact_renderer import Window, reference_window
 from machine.camera import project
 from machine.description import Machine, parse_machine_toml
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import rotation_from_rotvec
-from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.exposure import key_poses
-from sim_plc.camera.reference import Window, reference_window
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 
 READOUT_S = 0.011

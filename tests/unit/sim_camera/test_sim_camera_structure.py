@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
+from benchmarks.simulator.demo_scene import demo_tcp_pose, demo_world
 from machine.camera import project
 from machine.description import Machine, parse_machine_toml
 from machine.markers import marker_corners
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import Array, rotation_about
 from sim_plc.camera.boards import marker_board
-from sim_plc.camera.demo_scene import demo_tcp_pose, demo_world
 from sim_plc.camera.own_structure import OwnStructure, eye_views
 from sim_plc.camera.renderer import RenderSetup, StereoRenderer
 from sim_plc.camera.texture import Grey

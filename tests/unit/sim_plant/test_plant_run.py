@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.simulator.closed_loop import Gains, run_closed_loop
+from benchmarks.simulator.plant import bench_plant
+from benchmarks.simulator.tuning import SPEEDS_RAD_S, is_stable, posture_box
 from machine.chain import chain_of
 from machine.kinematics import tcp_pose
-from sim_plc.plant.bench import bench_plant
-from sim_plc.plant.closed_loop import Gains, run_closed_loop
 from sim_plc.plant.plant import Plant
-from sim_plc.plant.tuning import SPEEDS_RAD_S, is_stable, posture_box
 
 ROOT = Path(__file__).parents[3]
 

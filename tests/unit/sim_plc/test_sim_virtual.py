@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from virtual_plc import MACHINE, quintic_knots
 
+from benchmarks.simulator.virtual import VirtualMachine, VirtualRunError, run_virtual
 from machine.chain import chain_of
 from machine.effects.entries import EffectEntry
 from machine.kinematics import tcp_pose
@@ -19,7 +20,6 @@ from sim_plc.diagnosed import with_effects
 from sim_plc.draw_world import draw_world
 from sim_plc.machine_loop import MachineLoop
 from sim_plc.truth_log import TruthLog
-from sim_plc.virtual import VirtualMachine, VirtualRunError, run_virtual
 
 MOVE = np.deg2rad([2.0, 1.5, -1.5, 2.0, 2.0, 2.0])
 

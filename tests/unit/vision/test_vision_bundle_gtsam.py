@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-
-from longreach.bench_bundle.cases import disturbed_start
-from longreach.bench_bundle.solvers import solve_gtsam, solve_ours
-from longreach.bench_bundle.stereo_data import cost_of, gtsam_data_folder, read_stereo_data, squares_px
+from gtsam_solvers import solve_gtsam, solve_ours
+from gtsam_start import disturbed_start
+from gtsam_stereo_data import cost_of, gtsam_data_folder, read_stereo_data, squares_px
 
 pytest.importorskip("gtsam", reason="gtsam is not installed: nothing to compare with")
 

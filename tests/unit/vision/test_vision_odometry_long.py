@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from longreach.bench_odometry.features import BORDER_PX, PointSight
-from longreach.bench_odometry.film import nominal_machine
+from benchmarks.vision.odometry.features import BORDER_PX, PointSight
+from benchmarks.vision.odometry.film import nominal_machine
 from machine.camera import project_stereo
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import rotation_from_rotvec

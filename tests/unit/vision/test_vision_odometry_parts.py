@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from vision_scenes import deviation, machine, renderer, tcp_in_ooi
 
-from longreach.bench_odometry.features import run_points
+from benchmarks.vision.odometry.features import run_points
 from machine.camera import project_stereo
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import rotation_from_rotvec

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from longreach.bench_odometry.film import nominal_machine
-from longreach.bench_odometry.gaps import BEFORE, GapCase, brick_wall, run_gap, wall_pair
+from benchmarks.vision.odometry.film import nominal_machine
+from benchmarks.vision.odometry.gaps import BEFORE, GapCase, brick_wall, run_gap, wall_pair
 from server.vision.odometry_recognition import repeats
 from server.vision.odometry_sight import ImageSight
 

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from vision_scenes import DATA
 
-from server.vision.errors import EvidenceError
-from server.vision.evidence import (
+from benchmarks.vision.evidence import (
     corner_differences,
     grid_figures,
     odometry_figures,
@@ -15,6 +14,7 @@ from server.vision.evidence import (
     rectified_camera,
     tag_figures,
 )
+from server.vision.errors import EvidenceError
 
 needs_data = pytest.mark.skipif(
     not DATA.is_dir(), reason="real images are not here: no ../shared/data beside the project"

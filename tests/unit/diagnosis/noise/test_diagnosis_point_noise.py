@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from benchmarks.diagnosis.sealed.sensitivity import _less_swing
 from diagnosis.noise.of_points import ACROSS, PointNoise, instants_of, variances_of
-from tests.gap_benchmark.sensitivity import _less_swing
 
 OWN = np.array([2e-4, 1e-4, 3e-4])
 SWING_RAD = 3e-4

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.diagnosis.links.recorded import Link, arrived, over
 from diagnosis.answer import answer
 from diagnosis.datagrams.arrivals import Arrivals, arrivals
 from diagnosis.datagrams.by_value import by_value
 from diagnosis.datagrams.lost import never_received
 from diagnosis.diagnose import diagnose
 from diagnosis.reading.read import examine
-from longreach.bench_links.recorded import Link, arrived, over
 
 CYCLE_S = 1e-3
 NUMBER = np.arange(15000)

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.diagnosis.links.recorded import Link, over
 from diagnosis.answer import answer
 from diagnosis.chain.common_wait import on_their_line
 from diagnosis.diagnose import diagnose
 from diagnosis.reading.read import Read, examine
 from diagnosis.replay.replayer import replayer_of
 from diagnosis.replay.stretches import Stretch
-from longreach.bench_links.recorded import Link, over
 from machine.effects.entries import make_entry
 from machine.effects.layout import neutral_sets
 from machine.effects.registry import effect_named

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from diagnosis_cases import MACHINE, MACHINE_TOML
 
+from benchmarks.diagnosis.links.recorded import Q_START
 from diagnosis.log.nominal import nominal_of
 from diagnosis.log.tables import MarkerTable, Tables
 from diagnosis.replay.stretches import Stretch
-from longreach.bench_links.recorded import Q_START
 from longreach.simulated_shrink.seen import about_their_mean, eyes_of, object_places
 from machine.chain import chain_of
 from machine.effects.entries import EffectEntry

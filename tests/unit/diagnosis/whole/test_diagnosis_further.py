@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import entry, recording
 
+from benchmarks.diagnosis.experiments.arm import Link, frames, machine_toml
 from diagnosis.answer import answer
 from diagnosis.behind.points import static_data
 from diagnosis.behind.saturated import saturated_noise
@@ -15,7 +16,6 @@ from diagnosis.diagnose import diagnose
 from diagnosis.reading.read import examine
 from diagnosis.search.candidates import named
 from diagnosis.sliding import in_metres
-from longreach.bench_experiments.arm import Link, frames, machine_toml
 from machine.effects.layout import ParameterSets, neutral_sets
 from recording.content import Recording
 from recording.rows import Row, StaticPoint

@@ -1,4 +1,4 @@
-"""Invariance of a size between groups, and the trained model from the figures to a probability."""
+"""Scatter of a size between groups, and the trained model from the figures to a probability."""
 
 from types import SimpleNamespace
 from typing import Any, cast
@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from diagnosis.whole_model.evidence import groupings_of, invariance
+from diagnosis.whole_model.evidence import groupings_of, scatter
 from diagnosis.whole_model.probability import FEATURES, calibration, fitted, logistic, probability_of
 from machine.rotations import Array
 
 GROUPS, ROWS, COLUMNS = 5, 400, 3
 
 
-def invariance_of(rng: np.random.Generator, sizes: Array, short: float = 0.0) -> float:
-    """Its p for the first column, whose true size in each group is given; the others are the same everywhere.
+def scatter_of(rng: np.random.Generator, sizes: Array, short: float = 0.0) -> float:
+    """Scatter of the first column, whose true size in each group is given; the others are the same everywhere.
 
     `short`: by how much the fit stopped short of its optimum.
     """
@@ -23,24 +23,26 @@ def invariance_of(rng: np.random.Generator, sizes: Array, short: float = 0.0) ->
     J = rng.normal(size=(ROWS, COLUMNS)) + 0.5 * rng.normal(size=(ROWS, 1))
     y = J[:, 0] * sizes[group] + J[:, 1:] @ np.array([2.0, -1.0]) + rng.normal(size=ROWS)
     best = np.linalg.lstsq(J, y, rcond=None)[0]
-    return invariance(J, J @ (best + short) - y, np.array([0]), [group])
+    return scatter(J, J @ (best + short) - y, np.array([0]), [group])
 
 
-def test_p_is_uniform_where_the_size_is_the_same_in_every_group() -> None:
+def test_a_size_that_is_the_same_in_every_group_seldom_scatters() -> None:
     rng = np.random.default_rng(7)
-    p = [invariance_of(rng, np.full(GROUPS, 3.0)) for _ in range(400)]
-    assert kstest(p, "uniform").pvalue > 0.01
+    found = [scatter_of(rng, np.full(GROUPS, 3.0)) for _ in range(400)]
+    assert np.mean([one == 0.0 for one in found]) > 0.8
+    assert max(found) < 0.3
 
 
 def test_a_fit_that_stopped_short_of_its_optimum_is_no_difference_between_groups() -> None:
-    exact, short = (invariance_of(np.random.default_rng(7), np.full(GROUPS, 3.0), short) for short in (0.0, 0.5))
+    exact, short = (scatter_of(np.random.default_rng(9), np.full(GROUPS, 3.0), short) for short in (0.0, 0.5))
     assert short == pytest.approx(exact)
 
 
-def test_p_is_small_where_the_size_differs() -> None:
+def test_the_scatter_is_that_of_the_sizes() -> None:
     rng = np.random.default_rng(7)
-    p = [invariance_of(rng, np.array([3.0, 3.0, 3.0, 3.0, 4.0])) for _ in range(50)]
-    assert np.quantile(p, 0.9) < 1e-6
+    sizes = np.array([3.0, 2.2, 3.6, 2.8, 4.0])
+    found = [scatter_of(rng, sizes) for _ in range(50)]
+    assert np.median(found) == pytest.approx(sizes.std(ddof=1), rel=0.25)
 
 
 def test_a_size_that_goes_with_the_position_or_the_time_of_one_part_is_found_out() -> None:
@@ -53,7 +55,7 @@ def test_a_size_that_goes_with_the_position_or_the_time_of_one_part_is_found_out
     )
     cell = cast(Any, SimpleNamespace(rows=SimpleNamespace(fold=kind, count=ROWS), parts=parts))
     late = (np.arange(ROWS) - 100.0) / (ROWS - 100.0)
-    p = {}
+    found = {}
     for name, size in (
         ("the same", np.full(ROWS, 3.0)),
         ("by position", 3.0 + np.where(position > 0.0, 0.6, -0.6)),
@@ -62,15 +64,15 @@ def test_a_size_that_goes_with_the_position_or_the_time_of_one_part_is_found_out
         J = rng.normal(size=(ROWS, COLUMNS))
         y = J[:, 0] * size + rng.normal(size=ROWS)
         residual = J @ np.linalg.lstsq(J, y, rcond=None)[0] - y
-        p[name] = [invariance(J, residual, np.array([0]), groups) for groups in ([kind], groupings_of(cell))]
-    assert min(p["the same"]) > 0.05
-    assert p["by position"][0] > 0.01 > 1e-4 > p["by position"][1]
-    assert p["by time"][0] > 0.01 > 1e-3 > p["by time"][1]
+        found[name] = [scatter(J, residual, np.array([0]), groups) for groups in ([kind], groupings_of(cell))]
+    assert max(found["the same"]) < 0.15
+    assert found["by position"][0] < 0.2 < 0.4 < found["by position"][1] < 0.8
+    assert found["by time"][0] < 0.2 < found["by time"][1] < 0.8
 
 
 def test_one_group_alone_says_nothing() -> None:
     J = np.ones((4, 1))
-    assert invariance(J, np.ones(4), np.array([0]), [np.zeros(4, dtype=np.int64)]) == 1.0
+    assert scatter(J, np.ones(4), np.array([0]), [np.zeros(4, dtype=np.int64)]) == 0.0
 
 
 def test_fitted_reproduces_the_logistic_that_drew_the_labels() -> None:

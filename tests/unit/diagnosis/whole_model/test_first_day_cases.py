@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
+from benchmarks.diagnosis.sealed.third_plant import draw, write_case
 from diagnosis.budget import Budget, budget_of
 from diagnosis.reading.read import read
-from tests.gap_benchmark.third_plant import draw, write_case
 
 SHARED = Path(__file__).resolve().parents[5] / "shared" / "data" / "gap" / "many_at_once"
 SEED, NUMBER = 5, 3  # a machine with three joints and 17 effects
@@ -53,8 +53,8 @@ def test_a_machine_with_many_effects_gets_their_names_and_millimetres(tmp_path: 
     for effect in large:
         assert found[key_of(effect)] == pytest.approx(effect["tip_mm"], rel=0.35, abs=1.0), key_of(effect)
     assert false_in(budget, true, above_mm=1.0) == []
-    agreeing = {line.evidence.term.effect.variant: line.evidence.invariance_p for line in budget.lines}
-    assert min(agreeing.values()) > 1e-4, agreeing  # thresholds, too: the score is of the slope, not of the secant
+    agreeing = {line.evidence.term.effect.variant: line.evidence.scatter for line in budget.lines}
+    assert max(agreeing.values()) < 0.2, agreeing  # thresholds, too: by the slope, not by the secant
     assert budget.verdict in ("effects", "partly")
     assert budget.left_mm**2 < 0.5 * budget.miss_mm**2
 

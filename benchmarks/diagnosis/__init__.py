@@ -1,0 +1,1 @@
+"""Of the diagnosis: sealed cases, links, experiments, time and memory."""

@@ -1,0 +1,1 @@
+"""Evidence for the hand-eye methods: `longreach bench hand-eye`."""

@@ -1,0 +1,1 @@
+"""Of the PLC link: real time, fuzzing of both ends, fault schedules."""

@@ -1,0 +1,1 @@
+"""Of the server: clients beside a moving machine, many jobs, hold-to-run in a browser."""

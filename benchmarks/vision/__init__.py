@@ -1,0 +1,1 @@
+"""Of the pictures: rate, odometry, markers, camera faults, memory."""

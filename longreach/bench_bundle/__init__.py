@@ -1,1 +1,0 @@
-"""`longreach bench bundle`: our bundle adjustment, gtsam's and SciPy's on the same stereo data, judged by one cost."""

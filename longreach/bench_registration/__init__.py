@@ -1,1 +1,0 @@
-"""Evidence for the registration and hand-eye methods: `longreach bench registration`, `longreach bench hand-eye`."""

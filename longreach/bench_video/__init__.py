@@ -1,1 +1,0 @@
-"""`longreach bench video`: frames that reach viewers, their age on the screen, and what vision pays for it."""
