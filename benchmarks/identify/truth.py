@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from machine.poses import inverse_pose
 from machine.rotations import rotvec_from_rotation
 from sim_plc.world import World
 
@@ -32,6 +33,13 @@ def true_effects(world: World) -> list[dict[str, Any]]:
     shift = camera.T_tcp_cam_left[:3, 3] - nominal.T_tcp_cam_left[:3, 3]
     out.append(_line("hand_eye_rotation", None, angle_rad=float(np.linalg.norm(turn)), vector=turn.tolist()))
     out.append(_line("hand_eye_translation", None, distance_m=float(np.linalg.norm(shift)), vector=shift.tolist()))
+    T_tool = inverse_pose(nominal.T_tcp_tool) @ world.scene.T_tcp_tool
+    turn, shift = rotvec_from_rotation(T_tool[:3, :3]), T_tool[:3, 3]
+    out.append(_line("tool_marker_rotation", None, angle_rad=float(np.linalg.norm(turn)), vector=turn.tolist()))
+    if shift.any():
+        out.append(
+            _line("tool_marker_translation", None, distance_m=float(np.linalg.norm(shift)), vector=shift.tolist())
+        )
     left, own = camera.left, nominal.camera
     out.append(_line("focal_length_error", None, scale_frac=left.fx_px / own.fx_px - 1.0))
     centre = [left.cx_px - own.cx_px, left.cy_px - own.cy_px]
