@@ -287,10 +287,8 @@ class LinkProcess:
                 case Closed():
                     self._renew()
                 case Dropped(code=code, text=text):
-                    self._unread, self._unread_ns = (
-                        f"the PLC answers, but not for this PC: {reject_text(code)} [{text}]",
-                        t_mono_ns,
-                    )
+                    self._unread_ns = t_mono_ns
+                    self._unread = f"the PLC answers, but not for this PC: {reject_text(code)} [{text}]"
 
     def _note_buffer(self, state: State) -> None:
         """Only while knots are still to come: towards its end every trajectory empties the ring."""
