@@ -84,10 +84,10 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
 
 
 def deviations(J: Array, residual: Array, slab: Array, block: NDArray[np.int64]) -> Array:
-    """Standard deviations (k,) of numbers with columns J (N, k) under priors `slab` (k,): by the posterior, and at least
-    what leaving out one block of rows after the other moves them by.
+    """Standard deviations (k,) of numbers with columns J (N, k) under priors `slab` (k,): by the posterior, and at
+    least what leaving out one block of rows after the other moves them by.
 
-    Why: what a model is wrong by in one posture or motion is no white noise; a number that hangs on one of them shows it.
+    Why: what a model is wrong by in one posture or motion is no white noise; a number that hangs on one shows it.
     Source: delete-one-group jackknife, Kott 2001, eq. 1.
     """
     H, g = J.T @ J + np.diag(slab**-2.0), J.T @ residual
