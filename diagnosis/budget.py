@@ -20,6 +20,7 @@ from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
 from diagnosis.whole_model.linear import Term
 from diagnosis.whole_model.parts import fit_machine
 from diagnosis.whole_model.probability import probability
+from diagnosis.whole_model.remainder import lead_of
 from diagnosis.whole_model.solve import WholeFit, fit_of
 from diagnosis.whole_model.tool_error import ToolError, tool_errors
 from machine.effects.entries import EffectEntry
@@ -147,7 +148,7 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
         evidence, errors, chance
     )
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
-    stages = _stages(whole, lines, columns, (before, after))
+    stages = _stages(whole, lines, columns, (before, after), fits)
     verdict, why = verdict_of(whole, lines, columns, stages, fits)
     work.conclude("held-out data", 0.8)
     compared = tuple(
@@ -283,6 +284,7 @@ def _stages(
     lines: tuple[Line, ...],
     columns: tuple[Column, ...],
     places: tuple[Localisation, Localisation],
+    fits: tuple[WholeFit, ...],
 ) -> tuple[StageLine, ...]:
     """Every stage, and of those that drive joints every joint, judged by itself."""
     before, after = places
@@ -299,7 +301,10 @@ def _stages(
         for joint in joints:
             confirmed = any(_belongs(line, stage, joint) and line.status == "confirmed" for line in lines)
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
-            out.append(StageLine(stage, joint, stage_verdict(was, left, confirmed, small), was, left, ""))
+            verdict = stage_verdict(was, left, confirmed, small)
+            own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]
+            lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""
+            out.append(StageLine(stage, joint, verdict, was, left, lead))
     return tuple(out)
 
 

@@ -43,7 +43,7 @@ def budget_answer(found: Budget) -> dict[str, Any]:
                 "verdict": one.verdict,
                 "before_mm": _mm(one.before_mm),
                 "after_mm": _mm(one.after_mm),
-                "would_measure": one.why,
+                "would_measure": one.why if one.verdict == "not_measured" else "",
             }
             for one in found.stages
         ],
@@ -68,7 +68,7 @@ def budget_answer(found: Budget) -> dict[str, Any]:
                 "joint": one.joint,
                 "size": _mm(one.after_mm),
                 "p_value": None,
-                "lead": "",
+                "lead": one.why,
             }
             for one in found.stages
             if one.verdict in ("partly", "unexplained")
@@ -212,7 +212,11 @@ def _detection_limits(found: Budget) -> Iterator[dict[str, Any]]:
 
 def _missing(found: Budget) -> list[dict[str, str]]:
     whole, nominal = found.whole, found.whole.nominal
-    out = [{"signal": one.stage, "costs": f"{one.stage} is not measured: {one.why}"} for one in found.stages if one.why]
+    out = [
+        {"signal": one.stage, "costs": f"{one.stage} is not measured: {one.why}"}
+        for one in found.stages
+        if one.verdict == "not_measured"
+    ]
     out += [{"signal": part, "costs": text} for part, text in whole.lacking]
     if nominal is not None and whole.tables is not None:
         out += [{"signal": "points", "costs": text} for text in left_out(nominal, whole.tables)]

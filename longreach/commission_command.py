@@ -68,6 +68,7 @@ def commission(
         ask_for_ends=ends,
         each_joint=each_joint,
         arm_timeout_s=_NOBODY_ARM_S if yes else _PERSON_ARM_S,
+        settings_file=settings_file,
     )
     _require_free_port(settings)
     earlier = _earlier(resume)

@@ -35,7 +35,8 @@ How a PLC uses its end (one cycle; t_plc_ns = the PLC's own monotonic clock, sta
         for event in link.poll(t_plc_ns): handle(event)    # silence: RUN -> STOPPING (250 ms), session void (1 s)
         ... cycle logic looks at link.state, and tells the link what only it knows:
         link.apply(PlcEvent.END | AT_REST | SOFT_STOP (underrun) | FAULT | LOCAL_ON | LOCAL_OFF, t_plc_ns)
-        every 10 ms, if link.peer is not None:  sendto(link.send(PlcStatus(...), t_plc_ns), link.peer)
+        every 10 ms, for each of link.receivers():         # the peer, and once a sender that was refused
+            the same link.send(PlcStatus(...), t_plc_ns)
 
     `check(command, state) -> RejectCode` is the PLC logic's own last word on a command before it counts as accepted:
     limits, knot continuity, ring space; for mode ARM local enable, lag and faults; for RESET whether the cause is gone.

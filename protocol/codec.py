@@ -25,6 +25,7 @@ _BODY_AT = {field.name: field.offset for field in layout.COMMAND_BODY.fields}
 _STATE_AT = {field.name: field.offset for field in layout.STATE_BODY.fields}
 _FLAGS_AT = struct.Struct("<H")
 _EMPTY_KNOT = bytes(layout.KNOT_SIZE)
+_COMMAND_BEGIN = struct.pack("<I", layout.COMMAND_MAGIC)
 
 
 def _pack(block: Block, values: dict[str, Any]) -> bytes:
@@ -210,6 +211,14 @@ def decode_command(payload: bytes, key: bytes = b"") -> Command:
         auth_tag=_unpack(layout.COMMAND_TAIL, payload, layout.COMMAND_TAIL.offset)["auth_tag"],
         **body,
     )
+
+
+def may_be_answered(payload: bytes) -> bool:
+    """Whether a refused payload is worth a state: it begins as a command, and is no shorter than the answer.
+
+    So two PLCs never answer each other, and no forged sender is sent more bytes than it took.
+    """
+    return len(payload) >= layout.STATE_SIZE and payload.startswith(_COMMAND_BEGIN)
 
 
 def decode_state(payload: bytes, key: bytes = b"") -> State:

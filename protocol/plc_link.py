@@ -7,7 +7,7 @@ Written apart from the client's end: both share codec and sequence rule only.
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, fields, replace
 
-from protocol.codec import decode_command, encode_state
+from protocol.codec import decode_command, encode_state, may_be_answered
 from protocol.codes import CommandFlag, HeaderFlag, LinkState, Mode, PlcState, RejectCode, WarnBit
 from protocol.errors import RefusedError, RemoteProtocolError, SessionError
 from protocol.framing import Framing
@@ -105,11 +105,6 @@ _EVENTS = {
 }
 
 
-def _us(ns: int) -> int:
-    """Nanoseconds as microseconds, limited to what a UDINT holds."""
-    return min(max(ns, 0) // 1000, 0xFFFF_FFFF)
-
-
 @dataclass(slots=True)
 class PlcLink:
     """One PLC's link over its whole life; sessions come and go in it. `t_plc_ns` is the PLC's own monotonic clock."""
@@ -120,6 +115,7 @@ class PlcLink:
     check: CommandCheck = accept_all
     state: PlcState = PlcState.BOOT
     peer: Hashable = None  # where states go: the source of the last valid HELLO
+    refused: Hashable = None  # a sender that was refused and is not the peer: the next state goes to it too
     nonce: int = 0
     state_seq: int = 0
     _session: _Session = field(default_factory=_Session)
@@ -137,14 +133,17 @@ class PlcLink:
 
     def receive(self, datagram: bytes, t_plc_ns: int, source: Hashable = None) -> list[PlcLinkEvent]:
         """What one datagram from `source` leads to; any bytes give events, never an exception."""
-        seq = 0
+        seq, payload = 0, b""
         try:
-            command = decode_command(self.framing.unwrap(datagram), self.settings.key)
+            payload = self.framing.unwrap(datagram)
+            command = decode_command(payload, self.settings.key)
             seq = command.seq
             if command.hello and (not self.session or command.session != self.session):
                 return self._open_session(command, t_plc_ns, source)
             return self._command(command, t_plc_ns, source)
         except RemoteProtocolError as error:
+            if source != self.peer and may_be_answered(payload):
+                self.refused = source
             return self._refuse(error, seq, source, t_plc_ns)
 
     def poll(self, t_plc_ns: int) -> list[PlcLinkEvent]:
@@ -182,10 +181,15 @@ class PlcLink:
         return events
 
     def send(self, status: PlcStatus, t_plc_ns: int) -> bytes:
-        """The next state datagram; send it to `peer`."""
+        """The next state datagram; send it to `receivers`."""
         self.state_seq = next_sequence(self.state_seq)
         state = self._state(status, t_plc_ns)
         return self.framing.wrap(encode_state(state, self.settings.key), state.seq)
+
+    def receivers(self) -> list[Hashable]:
+        """Where the newest state goes: to the peer, and once to the sender that was refused last."""
+        found, self.refused = [self.peer, self.refused], None
+        return [source for source in found if source is not None]
 
     def _state(self, status: PlcStatus, t_plc_ns: int) -> State:
         values = {name: getattr(status, name) for name in _STATUS_FIELDS}
@@ -203,7 +207,7 @@ class PlcLink:
             nonce=self.nonce,
             ack_seq=session.last_seq,
             t_pc_echo_ns=session.pc_time_ns,
-            rx_age_us=_us(self.age_ns(t_plc_ns)),
+            rx_age_us=min(max(self.age_ns(t_plc_ns), 0) // 1000, 0xFFFF_FFFF),
             link_state=self._link_state(t_plc_ns),
             cfg_id=self.settings.cfg_id,
             reject_code=self._reject.code,

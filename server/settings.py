@@ -89,7 +89,7 @@ class PositionSettings(Strict):
     plan_expires_s: Annotated[float, Field(gt=0.0, le=600.0)] = 60.0
     settle_timeout_s: Annotated[float, Field(gt=0.0, le=120.0)] = 15.0
     sigma_tool_mount_deg: Annotated[float, Field(gt=0.0, le=20.0)] = 2.0
-    sigma_systematic_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.7
+    sigma_systematic_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.2
     sigma_systematic_deg: Annotated[float, Field(ge=0.0, le=5.0)] = 0.15
     # where each of the OOI's markers hangs
     sigma_layout_mm: Annotated[float, Field(ge=0.0, le=10.0)] = 0.3

@@ -135,6 +135,16 @@ def _print(world: World, entry: EffectEntry) -> World:
     return replace(world, scene=replace(scene, **bigger))
 
 
+def _tool_marker(world: World, entry: EffectEntry) -> World:
+    along = np.array(entry.direction)
+    if entry.name == "tool_marker_rotation":
+        moved = pose(rotation_from_rotvec(entry.value("angle_rad") * along), np.zeros(3))
+    else:
+        moved = pose(np.eye(3), entry.value("distance_m") * along)
+    markers = tuple(replace(one, T_on_marker=moved @ one.T_on_marker) for one in world.scene.tool_markers)
+    return replace(world, scene=replace(world.scene, tool_markers=markers))
+
+
 def _clock(world: World, entry: EffectEntry) -> World:
     camera = world.camera
     if entry.name == "clock_offset":
@@ -159,6 +169,8 @@ CHANGES: dict[str, Change] = {
     "lens_distortion": _lens,
     "hand_eye_rotation": _mount,
     "hand_eye_translation": _mount,
+    "tool_marker_rotation": _tool_marker,
+    "tool_marker_translation": _tool_marker,
     "marker_size_error": _print,
     "clock_offset": _clock,
     "camera_latency": _clock,

@@ -48,11 +48,12 @@ class MachineLoop:
     def cycle(self) -> bytes | None:
         """One PLC cycle at `t_plc_ns`, after which plant and clock have moved on by it.
 
-        Returns: the state datagram if one is due and a peer is known. Poses and truth go where they are wanted.
+        Returns: the state datagram if one is due and somebody gets it. Poses and truth go where they are wanted.
         """
         t_plc_ns = self.t_plc_ns
         valves = self.plc.cycle(t_plc_ns, self._sample())
-        due = self.plc.link.peer is not None and t_plc_ns % STATE_PERIOD_NS < self.cycle_ns
+        link = self.plc.link
+        due = (link.peer is not None or link.refused is not None) and t_plc_ns % STATE_PERIOD_NS < self.cycle_ns
         datagram = self.plc.send(t_plc_ns) if due else None
         self.t_plc_ns = t_plc_ns + self.cycle_ns
         n_ms = self.t_plc_ns // MS - t_plc_ns // MS  # whole ones, due by now, whatever the cycle

@@ -113,10 +113,12 @@ class RealTimeLoop:
         machine = self._machine
         datagram = machine.cycle()
         self.health.cycles += 1
-        peer = machine.plc.link.peer
-        if datagram is not None and isinstance(peer, tuple):
-            self._udp.send(datagram, (peer[0], peer[1]))
-            self.health.states += 1
+        if datagram is None:
+            return
+        self.health.states += 1
+        for receiver in machine.plc.link.receivers():
+            if isinstance(receiver, tuple):
+                self._udp.send(datagram, (receiver[0], receiver[1]))
 
     def _drain(self, now_ns: int) -> None:
         for _ in range(_DRAIN):

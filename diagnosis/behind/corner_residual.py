@@ -49,7 +49,7 @@ class CornerResidual:
     """Whitened corners (sets, N): measured less foreseen, the OOI's place in the base fitted each time.
 
     `untimed`: so is by how much the camera's stamps are late, since nobody gave its clock's offset. `layout`: noise of
-    the markers' places on their object, the same in all frames.
+    the markers' places on their object by `layout_m` each, the same in all frames.
     """
 
     nominal: Nominal
@@ -62,6 +62,7 @@ class CornerResidual:
     nuisance: Array
     noise: CornerNoise
     untimed: bool = False
+    layout_m: float = 0.0
     layout: DayNoise | None = None
 
     def __call__(self, sets: ParameterSets) -> Array:
@@ -72,14 +73,16 @@ class CornerResidual:
         out = self.noise.white(np.array(rows), self.frames.groups)
         return out if self.layout is None else self.layout.white(out)
 
-    def with_layout(self, base: ParameterSets, sd_m: float) -> Self:
-        """With markers that are each off their place on the object by as much, and turned by that over half a side."""
+    def with_layout(self, base: ParameterSets) -> Self:
+        """With markers that are each off their place by `layout_m`, and turned by that over half a side."""
+        if self.layout_m == 0.0:
+            return self
         plain, markers = without_encoders(base), self.frames.markers
         Ts = self.poses(base, plain, 0, 0.0)
         here = self.difference(plain, 0, Ts, None, self.T_base_ooi)
         columns = []
         for k, one in enumerate(markers):
-            for row in np.diag(np.repeat((sd_m, 2.0 * sd_m / one.side_m), 3)):
+            for row in np.diag(np.repeat((self.layout_m, 2.0 * self.layout_m / one.side_m), 3)):
                 moved = replace(one, T_on_marker=one.T_on_marker @ small_motion(row))
                 other = replace(self, frames=replace(self.frames, markers=(*markers[:k], moved, *markers[k + 1 :])))
                 columns.append(other.difference(plain, 0, Ts, None, self.T_base_ooi) - here)

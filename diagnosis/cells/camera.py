@@ -129,9 +129,8 @@ def _cell(
         rows = replace(rows, block=_postures(link_angles(paths, base, 0, at, frames.t_s))[_frame_of_rows(frames)])
     noise = noise.with_remainder(record)
     left = _share_left(record, noise) if record is not None else 0.0
-    placed = replace(placed, noise=noise)
-    if record is None:
-        placed = placed.with_layout(base, nominal.sensors.layout_m or LAYOUT_M)
+    off_m = (nominal.sensors.layout_m or LAYOUT_M) if record is None else 0.0  # a baseline has them in its remainder
+    placed = replace(placed, noise=noise, layout_m=off_m).with_layout(base)
     return [
         Cell(
             stage="camera",

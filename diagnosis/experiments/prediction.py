@@ -131,7 +131,7 @@ def _more_frames(seen: CornerResidual, base: ParameterSets, postures: Postures, 
         np.concatenate([seen.frames.t_s, t_s]), np.concatenate([seen.frames.pixels, pixels]), seen.frames.markers
     )
     more = replace(alone, frames=frames, at=np.concatenate([seen.at, at]))
-    return replace(more, nuisance=nuisance_of(more, base))
+    return replace(more, nuisance=nuisance_of(more, base)).with_layout(base)
 
 
 def _dwelling(q: Array, end_s: float) -> tuple[Array, Path]:

@@ -30,7 +30,7 @@ MOUNT = "T_tcp_cam_left"
 @dataclass(frozen=True, slots=True)
 class SensorAccuracy:
     """Standard deviations that data sheets state: of a tracker's points in motion and at rest [m], of marker corners
-    [px], of encoders [rad], of a marker's place among those on one object [m]; None where the machine file says nothing.
+    [px], of encoders [rad], of a marker's place among those on one object [m]; None where the file says nothing.
     """
 
     tracker_m: float | None = None

@@ -71,7 +71,11 @@ def tool_errors(whole: Read, terms: Sequence[Term], cells: Sequence[Cell]) -> tu
 
 
 def stands(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
-    """Where the tool is for its encoders, over the recorded postures; by the model."""
+    """Where the tool is for its encoders, over the recorded postures; by the model.
+
+    Where nothing outside the machine measured points on it, nobody knows where its base stands: a motion of the whole
+    is then left out, and what counts is how the tool's places lie to each other.
+    """
     nominal = whole.nominal
     if nominal is None or nominal.arm is None:
         return None
@@ -91,7 +95,25 @@ def stands(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
         return tcp_poses(arm, plain, np.concatenate(rows), k)[:, :3, 3]
 
     base = pack_under(nominal.baseline, nominal.n)
-    return ToolError("stands", own, shared_out(base, own, lambda sets: [tool(sets, k) for k in range(sets.sets)]))
+    surveyed = tables is not None and (tables.static is not None or tables.tracker is not None)
+    here = tool(base, 0)
+
+    def tools(sets: ParameterSets) -> list[Array]:
+        there = [tool(sets, k) for k in range(sets.sets)]
+        return there if surveyed else [laid_over(one, here) for one in there]
+
+    return ToolError("stands", own, shared_out(base, own, tools))
+
+
+def laid_over(points: Array, on: Array) -> Array:
+    """Points (m, 3) after the motion of all of them that brings them closest to others (m, 3).
+
+    Source: Umeyama 1991, without scale.
+    """
+    a, b = points - points.mean(axis=0), on - on.mean(axis=0)
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    return np.asarray(a @ R + on.mean(axis=0), dtype=float)
 
 
 def gets_there(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:

@@ -32,17 +32,18 @@ def fault_views(service: JobService) -> list[FaultView]:
 
 
 def _link(service: JobService) -> list[FaultView]:
-    phase = service.cell.link.health.phase.value
+    health = service.cell.link.health
+    phase = health.phase.value
     texts = {
         "offline": (
             "plc_silent",
             "the PLC does not answer",
-            "check its program, cable and address, and that no other PC holds it",
+            health.error or "check its program, cable and address, and that no other PC holds it",
         ),
         "fault": ("plc_fault", "the PLC reports a fault", "clear its cause, then POST /v1/reset"),
         "local": ("plc_local", "the machine is on its local lever", "give it back to remote at the machine"),
     }
-    other = service.cell.link.health.other_pc
+    other = health.other_pc
     hint = "one server commands one PLC: end the other server, or give this one another PLC in [plc]"
     found = [FaultView(fault_id="plc_contested", level="WARNING", text=other, hint=hint)] if other else []
     if phase in texts:

@@ -110,10 +110,12 @@ def _blocked(cell: Cell, engine: JobEngine) -> str:
     job = engine.current
     if job is not None and not job.ended:
         return f"{job.kind} of {job.owner} is {job.state.value}"
-    phase = cell.link.health.phase.value
+    health = cell.link.health
+    phase = health.phase.value
     if phase in ("offline", "fault", "local"):
+        check = health.error or "check its program, cable and address, and that no other PC holds it"
         return {
-            "offline": "the PLC does not answer: check its program, cable and address, and that no other PC holds it",
+            "offline": f"the PLC does not answer: {check}",
             "fault": "the PLC reports a fault: clear its cause, then reset",
             "local": "the machine is on its local lever",
         }[phase]

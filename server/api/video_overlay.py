@@ -67,7 +67,7 @@ def overlay_of(cell: Cell, ctx: PlanContext, report: FrameReport, age_ms: float)
         tool=_cross(camera, _pose(seen.tool)),
         goal=_goal(camera, seen.ooi, ctx.T_ooi_goal),
         warnings=list(report.warnings),
-        masks_px=[np.round(polygon, 1).tolist() for polygon in cell.vision.mask_left],
+        masks_px=[np.round(polygon, 1).tolist() for polygon in cell.vision.masks[0]],
     )
 
 

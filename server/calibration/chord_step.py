@@ -16,6 +16,7 @@ _STRAINS = np.array([1e-4, 0.005, 0.01, 0.02, 0.04, 0.08])
 _STRAIN_SHARES = _STRAINS * (1.0 + _STRAINS**2 / (3.0 * 0.005**2)) ** -2
 _STRAIN_LOG_PRIOR = np.log(np.concatenate(([0.5], 0.5 * _STRAIN_SHARES[1:] / _STRAIN_SHARES[1:].sum())))
 _JITTER_FLOOR_M2 = 1e-6**2
+_SHAKING_M = 0.01  # rms extent of a path: where it has less it is shaking, and a strain of 2 % below the jitter
 _N_MOTION = 5  # rotation vector, log scale, clock offset; nine entries of the strain follow
 _OFFSET = 4
 #: e_b x q = EPSILON[a, b, c] q_c, component a.
@@ -69,11 +70,14 @@ def chord_step(tracks: PairedTracks, offset_s: float, offset_sigma_s: float) -> 
              known beforehand to `offset_sigma_s` about 0; each (ratio, size) weighs by its restricted likelihood. The
              strain stands for what is not rigid between the tracks (bending, wrong lengths): where it shears it must be
              expected to turn, which no residual shows; so the rotation's covariance grows with what the strain shows.
+             Both count where the path extends only: across a flat one there is nothing but shaking, and odometry errs
+             along with that, which on 2 mm passes for a turn or strain of 0.3.
     Source:  restricted likelihood: Patterson, Thompson 1971; averaging: Hoeting et al. 1999.
     """
     residuals = tracks.points - tracks.rotated
     # the clean points stand for the rotated ones in the derivatives: the odometry's jitter must not explain itself
-    columns = (tracks.points - tracks.points.mean(axis=0), tracks.velocities, residuals - residuals.mean(axis=0))
+    points, residuals = tracks.points - tracks.points.mean(axis=0), residuals - residuals.mean(axis=0)
+    columns = (_extended(points), tracks.velocities, residuals)
     stacked, weights = np.hstack(columns), tracks.kept.astype(float)
     count = 3.0 * (float(tracks.kept.sum()) - 1.0)
     found = []
@@ -90,6 +94,12 @@ def chord_step(tracks: PairedTracks, offset_s: float, offset_sigma_s: float) -> 
     jitter = float(jitters[best])
     drift = float(_RATIOS[best // len(_STRAINS)] * jitter)
     return ChordStep(change, covariance, drift, jitter, chord_weighting(tracks.arc_steps_m, drift, jitter, weights))
+
+
+def _extended(points: Array) -> Array:
+    """Centred points (n, 3) less what lies in directions of hardly any extent: C (C + shaking^2)^-1 q, C = scatter."""
+    scatter = points.T @ points / len(points)
+    return points @ np.linalg.solve(scatter + _SHAKING_M**2 * np.eye(3), scatter)
 
 
 def _at_ratio(

@@ -72,14 +72,18 @@ def solve_ax_yb(
     Source:  Park, Martin 1994; Zhuang, Roth, Sudhakar 1994 (A X = Y B).
     """
     As, Bs, good = _pairs(As, Bs)
-    if camera_covariances is not None:
-        camera_covariances = np.asarray(camera_covariances, dtype=float)
-        if camera_covariances.shape != (len(good), 6, 6):
-            raise CalibrationInputError(f"camera_covariances {camera_covariances.shape} must be ({len(good)}, 6, 6)")
-        camera_covariances = np.array(
-            [require_covariance(C, 6, "camera_covariances") for C in camera_covariances[good]]
-        )
-    return solve_poses(lambda offset_s: As, Bs, 0.0, unknown_scale, False, settings, rng, camera_covariances)
+    covariances = usable_covariances(camera_covariances, good)
+    return solve_poses(lambda offset_s: As, Bs, 0.0, unknown_scale, False, settings, rng, covariances)
+
+
+def usable_covariances(camera_covariances: Array | None, good: NDArray[np.bool_]) -> Array | None:
+    """Covariances (n, 6, 6) of the good poses; raises CalibrationInputError: not one of each of all poses."""
+    if camera_covariances is None:
+        return None
+    given = np.asarray(camera_covariances, dtype=float)
+    if given.shape != (len(good), 6, 6):
+        raise CalibrationInputError(f"camera_covariances {given.shape} must be ({len(good)}, 6, 6)")
+    return np.array([require_covariance(C, 6, "camera_covariances") for C in given[good]]).reshape(-1, 6, 6)
 
 
 def solve_poses(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
 from server.calibration.contracts import Array, CalibrationStatus
-from server.calibration.hand_eye import DEFAULT_SETTINGS, solve_poses
+from server.calibration.hand_eye import DEFAULT_SETTINGS, solve_poses, usable_covariances
 from server.calibration.hand_eye_contracts import HandEyeEstimate, HandEyeSettings, refused
 from server.calibration.hand_eye_linear import Indices, inverse_poses, motions_between, rotation_vectors
 from server.calibration.trajectory_matching_refusals import require_track_shape, time_refusal, usable_poses
@@ -23,13 +23,15 @@ def estimate_hand_eye(
     Ts_cam_target: Array,
     unknown_scale: bool = False,
     settings: HandEyeSettings = DEFAULT_SETTINGS,
+    camera_covariances: Array | None = None,
 ) -> HandEyeEstimate:
     """Hand-eye pose X, target pose Y and clock offset from two streams with unknown offset.
 
     Model:   A(t + tau) X = Y B(t). Start: the tau within the bound at which the rotation angles of both streams agree
              best (they do not depend on X); then tau is refined with X and Y. Never searched beyond the bound: on
              repeated motion a far peak can be the higher one.
-    Args:    t_hand_s (m,), Ts_base_hand (m, 4, 4); t_cam_s (n,), Ts_cam_target (n, 4, 4): target in the camera.
+    Args:    t_hand_s (m,), Ts_base_hand (m, 4, 4); t_cam_s (n,), Ts_cam_target (n, 4, 4): target in the camera;
+             camera_covariances (n, 6, 6) of these, as in `solve_ax_yb`.
     Returns: the estimate with `time_offset_s` and its sigma; no pose when streams cannot tell.
     Raises:  CalibrationInputError: shapes.
     Source:  Furrer et al. 2017 (angles for the offset); Park, Martin 1994.
@@ -41,15 +43,16 @@ def estimate_hand_eye(
         return refused(wrong.status, wrong.reason)
     good_hand, good_cam = usable_poses(np.asarray(Ts_base_hand)), usable_poses(np.asarray(Ts_cam_target))
     hand = HandPoses(t_hand_s[good_hand], Ts_base_hand[good_hand], settings.gap_max_s)
+    good_cam &= hand.covers(t_cam_s, settings.offset_bound_s + 0.01)
     t_cam, Ts_cam = t_cam_s[good_cam], Ts_cam_target[good_cam]
-    inside = hand.covers(t_cam, settings.offset_bound_s + 0.01)
-    t_cam, Ts_cam = t_cam[inside], Ts_cam[inside]
+    covariances = usable_covariances(camera_covariances, good_cam)
     if len(t_cam) < _SAMPLES_MIN:
         counts = f"{len(t_cam)} camera poses lie within the hand's track, at least {_SAMPLES_MIN} are needed"
         return refused(CalibrationStatus.TOO_FEW, f"{counts}; record both streams", len(t_cam))
     start_s = _coarse_offset(hand, t_cam, Ts_cam, settings)
+    track = inverse_poses(Ts_cam)
     found = solve_poses(
-        lambda offset_s: hand.at(t_cam + offset_s), inverse_poses(Ts_cam), start_s, unknown_scale, True, settings, None
+        lambda offset_s: hand.at(t_cam + offset_s), track, start_s, unknown_scale, True, settings, None, covariances
     )
     if found.X is not None and abs(found.time_offset_s) >= settings.offset_bound_s:
         text = f"time offset {1e3 * found.time_offset_s:.0f} ms, bound {1e3 * settings.offset_bound_s:.0f} ms"

@@ -42,6 +42,7 @@ QUIT_S = 4.0
 RESTART_S = 1.0
 HUNG_LOOKS = 30  # so many seconds in which a process that had begun says nothing: it is ended, and begun anew
 ODOMETRY_START_S = 20.0
+MAP_S = 10.0  # until the map of an odometry run is there
 PROCESS_START_S = 240.0  # on a new machine everything is compiled first
 
 STARTING = "camera: vision process is starting"
@@ -76,9 +77,9 @@ class VisionClient:
         self.restarts = 0
 
     @property
-    def mask_left(self) -> tuple[Array, ...]:
-        """Polygons (k, 2) [px] of the settings over the machine itself in the left picture."""
-        return self._settings.mask_left
+    def masks(self) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+        """Polygons (k, 2) [px] of the settings over the machine itself, in the left and the right picture."""
+        return self._settings.mask_left, self._settings.mask_right
 
     @property
     def latest(self) -> FrameReport | None:
@@ -167,15 +168,15 @@ class VisionClient:
         finally:
             collected()
 
-    async def start_odometry(self) -> None:
-        """Start the camera's own trajectory; returns with its first pose.
+    async def start_odometry(self, masks: bool = False) -> None:
+        """Start the camera's own trajectory; returns with its first pose. `masks`: for `odometry_map`.
 
         Raises: CameraError when no pair comes.
         """
         await self._wait_for_process()
         self._runs += 1
         self._track = track = TrackCollector(self._runs)
-        self._send(OdometryCommand(on=True, run=track.run))
+        self._send(OdometryCommand(on=True, run=track.run, masks=masks))
         try:
             async with asyncio.timeout(ODOMETRY_START_S):
                 await self._until(lambda: bool(track.poses))
@@ -199,6 +200,13 @@ class VisionClient:
         self._map_wanted = track.run
         self.last_odometry, self.last_map = tuple(track.poses), None
         return track.track()
+
+    async def odometry_map(self) -> OdometryMap | None:
+        """The map of the run that ended last; None where it does not come."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(MAP_S):
+                await self._until(lambda: self.last_map is not None)
+        return self.last_map
 
     def drop_odometry(self) -> None:
         """Switch odometry off if it is on; nobody wants its track."""
@@ -298,6 +306,7 @@ class VisionClient:
         elif isinstance(message, OdometryMap):
             if message.run == self._map_wanted:
                 self.last_map = message
+                self._arrived.set()
         else:
             self.stream_text = message.text
             self._arrived.set()

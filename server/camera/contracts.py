@@ -117,18 +117,27 @@ class SignOfLife:
 
 @dataclass(frozen=True, slots=True)
 class OdometryMap:
-    """Where the points lie that an odometry run was fitted to, thinned: (n, 3) in its own vo frame [m]."""
+    """Where the points lie that an odometry run was fitted to, thinned: (n, 3) in its own vo frame [m].
+
+    still: masks (h, w) of the left and the right eye, 255 over what stood still in the run's pictures; None: not asked
+    for, or the camera did not move.
+    """
 
     points_vo: Array
     run: int
+    still: tuple[Image | None, Image | None] = (None, None)
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryCommand:
-    """Switch odometry on (from a fresh start frame) or off. `run`: a number that its poses and its map carry."""
+    """Switch odometry on (from a fresh start frame) or off. `run`: a number that its poses and its map carry.
+
+    masks: its map shall say what stood still in the pictures, which costs a second at its end.
+    """
 
     on: bool
     run: int
+    masks: bool = False
 
 
 @dataclass(frozen=True, slots=True)

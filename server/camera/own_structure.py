@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from server.camera.check_findings import CheckFinding, Level
 from server.camera.masking import outlines
@@ -75,7 +74,7 @@ def check_own_structure(pairs: Sequence[tuple[Image, Image]], masks: Masks = (()
     if left is None or right is None:
         text = "the picture did not move, so what of it is the machine itself is not known"
         return CheckFinding("own structure", Level.OK, text)
-    open_fracs = [float(_uncovered(mask, polygons).mean()) for mask, polygons in zip((left, right), masks, strict=True)]
+    open_fracs = [uncovered_frac(mask, polygons) for mask, polygons in zip((left, right), masks, strict=True)]
     shares = [float((mask > 0).mean()) for mask in (left, right)]
     figures = {
         "left_frac": shares[0],
@@ -93,11 +92,37 @@ def check_own_structure(pairs: Sequence[tuple[Image, Image]], masks: Masks = (()
     return CheckFinding("own structure", Level.WARN, text, remedy, figures)
 
 
-def _uncovered(mask: Image, polygons: Sequence[Array]) -> NDArray[np.bool_]:
-    covered = np.zeros(mask.shape, np.uint8)
+def drawn(shape: tuple[int, ...], polygons: Sequence[Array]) -> Image:
+    """A mask (h, w), 255 inside the polygons (k, 2) [px]."""
+    mask = np.zeros(shape, np.uint8)
     for polygon in polygons:
-        cv2.fillPoly(covered, [np.round(polygon).astype(np.int32).reshape(-1, 1, 2)], 255)
-    return np.asarray((mask > 0) & (covered == 0))
+        cv2.fillPoly(mask, [np.round(polygon).astype(np.int32).reshape(-1, 1, 2)], 255)
+    return mask
+
+
+def uncovered_frac(mask: Image, polygons: Sequence[Array]) -> float:
+    """Share of the picture that the mask has and the polygons have not."""
+    return float(((mask > 0) & (drawn(mask.shape, polygons) == 0)).mean())
+
+
+class SpreadPairs:
+    """A few pairs of a run, spread evenly over it however long it lasts."""
+
+    def __init__(self) -> None:
+        self._pairs: list[tuple[Image, Image]] = []
+        self._count, self._every = 0, 1
+
+    def add(self, left: Image, right: Image) -> None:
+        """The run's next pair."""
+        if self._count % self._every == 0:
+            self._pairs.append((left.copy(), right.copy()))
+        self._count += 1
+        if len(self._pairs) > 2 * PAIRS_MIN:
+            self._pairs, self._every = self._pairs[::2], 2 * self._every
+
+    def masks(self) -> tuple[Image | None, Image | None]:
+        """`still_mask` of the left and the right eye."""
+        return still_mask([left for left, _ in self._pairs]), still_mask([right for _, right in self._pairs])
 
 
 def mask_line(eye: str, mask: Image | None) -> str:

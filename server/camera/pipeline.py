@@ -13,6 +13,7 @@ from server.camera.clock import CameraClock
 from server.camera.contracts import FrameReport, OdometryMap, PoseSourceName, StereoFrame, VisionSettings
 from server.camera.health import ImageHealth, sharpness
 from server.camera.masking import ToolMask
+from server.camera.own_structure import SpreadPairs
 from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 
 MAP_POINTS = 600  # told at the end of a run, for the 3D view
@@ -60,6 +61,7 @@ class VisionPipeline:
         self._odometry: Odometry | None = None
         self._odometry_started = False
         self._odometry_run = 0
+        self._pictures: SpreadPairs | None = None
         self._clock = CameraClock()
         self._health = ImageHealth(camera)
         self._mask = ToolMask(tool_ids, settings.mask_scale)
@@ -71,14 +73,16 @@ class VisionPipeline:
         """Find marker poses in this way from the next pair on."""
         self._pose_source = name
 
-    def switch_odometry(self, on: bool, run: int = 0) -> OdometryMap | None:
+    def switch_odometry(self, on: bool, run: int = 0, masks: bool = False) -> OdometryMap | None:
         """On: a new odometry with a start frame of its own; off: none. Returns the map of the one switched off."""
         ended, started, ended_run = self._odometry, self._odometry_started, self._odometry_run
         self._odometry = self._make_odometry() if on else None
         self._odometry_started, self._odometry_run = False, run
+        pictures, self._pictures = self._pictures, SpreadPairs() if on and masks else None
         if ended is None or not started or on:
             return None
-        return OdometryMap(ended.map_points(MAP_POINTS), ended_run)
+        still = (None, None) if pictures is None else pictures.masks()
+        return OdometryMap(ended.map_points(MAP_POINTS), ended_run, still)
 
     def close(self) -> None:
         """End the odometry's thread."""
@@ -92,6 +96,8 @@ class VisionPipeline:
         mapped_ns = self._clock.map(
             frame.t_exposure_ns, frame.t_receive_mono_ns, frame.connection, self._health.stamp_short_ns
         )
+        if self._pictures is not None and not forbidden:
+            self._pictures.add(frame.left, frame.right)
         following = None if forbidden else self._follow_beside(frame)
         observation = self._pose_sources[self._pose_source].observe(frame.left, frame.right, frame.t_exposure_ns)
         self._mask.update(observation.views)

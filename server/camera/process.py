@@ -154,7 +154,7 @@ class VisionLoop:
     def _obey(self, command: VisionCommand) -> bool:
         match command:
             case OdometryCommand():
-                ended = self._pipeline.switch_odometry(command.on, command.run)
+                ended = self._pipeline.switch_odometry(command.on, command.run, command.masks)
                 if ended is not None:
                     self._pipe.send(ended)
             case PoseSourceCommand(name=name):

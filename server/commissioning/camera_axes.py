@@ -12,6 +12,7 @@ from server.camera.errors import CameraError
 from server.commissioning.axes import Seen, axes_figures, depth_figure, wrong_mounting
 from server.commissioning.contracts import Figure, StepResult, judged
 from server.commissioning.looking import camera_of, disparities_px, fresh_pairs, mean_pose
+from server.commissioning.masks import Still, propose_masks
 from server.commissioning.moving import NotReadyError, Reading, arm, play, play_gently, require_leave, rest
 from server.commissioning.site import Site
 from server.motion.contracts import JointTrajectory
@@ -44,13 +45,17 @@ async def camera_axes(site: Site) -> StepResult:
     await require_leave(site, "the tool will now move by 80 mm to the side, up or down, and back, slowly")
     await arm(site)
     before = await fresh_pairs(site, PAIRS, "looking before the moves")
-    legs, untold = [], []
+    legs, untold, still = [], [], []
     for name, axis in _LEGS:
         try:
-            legs.append(await _leg(site, name, np.array(axis)))
+            leg, still_here = await _leg(site, name, np.array(axis))
         except CameraError as error:
             untold.append(f"{name}: {error}")
-    return judge_axes(legs, untold, disparities_px(before))
+        else:
+            legs.append(leg)
+            still.append(still_here)
+    result = judge_axes(legs, untold, disparities_px(before))
+    return replace(result, notes=(*result.notes, await propose_masks(site, still, camera_of(site).masks)))
 
 
 def judge_axes(legs: Sequence[Leg], untold: Sequence[str], disparities: Sequence[float]) -> StepResult:
@@ -76,27 +81,28 @@ def judge_axes(legs: Sequence[Leg], untold: Sequence[str], disparities: Sequence
     return replace(result, summary="; ".join([*mountings, result.summary])) if mountings else result
 
 
-async def _leg(site: Site, name: str, axis_cam: Array) -> Leg:
-    """There, look, back."""
+async def _leg(site: Site, name: str, axis_cam: Array) -> tuple[Leg, Still]:
+    """There, look, back; what stood still in the pictures meanwhile."""
     vision = camera_of(site)
     start = await rest(site)
     trajectory = _trajectory(site, start, name, axis_cam)
     seen_before = mean_pose([report.observation.ooi for report in await fresh_pairs(site, PAIRS, f"{name}: before")])
     try:
-        await vision.start_odometry()
+        await vision.start_odometry(masks=True)
         played = await play(site, trajectory, name)
         end = await rest(site)
         pairs = await fresh_pairs(site, PAIRS, f"{name}: after")
         track = await vision.stop_odometry()
+        odometry_map = await vision.odometry_map()
     finally:
         vision.drop_odometry()
     seen_after = mean_pose([report.observation.ooi for report in pairs])
     await play_gently(site, start.q_ref, f"{name}: back")
     if not played.ended.reached:
         raise NotReadyError(f"{name}: motion ended early: {played.ended.reason}")
-    return Leg(
-        name, expected_step(site, start, end), _odometry_step(track.Ts_vo_cam), marker_step(seen_before, seen_after)
-    )
+    step = expected_step(site, start, end)
+    leg = Leg(name, step, _odometry_step(track.Ts_vo_cam), marker_step(seen_before, seen_after))
+    return leg, (None, None) if odometry_map is None else odometry_map.still
 
 
 def _trajectory(site: Site, start: Reading, name: str, axis_cam: Array) -> JointTrajectory:

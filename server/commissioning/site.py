@@ -1,6 +1,7 @@
 """The site: the machine under commissioning with its link, its camera and its engineer, as the steps see them."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from machine.chain import Chain
 from machine.description import Machine
@@ -19,6 +20,7 @@ class Options:
     ask_for_ends: bool = False  # drive every joint to its mechanical ends by lever
     each_joint: bool = False  # stop times of every joint by itself too
     arm_timeout_s: float = 5.0  # longer where a person must press the enable first
+    settings_file: Path | None = None  # of the server: what is found may be written there
 
 
 @dataclass(slots=True)

@@ -17,6 +17,7 @@ from protocol.client_events import (
     ClientEvent,
     ClientPhase,
     Closed,
+    Dropped,
     GateRefused,
     RejectSeen,
     StateReceived,
@@ -24,7 +25,7 @@ from protocol.client_events import (
     TrajectoryEnded,
 )
 from protocol.client_link import ClientLink
-from protocol.codes import HeaderFlag, PlcState, RejectCode
+from protocol.codes import HeaderFlag, PlcState, RejectCode, reject_text
 from protocol.errors import LocalProtocolError
 from protocol.limits import LimitTable
 from protocol.messages import State
@@ -87,6 +88,7 @@ class LinkProcess:
         self._rejects: deque[str] = deque(maxlen=_REJECTS_KEPT)
         self._silent_until_ns = 0
         self._other_pc, self._other_pc_ns = "", 0
+        self._unread, self._unread_ns = "", 0  # what came from the PLC and is no state for us
         self._asked: ArmRequest | ResetRequest | None = None  # a wish that has neither come true nor lapsed
         self._asked_until_ns = 0
         self._hold, self._sight = Deadline(_HOLD_LOST), Deadline(_SIGHT_LOST)
@@ -284,8 +286,9 @@ class LinkProcess:
                     self._rejects.append(f"motion gate: {text}")
                 case Closed():
                     self._renew()
-                case _:  # Dropped: counted by the link
-                    pass
+                case Dropped(code=code, text=text):
+                    self._unread_ns = t_mono_ns
+                    self._unread = f"the PLC answers, but not for this PC: {reject_text(code)} [{text}]"
 
     def _note_buffer(self, state: State) -> None:
         """Only while knots are still to come: towards its end every trajectory empties the ring."""
@@ -319,6 +322,11 @@ class LinkProcess:
         self._phase = self._link.phase(now_ns)
         self._outbox.report(HealthReport(self._health(now_ns), self._link.clock.offset_ns))
 
+    def _why_unread(self, now_ns: int) -> str:
+        """Why the PLC's datagrams are of no use, where no other ones come; a damaged one between good ones is loss."""
+        is_all = self._phase is ClientPhase.OFFLINE and now_ns - self._unread_ns < _OTHER_PC_NS
+        return self._unread if is_all else ""
+
     def _health(self, now_ns: int) -> LinkHealth:
         counters, figures = self._link.counters, self._figures
         age_ns, state = self._link.age_ns(now_ns), self._link.state
@@ -338,7 +346,7 @@ class LinkProcess:
             warning=self._warning,
             buffer_min_us=self._buffer_min_us,
             receive_timestamps="kernel" if self._udp.kernel_stamps else "process",
-            error=self._resolver.error,
+            error=self._resolver.error or self._why_unread(now_ns),
             dry_run=state is not None and HeaderFlag.DRY_RUN in state.flags,
             cfg_id=state.cfg_id if state is not None else 0,
             other_pc=self._other_pc if now_ns - self._other_pc_ns < _OTHER_PC_NS else "",

@@ -24,7 +24,7 @@ from server.vision.odometry_motion import (
     standing,
     with_scale_error,
 )
-from server.vision.odometry_motions import Located, PosePrior, Scene, motions, parted, world_motion
+from server.vision.odometry_motions import Located, Scene, motions, parted, world_motion
 from server.vision.odometry_observation import Observed, expected_right, observe_map
 from server.vision.odometry_own import OwnStructure, vote
 from server.vision.odometry_place import best_place, travelled
@@ -94,7 +94,6 @@ class StereoOdometry:
         self._texture_grey = float("inf")
         self._unique_depth = True
         self._unsure_m = 0.0  # how far the camera may have come unseen, as long as its place may be another one
-        self._prior: PosePrior | None = None
         height, width = self._shape
         self._own = OwnStructure(self._shape, int(np.sqrt(height * width / self._settings.features)))
 
@@ -105,7 +104,6 @@ class StereoOdometry:
         t_exposure_ns: int,
         mask_polygons_left: Sequence[Array] = (),
         mask_polygons_right: Sequence[Array] = (),
-        prior: PosePrior | None = None,
     ) -> OdometryPose:
         """Pose of the left camera at this exposure.
 
@@ -113,7 +111,6 @@ class StereoOdometry:
                  fit, flow from the last pair and PnP-RANSAC give a better start; robust two-view fit over all points,
                  one for each motion in the picture, of which one is the world's (`odometry_motions.py`).
         Args:    left, right: raw grey (h, w). Mask polygons (k, 2) [raw px]: what is not part of the wall (the tool).
-                 prior: where the encoders have the camera; decides where two motions are in the picture.
         Returns: OdometryPose; covariance by left perturbation in vo axes, then translation. While LOST the last pose
                  stays and its covariance says that nothing is known.
         """
@@ -121,11 +118,10 @@ class StereoOdometry:
             found = f"{left.shape} {left.dtype} and {right.shape} {right.dtype}"
             return self._lost(t_exposure_ns, f"pair is {found}; the camera file says {self._shape} uint8")
         masks = allowed_mask(self._shape, mask_polygons_left), allowed_mask(self._shape, mask_polygons_right)
-        return self.process_sight(ImageSight(left, right, masks, t_exposure_ns), prior)
+        return self.process_sight(ImageSight(left, right, masks, t_exposure_ns))
 
-    def process_sight(self, sight: Sight, prior: PosePrior | None = None) -> OdometryPose:
+    def process_sight(self, sight: Sight) -> OdometryPose:
         """As `process`, for a pair that was looked at in another way (a simulation of points)."""
-        self._prior = prior
         if self._last is None:
             return self._start(sight)
         located = self._locate(sight, self._last)
@@ -227,7 +223,6 @@ class StereoOdometry:
             shape=self._shape,
             count_good=settings.count_good(self._shape),
             coverage_good=settings.coverage_good,
-            prior=self._prior,
         )
         parts, sure = parted(problem, first, scene, settings.inliers_min)
         fits = parts if sure else motions(problem, first, settings.inliers_min)

@@ -11,12 +11,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
-from machine.poses import inverse_pose, transform_points
+from machine.poses import transform_points
 from server.vision.contracts import Array
 from server.vision.odometry_features import N_CELLS, cell_numbers, coverage
-from server.vision.odometry_motion import Twist, covariance_in_vo, pose_difference
+from server.vision.odometry_motion import Twist
 from server.vision.odometry_observation import Observed
 from server.vision.odometry_pose import PoseFit, PoseProblem, equations, minimise, rough, settled
 
@@ -27,7 +26,6 @@ SAMPLES_MAX = 250  # for a share of 30 %
 MOTIONS_MAX = 3
 QUADRATIC = -1e12  # Cauchy size at which every point of a sample counts fully
 STILL_ROUNDS = 5
-PRIOR_CHI2 = float(chi2.ppf(0.9999, 6))
 Mask = NDArray[np.bool_]
 
 
@@ -53,19 +51,6 @@ class Located:
 
 
 @dataclass(frozen=True, slots=True)
-class PosePrior:
-    """Where the camera should be by the encoders: T_vo_cam and its covariance (6, 6), as `OdometryPose`."""
-
-    T_vo_cam: Array
-    covariance: Array
-
-    def chi2_of(self, fit: PoseFit) -> float:
-        """Squared Mahalanobis distance of a fit from here, 6 degrees of freedom."""
-        error = pose_difference(self.T_vo_cam, inverse_pose(fit.T_cam_vo))
-        return float(error @ np.linalg.solve(self.covariance + covariance_in_vo(fit.T_cam_vo, fit.covariance), error))
-
-
-@dataclass(frozen=True, slots=True)
 class Scene:
     """What distinguishes motions, of n points: raw left pixels (n, 2); squared whitened residuals (n,) as if they had
     moved with the camera since they were kept; earlier votes (n,): above 0 it went with the world, below with the
@@ -82,7 +67,6 @@ class Scene:
     shape: tuple[int, int]
     count_good: int
     coverage_good: int
-    prior: PosePrior | None = None
 
 
 @njit(cache=True, nogil=True)
@@ -213,16 +197,12 @@ def world_motion(fits: Sequence[PoseFit], scene: Scene) -> tuple[PoseFit, PoseFi
 
 
 def _decided(one: _Side, two: _Side, scene: Scene) -> tuple[PoseFit, PoseFit, str]:
-    """Winner, loser, and why that is doubtful: encoders first, then what earlier motion showed, then the picture.
+    """Winner, loser, and why that is doubtful: by what earlier motion showed, then by the picture.
 
     Own structure stands still in the picture while the world behind it moves; a thing that moves by itself does so in
     front of a world at rest. So where one side stands still the farther one is the world, in doubt where it spreads
     less. Where that does not decide, the larger spread wins, in doubt where the other is large enough to be the world.
     """
-    if scene.prior is not None:
-        inside = [scene.prior.chi2_of(side.fit) < PRIOR_CHI2 for side in (one, two)]
-        if inside[0] != inside[1]:
-            return (one.fit, two.fit, "") if inside[0] else (two.fit, one.fit, "")
     if abs(one.vote - two.vote) > 0.5:  # more than half of the points of either side are known
         return (one.fit, two.fit, "") if one.vote > two.vote else (two.fit, one.fit, "")
     large, small = (one, two) if (one.spread, one.count) >= (two.spread, two.count) else (two, one)

@@ -103,7 +103,7 @@ class PlcLogic:
         return self._control.control(self.reference.q, sample.q_rad, self.reference.fade)
 
     def send(self, t_plc_ns: int) -> bytes:
-        """The state datagram of this moment; it goes to `link.peer`."""
+        """The state datagram of this moment; it goes to `link.receivers()`."""
         if self._sample is None:
             raise PlcNotStartedError("PLC: no state before the first cycle")
         status = status_of(

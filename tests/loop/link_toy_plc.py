@@ -79,10 +79,12 @@ class ToyPlc:
             self._play(dt_ns, t_ns)
         elif self.link.state is PlcState.STOPPING and t_ns - self._t_stop_ns > RAMP_NS:
             self.events += self.link.apply(PlcEvent.AT_REST, t_ns)
-        if self.link.peer is None or t_ns - self._t_state_ns < 10 * MS:
+        receivers = self.link.receivers() if t_ns - self._t_state_ns >= 10 * MS else []
+        if not receivers:
             return []
         self._t_state_ns = t_ns
-        return [(self.link.send(self.status(), t_ns), self.link.peer)]
+        datagram = self.link.send(self.status(), t_ns)
+        return [(datagram, receiver) for receiver in receivers]
 
     def _play(self, dt_ns: int, t_ns: int) -> None:
         end_ns = self.ring[self.knot_last].t_ns

@@ -54,6 +54,7 @@ class PlcThread:
         self.socket.bind(("127.0.0.1", 0))
         self.socket.settimeout(0.001)
         self.mute = self.done = False
+        self.alter: Callable[[bytes], bytes] = bytes
         self.thread = threading.Thread(target=self._run)
         self.thread.start()
 
@@ -65,10 +66,10 @@ class PlcThread:
                 datagram, source = b"", None
             t_ns = mono_ns() + self.EPOCH_NS
             if datagram:
-                self.plc.receive(datagram, t_ns, source)
+                self.plc.receive(self.alter(datagram), t_ns, source)
             for answer, peer in self.plc.cycle(t_ns):
                 if not self.mute:
-                    self.socket.sendto(answer, peer)  # type: ignore[arg-type]
+                    self.socket.sendto(self.alter(answer), peer)  # type: ignore[arg-type]
 
     def close(self) -> None:
         self.done = True

@@ -66,6 +66,10 @@ class StructuredTextPlc(Protocol):
         """Where states go."""
         ...
 
+    def answers(self) -> bool:
+        """Whether the last datagram's sender is answered, because it was refused."""
+        ...
+
 
 @dataclass(slots=True)
 class Readings:
@@ -176,6 +180,7 @@ class Pair:
         """One datagram to both."""
         self.tally.datagrams += 1
         self._panel_to_st()
+        self.plc.link.refused = None
         for event in self.plc.receive(datagram, self.t_ns, source):
             if isinstance(event, Rejected):
                 self.tally.rejects[event.code.name] += 1
@@ -185,6 +190,8 @@ class Pair:
             self.st.refuse_frame()
         else:
             self.st.receive(payload, source, self.t_ns)
+            if (self.plc.link.refused == source) is not self.st.answers():
+                self.tally.mismatches.append(f"datagram {self.tally.datagrams}: only one answers its refused sender")
 
     def tick(self) -> State:
         """One cycle and one state of both, compared."""

@@ -90,6 +90,10 @@ class DeliveredPlc:
         """Where states go."""
         return self.block.nPeer if self.block.bHasPeer else None
 
+    def answers(self) -> bool:
+        """Whether the last datagram's sender is answered, because it was refused."""
+        return bool(self.block.bAnswer)
+
     def illegal_events(self) -> int:
         """Events that the transition table did not know."""
         return self.block.fbLink.nIllegalEvents

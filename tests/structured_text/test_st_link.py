@@ -198,6 +198,27 @@ def test_a_dry_run_plays_with_the_valves_closed_and_says_so():
     assert plc.peer() == 1
 
 
+def test_a_refused_sender_is_answered_unless_it_is_the_peer_or_no_pc_of_this_link():
+    plc = DeliveredPlc()
+    plc.cycle(sample(), T0)
+    old = hello(session=8)
+    old = old[:4] + bytes([old[4] + 1]) + old[5:]
+    cases = (
+        (old, 2, True),  # wrong version, while nobody is in session
+        (hello(), 1, False),  # taken
+        (hello(session=8), 2, True),  # refused: 1 has the session
+        (hello(session=8), 1, False),  # the peer gets the state anyway
+        (old[:567], 2, False),  # shorter than the answer
+        (plc.build_state(T0) + bytes(layout.COMMAND_SIZE - layout.STATE_SIZE), 2, False),  # another PLC's
+    )
+    for payload, source, answered in cases:
+        plc.receive(payload, source, T0)
+        assert plc.answers() is answered
+    plc.receive(hello(session=8), 2, T0)
+    state = state_of(plc, T0)
+    assert (state.session, state.reject_code) == (9, RejectCode.SESSION)
+
+
 def test_without_a_key_tags_are_ignored_and_with_one_they_are_demanded():
     key = bytes(range(16))
     plc = DeliveredPlc()

@@ -12,7 +12,7 @@ from protocol.codes import PlcState, RejectCode
 from protocol.plc_events import PlcLinkEvent, Rejected, StateChanged
 from protocol.plc_states import PlcEvent
 
-_APART = frozenset({"_counters", "_reject", "peer"})  # looked at one by one below
+_APART = frozenset({"_counters", "_reject", "peer", "refused"})  # looked at one by one below
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +105,8 @@ class PlcCheck:
         told_why = refusal is not None and refusal.code is RejectCode.CFG and not self.end.plc.link.session
         if after.peer != before.peer and not told_why:
             problems.append("peer changed by what was not taken")
+        if self.end.plc.link.refused is not None and refusal is None:
+            problems.append("an answer for what was not refused")
         steps = tuple(b - a for a, b in zip(before.counters, after.counters, strict=True))
         expected = {(0, 0, 0, 0, 1, 0)} if kind is Kind.REFUSED else {(0, 0, 1, 0, 0, 0), (0, 0, 0, 1, 0, 0)}
         if steps not in expected:

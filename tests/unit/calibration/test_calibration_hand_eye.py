@@ -222,9 +222,21 @@ def test_kinhec_outliers_no_worse_than_its_best_solver(tmp_path):
     assert found.translation_mm <= 1.1 * found.best_translation[1]
 
 
-def test_poses_weigh_by_what_their_images_say_of_them():
+def solve_stream(As, Bs, camera_covariances=None):
+    """As one of two streams, whose offset is searched."""
+    t_hand = np.arange(0.0, 13.0, 0.02)
+    return estimate_hand_eye(
+        t_hand, hand_poses(t_hand), T_CAM_S, inverse_poses(Bs), camera_covariances=camera_covariances
+    )
+
+
+T_CAM_S = np.arange(0.4, 12.5, 0.4)
+
+
+@pytest.mark.parametrize("solve", [solve_ax_yb, solve_stream])
+def test_poses_weigh_by_what_their_images_say_of_them(solve):
     """Each image is poor in its own direction: depth and tilt there have eight times the noise of the others."""
-    As = hand_poses(np.arange(0.0, 12.0, 0.4))
+    As = hand_poses(T_CAM_S)
     errors = {"alike": [], "weighted": []}
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -237,8 +249,8 @@ def test_poses_weigh_by_what_their_images_say_of_them():
         Ts[:, :3, :3] = Rotation.from_rotvec(noise[:, :3]).as_matrix() @ Ts[:, :3, :3]
         Ts[:, :3, 3] += noise[:, 3:]
         Bs = inverse_poses(Ts)
-        errors["alike"].append(errors_of(solve_ax_yb(As, Bs)))
-        errors["weighted"].append(errors_of(solve_ax_yb(As, Bs, camera_covariances=covariances)))
+        errors["alike"].append(errors_of(solve(As, Bs)))
+        errors["weighted"].append(errors_of(solve(As, Bs, camera_covariances=covariances)))
     alike, weighted = (np.sqrt(np.mean(np.square(errors[key]), axis=0)) for key in ("alike", "weighted"))
     assert (weighted < 0.75 * alike).all(), (alike, weighted)
 

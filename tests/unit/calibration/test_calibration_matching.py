@@ -90,6 +90,24 @@ def test_covariance_grows_when_the_tracks_are_not_rigid():
     assert np.sqrt(np.trace(bent.covariance) / np.trace(calm.covariance)) > 2.0
 
 
+def test_odometry_that_errs_along_with_the_shaking_turns_no_flat_path():
+    """Across a flat path there is shaking only: an error of a third of it passed for a strain, and half of that for a
+    turn of the camera by degrees."""
+    case = make_case(paper_offsets(), 3, jitter=0.0003, drift=0.0, scale=0.0, wobble_deg=0.0)
+    R_base_tcp = case.encoder.Ts_base_tcp[0, :3, :3]
+    R_vo_tcp = case.camera.Ts_vo_cam[0, :3, :3] @ case.R_tcp_cam.T
+    shaking = np.array([0.0, 0.0, 0.0015])  # in TCP axes, whose z is the path's normal
+    for Ts, R, t_s, own in (
+        (case.encoder.Ts_base_tcp, R_base_tcp, case.encoder.t_s, np.zeros(3)),
+        (case.camera.Ts_vo_cam, R_vo_tcp, case.camera.t_s, np.array([0.0005, 0.0003, 0.0])),
+    ):
+        Ts[:, :3, 3] += np.sin(2.0 * np.pi * 2.1 * t_s)[:, None] * (R @ (shaking + own))
+    found = estimate_camera_rotation(case.camera, case.encoder, T_TCP_CAM)
+    assert found.status is CalibrationStatus.OK, found.reason
+    assert np.rad2deg(geodesic_angle(found.R_tcp_cam, case.R_tcp_cam)) < 0.5
+    assert np.rad2deg(np.sqrt(np.linalg.eigvalsh(found.covariance)[-1])) < 0.5
+
+
 def test_exact_tracks_give_the_exact_mount():
     case = make_case(FOLDED, 3, drift=0.0, scale=0.0, jitter=0.0)
     found = estimate_camera_rotation(case.camera, case.encoder, T_TCP_CAM)

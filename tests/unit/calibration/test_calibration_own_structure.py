@@ -36,4 +36,6 @@ def test_a_path_with_a_quarter_of_the_picture_covered_calibrates(texture):
     assert estimate.R_tcp_cam is not None
     assert estimate.covariance is not None
     sigma_rad = np.sqrt(np.linalg.eigvalsh(estimate.covariance)[-1])
-    assert geodesic_angle(T_tcp_cam[:3, :3], estimate.R_tcp_cam) < 3.0 * sigma_rad
+    error_rad = geodesic_angle(T_tcp_cam[:3, :3], estimate.R_tcp_cam)
+    assert error_rad < 3.0 * sigma_rad
+    assert np.rad2deg(error_rad) < 0.5

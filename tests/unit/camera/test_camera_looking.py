@@ -213,12 +213,13 @@ def test_pipeline_reports_poses_odometry_preview_and_rate() -> None:
     assert later[-1].fps == pytest.approx(1.0 / 0.066, rel=1e-6)
     assert later[-1].t_exposure_mapped_ns == later[-1].t_receive_mono_ns
     pipeline.use_pose_source("mono")
-    pipeline.switch_odometry(True)
+    pipeline.switch_odometry(True, masks=True)
     again = process(8)
     assert len(made) == 2  # a fresh start frame
     assert (again.pose_source, again.observation.views, again.skipped) == ("mono", (), 3)
     ended = pipeline.switch_odometry(False)
     assert ended is not None
     assert ended.points_vo.shape == (7, 3)  # for looking at
+    assert ended.still == (None, None)  # of one pair nothing is told
     assert pipeline.switch_odometry(False) is None
     assert process(9).odometry is None

@@ -5,12 +5,16 @@ import numpy as np
 import pytest
 
 from server.camera.check_findings import Level
+from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.masking import mask_polygons
 from server.camera.own_structure import check_own_structure, mask_line, still_mask
+from server.camera.pipeline import VisionPipeline
+from server.camera.sources.settings import HttpSource
 from server.errors import SettingsError
 from server.settings import read_machine, read_settings
 from server.settings_source import source_and_machine
 from server.shell_settings import vision_settings
+from server.vision.contracts import ObjectPose, OdometryPose, OdometryStatus, PairObservation, PoseStatus
 
 MACHINE = read_machine("hiab033")
 HEIGHT, WIDTH = MACHINE.camera.height_px, MACHINE.camera.width_px
@@ -83,3 +87,38 @@ def test_a_picture_serves_as_a_mask(tmp_path):
         mask_polygons(str(path), MACHINE.camera, "mask_left")
     with pytest.raises(SettingsError, match="No such file"):
         mask_polygons(str(tmp_path / "no.png"), MACHINE.camera, "mask_left")
+
+
+class NoMarkers:
+    def observe(self, left, right, t_exposure_ns):
+        unseen = [ObjectPose(name, PoseStatus.NOT_SEEN, "", None, None, (), 0.0, 0.0) for name in ("tool", "ooi")]
+        return PairObservation(t_exposure_ns, *unseen, (), ())
+
+
+class NoOdometry:
+    def process(self, left, right, t_exposure_ns, mask_polygons_left=(), mask_polygons_right=()):
+        return OdometryPose(t_exposure_ns, np.eye(4), np.eye(6), OdometryStatus.OK, "", 100)
+
+    def map_points(self, count_max):
+        return np.zeros((0, 3))
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_run_of_odometry_says_what_stood_still_in_each_eye_where_asked(asked):
+    sources = {"stereo": NoMarkers(), "mono": NoMarkers()}
+    pipeline = VisionPipeline(VisionSettings(HttpSource("http://x/")), [], sources, NoOdometry)
+    eyes = pictures(n=16, step_px=20), pictures(n=16, step_px=20, seed=5, beam=False)
+    pipeline.switch_odometry(True, 3, masks=asked)
+    for k, (left, right) in enumerate(zip(*eyes, strict=True)):
+        pipeline.process(StereoFrame(left, right, k * 66_000_000, k * 66_000_000 + 1, k), 0)
+    ended = pipeline.switch_odometry(False)
+    pipeline.close()
+    assert ended is not None
+    if not asked:
+        assert ended.still == (None, None)
+        return
+    left, right = ended.still
+    assert left is not None
+    assert right is not None
+    assert (left > 0)[400:, :320].mean() > 0.98
+    assert not right.any()

@@ -68,6 +68,9 @@ class SlowJoint:
     side_d: float = 0.0
     bend: float = 0.0
     bend_d: float = 0.0
+    oil: float = 0.0
+    pushed: float = 0.0
+    q_d: float = 0.0
 
     def encoder(self) -> float:
         p = self.p
@@ -108,6 +111,17 @@ class SlowJoint:
         gain = self.kv * (1.0 + p[columns.FLOW]) * (1.0 + p[columns.ASYMMETRY] * (x > 0.0))
         return opening * gain * max(1.0 + p[columns.DROOP] * load * math.copysign(1.0, x), 0.0)
 
+    def moved_by(self, flow: float, dt: float) -> None:
+        half, period = self.p[columns.FRICTION], self.p[columns.OIL_PERIOD]
+        self.oil += dt * flow
+        self.pushed = min(max(self.pushed, self.oil - half), self.oil + half)
+        if period <= 0.0:
+            self.q = self.pushed
+            return
+        matrix = np.array([[0.0, 1.0], [-(period**-2.0), -2.0 * self.p[columns.OIL_DAMPING] / period]])
+        off, self.q_d = _expm(matrix * dt) @ np.array([self.q - self.pushed, self.q_d])
+        self.q = self.pushed + off
+
     def link_side(self, T: float) -> float:
         p = self.p
         half, before, before_d = 0.5 * p[columns.BACKLASH], self.side, self.side_d
@@ -139,7 +153,7 @@ def slow_rows(plant: Actuators, joint: np.ndarray, machine: np.ndarray, drive: D
         one.q = one.ref = start
         for _ in range(60):  # the angle that reads `start`
             one.q -= (one.encoder() - start) / (1.0 + one.p[columns.SCALE])
-        one.side = one.q
+        one.side = one.oil = one.pushed = one.q
         one.ref = float(drive.sent[drive.latest[0], j])
     kept = [0]
     for i in range(1, len(drive.sent)):
@@ -165,5 +179,5 @@ def slow_rows(plant: Actuators, joint: np.ndarray, machine: np.ndarray, drive: D
             total = sum(abs(v) / one.kv for v, one in zip(speeds, joints, strict=True))
             served = min(1.0, machine[columns.FLOW_LIMIT] / total) if total > 0.0 else 1.0
             for j, one in enumerate(joints):
-                one.q += dt * (speeds[j] * served + one.p[columns.LEAK] * load[j])
+                one.moved_by(speeds[j] * served + one.p[columns.LEAK] * load[j], dt)
     return {name: np.array(values) for name, values in rows.items()}

@@ -35,6 +35,8 @@ CONTRACT = {
         "internal_leakage": "drift_rad_s",
         "load_droop": "droop_frac",
         "stiction": "breakaway_frac",
+        "joint_friction": "compression_rad",
+        "oil_compliance": "period_s damping",
     },
     "joint": {
         "backlash": "width_rad",
@@ -58,6 +60,8 @@ CONTRACT = {
         "marker_size_error": "scale_frac",
         "hand_eye_rotation": "angle_rad",
         "hand_eye_translation": "distance_m",
+        "tool_marker_rotation": "angle_rad",
+        "tool_marker_translation": "distance_m",
         "stereo_misalignment": "angle_rad",
         "camera_latency": "latency_s",
         "rolling_shutter": "readout_s stamp_row",

@@ -371,3 +371,24 @@ def test_a_valve_of_any_damping_settles_at_its_speed(frequency_hz: float, dampin
         enc = simulate(plant, neutral_sets(1), drive_actuator(plant, u, np.zeros(1))).enc[0, :, 0]
         assert np.isfinite(enc).all()
         assert (enc[-1] - enc[-101]) / 1.0 == pytest.approx(0.25, rel=0.05)
+
+
+def test_friction_is_lost_at_each_reversal_and_the_oil_rings_at_its_period() -> None:
+    plant = plant_of_hiab(log_cycle_s=0.001)
+    t = np.arange(8000) * 1e-3
+    there_and_back = np.where(t < 4.0, 0.2, -0.2)
+
+    def run(sets, u):
+        return simulate(
+            plant, sets, drive_actuator(plant, np.tile(u[:, None], 6), np.zeros(6)), DynamicStage.ACTUATOR
+        ).enc[0, :, 1]
+
+    plain = run(neutral_sets(6), there_and_back)
+    stiff = run(packed("joint_friction", 2, compression_rad=2e-3), there_and_back)
+    assert plain[3999] - stiff[3999] == pytest.approx(2e-3)
+    assert stiff[-1] - plain[-1] == pytest.approx(2e-3)
+    step = np.where(t < 1.0, 0.0, 0.2)
+    off = run(packed("oil_compliance", 2, period_s=0.08, damping=0.05), step) - run(neutral_sets(6), step)
+    crossings = np.nonzero(np.diff(np.sign(np.gradient(off[1100:2500]))))[0]
+    assert 2.0 * np.median(np.diff(crossings)) * 1e-3 == pytest.approx(2.0 * np.pi * 0.08, rel=0.05)
+    assert -np.mean(off[-2011:]) == pytest.approx(2.0 * 0.05 * 0.08 * 0.2 * plant.joints[1, 0], rel=0.1)

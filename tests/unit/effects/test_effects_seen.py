@@ -8,7 +8,15 @@ from machine.camera import project_stereo
 from machine.effects.entries import make_entry, pack
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.effects.registry import effect_named, effects_of
-from machine.effects.seen import camera_mount, points_on_links, sampled, seen_corners, seen_odometry, true_times
+from machine.effects.seen import (
+    camera_mount,
+    points_on_links,
+    sampled,
+    seen_corners,
+    seen_odometry,
+    tool_place,
+    true_times,
+)
 from machine.errors import MachineError
 from machine.markers import marker_corners
 from machine.poses import pose
@@ -58,8 +66,8 @@ IMAGE = [one for one in effects_of("camera") if one.name not in ("camera_latency
 @pytest.mark.parametrize("effect", IMAGE, ids=lambda one: one.name)
 def test_every_image_parameter_is_felt_finite_and_neutral_is_exact(effect) -> None:
     def measured(sets: ParameterSets) -> np.ndarray:
-        mounted = camera_mount(sets, MACHINE.T_tcp_cam_left)
-        return np.concatenate([corners(sets).ravel(), mounted.ravel()])
+        mounted, tool = camera_mount(sets, MACHINE.T_tcp_cam_left), tool_place(sets, MACHINE.T_tcp_tool)
+        return np.concatenate([corners(sets).ravel(), mounted.ravel(), tool.ravel()])
 
     sizes = [slot for slot in slots_of(effect.name, None) if slot.parameter == effect.size.name]
     for slot in sizes:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from protocol.codec import decode_state, encode_command
+from protocol.codec import decode_state, encode_command, encode_state
 from protocol.codes import CommandFlag, Interp, LinkState, Mode, PlcState, RejectCode, WarnBit
 from protocol.framing import RawFraming
 from protocol.messages import Command, Knot, PlcStatus, State
@@ -321,6 +321,27 @@ def test_no_take_over_but_a_restarted_pc_gets_in_after_a_second() -> None:
     bench.wait(1001)
     bench.send(hello=True, session=9, source=("10.0.0.1", 6))
     assert (bench.link.session, bench.link.state, bench.link.peer) == (9, PlcState.LINKED, ("10.0.0.1", 6))
+
+
+def test_a_refused_sender_gets_the_next_state_once_beside_the_peer() -> None:
+    other, hello = ("10.0.0.1", 6), Command(9, 1, 1, hello=True, cfg_id=CFG)
+    old = bytearray(encode_command(hello))
+    old[4] += 1  # ver_major
+    bench = Bench()
+    bench.link.receive(bytes(old), bench.t_ns, other)
+    assert bench.link.receivers() == [other]  # while nobody is in session
+    assert bench.state().reject_code == RejectCode.VERSION
+    bench.reach(PlcState.HOLD)
+    inner = bench.inner()
+    bench.give(hello, other)
+    assert bench.inner() == inner
+    assert (bench.link.receivers(), bench.link.receivers()) == ([PC, other], [PC])
+    assert (bench.state().session, bench.state().reject_code) == (7, RejectCode.SESSION)
+    bench.give(hello, PC)  # the peer hears it anyway
+    not_worth_it = (encode_state(bench.state()), bytes(old[:567]), bytes(1304))  # two PLCs, a short one, no command
+    for datagram in not_worth_it:
+        bench.link.receive(datagram, bench.t_ns, other)
+        assert bench.link.receivers() == [PC]
 
 
 def test_a_hello_with_other_limits_is_told_why() -> None:

@@ -32,7 +32,9 @@ class StillMachine:
         t_ns = self.t_plc_ns
         self.plc.cycle(t_ns, self._sample)
         self.t_plc_ns += MS
-        return self.plc.send(t_ns) if t_ns % (10 * MS) == 0 and self.plc.link.peer is not None else None
+        link = self.plc.link
+        due = t_ns % (10 * MS) == 0 and (link.peer is not None or link.refused is not None)
+        return self.plc.send(t_ns) if due else None
 
 
 class Wire:
@@ -113,6 +115,27 @@ def test_states_go_to_the_peer_every_10_ms_and_commands_are_stamped_when_they_co
     assert 190 <= rig.loop.health.states <= 200
     assert client.clock.offset_ns is not None
     assert abs(client.clock.offset_ns + OFFSET_NS) <= 2 * MS  # the wake period is the error
+
+
+def test_a_second_pc_is_answered_and_told_that_another_one_holds_the_plc():
+    rig = Rig()
+    holder, second = (ClientLink(TABLE, RawFraming(), session=number) for number in (5, 6))
+    ends = {PC: holder, ("127.0.0.1", 40002): second}
+    heard = {address: 0 for address in ends}
+    for _ in range(100):
+        for address, client in ends.items():
+            datagram = client.send(rig.t_mono_ns)
+            rig.wire.to_plc += [] if datagram is None else [(datagram, address)]
+        rig.pass_ms(20)
+        for datagram, address in rig.wire.from_plc:
+            ends[address].receive(datagram, rig.t_mono_ns)
+            heard[address] += 1
+        rig.wire.from_plc.clear()
+    assert (holder.linked, second.linked) == (True, False)
+    assert second.other_pc == second.last_reject
+    assert second.other_pc.startswith("another PC holds the PLC's session 0x00000005; end the server there")
+    assert heard[PC] > 180
+    assert heard["127.0.0.1", 40002] == pytest.approx(20, abs=2)  # one answer for each HELLO
 
 
 def test_framing_by_name():

@@ -1,6 +1,7 @@
 """One server a recordings folder."""
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -38,4 +39,19 @@ def test_it_is_held_though_all_that_is_in_it_was_removed(tmp_path: Path) -> None
             with pytest.raises(SettingsError, match=r"used by another server.*--runs"), alone_in(tmp_path):
                 pass
     with alone_in(tmp_path):
+        pass
+
+
+def test_it_is_held_though_the_folder_itself_was_removed_and_made_anew(tmp_path: Path) -> None:
+    runs = tmp_path / "runs"
+    with alone_in(runs):
+        for remade in (False, True):
+            shutil.rmtree(runs)
+            if remade:
+                runs.mkdir()
+            with pytest.raises(SettingsError, match=rf"process {os.getpid()}.*--runs"), alone_in(runs):
+                pass
+        with alone_in(tmp_path / "others"):
+            pass
+    with alone_in(runs):
         pass

@@ -5,7 +5,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from scipy.stats import kstest
 
 from diagnosis.whole_model.evidence import groupings_of, scatter
 from diagnosis.whole_model.probability import FEATURES, calibration, fitted, logistic, probability_of

@@ -1,0 +1,38 @@
+"""What a part's remainder goes with: the signal whose level explains most of what its best set leaves."""
+
+import numpy as np
+from scipy.stats import rankdata
+
+from diagnosis.whole_model.solve import WholeFit
+from machine.rotations import Array
+
+LEVELS = 12  # of a signal, with as many rows each
+WORTH = 0.05  # of the remainder: a signal that explains less is no lead
+
+
+def lead_of(fit: WholeFit) -> str:
+    """The strongest lead in words; empty where no signal explains a twentieth of what is left."""
+    residual = fit.best.lin.residual
+    found = [
+        (explained(own, values), name)
+        for part, own in fit.cell.by_part(residual)
+        for name, values in (*part.regressors, ("time since the start", part.t_s))
+        if len(values) == len(own)
+    ]
+    share, name = max(found, default=(0.0, ""))
+    return f"goes with the {name} (explains {100 * share:.0f} % of it)" if share > WORTH else ""
+
+
+def explained(residual: Array, values: Array) -> float:
+    """Share of a residual's variance (N,) between levels of a signal (N,), less what chance gives.
+
+    Source: adjusted R squared.
+    """
+    level = np.floor((rankdata(values) - 1.0) * LEVELS / len(values)).astype(np.int64)
+    names, of = np.unique(level, return_inverse=True)
+    count = np.bincount(of)
+    mean = np.bincount(of, weights=residual) / count
+    whole = float(((residual - residual.mean()) ** 2).sum())
+    left = float(((residual - mean[of]) ** 2).sum())
+    free = len(residual) - len(names)
+    return 1.0 - left / free * (len(residual) - 1.0) / whole if whole > 0.0 and free > 0 else 0.0
