@@ -14,6 +14,7 @@ from rich.markup import escape
 from rich.table import Column, Table
 
 from recording.errors import RecordingError
+from recording.files import write_durably
 from recording.foreign.assemble import Assembled
 from recording.foreign.convert import convert_foreign, is_foreign
 from recording.foreign.found import Found
@@ -27,17 +28,32 @@ Yes = Annotated[bool, typer.Option("--yes", help="use what topics and columns we
 
 
 def convert_log(
-    source: Path, target: Path, urdf: Path | None, mapping: Path | None, yes: bool, screen: Console
+    source: Path,
+    target: Path,
+    urdf: Path | None,
+    mapping: Path | None,
+    yes: bool,
+    screen: Console,
+    mapping_out: Path | None = None,
 ) -> None:
     """Convert a log into a folder. Raises: RecordingError: unreadable, or a guess was not confirmed."""
 
     def confirm(found: Found, assembled: Assembled) -> bool:
         show(found, assembled, screen)
+        if mapping_out is not None:
+            _write_mapping(mapping_out, found.proposal)
         if yes or not found.guesses:
             return True
         return sys.stdin.isatty() and typer.confirm("Are the guesses right?", default=False, err=True)
 
     convert_foreign(source, target, urdf, mapping, confirm)
+
+
+def _write_mapping(path: Path, text: str) -> None:
+    try:
+        write_durably(path, text)
+    except OSError as error:
+        raise RecordingError(f"mapping file {path} cannot be written: {error.strerror}") from error
 
 
 def show(found: Found, assembled: Assembled, screen: Console) -> None:

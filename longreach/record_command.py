@@ -40,11 +40,15 @@ def convert(
     urdf: Urdf = None,
     mapping: MappingFile = None,
     yes: Yes = False,
+    mapping_out: Annotated[
+        Path | None,
+        typer.Option("--mapping-out", help="write what was guessed here, as a mapping file to be corrected"),
+    ] = None,
 ) -> None:
     """MCAP to a folder of CSV files, or back; a ROS bag or a table of another system to a folder."""
     try:
         if mapping is not None or is_foreign(recording):
-            convert_log(recording, target, urdf, mapping, yes, console)
+            convert_log(recording, target, urdf, mapping, yes, console, mapping_out)
             console.print(f"written: {escape(str(target))}", soft_wrap=True)
             return
         found = convert_recording(recording, target)

@@ -3,7 +3,7 @@
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from machine.rotations import Array
 from recording.errors import RecordingError
 from recording.files import read_text
 from recording.foreign.found import Found, JointSignal, PointTrack
-from recording.foreign.machine_file import drive_model, machine_toml
+from recording.foreign.machine_file import drive_model, machine_toml, with_fitted_gains
 from recording.foreign.mapping import Mapping
 from recording.foreign.urdf_ends import ChosenChain, chain_for
 from recording.rows import TrackerPoint, csv_fields
@@ -47,7 +47,12 @@ def assemble(found: Found, mapping: Mapping, name: str, urdf: Path | None) -> As
     """
     recorded = [joint for signal in found.of("position") for joint in signal.names]
     text = _urdf_text(urdf)
-    chain = chain_for(text, recorded, mapping.urdf) if text else None
+    chain = None
+    if text:
+        chain = chain_for(text, () if found.numbered else recorded, mapping.urdf)
+    if chain is not None and found.numbered:
+        found = _named_by_chain(found, chain)
+        recorded = [joint for signal in found.of("position") for joint in signal.names]
     joints, notes = _joints(found, mapping, chain, recorded)
     base = max(found.of("position"), key=lambda one: (len(set(one.names) & set(joints)), len(one.t_s)), default=None)
     t = base.t_s if base is not None else found.of("reference")[0].t_s
@@ -62,6 +67,8 @@ def assemble(found: Found, mapping: Mapping, name: str, urdf: Path | None) -> As
         np.zeros(len(joints)) if command is None else np.nan_to_num(np.nanmax(np.abs(command), axis=0, initial=0.0))
     )
     drive = drive_model(mapping.actuator, found.command_kind, limits, [float(one) for one in largest])
+    if found.command_kind == "valve" and command is not None and mapping.actuator.velocity_max is None:
+        drive = with_fitted_gains(drive, t, signals["position"], command)
     step_s = float(f"{np.median(np.diff(t)):.6g}") if len(t) > 1 else 0.01
     on_joint = {one.point: one.joint for one in mapping.ros.tracker if one.joint is not None}
     points = {track.name: on_joint.get(track.name, len(joints)) for track in found.points}
@@ -82,6 +89,22 @@ def assemble(found: Found, mapping: Mapping, name: str, urdf: Path | None) -> As
         urdf=(urdf.name if urdf else "", text),
         notes=(*notes, *drive.notes),
     )
+
+
+def _named_by_chain(found: Found, chain: ChosenChain) -> Found:
+    """Numbered joints get the names of the chain's moving joints, in their order. Raises: RecordingError: too many."""
+    names = [joint.name for joint in chain.joints]
+    most = max(int(joint.removeprefix("joint")) for signal in found.signals for joint in signal.names)
+    if most > len(names):
+        raise RecordingError(
+            f"joint {most} was recorded, and {len(names)} joints move between {chain.base_link} and {chain.tip_link} "
+            "of the URDF; give base_link and tip_link under [urdf] of the mapping file, or correct the joints' numbers"
+        )
+    signals = [
+        replace(signal, names=tuple(names[int(joint.removeprefix("joint")) - 1] for joint in signal.names))
+        for signal in found.signals
+    ]
+    return replace(found, signals=signals)
 
 
 def _urdf_text(urdf: Path | None) -> str:
@@ -112,6 +135,9 @@ def _joints(
         if not signals:
             raise RecordingError("no joint positions were found; name them in a mapping file")
         joints = max(signals, key=lambda signal: len(signal.t_s)).names
+        if found.numbered:
+            numbers = {int(joint.removeprefix("joint")) for signal in signals for joint in signal.names}
+            joints = tuple(f"joint{number}" for number in range(1, max(numbers) + 1))
     if chain is not None:
         chosen = "chosen by the recorded joints" if chain.guess else "as the mapping says"
         notes.append(f"URDF chain {chain.base_link} -> {chain.tip_link}, {chosen}: {', '.join(joints)}")
@@ -212,12 +238,12 @@ def _write_rows(path: Path, header: Sequence[str], table: Array) -> None:
 
 def _write_points(points: Sequence[PointTrack], path: Path) -> None:
     rows = [
-        (t, track.name, *xyz)
+        (t, track.name, x, y, z)
         for track in points
-        for t, xyz in zip(track.t_s.tolist(), track.xyz.tolist(), strict=True)
-        if all(np.isfinite(xyz))
+        for t, (x, y, z) in zip(track.t_s.tolist(), track.xyz.tolist(), strict=True)
+        if np.isfinite(x + y + z)
     ]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow([pattern for _, pattern in csv_fields(TrackerPoint)])
-        writer.writerows(sorted(rows, key=lambda row: row[0]))
+        writer.writerows(sorted(rows))

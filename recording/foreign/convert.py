@@ -10,6 +10,8 @@ from recording.foreign.found import Found
 from recording.foreign.mapping import Mapping, read_mapping
 from recording.foreign.ros_bag import is_ros
 from recording.foreign.ros_signals import ros_found
+from recording.foreign.table_files import is_table
+from recording.foreign.table_signals import table_found
 
 Confirm = Callable[[Found, Assembled], bool]
 
@@ -24,7 +26,7 @@ class Converted:
 
 def is_foreign(path: Path) -> bool:
     """Whether a path is a log that has to be converted first, and not a recording of our own format."""
-    return is_ros(path)
+    return is_table(path) or is_ros(path)
 
 
 def convert_foreign(
@@ -38,7 +40,7 @@ def convert_foreign(
     if target.exists():
         raise RecordingError(f"{target} exists already; choose another name")
     mapping = Mapping() if mapping_file is None else read_mapping(mapping_file)
-    found = ros_found(source, mapping)
+    found = table_found(source, mapping) if is_table(source) else ros_found(source, mapping)
     assembled = assemble(found, mapping, source.stem, urdf)
     if not confirm(found, assembled):
         names = ", ".join(entry.name for entry in found.guesses)

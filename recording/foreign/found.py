@@ -53,7 +53,10 @@ class Entry:
 
 @dataclass(slots=True)
 class Found:
-    """All that was found. `notes`: remarks on the file as a whole. `cut`: not all of the file could be read."""
+    """All that was found. `notes`: remarks on the file as a whole. `cut`: not all of the file could be read.
+
+    `numbered`: joints are called joint1, joint2 ... by their place; `proposal`: the guesses as a mapping file's text.
+    """
 
     signals: list[JointSignal] = field(default_factory=list)
     points: list[PointTrack] = field(default_factory=list)
@@ -62,6 +65,8 @@ class Found:
     started_s: float = 0.0
     command_kind: str = ""
     cut: bool = False
+    numbered: bool = False
+    proposal: str = ""
 
     @property
     def guesses(self) -> list[Entry]:

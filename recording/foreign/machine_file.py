@@ -3,8 +3,11 @@
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from machine.rotations import Array
 from recording.foreign.mapping import Actuator, CommandKind
 from recording.foreign.urdf_ends import ChosenChain
 
@@ -12,6 +15,7 @@ VELOCITY_MAX = 3.0  # [rad/s or m/s], where neither URDF nor mapping has one and
 BANDWIDTH_HZ = 5.0  # of the position loop: industrial arms lie between 3 and 10
 VELOCITY_BANDWIDTH_HZ = 25.0  # of the velocity loop: five times as fast, as loops in one another are tuned
 DAMPING = 1.0
+FITTED_FROM = 0.25  # share of the full command: dead bands end below
 CYCLE_S = 4e-3  # the model's cycle is a whole part of the log's, at most this
 
 
@@ -34,7 +38,8 @@ def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], co
             command over velocity_max, or kp (reference - encoder) with kp velocity_max = 2 pi bandwidth_hz.
     Args:   limits: velocities of the URDF (n,), inf without; commanded: largest velocity commands (n,), 0 without.
     """
-    kind: CommandKind = wanted.kind or ("velocity" if command_kind == "velocity" else "position")
+    told: CommandKind = "velocity" if command_kind == "velocity" else "valve" if command_kind == "valve" else "position"
+    kind = wanted.kind or told
     fastest = []
     for limit, largest in zip(limits, commanded, strict=True):
         known = limit if math.isfinite(limit) else VELOCITY_MAX
@@ -53,6 +58,25 @@ def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], co
             "assumed, not measured: give yours under [actuator] of the mapping file; the gap is the gap to these"
         )
     return DriveModel(kind, tuple(fastest), kp, velocity_hz, damping, tuple(notes))
+
+
+def with_fitted_gains(drive: DriveModel, t_s: Array, q: Array | None, u: Array) -> DriveModel:
+    """The drive with the velocity of a full valve command that this recording shows, joint by joint: no drawing has it.
+
+    Model: least squares through 0 of the encoder's velocity over the command, where it is beyond any dead band.
+    Args:  t_s: (m,) [s], q: (m, n) [rad or m], u: (m, n) [share of the full command].
+    """
+    if q is None or len(t_s) < 3:
+        return drive
+    fastest = list(drive.velocity_max)
+    for k in range(len(fastest)):
+        speed, command = np.gradient(q[:, k], t_s), u[:, k]
+        good = np.isfinite(speed) & (np.abs(command) > FITTED_FROM)
+        gain = float(speed[good] @ command[good] / (command[good] @ command[good])) if good.sum() > 2 else 0.0
+        fastest[k] = abs(gain) or fastest[k]
+    kp = tuple(one * before / now for one, before, now in zip(drive.kp, drive.velocity_max, fastest, strict=True))
+    note = "velocities of a full command are fitted to this recording, which hides an error of the gain"
+    return replace(drive, velocity_max=tuple(fastest), kp=kp, notes=(*drive.notes, f"{note}; give velocity_max"))
 
 
 def cycles(log_step_s: float) -> tuple[float, float]:

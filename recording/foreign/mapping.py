@@ -73,9 +73,10 @@ class Window(_Section):
 
 
 class Mapping(_Section):
-    """The whole file; every section is optional."""
+    """The whole file; every section is optional. `rate_hz`: of a table without a column of times."""
 
     joints: list[str] = []
+    rate_hz: Positive | None = None
     ros: RosTopics = RosTopics()
     column: list[Column] = []
     actuator: Actuator = Actuator()

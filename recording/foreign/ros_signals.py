@@ -1,5 +1,6 @@
 """Which topic of a bag is which signal: by the mapping, by type, else by name, which is a guess to be confirmed."""
 
+import json
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -62,6 +63,7 @@ class _Chooser:
         self._commands()
         self._points()
         self._rest()
+        self._out.proposal = self._proposal()
         self._out.notes += bag.notes
         self._out.cut = bag.cut
         if not self._out.of("position") and not self._out.points:
@@ -81,6 +83,19 @@ class _Chooser:
         self._told.add(topic)
         kind, count = self._all.types.get(topic, ""), self._all.counts[topic]
         self._out.entries.append(Entry(topic, kind, count, "used", why, guess))
+
+    def _proposal(self) -> str:
+        """What was chosen as a mapping file, to be corrected."""
+        roles = {"encoders": "position", "reference": "reference", "command": "command"}
+        lines = ["[ros]"]
+        for key, kind in roles.items():
+            sources = [signal.source.split(" ")[0] for signal in self._out.signals if signal.kind == kind]
+            lines += [f"{key} = {json.dumps(sources[0])}"] if sources else []
+        lines += [f'command_kind = "{self._out.command_kind}"'] if self._out.command_kind else []
+        for track in self._out.points:
+            place = ("frame", track.name) if track.source.startswith("/tf") else ("topic", track.source)
+            lines += ["[[ros.tracker]]", f"{place[0]} = {json.dumps(place[1])}", f"point = {json.dumps(track.name)}"]
+        return "\n".join(lines) + "\n"
 
     def _add(self, kind: Kind, topic: str, name: str, held: bool = False) -> bool:
         found = False
@@ -135,7 +150,8 @@ class _Chooser:
         used = {signal.source.split(" ")[0] for signal in self._out.of("reference")}
         states = [topic for topic in self._of_type(JOINT_STATE) + self._of_type(DYNAMIC_STATE) if topic not in used]
         if wanted:
-            if not self._add("position", wanted, "position"):
+            is_state = self._all.types[wanted] == CONTROLLER_STATE
+            if not self._add("position", wanted, "feedback.positions" if is_state else "position"):
                 raise RecordingError(f"topic {wanted} of the mapping holds no joint positions: {self._why()}")
             self._tell(wanted, "encoders, by the mapping")
             return
@@ -275,7 +291,7 @@ def _played(topic: str, trajectories: Sequence[Trajectory], by_stamp: bool) -> l
 
 
 def _curve(one: Trajectory, before: Array | None) -> tuple[Array, Array]:
-    """Times since the start and positions: cubic where points have velocities, as ros2_control plays them, else lines."""
+    """Times since the start and positions: cubic where points have velocities as ros2_control does; else lines."""
     since, positions, velocities = one.since_s, one.positions, one.velocities
     if since[0] > 0.0 and before is not None:
         since, positions = np.r_[0.0, since], np.vstack([before, positions])

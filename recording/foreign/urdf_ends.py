@@ -23,6 +23,7 @@ class ChosenChain:
 def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> ChosenChain:
     """The chain between the ends that are given, else the one that holds most of the recorded joints.
 
+    Args:   recorded: names of the recorded joints; empty: they are numbers, and the longest chain is taken.
     Model:  of the links that recorded joints move, the one with most recorded joints on the way to the root; fingers,
             which are several moving joints on one link, do not count.
     Raises: RecordingError: no URDF, no such link, or no recorded joint in it; names both sides.
@@ -38,7 +39,7 @@ def chain_for(text: str, recorded: Collection[str], wanted: UrdfChain) -> Chosen
     except MachineError as error:
         raise RecordingError(str(error)) from error
     moving = tuple(joint for joint in chain if joint.kind != "fixed")
-    if not any(joint.name in recorded for joint in moving):
+    if recorded and not any(joint.name in recorded for joint in moving):
         ours, theirs = ", ".join(sorted(recorded)[:8]), ", ".join(joint.name for joint in moving)
         raise RecordingError(
             f"no joint between {base} and {tip} of the URDF ({theirs}) was recorded ({ours}); give this robot's URDF, "
