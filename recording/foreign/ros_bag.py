@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Channel, McapRecord, Message, Schema
+from mcap.records import Channel, McapRecord, Message, Schema, Statistics
 
 from recording.errors import RecordingError
 from recording.reader import RecordStream
@@ -136,16 +136,21 @@ class RosBag:
         stream = RecordStream(path)
         schemas: dict[int, Schema] = {}
         channels: dict[int, Channel] = {}
-        records = 0
+        records = messages = written = 0
         for record in stream:
             records += 1
+            written = record.message_count if isinstance(record, Statistics) else written
             if isinstance(record, Message):
+                messages += 1
                 channel = channels[record.channel_id]
                 yield self._of_mcap(record, channel, schemas.get(channel.schema_id))
             else:
                 _learn(record, schemas, channels)
         if not records:
             raise RecordingError(f"{path} is not an MCAP file: {stream.reason or 'it is empty'}")
+        if written > messages and not stream.cut:  # chunks without check sums: damage shows by the count only
+            self.cut = True
+            self.notes.append(f"{path.name} is damaged: {written - messages} of its {written} messages cannot be read")
         if stream.cut:
             self.cut = True
             lost = f"; {stream.lost_chunks} damaged chunks are left out" if stream.lost_chunks else ""

@@ -15,6 +15,7 @@ from recording.foreign.ros_bag import CONTROLLER_STATE, NotDecodedError, RosBag,
 
 NUMBERS_MAX = 400_000_000  # of 8 bytes: some 3 GB, hours of an arm at 1 kHz
 CLOCKS_APART_S = 5.0
+FAILED_MAX = 20  # of a topic of which no message was read: the rest is not tried
 TRACKER_WORDS = ("mocap", "vicon", "optitrack", "qualisys", "vrpn", "tracker", "leica", "rigid_body", "rigidbody")
 JOINT_STATE = "sensor_msgs/msg/JointState"
 DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
@@ -62,11 +63,12 @@ class Trajectory:
 
 @dataclass(slots=True)
 class Collected:
-    """By topic: its type, how many messages, why some were not read; series by (topic, field, names)."""
+    """By topic: its type, how many messages, how many were not read and why; series by (topic, field, names)."""
 
     types: dict[str, str] = field(default_factory=dict)
     counts: Counter[str] = field(default_factory=Counter)
     failures: dict[str, str] = field(default_factory=dict)
+    failed: Counter[str] = field(default_factory=Counter)
     series: dict[tuple[str, str, tuple[str, ...]], Series] = field(default_factory=dict)
     trajectories: dict[str, list[Trajectory]] = field(default_factory=dict)
     frames: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -104,22 +106,28 @@ def collect(bag: RosBag, mapping: Mapping) -> Collected:
         found.types.setdefault(message.topic, message.kind)
         first_ns = message.t_ns if first_ns is None else first_ns
         since_s = (message.t_ns - first_ns) * 1e-9
-        if since_s < from_s or (to_s is not None and since_s > to_s):
+        if (from_s > 0.0 and since_s < from_s) or (to_s is not None and since_s > to_s):
             continue
         found.counts[message.topic] += 1
         take = _TAKERS.get(message.kind)
-        if take is None or message.topic in found.failures:
+        if take is None or found.failed[message.topic] == found.counts[message.topic] - 1 >= FAILED_MAX:
             continue
         try:
             take(found, message, since_s, first_ns, (wanted, frames))
         except NotDecodedError as error:
             found.failures[message.topic] = str(error)
+            found.failed[message.topic] += 1
         except (AttributeError, TypeError, ValueError) as error:
             found.failures[message.topic] = f"its fields are not those of {message.kind}: {error}"
+            found.failed[message.topic] += 1
     if first_ns is None:
-        raise RecordingError("the bag holds no message; record it again")
+        raise RecordingError(f"the bag holds no message that can be read{_why(bag)}; record it again")
     found.first_s = first_ns * 1e-9
     return found
+
+
+def _why(bag: RosBag) -> str:
+    return f" ({'; '.join(bag.notes)})" if bag.notes else ""
 
 
 def _stamp_s(message: Any, first_ns: int) -> float:

@@ -16,6 +16,7 @@ from recording.foreign.ros_bag import CONTROLLER_STATE, RosBag
 from recording.foreign.ros_collect import (
     ARRAY,
     DYNAMIC_STATE,
+    FAILED_MAX,
     JOINT_STATE,
     TF,
     TRAJECTORY,
@@ -82,6 +83,8 @@ class _Chooser:
     def _tell(self, topic: str, why: str, guess: bool = False) -> None:
         self._told.add(topic)
         kind, count = self._all.types.get(topic, ""), self._all.counts[topic]
+        if self._all.failed[topic]:
+            why += f"; {self._all.failed[topic]} messages are damaged and left out"
         self._out.entries.append(Entry(topic, kind, count, "used", why, guess))
 
     def _proposal(self) -> str:
@@ -106,9 +109,13 @@ class _Chooser:
                 found = True
         return found
 
+    def _unread(self, topic: str) -> bool:
+        """Whether no message of a topic could be read."""
+        return self._all.failed[topic] > 0 and self._all.failed[topic] >= min(self._all.counts[topic], FAILED_MAX)
+
     def _of_type(self, kind: str) -> list[str]:
         """Topics of a type that were read, the one with most messages first."""
-        topics = [topic for topic, of in self._all.types.items() if of == kind and topic not in self._all.failures]
+        topics = [topic for topic, of in self._all.types.items() if of == kind and not self._unread(topic)]
         return sorted(topics, key=lambda topic: -self._all.counts[topic])
 
     def _references(self) -> None:
