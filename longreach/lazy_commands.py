@@ -20,12 +20,26 @@ class Lazy:
     def load(self) -> Any:
         """The command itself, as typer makes it."""
         module, _, attribute = self.where.partition(":")
-        found, app = getattr(import_module(module), attribute), typer.Typer()
+        try:
+            found, app = getattr(import_module(module), attribute), typer.Typer()
+        except ModuleNotFoundError as error:
+            raise _missing(self.name, error) from error
         if isinstance(found, typer.Typer):
             app.add_typer(found, name=self.name, help=self.about)
         else:
             app.command(self.name)(found)
         return typer.main.get_group(app).commands[self.name]
+
+
+SERVER_LIBRARIES = ("cv2", "fastapi", "httpx", "httptools", "prometheus_client", "uvicorn", "viser", "websockets")
+
+
+def _missing(command: str, error: ModuleNotFoundError) -> Exception:
+    """What to install for a command; the error itself where a module of our own is missing."""
+    library = (error.name or "").split(".")[0]
+    if library not in SERVER_LIBRARIES:
+        return error
+    return typer.BadParameter(f"`{command}` needs {library}, which is not installed: pip install 'longreach[server]'")
 
 
 class LazyCommand(TyperCommand):
