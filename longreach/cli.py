@@ -36,6 +36,11 @@ COMMANDS = (
         "longreach.position:position",
         "Position the tool on its target: look, orient, calibrate, then look and move until inside tolerance.",
     ),
+    Lazy(
+        "hand-eye",
+        "longreach.hand_eye_command:hand_eye",
+        "Find where a camera sits from poses of the hand and of a target, with its covariance, or say why not.",
+    ),
     Lazy("demo", "longreach.demo:demo", "Start everything on this computer and show where the panel is."),
     Lazy(
         "diagnose",
