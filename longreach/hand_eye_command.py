@@ -11,7 +11,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from longreach.board_pictures import board_of
 from longreach.hand_eye_files import Mount, sigmas, write_mount
+from longreach.hand_eye_pictures import poses_of_pictures, read_lens
 from longreach.hand_eye_poses import HandEyeError, PoseTable, paired, read_poses
 from machine.rotations import Array
 from recording.files import write_durably
@@ -40,8 +42,18 @@ def hand_eye(
         Path, typer.Option("--hand", help="poses of the hand in the base: time or name, x, y, z [m], qx, qy, qz, qw")
     ],
     camera: Annotated[
-        Path, typer.Option("--camera", help="poses of the target in the camera, of the same times or names")
-    ],
+        Path | None, typer.Option("--camera", help="poses of the target in the camera, of the same times or names")
+    ] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option("--images", help="instead of --camera: pictures of a board, named as the poses"),
+    ] = None,
+    lens: Annotated[Path | None, typer.Option("--lens", help="of the pictures: ROS camera_info or OpenCV YAML")] = None,
+    squares: Annotated[str, typer.Option(help="the board's squares across and down, such as 11x8")] = "",
+    square_mm: Annotated[float, typer.Option(help="side of a square [mm], measured on the print")] = 0.0,
+    marker_mm: Annotated[float, typer.Option(help="side of a marker [mm]")] = 0.0,
+    dictionary: Annotated[str, typer.Option(help="the markers' dictionary")] = "DICT_5X5_100",
+    legacy_pattern: Annotated[bool, typer.Option(help="a board printed with OpenCV before 4.6")] = False,
     inverse_camera: Annotated[
         bool, typer.Option("--camera-in-target", help="--camera holds the camera in the target")
     ] = False,
@@ -58,10 +70,22 @@ def hand_eye(
     target_frame: Annotated[str, typer.Option(help="name of the target's frame")] = "target",
 ) -> None:
     """Find a camera's mount from poses of hand and target. Exit code 0: found, 1: not, and why."""
-    hand_table, camera_table = read_poses(hand), read_poses(camera)
-    seen = replace(camera_table, Ts=inverse_poses(camera_table.Ts)) if inverse_camera else camera_table
-    solved = solve(hand_table, seen, eye_to_hand)
-    screen = Console()
+    screen, covariances = Console(), None
+    if (camera is None) == (images is None):
+        raise typer.BadParameter("give either --camera, poses of the target, or --images, pictures of a board")
+    if camera is not None:
+        table = read_poses(camera)
+        seen = replace(table, Ts=inverse_poses(table.Ts)) if inverse_camera else table
+    else:
+        assert images is not None  # one of both is given
+        if lens is None:
+            raise typer.BadParameter("--images needs --lens, the camera's camera_info or OpenCV YAML")
+        board = board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)
+        found_poses = poses_of_pictures(images, board, read_lens(lens))
+        seen, covariances = found_poses.table, found_poses.covariances
+        for name, why in found_poses.skipped:
+            screen.print(f"[yellow]without a pose[/] {escape(name)}: {escape(why)}", soft_wrap=True)
+    solved = solve(read_poses(hand), seen, eye_to_hand, covariances)
     found = solved.estimate
     alike = alike_poses(solved.hand) if len(solved.hand) <= 200 else []
     answer: dict[str, Any] = {
@@ -90,20 +114,21 @@ def hand_eye(
         screen.print("written: " + escape(", ".join(str(path) for path in written)), soft_wrap=True)
 
 
-def solve(hand: PoseTable, seen: PoseTable, eye_to_hand: bool) -> Solved:
+def solve(hand: PoseTable, seen: PoseTable, eye_to_hand: bool, covariances: Array | None = None) -> Solved:
     """A X = Y B, by pairs of equal labels, else by two streams whose clocks differ.
 
     Model:   eye in hand: A = base from hand, B = target from camera, X = hand from camera, Y = base from target. Eye to
              hand: B = camera from target, X = hand from target, Y = base from camera.
-    Args:    seen: the target in the camera.
+    Args:    seen: the target in the camera; covariances: of it (n, 6, 6), used with the eye in hand.
     Raises:  HandEyeError: neither equal labels nor times.
     """
     pairs = paired(hand, seen)
     if pairs is not None:
-        As, Ts_cam_target = pairs
-        labels = tuple(label for label in seen.labels if label in set(hand.labels))
+        As, Ts_cam_target = hand.Ts[pairs[0]], seen.Ts[pairs[1]]
+        labels = tuple(seen.labels[k] for k in pairs[1])
         Bs = Ts_cam_target if eye_to_hand else inverse_poses(Ts_cam_target)
-        return Solved(solve_ax_yb(As, Bs), As, Bs, labels)
+        weights = None if covariances is None or eye_to_hand else covariances[pairs[1]]
+        return Solved(solve_ax_yb(As, Bs, camera_covariances=weights), As, Bs, labels)
     if hand.t_s is None or seen.t_s is None:
         raise HandEyeError("hand and camera share no names and have no times; give both tables the same first column")
     hand_t, hand_T = _in_order(hand.t_s, hand.Ts)

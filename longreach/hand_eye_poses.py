@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from machine.rotations import Array, rotation_from_quat_wxyz
 from recording.files import read_text
@@ -79,11 +80,14 @@ def _pose(values: list[float], where: str) -> Array:
     return T
 
 
-def paired(hand: PoseTable, camera: PoseTable) -> tuple[Array, Array] | None:
-    """The poses of equal labels, in the camera's order; None where the tables are streams with clocks of their own."""
-    place = {label: k for k, label in enumerate(hand.labels)}
+def paired(hand: PoseTable, camera: PoseTable) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
+    """Rows of equal labels in both tables, in the camera's order; None where they are streams with clocks of their own.
+
+    A hand's label may be a picture's file name.
+    """
+    place = {label if label in camera.labels else Path(label).stem: k for k, label in enumerate(hand.labels)}
     both = [(place[label], k) for k, label in enumerate(camera.labels) if label in place]
     if len(both) < max(3, len(camera.labels) // 2) or len(place) < len(hand.labels):
         return None
     rows = np.array(both)
-    return hand.Ts[rows[:, 0]], camera.Ts[rows[:, 1]]
+    return rows[:, 0], rows[:, 1]

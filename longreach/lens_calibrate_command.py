@@ -13,17 +13,12 @@ from rich.markup import escape
 from rich.progress import track
 from rich.table import Column, Table
 
+from longreach.board_pictures import board_of, corners_of, grey_picture
 from longreach.lens_files import write_lens
 from longreach.target_sources import SUFFIXES, TargetError, read_pair, stored_pairs
 from recording.files import write_durably
-from server.calibration.contracts import Array
 from server.calibration.lens_coverage import Coverage, coverage_of
 from server.calibration.lens_fit import BoardView, LensFit, LensFitError, fit_lens
-from server.camera.errors import CameraError
-from server.camera.sources.folder import read_grey
-from server.vision.contracts import Image
-from server.vision.errors import VisionError
-from server.vision.marker_search import dictionary_by_name
 
 SHADES = " .:*#"
 
@@ -42,7 +37,7 @@ def calibrate(
     """Calibrate the lens: intrinsics, the rig, sigma of each, coverage, what to photograph next. Exit code 1: none."""
     screen = Console()
     views, size = board_views(
-        _pictures(folder, mono), mono, _board(squares, square_mm, marker_mm, dictionary, legacy_pattern)
+        _pictures(folder, mono), mono, board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)
     )
     try:
         fit = fit_lens(views, size)
@@ -61,21 +56,6 @@ def calibrate(
                 screen.print(escape(note), soft_wrap=True)
     except OSError as error:
         raise TargetError(f"{error.filename} cannot be written: {error.strerror}") from error
-
-
-def _board(squares: str, square_mm: float, marker_mm: float, dictionary: str, legacy: bool) -> "cv2.aruco.CharucoBoard":
-    across, _, down = squares.partition("x")
-    if not (across.isdigit() and down.isdigit() and int(across) >= 3 and int(down) >= 3):
-        raise typer.BadParameter(f"--squares {squares!r} is not ACROSSxDOWN, such as 11x8, of 3 and more")
-    if not marker_mm < square_mm:
-        raise typer.BadParameter(f"--marker-mm {marker_mm:g} must be below --square-mm {square_mm:g}")
-    try:
-        known = dictionary_by_name(dictionary)
-    except VisionError as error:
-        raise typer.BadParameter(str(error)) from error
-    board = cv2.aruco.CharucoBoard((int(across), int(down)), 1e-3 * square_mm, 1e-3 * marker_mm, known)
-    board.setLegacyPattern(legacy)
-    return board
 
 
 def _pictures(folder: Path, mono: bool) -> list[tuple[Path, Path | None]]:
@@ -98,31 +78,13 @@ def board_views(
     points = np.asarray(board.getChessboardCorners(), dtype=float)
     views, sizes = [], set[tuple[int, int]]()
     for left, right in track(files, "looking for the board", console=Console(stderr=True), transient=True):
-        images = (_grey(left),) if mono else read_pair(left, right)
+        images = (grey_picture(left),) if mono else read_pair(left, right)
         sizes |= {(image.shape[1], image.shape[0]) for image in images}
-        eyes = [_corners(detector, points, image) for image in images]
+        eyes = [corners_of(detector, points, image) for image in images]
         views.append(BoardView(left.stem, tuple(eyes)))
     if len(sizes) != 1:
         raise TargetError(f"pictures of several sizes {sorted(sizes)}; give those of one setting of the camera")
     return views, sizes.pop()
-
-
-Seen = tuple[Array, Array]
-
-
-def _corners(detector: "cv2.aruco.CharucoDetector", points: Array, image: Image) -> Seen | None:
-    """Points (n, 3) [m] and corners (n, 2) [px]."""
-    px, ids, _, _ = detector.detectBoard(image)
-    if ids is None or len(ids) < 4:
-        return None
-    return points[np.asarray(ids, dtype=np.int64).ravel()], np.asarray(px, dtype=float).reshape(-1, 2)
-
-
-def _grey(path: Path) -> Image:
-    try:
-        return read_grey(str(path))
-    except CameraError as error:
-        raise TargetError(f"{path} is not a picture that can be read; give PNG or JPEG ({error})") from error
 
 
 def _show(fit: LensFit, covered: Coverage, screen: Console) -> None:

@@ -5,6 +5,7 @@ import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
+import cv2
 import numpy as np
 import pytest
 import yaml
@@ -126,3 +127,30 @@ def test_public_arms(tmp_path: Path, name: str, degrees: float, mm: float) -> No
     answer = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert answer["residual_rotation_deg"]["median"] < degrees
     assert answer["residual_mm"]["median"] < mm
+
+
+def test_pictures_of_a_board_and_poses_of_the_hand_are_enough(tmp_path: Path) -> None:
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
+    drawn = cv2.aruco.CharucoBoard((11, 8), 0.03, 0.022, dictionary).generateImage((1320, 960), marginSize=0)
+    K = np.array([[700.0, 0.0, 640.0], [0.0, 700.0, 360.0], [0.0, 0.0, 1.0]])
+    X, Y = pose(np.array([0.1, -0.2, 1.0]), np.array([0.03, -0.02, 0.08])), pose(np.zeros(3), np.array([0.5, 0.0, 0.0]))
+    rng, hands = np.random.default_rng(4), []
+    (tmp_path / "pictures").mkdir()
+    for k in range(16):
+        T_cam_board = pose(0.5 * rng.uniform(-1.0, 1.0, 3), rng.uniform([-0.25, -0.18, 0.4], [0.0, -0.05, 0.6]))
+        hands.append(Y @ np.linalg.inv(X @ T_cam_board))
+        scale = np.diag([0.03 / 120, 0.03 / 120, 1.0]) @ np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+        H = K @ np.column_stack([T_cam_board[:3, :2], T_cam_board[:3, 3]]) @ scale
+        picture = cv2.warpPerspective(drawn, H, (1280, 720), flags=cv2.INTER_AREA, borderValue=160)
+        cv2.imwrite(str(tmp_path / "pictures" / f"image{k}.png"), cv2.GaussianBlur(picture, (3, 3), 0.7))
+    lens = tmp_path / "lens.yaml"
+    zeros = {"rows": 1, "cols": 5, "data": [0.0] * 5}
+    matrix = {"rows": 3, "cols": 3, "data": K.ravel().tolist()}
+    lens.write_text(yaml.safe_dump({"camera_matrix": matrix, "distortion_coefficients": zeros}), encoding="utf-8")
+    call = ["hand-eye", "--hand", str(write(tmp_path / "hand.csv", hands)), "--images", str(tmp_path / "pictures")]
+    call += ["--lens", str(lens), "--squares", "11x8", "--square-mm", "30", "--marker-mm", "22"]
+    done = CliRunner().invoke(app, [*call, "--json", str(tmp_path / "a.json")])
+    assert done.exit_code == 0, done.output
+    T = np.array(json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))["T_parent_cam"])
+    assert np.linalg.norm(T[:3, 3] - X[:3, 3]) < 1e-3
+    assert np.linalg.norm(Rotation.from_matrix(T[:3, :3] @ X[:3, :3].T).as_rotvec()) < 2e-3
