@@ -20,7 +20,7 @@ SNIFFED = 1 << 16
 HEADER_LINES_MAX = 60
 NUMBERS_MAX = 200_000_000
 PARQUET_HINT = "reading Parquet needs the library pyarrow: pip install 'longreach[parquet]'"
-SCOPE_KEYS = ("SymbolName", "SymbolComment", "Data-Type", "SampleTime[ms]", "VariableSize", "IndexGroup")
+SCOPE_KEY = "Data-Type"
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +71,15 @@ def _text(path: Path) -> list[TableColumn]:
     with path.open(encoding=encoding, newline="", errors="replace") as file:
         lines = file.read(SNIFFED).splitlines()
         file.seek(0)
+        scope = _scope_separator(lines)
+        if scope == " ":
+            raise RecordingError(f"{path}: a Scope export separated by spaces, which names hold, too; export with tabs")
+        if scope:
+            return _scope(csv.reader(_lines(file), delimiter=scope), scope)
         separator = _separator(lines)
         rows = csv.reader(_lines(file), delimiter=separator) if separator != " " else (line.split() for line in file)
         try:
-            return _scope(rows, separator) if _is_scope(lines) else _plain(path, rows, separator)
+            return _plain(path, rows, separator)
         except csv.Error as error:
             raise RecordingError(
                 f"{path} is not CSV: {error}; a quote that is never closed, or no text at all"
@@ -99,9 +104,13 @@ def _separator(lines: Sequence[str]) -> str:
     return best if scores[best] > len(body) // 2 else " "
 
 
-def _is_scope(lines: Sequence[str]) -> bool:
-    starts = [line.lstrip("\ufeff\"' ").split("\t")[0].split(";")[0].split(",")[0] for line in lines[:HEADER_LINES_MAX]]
-    return sum(key in starts for key in SCOPE_KEYS) >= 2
+def _scope_separator(lines: Sequence[str]) -> str:
+    """What stands behind the first word of a header line that only TwinCAT Scope writes; empty for other files."""
+    for line in lines[:HEADER_LINES_MAX]:
+        bare = line.lstrip("\ufeff\"' ")
+        if bare.startswith(SCOPE_KEY) and len(bare) > len(SCOPE_KEY):
+            return bare[len(SCOPE_KEY)]
+    return ""
 
 
 class _Columns:
@@ -251,7 +260,9 @@ def _scope(rows: Iterator[list[str]], separator: str) -> list[TableColumn]:
 
 
 def _of_scope(header: dict[str, list[str]], names: list[str], arrays: list[Array], width: int) -> list[TableColumn]:
-    label = names[0]
+    label, short = names[0], header.get("Name", names)
+    several = {name for name, count in Counter(names).items() if count > 1}
+    names = [short[k] if name in several and name != label else name for k, name in enumerate(names)]
     clock_places = [place for place in range(min(width, len(names))) if names[place] == label]
     ticks_from = 1e15  # times are milliseconds since the first, or Windows' 100 ns ticks
     out = []
