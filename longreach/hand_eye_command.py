@@ -12,6 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from longreach.board_pictures import board_of
+from longreach.hand_eye_bag import poses_of_bag
 from longreach.hand_eye_files import Mount, sigmas, write_mount
 from longreach.hand_eye_pictures import poses_of_pictures, read_lens
 from longreach.hand_eye_poses import HandEyeError, PoseTable, paired, read_poses
@@ -39,8 +40,9 @@ class Solved:
 
 def hand_eye(
     hand: Annotated[
-        Path, typer.Option("--hand", help="poses of the hand in the base: time or name, x, y, z [m], qx, qy, qz, qw")
-    ],
+        Path | None,
+        typer.Option("--hand", help="poses of the hand in the base: time or name, x, y, z [m], qx, qy, qz, qw"),
+    ] = None,
     camera: Annotated[
         Path | None, typer.Option("--camera", help="poses of the target in the camera, of the same times or names")
     ] = None,
@@ -54,6 +56,9 @@ def hand_eye(
     marker_mm: Annotated[float, typer.Option(help="side of a marker [mm]")] = 0.0,
     dictionary: Annotated[str, typer.Option(help="the markers' dictionary")] = "DICT_5X5_100",
     legacy_pattern: Annotated[bool, typer.Option(help="a board printed with OpenCV before 4.6")] = False,
+    bag: Annotated[Path | None, typer.Option("--bag", help="a ROS bag in place of --hand and --camera")] = None,
+    pose_topic: Annotated[str, typer.Option(help="of the bag: PoseStamped of the target in the camera")] = "",
+    urdf: Annotated[Path | None, typer.Option("--urdf", help="of the bag: the robot; its joint states move it")] = None,
     inverse_camera: Annotated[
         bool, typer.Option("--camera-in-target", help="--camera holds the camera in the target")
     ] = False,
@@ -70,10 +75,15 @@ def hand_eye(
     target_frame: Annotated[str, typer.Option(help="name of the target's frame")] = "target",
 ) -> None:
     """Find a camera's mount from poses of hand and target. Exit code 0: found, 1: not, and why."""
-    screen, covariances = Console(), None
-    if (camera is None) == (images is None):
-        raise typer.BadParameter("give either --camera, poses of the target, or --images, pictures of a board")
-    if camera is not None:
+    screen, covariances, hand_table = Console(), None, PoseTable((), None, np.zeros((0, 4, 4)))
+    if bag is None and (hand is None or (camera is None) == (images is None)):
+        raise typer.BadParameter("give --bag, or --hand and either --camera, poses of the target, or --images")
+    if bag is not None:
+        if urdf is None or not pose_topic:
+            raise typer.BadParameter("--bag needs --pose-topic and --urdf")
+        hand_table, table = poses_of_bag(bag, pose_topic, urdf, "", "")
+        seen = replace(table, Ts=inverse_poses(table.Ts)) if inverse_camera else table
+    elif camera is not None:
         table = read_poses(camera)
         seen = replace(table, Ts=inverse_poses(table.Ts)) if inverse_camera else table
     else:
@@ -85,7 +95,10 @@ def hand_eye(
         seen, covariances = found_poses.table, found_poses.covariances
         for name, why in found_poses.skipped:
             screen.print(f"[yellow]without a pose[/] {escape(name)}: {escape(why)}", soft_wrap=True)
-    solved = solve(read_poses(hand), seen, eye_to_hand, covariances)
+    if bag is None:
+        assert hand is not None  # asked above
+        hand_table = read_poses(hand)
+    solved = solve(hand_table, seen, eye_to_hand, covariances)
     found = solved.estimate
     alike = alike_poses(solved.hand) if len(solved.hand) <= 200 else []
     answer: dict[str, Any] = {

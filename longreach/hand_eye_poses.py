@@ -87,7 +87,7 @@ def paired(hand: PoseTable, camera: PoseTable) -> tuple[NDArray[np.int64], NDArr
     """
     place = {label if label in camera.labels else Path(label).stem: k for k, label in enumerate(hand.labels)}
     both = [(place[label], k) for k, label in enumerate(camera.labels) if label in place]
-    if len(both) < max(3, len(camera.labels) // 2) or len(place) < len(hand.labels):
+    if not place or len(both) < max(3, len(camera.labels) // 2) or len(place) < len(hand.labels):
         return None
     rows = np.array(both)
     return rows[:, 0], rows[:, 1]

@@ -107,10 +107,11 @@ class BagMaker:
         kind = "std_msgs/msg/Float64MultiArray"
         self.write(topic, kind, self.make(kind, layout=layout, data=np.asarray(values, float)), t)
 
-    def pose(self, topic: str, t: float, xyz: object) -> None:
+    def pose(self, topic: str, t: float, xyz: object, quat_xyzw: object = (0.0, 0.0, 0.0, 1.0)) -> None:
         x, y, z = np.asarray(xyz, float).tolist()
         place = self.make("geometry_msgs/msg/Point", x=x, y=y, z=z)
-        turn = self.make("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+        i, j, k, w = np.asarray(quat_xyzw, float).tolist()
+        turn = self.make("geometry_msgs/msg/Quaternion", x=i, y=j, z=k, w=w)
         pose = self.make("geometry_msgs/msg/Pose", position=place, orientation=turn)
         kind = "geometry_msgs/msg/PoseStamped"
         self.write(topic, kind, self.make(kind, header=self.header(t), pose=pose), t)
