@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
+from longreach.lens_calibrate_command import calibrate
 from machine.description import Machine
 from server.camera.check import check_camera, steps
 from server.camera.check_findings import CheckFinding, Level, exit_code, worst
@@ -39,7 +40,8 @@ from server.settings_camera import (
 from server.settings_source import source_and_machine
 from server.shown_address import without_password
 
-app = typer.Typer(no_args_is_help=True, help="Look at the stereo camera.")
+app = typer.Typer(no_args_is_help=True, help="Look at the stereo camera; calibrate its lens.")
+app.command("calibrate")(calibrate)
 
 READ_S = 0.1
 REFRESH_S = 0.5

@@ -46,6 +46,11 @@ COMMANDS = (
         "longreach.compare_command:compare",
         "Replay a recording against machine files: how far each misses the tool over time, in mm.",
     ),
+    Lazy(
+        "hand-eye",
+        "longreach.hand_eye_command:hand_eye",
+        "Find where a camera sits from poses of the hand and of a target, with its covariance, or say why not.",
+    ),
     Lazy("demo", "longreach.demo:demo", "Start everything on this computer and show where the panel is."),
     Lazy(
         "diagnose",
@@ -68,6 +73,8 @@ COMMANDS = (
         "Write the reference of REST, commands, settings, alarms and codes.",
     ),
     Lazy("bench", "benchmarks.cli:app", "Measure; every figure in the README comes from here."),
+    Lazy("machine", "longreach.machine_command:app", "A new machine file; a machine as URDF."),
+    Lazy("settings", "longreach.settings_command:app", "A new settings file."),
     Lazy("calibration", "longreach.calibration_command:app", "Show and export the local calibration."),
     Lazy("camera", "longreach.camera_command:app", "Look at the stereo camera."),
     Lazy("target", "longreach.target_command:app", "Print targets; measure how they sit."),
@@ -83,13 +90,24 @@ class Commands(LazyGroup):
     table = COMMANDS
 
 
-app = typer.Typer(
-    cls=Commands, no_args_is_help=True, add_completion=False, help="Precise positioning of long-reach manipulators."
-)
+app = typer.Typer(cls=Commands, no_args_is_help=True, help="Precise positioning of long-reach manipulators.")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from server.version import __version__
+
+        typer.echo(f"longreach {__version__}")
+        raise typer.Exit
 
 
 @app.callback()
-def setup(verbose: Annotated[bool, typer.Option("--verbose", help="log what happens")] = False) -> None:
+def setup(
+    verbose: Annotated[bool, typer.Option("--verbose", help="log what happens")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="print the version", callback=_print_version, is_eager=True)
+    ] = False,
+) -> None:
     """Set up logging for every subcommand."""
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING, format="%(asctime)s %(levelname)s %(name)s: %(message)s"

@@ -26,6 +26,7 @@ from diagnosis.report.text import lines
 from diagnosis.search.score import Compared
 from longreach.diagnosis_outlook import outlook
 from longreach.fit_baseline import BaselineError, make_baseline
+from longreach.foreign_log import MappingFile, Urdf, Yes, as_recordings
 from longreach.machine_out import MachineOutError, machine_text, require_room, write_machine
 from longreach.shipped_machine import file_of_machine
 from machine.effects.registry import NAMES
@@ -60,8 +61,11 @@ def diagnose(
         bool, typer.Option("--simulate", help="also run the simulator's plant by the recording, before and after")
     ] = False,
     out: Annotated[Path | None, typer.Option("--out", help="where --fit-baseline writes the machine file")] = None,
+    urdf: Urdf = None,
+    mapping: MappingFile = None,
+    yes: Yes = False,
 ) -> None:
-    """Diagnose the gap between a recording and its nominal machine."""
+    """Diagnose the gap between a recording and its nominal machine. A ROS bag or a table is converted first."""
     screen = Console(stderr=True)
     for place in (json_file, html_file, machine_out, out):
         _within_reach(place, screen)  # before minutes of work, not after
@@ -74,6 +78,7 @@ def diagnose(
     unknown = sorted(set(lacking or ()) - set(NAMES))
     if unknown:
         raise typer.BadParameter(f"--without {unknown[0]}: no such effect; see docs/effects.md")
+    recordings = as_recordings(recordings, urdf, mapping, yes, screen)
     recording = recordings[0]
     try:
         whole = read_together(recordings, machine_file)

@@ -94,7 +94,9 @@ def _executors(workers: int, dask: str) -> Iterator[Callable[[], Executor]]:
     try:
         from dask.distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise typer.BadParameter("Dask is not installed: pip install -e '.[fleet]'", param_hint="--dask") from error
+        raise typer.BadParameter(
+            "Dask is not installed: pip install 'longreach[fleet]'", param_hint="--dask"
+        ) from error
     try:
         client = Client(dask)
     except (OSError, ValueError) as error:

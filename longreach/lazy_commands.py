@@ -32,17 +32,28 @@ class Lazy:
         try:
             found, app = getattr(import_module(module), attribute), typer.Typer()
         except ModuleNotFoundError as error:
-            if error.name != CHECKOUT:
-                raise
-            raise SettingsError(
-                f"`{self.name}` is part of the source checkout and not of the installed package; clone the repository, "
-                "`pip install -e .` in it, and call it again"
-            ) from error
+            raise _missing(self.name, error) from error
         if isinstance(found, typer.Typer):
             app.add_typer(found, name=self.name, help=self.about)
         else:
             app.command(self.name)(found)
         return typer.main.get_group(app).commands[self.name]
+
+
+SERVER_LIBRARIES = ("cv2", "fastapi", "httpx", "httptools", "prometheus_client", "uvicorn", "viser", "websockets")
+
+
+def _missing(command: str, error: ModuleNotFoundError) -> Exception:
+    """What to install for a command; the error itself where a module of our own is missing."""
+    library = (error.name or "").split(".")[0]
+    if library == CHECKOUT:
+        return SettingsError(
+            f"`{command}` is part of the source checkout and not of the installed package; clone the repository, "
+            "`pip install -e '.[server]'` in it, and call it again"
+        )
+    if library not in SERVER_LIBRARIES:
+        return error
+    return typer.BadParameter(f"`{command}` needs {library}, which is not installed: pip install 'longreach[server]'")
 
 
 class LazyCommand(TyperCommand):

@@ -8,11 +8,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Column, Table
 
+from longreach.foreign_log import MappingFile, Urdf, Yes, convert_log
 from longreach.rerun_view import rerun
 from recording.check import CheckReport, check_recording
 from recording.content import Recording
 from recording.convert import convert as convert_recording
 from recording.errors import RecordingError
+from recording.foreign.convert import is_foreign
 from recording.recover import recover as recover_recording
 
 app = typer.Typer(no_args_is_help=True)
@@ -32,9 +34,23 @@ def check(recording: Source) -> None:
 
 
 @app.command()
-def convert(recording: Source, target: Target) -> None:
-    """MCAP to a folder of CSV files, or back."""
+def convert(
+    recording: Annotated[Path, typer.Argument(help="an MCAP file, a folder of CSV files, a ROS bag or a table")],
+    target: Target,
+    urdf: Urdf = None,
+    mapping: MappingFile = None,
+    yes: Yes = False,
+    mapping_out: Annotated[
+        Path | None,
+        typer.Option("--mapping-out", help="write what was guessed here, as a mapping file to be corrected"),
+    ] = None,
+) -> None:
+    """MCAP to a folder of CSV files, or back; a ROS bag or a table of another system to a folder."""
     try:
+        if mapping is not None or is_foreign(recording):
+            convert_log(recording, target, urdf, mapping, yes, console, mapping_out)
+            console.print(f"written: {escape(str(target))}", soft_wrap=True)
+            return
         found = convert_recording(recording, target)
     except RecordingError as error:
         _refuse(error)

@@ -49,6 +49,8 @@ def _writable(folder: Path) -> bool:
 
 def _temporary_cache() -> Path:
     """The same for every start of this user, of no other one: what is in it is run."""
+    if not hasattr(os, "getuid"):  # Windows: the folder for temporary files is the user's own
+        return Path(tempfile.gettempdir()) / "longreach-numba"
     folder = Path(tempfile.gettempdir()) / f"longreach-numba-{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     found = folder.lstat()

@@ -14,18 +14,20 @@ PEDESTAL_M = (0.8, 0.8, 0.12)
 SHORTEST_DRAWN_M = 0.02
 
 
-def urdf_text(machine: Machine) -> str:
+def urdf_text(machine: Machine, tilts: Array | None = None) -> str:
     """The machine as URDF: joint zeros, limits and speeds as in the machine file.
 
     Model:   classic DH puts d_i, a_i and alpha_i behind the joint's rotation, URDF has its fixed origin before it. So
              joint i moves an empty body_i on its axis, T_base_link_(i-1) Rz(theta_i), and link_i, the DH frame, is
              fixed to it at (a_i, 0, d_i), turned by alpha_i about x. The shapes hang on link_i.
+    Args:    tilts: what stands before each joint (n, 4, 4), as the axes of a real machine lie; none without it.
     Returns: links base, body_1..n, link_1..n, flange, tcp, tool, cam_left, cam_right.
     """
     parts = [f"<robot name={quoteattr(machine.name)}>", f'<link name="base">{_pedestal()}</link>']
     parent = "base"
     for number, joint in enumerate(machine.joints, start=1):
         T_link_body = pose(rotation_about("z", joint.theta_offset_rad), np.zeros(3))
+        T_link_body = T_link_body if tilts is None else tilts[number - 1] @ T_link_body
         parts.append(_revolute(joint, number, parent, T_link_body))
         parts.append(f'<link name="body_{number}"/>')
         parent = f"link_{number}"

@@ -25,7 +25,7 @@ from server.link.contracts import PlcSample
 from server.motion.contracts import PathPlan
 from server.motion.identification_courses import Mark
 from server.recorder_rows import calibration_row, finding, frame_poses, look_row, plan_row, plc_row, report_rows
-from server.version import __version__
+from server.version import __version__, library_versions
 from server.vision.contracts import Look
 
 TRANSFORM_PERIOD_NS = 100_000_000
@@ -129,6 +129,7 @@ class Recorder:
         return [
             ("longreach", __version__),
             ("python", platform.python_version()),
+            *library_versions(),
             ("git_revision", os.environ.get("LONGREACH_GIT_REVISION", "unknown")),
             ("seed", "" if seed is None else str(seed)),
         ]

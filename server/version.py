@@ -1,4 +1,4 @@
-"""The version of the installed application."""
+"""The versions of the installed application, and of the libraries whose numbers are in its results."""
 
 from importlib.metadata import PackageNotFoundError, version
 
@@ -6,3 +6,16 @@ try:
     __version__ = version("longreach")
 except PackageNotFoundError:  # run from a tree that was never installed
     __version__ = "0.0.0+source"
+
+NUMERIC = ("numpy", "scipy", "numba", "opencv-contrib-python-headless")
+
+
+def library_versions() -> list[tuple[str, str]]:
+    """Name and version of each library that computes; "absent" where it is not installed."""
+    found = []
+    for name in NUMERIC:
+        try:
+            found.append((name, version(name)))
+        except PackageNotFoundError:
+            found.append((name, "absent"))
+    return found

@@ -14,7 +14,7 @@ from server.errors import SettingsError
 from server.settings import read_machine
 
 NOISE_WORLDS = 24
-NO_MATPLOTLIB = "pictures need matplotlib, which comes with the bench extra: pip install -e '.[bench]'"
+NO_MATPLOTLIB = "pictures need matplotlib, which comes with the bench extra: pip install 'longreach[bench]'"
 
 
 class What(StrEnum):

@@ -16,7 +16,7 @@ def headless(chromium: str) -> Iterator[Any]:
     try:
         from playwright.sync_api import sync_playwright
     except ImportError:
-        Console(stderr=True).print("playwright is not installed: pip install -e '.[test]'")
+        Console(stderr=True).print("playwright is not installed: pip install 'longreach[test]'")
         raise typer.Exit(2) from None
     with sync_playwright() as driver:
         browser = driver.chromium.launch(executable_path=chromium, headless=True, args=list(FLAGS))

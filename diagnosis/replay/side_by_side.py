@@ -21,8 +21,15 @@ def side_by_side(of: Callable[[Piece], Result], pieces: Sequence[Piece]) -> list
 
 @cache
 def _pool() -> ThreadPoolExecutor | None:
-    threads = int(os.environ.get("NUMBA_NUM_THREADS", len(os.sched_getaffinity(0))))
+    given = os.environ.get("NUMBA_NUM_THREADS")
+    threads = _usable_cores() if given is None else int(given)
     return ThreadPoolExecutor(threads, thread_name_prefix="replay") if threads > 1 else None
 
 
-os.register_at_fork(after_in_child=_pool.cache_clear)  # a child inherits the pool, but none of its threads
+def _usable_cores() -> int:
+    """Cores that this process may use; all of them where the system (macOS, Windows) does not say."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+if hasattr(os, "register_at_fork"):  # a child inherits the pool, but none of its threads; Windows does not fork
+    os.register_at_fork(after_in_child=_pool.cache_clear)

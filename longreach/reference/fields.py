@@ -18,7 +18,7 @@ def settings() -> str:
     """One table for each section; the camera's depend on its kind."""
     parts = [table(_HEADINGS, list(_plain(ServerSettings)))]
     for name, field in ServerSettings.model_fields.items():
-        models = _models(field.annotation)
+        models = models_of(field.annotation)
         for model in models:
             kind = f', kind = "{_kind(model)}"' if len(models) > 1 else ""
             parts.append(f"### [{name}]{kind}\n\n{_first_line(model)}\n\n{table(_HEADINGS, list(_plain(model)))}")
@@ -28,10 +28,11 @@ def settings() -> str:
 _HEADINGS = ("field", "type", "default", "bounds")
 
 
-def _models(annotation: Any) -> list[type[BaseModel]]:
+def models_of(annotation: Any) -> list[type[BaseModel]]:
+    """The section models in a type."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
-    return [model for part in get_args(annotation) for model in _models(part)]
+    return [model for part in get_args(annotation) for model in models_of(part)]
 
 
 def _kind(model: type[BaseModel]) -> str:
@@ -44,9 +45,9 @@ def _first_line(model: type[BaseModel]) -> str:
 
 def _plain(model: type[BaseModel]) -> Iterator[tuple[str, str, str, str]]:
     for name, field in model.model_fields.items():
-        if not _models(field.annotation) and name != "kind":
+        if not models_of(field.annotation) and name != "kind":
             default = "required" if field.default is PydanticUndefined else _value(field.default)
-            yield code(name), type_text(field.annotation), default, _bounds(field)
+            yield code(name), type_text(field.annotation), default, bounds_text(field)
 
 
 def _value(value: Any) -> str:
@@ -70,7 +71,8 @@ def type_text(annotation: Any) -> str:
 _WORDS: dict[Any, str] = {str: "text", int: "whole number", float: "number", bool: "true or false"}
 
 
-def _bounds(field: FieldInfo) -> str:
+def bounds_text(field: FieldInfo) -> str:
+    """A field's bounds in words; empty without."""
     told = [
         f"{word} {getattr(one, name)}"
         for one in field.metadata

@@ -96,7 +96,7 @@ def _arm(parts: list[_Part], names: Sequence[str], T_flange_tcp: Array, gravity:
     moves, prismatic, mass, com = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 3))
     last: Array | None = None
     for i, part in zip(places, parts, strict=True):
-        turn = pose(_z_onto(part.joint.axis), np.zeros(3))
+        turn = axis_turn(part.joint.axis)
         before[i], after[i] = part.T_last_joint @ turn, turn.T
         length_before[i, 0] = _apart(last, part)
         last = part.joint.axis / np.linalg.norm(part.joint.axis)
@@ -122,6 +122,11 @@ def _apart(last: Array | None, part: _Part) -> Array:
         normal = both if offset @ both >= 0.0 else -both
     length = float(np.linalg.norm(normal))
     return normal / length if length > LENGTH_MIN_M else np.zeros(3)
+
+
+def axis_turn(axis: Array) -> Array:
+    """The pose (4, 4) that turns z onto a joint's axis (3,)."""
+    return pose(_z_onto(axis), np.zeros(3))
 
 
 def _z_onto(axis: Array) -> Array:

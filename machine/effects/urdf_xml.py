@@ -24,7 +24,8 @@ LINKS_SHOWN = 12
 class UrdfJoint:
     """One joint of the chain. `rising`: the chain passes it from child to parent. `lower`, `upper`: its own limits
     [rad or m], -inf and inf where there are none. `mass` [kg] and `com` (3,) [m, child's frame] of its child, None
-    where the child has no inertial. `mimics`: the joint whose reading moves this one, too.
+    where the child has no inertial. `mimics`: the joint whose reading moves this one, too. `velocity_max` [rad/s or
+    m/s]: inf where there is none.
     """
 
     name: str
@@ -37,6 +38,7 @@ class UrdfJoint:
     mass: float | None
     com: Array | None
     mimics: str = ""
+    velocity_max: float = np.inf
 
 
 def urdf_chain(text: str, base_link: str, tip_link: str) -> tuple[UrdfJoint, ...]:
@@ -112,9 +114,10 @@ def _joint(joint: ElementTree.Element, rising: bool, child: ElementTree.Element 
     lower, upper = (float(_numbers(limit, end, 1, subject)[0]) for end in ("lower", "upper"))
     if lower >= upper:  # none given, or zeros in their place
         lower, upper = -np.inf, np.inf
+    fastest = float(_numbers(joint.find("limit"), "velocity", 1, subject)[0]) or np.inf
     leader = joint.find("mimic")
     mimics = "" if leader is None else leader.get("joint", "")
-    return UrdfJoint(name, kind, rising, T, axis, lower, upper, *_inertial(child), mimics)
+    return UrdfJoint(name, kind, rising, T, axis, lower, upper, *_inertial(child), mimics, fastest)
 
 
 def _inertial(link: ElementTree.Element | None) -> tuple[float | None, Array | None]:

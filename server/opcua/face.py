@@ -111,7 +111,7 @@ def load_library() -> Any:
         library = importlib.import_module("asyncua")
     except ImportError as error:
         raise SettingsError(
-            "[opcua] enabled = true, and asyncua is not installed: pip install -e '.[opcua]'"
+            "[opcua] enabled = true, and asyncua is not installed: pip install 'longreach[opcua]'"
         ) from error
     with suppress(ImportError):  # a version that keeps it elsewhere is only slower to start
         importlib.import_module(SPACE)

@@ -97,7 +97,7 @@ async def test_off_by_default_it_needs_nothing(service, monkeypatch):
     check_opcua(OpcUaSettings())
     async with opcua_face(service, OpcUaSettings()) as face:
         assert face is None
-    with pytest.raises(SettingsError, match=r"pip install -e '\.\[opcua\]'"):
+    with pytest.raises(SettingsError, match=r"pip install 'longreach\[opcua\]'"):
         check_opcua(OpcUaSettings(enabled=True))
 
 

@@ -1,0 +1,230 @@
+"""`longreach hand-eye`: where a camera sits, from poses of hand and target, with its covariance, or why not."""
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from longreach.board_pictures import board_of
+from longreach.hand_eye_bag import poses_of_bag
+from longreach.hand_eye_files import Mount, sigmas, write_mount
+from longreach.hand_eye_pictures import poses_of_pictures, read_lens
+from longreach.hand_eye_poses import HandEyeError, PoseTable, paired, read_poses
+from machine.rotations import Array
+from recording.files import write_durably
+from server.calibration.hand_eye import solve_ax_yb
+from server.calibration.hand_eye_contracts import HandEyeEstimate
+from server.calibration.hand_eye_linear import inverse_poses
+from server.calibration.hand_eye_report import PoseResiduals, alike_poses, pose_residuals
+from server.calibration.hand_eye_tracks import HandPoses, estimate_hand_eye
+
+ALIKE_SHOWN = 8
+GAP_MAX_S = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """An estimate, and the pairs of poses that it was judged by."""
+
+    estimate: HandEyeEstimate
+    hand: Array
+    target_from_camera: Array
+    labels: tuple[str, ...]
+
+
+def hand_eye(
+    hand: Annotated[
+        Path | None,
+        typer.Option("--hand", help="poses of the hand in the base: time or name, x, y, z [m], qx, qy, qz, qw"),
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option("--camera", help="poses of the target in the camera, of the same times or names")
+    ] = None,
+    images: Annotated[
+        Path | None,
+        typer.Option("--images", help="instead of --camera: pictures of a board, named as the poses"),
+    ] = None,
+    lens: Annotated[Path | None, typer.Option("--lens", help="of the pictures: ROS camera_info or OpenCV YAML")] = None,
+    squares: Annotated[str, typer.Option(help="the board's squares across and down, such as 11x8")] = "",
+    square_mm: Annotated[float, typer.Option(help="side of a square [mm], measured on the print")] = 0.0,
+    marker_mm: Annotated[float, typer.Option(help="side of a marker [mm]")] = 0.0,
+    dictionary: Annotated[str, typer.Option(help="the markers' dictionary")] = "DICT_5X5_100",
+    legacy_pattern: Annotated[bool, typer.Option(help="a board printed with OpenCV before 4.6")] = False,
+    bag: Annotated[Path | None, typer.Option("--bag", help="a ROS bag in place of --hand and --camera")] = None,
+    pose_topic: Annotated[str, typer.Option(help="of the bag: PoseStamped of the target in the camera")] = "",
+    urdf: Annotated[Path | None, typer.Option("--urdf", help="of the bag: the robot; its joint states move it")] = None,
+    inverse_camera: Annotated[
+        bool, typer.Option("--camera-in-target", help="--camera holds the camera in the target")
+    ] = False,
+    eye_to_hand: Annotated[
+        bool, typer.Option("--eye-to-hand", help="the camera stands beside the robot, and the hand holds the target")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="folder for TF, easy_handeye2, URDF and machine file")
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the whole answer here")] = None,
+    base_frame: Annotated[str, typer.Option(help="name of the robot's base frame")] = "base_link",
+    hand_frame: Annotated[str, typer.Option(help="name of the hand's frame")] = "tool0",
+    camera_frame: Annotated[str, typer.Option(help="name of the camera's optical frame")] = "camera_optical_frame",
+    target_frame: Annotated[str, typer.Option(help="name of the target's frame")] = "target",
+) -> None:
+    """Find a camera's mount from poses of hand and target. Exit code 0: found, 1: not, and why."""
+    screen, covariances, hand_table = Console(), None, PoseTable((), None, np.zeros((0, 4, 4)))
+    if bag is None and (hand is None or (camera is None) == (images is None)):
+        raise typer.BadParameter("give --bag, or --hand and either --camera, poses of the target, or --images")
+    if bag is not None:
+        if urdf is None or not pose_topic:
+            raise typer.BadParameter("--bag needs --pose-topic and --urdf")
+        hand_table, table = poses_of_bag(bag, pose_topic, urdf, "", "")
+        seen = replace(table, Ts=inverse_poses(table.Ts)) if inverse_camera else table
+    elif camera is not None:
+        table = read_poses(camera)
+        seen = replace(table, Ts=inverse_poses(table.Ts)) if inverse_camera else table
+    else:
+        assert images is not None  # one of both is given
+        if lens is None:
+            raise typer.BadParameter("--images needs --lens, the camera's camera_info or OpenCV YAML")
+        board = board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)
+        found_poses = poses_of_pictures(images, board, read_lens(lens))
+        seen, covariances = found_poses.table, found_poses.covariances
+        for name, why in found_poses.skipped:
+            screen.print(f"[yellow]without a pose[/] {escape(name)}: {escape(why)}", soft_wrap=True)
+    if bag is None:
+        assert hand is not None  # asked above
+        hand_table = read_poses(hand)
+    solved = solve(hand_table, seen, eye_to_hand, covariances)
+    found = solved.estimate
+    alike = alike_poses(solved.hand) if len(solved.hand) <= 200 else []
+    answer: dict[str, Any] = {
+        "status": found.status.name,
+        "reason": found.reason,
+        "n": len(solved.hand),
+        "n_used": found.n_used,
+    }
+    answer["alike"] = [[solved.labels[first], solved.labels[second]] for first, second in alike]
+    if found.X is None or found.Y is None or found.covariance is None:
+        screen.print(f"[bold red]not found[/]: {escape(found.reason)}", soft_wrap=True)
+        _tell_alike(alike, solved.labels, screen)
+        _write_json(json_file, answer)
+        raise typer.Exit(1)
+    left = pose_residuals(solved.hand, solved.target_from_camera, found.X, found.Y)
+    mount = _mount(found, eye_to_hand, (base_frame, hand_frame, camera_frame, target_frame))
+    _show(mount, found, left, solved, screen)
+    _tell_alike(alike, solved.labels, screen)
+    answer |= _as_answer(mount, found, left, solved)
+    _write_json(json_file, answer)
+    if out is not None:
+        try:
+            written = write_mount(mount, out)
+        except OSError as error:
+            raise HandEyeError(f"{out} cannot be written: {error.strerror}") from error
+        screen.print("written: " + escape(", ".join(str(path) for path in written)), soft_wrap=True)
+
+
+def solve(hand: PoseTable, seen: PoseTable, eye_to_hand: bool, covariances: Array | None = None) -> Solved:
+    """A X = Y B, by pairs of equal labels, else by two streams whose clocks differ.
+
+    Model:   eye in hand: A = base from hand, B = target from camera, X = hand from camera, Y = base from target. Eye to
+             hand: B = camera from target, X = hand from target, Y = base from camera.
+    Args:    seen: the target in the camera; covariances: of it (n, 6, 6), used with the eye in hand.
+    Raises:  HandEyeError: neither equal labels nor times.
+    """
+    pairs = paired(hand, seen)
+    if pairs is not None:
+        As, Ts_cam_target = hand.Ts[pairs[0]], seen.Ts[pairs[1]]
+        labels = tuple(seen.labels[k] for k in pairs[1])
+        Bs = Ts_cam_target if eye_to_hand else inverse_poses(Ts_cam_target)
+        weights = None if covariances is None or eye_to_hand else covariances[pairs[1]]
+        return Solved(solve_ax_yb(As, Bs, camera_covariances=weights), As, Bs, labels)
+    if hand.t_s is None or seen.t_s is None:
+        raise HandEyeError("hand and camera share no names and have no times; give both tables the same first column")
+    hand_t, hand_T = _in_order(hand.t_s, hand.Ts)
+    cam_t, cam_T = _in_order(seen.t_s, seen.Ts)
+    start = hand_t[0]
+    found = estimate_hand_eye(hand_t - start, hand_T, cam_t - start, inverse_poses(cam_T) if eye_to_hand else cam_T)
+    track = HandPoses(hand_t - start, hand_T, GAP_MAX_S)
+    inside = track.covers(cam_t - start + found.time_offset_s, 0.0)
+    As = track.at(cam_t[inside] - start + found.time_offset_s) if inside.any() else np.zeros((0, 4, 4))
+    Bs = cam_T[inside] if eye_to_hand else inverse_poses(cam_T[inside])
+    return Solved(found, As, Bs, tuple(f"{t:.3f}" for t in cam_t[inside]))
+
+
+def _in_order(t_s: Array, Ts: Array) -> tuple[Array, Array]:
+    """Rows by time; of equal times the first one."""
+    _, first = np.unique(t_s, return_index=True)
+    return t_s[first], Ts[first]
+
+
+def _mount(found: HandEyeEstimate, eye_to_hand: bool, names: tuple[str, str, str, str]) -> Mount:
+    assert found.X is not None  # the caller asked
+    assert found.Y is not None
+    assert found.covariance is not None
+    part = slice(6, 12) if eye_to_hand else slice(0, 6)
+    T = found.Y if eye_to_hand else found.X
+    return Mount(T, found.covariance[part, part], not eye_to_hand, *names)
+
+
+def _show(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solved: Solved, screen: Console) -> None:
+    turned, moved = sigmas(mount)
+    T = mount.T_parent_cam
+    table = Table(title=f"{mount.camera_frame} in {mount.parent_frame}", title_justify="left", show_header=False)
+    table.add_row(
+        "translation, mm", "  ".join(f"{1e3 * x:.2f} +- {s:.2f}" for x, s in zip(T[:3, 3], moved, strict=True))
+    )
+    table.add_row("rotation known to, deg", "  ".join(f"{s:.3f}" for s in turned))
+    table.add_row("poses", f"{len(solved.hand)}, of which {found.n_used} count fully")
+    for name, values, unit in (
+        ("residual rotation", left.rotation_deg, "deg"),
+        ("residual place", left.translation_mm, "mm"),
+    ):
+        middle, high = np.median(values), np.percentile(values, 90)
+        table.add_row(name, f"median {middle:.3f}, 90 % below {high:.3f}, largest {values.max():.3f} {unit}")
+    table.add_row("second rotation axis", f"{np.rad2deg(found.axis_spread_rad):.1f} deg rms")
+    if found.reason:
+        table.add_row("clocks", found.reason)
+    screen.print(table)
+    places = np.nonzero(left.outliers)[0]
+    if len(places):
+        shown = ", ".join(
+            f"{solved.labels[k]} ({left.rotation_deg[k]:.2f} deg, {left.translation_mm[k]:.1f} mm)"
+            for k in places[:ALIKE_SHOWN]
+        )
+        screen.print(
+            f"[yellow]outliers[/], {len(places)}: {escape(shown)}: look at their images, or leave them out",
+            soft_wrap=True,
+        )
+
+
+def _tell_alike(alike: list[tuple[int, int]], labels: tuple[str, ...], screen: Console) -> None:
+    if alike:
+        shown = ", ".join(f"{labels[second]} like {labels[first]}" for first, second in alike[:ALIKE_SHOWN])
+        text = f"[yellow]too alike[/], {len(alike)}: {escape(shown)}: turn the hand further between poses"
+        screen.print(text, soft_wrap=True)
+
+
+def _as_answer(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solved: Solved) -> dict[str, Any]:
+    return {
+        "setup": "eye_in_hand" if mount.in_hand else "eye_to_hand",
+        "parent_frame": mount.parent_frame,
+        "T_parent_cam": mount.T_parent_cam.tolist(),
+        "covariance": mount.covariance.tolist(),
+        "residual_rotation_deg": {"median": float(np.median(left.rotation_deg)), "max": float(left.rotation_deg.max())},
+        "residual_mm": {"median": float(np.median(left.translation_mm)), "max": float(left.translation_mm.max())},
+        "outliers": [solved.labels[k] for k in np.nonzero(left.outliers)[0]],
+        "time_offset_s": found.time_offset_s,
+    }
+
+
+def _write_json(path: Path | None, answer: dict[str, Any]) -> None:
+    if path is None:
+        return
+    try:
+        write_durably(path, json.dumps(answer, indent=1) + "\n")
+    except OSError as error:
+        raise HandEyeError(f"{path} cannot be written: {error.strerror}") from error

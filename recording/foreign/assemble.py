@@ -1,0 +1,249 @@
+"""What was found in a log, on one time axis, as the folder form of a recording."""
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from machine.rotations import Array
+from recording.errors import RecordingError
+from recording.files import read_text
+from recording.foreign.found import Found, JointSignal, PointTrack
+from recording.foreign.machine_file import drive_model, machine_toml, with_fitted_gains
+from recording.foreign.mapping import Mapping
+from recording.foreign.urdf_ends import ChosenChain, chain_for
+from recording.rows import TrackerPoint, csv_fields
+from recording.run import RunInfo, run_to_toml
+
+ROWS_MAX = 2_000_000  # of plc.csv: what the diagnosis reads takes about a kilobyte a row
+GAP_STEPS = 5.0  # a value is not carried over a longer gap of its source
+
+
+@dataclass(frozen=True, slots=True)
+class Assembled:
+    """A recording to be written: joint signals (m, n) on t_s (m,), None where not recorded; points; text files."""
+
+    t_s: Array
+    q: Array | None
+    q_ref: Array | None
+    qd_ref: Array | None
+    u: Array | None
+    sliding: tuple[bool, ...]
+    points: tuple[PointTrack, ...]
+    run: RunInfo
+    machine_toml: str
+    urdf: tuple[str, str]
+    notes: tuple[str, ...]
+
+
+def assemble(found: Found, mapping: Mapping, name: str, urdf: Path | None) -> Assembled:
+    """All joints on the encoders' time axis.
+
+    Raises: RecordingError: no joint was recorded, too many rows, or a URDF that cannot be read or is of another robot.
+    """
+    recorded = [joint for signal in found.of("position") for joint in signal.names]
+    text = _urdf_text(urdf)
+    chain = None
+    if text:
+        chain = chain_for(text, () if found.numbered else recorded, mapping.urdf)
+    if chain is not None and found.numbered:
+        found = _named_by_chain(found, chain)
+        recorded = [joint for signal in found.of("position") for joint in signal.names]
+    joints, notes = _joints(found, mapping, chain, recorded)
+    base = max(found.of("position"), key=lambda one: (len(set(one.names) & set(joints)), len(one.t_s)), default=None)
+    t = base.t_s if base is not None else found.of("reference")[0].t_s
+    if len(t) > ROWS_MAX:
+        raise RecordingError(
+            f"{len(t)} rows of encoders, limit {ROWS_MAX}; read a part by [window] from_s and to_s of the mapping file"
+        )
+    signals = {kind: _on_axis(found.of(kind), joints, t) for kind in ("position", "reference", "velocity_reference")}
+    command, sliding = _on_axis(found.of("command"), joints, t), _sliding(joints, chain)
+    limits = _velocity_limits(joints, chain)
+    largest = (
+        np.zeros(len(joints)) if command is None else np.nan_to_num(np.nanmax(np.abs(command), axis=0, initial=0.0))
+    )
+    drive = drive_model(mapping.actuator, found.command_kind, limits, [float(one) for one in largest])
+    if found.command_kind == "valve" and command is not None and mapping.actuator.velocity_max is None:
+        drive = with_fitted_gains(drive, t, signals["position"], command)
+    step_s = float(f"{np.median(np.diff(t)):.6g}") if len(t) > 1 else 0.01
+    on_joint = {one.point: one.joint for one in mapping.ros.tracker if one.joint is not None}
+    points = {track.name: on_joint.get(track.name, len(joints)) for track in found.points}
+    machine = machine_toml(name, joints, sliding, drive, step_s, chain, urdf.name if urdf else "", points)
+    if command is not None and found.command_kind != "valve":
+        command = command / np.array(drive.velocity_max)
+    started = datetime.fromtimestamp(found.started_s, UTC).isoformat() if found.started_s > 1e6 else ""
+    return Assembled(
+        t_s=t,
+        q=signals["position"],
+        q_ref=signals["reference"],
+        qd_ref=signals["velocity_reference"],
+        u=command,
+        sliding=sliding,
+        points=tuple(found.points),
+        run=RunInfo(name, started_utc=started, cut=found.cut),
+        machine_toml=machine,
+        urdf=(urdf.name if urdf else "", text),
+        notes=(*notes, *drive.notes),
+    )
+
+
+def _named_by_chain(found: Found, chain: ChosenChain) -> Found:
+    """Numbered joints get the names of the chain's moving joints, in their order. Raises: RecordingError: too many."""
+    names = [joint.name for joint in chain.joints]
+    most = max(int(joint.removeprefix("joint")) for signal in found.signals for joint in signal.names)
+    if most > len(names):
+        raise RecordingError(
+            f"joint {most} was recorded, and {len(names)} joints move between {chain.base_link} and {chain.tip_link} "
+            "of the URDF; give base_link and tip_link under [urdf] of the mapping file, or correct the joints' numbers"
+        )
+    signals = [
+        replace(signal, names=tuple(names[int(joint.removeprefix("joint")) - 1] for joint in signal.names))
+        for signal in found.signals
+    ]
+    return replace(found, signals=signals)
+
+
+def _urdf_text(urdf: Path | None) -> str:
+    if urdf is None:
+        return ""
+    try:
+        return read_text(urdf)
+    except OSError as error:
+        raise RecordingError(f"URDF {urdf} cannot be read: {error.strerror}") from error
+
+
+def _joints(
+    found: Found, mapping: Mapping, chain: ChosenChain | None, recorded: Sequence[str]
+) -> tuple[tuple[str, ...], list[str]]:
+    """The joint vector: the mapping's, else the chain's, else as recorded; and what is said of the others."""
+    notes = []
+    if mapping.joints:
+        missing = [joint for joint in mapping.joints if joint not in recorded]
+        if missing:
+            raise RecordingError(
+                f"joints {missing} of the mapping were not recorded; recorded are {sorted(set(recorded))}"
+            )
+        joints = tuple(mapping.joints)
+    elif chain is not None:
+        joints = tuple(joint.name for joint in chain.joints if joint.name in recorded)
+    else:
+        signals = found.of("position") or found.of("reference")
+        if not signals:
+            raise RecordingError("no joint positions were found; name them in a mapping file")
+        joints = max(signals, key=lambda signal: len(signal.t_s)).names
+        if found.numbered:
+            numbers = {int(joint.removeprefix("joint")) for signal in signals for joint in signal.names}
+            joints = tuple(f"joint{number}" for number in range(1, max(numbers) + 1))
+    if chain is not None:
+        chosen = "chosen by the recorded joints" if chain.guess else "as the mapping says"
+        notes.append(f"URDF chain {chain.base_link} -> {chain.tip_link}, {chosen}: {', '.join(joints)}")
+        held = [joint.name for joint in chain.joints if joint.name not in joints]
+        notes += [f"joints {', '.join(held)} of the chain were not recorded and are held at 0"] if held else []
+    others = sorted(set(recorded) - set(joints))
+    notes += [f"recorded joints that are not used: {', '.join(others)}"] if others else []
+    return joints, notes
+
+
+def _sliding(joints: Sequence[str], chain: ChosenChain | None) -> tuple[bool, ...]:
+    kinds = {joint.name: joint.kind for joint in chain.joints} if chain is not None else {}
+    return tuple(kinds.get(joint) == "prismatic" for joint in joints)
+
+
+def _velocity_limits(joints: Sequence[str], chain: ChosenChain | None) -> list[float]:
+    known = {joint.name: joint.velocity_max for joint in chain.joints} if chain is not None else {}
+    return [known.get(joint, float("inf")) for joint in joints]
+
+
+def _on_axis(signals: Sequence[JointSignal], joints: Sequence[str], t: Array) -> Array | None:
+    """The numbers of each joint at t (m, n), from the signal that has most of it; None where no joint was recorded."""
+    out = np.full((len(t), len(joints)), np.nan)
+    for k, joint in enumerate(joints):
+        having = [signal for signal in signals if joint in signal.names]
+        if having:
+            signal = max(having, key=lambda one: len(one.t_s))
+            out[:, k] = _at(signal.t_s, signal.values[:, signal.names.index(joint)], t, signal.held)
+    return out if np.isfinite(out).any() else None
+
+
+def _at(t_of: Array, values: Array, t: Array, held: bool) -> Array:
+    """Values at other times: the last one before, or a line between two that are not further apart than a gap."""
+    good = np.isfinite(values)
+    t_of, values = t_of[good], values[good]
+    if len(t_of) == len(t) and np.array_equal(t_of, t):
+        return values
+    if not len(t_of):
+        return np.full(len(t), np.nan)
+    last = np.searchsorted(t_of, t, side="right") - 1
+    if held:
+        return np.where(last >= 0, values[np.maximum(last, 0)], np.nan)
+    out = np.interp(t, t_of, values, left=np.nan, right=np.nan)
+    steps = np.diff(t_of)
+    if len(steps):
+        in_gap = steps[np.clip(last, 0, len(steps) - 1)] > GAP_STEPS * np.median(steps)
+        exact = np.isin(t, t_of)
+        moves = np.abs(np.diff(values))[np.clip(last, 0, len(steps) - 1)] > 0.0
+        out[in_gap & ~exact & moves] = np.nan
+    return out
+
+
+def write_assembled(recording: Assembled, folder: Path) -> None:
+    """Write the folder form. Raises: RecordingError: it cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "run.toml").write_text(run_to_toml(recording.run), encoding="utf-8")
+        (folder / "machine.toml").write_text(recording.machine_toml, encoding="utf-8")
+        if recording.urdf[1]:
+            (folder / recording.urdf[0]).write_text(recording.urdf[1], encoding="utf-8")
+        if recording.q is not None or recording.q_ref is not None:
+            _write_plc(recording, folder / "plc.csv")
+        if recording.points:
+            _write_points(recording.points, folder / TrackerPoint.file)
+    except OSError as error:
+        raise RecordingError(f"folder {folder}: {error.strerror}; choose a folder that can be written") from error
+
+
+def _write_plc(recording: Assembled, path: Path) -> None:
+    header, parts = ["t_plc_s"], [recording.t_s[:, None]]
+    for pattern, values in (
+        ("q_ref_{j}_rad", recording.q_ref),
+        ("qd_ref_{j}_rad_s", recording.qd_ref),
+        ("q_{j}_rad", recording.q),
+        ("u_{j}_frac", recording.u),
+    ):
+        if values is not None:
+            header += [_column(pattern, k, slides) for k, slides in enumerate(recording.sliding, start=1)]
+            parts.append(values)
+    _write_rows(path, header, np.hstack(parts))
+
+
+def _column(pattern: str, joint: int, slides: bool) -> str:
+    name = pattern.replace("{j}", str(joint))
+    return re.sub("_rad", "_m", name) if slides else name
+
+
+def _write_rows(path: Path, header: Sequence[str], table: Array) -> None:
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for start in range(
+            0, len(table), 10_000
+        ):  # a block at a time: text of all rows takes far more than the numbers
+            block = table[start : start + 10_000].tolist()
+            writer.writerows(["" if value != value else repr(value) for value in row] for row in block)
+
+
+def _write_points(points: Sequence[PointTrack], path: Path) -> None:
+    rows = [
+        (t, track.name, x, y, z)
+        for track in points
+        for t, (x, y, z) in zip(track.t_s.tolist(), track.xyz.tolist(), strict=True)
+        if np.isfinite(x + y + z)
+    ]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([pattern for _, pattern in csv_fields(TrackerPoint)])
+        writer.writerows(sorted(rows))

@@ -1,0 +1,51 @@
+"""A log of another system into a folder: read, chosen, shown, confirmed, written."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from recording.errors import RecordingError
+from recording.foreign.assemble import Assembled, assemble, write_assembled
+from recording.foreign.found import Found
+from recording.foreign.mapping import Mapping, read_mapping
+from recording.foreign.ros_bag import is_ros
+from recording.foreign.ros_signals import ros_found
+from recording.foreign.table_files import is_table
+from recording.foreign.table_signals import table_found
+
+Confirm = Callable[[Found, Assembled], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class Converted:
+    """What was read, and what was written of it."""
+
+    found: Found
+    assembled: Assembled
+
+
+def is_foreign(path: Path) -> bool:
+    """Whether a path is a log that has to be converted first, and not a recording of our own format."""
+    return is_table(path) or is_ros(path)
+
+
+def convert_foreign(
+    source: Path, target: Path, urdf: Path | None, mapping_file: Path | None, confirm: Confirm
+) -> Converted:
+    """Write a folder of what a log holds.
+
+    Args:   confirm: shows what each topic or column was taken for, and says whether guesses may be used.
+    Raises: RecordingError: the log cannot be read, the target exists, or the guesses were not confirmed.
+    """
+    if target.exists():
+        raise RecordingError(f"{target} exists already; choose another name")
+    mapping = Mapping() if mapping_file is None else read_mapping(mapping_file)
+    found = table_found(source, mapping) if is_table(source) else ros_found(source, mapping)
+    assembled = assemble(found, mapping, source.stem, urdf)
+    if not confirm(found, assembled):
+        names = ", ".join(entry.name for entry in found.guesses)
+        raise RecordingError(
+            f"guessed and not confirmed: {names}; confirm by --yes, or say what each is in a mapping file (--mapping)"
+        )
+    write_assembled(assembled, target)
+    return Converted(found, assembled)

@@ -1,0 +1,84 @@
+"""What a log of another system holds, before it is put on one time axis."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from machine.rotations import Array
+
+Kind = Literal["position", "reference", "velocity_reference", "command"]
+Use = Literal["used", "ignored"]
+
+
+@dataclass(frozen=True, slots=True)
+class JointSignal:
+    """Numbers of joints over time: t_s (m,) [s], values (m, n) [rad or m, per s for velocities]; NaN where missing.
+
+    `held`: a value counts until the next one comes (a command); else it lies on a line between its neighbours.
+    """
+
+    kind: Kind
+    source: str
+    names: tuple[str, ...]
+    t_s: Array
+    values: Array
+    held: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PointTrack:
+    """Places of one tracked point: t_s (m,) [s], xyz (m, 3) [m] in the tracker's frame."""
+
+    name: str
+    source: str
+    t_s: Array
+    xyz: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One line of the list that the user sees: a topic or a column, and what became of it.
+
+    `guess`: it was taken for this by its name or its size; the user has to confirm it.
+    """
+
+    name: str
+    kind: str
+    count: int
+    use: Use
+    why: str
+    guess: bool = False
+
+
+@dataclass(slots=True)
+class Found:
+    """All that was found. `notes`: remarks on the file as a whole. `cut`: not all of the file could be read.
+
+    `numbered`: joints are called joint1, joint2 ... by their place; `proposal`: the guesses as a mapping file's text.
+    """
+
+    signals: list[JointSignal] = field(default_factory=list)
+    points: list[PointTrack] = field(default_factory=list)
+    entries: list[Entry] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    started_s: float = 0.0
+    command_kind: str = ""
+    cut: bool = False
+    numbered: bool = False
+    proposal: str = ""
+
+    @property
+    def guesses(self) -> list[Entry]:
+        """What the user has to confirm."""
+        return [entry for entry in self.entries if entry.guess and entry.use == "used"]
+
+    def of(self, kind: Kind) -> list[JointSignal]:
+        """The signals of one kind."""
+        return [signal for signal in self.signals if signal.kind == kind]
+
+
+def in_time_order(t_s: Array, values: Array) -> tuple[Array, Array]:
+    """Rows sorted by time; of rows with the same time the first one."""
+    _, first = np.unique(t_s, return_index=True)
+    return t_s[first], values[first]

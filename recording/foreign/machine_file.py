@@ -1,0 +1,116 @@
+"""machine.toml of an arm that comes with a log of another system: its joints, a nominal drive, its points."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from machine.rotations import Array
+from recording.foreign.mapping import Actuator, CommandKind
+from recording.foreign.urdf_ends import ChosenChain
+
+VELOCITY_MAX = 3.0  # [rad/s or m/s], where neither URDF nor mapping has one and nothing faster was commanded
+BANDWIDTH_HZ = 5.0  # of the position loop: industrial arms lie between 3 and 10
+VELOCITY_BANDWIDTH_HZ = 25.0  # of the velocity loop: five times as fast, as loops in one another are tuned
+DAMPING = 1.0
+FITTED_FROM = 0.25  # share of the full command: dead bands end below
+CYCLE_S = 4e-3  # the model's cycle is a whole part of the log's, at most this
+
+
+@dataclass(frozen=True, slots=True)
+class DriveModel:
+    """The nominal drive of every joint: kind, velocity of a full command (n,) [rad/s or m/s], and what was assumed."""
+
+    kind: CommandKind
+    velocity_max: tuple[float, ...]
+    kp: tuple[float, ...]
+    bandwidth_hz: float
+    damping: float
+    notes: tuple[str, ...]
+
+
+def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], commanded: Sequence[float]) -> DriveModel:
+    """The nominal drive.
+
+    Model:  velocity of a joint = velocity_max u behind a second order of `velocity_bandwidth_hz`; u is the velocity
+            command over velocity_max, or kp (reference - encoder) with kp velocity_max = 2 pi bandwidth_hz.
+    Args:   limits: velocities of the URDF (n,), inf without; commanded: largest velocity commands (n,), 0 without.
+    """
+    told: CommandKind = "velocity" if command_kind == "velocity" else "valve" if command_kind == "valve" else "position"
+    kind = wanted.kind or told
+    fastest = []
+    for limit, largest in zip(limits, commanded, strict=True):
+        known = limit if math.isfinite(limit) else VELOCITY_MAX
+        fastest.append(wanted.velocity_max or max(known, 1.05 * largest))
+    position_hz, velocity_hz = (
+        wanted.bandwidth_hz or BANDWIDTH_HZ,
+        wanted.velocity_bandwidth_hz or VELOCITY_BANDWIDTH_HZ,
+    )
+    damping = wanted.damping or DAMPING
+    kp = tuple(2.0 * math.pi * position_hz / one for one in fastest)
+    notes = [f"nominal {kind}-controlled drive: velocity loop of {velocity_hz:g} Hz, damping {damping:g}"]
+    if kind == "position":
+        notes.append(f"position loop of {position_hz:g} Hz without feed-forward")
+    if not (wanted.bandwidth_hz and wanted.velocity_bandwidth_hz):
+        notes.append(
+            "assumed, not measured: give yours under [actuator] of the mapping file; the gap is the gap to these"
+        )
+    return DriveModel(kind, tuple(fastest), kp, velocity_hz, damping, tuple(notes))
+
+
+def with_fitted_gains(drive: DriveModel, t_s: Array, q: Array | None, u: Array) -> DriveModel:
+    """The drive with the velocity of a full valve command that this recording shows, joint by joint: no drawing has it.
+
+    Model: least squares through 0 of the encoder's velocity over the command, where it is beyond any dead band.
+    Args:  t_s: (m,) [s], q: (m, n) [rad or m], u: (m, n) [share of the full command].
+    """
+    if q is None or len(t_s) < 3:
+        return drive
+    fastest = list(drive.velocity_max)
+    for k in range(len(fastest)):
+        speed, command = np.gradient(q[:, k], t_s), u[:, k]
+        good = np.isfinite(speed) & (np.abs(command) > FITTED_FROM)
+        gain = float(speed[good] @ command[good] / (command[good] @ command[good])) if good.sum() > 2 else 0.0
+        fastest[k] = abs(gain) or fastest[k]
+    kp = tuple(one * before / now for one, before, now in zip(drive.kp, drive.velocity_max, fastest, strict=True))
+    note = "velocities of a full command are fitted to this recording, which hides an error of the gain"
+    return replace(drive, velocity_max=tuple(fastest), kp=kp, notes=(*drive.notes, f"{note}; give velocity_max"))
+
+
+def cycles(log_step_s: float) -> tuple[float, float]:
+    """The model's cycle and the log's [s]: the log's is a whole multiple."""
+    cycle_s = log_step_s / max(1, math.ceil(log_step_s / CYCLE_S - 1e-6))
+    return cycle_s, log_step_s
+
+
+def machine_toml(
+    name: str,
+    joints: Sequence[str],
+    sliding: Sequence[bool],
+    drive: DriveModel,
+    log_step_s: float,
+    chain: ChosenChain | None,
+    urdf_file: str,
+    points: dict[str, int],
+) -> str:
+    """The file's text; geometry is the URDF's where there is one."""
+    lines = ["# Made by `longreach recording convert`. Assumed values are marked; put in yours.", "[machine]"]
+    lines += [f"name = {json.dumps(name)}", "gravity_base_m_s2 = [0.0, 0.0, -9.81]", ""]
+    if chain is not None:
+        lines += ["[urdf]", f"file = {json.dumps(urdf_file)}"]
+        lines += [f"base_link = {json.dumps(chain.base_link)}", f"tip_link = {json.dumps(chain.tip_link)}", ""]
+    lines += [f"# {note}" for note in drive.notes]
+    for k, joint in enumerate(joints):
+        lines += ["[[joint]]", f"name = {json.dumps(joint)}", f'type = "{"prismatic" if sliding[k] else "revolute"}"']
+        lines += [
+            f"velocity_gain_rad_s = {drive.velocity_max[k]:.9g}",
+            f"valve_frequency_hz = {drive.bandwidth_hz:.9g}",
+        ]
+        lines += [f"valve_damping = {drive.damping:.9g}", f"kp_frac_per_rad = {drive.kp[k]:.9g}", ""]
+    cycle_s, log_cycle_s = cycles(log_step_s)
+    lines += ["[plc]", f"cycle_s = {cycle_s!r}", f"log_cycle_s = {log_cycle_s!r}", "transport_delay_s = 0.0", ""]
+    for point, joint in points.items():
+        lines += [f"[points.{json.dumps(point)}] # where on the link is found", f"joint = {joint}", ""]
+    return "\n".join(lines)

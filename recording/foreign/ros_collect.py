@@ -1,0 +1,263 @@
+"""The numbers of a bag by topic, as they come: joints, points, and a count of everything else."""
+
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from machine.rotations import Array
+from recording.errors import RecordingError
+from recording.foreign.mapping import Mapping
+from recording.foreign.ros_bag import CONTROLLER_STATE, NotDecodedError, RosBag, RosMessage
+
+NUMBERS_MAX = 400_000_000  # of 8 bytes: some 3 GB, hours of an arm at 1 kHz
+CLOCKS_APART_S = 5.0
+FAILED_MAX = 20  # of a topic of which no message was read: the rest is not tried
+TRACKER_WORDS = ("mocap", "vicon", "optitrack", "qualisys", "vrpn", "tracker", "leica", "rigid_body", "rigidbody")
+JOINT_STATE = "sensor_msgs/msg/JointState"
+DYNAMIC_STATE = "control_msgs/msg/DynamicJointState"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+ARRAY = "std_msgs/msg/Float64MultiArray"
+TF = "tf2_msgs/msg/TFMessage"
+NUMERIC = (JOINT_STATE, DYNAMIC_STATE, CONTROLLER_STATE, TRAJECTORY, ARRAY)
+
+
+@dataclass(slots=True)
+class Series:
+    """Rows of equal width of one topic: `t` recorded at, `stamp` of the header (0 without), `numbers` row by row."""
+
+    names: tuple[str, ...]
+    width: int
+    t: array = field(default_factory=lambda: array("d"))
+    stamp: array = field(default_factory=lambda: array("d"))
+    numbers: array = field(default_factory=lambda: array("d"))
+
+    def add(self, t_s: float, stamp_s: float, values: Sequence[float]) -> None:
+        """One row."""
+        self.t.append(t_s)
+        self.stamp.append(stamp_s)
+        self.numbers.extend(float(value) for value in values)
+
+    @property
+    def values(self) -> Array:
+        """(m, width)."""
+        return np.frombuffer(self.numbers, dtype=float).reshape(-1, self.width).copy()
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """One trajectory command: recorded at, stamp, joints, times since its start (m,) [s], positions and velocities
+    (m, n); no velocities: None.
+    """
+
+    t_s: float
+    stamp_s: float
+    names: tuple[str, ...]
+    since_s: Array
+    positions: Array
+    velocities: Array | None
+
+
+@dataclass(slots=True)
+class Collected:
+    """By topic: its type, how many messages, how many were not read and why; series by (topic, field, names)."""
+
+    types: dict[str, str] = field(default_factory=dict)
+    counts: Counter[str] = field(default_factory=Counter)
+    failures: dict[str, str] = field(default_factory=dict)
+    failed: Counter[str] = field(default_factory=Counter)
+    series: dict[tuple[str, str, tuple[str, ...]], Series] = field(default_factory=dict)
+    trajectories: dict[str, list[Trajectory]] = field(default_factory=dict)
+    frames: Counter[tuple[str, str]] = field(default_factory=Counter)
+    numbers: int = 0
+    first_s: float = 0.0
+
+    def add(self, topic: str, name: str, names: tuple[str, ...], at: tuple[float, float], values: Any) -> None:
+        """One row of one field; fields that are empty, or not one number a joint, are left out."""
+        if len(values) == 0 or (names and len(values) != len(names)):
+            return
+        key = (topic, name, names)
+        if key not in self.series or self.series[key].width != len(values):
+            if key in self.series:
+                return
+            self.series[key] = Series(names, len(values))
+        self.series[key].add(*at, values)
+        self.numbers += len(values) + 2
+        if self.numbers > NUMBERS_MAX:
+            raise RecordingError(
+                f"the bag holds more than {NUMBERS_MAX:g} numbers of joints and points, the limit; read a part of it "
+                "by [window] from_s and to_s of the mapping file"
+            )
+
+
+def collect(bag: RosBag, mapping: Mapping) -> Collected:
+    """All that may be of use, in one pass.
+
+    Raises: RecordingError: the bag cannot be read, is empty, or holds more than memory should take.
+    """
+    found, first_ns = Collected(), None
+    wanted = {entry.topic for entry in mapping.ros.tracker if entry.topic}
+    frames = {entry.frame for entry in mapping.ros.tracker if entry.frame}
+    from_s, to_s = mapping.window.from_s, mapping.window.to_s
+    for message in bag:
+        found.types.setdefault(message.topic, message.kind)
+        first_ns = message.t_ns if first_ns is None else first_ns
+        since_s = (message.t_ns - first_ns) * 1e-9
+        if (from_s > 0.0 and since_s < from_s) or (to_s is not None and since_s > to_s):
+            continue
+        found.counts[message.topic] += 1
+        take = _TAKERS.get(message.kind)
+        if take is None or found.failed[message.topic] == found.counts[message.topic] - 1 >= FAILED_MAX:
+            continue
+        try:
+            take(found, message, since_s, first_ns, (wanted, frames))
+        except NotDecodedError as error:
+            found.failures[message.topic] = str(error)
+            found.failed[message.topic] += 1
+        except (AttributeError, TypeError, ValueError) as error:
+            found.failures[message.topic] = f"its fields are not those of {message.kind}: {error}"
+            found.failed[message.topic] += 1
+    if first_ns is None:
+        raise RecordingError(f"the bag holds no message that can be read{_why(bag)}; record it again")
+    found.first_s = first_ns * 1e-9
+    return found
+
+
+def _why(bag: RosBag) -> str:
+    return f" ({'; '.join(bag.notes)})" if bag.notes else ""
+
+
+def _stamp_s(message: Any, first_ns: int) -> float:
+    """The header's stamp since the bag's first message [s]; NaN where none was written."""
+    stamp = message.header.stamp
+    ns = int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    return (ns - first_ns) * 1e-9 if ns else float("nan")
+
+
+def _joint_state(found: Collected, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
+    fields = message.decode()
+    names, at = tuple(fields.name), (t_s, _stamp_s(fields, first_ns))
+    for name in ("position", "velocity", "effort"):
+        found.add(message.topic, name, names, at, getattr(fields, name))
+
+
+def _dynamic_state(found: Collected, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
+    fields = message.decode()
+    at = (t_s, _stamp_s(fields, first_ns))
+    values: dict[str, list[tuple[str, float]]] = {}
+    for joint, one in zip(fields.joint_names, fields.interface_values, strict=False):
+        for name, value in zip(one.interface_names, one.values, strict=False):
+            values.setdefault(name, []).append((joint, float(value)))
+    for name in ("position", "velocity", "effort"):
+        if name in values:
+            joints, numbers = zip(*values[name], strict=True)
+            found.add(message.topic, name, tuple(joints), at, numbers)
+
+
+def _controller_state(found: Collected, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
+    fields = message.decode()
+    names, at = tuple(fields.joint_names), (t_s, _stamp_s(fields, first_ns))
+    for now, before in (("reference", "desired"), ("feedback", "actual"), ("output", "")):
+        point = getattr(fields, now, None)
+        if (point is None or not len(point.positions)) and before:
+            point = getattr(fields, before, point)
+        if point is None:
+            continue
+        for name in ("positions", "velocities", "effort"):
+            found.add(message.topic, f"{now}.{name}", names, at, getattr(point, name))
+
+
+def _trajectory(found: Collected, message: RosMessage, t_s: float, first_ns: int, _: object) -> None:
+    fields = message.decode()
+    points, names = fields.points, tuple(fields.joint_names)
+    if not points or any(len(point.positions) != len(names) for point in points):
+        return
+    since = np.array([point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in points])
+    known = all(len(point.velocities) == len(names) for point in points)
+    velocities = np.array([point.velocities for point in points], dtype=float) if known else None
+    positions = np.array([point.positions for point in points], dtype=float)
+    one = Trajectory(t_s, _stamp_s(fields, first_ns), names, since, positions, velocities)
+    found.trajectories.setdefault(message.topic, []).append(one)
+
+
+def _array(found: Collected, message: RosMessage, t_s: float, *_: object) -> None:
+    found.add(message.topic, "data", (), (t_s, float("nan")), message.decode().data)
+
+
+def _place(of: Callable[[Any], Any]) -> Callable[..., None]:
+    """A taker of messages that hold one point; `of` gives the part with x, y, z."""
+
+    def take(
+        found: Collected, message: RosMessage, t_s: float, first_ns: int, wanted: tuple[set[str], set[str]]
+    ) -> None:
+        if message.topic in wanted[0] or is_tracker(message.topic):
+            fields = message.decode()
+            place = of(fields)
+            at = (t_s, _stamp_s(fields, first_ns))
+            found.add(message.topic, "xyz", (), at, (place.x, place.y, place.z))
+
+    return take
+
+
+def _transforms(
+    found: Collected, message: RosMessage, t_s: float, first_ns: int, wanted: tuple[set[str], set[str]]
+) -> None:
+    for one in message.decode().transforms:
+        frame = one.child_frame_id.lstrip("/")
+        found.frames[message.topic, frame] += 1
+        if frame in wanted[1] or is_tracker(f"{one.header.frame_id} {frame}"):
+            place = one.transform.translation
+            found.add(message.topic, f"frame {frame}", (), (t_s, _stamp_s(one, first_ns)), (place.x, place.y, place.z))
+
+
+def is_tracker(name: str) -> bool:
+    """Whether a topic or frame is named after a tracker."""
+    return any(word in name.lower() for word in TRACKER_WORDS)
+
+
+_TAKERS: dict[str, Callable[..., None]] = {
+    JOINT_STATE: _joint_state,
+    DYNAMIC_STATE: _dynamic_state,
+    CONTROLLER_STATE: _controller_state,
+    TRAJECTORY: _trajectory,
+    ARRAY: _array,
+    "geometry_msgs/msg/PoseStamped": _place(lambda fields: fields.pose.position),
+    "geometry_msgs/msg/PointStamped": _place(lambda fields: fields.point),
+    "geometry_msgs/msg/TransformStamped": _place(lambda fields: fields.transform.translation),
+    TF: _transforms,
+    "tf/msg/tfMessage": _transforms,
+}
+
+
+def clock_of(found: Collected) -> tuple[bool, str]:
+    """Whether headers' stamps are the time, and what to say of it: not where they are far from the recorder's clock."""
+    apart = [
+        np.nanmedian(np.frombuffer(one.t) - np.frombuffer(one.stamp))
+        for one in found.series.values()
+        if np.isfinite(np.frombuffer(one.stamp)).any()
+    ]
+    if not apart:
+        return False, "no header has a stamp: times are those of recording, later than measured by the transport"
+    worst = max(apart, key=abs)
+    if abs(worst) > CLOCKS_APART_S:
+        return False, f"headers' stamps are {worst:.3g} s from the recorder's clock: times are those of recording"
+    return (
+        True,
+        f"times are the headers' stamps, {1e3 * worst:.2g} ms before recording; commands have none and keep theirs",
+    )
+
+
+def times(series: Series, by_stamp: bool) -> Array:
+    """When each row counts (m,) [s]: by its stamp where there is one."""
+    t, stamp = np.array(series.t), np.array(series.stamp)
+    return np.where(np.isfinite(stamp), stamp, t) if by_stamp else t
+
+
+def series_of(found: Collected, topic: str, name: str) -> Iterator[Series]:
+    """The series of one field of a topic; several where its messages name different joints."""
+    for (of_topic, of_name, _), series in found.series.items():
+        if (of_topic, of_name) == (topic, name):
+            yield series

@@ -1,0 +1,178 @@
+"""What a column of somebody's own table may be: by the words of its name, its unit, and the size of its numbers."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from machine.rotations import Array
+from recording.errors import RecordingError
+from recording.foreign.mapping import ColumnSignal
+
+#: Factor to s, rad, m, rad/s, m/s or a share; by how a unit is written.
+UNITS: dict[str, tuple[str, float]] = {
+    "s": ("time", 1.0),
+    "sec": ("time", 1.0),
+    "ms": ("time", 1e-3),
+    "us": ("time", 1e-6),
+    "µs": ("time", 1e-6),
+    "ns": ("time", 1e-9),
+    "rad": ("angle", 1.0),
+    "mrad": ("angle", 1e-3),
+    "deg": ("angle", math.pi / 180.0),
+    "degree": ("angle", math.pi / 180.0),
+    "degrees": ("angle", math.pi / 180.0),
+    "grad": ("angle", math.pi / 180.0),
+    "°": ("angle", math.pi / 180.0),
+    "m": ("length", 1.0),
+    "cm": ("length", 1e-2),
+    "mm": ("length", 1e-3),
+    "rad/s": ("angle", 1.0),
+    "deg/s": ("angle", math.pi / 180.0),
+    "°/s": ("angle", math.pi / 180.0),
+    "m/s": ("length", 1.0),
+    "mm/s": ("length", 1e-3),
+    "%": ("share", 1e-2),
+    "percent": ("share", 1e-2),
+    "pct": ("share", 1e-2),
+    "frac": ("share", 1.0),
+}
+TIME = {"t", "time", "timestamp", "stamp", "zeit", "sec", "seconds", "elapsed", "clock"}
+VELOCITY = {"qd", "dq", "vel", "velocity", "speed", "dot", "ds", "dtheta", "w", "omega"}
+REFERENCE = {"ref", "reference", "target", "desired", "des", "cmd", "command", "commanded", "set", "setpoint", "goal"}
+REFERENCE |= {"action", "soll", "sp", "leader"}
+POSITION = {
+    "q",
+    "pos",
+    "position",
+    "angle",
+    "theta",
+    "joint",
+    "enc",
+    "encoder",
+    "actual",
+    "state",
+    "stroke",
+    "s",
+    "ist",
+}
+COMMAND = {"u", "valve", "spool", "control", "pwm", "duty", "opening"}
+OTHER = {"tau", "torque", "effort", "current", "acc", "accel", "acceleration", "qdd", "ddq", "temp", "temperature"}
+OTHER |= {"moment", "force", "pressure", "p", "pa", "pb", "xt", "mode", "voltage", "error", "err", "index", "frame"}
+OTHER |= {"status", "episode", "task", "tcp", "speed_scaling", "robot", "safety", "digital", "reward", "done"}
+WHOLE_TURN = 2.0 * math.pi * 1.05
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnGuess:
+    """What a column may be: its signal, joint (a number, or a name), point, unit, and why."""
+
+    signal: ColumnSignal
+    joint: str = ""
+    point: str = ""
+    unit: str = ""
+    why: str = ""
+
+
+def unit_factor(unit: str, signal: ColumnSignal) -> float:
+    """What a number is to be multiplied by. Raises: RecordingError: no unit that this signal can have."""
+    found = UNITS.get(unit.strip().lower())
+    wanted = {
+        "time": ("time",),
+        "u": ("share", "angle", "length"),
+        "x": ("length",),
+        "y": ("length",),
+        "z": ("length",),
+    }
+    if found is None or found[0] not in wanted.get(signal, ("angle", "length")):
+        known = ", ".join(name for name, (kind, _) in UNITS.items() if kind in wanted.get(signal, ("angle", "length")))
+        raise RecordingError(f"unit {unit!r} is none of a column of {signal}; give one of {known}")
+    return found[1]
+
+
+def guess_column(name: str, unit: str, values: Array) -> ColumnGuess:
+    """What a column may be."""
+    bare, named_unit = _without_unit(name)
+    unit = unit or named_unit
+    words = _words(bare)
+    numbers = [word for word in words if word.isdigit()]
+    known = set(words)
+    rest = "_".join(
+        word for word in words if word not in REFERENCE | POSITION | VELOCITY | COMMAND and not word.isdigit()
+    )
+    joint = numbers[-1] if numbers else rest
+    if not np.isfinite(values).any():
+        return ColumnGuess("ignored", why="holds no number")
+    if known & TIME and not known & (REFERENCE | POSITION | VELOCITY) - {"s"}:
+        return _time(unit, values)
+    if known & OTHER:
+        return ColumnGuess("ignored", why="not a signal that the diagnosis uses, by its name")
+    axis = next((word for word in reversed(words) if word in ("x", "y", "z")), "")
+    if axis and not known & (REFERENCE | VELOCITY):
+        point = "_".join(word for word in words if word not in ("x", "y", "z", "pos", "position")) or "point"
+        return ColumnGuess(axis, point=point, unit=unit or "m", why="a point's coordinate, by its name")  # type: ignore[arg-type]
+    if known & VELOCITY:
+        if known & REFERENCE:
+            return ColumnGuess(
+                "qd_ref", joint, unit=unit or _angle_unit(values, 20.0), why="velocity reference, by its name"
+            )
+        return ColumnGuess("ignored", why="a measured velocity is not used: it follows from the encoders")
+    if known & COMMAND and not known & (POSITION - {"s"}):
+        return ColumnGuess("u", joint, unit=unit or _share_unit(values), why="command, by its name")
+    if known & REFERENCE:
+        return ColumnGuess("q_ref", joint, unit=unit or _angle_unit(values), why="reference, by its name")
+    if known & POSITION:
+        return ColumnGuess("q", joint, unit=unit or _angle_unit(values), why="encoder, by its name")
+    return ColumnGuess("ignored", why="its name says nothing; name it in a mapping file to use it")
+
+
+def _without_unit(name: str) -> tuple[str, str]:
+    """The name without a unit in brackets or behind its last underscore, and the unit."""
+    bracket = re.search(r"[\[(]\s*([^\])]+?)\s*[\])]", name)
+    if bracket and bracket[1].lower() in UNITS:
+        return name[: bracket.start()] + name[bracket.end() :], bracket[1].lower()
+    head, _, tail = name.rpartition("_")
+    if head and tail.lower() in UNITS and not tail.isdigit() and tail.lower() not in ("m", "s"):
+        return head, tail.lower()
+    if head and tail in ("m", "s") and not re.fullmatch(r"[qu]", head):
+        return head, tail
+    return name, ""
+
+
+def _words(name: str) -> list[str]:
+    spaced = re.sub(r"([a-z])([A-Z])", r"\1 \2", name)
+    return [word.lower() for word in re.findall(r"[A-Za-z]+|\d+", spaced)]
+
+
+def _time(unit: str, values: Array) -> ColumnGuess:
+    if unit:
+        return ColumnGuess("time", unit=unit, why="time, by its name")
+    finite = values[np.isfinite(values)]
+    largest, step = float(np.abs(finite).max()), float(np.median(np.abs(np.diff(finite)))) if len(finite) > 1 else 0.0
+    for least, written in ((1e17, "ns"), (1e14, "us"), (1e11, "ms")):
+        if largest > least:
+            return ColumnGuess("time", unit=written, why="time since 1970, by its name and size")
+    written = "s" if step < 0.5 else "ms" if step < 500.0 else "us"
+    return ColumnGuess("time", unit=written, why=f"time, by its name; unit by its step of {step:g}")
+
+
+def _angle_unit(values: Array, largest_rad: float = WHOLE_TURN) -> str:
+    """Degrees where an arm's radians could not be so large."""
+    return "deg" if float(np.nanmax(np.abs(values))) > largest_rad else "rad"
+
+
+def _share_unit(values: Array) -> str:
+    return "%" if float(np.nanmax(np.abs(values))) > 1.5 else "frac"
+
+
+def joint_numbers(joints: Sequence[str]) -> dict[str, int]:
+    """The joints' places from 1: numbers count from the smallest, which is 0 or 1; names as they come."""
+    numbers = sorted({int(joint) for joint in joints if joint.isdigit()})
+    first = numbers[0] if numbers and numbers[0] in (0, 1) else 1
+    out = {str(number): number - first + 1 for number in numbers}
+    for joint in joints:
+        if joint not in out:
+            out[joint] = len(out) + 1
+    return out

@@ -1,0 +1,177 @@
+"""The columns of a table as signals: by the mapping file, else guessed, which has to be confirmed."""
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from machine.rotations import Array
+from recording.errors import RecordingError
+from recording.foreign.found import Entry, Found, JointSignal, Kind, PointTrack, in_time_order
+from recording.foreign.mapping import Column, Mapping
+from recording.foreign.table_files import TableColumn, read_table
+from recording.foreign.table_names import guess_column, joint_numbers, unit_factor
+
+KINDS: dict[str, Kind] = {"q": "position", "q_ref": "reference", "qd_ref": "velocity_reference", "u": "command"}
+
+
+def table_found(path: Path, mapping: Mapping) -> Found:
+    """What a table holds, and what each column is taken for.
+
+    Raises: RecordingError: unreadable, a column of the mapping that is not there, no time, or no joint.
+    """
+    columns = read_table(path)
+    wanted = _mapped(columns, mapping, path) if mapping.column else _guessed(columns)
+    found = Found(numbered=True)
+    clock = _clock(columns, wanted, mapping, path)
+    found.started_s = clock[1]
+    kinds: dict[Kind, list[tuple[int, JointSignal]]] = {}
+    for column in columns:
+        one, guess = wanted.get(column.name), not mapping.column
+        if one is None or one.signal == "ignored":
+            why = "not in the mapping file" if mapping.column else _why_ignored(column)
+            found.entries.append(Entry(column.name, "", len(column.values), "ignored", why))
+            continue
+        joint = f" of joint {one.joint}" if one.joint else f" of point {one.point}" if one.point else ""
+        how = "guessed" if guess else "as the mapping says"
+        found.entries.append(
+            Entry(
+                column.name, one.signal, len(column.values), "used", f"{one.signal}{joint} in {one.unit}, {how}", guess
+            )
+        )
+        if one.signal in KINDS:
+            kinds.setdefault(KINDS[one.signal], []).append((one.joint or 1, _signal(column, one, clock[0])))
+    for kind, several in kinds.items():
+        found.signals += _together(kind, several)
+    found.points += _points(columns, wanted, clock[0])
+    found.command_kind = _command_kind(wanted.values())
+    found.proposal = proposal(wanted.values())
+    if not found.of("position") and not found.points:
+        raise RecordingError(
+            f"{path}: no column is a joint's position; its columns are {_names(columns)}: name them in a mapping file"
+        )
+    return found
+
+
+def _why_ignored(column: TableColumn) -> str:
+    guess = guess_column(column.name, column.unit, column.values)
+    return guess.why if guess.signal == "ignored" else f"{guess.why}; another column is taken for it"
+
+
+def _names(columns: Sequence[TableColumn]) -> str:
+    return ", ".join(column.name for column in columns[:30])
+
+
+def _mapped(columns: Sequence[TableColumn], mapping: Mapping, path: Path) -> dict[str, Column]:
+    known = {column.name for column in columns}
+    for one in mapping.column:
+        if one.name not in known:
+            raise RecordingError(f"{path} has no column {one.name!r} of the mapping; it has {_names(columns)}")
+        if one.signal in ("q", "q_ref", "qd_ref", "u") and one.joint is None:
+            raise RecordingError(f"mapping: column {one.name!r} is {one.signal}: give its joint, from 1")
+        if one.signal != "ignored":
+            unit_factor(one.unit, one.signal)
+    return {one.name: one for one in mapping.column}
+
+
+def _guessed(columns: Sequence[TableColumn]) -> dict[str, Column]:
+    guesses = {column.name: guess_column(column.name, column.unit, column.values) for column in columns}
+    places = joint_numbers([one.joint for one in guesses.values() if one.signal in KINDS])
+    out: dict[str, Column] = {}
+    taken: set[tuple[str, int | str]] = set()
+    for name, one in guesses.items():
+        joint = places[one.joint] if one.signal in KINDS else None
+        key = (one.signal, joint if joint is not None else one.point)
+        if one.signal == "ignored" or key in taken:
+            continue
+        taken.add(key)
+        unit = _alike(one.signal, one.unit, [other.unit for other in guesses.values() if other.signal == one.signal])
+        out[name] = Column(name=name, signal=one.signal, joint=joint, point=one.point, unit=unit)
+    return out
+
+
+def _alike(signal: str, unit: str, units: Sequence[str]) -> str:
+    """One joint beyond a whole turn in rad makes all of its kind degrees: nobody writes both."""
+    return "deg" if signal in ("q", "q_ref", "qd_ref") and unit == "rad" and "deg" in units else unit
+
+
+def _clock(
+    columns: Sequence[TableColumn], wanted: dict[str, Column], mapping: Mapping, path: Path
+) -> tuple[Array | None, float]:
+    """The table's times (m,) [s] since the first, and the first [s since 1970] if it is; None: columns have theirs."""
+    named = [column for column in columns if column.name in wanted and wanted[column.name].signal == "time"]
+    if named:
+        times = named[0].values * unit_factor(wanted[named[0].name].unit, "time")
+        first = float(times[np.isfinite(times)][0])
+        return times - first, first if first > 1e8 else 0.0
+    if all(column.t_s is not None for column in columns):
+        return None, 0.0
+    if mapping.rate_hz is not None:
+        return np.arange(len(columns[0].values)) / mapping.rate_hz, 0.0
+    raise RecordingError(
+        f"{path} has no column of times ({_names(columns)}); name one in a mapping file, or give its rate_hz there"
+    )
+
+
+def _signal(column: TableColumn, one: Column, clock: Array | None) -> JointSignal:
+    t = column.t_s if clock is None else clock
+    assert t is not None  # _clock: every column has times of its own where the table has none
+    good = np.isfinite(t)
+    t, values = in_time_order(t[good], column.values[good] * unit_factor(one.unit, one.signal))
+    return JointSignal(KINDS[one.signal], column.name, (f"joint{one.joint}",), t, values[:, None], one.signal == "u")
+
+
+def _together(kind: Kind, several: Sequence[tuple[int, JointSignal]]) -> list[JointSignal]:
+    """Joints on one time axis as one signal; others stay apart."""
+    groups: list[list[tuple[int, JointSignal]]] = []
+    for number, one in sorted(several, key=lambda pair: pair[0]):
+        group = next((g for g in groups if np.array_equal(g[0][1].t_s, one.t_s)), None)
+        if group is None:
+            groups.append([(number, one)])
+        else:
+            group.append((number, one))
+    out = []
+    for group in groups:
+        signals = [one for _, one in group]
+        values = np.hstack([one.values for one in signals])
+        names = tuple(one.names[0] for one in signals)
+        out.append(JointSignal(kind, signals[0].source, names, signals[0].t_s, values, signals[0].held))
+    return out
+
+
+def _points(columns: Sequence[TableColumn], wanted: dict[str, Column], clock: Array | None) -> list[PointTrack]:
+    axes: dict[str, dict[str, TableColumn]] = {}
+    for column in columns:
+        one = wanted.get(column.name)
+        if one is not None and one.signal in ("x", "y", "z"):
+            axes.setdefault(one.point or "point", {})[one.signal] = column
+    out = []
+    for point, three in axes.items():
+        t = clock if clock is not None else three[min(three)].t_s
+        if len(three) < 3 or t is None:
+            continue
+        xyz = np.stack(
+            [three[a].values * unit_factor(wanted[three[a].name].unit, "x") for a in ("x", "y", "z")], axis=1
+        )
+        good = np.isfinite(t)
+        out.append(PointTrack(point, three["x"].name, *in_time_order(t[good], xyz[good])))
+    return out
+
+
+def _command_kind(columns: Iterable[Column]) -> str:
+    units = [one.unit for one in columns if one.signal == "u"]
+    if not units:
+        return ""
+    return "valve" if units[0].lower() in ("frac", "%", "percent", "pct") else "velocity"
+
+
+def proposal(columns: Iterable[Column]) -> str:
+    """The guesses as a mapping file, to be corrected."""
+    lines = []
+    for one in columns:
+        lines += ["[[column]]", f"name = {json.dumps(one.name)}", f'signal = "{one.signal}"']
+        lines += [f"joint = {one.joint}"] if one.joint is not None else []
+        lines += [f"point = {json.dumps(one.point)}"] if one.point else []
+        lines += [f"unit = {json.dumps(one.unit)}", ""]
+    return "\n".join(lines)

@@ -1,0 +1,206 @@
+"""Lens of one eye or of a stereo rig from a board's corners, by least squares over all views, with covariance."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import cv2
+import numpy as np
+
+from server.calibration.contracts import Array
+
+LENS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
+RIG = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
+CORNERS_MIN = 8  # of one view in one eye
+VIEWS_MIN = 6
+ITERATIONS_MAX = 60
+OUTLIER_RMS = 4.0  # times the median view's: the board was bent, blurred or taken for another
+
+
+class LensFitError(ValueError):
+    """Views that give no lens; says why and what to photograph."""
+
+
+@dataclass(frozen=True, slots=True)
+class BoardView:
+    """One picture of the board: for each eye, points (n, 3) [m, board] and corners (n, 2) [px]; None if not seen."""
+
+    name: str
+    eyes: tuple[tuple[Array, Array] | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LensFit:
+    """`lenses`: each eye's numbers in the order of `LENS` (eyes, 9); `rig`: rotation vector [rad] and translation [m]
+    that take the left eye's points to the right one's (6,), None for one eye. `covariance`: of the lenses and the rig,
+    in this order. `rms_px`: per coordinate; `view_rms_px`: of each used view; `dropped`: views left out, and why.
+    `boards`: rotation vector and translation of the board in the left eye, of each used view (views, 6).
+    """
+
+    size_px: tuple[int, int]
+    lenses: Array
+    rig: Array | None
+    covariance: Array
+    rms_px: float
+    view_rms_px: Array
+    used: tuple[str, ...]
+    dropped: tuple[tuple[str, str], ...]
+    boards: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each row of the covariance is."""
+        eyes = ("left", "right") if len(self.lenses) == 2 else ("lens",)
+        return tuple(f"{eye}.{name}" for eye in eyes for name in LENS) + (() if self.rig is None else RIG)
+
+    @property
+    def values(self) -> Array:
+        """The numbers that `names` names."""
+        return np.concatenate([self.lenses.ravel(), *([] if self.rig is None else [self.rig])])
+
+
+def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
+    """The lens or the rig that all views agree on best.
+
+    Model:   minimum of the sum over views, eyes, corners of |pi(T_eye_board X) - u|^2 over five-coefficient lenses, the
+             rig and every board's pose, by Levenberg-Marquardt. Covariance s^2 (J^T J)^-1 with s^2 from the residuals.
+             Views whose rms is beyond four times the median's are left out, and it is fitted again.
+    Raises:  LensFitError: too few views, or all of them alike.
+    Source:  Zhang 2000; OpenCV projectPoints and composeRT for the derivatives.
+    """
+    usable = [view for view in views if _seen(view) and _is_whole(view)]
+    dropped = [(view.name, f"fewer than {CORNERS_MIN} corners in an eye") for view in views if view not in usable]
+    fitted = _fitted(usable, size_px)
+    outlying = fitted.view_rms_px > OUTLIER_RMS * np.median(fitted.view_rms_px)
+    if outlying.any():
+        limit = f"its rms is beyond {OUTLIER_RMS:g} times the median's"
+        dropped += [
+            (view.name, f"{rms:.2f} px: {limit}")
+            for view, rms, off in zip(usable, fitted.view_rms_px, outlying, strict=True)
+            if off
+        ]
+        fitted = _fitted([view for view, off in zip(usable, outlying, strict=True) if not off], size_px)
+    return replace(fitted, dropped=tuple(dropped))
+
+
+def _seen(view: BoardView) -> bool:
+    return any(eye is not None for eye in view.eyes)
+
+
+def _is_whole(view: BoardView) -> bool:
+    return all(eye is not None and len(eye[0]) >= CORNERS_MIN for eye in view.eyes)
+
+
+def _fitted(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
+    if len(views) < VIEWS_MIN:
+        raise LensFitError(f"{len(views)} views show the board well, at least {VIEWS_MIN} are needed; photograph more")
+    problem = _Problem(views)
+    x = problem.start(size_px)
+    residuals, J = problem.evaluate(x)
+    damping = 1e-3
+    for _ in range(ITERATIONS_MAX):
+        H, g = J.T @ J, J.T @ residuals
+        step = -np.linalg.solve(H + damping * np.diag(np.diag(H)), g)
+        tried, tried_J = problem.evaluate(x + step)
+        if tried @ tried <= residuals @ residuals:
+            gain = float(residuals @ residuals - tried @ tried)
+            x, residuals, J, damping = x + step, tried, tried_J, max(0.1 * damping, 1e-12)
+            if gain < 1e-12 * float(tried @ tried) + 1e-18:
+                break
+        elif (damping := 10.0 * damping) > 1e10:
+            break
+    H = J.T @ J
+    scale = np.sqrt(np.diag(H))
+    scaled = H / np.outer(scale, scale)
+    if not np.isfinite(scaled).all() or np.linalg.eigvalsh(scaled)[0] < 1e-13:
+        raise LensFitError("the views do not tell focal length from distance; tilt the board by 30 deg and more")
+    variance = float(residuals @ residuals) / max(len(residuals) - len(x), 1)
+    covariance = variance * np.linalg.inv(scaled) / np.outer(scale, scale)
+    return problem.result(x, covariance, residuals, size_px)
+
+
+class _Problem:
+    """Unknowns: each eye's lens, the rig, then six numbers a view."""
+
+    def __init__(self, views: Sequence[BoardView]) -> None:
+        self._views = views
+        self._eyes = len(views[0].eyes)
+        self._fixed = 9 * self._eyes + (6 if self._eyes == 2 else 0)
+        self._data = [
+            [(np.ascontiguousarray(points), np.ascontiguousarray(px)) for points, px in (e for e in view.eyes if e)]
+            for view in views
+        ]
+
+    def start(self, size_px: tuple[int, int]) -> Array:
+        """Each eye by itself, then the rig as the median of what the views say."""
+        lenses, poses = [], []
+        for eye in range(self._eyes):
+            points = [data[eye][0].astype(np.float32) for data in self._data]
+            corners = [data[eye][1].astype(np.float32) for data in self._data]
+            try:
+                _, K, d, rvecs, tvecs = cv2.calibrateCamera(points, corners, size_px, None, None)  # type: ignore[call-overload]
+            except cv2.error as error:
+                raise LensFitError("no lens fits these views; check the board's squares and sizes") from error
+            lenses.append([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *d.ravel()[:5]])
+            poses.append(np.hstack([np.array(rvecs).reshape(-1, 3), np.array(tvecs).reshape(-1, 3)]))
+        parts = [np.array(lenses).ravel()]
+        if self._eyes == 2:
+            relative = [cv2.composeRT(*_inverse(left), *_split(right))[:2] for left, right in zip(*poses, strict=True)]
+            parts.append(np.median([np.concatenate([r.ravel(), t.ravel()]) for r, t in relative], axis=0))
+        return np.concatenate([*parts, poses[0].ravel()])
+
+    def evaluate(self, x: Array) -> tuple[Array, Array]:
+        """Residuals (m,) [px] and Jacobian (m, p)."""
+        rig = x[9 * self._eyes : self._fixed]
+        blocks, rows = [], []
+        for number, data in enumerate(self._data):
+            at = self._fixed + 6 * number
+            board = x[at : at + 6]
+            for eye, (points, px) in enumerate(data):
+                lens = x[9 * eye : 9 * eye + 9]
+                K = np.array([[lens[0], 0.0, lens[2]], [0.0, lens[1], lens[3]], [0.0, 0.0, 1.0]])
+                r, t = _split(board)
+                chain = None
+                if eye == 1:
+                    r, t, *chain = cv2.composeRT(r, t, *_split(rig))
+                seen, J = cv2.projectPoints(points, r, t, K, lens[4:])
+                row = np.zeros((2 * len(px), len(x)))
+                row[:, 9 * eye : 9 * eye + 9] = J[:, 6:15]
+                if chain is None:
+                    row[:, at : at + 6] = J[:, :6]
+                else:
+                    dr_r1, dr_t1, dr_r2, dr_t2, dt_r1, dt_t1, dt_r2, dt_t2 = chain
+                    turn, move = J[:, :3], J[:, 3:6]
+                    row[:, at : at + 3] = turn @ dr_r1 + move @ dt_r1
+                    row[:, at + 3 : at + 6] = turn @ dr_t1 + move @ dt_t1
+                    row[:, self._fixed - 6 : self._fixed - 3] = turn @ dr_r2 + move @ dt_r2
+                    row[:, self._fixed - 3 : self._fixed] = turn @ dr_t2 + move @ dt_t2
+                blocks.append((seen.reshape(-1, 2) - px).ravel())
+                rows.append(row)
+        return np.concatenate(blocks), np.vstack(rows)
+
+    def result(self, x: Array, covariance: Array, residuals: Array, size_px: tuple[int, int]) -> LensFit:
+        """The fit in the caller's form."""
+        counts = [sum(px.size for _, px in data) for data in self._data]
+        ends = np.cumsum([0, *counts])
+        rms = [float(np.sqrt(np.mean(residuals[first:end] ** 2))) for first, end in pairwise(ends)]
+        return LensFit(
+            size_px=size_px,
+            lenses=x[: 9 * self._eyes].reshape(self._eyes, 9),
+            rig=x[9 * self._eyes : self._fixed] if self._eyes == 2 else None,
+            covariance=covariance[: self._fixed, : self._fixed],
+            rms_px=float(np.sqrt(np.mean(residuals**2))),
+            view_rms_px=np.array(rms),
+            used=tuple(view.name for view in self._views),
+            dropped=(),
+            boards=x[self._fixed :].reshape(-1, 6),
+        )
+
+
+def _split(pose: Array) -> tuple[Array, Array]:
+    return np.ascontiguousarray(pose[:3]), np.ascontiguousarray(pose[3:6])
+
+
+def _inverse(pose: Array) -> tuple[Array, Array]:
+    R, _ = cv2.Rodrigues(np.ascontiguousarray(pose[:3]))
+    return np.ascontiguousarray(-pose[:3]), np.ascontiguousarray(-R.T @ pose[3:6])
