@@ -2,8 +2,8 @@
 
 Each term is an exact identity at its neutral value, so that the nominal model comes out bit by bit. The fixed order is
 delay and loss, rounding, rate limit | controller, its lag, its clip | valve hysteresis, lag, nominal spool, dead band,
-flow and load, stiction, pump sharing, leakage, friction, oil spring | encoder | backlash, flexibility. Columns of the parameter arrays are
-constants of this file, since a compiled cache sees changes of its own file only.
+flow and load, stiction, pump sharing, leakage, friction, oil spring | encoder | backlash, flexibility. Columns of the
+parameter arrays are constants of this file, since a compiled cache sees changes of its own file only.
 """
 
 import numpy as np
