@@ -194,7 +194,7 @@ def _postures(q: Array) -> NDArray[np.int64]:
     Why: what a model is wrong by in one posture it is wrong by whenever the arm comes back, so that the frames of one
     posture do not speak for themselves, however far apart in time.
     """
-    _, group = kmeans2(q, min(POSTURES, len(q)), minit="++", seed=0)
+    _, group = kmeans2(q, min(POSTURES, len(q)), minit="++", rng=np.random.default_rng(0))
     return np.unique(group, return_inverse=True)[1].astype(np.int64)
 
 

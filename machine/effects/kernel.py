@@ -304,7 +304,7 @@ def _alone(
             row, until = row + 1, decimate
         until -= 1
         if first == LINK:
-            a, b = kept[latest[max(k - whole, 0)]], kept[latest[max(k - whole - 1, 0)]]
+            a, b = int(kept[latest[max(k - whole, 0)]]), int(kept[latest[max(k - whole - 1, 0)]])
             ref = _received(_between(sent[a, 0], sent[b, 0], part), ref, step, most)
         elif first == CONTROLLER:
             ref = ref_in[k, 0]
@@ -379,7 +379,7 @@ def _together(
             row, until = row + 1, decimate
         until -= 1
         if first == LINK:
-            a, b = kept[latest[max(k - whole, 0)]], kept[latest[max(k - whole - 1, 0)]]
+            a, b = int(kept[latest[max(k - whole, 0)]]), int(kept[latest[max(k - whole - 1, 0)]])
             for j in range(n):
                 ref[j] = _received(_between(sent[a, j], sent[b, j], part), ref[j], P[j, STEP], P[j, RATE] * cycle_s)
         elif first == CONTROLLER:

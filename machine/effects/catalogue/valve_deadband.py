@@ -16,7 +16,7 @@ EFFECT = Effect(
             start=0.04,
             prior=Prior("half_normal", 0.04),
             meaning="spool opening, of full command, within which no oil flows",
-            open_frac=0.02,  # where a rounded edge of the spool begins
+            open_frac=0.05,  # where a rounded edge of the spool begins, and what friction takes of small openings
         ),
     ),
     choice=Choice("full_flow", ("kept", "lost"), "whether a full command still gives the full flow"),
