@@ -44,7 +44,7 @@ def true_entries(world: World) -> tuple[EffectEntry, ...]:
     out = []
     for one in true_effects(world):
         effect = effect_named(one["name"])
-        if effect is None:
+        if effect is None or one["value"] is None:
             continue
         given = dict(one["parameters"])
         vector = given.pop("vector", None)

@@ -9,10 +9,19 @@ from machine.rotations import rotvec_from_rotation
 from sim_plc.world import World
 
 SPRING_OF = {2: 0, 3: 2}  # joints (1-based) with a spring about their own axis
+#: What the fine plant has in terms of its own: no number of the catalogue can be held against it.
+UNSIZED = (
+    *(("joint_friction", joint) for joint in range(1, 7)),
+    *(("oil_compliance", joint) for joint in range(1, 7)),
+    *(("link_flexibility", joint) for joint in range(1, 4)),
+    *((name, joint) for name in ("valve_asymmetry", "load_droop", "flow_gain_error") for joint in (2, 3)),  # cylinders
+)
 
 
 def true_effects(world: World) -> list[dict[str, Any]]:
-    """One line an effect: name, joint, sizes in the catalogue's units."""
+    """One line an effect: name, joint, sizes in the catalogue's units; `value`: of the size, None where the plant has
+    it in other terms. What each costs at the tool is not worked out.
+    """
     nominal, plant, camera = world.nominal, world.plant, world.camera
     arm, out = plant.kinematics, []
     for number, joint in enumerate(nominal.joints, start=1):
@@ -45,11 +54,14 @@ def true_effects(world: World) -> list[dict[str, Any]]:
     centre = [left.cx_px - own.cx_px, left.cy_px - own.cy_px]
     out.append(_line("principal_point_error", None, shift_px=float(np.linalg.norm(centre)), vector=centre))
     out.append(_line("lens_distortion", None, k1=left.distortion[0] - own.distortion[0]))
-    out.append(_line("disparity_bias (not in the catalogue)", None, px=camera.right.cx_px - left.cx_px))
+    turned = abs(camera.right.cx_px - left.cx_px) / left.fx_px  # a shifted image is nearly a turned eye
+    out.append(_line("stereo_misalignment", None, angle_rad=turned))
     out.append(_line("camera_latency", None, latency_s=camera.latency_s))
     out.append(_line("rolling_shutter", None, readout_s=camera.readout_s))
-    return out
+    return [*out, *(_line(name, joint) for name, joint in UNSIZED)]
 
 
 def _line(name: str, joint: int | None, **values: Any) -> dict[str, Any]:
-    return {"name": name, "joint": joint, "parameters": values}
+    value = next((float(one) for one in values.values() if isinstance(one, float)), None)
+    known = {"catalogue": True, "tip_mm": None, "seen_mm": None}
+    return {"name": name, "joint": joint, "parameters": values, "value": value, **known}

@@ -32,7 +32,7 @@ def calibrated(scores: Scores) -> dict[str, Any]:
     return {
         "intercept": round(intercept, 4),
         "weights": {name: round(float(weight), 4) for name, weight in zip(FEATURES, weights, strict=True)},
-        "fitted_on": f"{len(scores)} cases of the third plant by `longreach bench first-day --calibrate`",
+        "fitted_on": f"{len(scores)} cases by `longreach bench first-day --calibrate`",
         "cases": len(scores),
         "effects": len(right),
         "right": int(right.sum()),

@@ -27,7 +27,7 @@ def first_day(
     n: Annotated[int, typer.Option(help="cases")] = 21,
     first: Annotated[int, typer.Option(help="number of the first case")] = 0,
     seed: Annotated[int, typer.Option(help="of the campaign; from 1000 on they train, below they judge")] = 1,
-    kind: Annotated[str, typer.Option(help="a kind of the third plant, or mixed")] = "mixed",
+    kind: Annotated[str, typer.Option(help="a kind of the third plant, mixed, or realistic")] = "mixed",
     recording: Annotated[str | None, typer.Option(help="another recording than the kind's own")] = None,
     shorten: Annotated[float, typer.Option(help="of the motion's length: shorter cases cost less", max=1.0)] = 1.0,
     workers: Annotated[int, typer.Option(help="cases at a time")] = 1,

@@ -1,4 +1,4 @@
-"""One sealed case after another: the third plant and the diagnosis in processes of their own; a line of JSON each."""
+"""One case after another: a plant and the diagnosis in processes of their own; a line of JSON each."""
 
 import hashlib
 import json
@@ -19,6 +19,8 @@ from longreach.code_mark import code_mark
 from longreach.one_thread import ONE_THREAD
 
 PLANT = "benchmarks.diagnosis.sealed.third_plant"
+DRAWN = "benchmarks.identify"
+REALISTIC = "realistic"  # the fine plant with every number of the preset drawn, driven by `identify`
 CASE_S = 3600.0  # a process that takes longer is stopped, and its case is run again next time
 BAD_INPUT = 2  # exit code of a recording that the diagnosis does not take: an answer, not a crash
 POORER = ("no_repeats", "one_job", "no_tracker", "camera_only", "static_only")
@@ -36,7 +38,7 @@ class FirstDayError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Campaign:
-    """What is asked for. `kind`: one of the third plant's, or "mixed". `recording`: in place of the kind's own.
+    """What is asked for. `kind`: one of the third plant's, "mixed", or "realistic". `recording`: not the kind's own.
 
     `shorten`: of the motion's length, for cases that cost less.
     """
@@ -103,23 +105,17 @@ def read_scored(files: Sequence[Path]) -> list[Scored]:
 def _case(campaign: Campaign, number: int) -> Scored | None:
     """One case from its truth to its answer; None where a process crashed or was stopped."""
     folder, kind = campaign.folder / campaign.name / f"{number:04d}", campaign.kind_of(number)
-    drawn = ["--n", "1", "--first", str(number), "--seed", str(campaign.seed), "--kind", kind]
-    drawn += ["--shorten", str(campaign.shorten)]
-    recording = ["--recording", campaign.recording] if campaign.recording else []
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    if _run(["-m", PLANT, str(folder), *drawn, *recording], folder) != 0:
+    made = _drawn_machine(campaign, number, folder) if kind == REALISTIC else _third_plant(campaign, number, folder)
+    if made is None:
         return None
-    given, answer = folder / f"case_{number:03d}", folder / "answer.json"
+    (given, truth), answer = made, folder / "answer.json"
     began = time.monotonic()
     code = _run(["-m", "longreach.cli", "diagnose", str(given), "--json", str(answer)], folder)
     if code not in (0, BAD_INPUT):
         return None
     seconds = time.monotonic() - began
-    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))[given.name]
-    seal = json.loads((given / "seal.json").read_text(encoding="utf-8"))["sha256"]
-    if seal != hashlib.sha256(json.dumps(truth, sort_keys=True).encode()).hexdigest():
-        raise FirstDayError(f"{folder}: the truth does not fit its seal; delete the folder and run the case again")
     said = json.loads(answer.read_text(encoding="utf-8")) if code == 0 else {"verdict": "refused"}
     for file in given.glob("*.csv"):
         file.unlink()  # the third plant makes it again from its numbers
@@ -133,6 +129,30 @@ def _case(campaign: Campaign, number: int) -> Scored | None:
         "truth": truth,
         "answer": {key: said[key] for key in KEPT if key in said},
     }
+
+
+def _third_plant(campaign: Campaign, number: int, folder: Path) -> tuple[Path, Scored] | None:
+    """A case of the third plant: its recording and its truth, whose hash is sealed in the recording."""
+    drawn = ["--n", "1", "--first", str(number), "--seed", str(campaign.seed), "--kind", campaign.kind_of(number)]
+    drawn += ["--shorten", str(campaign.shorten)]
+    recording = ["--recording", campaign.recording] if campaign.recording else []
+    if _run(["-m", PLANT, str(folder), *drawn, *recording], folder) != 0:
+        return None
+    given = folder / f"case_{number:03d}"
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))[given.name]
+    seal = json.loads((given / "seal.json").read_text(encoding="utf-8"))["sha256"]
+    if seal != hashlib.sha256(json.dumps(truth, sort_keys=True).encode()).hexdigest():
+        raise FirstDayError(f"{folder}: the truth does not fit its seal; delete the folder and run the case again")
+    return given, truth
+
+
+def _drawn_machine(campaign: Campaign, number: int, folder: Path) -> tuple[Path, Scored] | None:
+    """A machine of preset `realistic`, identified in virtual time; what its truth says, in the third plant's form."""
+    seed = 1000 * campaign.seed + number
+    if _run(["-m", DRAWN, str(folder), "--seed", str(seed)], folder) != 0:
+        return None
+    own = folder / f"seed{seed}"
+    return own / "recording", json.loads((own / "truth.json").read_text(encoding="utf-8"))
 
 
 def _run(arguments: list[str], folder: Path) -> int | None:

@@ -128,7 +128,7 @@ def _compared(entry: Entry, effects: Sequence[Entry], total: float, true_total: 
         there=equal is not None,
         by_equal=same is None and equal is not None,
         right=_size_is_right(entry, same) if same is not None else equal is not None,
-        inside=None if same is None else _within(entry, same, 1.0),
+        inside=None if same is None or same["value"] is None else _within(entry, same, 1.0),
         share=mm**2 / total if total > 0.0 else 0.0,
         true_share=_true_mm2(same) / true_total if same is not None and true_total > 0.0 else None,
     )
@@ -153,6 +153,8 @@ def _holds(entry: Entry, effect: Entry) -> bool:
 
 
 def _size_is_right(entry: Entry, effect: Entry) -> bool:
+    if effect["value"] is None:  # the plant has it, and no number that the catalogue could be held to
+        return True
     value, true = _size(entry, effect)["value"], float(effect["value"])
     return abs(value - true) <= CLOSE * abs(true) or _within(entry, effect, WIDER)
 
