@@ -44,18 +44,18 @@ COMMANDS = (
     Lazy(
         "compare",
         "longreach.compare_command:compare",
-        "Replay a recording against machine files: how far each misses the tool over time, in mm.",
+        "Replay a recording against machine files: the miss at the tool over time [mm], for each.",
     ),
     Lazy(
         "hand-eye",
         "longreach.hand_eye_command:hand_eye",
-        "Find where a camera sits from poses of the hand and of a target, with its covariance, or say why not.",
+        "Find a camera's mount from poses of hand and target. Exit code 0: found, 1: not, and why.",
     ),
     Lazy("demo", "longreach.demo:demo", "Start everything on this computer and show where the panel is."),
     Lazy(
         "diagnose",
         "longreach.diagnose_command:diagnose",
-        "Diagnose the gap between a recording and its nominal machine.",
+        "Diagnose the gap between a recording and its nominal machine. A ROS bag or a table is converted first.",
     ),
     Lazy(
         "diagnose-fleet",
