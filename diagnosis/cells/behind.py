@@ -138,7 +138,7 @@ def _rows(rows: list[Rows]) -> Rows:
         return np.concatenate(out).astype(np.int64)
 
     fold = np.concatenate([one.fold for one in rows]).astype(np.int64)
-    return Rows(fold, shifted("block"), shifted("series"), shifted("channel"))
+    return Rows(fold, shifted("block"), shifted("series"), shifted("channel"), alike=shifted("together"))
 
 
 def _columns(part: Cell) -> tuple[bool, list[int] | None]:

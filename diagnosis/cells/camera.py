@@ -126,7 +126,7 @@ def _cell(
     record = nominal.remainder("camera", on=on)
     rows, t_s = _rows(frames)
     if on == "ooi":
-        rows = replace(rows, block=_postures(link_angles(paths, base, 0, at, frames.t_s))[_frame_of_rows(frames)])
+        rows = replace(rows, alike=_postures(link_angles(paths, base, 0, at, frames.t_s))[_frame_of_rows(frames)])
     noise = noise.with_remainder(record)
     left = _share_left(record, noise) if record is not None else 0.0
     off_m = (nominal.sensors.layout_m or LAYOUT_M) if record is None else 0.0  # a baseline has them in its remainder

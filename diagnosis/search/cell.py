@@ -32,7 +32,8 @@ DRIVEN_STAGES = ("link", "controller", "actuator")  # driven and sampled evenly 
 class Rows:
     """What each residual (N,) belongs to: fold (left out together), block (scored together), series, channel.
 
-    `whole`: blocks before one of them was cut into pieces (`search/rare.py`); None where none was.
+    `whole`: blocks before one of them was cut into pieces (`search/rare.py`); None where none was. `alike`: rows that a
+    model is wrong by alike (one posture), as numbers; None: those of a block.
     """
 
     fold: NDArray[np.int64]
@@ -40,6 +41,12 @@ class Rows:
     series: NDArray[np.int64]
     channel: NDArray[np.int64]
     whole: NDArray[np.int64] | None = None
+    alike: NDArray[np.int64] | None = None
+
+    @property
+    def together(self) -> NDArray[np.int64]:
+        """Which rows do not speak for themselves (N,)."""
+        return self.block if self.alike is None else self.alike
 
     @property
     def count(self) -> int:

@@ -61,7 +61,7 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
     lin = linearised(fit.cell, tuple(best.terms[k] for k in present), to_move=True)
     w = lin.weight * fit.trust
     J, residual = lin.J * np.sqrt(w)[:, None], lin.residual * np.sqrt(w)
-    spread = deviations(J, residual, lin.slab, fit.cell.rows.block)
+    spread = deviations(J, residual, lin.slab, fit.cell.rows.together)
     left = float(np.mean(lin.weight * lin.residual**2))
     groupings = groupings_of(fit.cell)
     out = []

@@ -199,10 +199,10 @@ def refined(
         gained = 0.0
         if moved is not None:
             gained, (lin, total) = total - moved[1], moved
-        if gained > NEARLY_NATS:
-            fresh = False
-        elif fresh:
+        if fresh and gained <= SETTLED_NATS:
             break
+        if columns is not None and gained > NEARLY_NATS:
+            fresh = False
         else:
             lin, fresh = linearised(cell, lin.terms, to_move=True), True
     own = lin.terms
@@ -257,7 +257,7 @@ def trusted(cell: Cell, terms: tuple[Term, ...]) -> Array:
     for part in cell.parts or (cell,):
         own = slice(start, start + part.rows.count)
         start += part.rows.count
-        out[own] = _magnitude(lin.J[own], lin.residual[own], part.rows.block)
+        out[own] = _magnitude(lin.J[own], lin.residual[own], part.rows.together)
     return out
 
 

@@ -34,7 +34,7 @@ def test_every_block_of_twenty_holds_the_whole_mix() -> None:
     assert [mix_of(k, 5) for k in range(20)] != [mix_of(k, 6) for k in range(20)]
 
 
-def test_every_effect_but_the_two_that_the_tool_does_not_judge_is_drawn() -> None:
+def test_every_effect_but_those_that_the_plants_cannot_draw_is_drawn() -> None:
     assert {kind.name for kind in KINDS} == set(NAMES) - set(NOT_JUDGED)
     assert not set(FOREIGN) & set(NAMES)
 

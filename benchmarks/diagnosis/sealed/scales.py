@@ -66,7 +66,9 @@ KINDS = (
     Kind("camera_latency", "camera", "latency_s", None, 0.01, 0.3, signed=True),
     Kind("rolling_shutter", "camera", "readout_s", None, 5e-3, 0.045, signed=True),
 )
-NOT_JUDGED = ("odometry_scale",)  # the plant has no odometry
+NOT_JUDGED = (  # the plants have no odometry; their oil, friction and tool are always the same, known by the baseline
+    "odometry_scale", "joint_friction", "oil_compliance", "tool_marker_rotation", "tool_marker_translation",
+)  # fmt: skip
 BY_NAME = {kind.name: kind for kind in KINDS}
 OPTIONS = {"link_length_error": ("a", "d"), "joint_axis_tilt": ("x", "y")}
 DIRECTIONS = {

@@ -57,6 +57,7 @@ class PlcCheck:
         end = self.end
         before = self._before or _snapshot(end)
         verdict, state = end.oracle.judge(datagram, source, end.t_ns), end.state
+        end.plc.link.refused = None  # as if the state that answers an earlier one had been sent
         try:
             events = end.plc.receive(datagram, end.t_ns, source)
         except Exception as error:  # any exception at all is the finding

@@ -50,7 +50,8 @@ class Link:
 
 
 def made(link=None):
-    cell = SimpleNamespace(link=link or Link(), vision=Vision(), chain=SimpleNamespace(n=6))
+    recorder = SimpleNamespace(begin_marks=lambda _marks: None, end_marks=lambda: None)
+    cell = SimpleNamespace(link=link or Link(), vision=Vision(), chain=SimpleNamespace(n=6), recorder=recorder)
     return Performer(cell), cell.vision
 
 

@@ -259,9 +259,9 @@ def test_a_file_that_could_not_be_made_after_all_is_told(tmp_path: Path, monkeyp
     monkeypatch.setattr("server.recorder.DISK_WAIT_S", 0.05)
     stalled, opened = threading.Event(), Path.open
 
-    def full(path: Path, *mode: str) -> object:
+    def full(path: Path, *mode: str, **named: str) -> object:
         if path.suffix != ".mcap":
-            return opened(path, *mode)
+            return opened(path, *mode, **named)
         stalled.wait(30.0)
         raise OSError(28, "No space left on device")
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from longreach.reproduce.fast_camera import FastCamera
-from longreach.reproduce.fast_cell import context_of
-from longreach.reproduce.noise_model import fitted_noise
+from benchmarks.reproduce.fast_camera import FastCamera
+from benchmarks.reproduce.fast_cell import context_of
+from benchmarks.reproduce.noise_model import fitted_noise
 from machine.poses import inverse_pose, pose
 from server.jobs.plans.looking import error_in_mm
 from server.jobs.plans.seeing import common_of

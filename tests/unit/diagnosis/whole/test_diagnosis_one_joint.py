@@ -99,13 +99,11 @@ def test_a_gears_wave_is_no_encoders(tmp_path: Path) -> None:
     assert found["verdict"] != "outside", found["why"]
 
 
-def test_oil_that_swings_after_each_move_is_refused(tmp_path: Path) -> None:
+def test_oil_that_swings_after_each_move_is_named_with_its_period(tmp_path: Path) -> None:
     found = told(tmp_path, Machine(oil_hz=4.0))
-    assert found["verdict"] == "outside", found["why"]
-    assert "baseline" in {one["signal"] for one in found["missing"]}, "the oil may always have swung"
-    assert any("swings after each move, at about 4" in one["lead"] for one in found["unexplained"]), found[
-        "unexplained"
-    ]
+    assert found["verdict"] == "effects", found["why"]
+    named = {one["name"]: one["parameters"] for one in found["hypotheses"][0]["effects"]}
+    assert named["oil_compliance"]["period_s"]["value"] == pytest.approx(1.0 / (2.0 * np.pi * 4.0), rel=0.1)
 
 
 @pytest.mark.parametrize("shared", [True, False])
