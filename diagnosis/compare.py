@@ -15,9 +15,9 @@ from diagnosis.errors import DiagnosisError
 from diagnosis.log.nominal import Nominal, nominal_of
 from diagnosis.log.tables import MarkerTable, Tables
 from diagnosis.reading.read import Read
-from diagnosis.replay.replayer import Replayer, replayer_of
+from diagnosis.replay.replayer import closed_loop, replayer_of
 from diagnosis.replay.stretches import Stretch
-from machine.effects.dynamics import DynamicStage, drive_controller, simulate
+from machine.effects.dynamics import DynamicStage, simulate
 from machine.effects.entries import pack_under
 from machine.effects.layout import MARKER_SIZE, ParameterSets, neutral_sets
 from machine.effects.seen import camera_mount, true_camera, true_times
@@ -75,27 +75,12 @@ def _runs(whole: Read, nominal: Nominal) -> list[tuple[Stretch, Stretch]]:
         return []
     base, out = pack_under(nominal.baseline, nominal.n), []
     for stretch in whole.stretches:
-        simulated = _simulated(replayer, stretch, base)
-        out += [] if simulated is None else [(stretch, replace(stretch, enc=simulated))]
+        run = closed_loop(replayer, stretch)
+        if run is not None:
+            plant, drive, _ = run
+            simulated = simulate(plant, base, drive, DynamicStage.ACTUATOR).enc[0]
+            out.append((stretch, replace(stretch, enc=simulated)))
     return out
-
-
-def _simulated(replayer: Replayer, stretch: Stretch, sets: ParameterSets) -> Array | None:
-    """Encoders (rows, n) with the loop closed, driven by what was sent or else received; None without either."""
-    if stretch.enc is None or not np.isfinite(stretch.enc).all():
-        return None
-    prepared = replayer.prepare(stretch)
-    drive = prepared.drives.get("link")
-    if drive is None:
-        if stretch.ref is None or not np.isfinite(stretch.ref).all():
-            return None
-        u = np.zeros(replayer.nominal.n) if stretch.u is None else np.nan_to_num(stretch.u[0])
-        drive = drive_controller(prepared.plant, stretch.ref, stretch.enc, u)
-    loads = replayer.loads(stretch.enc)
-    if loads is not None:
-        drive = replace(drive, load=loads[0], load_kg=loads[1])
-    drive = replace(drive, enc_start=stretch.enc[0].copy())  # inside a dead band a joint rests anywhere
-    return np.asarray(simulate(prepared.plant, sets, drive, DynamicStage.ACTUATOR).enc[0])
 
 
 def _by_encoders(name: str, nominal: Nominal, runs: list[tuple[Stretch, Stretch]]) -> Miss:

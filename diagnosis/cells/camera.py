@@ -126,7 +126,7 @@ def _cell(
     record = nominal.remainder("camera", on=on)
     rows, t_s = _rows(frames)
     if on == "ooi":
-        rows = replace(rows, alike=_postures(link_angles(paths, base, 0, at, frames.t_s))[_frame_of_rows(frames)])
+        rows = replace(rows, alike=_postures(link_angles(paths, base, 0, at, frames.t_s))[frames.frame_of_each])
     noise = noise.with_remainder(record)
     left = _share_left(record, noise) if record is not None else 0.0
     off_m = (nominal.sensors.layout_m or LAYOUT_M) if record is None else 0.0  # a baseline has them in its remainder
@@ -196,10 +196,6 @@ def _postures(q: Array) -> NDArray[np.int64]:
     """
     _, group = kmeans2(q, min(POSTURES, len(q)), minit="++", rng=np.random.default_rng(0))
     return np.unique(group, return_inverse=True)[1].astype(np.int64)
-
-
-def _frame_of_rows(frames: Frames) -> NDArray[np.int64]:
-    return np.nonzero(np.isfinite(frames.pixels).reshape(len(frames.t_s), -1))[0]
 
 
 def _rows(frames: Frames) -> tuple[Rows, Array]:

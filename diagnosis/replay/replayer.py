@@ -278,6 +278,24 @@ def replayer_of(nominal: Nominal, stretches: Sequence[Stretch]) -> Replayer | No
     return Replayer(nominal, nominal.actuators, torque)
 
 
+def closed_loop(replayer: Replayer, stretch: Stretch) -> tuple[Actuators, Drive, Array] | None:
+    """Plant, drive from what was sent (or received) with the loop closed, and the encoders (rows, n); None without."""
+    if stretch.enc is None or not np.isfinite(stretch.enc).all():
+        return None
+    prepared = replayer.prepare(stretch)
+    drive = prepared.drives.get("link")
+    if drive is None:
+        if stretch.ref is None or not np.isfinite(stretch.ref).all():
+            return None
+        u = np.zeros(replayer.nominal.n) if stretch.u is None else np.nan_to_num(stretch.u[0])
+        drive = drive_controller(prepared.plant, stretch.ref, stretch.enc, u)
+    drive = replace(drive, enc_start=stretch.enc[0].copy())  # inside a dead band a joint rests anywhere
+    loads = replayer.loads(stretch.enc)
+    if loads is not None:
+        drive = replace(drive, load=loads[0], load_kg=loads[1])
+    return prepared.plant, drive, stretch.enc
+
+
 def measured_output(stage: str, stretch: Stretch) -> Array | None:
     """What was measured of a stage's output (rows, n)."""
     return {"link": stretch.ref, "controller": stretch.u, "actuator": stretch.enc}.get(stage)

@@ -231,12 +231,8 @@ def _step(
 
 
 def _total(lin: Linearised, trust: Array) -> float:
-    """Costs and priors of the terms as they stand [nats]."""
-    slab = lin.slab
-    sizes = np.concatenate([np.arange(len(term.theta)) < term.sizes for term in lin.terms])
-    limit = np.concatenate([np.full(len(term.theta), term.limits) for term in lin.terms]) & sizes
-    off = np.where(sizes & ~limit, np.concatenate([term.theta for term in lin.terms]), 0.0) / slab
-    return float((costs(lin.residual) * trust).sum() + 0.5 * (off**2).sum())
+    """Costs and priors of the terms as they stand, of columns to move by [nats]."""
+    return float((costs(lin.residual) * trust).sum() + 0.5 * ((lin.x / lin.slab) ** 2).sum())
 
 
 def _vanished(term: Term) -> bool:

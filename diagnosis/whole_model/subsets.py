@@ -157,16 +157,25 @@ def _solved(H, c, slab, nonnegative, cols):
 
 
 @njit(cache=True)
+def _columns(first, members):
+    """Columns of the members of a set."""
+    out = np.empty(first[-1], np.int64)
+    m = 0
+    for t in range(members.shape[0]):
+        if members[t]:
+            for col in range(first[t], first[t + 1]):
+                out[m] = col
+                m += 1
+    return out[:m]
+
+
+@njit(cache=True)
 def _score(H, c, slab, first, nonnegative, log_odds, members):
-    cols = np.empty(c.shape[0], np.int64)
-    m, prior = 0, 0.0
+    prior = 0.0
     for t in range(members.shape[0]):
         if members[t]:
             prior += log_odds[t]
-            for k in range(first[t], first[t + 1]):
-                cols[m] = k
-                m += 1
-    return prior + _solved(H, c, slab, nonnegative, cols[:m])[0]
+    return prior + _solved(H, c, slab, nonnegative, _columns(first, members))[0]
 
 
 @njit(cache=True)
@@ -213,53 +222,59 @@ def _with_each(G, b, first, nonnegative, log_odds, P, own, members):
 
 
 @njit(cache=True)
-def _steps_from(H, c, slab, first, nonnegative, log_odds, members):
-    """By how much the score of a set changes, by the linear model without bounds: one term more or less (terms,), and
-    by exchanges (terms that leave, terms that enter).
-    """
-    terms = members.shape[0]
+def _in_slabs(H, c, slab, first, nonnegative, members):
+    """G, b: H, c counted in slabs; the set's columns that are kept (k,), and the inverse of G + I over them (k, k)."""
     G, b = H * slab * slab.reshape(-1, 1), c * slab
-    cols = np.empty(c.shape[0], np.int64)
-    m = 0
-    for t in range(terms):
-        if members[t]:
-            for col in range(first[t], first[t + 1]):
-                cols[m] = col
-                m += 1
-    own = np.sort(_solved(H, c, slab, nonnegative, cols[:m])[1])
+    own = np.sort(_solved(H, c, slab, nonnegative, _columns(first, members))[1])
     k = own.shape[0]
     A = np.empty((k, k))
     for i in range(k):
         for j in range(k):
             A[i, j] = G[own[i], own[j]]
         A[i, i] += 1.0
-    P = np.linalg.inv(A)
+    return G, b, own, np.linalg.inv(A)
+
+
+@njit(cache=True)
+def _block(P, rows, cols):
+    out = np.empty((rows.shape[0], cols.shape[0]))
+    for i in range(rows.shape[0]):
+        for j in range(cols.shape[0]):
+            out[i, j] = P[rows[i], cols[j]]
+    return out
+
+
+@njit(cache=True)
+def _flips(G, b, first, nonnegative, log_odds, P, own, members):
+    """By how much one term more or less changes the score of a set, by the linear model without bounds (terms,)."""
+    out = _with_each(G, b, first, nonnegative, log_odds, P, own, members)
     x = P @ b[own]
-    flips = _with_each(G, b, first, nonnegative, log_odds, P, own, members)
-    swaps = np.full((terms, terms), -np.inf)
+    for t in range(members.shape[0]):
+        if members[t]:
+            out[t] = -log_odds[t]
+            T = np.nonzero((own >= first[t]) & (own < first[t + 1]))[0]
+            if T.shape[0] > 0:
+                PTT = _block(P, T, T)
+                out[t] -= 0.5 * (x[T] @ np.linalg.inv(PTT) @ x[T]) + 0.5 * np.log(max(np.linalg.det(PTT), 1e-300))
+    return out
+
+
+@njit(cache=True)
+def _swaps(G, b, first, nonnegative, log_odds, P, own, members, flips):
+    """The same by exchanges (terms that leave, terms that enter)."""
+    terms = members.shape[0]
+    out = np.full((terms, terms), -np.inf)
     for t in range(terms):
         if not members[t]:
             continue
         inside = (own >= first[t]) & (own < first[t + 1])
         T, R = np.nonzero(inside)[0], np.nonzero(~inside)[0]
-        flips[t] = -log_odds[t]
         if T.shape[0] == 0:
             continue
-        PTT, PRT = np.empty((T.shape[0], T.shape[0])), np.empty((R.shape[0], T.shape[0]))
-        for j in range(T.shape[0]):
-            for i in range(T.shape[0]):
-                PTT[i, j] = P[T[i], T[j]]
-            for i in range(R.shape[0]):
-                PRT[i, j] = P[R[i], T[j]]
-        back = np.linalg.inv(PTT)
-        flips[t] -= 0.5 * (x[T] @ back @ x[T]) + 0.5 * np.log(max(np.linalg.det(PTT), 1e-300))
-        left = np.empty((R.shape[0], R.shape[0]))
-        for i in range(R.shape[0]):
-            for j in range(R.shape[0]):
-                left[i, j] = P[R[i], R[j]]
-        left -= PRT @ back @ PRT.T
-        swaps[t] = flips[t] + _with_each(G, b, first, nonnegative, log_odds, left, own[R], members)
-    return flips, swaps
+        PRT = _block(P, R, T)
+        left = _block(P, R, R) - PRT @ np.linalg.inv(_block(P, T, T)) @ PRT.T
+        out[t] = flips[t] + _with_each(G, b, first, nonnegative, log_odds, left, own[R], members)
+    return out
 
 
 @njit(cache=True)
@@ -269,7 +284,8 @@ def _climbed(H, c, slab, first, nonnegative, log_odds, start, allowed):
     given = (H, c, slab, first, nonnegative, log_odds)
     now = _score(*given, members)
     for _ in range(4 * terms):
-        flips, swaps = _steps_from(*given, members)
+        G, b, own, P = _in_slabs(H, c, slab, first, nonnegative, members)
+        flips = _flips(G, b, first, nonnegative, log_odds, P, own, members)
         found = False
         for t in np.argsort(-flips):
             if flips[t] < 0.0:
@@ -284,7 +300,7 @@ def _climbed(H, c, slab, first, nonnegative, log_odds, start, allowed):
             members[t] = not members[t]
         if found:
             continue
-        flat = swaps.ravel()
+        flat = _swaps(G, b, first, nonnegative, log_odds, P, own, members, flips).ravel()
         for at in np.argsort(-flat)[:TRIED]:  # exchanges only where no single step helps
             if flat[at] < 0.0:
                 break
@@ -308,7 +324,9 @@ def _around(H, c, slab, first, nonnegative, log_odds, members, least):
     terms = members.shape[0]
     given = (H, c, slab, first, nonnegative, log_odds)
     now = _score(*given, members)
-    flips, swaps = _steps_from(*given, members)
+    G, b, own, P = _in_slabs(H, c, slab, first, nonnegative, members)
+    flips = _flips(G, b, first, nonnegative, log_odds, P, own, members)
+    swaps = _swaps(G, b, first, nonnegative, log_odds, P, own, members, flips)
     count = np.sum(now + flips > least) + np.sum(now + swaps > least)
     sets, scores = np.empty((count, terms), np.bool_), np.empty(count)
     row = 0

@@ -13,18 +13,19 @@ import numpy as np
 
 from diagnosis.behind.corner_residual import CornerResidual, small_motion
 from diagnosis.behind.link_angles import inside, link_angles, paths_of, without_encoders
+from diagnosis.behind.points import rigid_fit
 from diagnosis.reading.read import Read
-from diagnosis.replay.replayer import Prepared, Replayer, replayer_of
-from diagnosis.replay.stretches import Stretch
+from diagnosis.replay.replayer import closed_loop, replayer_of
 from diagnosis.search.candidates import put
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.whole_model.linear import Term
-from machine.effects.dynamics import Actuators, Drive, DynamicStage, drive_controller, simulate
+from machine.effects.dynamics import DynamicStage, simulate
 from machine.effects.encoders import true_angles
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets, neutral_sets
 from machine.effects.seen import seen_corners
 from machine.effects.structure import tcp_poses
+from machine.poses import transform_points
 from machine.rotations import Array
 
 ROWS = 400  # postures and rows of motion at which the tool is looked at: the RMS is then known to a few percent
@@ -100,20 +101,9 @@ def stands(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
 
     def tools(sets: ParameterSets) -> list[Array]:
         there = [tool(sets, k) for k in range(sets.sets)]
-        return there if surveyed else [laid_over(one, here) for one in there]
+        return there if surveyed else [transform_points(rigid_fit(points, here), points) for points in there]
 
     return ToolError("stands", own, shared_out(base, own, tools))
-
-
-def laid_over(points: Array, on: Array) -> Array:
-    """Points (m, 3) after the motion of all of them that brings them closest to others (m, 3).
-
-    Source: Umeyama 1991, without scale.
-    """
-    a, b = points - points.mean(axis=0), on - on.mean(axis=0)
-    U, _, Vt = np.linalg.svd(a.T @ b)
-    R = U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-    return np.asarray(a @ R + on.mean(axis=0), dtype=float)
 
 
 def gets_there(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
@@ -124,7 +114,7 @@ def gets_there(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
         return None
     own = tuple(term for term in terms if term.effect.stage in DRIVEN_STAGES)
     arm, base = nominal.arm, pack_under(nominal.baseline, nominal.n)
-    runs = [found for one in whole.stretches if (found := _closed_loop(replayer, one)) is not None]
+    runs = [found for one in whole.stretches if (found := closed_loop(replayer, one)) is not None]
     if not runs:
         return None
     step = max(1, sum(len(encoders) for _, _, encoders in runs) // (2 * ROWS))
@@ -137,24 +127,6 @@ def gets_there(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
     measured = tcp_poses(arm, plain, np.concatenate([encoders[::step] for _, _, encoders in runs]))[:, :3, 3]
     without, with_all = tool(base)[0], tool(_with(base, own))[0]
     return ToolError("gets_there", own, shared_out(base, own, tool), measured - without, measured - with_all)
-
-
-def _closed_loop(replayer: Replayer, stretch: Stretch) -> tuple[Actuators, Drive, Array] | None:
-    """Plant, drive from what was sent (or received) with the loop closed, and the encoders (rows, n); None without."""
-    if stretch.enc is None or not np.isfinite(stretch.enc).all():
-        return None
-    prepared: Prepared = replayer.prepare(stretch)
-    drive: Drive | None = prepared.drives.get("link")
-    if drive is None:
-        if stretch.ref is None or not np.isfinite(stretch.ref).all():
-            return None
-        u = np.zeros(replayer.nominal.n) if stretch.u is None else np.nan_to_num(stretch.u[0])
-        drive = drive_controller(prepared.plant, stretch.ref, stretch.enc, u)
-    drive = replace(drive, enc_start=stretch.enc[0].copy())  # inside a dead band a joint rests anywhere
-    loads = replayer.loads(stretch.enc)
-    if loads is not None:
-        drive = replace(drive, load=loads[0], load_kg=loads[1])
-    return prepared.plant, drive, stretch.enc
 
 
 def sees(cells: Sequence[Cell], terms: tuple[Term, ...]) -> ToolError | None:
