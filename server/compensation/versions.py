@@ -76,7 +76,7 @@ class MachineVersions:
 
     def find(self, version_id: str) -> MachineVersion | None:
         """The one of that id."""
-        return next((one for one in self.all() if one.version_id == version_id), None)
+        return self._read(self._path(version_id))
 
     def make(self, answer: dict[str, Any], diagnosis_id: str) -> MachineVersion:
         """A version of the confirmed effects of a budget, all switched on; it is kept, not used yet.
@@ -181,7 +181,10 @@ class MachineVersions:
     def _write(self, version: MachineVersion) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
         text = json.dumps({"format_version": FORMAT_VERSION, **asdict(version)}, indent=1)
-        write_durably(self._folder / f"version-{version.version_id}.json", text)
+        write_durably(self._path(version.version_id), text)
+
+    def _path(self, version_id: str) -> Path:
+        return self._folder / f"version-{version_id}.json"
 
     def _read(self, path: Path) -> MachineVersion | None:
         try:

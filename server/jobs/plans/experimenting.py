@@ -12,6 +12,7 @@ from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.experiment_records import ExperimentDriven, ExperimentPlan
 from server.jobs.plans.experiment_planning import PlannedExperiment, Step, check_driven, planned_experiment, told_plan
+from server.jobs.plans.freshness import require_fresh
 from server.jobs.proposals import LooksProposal, MotionProposal, require_same_machine
 from server.jobs.requests import (
     Arm,
@@ -87,26 +88,14 @@ def check_experiment(
             f"plan {wanted_hash} of diagnosis {diagnosis_id} is not the planned one ({planned.plan_hash} of "
             f"{planned.diagnosis_id}); plan again"
         )
-    if t_now_ns > planned.expires_ns:
-        age_s, most_s = (t_now_ns - planned.t_made_ns) * 1e-9, (planned.expires_ns - planned.t_made_ns) * 1e-9
-        raise PlanRefusedError(
-            f"plan {wanted_hash} is {age_s:.0f} s old and has expired (limit {most_s:.0f} s, [position] plan_expires_s)"
-            "; plan again"
-        )
+    require_fresh(planned.plan_hash, planned.t_made_ns, planned.expires_ns, t_now_ns, "plan again")
     return planned
 
 
 def drive_experiment(ctx: PlanContext, planned: PlannedExperiment) -> Generator[Request, object, ExperimentDriven]:
     """Drive a planned experiment and record it as a segment of its own kind; it ends at rest where the plan ends."""
-    reading = expect((yield ReadMachine()), MachineReading)
-    require_reference(reading, planned.q_ref_start)
-    for step in planned.steps:  # a look since then may have found a wall, or found it nearer
-        check_driven(ctx, step.trajectory)
-    if ctx.knowledge.q_start is None:
-        ctx.knowledge.q_start = reading.q_rad
     said = f"{planned.what}, proposed by diagnosis {planned.diagnosis_id}, plan {planned.plan_hash}"
-    yield Record(path_of(ctx, [step.trajectory for step in planned.steps]), said)
-    yield Arm()
+    yield from begin_drive(ctx, [step.trajectory for step in planned.steps], planned.q_ref_start, said)
     good = 0
     if planned.looks:  # one segment over all of them: what is between two looks tells how each was come to
         yield BeginSegment(planned.what, planned.segment)
@@ -123,6 +112,23 @@ def drive_experiment(ctx: PlanContext, planned: PlannedExperiment) -> Generator[
         duration_s=round(planned.duration_s, 1),
         looks_good=good,
     )
+
+
+def begin_drive(
+    ctx: PlanContext, trajectories: list[JointTrajectory], q_ref_start: Array, text: str
+) -> Generator[Request, object, None]:
+    """Check the motions of a plan again, record their path under `text`, and arm.
+
+    Raises: PlanRefusedError: the machine is not where the plan begins. JobFailedError: the wall is nearer than it was.
+    """
+    reading = expect((yield ReadMachine()), MachineReading)
+    require_reference(reading, q_ref_start)
+    for trajectory in trajectories:  # a look since then may have found a wall, or found it nearer
+        check_driven(ctx, trajectory)
+    if ctx.knowledge.q_start is None:
+        ctx.knowledge.q_start = reading.q_rad
+    yield Record(path_of(ctx, trajectories), text)
+    yield Arm()
 
 
 def require_reference(reading: MachineReading, q_ref_start: Array) -> None:

@@ -9,8 +9,8 @@ from recording.clock import mono_ns
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.identification_records import IdentificationDriven, IdentificationPlan
-from server.jobs.plans.experiment_planning import check_driven
-from server.jobs.plans.experimenting import LOOK_PAIRS, path_of, require_reference
+from server.jobs.plans.experimenting import LOOK_PAIRS, begin_drive
+from server.jobs.plans.freshness import require_fresh
 from server.jobs.plans.identification_planning import (
     LOOKS,
     Drive,
@@ -21,14 +21,11 @@ from server.jobs.plans.identification_planning import (
 )
 from server.jobs.plans.looking import mount_rotation, take_look
 from server.jobs.requests import (
-    Arm,
     BeginSegment,
     EndSegment,
     MachineReading,
     Move,
     Progress,
-    ReadMachine,
-    Record,
     Request,
     Settle,
     TakeLook,
@@ -86,14 +83,8 @@ def drive_identification(
     A part is done when it has been driven whole; one that was cut short is planned again with the rest.
     Raises: PlanRefusedError: the machine is not where the plan begins. JobFailedError: the wall is nearer than it was.
     """
-    reading = expect((yield ReadMachine()), MachineReading)
-    require_reference(reading, planned.q_ref_start)
-    for trajectory in planned.trajectories:  # a look since then may have found a wall, or found it nearer
-        check_driven(ctx, trajectory)
-    if ctx.knowledge.q_start is None:
-        ctx.knowledge.q_start = reading.q_rad
-    yield Record(path_of(ctx, planned.trajectories), f"identification, plan {planned.plan_hash}")
-    yield Arm()
+    text = f"identification, plan {planned.plan_hash}"
+    yield from begin_drive(ctx, planned.trajectories, planned.q_ref_start, text)
     good = 0
     for number, part in enumerate(planned.parts, start=1):
         text = f"{part.name}: {part.told.duration_s:.0f} s, shows {', '.join(part.told.shows)}"
@@ -142,10 +133,5 @@ def check_identification(
         raise PlanRefusedError("no identification was planned; send plan_identify first")
     if planned.plan_hash != wanted_hash:
         raise PlanRefusedError(f"plan {wanted_hash} is not the planned one ({planned.plan_hash}); plan again")
-    if t_now_ns > planned.expires_ns:
-        age_s, most_s = (t_now_ns - planned.t_made_ns) * 1e-9, (planned.expires_ns - planned.t_made_ns) * 1e-9
-        raise PlanRefusedError(
-            f"plan {wanted_hash} is {age_s:.0f} s old and has expired (limit {most_s:.0f} s, [position] plan_expires_s)"
-            "; plan again"
-        )
+    require_fresh(planned.plan_hash, planned.t_made_ns, planned.expires_ns, t_now_ns, "plan again")
     return planned

@@ -15,6 +15,7 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken, PreviewedPlan, plan_hash
 from server.jobs.plans.diagnosed import compared_move, goal_from_look
 from server.jobs.plans.driving import TRIMS_MAX, drive
+from server.jobs.plans.freshness import require_fresh
 from server.jobs.plans.learning import joint_estimate
 from server.jobs.plans.living import note_map, require_valid, validity, validity_at
 from server.jobs.plans.looking import good_look, mount_rotation
@@ -148,12 +149,7 @@ def check_executable(previewed: PreviewedPlan | None, wanted_hash: str, t_now_ns
         raise PlanRefusedError("no plan was previewed since the last look or move; preview first")
     if previewed.plan_hash != wanted_hash:
         raise PlanRefusedError(f"plan {wanted_hash} is not the previewed one ({previewed.plan_hash}); preview again")
-    if t_now_ns > previewed.expires_ns:
-        age_s, most_s = (t_now_ns - previewed.t_made_ns) * 1e-9, (previewed.expires_ns - previewed.t_made_ns) * 1e-9
-        raise PlanRefusedError(
-            f"plan {wanted_hash} is {age_s:.0f} s old and has expired (limit {most_s:.0f} s, [position] plan_expires_s)"
-            "; look and preview again"
-        )
+    require_fresh(previewed.plan_hash, previewed.t_made_ns, previewed.expires_ns, t_now_ns, "look and preview again")
     return previewed
 
 
