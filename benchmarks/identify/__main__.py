@@ -25,7 +25,7 @@ def record(machine_text: str, preset: str, seed: int, minutes: float, folder: Pa
     cell, ctx = recorded_cell(world, fitted_noise()), context_of(world, "ours")
     kept: list[tuple[Drive, PlannedIdentification]] = []
     plan = plan_identification(ctx, minutes, False, None, lambda *one: kept.append(one), lambda: cell.clock_ns)
-    told = run_plan(plan, cell)
+    shown = run_plan(plan, cell)
     drive, planned = kept[0]
     start_s = cell.machine.t_s
     driven = run_plan(drive_identification(ctx, planned, drive), cell)
@@ -34,8 +34,8 @@ def record(machine_text: str, preset: str, seed: int, minutes: float, folder: Pa
     truth = {"preset": preset, "seed": seed, "effects": true_effects(world)}
     (folder / "truth.json").write_text(json.dumps(truth, indent=1), encoding="utf-8")
     seconds = round(cell.machine.t_s - start_s, 1)
-    plan_told = {"driven_s": seconds, "driven": dataclasses.asdict(driven), "plan": dataclasses.asdict(told)}
-    (folder / "plan.json").write_text(json.dumps(plan_told, indent=1), encoding="utf-8")
+    summary = {"driven_s": seconds, "driven": dataclasses.asdict(driven), "plan": dataclasses.asdict(shown)}
+    (folder / "plan.json").write_text(json.dumps(summary, indent=1), encoding="utf-8")
 
 
 def main() -> None:

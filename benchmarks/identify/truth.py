@@ -62,6 +62,6 @@ def true_effects(world: World) -> list[dict[str, Any]]:
 
 
 def _line(name: str, joint: int | None, **values: Any) -> dict[str, Any]:
-    value = next((float(one) for one in values.values() if isinstance(one, float)), None)
+    value = next((number for number in values.values() if isinstance(number, float)), None)
     known = {"catalogue": True, "tip_mm": None, "seen_mm": None}
     return {"name": name, "joint": joint, "parameters": values, "value": value, **known}

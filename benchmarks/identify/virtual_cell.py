@@ -92,7 +92,7 @@ def write_recording(cell: RecordedCell, machine_text: str, folder: Path, t_from_
         seed=cell.world.seed,
         plc_to_pc_offset_s=0.0,
         camera_to_pc_offset_s=late_s,
-        segments=tuple(one for one in cell.segments if one.t_start_plc_s >= T_PLC_ZERO_S + t_from_s),
+        segments=tuple(segment for segment in cell.segments if segment.t_start_plc_s >= T_PLC_ZERO_S + t_from_s),
     )
     write_folder(Recording("folder", run, machine_text, tuple(rows)), folder)
 
@@ -106,7 +106,9 @@ def _corner_rows(cell: RecordedCell, noted: list[tuple[float, Array, Array, Arra
     """Every marker in every picture: true corners, the shutter's rows, and the fitted noise."""
     truth, view, stereo = cell.world.camera, TrueView(cell.world), cell.noise.stereo
     own = rng_for(cell.world.seed, "tool corner bias")
-    tool = {(one.marker_id, eye): own.standard_normal((4, 2)) for one in cell.world.scene.tool_markers for eye in EYES}
+    tool = {
+        (marker.marker_id, eye): own.standard_normal((4, 2)) for marker in cell.world.scene.tool_markers for eye in EYES
+    }
     lasting: dict[tuple[int, str], tuple[Array, Array]] = {}
     every = round(1e3 / CAMERA_HZ / NOTE_EVERY_MS)
     later = LATER_MS // NOTE_EVERY_MS
@@ -114,7 +116,7 @@ def _corner_rows(cell: RecordedCell, noted: list[tuple[float, Array, Array, Arra
         at, after = noted[k][4], noted[k + later][4]
         moving = float(np.linalg.norm(after[:3, 3] - at[:3, 3])) > 1e-5
         seen = view.corners(at)
-        soon = {one.marker_id: one for one in view.corners(after)} if moving else {}
+        soon = {marker.marker_id: marker for marker in view.corners(after)} if moving else {}
         for one in seen:
             noise: CornerNoise = stereo.tool if one.on == "tool" else stereo.ooi
             for eye, px in (("left", one.left_px), ("right", one.right_px)):

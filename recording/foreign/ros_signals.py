@@ -252,7 +252,7 @@ def _why_ignored(kind: str, frames: str) -> str:
     if kind.startswith("geometry_msgs/"):
         return "name it as [[ros.tracker]] topic to use it as a tracked point"
     if kind in ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo"):
-        return "images: `longreach hand-eye` and `longreach camera calibrate` read them"
+        return "images are not used; extract them for `longreach hand-eye --images` or `longreach camera calibrate`"
     if kind in (JOINT_STATE, DYNAMIC_STATE, CONTROLLER_STATE, TRAJECTORY, ARRAY):
         return "another topic is used, or it has no numbers; name it in the mapping file to use it"
     return "not a signal that the diagnosis uses"

@@ -14,7 +14,7 @@ from benchmarks.diagnosis.first_day import figures
 from benchmarks.diagnosis.first_day.calibrate import TooFewError, calibrated
 from benchmarks.diagnosis.first_day.runner import Campaign, FirstDayError, read_scored, run_campaign
 from benchmarks.diagnosis.first_day.score import score_of
-from benchmarks.positioning.machines.command import told
+from benchmarks.positioning.machines.command import share_text
 
 console = Console(width=150)
 JUDGEMENT = 1000  # seeds below judge; from here on they may fit the calibration
@@ -67,7 +67,7 @@ def report(scores: figures.Scores) -> None:
     _print("verdicts, as stated", ("kind", "cases", *words), counts)
     effects = [effect for score in scores for effect in score.reported]
     curve = figures.reliability([effect.probability for effect in effects], [effect.right for effect in effects])
-    rows = [(name, f"{mean:.2f}", told(share)) for name, mean, share in curve]
+    rows = [(name, f"{mean:.2f}", share_text(share)) for name, mean, share in curve]
     _print("reported effects: probability stated against share right", ("stated", "mean", "right"), rows)
     for line in figures.failures(scores):
         console.print(f"  {escape(line)}")

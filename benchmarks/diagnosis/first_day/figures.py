@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from benchmarks.diagnosis.first_day.score import Reported, Score, TrueEffect
-from benchmarks.positioning.machines.command import told
+from benchmarks.positioning.machines.command import share_text
 from benchmarks.reproduce.summary import Share
 
 Scores = Sequence[Score]
@@ -90,7 +90,7 @@ def _middle(what: str, wanted: str, values: Sequence[float]) -> Row:
 
 
 def _share(what: str, wanted: str, flags: Sequence[bool]) -> Row:
-    return what, wanted, told(wilson(flags)) if flags else "no case"
+    return what, wanted, share_text(wilson(flags)) if flags else "no case"
 
 
 def verdicts(scores: Scores) -> list[tuple[str, int, dict[str, int]]]:

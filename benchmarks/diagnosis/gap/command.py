@@ -12,7 +12,7 @@ from rich.table import Table
 from benchmarks.diagnosis.gap import figures, reliability
 from benchmarks.diagnosis.gap.calibrate import calibrated, fit, restated, shares_of_today, with_equals_known
 from benchmarks.diagnosis.gap.runner import PLANTS, ROOT, Campaign, CampaignError, pack, run_campaign, scores
-from benchmarks.positioning.machines.command import told
+from benchmarks.positioning.machines.command import share_text
 
 console = Console(width=170)
 JUDGEMENT = 100  # seeds from here on judge
@@ -137,5 +137,5 @@ def _table(title: str, lines: list[figures.Line]) -> Table:
     for heading in ("claim", "wanted", "reached"):
         table.add_column(heading)
     for line in lines:
-        table.add_row(line.claim, line.wanted, told(line.share) if line.share is not None else "no case")
+        table.add_row(line.claim, line.wanted, share_text(line.share) if line.share is not None else "no case")
     return table

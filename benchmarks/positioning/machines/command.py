@@ -86,7 +86,7 @@ def tell(runs: Sequence[MachineRun]) -> None:
     if len(usable) < len(runs):
         console.print(f"no usable scene for {len(runs) - len(usable)} seeds: not counted")
     refused = share([run.state != "done" for run in usable])
-    console.print(f"refused: {told(refused)}, counted as failures (limit 2 %)")
+    console.print(f"refused: {share_text(refused)}, counted as failures (limit 2 %)")
     for reason, seeds in refusals(runs):
         console.print(f"  {len(seeds)} x {reason} (seeds {', '.join(map(str, seeds[:8]))})")
     near = disobedient(runs)
@@ -104,7 +104,7 @@ def tell(runs: Sequence[MachineRun]) -> None:
         made = two_made(counted)
         if made is not None:
             console.print(
-                f"two moves made, needed or not: inside {told(made.inside)}; median 3-D {made.median_3d_mm:.2f} mm, "
+                f"two moves made, needed or not: inside {share_text(made.inside)}; median 3-D {made.median_3d_mm:.2f} mm, "
                 f"95 % of |z| {made.p95_z_mm:.2f} mm, 95 % of rotation {made.p95_deg:.2f} deg"
             )
         console.print(honesty_table(honesty(counted)))
@@ -133,7 +133,7 @@ def accuracy_table(rows: Sequence[Accuracy]) -> Table:
         table.add_column(heading)
     for row in rows:
         numbers = (f"{row.median_3d_mm:.2f}", f"{row.p95_z_mm:.2f}", f"{row.p95_deg:.2f}")
-        table.add_row(str(row.moves), told(row.inside), GOALS[row.moves], _three(row.mean_mm), *numbers)
+        table.add_row(str(row.moves), share_text(row.inside), GOALS[row.moves], _three(row.mean_mm), *numbers)
     table.caption = "wanted after two: median 3-D <= 1.5 mm, 95 % of |z| <= 2 mm, 95 % of rotation <= 0.5 deg"
     return table
 
@@ -143,7 +143,7 @@ def honesty_table(found: Honesty) -> Table:
     table = Table(title=f"95 % prediction before the first move, N = {found.n} (wanted: holds 93 to 97 %)")
     for heading in ("x", "y", "z", "all axes", "3-D ellipsoid", "NEES / 3", "rms error over sigma, x y z"):
         table.add_column(heading)
-    shares = [told(one) for one in (*found.axes, found.pooled, found.ellipsoid)]
+    shares = [share_text(one) for one in (*found.axes, found.pooled, found.ellipsoid)]
     table.add_row(*shares, f"{found.nees:.2f}", " ".join(f"{value:.2f}" for value in found.ratio))
     return table
 
@@ -172,7 +172,7 @@ def ablation_table(found: dict[str, list[MachineRun]]) -> Table:
         table.add_row(
             name,
             next(one.what for one in (DEFAULT, *ABLATIONS) if one.name == name),
-            told(got.inside),
+            share_text(got.inside),
             f"{100 * change.value:+.1f}",
             f"{100 * change.low:+.1f} to {100 * change.high:+.1f}",
             f"{change.only_default} : {change.only_other}",
@@ -182,7 +182,7 @@ def ablation_table(found: dict[str, list[MachineRun]]) -> Table:
     return table
 
 
-def told(one: Share) -> str:
+def share_text(one: Share) -> str:
     """A share with its interval, in per cent."""
     return f"{100 * one.value:.1f} % ({100 * one.low:.1f} to {100 * one.high:.1f}), {one.k} of {one.n}"
 
