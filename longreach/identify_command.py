@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from longreach.fleet_client import JobClient, JobRefusedError, read_key
+from recording.files import write_durably
 
 POLL_S = 2.0
 
@@ -101,7 +102,10 @@ def _take_up(console: Console, client: JobClient, diagnosis_id: str, use: bool, 
         console.print(f"in use: version {version['version_id']}, {len(version['effects'])} effects")
     if machine_out is not None:
         text = client.text(f"/v1/machine/versions/{version['version_id']}/file")
-        machine_out.write_text(text, encoding="utf-8")
+        try:
+            write_durably(machine_out, text)
+        except OSError as error:
+            raise JobRefusedError(f"{machine_out} cannot be written: {error.strerror}") from error
         console.print(f"{machine_out}: the machine file with these effects")
 
 

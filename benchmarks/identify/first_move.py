@@ -42,15 +42,15 @@ def missed_mm(world: World, entries: tuple[EffectEntry, ...] | None) -> float:
 def true_entries(world: World) -> tuple[EffectEntry, ...]:
     """The drawn machine's own effects, as far as the catalogue has them."""
     out = []
-    for one in true_effects(world):
-        effect = effect_named(one["name"])
-        if effect is None or one["value"] is None:
+    for line in true_effects(world):
+        effect = effect_named(line["name"])
+        if effect is None or line["value"] is None:
             continue
-        given = dict(one["parameters"])
+        given = dict(line["parameters"])
         vector = given.pop("vector", None)
         if vector is not None and effect.direction is not None:
             given[effect.direction.name] = vector
-        out.append(make_entry(effect, one["joint"], given))
+        out.append(make_entry(effect, line["joint"], given))
     return tuple(out)
 
 

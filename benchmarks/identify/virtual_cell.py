@@ -117,23 +117,23 @@ def _corner_rows(cell: RecordedCell, noted: list[tuple[float, Array, Array, Arra
         moving = float(np.linalg.norm(after[:3, 3] - at[:3, 3])) > 1e-5
         seen = view.corners(at)
         soon = {marker.marker_id: marker for marker in view.corners(after)} if moving else {}
-        for one in seen:
-            noise: CornerNoise = stereo.tool if one.on == "tool" else stereo.ooi
-            for eye, px in (("left", one.left_px), ("right", one.right_px)):
+        for marker in seen:
+            noise: CornerNoise = stereo.tool if marker.on == "tool" else stereo.ooi
+            for eye, px in (("left", marker.left_px), ("right", marker.right_px)):
                 if px is None:
                     continue
-                next_px = getattr(soon.get(one.marker_id), f"{eye}_px", None)
+                next_px = getattr(soon.get(marker.marker_id), f"{eye}_px", None)
                 if next_px is not None:
                     share = px[:, 1:] / (truth.left.height_px - 1.0) - 0.5
                     px = px + (next_px - px) * share * truth.readout_s / (1e-3 * LATER_MS)
-                bias = tool.get((one.marker_id, eye)) if one.on == "tool" else None
+                bias = tool.get((marker.marker_id, eye)) if marker.on == "tool" else None
                 if bias is None:
-                    drawn, where = lasting.get((one.marker_id, eye), (np.zeros((4, 2)), np.full(3, np.inf)))
+                    drawn, where = lasting.get((marker.marker_id, eye), (np.zeros((4, 2)), np.full(3, np.inf)))
                     if not np.linalg.norm(at[:3, 3] - where) < STILL_M:
                         drawn, where = cell.rng.standard_normal((4, 2)), at[:3, 3]
-                    lasting[(one.marker_id, eye)] = drawn, where
+                    lasting[(marker.marker_id, eye)] = drawn, where
                     bias = drawn
                 found = biased(px, noise) + noise.look_px * bias + noise.frame_px * cell.rng.standard_normal((4, 2))
                 stamp_s = T_PLC_ZERO_S + noted[k][0] + truth.clock_offset_s
                 u0, v0, u1, v1, u2, v2, u3, v3 = found.ravel().tolist()
-                yield MarkerCorners(stamp_s, eye, one.marker_id, u0, v0, u1, v1, u2, v2, u3, v3)
+                yield MarkerCorners(stamp_s, eye, marker.marker_id, u0, v0, u1, v1, u2, v2, u3, v3)
