@@ -105,7 +105,8 @@ def tell(runs: Sequence[MachineRun]) -> None:
         if made is not None:
             console.print(
                 f"two moves made, needed or not: inside {share_text(made.inside)}; "
-                f"median 3-D {made.median_3d_mm:.2f} mm, 95 % of |z| {made.p95_z_mm:.2f} mm, 95 % of rotation {made.p95_deg:.2f} deg"
+                f"median 3-D {made.median_3d_mm:.2f} mm, 95 % of |z| {made.p95_z_mm:.2f} mm, "
+                f"95 % of rotation {made.p95_deg:.2f} deg"
             )
         console.print(honesty_table(honesty(counted)))
         for number, step in worst(counted, 1, 5):
