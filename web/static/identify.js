@@ -60,7 +60,7 @@ function showPlan(running) {
     box.hidden = !plan;
     driveButton = null;
     if (!plan) return box.replaceChildren();
-    const button = make("button", { type: "button", id: "identify-drive", class: "step primary" }, make("b", {}, t("identify_drive")), make("small", { class: "about" }, mustHold() ? t("identify_held") : t("identify_clicked")));
+    const button = make("button", { type: "button", id: "identify-drive", class: "step" }, make("b", {}, t("identify_drive")), make("small", { class: "about" }, mustHold() ? t("identify_held") : t("identify_clicked")));
     button.onclick = (event) => { if (!mustHold() && event.detail <= 1) drive(); };
     holdButton(button, mustHold, driveBody);
     driveButton = button;
@@ -108,7 +108,7 @@ function showVersions({ in_use, problem, versions, compared }) {
       make("p", {}, one.sentence),
       make("table", {}, head(["", "gap_cause", "gap_tool", "identify_does"]), make("tbody", {}, ...rows)),
       make("div", { class: "row" },
-        make("button", { type: "button", id: "identify-use", class: used ? "" : "primary", onclick: () => put(one.version_id, boxes.map((each) => each.checked)) }, t(used ? "identify_apply" : "identify_use")),
+        make("button", { type: "button", id: "identify-use", onclick: () => put(one.version_id, boxes.map((each) => each.checked)) }, t(used ? "identify_apply" : "identify_use")),
         make("button", { type: "button", id: "identify-off", disabled: !used, onclick: () => put("", null) }, t("identify_off")),
         make("a", { href: `v1/machine/versions/${one.version_id}/file`, download: true }, t("identify_file"))),
     );
@@ -131,7 +131,7 @@ export function useButton({ diagnosis_id }, { budget }) {
     if (ok) await send("PUT", "/v1/machine/in-use", { version_id: data.version_id });
     followIdentify();
   };
-  return [make("button", { type: "button", class: "primary use-effects", onclick: use }, t("identify_use"))];
+  return [make("button", { type: "button", class: "use-effects", onclick: use }, t("identify_use"))];
 }
 
 // The miss, what each confirmed effect takes off it (by its share of the squared miss), and what is left.
