@@ -291,7 +291,7 @@ def _alone(
     _spring(p, dt, spring)
     swing, behind = np.zeros(FREE), np.zeros(BEHIND)
     _swings(p, cycle_s, swing)
-    ref: float = sent[kept[latest[0]], 0] if first == LINK else enc_start[0]
+    ref = float(sent[kept[latest[0]], 0]) if first == LINK else float(enc_start[0])
     enc, q = enc_start[0], _true_angle(enc_start[0], p)
     lagged = u = play = slow = spool = u_start[0]
     spool_d = moving = q_d = 0.0
