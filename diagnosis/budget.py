@@ -6,17 +6,16 @@ from typing import Literal
 
 import numpy as np
 
-from diagnosis.baseline.forward import entries_of as entry_of_fit
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.link_angles import without_encoders
 from diagnosis.localise import Localisation, Place, localise
 from diagnosis.reading.read import Read, stages_present
 from diagnosis.replay.repeats import overlaid
 from diagnosis.replay.stretches import repeat_groups, stood_still
-from diagnosis.search.fit import neutral_fit
-from diagnosis.search.score import Compared, score
+from diagnosis.search.fit import entries_of as entries_of_fit
 from diagnosis.search.work import Progress, Work, silent
 from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
+from diagnosis.whole_model.held_out import HeldOut, held_out
 from diagnosis.whole_model.linear import Term
 from diagnosis.whole_model.parts import fit_machine
 from diagnosis.whole_model.probability import probability
@@ -98,7 +97,7 @@ class Budget:
     stages: tuple[StageLine, ...]
     before: Localisation
     after: Localisation
-    compared: tuple[Compared, ...]
+    held_out: tuple[HeldOut, ...]
     verdict: Verdict
     why: str
 
@@ -124,7 +123,7 @@ class Budget:
 
 def entries_of(terms: Sequence[Term]) -> tuple[EffectEntry, ...]:
     """Terms as entries of a machine file."""
-    return tuple(entry_of_fit(fit_of(terms)))
+    return tuple(entries_of_fit(fit_of(terms)))
 
 
 def _together(parts: Iterable[float]) -> float:
@@ -151,13 +150,8 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     stages = _stages(whole, lines, columns, (before, after), fits)
     verdict, why = verdict_of(whole, lines, columns, stages, fits)
     work.conclude("held-out data", 0.8)
-    compared = tuple(
-        Compared(
-            fit.cell, score(fit.cell, neutral_fit(fit.cell)), score(fit.cell, fit_of(fit.best.terms, fit.best.lin))
-        )
-        for fit in fits
-    )
-    return Budget(whole, fits, lines, columns, stages, before, after, compared, verdict, why)
+    predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
+    return Budget(whole, fits, lines, columns, stages, before, after, predicted, verdict, why)
 
 
 def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:

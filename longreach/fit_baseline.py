@@ -17,7 +17,7 @@ from machine.file_tables import with_tables, without_lists
 from machine.remainder import remainders_to_toml
 from recording.files import write_durably
 
-NOTHING = Baseline((), (), (), (), ())
+NOTHING = Baseline((), (), ())
 FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
 
 
@@ -81,18 +81,13 @@ def told(found: Baseline, fitted: int, count: int) -> str:
     counts = f"names from {fitted} recordings, sizes from {count}, judged on {count - fitted}"
     rows = [f"{counts}; RMS in noise floors before and after:"]
     if count - fitted < JUDGED_ENOUGH:
-        rows.insert(0, f"few: with {RECORDINGS_ENOUGH} recordings it can also refuse what it has no name for")
+        rows.insert(0, f"few: {RECORDINGS_ENOUGH} recordings also say what each joint leaves from day to day")
     rows += [f"  {one.label}: {one.before:.3g} -> {one.after:.3g}" for one in found.cells]
     rows += [f"  {one.name} {one.joint or ''} {dict(one.values)}" for one in found.effects]
-    rows += [f"  {label}: a wrong name usually gains {times:.3g} times chance" for label, times in found.best_wrong]
     rows += [
         f"  {one.stage} {one.joint}: {name} wanders by {size:.2g}{_unit(name)} from day to day"
         for one in found.remainders
         for name, size in one.wander
-    ]
-    rows += [
-        f"  {name}: gains up to {nats:.3g} nats there, and has to gain half as much again"
-        for name, nats in found.usual_names
     ]
     return "\n".join(rows)
 

@@ -295,6 +295,6 @@ def log_odds_of(cell: Cell, term: Term) -> float:
     Why less what it usually gains: by so much it explains the undisturbed machine's own wrong form.
     """
     share = effect_of(term.effect.name).prevalence
-    if not cell.usual_known:
+    if cell.usual is None:
         return float(np.log(share / (1.0 - share)))
-    return float(np.log(CHANGED_SINCE * share)) - cell.usual_nats(term.effect, term.theta)
+    return float(np.log(CHANGED_SINCE * share)) - dict(cell.usual).get(term.effect.name, 0.0)

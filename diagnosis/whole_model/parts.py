@@ -10,15 +10,15 @@ import numpy as np
 from diagnosis.cells.behind import behind_cells, fitting, told_behind, without
 from diagnosis.cells.dynamic import coupled_cell, stage_cells
 from diagnosis.cells.merged import merged_cells
-from diagnosis.chain.guessed_noise import SETTLED, by_noise_of, noise_about
-from diagnosis.chain.own_step import at_its_step
+from diagnosis.cells.own_step import at_its_step
 from diagnosis.known.known import with_known
 from diagnosis.reading.read import Read
 from diagnosis.replay.replayer import Replayer, replayer_of
-from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put
+from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, beside, put
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import neutral_fit
 from diagnosis.search.work import Work
+from diagnosis.whole_model.guessed_noise import SETTLED, by_noise_of, noise_about
 from diagnosis.whole_model.linear import Term, linearised
 from diagnosis.whole_model.solve import WholeFit, fit_of, solve, trusted
 from diagnosis.whole_model.subsets import best_set
@@ -82,7 +82,8 @@ def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
     """A cell's effects, each in one parametrisation."""
-    return tuple(effect for effect in cell.candidates if (effect.name, effect.option) not in REDUNDANT)
+    own = tuple(effect for effect in cell.candidates if (effect.name, effect.option) not in REDUNDANT)
+    return beside(cell.base, own)
 
 
 def with_found(base: ParameterSets, fits: list[WholeFit], names: tuple[str, ...] | None = None) -> ParameterSets:

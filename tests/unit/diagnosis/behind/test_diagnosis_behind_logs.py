@@ -8,7 +8,7 @@ from diagnosis_cases import MACHINE, MACHINE_TOML
 from static_points import ARM, POINTS, TRACKER, static_recording
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import examine
 from machine.effects.entries import make_entry, pack
 from machine.effects.layout import ParameterSets, neutral_sets
@@ -36,7 +36,7 @@ def logged() -> list[Row]:
 def found_in(rows: list[Row], toml: str = MACHINE_TOML) -> list[tuple[str, int | None, dict[str, float]]]:
     segments = tuple(Segment(f"s{k}", "workcycle", 15.0 * k, 15.0 * k + 14.9) for k in range(4))
     made = Recording("folder", RunInfo("behind", "", None, 0.0, 0.0, None, segments), toml, (*logged(), *rows))
-    told = answer(diagnose(examine(made, Path("behind"))))
+    told = answer(budget_of(examine(made, Path("behind"))))
     assert told["verdict"] == "effects", told["why"]
     first = told["hypotheses"][0]["effects"]
     return [(one["name"], one["joint"], {k: v["value"] for k, v in one["parameters"].items()}) for one in first]
@@ -75,7 +75,7 @@ def loaded(compliance: float, mass_kg: float) -> ParameterSets:
 
 
 def test_a_weight_is_found_beside_what_yields_to_it() -> None:
-    told = answer(diagnose(examine(static_recording(loaded(2e-6, 80.0)), Path("loaded"))))
+    told = answer(budget_of(examine(static_recording(loaded(2e-6, 80.0)), Path("loaded"))))
     assert told["verdict"] == "effects", told["why"]
     first = {one["name"]: one["parameters"] for one in told["hypotheses"][0]["effects"]}
     assert set(first) == {"gravity_sag", "payload_error"}

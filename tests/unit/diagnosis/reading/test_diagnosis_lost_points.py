@@ -11,7 +11,7 @@ from foreign_plant import Fault, write
 from static_points import examined, static_recording
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.log.findings import Finding
 from diagnosis.reading.read import Read, read
 from machine.effects.layout import neutral_sets
@@ -67,7 +67,7 @@ def test_lost_rows_are_left_out_and_the_rest_tells_what_it_told(
     whole = read(spoiled(made(tmp_path, frame=frame), change))
     (finding,) = lost(whole)
     assert finding.count == count
-    found = answer(diagnose(whole))
+    found = answer(budget_of(whole))
     assert found["verdict"] == "effects", found["why"]
     (effect,) = found["hypotheses"][0]["effects"]
     assert (effect["name"], effect["joint"]) == ("backlash", 2)

@@ -8,10 +8,10 @@ import pytest
 
 from benchmarks.diagnosis.links.recorded import Link, arrived, over
 from diagnosis.answer import answer
+from diagnosis.budget import budget_of
 from diagnosis.datagrams.arrivals import Arrivals, arrivals
 from diagnosis.datagrams.by_value import by_value
 from diagnosis.datagrams.lost import never_received
-from diagnosis.diagnose import diagnose
 from diagnosis.reading.read import examine
 
 CYCLE_S = 1e-3
@@ -33,7 +33,7 @@ def logged(link: Link, seed: int = 1) -> tuple[np.ndarray, Arrivals, np.ndarray]
 
 
 def diagnosed(link: Link) -> dict[str, Any]:
-    return answer(diagnose(examine(over(link), Path("link"))))
+    return answer(budget_of(examine(over(link), Path("link"))))
 
 
 def test_what_comes_on_the_dot_is_left_as_it_was_sent() -> None:

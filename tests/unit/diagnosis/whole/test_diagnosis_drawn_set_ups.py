@@ -11,7 +11,7 @@ import pytest
 from drawn_set_ups import Named, SetUp, drawn
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import read
 
 COUNT = int(os.environ.get("LONGREACH_SET_UPS", "34"))
@@ -33,7 +33,7 @@ def test_what_is_named_is_there(tmp_path: Path) -> None:
     exact, false = [], []
     for seed in range(FIRST, FIRST + COUNT):
         one = drawn(seed)
-        found = answer(diagnose(read(one.write(tmp_path / str(seed)))))
+        found = answer(budget_of(read(one.write(tmp_path / str(seed)))))
         verdict, told = found["verdict"], _told(found)
         right = _right(one, found, told)
         exact.append(right)

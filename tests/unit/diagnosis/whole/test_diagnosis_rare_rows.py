@@ -6,7 +6,7 @@ from typing import Any
 from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import read
 
 ROWS_S, FINE = 0.02, 2**20  # seconds between rows; counts of a quiet encoder
@@ -16,7 +16,7 @@ REPEATED = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle")
 
 def told(place: Path) -> tuple[dict[str, Any], list[tuple[str, int | None]]]:
     """The answer, and what its best hypothesis names."""
-    found = answer(diagnose(read(place)))
+    found = answer(budget_of(read(place)))
     best = found["hypotheses"][0]["effects"] if found["hypotheses"] else []
     return found, [(one["name"], one["joint"]) for one in best]
 

@@ -1,1 +1,0 @@
-"""How far the gap shrinks in the simulator itself: its plant driven by a recording, without and with the effects."""
