@@ -25,8 +25,6 @@ from diagnosis.whole_model.subsets import best_set
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
-REDUNDANT = (("valve_deadband", "kept"),)  # a dead band that loses flow, together with a flow gain
-
 
 def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...] = ()) -> tuple[WholeFit, ...]:
     """Every part that the recording allows, fitted by all of its effects together. `left_out`: effects not tried."""
@@ -81,9 +79,8 @@ def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
-    """A cell's effects, each in one parametrisation."""
-    own = tuple(effect for effect in cell.candidates if (effect.name, effect.option) not in REDUNDANT)
-    return beside(cell.base, own)
+    """A cell's effects; beside a baseline's own with that one's shapes."""
+    return beside(cell.base, cell.candidates)
 
 
 def with_found(base: ParameterSets, fits: list[WholeFit], names: tuple[str, ...] | None = None) -> ParameterSets:

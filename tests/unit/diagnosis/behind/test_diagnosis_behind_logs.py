@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import MACHINE, MACHINE_TOML
+from diagnosis_cases import MACHINE, MACHINE_TOML, likely
 from static_points import ARM, POINTS, TRACKER, static_recording
 
 from diagnosis.answer import answer
@@ -38,7 +38,7 @@ def found_in(rows: list[Row], toml: str = MACHINE_TOML) -> list[tuple[str, int |
     made = Recording("folder", RunInfo("behind", "", None, 0.0, 0.0, None, segments), toml, (*logged(), *rows))
     told = answer(budget_of(examine(made, Path("behind"))))
     assert told["verdict"] == "effects", told["why"]
-    first = told["hypotheses"][0]["effects"]
+    first = likely(told)
     return [(one["name"], one["joint"], {k: v["value"] for k, v in one["parameters"].items()}) for one in first]
 
 
@@ -77,6 +77,6 @@ def loaded(compliance: float, mass_kg: float) -> ParameterSets:
 def test_a_weight_is_found_beside_what_yields_to_it() -> None:
     told = answer(budget_of(examine(static_recording(loaded(2e-6, 80.0)), Path("loaded"))))
     assert told["verdict"] == "effects", told["why"]
-    first = {one["name"]: one["parameters"] for one in told["hypotheses"][0]["effects"]}
+    first = {one["name"]: one["parameters"] for one in likely(told)}
     assert set(first) == {"gravity_sag", "payload_error"}
     assert first["payload_error"]["mass_kg"]["value"] == pytest.approx(80.0, abs=8.0)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import Fault, write
 
 from diagnosis.answer import answer
@@ -33,5 +34,5 @@ def test_a_machine_with_twelve_bits_in_its_loop_is_judged_by_its_faults(tmp_path
     place = write(tmp_path / "run", fault, seconds=20.0, tracker_m=2e-4, log_s=0.02, counts=4096)
     found = answer(budget_of(read(place)))
     assert found["verdict"] == ("effects" if deadband else "none"), found["why"]
-    named = [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+    named = [(one["name"], one["joint"]) for one in likely(found)]
     assert named == ([("valve_deadband", 1)] if deadband else [])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnosis_cases import MACHINE_TOML
+from diagnosis_cases import MACHINE_TOML, likely
 from static_points import POINTS, examined, packed, static_recording
 
 from diagnosis.answer import answer
@@ -37,7 +37,7 @@ def test_two_wrong_rows_are_named_and_the_rest_tells_what_it_told(toml: str) -> 
     assert "tip in pose 25 by 0." in finding.text
     found = answer(budget_of(whole))
     assert found["verdict"] == "effects", found["why"]
-    (effect,) = found["hypotheses"][0]["effects"]
+    (effect,) = likely(found)
     assert (effect["name"], effect["joint"]) == ("link_length_error", 2)
     assert effect["parameters"]["error_m"]["value"] == pytest.approx(0.02, abs=5e-4)
 

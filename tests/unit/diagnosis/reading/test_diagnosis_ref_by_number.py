@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
@@ -34,7 +35,7 @@ def unlogged(tables: Tables, **changed: Any) -> Tables:
 def told(place: Path, fault: Fault) -> tuple[dict[str, Any], list[tuple[str, int | None]]]:
     write(place, fault, seed=5, seconds=8.0, kinds=KINDS)
     found = answer(budget_of(read(rewritten(place, without=("q_ref",)))))
-    best = found["hypotheses"][0]["effects"] if found["hypotheses"] else []
+    best = likely(found)
     return found, [(one["name"], one["joint"]) for one in best]
 
 

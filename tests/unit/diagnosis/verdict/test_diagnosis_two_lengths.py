@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from diagnosis_cases import MACHINE_TOML
+from diagnosis_cases import MACHINE_TOML, likely
 from static_points import examined, packed, static_recording
 
 from diagnosis.answer import answer
@@ -36,7 +36,7 @@ def told(made: Recording) -> dict[str, Any]:
 
 
 def names(found: dict[str, Any]) -> set[tuple[str, int | None, str | None]]:
-    first = found["hypotheses"][0]["effects"]
+    first = likely(found)
     return {(one["name"], one["joint"], one["parameters"].get("of", {}).get("value")) for one in first}
 
 
@@ -83,7 +83,7 @@ def test_six_poses_name_what_six_poses_show(place: str) -> None:
         found = told(replace(made, rows=tip[:6]))
         assert found["verdict"] == wanted, found["why"]
         if wanted == "effects":
-            (effect,) = found["hypotheses"][0]["effects"]
+            (effect,) = likely(found)
             assert (effect["name"], effect["joint"]) == ("link_length_error", 2)
             assert effect["parameters"]["error_m"]["low"] < error_m < effect["parameters"]["error_m"]["high"]
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import Fault, write
 from typer.testing import CliRunner
 
@@ -71,7 +72,7 @@ def _fields(told: Any) -> Iterator[str]:
 
 
 def names(result: dict) -> list[tuple[str, int | None]]:
-    return [(one["name"], one["joint"]) for one in result["hypotheses"][0]["effects"]]
+    return [(one["name"], one["joint"]) for one in likely(result)]
 
 
 def test_the_example_of_rest_has_the_fields_of_an_answer() -> None:
@@ -99,7 +100,7 @@ def test_a_base_is_tilted_about_level_axes_only() -> None:
 def test_nothing_is_found_where_nothing_is_wrong(tmp_path: Path) -> None:
     _, result = diagnosed(tmp_path, Fault())
     assert result["verdict"] == "none", result["why"]
-    assert result["hypotheses"][0]["effects"] == []
+    assert likely(result) == []
     assert result["shrink"]["overall"]["closed_frac"] is None
     limits = {(one["name"], one["joint"]): one["size"] for one in result["detection_limits"]}
     assert 0.0 < limits["valve_deadband", 1] < 0.01
@@ -121,7 +122,7 @@ def test_one_effect_is_named_with_its_joint_and_size(
     _, result = diagnosed(tmp_path, fault)
     assert result["verdict"] == "effects", result["why"]
     assert names(result) == [(name, joint)]
-    found = result["hypotheses"][0]["effects"][0]["parameters"][parameter]
+    found = likely(result)[0]["parameters"][parameter]
     assert abs(found["value"] - size) < tolerance
     assert found["low"] <= found["value"] <= found["high"]
     assert result["shrink"]["overall"]["closed_frac"] > 0.9
@@ -160,7 +161,7 @@ def test_backlash_behind_the_encoder_is_seen_by_a_tracker(tmp_path: Path) -> Non
     options = {"seconds": 8.0, "kinds": ("repeat", "repeat", "workcycle"), "tracker_m": 2e-4}
     _, result = diagnosed(tmp_path, Fault(backlash=(0.0, 0.004)), **options)
     assert names(result) == [("backlash", 2)]
-    width = result["hypotheses"][0]["effects"][0]["parameters"]["width_rad"]
+    width = likely(result)[0]["parameters"]["width_rad"]
     assert abs(width["value"] - 0.004) < 4e-4
 
 
@@ -213,7 +214,7 @@ def test_the_command_writes_json_and_a_page(tmp_path: Path) -> None:
     result = json.loads(files[0].read_text())
     assert set(result) >= KEYS
     assert untold(result) == set()
-    assert {one["name"] for one in result["hypotheses"][0]["effects"]} <= set(NAMES)
+    assert {one["name"] for one in likely(result)} <= set(NAMES)
     text = files[1].read_text()
     assert "gravity_sag" in text
     assert "The model misses the tool by" in text

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnosis_cases import likely
 from drawn_set_ups import Named, SetUp, drawn
 
 from diagnosis.answer import answer
@@ -45,7 +46,7 @@ def test_what_is_named_is_there(tmp_path: Path) -> None:
 
 
 def _told(found: dict[str, Any]) -> Named:
-    best = found["hypotheses"][0]["effects"] if found["hypotheses"] else []
+    best = likely(found)
     return [(effect["name"], effect["joint"]) for effect in best]
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from one_joint_cases import Machine, recorded
 
 from diagnosis.answer import answer
@@ -21,7 +22,7 @@ def told(place: Path, machine: Machine) -> dict[str, Any]:
 
 
 def names(found: dict[str, Any]) -> list[tuple[str, int | None]]:
-    return [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+    return [(one["name"], one["joint"]) for one in likely(found)]
 
 
 @pytest.mark.parametrize("log_every", [1, 5])
@@ -35,7 +36,7 @@ def test_beside_them_a_small_gain_is_found(tmp_path: Path) -> None:
     assert found["verdict"] == "effects", found["why"]
     assert names(found) == [("flow_gain_error", 1)]
     assert "baseline" not in {one["signal"] for one in found["missing"]}, "an answer asks for none"
-    gain = found["hypotheses"][0]["effects"][0]["parameters"]["gain_frac"]["value"]
+    gain = likely(found)[0]["parameters"]["gain_frac"]["value"]
     assert gain == pytest.approx(0.02, abs=5e-4)  # 0.0003 are the model's step of 1 ms
 
 
@@ -81,14 +82,14 @@ def test_without_a_run_file_what_is_there_is_judged(tmp_path: Path) -> None:
 
 def test_an_oil_that_warms_between_repeats_is_refused_not_taken_for_noise(tmp_path: Path) -> None:
     found = told(tmp_path, Machine(gain=lambda t: 1.0 + 0.15 * (1.0 - np.exp(-(t - 100.0) / 40.0))))
-    assert found["verdict"] in ("outside", "undecided"), found["hypotheses"][0]
+    assert found["verdict"] in ("outside", "undecided"), likely(found)
     assert found["unexplained"]
 
 
 def test_a_gears_wave_is_no_encoders(tmp_path: Path) -> None:
     geared = Machine(kinds=("multisine", "steps", "sweep"), wave=lambda q: 0.01 * np.sin(9.0 * q + 0.4))
     found = told(tmp_path, geared)
-    assert found["verdict"] == "outside", found["hypotheses"][0]
+    assert found["verdict"] == "outside", likely(found)
     discs = replace(geared, wave=lambda q: 0.01 * np.sin(2.0 * q + 0.4))
     found = told(tmp_path, discs)
     assert found["verdict"] != "outside", found["why"]
@@ -97,7 +98,7 @@ def test_a_gears_wave_is_no_encoders(tmp_path: Path) -> None:
 def test_oil_that_swings_after_each_move_is_named_with_its_period(tmp_path: Path) -> None:
     found = told(tmp_path, Machine(oil_hz=4.0))
     assert found["verdict"] == "effects", found["why"]
-    named = {one["name"]: one["parameters"] for one in found["hypotheses"][0]["effects"]}
+    named = {one["name"]: one["parameters"] for one in likely(found)}
     assert named["oil_compliance"]["period_s"]["value"] == pytest.approx(1.0 / (2.0 * np.pi * 4.0), rel=0.1)
 
 
@@ -127,7 +128,7 @@ def test_a_spools_play_in_a_fast_loop_is_named(tmp_path: Path) -> None:
     found = told(tmp_path, replace(FAST, play_frac=0.03))
     assert found["verdict"] == "effects", found["why"]
     assert names(found) == [("valve_hysteresis", 1)]
-    width = found["hypotheses"][0]["effects"][0]["parameters"]["half_width_frac"]["value"]
+    width = likely(found)[0]["parameters"]["half_width_frac"]["value"]
     assert width == pytest.approx(0.03, rel=0.03)
 
 
@@ -150,7 +151,7 @@ def test_a_dead_band_that_takes_from_the_full_flow_is_one_fault(tmp_path: Path) 
     found = told(tmp_path, Machine(dead_frac=0.05))
     assert found["verdict"] == "effects", found["why"]
     assert names(found) == [("valve_deadband", 1)]
-    parameters = found["hypotheses"][0]["effects"][0]["parameters"]
+    parameters = likely(found)[0]["parameters"]
     assert parameters["full_flow"]["value"] == "lost"
     assert parameters["half_width_frac"]["value"] == pytest.approx(0.05, rel=0.02)
 
@@ -160,4 +161,4 @@ def test_a_dead_band_that_takes_from_the_full_flow_is_one_fault(tmp_path: Path) 
 )
 def test_what_begins_half_way_is_not_passed_over(tmp_path: Path, spoilt: dict[str, Any]) -> None:
     found = told(tmp_path, replace(FAST, kinds=UNREPEATED, log_every=5, disturbance_rad_s=2e-3, **spoilt))
-    assert found["verdict"] in ("outside", "undecided"), found["hypotheses"][0]
+    assert found["verdict"] in ("outside", "undecided"), likely(found)

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
@@ -26,7 +27,7 @@ def test_sent_and_received_references_alone_tell_of_the_link(tmp_path: Path, del
     place = write(tmp_path / "run", Fault(delay_s=delay_s), seconds=10.0)
     found = answer(budget_of(read(rewritten(place, without=("q_1", "q_2", "u_")))))
     assert found["verdict"] == ("effects" if delay_s else "none"), found["why"]
-    named = [one["name"] for one in found["hypotheses"][0]["effects"]]
+    named = [one["name"] for one in likely(found)]
     assert named == (["transport_delay"] if delay_s else [])
     assert "how the joints moved is not known" in str(found["missing"])
 
@@ -35,7 +36,7 @@ def test_sent_and_received_references_alone_tell_of_the_link(tmp_path: Path, del
 def test_play_needs_no_valve(tmp_path: Path, play_rad: float, wanted: set[tuple[str, int]]) -> None:
     place = write(tmp_path / "run", Fault(backlash=(0.0, play_rad)), seconds=10.0, tracker_m=2e-4)
     found = answer(budget_of(read(angles_only(place))))
-    first = found["hypotheses"][0]["effects"]
+    first = likely(found)
     assert {(one["name"], one["joint"]) for one in first} == wanted, found["why"]
     assert found["verdict"] == ("effects" if wanted else "none"), found["why"]
     for one in first:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from scipy.io import loadmat
 
 from diagnosis.answer import answer
@@ -66,7 +67,7 @@ def test_a_wrong_chain_shows_as_centimetres() -> None:
 def test_the_offset_of_a_wrist_joint_is_named_as_its_owners_say() -> None:
     """They calibrate joint offsets, and know of play at the wrist: that play is what no name takes away here."""
     found = answer(budget_of(examine(tiago(), Path("tiago"))))
-    first = found["hypotheses"][0]["effects"]
+    first = likely(found)
     assert ("encoder_bias", 6) in {(one["name"], one["joint"]) for one in first}  # arm_5, the wrist's first
     assert not found["unexplained"]
     assert 0.4 < found["shrink"]["overall"]["closed_frac"] < 0.8
