@@ -20,10 +20,13 @@ from diagnosis.search.fit import neutral_fit
 from diagnosis.search.work import Work
 from diagnosis.whole_model.guessed_noise import SETTLED, by_noise_of, noise_about
 from diagnosis.whole_model.linear import Term, linearised
-from diagnosis.whole_model.solve import WholeFit, fit_of, solve, trusted
+from diagnosis.whole_model.solve import WholeFit, fit_of, score_at, solve, trusted
 from diagnosis.whole_model.subsets import best_set
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
+
+OTHER_FORM = ("valve_deadband", "kept")  # the same as one that loses flow, together with a gain
+GAIN = "flow_gain_error"
 
 
 def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...] = ()) -> tuple[WholeFit, ...]:
@@ -60,7 +63,7 @@ def _solved(cells: list[Cell], work: Work) -> list[WholeFit]:
     work.stage(cells)
     for cell in cells:
         work.begin(f"fitting {cell.label}")
-        out.append(_solved_by_its_noise(cell, work))
+        out.append(_in_other_form(_solved_by_its_noise(cell, work)))
         work.end()
     return out
 
@@ -79,8 +82,27 @@ def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
-    """A cell's effects; beside a baseline's own with that one's shapes."""
-    return beside(cell.base, cell.candidates)
+    """A cell's effects, each in one form; beside a baseline's own with that one's shapes."""
+    return beside(cell.base, tuple(one for one in cell.candidates if (one.name, one.option) != OTHER_FORM))
+
+
+def _in_other_form(found: WholeFit) -> WholeFit:
+    """The fit with dead bands that keep the full flow, where such a one explains as much as one that loses flow and a
+    gain that makes up for it.
+    """
+    kept = {one.joint: one for one in found.cell.candidates if (one.name, one.option) == OTHER_FORM}
+    for k, term in enumerate(found.best.terms):
+        joint = term.effect.joint
+        if not term.present or term.effect.name != OTHER_FORM[0] or joint not in kept:
+            continue
+        others = tuple(
+            replace(one, present=one.present and one.effect.key != (GAIN, joint)) for one in found.best.terms
+        )
+        terms = (*others[:k], replace(term, effect=kept[joint]), *others[k + 1 :])
+        tried = solve(found.cell, (), terms)
+        if score_at(tried.best.lin, found.trust) > score_at(found.best.lin, found.trust):
+            found = tried
+    return found
 
 
 def with_found(base: ParameterSets, fits: list[WholeFit], names: tuple[str, ...] | None = None) -> ParameterSets:

@@ -94,7 +94,7 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
             terms = refined(cell, _chosen(lin, problem, best), trust)
             trust = trusted(cell, terms)
             tried = _fitted(cell, terms, trust)
-            if fitted is None or tried.score > _score_at(fitted.lin, trust):
+            if fitted is None or tried.score > score_at(fitted.lin, trust):
                 fitted, lin = tried, tried.lin
                 continue
         columns = _tangents(cell, fitted)
@@ -124,10 +124,10 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
 
 def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:
     lin = linearised(cell, terms, absent=absent)
-    return Fitted(lin, lin.problem(trust), _score_at(lin, trust))
+    return Fitted(lin, lin.problem(trust), score_at(lin, trust))
 
 
-def _score_at(lin: Linearised, trust: Array) -> float:
+def score_at(lin: Linearised, trust: Array) -> float:
     """Log posterior of the present set where it stands: Laplace, with the costs as they are [nats]."""
     problem, members = lin.problem(trust), lin.present
     cols = np.repeat(members, np.diff(lin.first))
