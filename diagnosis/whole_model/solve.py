@@ -77,14 +77,14 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
            the end the best set without each term is refitted; where one of these is better, it takes the place.
     """
     trust = np.ones(cell.rows.count)
-    terms = start
-    if not start:
-        terms = tuple(Term(effect, np.zeros(len(effect.slots)), False) for effect in library)
-        terms = refined(cell, tuple(replace(term, present=term.smooth) for term in terms), trust)
-    lin = linearised(cell, terms)
-    twins = lin.twins()
+    terms = start or tuple(Term(effect, np.zeros(len(effect.slots)), False) for effect in library)
+    twins = _twins(cell, terms)
     own = np.ones(len(terms), dtype=bool)
     own[[out for _, out in twins]] = False
+    if not start:
+        begun = (replace(term, present=bool(term.smooth and own[k])) for k, term in enumerate(terms))
+        terms = refined(cell, tuple(begun), trust)
+    lin = linearised(cell, terms)
     settled, rivals = False, dict[int, Fitted | None]()
     fitted: Fitted | None = None
     for _ in range(ROUNDS):
@@ -109,6 +109,13 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
         raise DiagnosisError(f"{cell.label}: no round of the fit was run")
     posterior = posterior_over_sets(fitted.problem, fitted.present, own)
     return WholeFit(cell, fitted, posterior, trust, rivals, twins, settled)
+
+
+def _twins(cell: Cell, terms: tuple[Term, ...]) -> tuple[tuple[int, int], ...]:
+    """Pairs of smooth terms that do the same where both are absent: the one kept, and the one it stands for."""
+    smooth = [k for k, term in enumerate(terms) if term.smooth]
+    absent = tuple(replace(terms[k], theta=np.zeros_like(terms[k].theta), present=False) for k in smooth)
+    return tuple((smooth[kept], smooth[out]) for kept, out in linearised(cell, absent).twins())
 
 
 def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
