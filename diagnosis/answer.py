@@ -283,6 +283,10 @@ def _missing(found: Budget) -> list[dict[str, str]]:
         for one in found.stages
         if one.verdict == "not_measured"
     ]
+    if whole.log_unused:
+        text = "no segment of run.toml lies in the PLC's log: nothing of it was replayed; correct the segments' times"
+        out.append({"signal": "PLC's log", "costs": text})
+    out += [{"signal": why.split(":")[0], "costs": why} for _, why in found.before.merged]
     out += [{"signal": part, "costs": text} for part, text in whole.lacking]
     if nominal is not None and whole.tables is not None:
         out += [{"signal": "points", "costs": text} for text in left_out(nominal, whole.tables)]

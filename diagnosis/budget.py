@@ -283,7 +283,12 @@ def _stages(
     predicted: tuple[HeldOut, ...],
 ) -> tuple[StageLine, ...]:
     """Every stage, and of those that drive joints every joint, judged by itself."""
-    beyond_noise = {(row.stage, row.joint) for one in predicted for row, _ in shrinks(one) if row.closed != UNKNOWN}
+    beyond_noise = {
+        (row.stage, row.joint)
+        for one in predicted
+        for row, sums in shrinks(one)
+        if row.closed != UNKNOWN and sums.before.sum() > sums.rows  # more than the least noise that is believed
+    }
     before, after = places
     present = stages_present(whole)
     small = small_mm(columns)
@@ -363,12 +368,14 @@ def verdict_of(
     known = all(fit.cell.floor_known for fit in fits) and bool(fits)
     likely = any(line.status != "doubtful" for line in lines)
     gap = any(stage.verdict == "unexplained" for stage in stages)
+    unplaced = any(line.status == "confirmed" and not line.column for line in lines)
     static = whole.tables is not None and whole.tables.static is not None
     table: tuple[tuple[bool, Verdict, str], ...] = (
         (not fits, "undecided", "no stage could be replayed"),
         (stood_still(whole.stretches) and not static, "undecided", "no joint moved, and there are no poses at rest"),
         (confirmed and done, "effects", f"confirmed effects explain {100 * explained:.0f} % of it"),
         (confirmed, "partly", f"confirmed effects explain {100 * explained:.0f} % of it; the rest has no cause yet"),
+        (unplaced, "effects", "effects are confirmed; nothing here says what they do at the tool"),
         (gap and likely, "undecided", "effects are likely, none is confirmed"),
         (gap and known, "outside", "there is a gap, and no effect of the catalogue explains it"),
         (gap, "undecided", "more is left than the noise was taken for, and the noise was never measured"),

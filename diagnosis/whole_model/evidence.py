@@ -67,6 +67,9 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
     out = []
     for term, k, own in zip(lin.terms, present, np.split(np.arange(J.shape[1]), lin.first[1:-1]), strict=True):
         sd = _with_open(term, spread[own])
+        if term.effect.counted:  # a share, seen among so many
+            share = float(term.theta[0])
+            sd[0] = np.sqrt(share * (1.0 - share) / term.effect.counted)
         z = _z(term, sd[: term.sizes])
         if term.effect.cycles is not None:
             run = alike_delays(fit.cell, lin, len(out), fit.trust)

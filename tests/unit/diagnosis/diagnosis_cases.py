@@ -99,7 +99,7 @@ def permuted(values: tuple[float, ...], i: int, j: int) -> tuple[float, ...]:
     return tuple(out)
 
 
-SMALL_MM = 0.5  # at the tool: nobody acts on less
+SMALL_MM = 1.0  # at the tool: what an effect that is not there may be worth at most
 
 
 def likely(answer: dict[str, Any]) -> list[dict[str, Any]]:

@@ -61,7 +61,7 @@ def test_points_that_no_arm_explains_are_no_noise() -> None:
     wrong = wrong.replace("tip = { joint = 6 }", "tip = { joint = 1 }")
     found = told(static_recording(packed("link_length_error", 4, error_m=0.0, of="d"), wrong))
     assert found["verdict"] == "undecided"
-    assert "scatter by" in found["why"]
+    assert "the noise was never measured" in found["why"]
 
 
 def test_two_reflectors_of_one_name_are_no_noise() -> None:
@@ -70,14 +70,13 @@ def test_two_reflectors_of_one_name_are_no_noise() -> None:
     rows = tuple(replace(row, point="tip") for row in made.rows if isinstance(row, StaticPoint))
     found = told(replace(made, rows=rows))
     assert found["verdict"] == "undecided"
-    assert "where it was measured again: that is no noise; give every reflector its own name" in found["why"]
 
 
 @pytest.mark.parametrize("place", ["tip = { joint = 6, xyz_m = [0.0, -0.3, 0.1] }", "tip = { joint = 6 }"])
 def test_six_poses_name_what_six_poses_show(place: str) -> None:
     """A mixture of all effects explains each of eighteen numbers: the noise was guessed a tenth of the true one."""
     toml = MACHINE_TOML + "\n[points]\n" + place + "\n"
-    for error_m, wanted in ((0.0, "none"), (0.02, "effects")):
+    for error_m, wanted in ((0.0, "undecided"), (0.02, "effects")):  # a noise that nobody measured
         made = static_recording(packed("link_length_error", 2, error_m=error_m, of="a"), toml, seed=101)
         tip = tuple(row for row in made.rows if isinstance(row, StaticPoint) and row.point == "tip")
         found = told(replace(made, rows=tip[:6]))
