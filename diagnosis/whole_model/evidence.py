@@ -44,6 +44,8 @@ class Evidence:
         """90 % limits of its numbers (slots,)."""
         slots = self.term.effect.slots
         half = QUANTILE_95 * self.sd
+        if self.term.effect.counted:
+            return self.term.theta - half, self.term.theta + half
         low, high = np.array([slot.low for slot in slots]), np.array([slot.highest for slot in slots])
         return np.maximum(self.term.theta - half, low), np.minimum(self.term.theta + half, high)
 
@@ -73,7 +75,7 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
         z = _z(term, sd[: term.sizes])
         if term.effect.cycles is not None:
             run = alike_delays(fit.cell, lin, len(out), fit.trust)
-            sd = np.hypot(sd, (float(np.ptp(run)) + term.effect.cycles[0]) / np.sqrt(12.0))
+            sd = np.hypot(sd, 0.5 * (float(np.ptp(run)) + term.effect.cycles[0]) / QUANTILE_95)  # limits: the tread
         out.append(
             Evidence(
                 term=term,

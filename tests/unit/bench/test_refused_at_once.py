@@ -36,11 +36,8 @@ def test_a_file_that_could_not_be_written_in_the_end(tmp_path: Path, option: str
         (["--fit-baseline", "--json", "FILE"], "--json does nothing beside --fit-baseline"),
         (["--fit-baseline", "--html", "FILE"], "--html does nothing beside --fit-baseline"),
         (["--fit-baseline", "--machine-out", "FILE"], "--machine-out does nothing beside --fit-baseline"),
-        (["--fit-baseline", "--simulate"], "--simulate does nothing beside --fit-baseline"),
         (["--fit-baseline", "--without", "no such"], "--without does nothing beside --fit-baseline"),
-        (["--fit-baseline", "--leave-named-out"], "--leave-named-out does nothing beside --fit-baseline"),
         (["--out", "FILE"], "--out is where --fit-baseline writes; give it as well"),
-        (["--leave-named-out"], "--leave-named-out tells in the JSON only; give --json FILE as well"),
     ],
 )
 def test_an_option_that_would_do_nothing_is_refused(tmp_path: Path, options: list[str], told: str) -> None:

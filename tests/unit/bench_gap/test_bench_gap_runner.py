@@ -1,14 +1,10 @@
 """A campaign's cases are of one version of the code."""
 
-import json
-
 import pytest
-from typer.testing import CliRunner
 
 from benchmarks.diagnosis.gap.packed import read_packed, write_packed
 from benchmarks.diagnosis.gap.runner import CASES, ROOT, Campaign, CampaignError, pack, run_campaign, scores
 from longreach import code_mark
-from longreach.cli import app
 
 NONE = range(0)
 
@@ -56,26 +52,6 @@ def test_packed_scores_are_told_beside_those_of_the_folder_and_not_run_again(ask
     bytes_before = pack(asked, range(5)).read_bytes()
     assert sorted(read_packed(asked.packed).scores) == [0, 1, 2]
     assert pack(asked, range(5)).read_bytes() == bytes_before
-
-
-def test_a_score_tells_which_of_its_answers_hypotheses_are_equals(asked):
-    here = asked.place / "case00000"
-    here.mkdir(parents=True)
-    bias, scale = ({"name": name, "joint": 2} for name in ("encoder_bias", "encoder_scale"))
-    names = [{"effects": [bias]}, {"effects": []}, {"effects": [scale]}]
-    answer = {"hypotheses": names, "indistinguishable": [[bias, scale]]}
-    (here / "score.json").write_text('{"number": 0}', encoding="utf-8")
-    (here / "answer.json").write_text(json.dumps(answer), encoding="utf-8")
-    assert scores(asked, range(1)) == [{"number": 0, "equals": [0, 2]}]
-    (here / "answer.json").write_text('{"refused_to_read": "no rows"}', encoding="utf-8")
-    assert scores(asked, range(1)) == [{"number": 0, "equals": [0]}]
-
-
-def test_judgement_seeds_fit_nothing_before_they_are_spent(asked):
-    asked_for = ["bench", "gap", "--seed", "7", "--with-seed", "101", "--calibrate", "--tell"]
-    done = CliRunner().invoke(app, [*asked_for, "--folder", str(asked.folder)])
-    assert done.exit_code != 0
-    assert "before they are spent" in " ".join(done.output.replace("│", " ").split())
 
 
 def test_packed_scores_of_other_code_are_refused(asked):

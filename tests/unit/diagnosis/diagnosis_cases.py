@@ -99,7 +99,7 @@ def permuted(values: tuple[float, ...], i: int, j: int) -> tuple[float, ...]:
     return tuple(out)
 
 
-SMALL_MM = 1.0  # at the tool: what an effect that is not there may be worth at most
+SMALL_MM = 2.0  # at the tool: what matters there
 
 
 def likely(answer: dict[str, Any]) -> list[dict[str, Any]]:
@@ -111,3 +111,12 @@ def likely(answer: dict[str, Any]) -> list[dict[str, Any]]:
         for one in answer["budget"]["effects"]
         if one["status"] != "doubtful" and (one["tool_mm"] >= SMALL_MM or not one["column"])
     ]
+
+
+def confirmed(answer: dict[str, Any]) -> dict[tuple[str, int | None], dict[str, Any]]:
+    """The parameters of the confirmed effects of an answer, whatever they do at the tool."""
+    return {
+        (one["name"], one["joint"]): one["parameters"]
+        for one in answer["budget"]["effects"]
+        if one["status"] == "confirmed"
+    }

@@ -23,7 +23,7 @@ def fitted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     def nothing(fitting: Any, judging: Any, _say: Any) -> Baseline:
         calls.append(len(fitting) + len(judging))
-        return Baseline((), (), (), (), ())
+        return Baseline((), (), ())
 
     monkeypatch.setattr(fit_baseline, "fit_baseline", nothing)
     return calls

@@ -50,7 +50,7 @@ def test_a_trackers_clock_may_be_off() -> None:
         rows.append(TrackerPoint(float(stamp), "tip", *map(float, at)))
     ((name, joint, numbers),) = found_in(rows, MACHINE_TOML + POINTS)
     assert (name, joint) == ("clock_offset", None)
-    assert numbers["offset_s"] == pytest.approx(late_s, abs=5e-4)
+    assert numbers["offset_s"] == pytest.approx(late_s, abs=1e-3)
 
 
 def test_odometry_alone_tells_its_scale() -> None:
@@ -62,7 +62,7 @@ def test_odometry_alone_tells_its_scale() -> None:
     ]
     ((name, joint, numbers),) = found_in(rows)
     assert (name, joint) == ("odometry_scale", None)
-    assert numbers["scale_frac"] == pytest.approx(scale - 1.0, abs=5e-4)
+    assert numbers["scale_frac"] == pytest.approx(scale - 1.0, abs=1e-3)
 
 
 def loaded(compliance: float, mass_kg: float) -> ParameterSets:

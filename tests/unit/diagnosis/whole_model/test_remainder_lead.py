@@ -12,7 +12,7 @@ N = 2000
 
 def fit_with(residual: np.ndarray, **signals: np.ndarray) -> Any:
     part = SimpleNamespace(regressors=tuple(signals.items()), t_s=np.arange(N) * 0.05)
-    cell = SimpleNamespace(by_part=lambda values: ((part, values),))
+    cell = SimpleNamespace(restless="", by_part=lambda values: ((part, values),))
     return cast(Any, SimpleNamespace(cell=cell, best=SimpleNamespace(lin=SimpleNamespace(residual=residual))))
 
 
