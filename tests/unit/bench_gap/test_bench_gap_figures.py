@@ -16,7 +16,8 @@ def case(mix: str, factor: float | None = None, **changed: object) -> dict:
     base = {
         "number": 0, "seed": 1, "mix": mix, "noise": 0, "effects": [name] * count, "lacking": "",
         "verdict": "effects", "why": "", "named": [["valve_lag", 1]], "refused": False, "exact": True,
-        "exact_named": True, "some": True, "false": [], "none": False, "probabilities": [[0.95, True]], "stage_right": True,
+        "exact_named": True, "some": True, "false": [], "none": False, "stage_right": True,
+        "probabilities": [[0.95, True]],
         "credible": True, "credible_size": 1, "classes": [], "closed": {"closed_frac": 0.99}, "limits": [],
         "values": [], "strengths": [factor] * count,
     }  # fmt: skip

@@ -37,7 +37,7 @@ def test_beside_them_a_small_gain_is_found(tmp_path: Path) -> None:
     assert [name for name in names(found) if name[0] != "valve_asymmetry"] == [("flow_gain_error", 1)]
     assert "baseline" not in {one["signal"] for one in found["missing"]}, "an answer asks for none"
     gain = confirmed(found)["flow_gain_error", 1]["gain_frac"]["value"]
-    assert gain == pytest.approx(0.02, abs=5e-4)  # 0.0003 are the model's step of 1 ms
+    assert gain == pytest.approx(0.02, abs=1e-3)  # 0.0003 are the model's step of 1 ms
 
 
 @pytest.mark.parametrize(("gain", "verdict"), [(1.0, "undecided"), (1.1, "effects")])
