@@ -56,9 +56,9 @@ def test_a_recording_that_moves_is_judged_and_the_same_one_standing_is_not() -> 
     made = recording()
     assert budget_of(examine(made, Path("moves"))).verdict == "none"
     moving = examine(made, Path("stands"))
-    verdict = budget_of(replace(moving, stretches=tuple(_frozen(one) for one in moving.stretches))).verdict
-    assert verdict == "undecided"
-    assert "no joint moved" in why
+    found = budget_of(replace(moving, stretches=tuple(_frozen(one) for one in moving.stretches)))
+    assert found.verdict == "undecided"
+    assert "no joint moved" in found.why
 
 
 def _frozen(one: Stretch) -> Stretch:

@@ -70,7 +70,7 @@ def test_the_offset_of_a_wrist_joint_is_named_as_its_owners_say() -> None:
     there = [one for one in found["budget"]["effects"] if one["status"] != "doubtful"]
     assert ("encoder_bias", 6) in {(one["name"], one["joint"]) for one in there}  # arm_5, the wrist's first
     assert 0.4 < found["shrink"]["overall"]["closed_frac"] < 0.9
-    assert "repeats" in found["why"]
+    assert "repeats" in {one["signal"] for one in found["missing"]}
     assert found["findings"][0]["text"].endswith("drop it, or give its own")
 
 
