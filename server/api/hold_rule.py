@@ -10,7 +10,7 @@ from server.link.contracts import PlcSample
 from server.store.audit_rows import Caller
 
 Mode = Literal["SIM", "REAL"]
-STILL = frozenset({"look", "preview", "plan_experiment", "plan_identify"})
+STILL = frozenset({"look", "preview", "plan_identify"})
 
 
 class HoldRequiredError(AccessError):

@@ -296,25 +296,6 @@ class ServoRequest(JobRequest):
     kind: Literal["servo"]
 
 
-class PlanExperimentRequest(JobRequest):
-    """Plan the experiment that a finished diagnosis proposes; nothing moves. `experiment` drives it by its hash."""
-
-    kind: Literal["plan_experiment"]
-    diagnosis_id: str = Field(pattern="^[0-9a-f]{12}$")
-    wall_free: bool = Field(default=False, description="there is no wall within reach; needed where none was seen")
-    keep: Literal["tempo", "size"] | None = Field(
-        default=None, description="where it is too fast: smaller (tempo) or longer (size); by the experiment if absent"
-    )
-
-
-class ExperimentRequest(JobRequest):
-    """Drive the planned experiment of that hash, record it, and diagnose it together with the earlier recordings."""
-
-    kind: Literal["experiment"]
-    diagnosis_id: str = Field(pattern="^[0-9a-f]{12}$")
-    plan_hash: str = Field(min_length=16, max_length=16, pattern="^[0-9a-f]{16}$")
-
-
 class PlanIdentifyRequest(JobRequest):
     """Plan the drive that shows what this machine's model leaves out: look, and move nothing. `identify` drives it."""
 

@@ -1,12 +1,12 @@
-"""A proposed experiment as a trajectory: its spline to the bit between knots, and inside every limit."""
+"""A course as a trajectory: its spline to the bit between knots, and inside every limit."""
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
 from machine.chain import chain_of
-from server.motion.contracts import PlanStatus
-from server.motion.experiment_course import Course, Fitted, course_trajectory, fitted_course
+from server.motion.contracts import JointTrajectory, PlanStatus
+from server.motion.identification_courses import Course, course_trajectory, fitted_course
 from server.motion.refusal import Refusal
 from server.motion.settings import PAPER_PLAN_SETTINGS
 from server.motion.timing import excess
@@ -38,37 +38,26 @@ def test_the_plc_plays_the_spline_that_was_foretold():
     assert np.array_equal(made.q[0], START)
 
 
-@pytest.mark.parametrize(("keep", "smaller", "longer"), [("tempo", True, False), ("size", False, True)])
-def test_too_fast_a_course_is_made_to_fit(keep, smaller, longer):
+def test_too_fast_a_course_is_made_smaller():
     course = waves(0.3)  # slewing so at 3 m: far beyond the TCP's 0.15 m/s
     plain = excess(MACHINE, CHAIN, course_trajectory(course), PAPER_PLAN_SETTINGS, 0.9)
     assert plain.factor > 2.0
-    found = fitted_course(MACHINE, CHAIN, course, PAPER_PLAN_SETTINGS, keep)
-    assert isinstance(found, Fitted)
-    assert excess(MACHINE, CHAIN, found.trajectory, PAPER_PLAN_SETTINGS, 0.9).factor <= 1.0
-    assert (found.size_frac < 1.0, found.slower > 1.0) == (smaller, longer)
-    if keep == "size":
-        assert np.ptp(found.trajectory.q[:, 0]) == pytest.approx(np.ptp(course.q[:, 0]), rel=1e-3)
-    else:
-        assert found.trajectory.duration_s == pytest.approx(20.0)
+    found = fitted_course(MACHINE, CHAIN, course, PAPER_PLAN_SETTINGS)
+    assert isinstance(found, JointTrajectory)
+    assert excess(MACHINE, CHAIN, found, PAPER_PLAN_SETTINGS, 0.9).factor <= 1.0
+    assert np.ptp(found.q[:, 0]) < 0.5 * np.ptp(course.q[:, 0])
+    assert found.duration_s == pytest.approx(20.0)
 
 
 def test_what_fits_is_left_as_it_is():
     course = waves(0.02, joint=5)
-    found = fitted_course(MACHINE, CHAIN, course, PAPER_PLAN_SETTINGS, "tempo")
-    assert isinstance(found, Fitted)
-    assert (found.size_frac, found.slower) == (1.0, 1.0)
+    found = fitted_course(MACHINE, CHAIN, course, PAPER_PLAN_SETTINGS)
+    assert isinstance(found, JointTrajectory)
+    assert np.array_equal(found.q, course_trajectory(course).q)
 
 
 def test_what_would_be_nothing_is_refused():
-    found = fitted_course(MACHINE, CHAIN, waves(60.0), PAPER_PLAN_SETTINGS, "tempo")
+    found = fitted_course(MACHINE, CHAIN, waves(60.0), PAPER_PLAN_SETTINGS)
     assert isinstance(found, Refusal)
     assert found.status is PlanStatus.TOO_FAST
-    assert "drive it slower" in found.reason
-
-
-def test_knots_of_a_slow_course_stay_within_what_the_plc_takes():
-    made = course_trajectory(waves(0.1), slower=9.7)
-    steps = np.diff(made.t_s)
-    assert steps.max() <= 0.2 + 1e-9
-    assert steps.min() >= 0.005
+    assert "begin with the arm folded" in found.reason
