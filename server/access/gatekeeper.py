@@ -7,9 +7,8 @@ from server.access.errors import AccessError, RoleError
 from server.access.hosts import host_allowed, origin_allowed
 from server.access.keys import ApiKey, KeyRing
 from server.access.lockout import Lockout
-from server.access.roles import ANYBODY, SAFE_METHODS, Role, needed
+from server.access.roles import ANYBODY, SAFE_METHODS, Caller, Role, needed
 from server.access.sessions import Sessions
-from server.store.audit_rows import Caller
 
 log = logging.getLogger(__name__)
 

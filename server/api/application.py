@@ -31,9 +31,9 @@ from server.api.state import state_router
 from server.api.state_cache import StateCache, straight_route
 from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
 from server.jobs.diagnosing import Diagnoses
+from server.jobs.keeper import Keeper
 from server.jobs.lease_guard import guard_lease, stop_unguarded
 from server.jobs.service import JobService
-from server.store.keeper import Keeper
 from server.supervised_tasks import SupervisedTasks
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from recording.clock import mono_s
 from server.access.errors import AccessError
 from server.access.lease import Lease, LeaseKind
+from server.access.roles import Caller
 from server.api.hold_rule import mode_of, require_hold
 from server.api.state_view import job_view
 from server.api.stop_audit import FoldedStops
@@ -17,7 +18,7 @@ from server.jobs.commands import Command
 from server.jobs.engine import Job, JobState
 from server.jobs.service import JobBody, JobService
 from server.link.errors import LinkError
-from server.store.audit_rows import AuditEntry, Caller
+from server.store.audit_rows import AuditEntry
 from server.store.idempotency import Answered, KeyMissingError, hash_of, read_answer, replay_of
 
 log = logging.getLogger(__name__)

@@ -22,7 +22,7 @@ from server.api.views import (
     PlanView,
     StateView,
 )
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.engine import Job, JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan

@@ -6,11 +6,11 @@ from dataclasses import asdict
 
 from recording.clock import mono_ns
 from server.calibration.calibration_life import LocalCalibration
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.engine import Job, JobEvent
+from server.jobs.keeper import Keeper
 from server.jobs.knowledge import PreviewedPlan
 from server.store.finding_rows import add_calibration, add_plan
-from server.store.keeper import Keeper
 
 
 class FindingLog:

@@ -10,11 +10,11 @@ from typing import Any
 
 from server.jobs.commands import Began
 from server.jobs.engine import Job, JobEvent
+from server.jobs.job_rows import add_job, end_interrupted, end_job, read_jobs
 from server.store.audit_rows import AuditEntry, add_audit, forget_old_audit
 from server.store.database import Database, Work
 from server.store.errors import StoreError
 from server.store.idempotency import forget_answer, save_answer
-from server.store.job_rows import add_job, end_interrupted, end_job, read_jobs
 from server.store.lease_rows import read_fencing, save_fencing
 from server.store.operating_time import read_operating_time, save_operating_time
 

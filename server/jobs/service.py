@@ -8,7 +8,33 @@ from pathlib import Path
 
 from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
 from server.access.lease import Lease
-from server.api.views import (
+from server.compensation.errors import CompensationError
+from server.compensation.reading import compensation_from
+from server.compensation.versions import MachineVersions
+from server.disk_space import DiskSpace
+from server.errors import BusyError, JobFailedError
+from server.inner_faults import InnerFaults
+from server.jobs.calibration_store import CalibrationStore, machine_id_of
+from server.jobs.cell import Cell
+from server.jobs.commands import INSIDE_COMMAND, Command, began
+from server.jobs.context import PlanContext
+from server.jobs.diagnosing import Diagnoses
+from server.jobs.engine import Job, JobEngine, JobEvent
+from server.jobs.finding_log import FindingLog
+from server.jobs.identification import Identification
+from server.jobs.keeper import Keeper
+from server.jobs.knowledge import LookTaken, PreviewedPlan
+from server.jobs.plans.calibrating import calibrate
+from server.jobs.plans.identifying import drive_identification, plan_identification
+from server.jobs.plans.line import line_run
+from server.jobs.plans.looking import take_look
+from server.jobs.plans.moving import check_executable, execute, preview
+from server.jobs.plans.orienting import orient
+from server.jobs.plans.positioning import position
+from server.jobs.plans.returning import park, retract, return_to_start
+from server.jobs.plans.servoing import servo
+from server.jobs.plans.unmoved import moved_since_look
+from server.jobs.request_bodies import (
     CalibrateRequest,
     ExecuteRequest,
     IdentifyRequest,
@@ -23,34 +49,8 @@ from server.api.views import (
     ReturnRequest,
     ServoRequest,
 )
-from server.cell import Cell
-from server.compensation.errors import CompensationError
-from server.compensation.reading import compensation_from
-from server.compensation.versions import MachineVersions
-from server.disk_space import DiskSpace
-from server.errors import BusyError, JobFailedError
-from server.inner_faults import InnerFaults
-from server.jobs.calibration_store import CalibrationStore, machine_id_of
-from server.jobs.commands import INSIDE_COMMAND, Command, began
-from server.jobs.context import PlanContext
-from server.jobs.diagnosing import Diagnoses
-from server.jobs.engine import Job, JobEngine, JobEvent
-from server.jobs.finding_log import FindingLog
-from server.jobs.identification import Identification
-from server.jobs.knowledge import LookTaken, PreviewedPlan
-from server.jobs.plans.calibrating import calibrate
-from server.jobs.plans.identifying import drive_identification, plan_identification
-from server.jobs.plans.line import line_run
-from server.jobs.plans.looking import take_look
-from server.jobs.plans.moving import check_executable, execute, preview
-from server.jobs.plans.orienting import orient
-from server.jobs.plans.positioning import position
-from server.jobs.plans.returning import park, retract, return_to_start
-from server.jobs.plans.servoing import servo
-from server.jobs.plans.unmoved import moved_since_look
 from server.jobs.requests import Plan, Progress, Request
 from server.link.errors import LinkError
-from server.store.keeper import Keeper
 
 log = logging.getLogger(__name__)
 RESUME_SEEN_S = 0.1

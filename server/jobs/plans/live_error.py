@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.plans.looking import error_in_mm
 from server.jobs.plans.seeing import common_of, corrected_poses

@@ -6,11 +6,11 @@ import sys
 import pytest
 
 from server.access.lease import LeaseKind
+from server.access.roles import Caller
 from server.api.hold_rule import HoldRequiredError, require_hold
-from server.api.views import IdentifyRequest, PlanIdentifyRequest
 from server.errors import BusyError
 from server.jobs.diagnosing import Diagnoses
-from server.store.audit_rows import Caller
+from server.jobs.request_bodies import IdentifyRequest, PlanIdentifyRequest
 
 SAY = "import json, sys, pathlib; a = sys.argv; pathlib.Path(a[a.index('--json') + 1]).write_text(json.dumps(a[1:]))"
 WAIT = "import time; time.sleep(60)"

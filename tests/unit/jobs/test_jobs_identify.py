@@ -8,13 +8,13 @@ import pytest
 from test_jobs_drive_steps import performed
 from test_jobs_plans import World, context, run
 
-from server.api.views import IdentifyRequest, PlanIdentifyRequest
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.diagnosing import Diagnosis
 from server.jobs.engine import Job, JobState
 from server.jobs.identification import ALL_PARTS, Identification, Session
 from server.jobs.plans import drive_steps
 from server.jobs.plans.identifying import drive_identification, plan_identification
+from server.jobs.request_bodies import IdentifyRequest, PlanIdentifyRequest
 from server.jobs.requests import BeginSegment, MachineReading, Move, ReadMachine, Settle, TakeLook
 from server.vision.contracts import LookStatus
 
