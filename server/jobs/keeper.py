@@ -1,19 +1,25 @@
 """The keeper: what jobs, leases and findings leave on disk, and what the next life of the server finds there."""
 
 import asyncio
+import json
 import logging
 import sqlite3
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import asdict
 from typing import Any
 
+from recording.clock import mono_ns, mono_s
+from server.calibration.calibration_life import LocalCalibration
+from server.jobs.cell import Cell
 from server.jobs.commands import Began
-from server.jobs.engine import Job, JobEvent
-from server.jobs.job_rows import add_job, end_interrupted, end_job, read_jobs
+from server.jobs.engine import Job, JobEvent, JobState
+from server.jobs.knowledge import PreviewedPlan
 from server.store.audit_rows import AuditEntry, add_audit, forget_old_audit
 from server.store.database import Database, Work
 from server.store.errors import StoreError
+from server.store.finding_rows import add_calibration, add_plan
 from server.store.idempotency import forget_answer, save_answer
 from server.store.lease_rows import read_fencing, save_fencing
 from server.store.operating_time import read_operating_time, save_operating_time
@@ -21,6 +27,62 @@ from server.store.operating_time import read_operating_time, save_operating_time
 log = logging.getLogger(__name__)
 PROBE_S = 2.0
 SPARE = 64  # places of the queue that jobs and control have for themselves
+
+
+# Jobs on disk: a row before anything moves, its end when it ends, and an honest end after a crash.
+
+SHOWN = 200  # jobs that the engine remembers
+KEPT = 10_000
+INTERRUPTED = (
+    "the server ended while this job ran (killed, crashed or without power); "
+    "the PLC's watchdog ramped the machine down; arm and look again"
+)
+
+
+def add_job(db: sqlite3.Connection, job: Job, body: str) -> None:
+    """The row of a job that is about to begin."""
+    db.execute(
+        "INSERT INTO jobs (job_id, kind, owner, fencing, body, state, started_unix_s) VALUES (?, ?, ?, ?, ?, ?, ?)",
+        (job.job_id, job.kind, job.owner, job.fencing, body, job.state.value, job.started_unix_s),
+    )
+
+
+def end_job(db: sqlite3.Connection, job: Job, result: Any) -> None:
+    """How it ended; `result` as JSON data."""
+    db.execute(
+        "UPDATE jobs SET state = ?, code = ?, reason = ?, elapsed_s = ?, result = ? WHERE job_id = ?",
+        (job.state.value, job.code, job.reason, job.elapsed_s, json.dumps(result), job.job_id),
+    )
+
+
+def end_interrupted(db: sqlite3.Connection) -> list[str]:
+    """Give every job without an end the end that it had: the server's own. Their ids."""
+    open_states = (JobState.RUNNING.value, JobState.STOPPING.value)
+    found = [row[0] for row in db.execute("SELECT job_id FROM jobs WHERE state IN (?, ?)", open_states)]
+    db.execute(
+        "UPDATE jobs SET state = ?, code = 'interrupted', reason = ? WHERE state IN (?, ?)",
+        (JobState.INTERRUPTED.value, INTERRUPTED, *open_states),
+    )
+    db.execute("DELETE FROM jobs WHERE number <= (SELECT max(number) FROM jobs) - ?", (KEPT,))
+    return found
+
+
+def read_jobs(db: sqlite3.Connection, limit: int = SHOWN) -> list[Job]:
+    """The last jobs, oldest first."""
+    rows = db.execute("SELECT * FROM jobs ORDER BY number DESC LIMIT ?", (limit,)).fetchall()
+    return [_job(row) for row in reversed(rows)]
+
+
+def _job(row: sqlite3.Row) -> Job:
+    now = mono_s()
+    job = Job(row["job_id"], row["kind"], row["owner"], JobState(row["state"]), row["reason"], row["code"])
+    job.result = json.loads(row["result"]) if row["result"] else None
+    job.fencing, job.started_unix_s = row["fencing"], row["started_unix_s"]
+    job.started_mono_s, job.ended_mono_s = now - row["elapsed_s"], now
+    return job
+
+
+# The index of findings: what a job left that others ask for by REST, plans by hash and calibrations by number.
 
 
 class Keeper:
@@ -156,3 +218,45 @@ class Keeper:
 def _logged(done: "Future[Any]") -> None:
     if not done.cancelled() and (error := done.exception()) is not None:
         log.error("not written: %s", error)
+
+
+class FindingLog:
+    """Listener of the engine: at a job's end, what is new goes into the store."""
+
+    def __init__(self, cell: Cell, keeper: Keeper) -> None:
+        self._cell, self._keeper = cell, keeper
+        self._known: LocalCalibration | None = cell.knowledge.life
+
+    def note(self, job: Job, event: JobEvent) -> None:
+        """Keep the previewed plan and the calibration that the ended job left."""
+        if event.name != "ended":
+            return
+        if isinstance(job.result, PreviewedPlan):
+            self._plan(job.job_id, job.result)
+        life = self._cell.knowledge.life
+        if life is not None and life is not self._known:
+            self._known = life
+            self._calibration(job.job_id)
+
+    def _plan(self, job_id: str, previewed: PreviewedPlan) -> None:
+        made_unix_s, now_ns = time.time(), mono_ns()
+        expires_unix_s = made_unix_s + (previewed.expires_ns - now_ns) * 1e-9
+        plan = previewed.plan
+        view = json.dumps(
+            {
+                "length_mm": round(plan.length_m * 1e3, 1),
+                "duration_s": round(plan.duration_s, 2),
+                "predicted_sigma_mm": [round(value, 2) for value in previewed.predicted_sigma_mm],
+                "q_goal_rad": [float(value) for value in previewed.q_goal],
+            }
+        )
+        plan_hash = previewed.plan_hash
+        self._keeper.later(lambda db: add_plan(db, plan_hash, job_id, made_unix_s, expires_unix_s, view))
+
+    def _calibration(self, job_id: str) -> None:
+        record = self._cell.knowledge.calibration
+        if record is None:
+            return
+        made, view = time.time(), json.dumps(asdict(record))
+        figures = (record.method, record.sigma_deg, record.residual_rms_mm)
+        self._keeper.later(lambda db: add_calibration(db, made, job_id, *figures, view))

@@ -20,9 +20,8 @@ from server.jobs.commands import INSIDE_COMMAND, Command, began
 from server.jobs.context import PlanContext
 from server.jobs.diagnosing import Diagnoses
 from server.jobs.engine import Job, JobEngine, JobEvent
-from server.jobs.finding_log import FindingLog
 from server.jobs.identification import Identification
-from server.jobs.keeper import Keeper
+from server.jobs.keeper import FindingLog, Keeper
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.identifying import drive_identification, plan_identification

@@ -18,7 +18,7 @@ from recording.folder import read_folder
 from server.access.keys import read_keys
 from server.camera.errors import CameraError
 from server.camera.rectification_reading import read_calibration
-from server.camera.sources.euroc import EurocStereoSource
+from server.camera.sources.folder import EurocStereoSource
 from server.camera.sources.settings import EurocSource
 from server.errors import ServerError
 from server.settings import read_machine_text, read_settings

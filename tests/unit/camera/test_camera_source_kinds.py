@@ -23,8 +23,7 @@ from server.camera.errors import CameraError
 from server.camera.rectification import rectification_of, rectifying_maps
 from server.camera.sources import device
 from server.camera.sources.device import DeviceStereoSource
-from server.camera.sources.opening import open_source
-from server.camera.sources.rectifying import RectifyingSource
+from server.camera.sources.opening import RectifyingSource, open_source
 from server.camera.sources.rtsp import FFMPEG_OPTIONS, FFMPEG_VARIABLE, RtspStereoSource
 from server.camera.sources.settings import (
     DeviceSource,

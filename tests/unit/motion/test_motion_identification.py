@@ -11,12 +11,12 @@ from machine.description import parse_machine_toml
 from machine.kinematics import tcp_pose
 from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec
+from server.motion.calibration_paths import markers_in_view
 from server.motion.contracts import JointTrajectory, Wall
 from server.motion.identification_courses import PARTS, fitted_course, part_course, part_marks
 from server.motion.identification_postures import SeenObject, choose_postures
 from server.motion.settings import PlanSettings
 from server.motion.timing import excess
-from server.motion.visibility_cone import markers_in_view
 from server.motion.wall_clearance import clearances
 
 MACHINE = parse_machine_toml((files("machine") / "machines" / "hiab033.toml").read_text(encoding="utf-8"))

@@ -11,7 +11,7 @@ from server.vision.detection import EyeDetector
 from server.vision.marker_code import NO_MATCH, marker_cells, wrong_cells
 from server.vision.marker_following import MarkerFollower
 from server.vision.marker_search import dictionary_by_name, find_markers, refined
-from sim_plc.camera.exposure import StaticPose
+from sim_plc.camera.renderer import StaticPose
 
 WANTED = frozenset({1, 3, 10})  # 2 hides behind the tool here
 
