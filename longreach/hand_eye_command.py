@@ -7,25 +7,132 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from longreach.board_pictures import board_of
-from longreach.hand_eye_bag import poses_of_bag
 from longreach.hand_eye_files import Mount, sigmas, write_mount
 from longreach.hand_eye_pictures import poses_of_pictures, read_lens
 from longreach.hand_eye_poses import HandEyeError, PoseTable, paired, read_poses
-from machine.rotations import Array
-from recording.files import write_durably
+from machine.effects.arm_urdf import arm_from_urdf
+from machine.effects.layout import neutral_sets
+from machine.effects.structure import tcp_poses
+from machine.errors import MachineError
+from machine.rotations import Array, rotation_from_quat_wxyz
+from recording.errors import RecordingError
+from recording.files import read_text, write_durably
+from recording.foreign.mapping import UrdfChain
+from recording.foreign.ros_bag import NotDecodedError, RosBag
+from recording.foreign.ros_collect import JOINT_STATE
+from recording.foreign.urdf_ends import chain_for
 from server.calibration.hand_eye import solve_ax_yb
 from server.calibration.hand_eye_contracts import HandEyeEstimate
-from server.calibration.hand_eye_linear import inverse_poses
-from server.calibration.hand_eye_report import PoseResiduals, alike_poses, pose_residuals
+from server.calibration.hand_eye_linear import inverse_poses, rotation_vectors
 from server.calibration.hand_eye_tracks import HandPoses, estimate_hand_eye
 
 ALIKE_SHOWN = 8
 GAP_MAX_S = 0.2
+
+
+# Poses for a hand-eye calibration from a ROS bag: the hand by joint states and URDF, the target by a pose topic.
+
+POSES_MAX = 1_000_000
+
+
+def poses_of_bag(bag: Path, topic: str, urdf: Path, base_link: str, hand_link: str) -> tuple[PoseTable, PoseTable]:
+    """The hand in the base and the target in the camera, each with the times of its headers.
+
+    Args:   topic: geometry_msgs/PoseStamped of the target in the camera. base_link, hand_link: of the URDF; empty: the
+            root, and the link that the last recorded joint moves.
+    Raises: HandEyeError: no such poses, no joint states, or a URDF of another robot.
+    """
+    joints: dict[tuple[str, ...], list[tuple[float, list[float]]]] = {}
+    seen: list[tuple[float, list[float]]] = []
+    topics = set[str]()
+    try:
+        for message in RosBag(bag):
+            topics.add(message.topic)
+            if message.topic != topic and message.kind != JOINT_STATE:
+                continue
+            if len(seen) + sum(map(len, joints.values())) >= POSES_MAX:
+                raise HandEyeError(f"{bag} holds more than {POSES_MAX} poses and joint states; cut it")
+            fields = message.decode()
+            stamp = fields.header.stamp
+            t_s = (stamp.sec + 1e-9 * stamp.nanosec) or 1e-9 * message.t_ns
+            if message.topic == topic:
+                place, turn = fields.pose.position, fields.pose.orientation
+                seen.append((t_s, [place.x, place.y, place.z, turn.w, turn.x, turn.y, turn.z]))
+            elif len(fields.position) == len(fields.name):
+                joints.setdefault(tuple(fields.name), []).append((t_s, list(fields.position)))
+        if not seen or not joints:
+            lacking = f"poses on {topic}" if not seen else "joint states"
+            raise HandEyeError(f"{bag} holds no {lacking}; its topics are {', '.join(sorted(topics)[:20])}")
+        names, rows = max(joints.items(), key=lambda one: len(one[1]))
+        text = read_text(urdf)
+        chain = chain_for(text, names, UrdfChain(base_link=base_link, tip_link=hand_link))
+        moving = [joint.name for joint in chain.joints if joint.name in names]
+        arm, _ = arm_from_urdf(text, chain.base_link, chain.tip_link, moving)
+    except (RecordingError, MachineError, NotDecodedError, AttributeError) as error:
+        raise HandEyeError(f"{bag}: {error}") from error
+    except OSError as error:
+        raise HandEyeError(f"{urdf} cannot be read: {error.strerror}") from error
+    q = np.array([row for _, row in rows])[:, [names.index(name) for name in moving]]
+    hand = PoseTable((), np.array([t for t, _ in rows]), tcp_poses(arm, neutral_sets(arm.n), q))
+    Ts = np.tile(np.eye(4), (len(seen), 1, 1))
+    for k, (_, row) in enumerate(seen):
+        Ts[k, :3, 3], quat = row[:3], np.array(row[3:])
+        Ts[k, :3, :3] = rotation_from_quat_wxyz(quat / max(float(np.linalg.norm(quat)), 1e-12))
+    return hand, PoseTable((), np.array([t for t, _ in seen]), Ts)
+
+
+# What a hand-eye calibration leaves, pose by pose: residuals, outliers, and poses too alike to add anything.
+
+OUTLIER_SIGMAS = 4.0
+ALIKE_RAD = float(np.deg2rad(3.0))
+ALIKE_M = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class PoseResiduals:
+    """Of every pose (n,): how far the target is turned [deg] and lies [mm, in the camera] from where it should be."""
+
+    rotation_deg: Array
+    translation_mm: Array
+    outliers: NDArray[np.bool_]
+
+
+def pose_residuals(As: Array, Bs: Array, X: Array, Y: Array) -> PoseResiduals:
+    """What A X = Y B leaves. Outliers lie beyond four robust sigmas of the rest, in turn or in place.
+
+    Args: As: base from hand, Bs: target from camera (n, 4, 4); X: hand from camera, Y: base from target (4, 4).
+    """
+    predicted = inverse_poses(As @ X) @ Y
+    seen = inverse_poses(Bs)
+    turns = np.rad2deg(np.linalg.norm(rotation_vectors(inverse_poses(predicted)[:, :3, :3] @ seen[:, :3, :3]), axis=1))
+    misses = 1e3 * np.linalg.norm(predicted[:, :3, 3] - seen[:, :3, 3], axis=1)
+    return PoseResiduals(turns, misses, _outlying(turns) | _outlying(misses))
+
+
+def _outlying(sizes: Array) -> NDArray[np.bool_]:
+    """Sizes (norms of three components) beyond so many sigmas of a component, robustly."""
+    sigma = float(np.median(sizes)) / 1.5382  # median of a norm of three normal components
+    return np.asarray(sizes > (OUTLIER_SIGMAS + 1.0) * max(sigma, 1e-9))
+
+
+def alike_poses(As: Array) -> list[tuple[int, int]]:
+    """Pairs of poses (first the earlier one) turned by less than 3 deg and moved by less than 20 mm: one of them is
+    enough. Every pose is named with the first one that it is alike.
+    """
+    pairs = []
+    for k in range(1, len(As)):
+        turns = np.linalg.norm(rotation_vectors(np.swapaxes(As[:k, :3, :3], 1, 2) @ As[k, :3, :3]), axis=1)
+        moved = np.linalg.norm(As[:k, :3, 3] - As[k, :3, 3], axis=1)
+        near = np.nonzero((turns < ALIKE_RAD) & (moved < ALIKE_M))[0]
+        if len(near):
+            pairs.append((int(near[0]), k))
+    return pairs
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ Public API (import from the modules; nothing here opens a socket, sleeps, reads 
     protocol.sequence     classify_sequence(last, seq) -> Sequenced(kind, lost)
     protocol.plc_states   PlcEvent, next_state(state, event) -> PlcState, TRANSITIONS, mermaid_diagram() -> str
     protocol.gate         gate(command, view, table) -> GateVerdict, check_trajectory(knots, q_ref, table) -> refusals
-    protocol.clock_offset ClockOffset: PLC to PC clock offset by the echo's four stamps
+    protocol.client_state ClockOffset: PLC to PC clock offset by the echo's four stamps
     protocol.playback     Playback: the sliding window over a trajectory
     protocol.client_link  ClientLink: the PC's end; protocol.client_events: what it tells its shell
     protocol.plc_link     PlcLink, PlcLinkSettings: the PLC's end (receive rules, states; knows nothing of joints)

@@ -7,7 +7,6 @@ Requests are wishes, repeated in every command until the PLC's state shows them 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from protocol.client_counters import ClientCounters
 from protocol.client_events import (
     ClientEvent,
     ClientPhase,
@@ -20,8 +19,7 @@ from protocol.client_events import (
     TrajectoryEnded,
 )
 from protocol.client_run import MOVING, Run, Stop
-from protocol.client_wish import StandingWish, Wish
-from protocol.clock_offset import ClockOffset
+from protocol.client_state import ClientCounters, ClockOffset, SentCommands, StandingWish, Wish, other_pc_text
 from protocol.codec import decode_state, encode_command
 from protocol.codes import CommandFlag, Interp, Mode, PlcState, RejectCode
 from protocol.errors import LocalProtocolError, RemoteProtocolError
@@ -30,7 +28,6 @@ from protocol.gate import GateView, Refusal, check_tail, check_trajectory, gate
 from protocol.limits import LimitTable, axis_mask, cfg_id
 from protocol.messages import ZEROS, Axes, Command, Knot, State
 from protocol.playback import Playback, Window
-from protocol.sent_commands import SentCommands, other_pc_text
 from protocol.sequence import SequenceKind, classify_sequence, is_at_or_after, next_sequence
 from protocol.servo_target import ServoTarget
 from protocol.timeouts import (

@@ -24,11 +24,12 @@ from server.api.panel import install_panel
 from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
 from server.camera.client import VisionClient
-from server.cell import Cell
 from server.errors import SettingsError
 from server.inner_faults import PART_FAILED
 from server.jobs.calibration_store import FILE_NAME, CalibrationStore
+from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
+from server.jobs.keeper import Keeper
 from server.jobs.performer import Performer
 from server.jobs.service import JobService
 from server.link.client import LinkClient
@@ -39,7 +40,6 @@ from server.settings_source import machine_text_with, source_and_machine
 from server.shell_settings import link_settings, vision_settings
 from server.store.database import Database
 from server.store.folder_lock import alone_in
-from server.store.keeper import Keeper
 from server.version import __version__
 from server.warm_up import warmed_up
 

@@ -24,7 +24,7 @@ from protocol.codes import PlcState
 from recording.errors import RecordingError
 from recording.files import read_text, write_durably
 from recording.opening import read_run
-from sim_plc.settings import SimSettings
+from sim_plc.process import SimSettings
 
 BODY = {"kind": "retract", "distance_mm": 300.0}
 SPAN_S = 6.0  # of a run of 4 to 5 s: planning, arming, moving, settling, its end, and just after it

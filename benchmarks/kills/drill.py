@@ -15,7 +15,7 @@ from machine.description import Machine, parse_machine_toml
 from protocol.codes import PlcState
 from recording.files import read_text
 from server.settings import read_machine_text
-from sim_plc.settings import SimSettings
+from sim_plc.process import SimSettings
 
 RETRACT_MM = 400.0
 TCP_SPEED_M_S = 0.15

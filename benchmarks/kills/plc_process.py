@@ -12,9 +12,8 @@ from types import TracebackType
 from typing import Self, cast
 
 from longreach.processes import free_port
-from sim_plc.process import run_sim
+from sim_plc.process import SimSettings, run_sim
 from sim_plc.real_time import LoopHealth
-from sim_plc.settings import SimSettings
 
 _STOP_S = 15.0
 

@@ -31,7 +31,7 @@ from server.camera.sources.settings import HttpSource
 from server.link.client import LinkClient
 from server.link.settings import LinkSettings
 from server.settings import read_machine_text
-from sim_plc.settings import SimSettings
+from sim_plc.process import SimSettings
 
 Where = Literal["process", "server"]
 OFFERED_HZ = 60.0  # while vision is measured alone: more than it can take

@@ -11,8 +11,7 @@ from longreach.processes import Stack
 from machine.rotations import Array
 from server.settings import read_machine_text
 from sim_plc.plant.plant import Plant
-from sim_plc.process import run_sim
-from sim_plc.settings import SimSettings
+from sim_plc.process import SimSettings, run_sim
 from sim_plc.world import World
 
 SetUp = Literal["beside", "nearer"]

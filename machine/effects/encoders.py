@@ -9,15 +9,8 @@ from machine.rotations import Array
 FIXED_POINT_STEPS = 16  # contraction below 0.14 inside the bounds: rounding after 16
 
 
-def encoder_readings(sets: ParameterSets, q_true: Array, which: int = 0) -> Array:
-    """Readings (m, n) [rad] at true motor-side angles (m, n): bias, scale and one sine."""
-    P = sets.joint[which]
-    wave = P[:, ECC_AMPLITUDE] * np.sin(P[:, ECC_ORDER] * q_true + P[:, ECC_PHASE])
-    return q_true * (1.0 + P[:, SCALE]) + P[:, BIAS] + wave
-
-
 def true_angles(sets: ParameterSets, readings: Array, which: int = 0) -> Array:
-    """Motor-side angles (m, n) [rad] that readings stand for; the inverse of `encoder_readings`."""
+    """Motor-side angles (m, n) [rad] that readings stand for."""
     P = sets.joint[which]
     q = np.array(readings, dtype=float)
     if not np.any(P[:, ECC_AMPLITUDE]):

@@ -16,7 +16,6 @@ from machine.effects.layout import (
     K1,
     LATENCY,
     MARKER_SIZE,
-    ODOMETRY_SCALE,
     PRINCIPAL,
     READOUT,
     STAMP_ROW,
@@ -186,16 +185,6 @@ def _pixel(at: Array, lens: Array, out: Array) -> None:
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     out[0] = (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)) * lens[0] + lens[2]
     out[1] = (y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y) * lens[1] + lens[3]
-
-
-def seen_odometry(sets: ParameterSets, Ts_base_cam: Array, which: int = 0) -> Array:
-    """Odometry's poses of the left camera in its own first frame (m, 4, 4), translations scaled."""
-    poses = np.asarray(Ts_base_cam, dtype=float)
-    first = poses[0]
-    out = np.tile(np.eye(4), (len(poses), 1, 1))
-    out[:, :3, :3] = first[:3, :3].T @ poses[:, :3, :3]
-    out[:, :3, 3] = (poses[:, :3, 3] - first[:3, 3]) @ first[:3, :3] * (1.0 + sets.machine[which, ODOMETRY_SCALE])
-    return out
 
 
 def points_on_links(Ts_base_link: Array, joints: Array, points: Array) -> Array:

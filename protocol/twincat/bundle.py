@@ -1,19 +1,181 @@
 """Everything that a PLC engineer gets, as a table from path to bytes; the same input gives the same bytes."""
 
 import hashlib
-from collections.abc import Mapping
+import uuid
+from collections.abc import Iterable, Mapping
+from enum import Enum, IntEnum
+from xml.sax.saxutils import quoteattr
 
-from protocol import layout
+from protocol import codes, layout
 from protocol.c_header import c_header
+from protocol.codes import PlcState
+from protocol.errors import LocalProtocolError
 from protocol.limits import cfg_id
+from protocol.plc_events import Effect
+from protocol.plc_states import TRANSITIONS, PlcEvent
 from protocol.twincat import documents, guides
+from protocol.twincat.dut import Dut, duts
 from protocol.twincat.golden import golden_pcap
 from protocol.twincat.golden_pages import golden_json, golden_page
+from protocol.twincat.gvl import gvls
 from protocol.twincat.parameters import PlcParameters
-from protocol.twincat.project import project
+from protocol.twincat.pou import Pou, parse_pou
 from protocol.wireshark import lua_dissector
 
 MANIFEST = "MANIFEST.txt"
+
+
+# The TwinCAT files of one machine, as a table from path to bytes; the same input gives the same bytes.
+
+# TwinCAT's file form: TcPlcObject XML around ST text, with ids that are the same in every export.
+
+_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "hmlink.longreach")
+_HEAD = '<?xml version="1.0" encoding="utf-8"?>\n<TcPlcObject Version="1.1.0.1" ProductVersion="3.1.4024.0">\n'
+
+
+def dut_xml(name: str, text: str) -> str:
+    """A .TcDUT file."""
+    return (
+        f"{_HEAD}  <DUT Name={quoteattr(name)} Id={_id('DUT', name)}>\n{_declaration(text)}  </DUT>\n</TcPlcObject>\n"
+    )
+
+
+def gvl_xml(name: str, text: str) -> str:
+    """A .TcGVL file."""
+    return (
+        f"{_HEAD}  <GVL Name={quoteattr(name)} Id={_id('GVL', name)}>\n{_declaration(text)}  </GVL>\n</TcPlcObject>\n"
+    )
+
+
+def pou_xml(pou: Pou) -> str:
+    """A .TcPOU file with its methods."""
+    parts = [_declaration(pou.declaration), _body(pou.body)]
+    for method in pou.methods:
+        identity = _id("METHOD", f"{pou.name}.{method.name}")
+        parts.append(f"    <Method Name={quoteattr(method.name)} Id={identity}>\n")
+        parts.append(_declaration(method.declaration) + _body(method.body) + "    </Method>\n")
+    special = ' SpecialFunc="None"'
+    head = f"  <POU Name={quoteattr(pou.name)} Id={_id('POU', pou.name)}{special}>\n"
+    return f"{_HEAD}{head}{''.join(parts)}  </POU>\n</TcPlcObject>\n"
+
+
+def _id(kind: str, name: str) -> str:
+    return quoteattr("{" + str(uuid.uuid5(_NAMESPACE, f"{kind} {name}")) + "}")
+
+
+def _cdata(text: str) -> str:
+    if "]]>" in text:
+        raise LocalProtocolError("ST source: ']]>' cannot stand in a TwinCAT file; write '] ]>'")
+    return f"<![CDATA[{text}]]>"
+
+
+def _declaration(text: str) -> str:
+    return f"    <Declaration>{_cdata(text)}</Declaration>\n"
+
+
+def _body(text: str) -> str:
+    return f"    <Implementation>\n      <ST>{_cdata(text)}</ST>\n    </Implementation>\n"
+
+
+# Enumerations of the wire and of the program's inside, from the code tables.
+
+_WIRE: tuple[tuple[str, str, type[IntEnum]], ...] = (
+    ("E_HmMsgType", "USINT", codes.MessageType),
+    ("E_HmMode", "UINT", codes.Mode),
+    ("E_HmPlcState", "USINT", codes.PlcState),
+    ("E_HmLinkState", "USINT", codes.LinkState),
+    ("E_HmInterp", "USINT", codes.Interp),
+)
+_MOTIONS = ("FOLLOW", "HOLD", "PLAY", "PATH_STOP", "JOINT_STOP", "SERVO")
+
+
+def enums() -> tuple[Dut, ...]:
+    """All enumerations."""
+    rejects = [(code.name, int(code), codes.reject_text(code).partition(": ")[2]) for code in codes.RejectCode]
+    return (
+        *(_enum(name, base, [(member.name, int(member), "") for member in kind]) for name, base, kind in _WIRE),
+        _enum("E_HmReject", "UINT", rejects),
+        _enum("E_HmEvent", "USINT", _counted(PlcEvent)),
+        _enum("E_HmEffect", "USINT", _counted(Effect)),
+        _enum("E_HmMotion", "USINT", [(name, i, "") for i, name in enumerate(_MOTIONS)]),
+    )
+
+
+def _counted(kind: Iterable[Enum]) -> list[tuple[str, int, str]]:
+    return [(member.name, i, str(member.value)) for i, member in enumerate(kind)]
+
+
+def _enum(name: str, base: str, members: list[tuple[str, int, str]]) -> Dut:
+    rows = []
+    for i, (member, number, remark) in enumerate(members):
+        comma = "," if i + 1 < len(members) else ""
+        rows.append(f"    {member} := {number}{comma}{f' // {remark}' if remark else ''}")
+    body = "\n".join(rows)
+    text = f"{{attribute 'qualified_only'}}\n{{attribute 'strict'}}\nTYPE {name} :\n(\n{body}\n) {base};\nEND_TYPE\n"
+    return Dut(name, text)
+
+
+# The state machine as an ST function, from the one transition table.
+
+NAME = "F_HmNextState"
+
+
+def next_state_source() -> str:
+    """`F_HmNextState`: FALSE, and the state unchanged, for an event that has no place there."""
+    cases = "\n".join(_state(state) for state in PlcState)
+    return f"""\
+(* The state after an event; generated from the transition table. FALSE: it has no place in this state. *)
+FUNCTION {NAME} : BOOL
+VAR_INPUT
+    eState : E_HmPlcState;
+    eEvent : E_HmEvent;
+END_VAR
+VAR_OUTPUT
+    eNext : E_HmPlcState;
+END_VAR
+eNext := eState;
+{NAME} := TRUE;
+CASE eState OF
+{cases}
+ELSE
+    {NAME} := FALSE;
+END_CASE
+END_FUNCTION
+"""
+
+
+def _state(state: PlcState) -> str:
+    after: dict[PlcState, list[PlcEvent]] = {}
+    for (before, event), new in TRANSITIONS.items():
+        if before is state:
+            after.setdefault(new, []).append(event)
+    branches = []
+    for new, events in after.items():
+        labels = ", ".join(f"E_HmEvent.{event.name}" for event in events)
+        branches.append(f"            {labels}:\n                eNext := E_HmPlcState.{new.name};")
+    body = "\n".join(branches)
+    other = f"        ELSE\n            {NAME} := FALSE;\n        END_CASE"
+    return f"    E_HmPlcState.{state.name}:\n        CASE eEvent OF\n{body}\n{other}"
+
+
+def project(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, bytes]:
+    """Every file of the PLC program: DUTs/, GVLs/, POUs/.
+
+    Args:    sources: the hand-written blocks, file name to text.
+    Raises: LocalProtocolError: a source that is no POU, or not named like its file.
+    """
+    files = {f"DUTs/{dut.name}.TcDUT": dut_xml(dut.name, dut.text) for dut in (*duts(), *enums())}
+    files |= {f"GVLs/{gvl.name}.TcGVL": gvl_xml(gvl.name, gvl.text) for gvl in gvls(parameters)}
+    pous = [parse_pou(next_state_source()), *(_named(name, text) for name, text in sources.items())]
+    files |= {f"POUs/{pou.name}.TcPOU": pou_xml(pou) for pou in pous}
+    return {path: files[path].encode("utf-8") for path in sorted(files)}
+
+
+def _named(file_name: str, text: str) -> Pou:
+    pou = parse_pou(text)
+    if file_name.removesuffix(".st") != pou.name:
+        raise LocalProtocolError(f"ST source {file_name} holds {pou.name}; name the file {pou.name}.st")
+    return pou
 
 
 def bundle(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, bytes]:

@@ -1,5 +1,6 @@
-"""Roles and what each may ask for. Default deny: what is not in the table needs an operator."""
+"""Who calls, its role, and what each role may do. Default deny: what is not in the table needs an operator."""
 
+from dataclasses import dataclass
 from enum import StrEnum
 
 
@@ -11,6 +12,19 @@ class Role(StrEnum):
     FLEET = "fleet"  # a program: every command carries an Idempotency-Key, control is never taken by force
     ENGINEER = "engineer"  # an operator who may also hold control as engineer
     ADMIN = "admin"  # everything
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """Who sends a request: the key's name, its role, and from where.
+
+    `by_key`: a key, or the session it opened, says so; else it is whoever is at this computer.
+    """
+
+    name: str = "local"
+    role: str = "operator"
+    address: str = ""
+    by_key: bool = False
 
 
 ANYBODY: frozenset[Role] = frozenset()

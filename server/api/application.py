@@ -1,5 +1,6 @@
 """All of REST on one application: guard, routes, errors, document. Used by the server and by its tests."""
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -7,6 +8,7 @@ from pathlib import Path
 from uuid import uuid4
 
 from fastapi import FastAPI
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from recording.clock import mono_s
 from server.access.gatekeeper import Gatekeeper
@@ -16,7 +18,6 @@ from server.api.event_log import EventLog
 from server.api.events import EventFeed, events_router
 from server.api.findings import LookLog, findings_router
 from server.api.guard import Guard
-from server.api.head import Head
 from server.api.identification import identification_router
 from server.api.jobs import jobs_router
 from server.api.lease import lease_router
@@ -31,10 +32,41 @@ from server.api.state import state_router
 from server.api.state_cache import StateCache, straight_route
 from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
 from server.jobs.diagnosing import Diagnoses
+from server.jobs.keeper import Keeper
 from server.jobs.lease_guard import guard_lease, stop_unguarded
 from server.jobs.service import JobService
-from server.store.keeper import Keeper
 from server.supervised_tasks import SupervisedTasks
+
+# HEAD wherever there is GET, as load balancers and monitors ask: the same status and headers, without the body.
+
+
+class Head:
+    """ASGI middleware: a HEAD is worked on as the GET would be, until its headers are there."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """One connection."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            return await self._app(scope, receive, send)
+        begun = asyncio.Event()
+
+        async def headers_only(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                await send(message)
+                await send({"type": "http.response.body", "body": b"", "more_body": False})
+                begun.set()
+
+        async with asyncio.TaskGroup() as tasks:
+            answering = tasks.create_task(self._answer({**scope, "method": "GET"}, receive, headers_only))
+            waiting = tasks.create_task(begun.wait())
+            await asyncio.wait({answering, waiting}, return_when=asyncio.FIRST_COMPLETED)
+            for task in (answering, waiting):  # a stream of events would go on without end
+                task.cancel()
+
+    async def _answer(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await self._app(scope, receive, send)
 
 
 @dataclass(frozen=True, slots=True)

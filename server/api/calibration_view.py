@@ -6,7 +6,7 @@ import numpy as np
 
 from server.api.views import CalibrationView
 from server.calibration.calibration_life import LocalCalibration, Validity, ValidityStatus, observability_text
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.link.contracts import oil_told_c
 

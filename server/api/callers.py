@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from starlette.requests import HTTPConnection
 
-from server.store.audit_rows import Caller
+from server.access.roles import Caller
 
 
 def caller_of(request: HTTPConnection) -> Caller:

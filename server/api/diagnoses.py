@@ -45,7 +45,7 @@ class DiagnosisView(View):
     diagnosis_id: str
     recording: str
     recordings: list[str] = Field(description="all that are diagnosed together, the first one included")
-    job_id: str = Field(description="of the experiment that the last recording is of; empty without one")
+    job_id: str = Field(description="of the identification that the last recording is of; empty without one")
     state: Literal["waiting", "running", "done", "failed", "stopped"]
     reason: str
     last_line: str

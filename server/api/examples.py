@@ -224,7 +224,7 @@ EXAMPLES: dict[str, Example] = {
         "recording": "20261121T052553-position-6c4a5f3859a3.mcap",
         "recordings": [
             "20261121T052553-position-6c4a5f3859a3.mcap",
-            "20261121T054107-experiment-c56f0b3a41d7.mcap",
+            "20261121T054107-identify-c56f0b3a41d7.mcap",
         ],
         "job_id": JOB_ID,
         "state": "running",
@@ -234,7 +234,6 @@ EXAMPLES: dict[str, Example] = {
     },
     "ErrorView": _ERROR,
     "ExecuteRequest": {"kind": "execute", "plan_hash": PLAN_HASH},
-    "ExperimentRequest": {"kind": "experiment", "diagnosis_id": "0a1b2c3d4e5f", "plan_hash": PLAN_HASH},
     "FaultView": {
         "fault_id": "camera_silent",
         "level": "URGENT",
@@ -288,12 +287,6 @@ EXAMPLES: dict[str, Example] = {
         "expired": False,
         "view": {"plan_hash": PLAN_HASH, "length_mm": 204.2},
     },
-    "PlanExperimentRequest": {
-        "kind": "plan_experiment",
-        "diagnosis_id": "0a1b2c3d4e5f",
-        "wall_free": False,
-        "keep": "tempo",
-    },
     "PlanIdentifyRequest": {"kind": "plan_identify", "minutes": 6.0, "wall_free": False, "resume": False},
     "IdentifyRequest": {"kind": "identify", "plan_hash": PLAN_HASH},
     "PlanView": _PLAN,
@@ -316,7 +309,7 @@ EXAMPLES: dict[str, Example] = {
     },
     "RetractRequest": {"kind": "retract", "distance_mm": 300.0},
     "ReturnRequest": {"kind": "return"},
-    "RunsDiagnosis": {"run_ids": ["20261121T052553-position-6c4a5f3859a3", "20261121T054107-experiment-c56f0b3a41d7"]},
+    "RunsDiagnosis": {"run_ids": ["20261121T052553-position-6c4a5f3859a3", "20261121T054107-identify-c56f0b3a41d7"]},
     "RunDiagnosis": {"run_id": "20261121T052553-position-6c4a5f3859a3"},
     "RunView": {
         "run_id": "20261121T052553-position-6c4a5f3859a3",

@@ -4,13 +4,12 @@ from typing import Literal
 
 from server.access.errors import AccessError
 from server.access.lease import Lease, LeaseKind
-from server.access.roles import Role
+from server.access.roles import Caller, Role
 from server.jobs.service import JobBody
 from server.link.contracts import PlcSample
-from server.store.audit_rows import Caller
 
 Mode = Literal["SIM", "REAL"]
-STILL = frozenset({"look", "preview", "plan_experiment", "plan_identify"})
+STILL = frozenset({"look", "preview", "plan_identify"})
 
 
 class HoldRequiredError(AccessError):

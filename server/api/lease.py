@@ -13,7 +13,7 @@ from server.api.callers import admission_of
 from server.api.lease_log import ControlLog
 from server.api.lease_views import Kind, LeaseView, control_view, lease_view
 from server.api.views import ControlView, Problem, Strict
-from server.store.keeper import Keeper
+from server.jobs.keeper import Keeper
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Ttl = Annotated[float, Field(ge=1.0, le=120.0, description="stale when not kept alive for so long")]

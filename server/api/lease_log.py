@@ -11,9 +11,9 @@ from server.access.lease import Lease
 from server.access.roles import Role
 from server.api.callers import admission_of, caller_of, request_id_of
 from server.api.lease_views import lease_view
+from server.jobs.keeper import Keeper
 from server.store.audit_rows import AuditEntry
 from server.store.errors import StoreError
-from server.store.keeper import Keeper
 
 KINDS_OF_ROLE = {
     Role.OPERATOR: ("operator",),

@@ -1,6 +1,6 @@
 """From the cell to the one state view: ages, units, and why a step is not possible now."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -22,18 +22,40 @@ from server.api.views import (
     PlanView,
     StateView,
 )
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.jobs.engine import Job, JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.assurance import fits, told
-from server.jobs.plans.live_error import live_error
+from server.jobs.plans.looking import error_in_mm
 from server.jobs.plans.returning import why_no_park
+from server.jobs.plans.seeing import common_of, corrected_poses
 from server.jobs.plans.unmoved import moved_since_look
 from server.jobs.records import ErrorMm, MoveRecord
 from server.version import __version__
+from server.vision.contracts import PoseStatus
+from server.vision.goal_error import pair_error
 
 CAMERA_SILENT_MS = 1000.0
+
+
+# The error in the newest pair, for display only: no motion is ever planned from it.
+
+
+def live_error(cell: Cell, ctx: PlanContext) -> ErrorMm | None:
+    """Error of the newest pair, None when tool or OOI is not seen well enough."""
+    report = cell.vision.latest
+    if report is None:
+        return None
+    tool, ooi = report.observation.tool, report.observation.ooi
+    if tool.status is not PoseStatus.OK or ooi.status is not PoseStatus.OK:
+        return None
+    if tool.T_cam_object is None or ooi.T_cam_object is None:
+        return None
+    T_cam_tool, T_cam_ooi = corrected_poses(ctx, tool.T_cam_object, ooi.T_cam_object)
+    tool, ooi = replace(tool, T_cam_object=T_cam_tool), replace(ooi, T_cam_object=T_cam_ooi)
+    found = pair_error(tool, ooi, ctx.T_ooi_goal, common_of(ctx, T_cam_tool, T_cam_ooi))
+    return error_in_mm(ctx, found, T_cam_tool, T_cam_ooi)
 
 
 def state_view(cell: Cell, engine: JobEngine, ctx: PlanContext, store_problem: str = "") -> StateView:

@@ -7,7 +7,7 @@ from machine.description import StereoCamera
 from machine.rotations import Array
 from server.api.views import View
 from server.camera.contracts import FrameReport
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.vision.contracts import MarkerView, ObjectPose, PoseStatus
 

@@ -12,14 +12,12 @@ from server.calibration.hand_eye_linear import (
     Indices,
     inverse_poses,
     motions_between,
-    park_martin,
     rotation_vectors,
     start_ax_yb,
 )
 from server.calibration.hand_eye_models import (
     HandEyeUnknowns,
     HandTrack,
-    MotionModel,
     PoseModel,
     WeightedModel,
     whiteners_of,
@@ -30,26 +28,6 @@ from server.calibration.trajectory_matching_refusals import usable_poses
 DEFAULT_SETTINGS = HandEyeSettings()
 #: What makes residuals that no camera and no encoder have.
 ORDER = " (order of Euler angles or quaternion, or a pose the wrong way round?)"
-
-
-def solve_ax_xb(As: Array, Bs: Array, settings: HandEyeSettings = DEFAULT_SETTINGS) -> HandEyeEstimate:
-    """X of A X = X B from pairs of motions.
-
-    Model:   Park-Martin, then robust refinement of B = X^-1 A X.
-    Args:    As: motions of the hand, Bs: of the camera (n, 4, 4) [m]; pairs with a pose that is none are left out.
-    Returns: the estimate; no X when the motions cannot tell it (too few, axes all parallel, pairs that do not fit).
-    Raises:  CalibrationInputError: shapes.
-    Source:  Park, Martin 1994; refinement as in `hand_eye_refinement`.
-    """
-    As, Bs, _ = _pairs(As, Bs)
-    spread = min(axis_spread(Ts[:, :3, :3]) for Ts in (As, Bs)) if len(As) else 0.0
-    refusal = _refusal(len(As), settings.poses_min - 1, spread, settings)
-    if refusal is not None:
-        return refusal
-    start = HandEyeUnknowns(park_martin(As, Bs), None)
-    found = refine(MotionModel(As, Bs), start, settings.freedom, settings.iterations_max, False, False)
-    sizes = (_median_norm(rotation_vectors(Bs[:, :3, :3])), _median_norm(Bs[:, :3, 3]))
-    return _judged(found, sizes, spread, settings, False)
 
 
 def solve_ax_yb(

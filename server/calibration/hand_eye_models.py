@@ -41,26 +41,6 @@ def _moved(T: Array, change: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True)
-class MotionModel:
-    """A X = X B over motions: predicts B = X^-1 A X. Residual (n, 6): log(R_B R_pred^T), t_B - t_pred."""
-
-    As: Array
-    Bs: Array
-
-    def evaluate(self, at: HandEyeUnknowns) -> tuple[Array, Array]:
-        """Residuals (n, 6) [rad, m] and their derivative (n, 6, 6) by X."""
-        R_X, t_X = at.X[:3, :3], at.X[:3, 3]
-        R_A = self.As[:, :3, :3]
-        w = R_A @ t_X + self.As[:, :3, 3] - t_X
-        residuals = _misses(self.Bs, R_X.T @ R_A @ R_X, w @ R_X)
-        J = np.zeros((len(w), 6, 6))
-        J[:, :3, :3] = R_X.T @ (np.eye(3) - R_A)
-        J[:, 3:, :3] = -R_X.T @ _skews(w)
-        J[:, 3:, 3:] = -R_X.T @ (R_A - np.eye(3))
-        return residuals, J
-
-
-@dataclass(frozen=True, slots=True)
 class PoseModel:
     """A X = Y B over poses: predicts the target in the camera, B^-1 = X^-1 A^-1 Y, lengths times the scale.
 

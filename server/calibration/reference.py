@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from machine.poses import inverse_pose, pose, transform_points
-from machine.rotations import geodesic_angle, skew
+from machine.poses import pose, transform_points
+from machine.rotations import skew
 from server.calibration.checks import require_covariance, require_pose, require_rotation
 from server.calibration.contracts import Array
 
@@ -111,10 +111,3 @@ def predicted_error_covariance(
     total = skew(d) @ in_camera @ skew(d).T + look + isotropic
     R_ooi_cam = np.asarray(T_cam_ooi)[:3, :3].T
     return R_ooi_cam @ total @ R_ooi_cam.T
-
-
-def goal_error(T_cam_tool: Array, T_cam_ooi: Array, T_ooi_goal: Array) -> tuple[Array, float]:
-    """Tool minus goal as seen: position in OOI axes (3,) [m], and the geodesic angle [rad]."""
-    T_ooi_tool = inverse_pose(require_pose(T_cam_ooi, "T_cam_ooi")) @ require_pose(T_cam_tool, "T_cam_tool")
-    goal = require_pose(T_ooi_goal, "T_ooi_goal")
-    return T_ooi_tool[:3, 3] - goal[:3, 3], geodesic_angle(goal[:3, :3], T_ooi_tool[:3, :3])

@@ -1,7 +1,8 @@
 """The camera check: from stamps, some pairs and what vision saw in them to one line each. Pure."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,12 +15,18 @@ from server.camera.check_picture import check_exposure, check_sharpness
 from server.camera.check_rig import check_rig
 from server.camera.check_scale import check_scale, side_ratios
 from server.camera.check_stream import StreamTimes, check_stream
+from server.camera.contracts import StereoFrame
 from server.camera.own_structure import Masks, check_own_structure
 from server.vision.contracts import Image, PairObservation
 
 MATCHED_PAIRS_MAX = 6  # more add little: a still scene shows the same spots again
 
 Observe = Callable[[Image, Image, int], PairObservation]
+
+
+# Collecting what the check looks at: every pair's times, and some pairs whole, spread over the time there is.
+
+RATE_PAIRS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,3 +94,48 @@ def _wrong_size(gathered: Gathered, machine: Machine) -> CheckFinding | None:
         return None
     text = f"pictures are {odd[0][1]} x {odd[0][0]} px an eye, the camera's file says {wanted[1]} x {wanted[0]}"
     return CheckFinding("size", Level.FAIL, text, "set the camera to that size, or give the file of this one")
+
+
+@dataclass(slots=True)
+class Gathering:
+    """Takes pairs as they come. Of the pairs themselves only `keep` are copied: at least `every_ns` apart."""
+
+    keep: int
+    seconds: float
+    times: list[tuple[int, int, int, int]] = field(default_factory=list)
+    pairs: list[tuple[Image, Image, int]] = field(default_factory=list)
+    _kept_ns: int = -(1 << 62)
+
+    @property
+    def n(self) -> int:
+        """Pairs so far."""
+        return len(self.times)
+
+    @property
+    def rate_hz(self) -> float:
+        """Of the last pairs, by their arrival."""
+        recent = self.times[-RATE_PAIRS:]
+        span_ns = recent[-1][1] - recent[0][1] if recent else 0
+        return (len(recent) - 1) * 1e9 / span_ns if span_ns > 0 else 0.0
+
+    @property
+    def missing(self) -> int:
+        """Sequence numbers that never came."""
+        steps = ((one, after) for one, after in pairwise(self.times) if one[3] == after[3])
+        return sum(max(0, after[2] - one[2] - 1) for one, after in steps)
+
+    def add(self, frame: StereoFrame) -> None:
+        """The next pair."""
+        self.times.append((frame.t_exposure_ns, frame.t_receive_mono_ns, frame.sequence, frame.connection))
+        every_ns = self.seconds * 1e9 / self.keep
+        if len(self.pairs) < self.keep and frame.t_receive_mono_ns - self._kept_ns >= every_ns:
+            self._kept_ns = frame.t_receive_mono_ns
+            self.pairs.append((np.array(frame.left), np.array(frame.right), frame.t_exposure_ns))
+
+    def gathered(
+        self, skipped: int, own_clock: bool = False, wanted_hz: float | None = None, stored: bool = False
+    ) -> Gathered:
+        """For `check_camera`."""
+        columns = np.array(self.times, dtype=np.int64).reshape(-1, 4).T
+        times = StreamTimes(*columns, skipped=skipped, own_clock=own_clock, wanted_hz=wanted_hz, stored=stored)
+        return Gathered(times, tuple(self.pairs))

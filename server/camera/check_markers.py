@@ -11,8 +11,7 @@ from machine.description import Machine, StereoCamera
 from machine.targets import Marker
 from server.camera.check_findings import CheckFinding, Level, level_of
 from server.vision.contracts import Array, Image, MarkerView, PairObservation, PoseStatus
-from server.vision.marker_code import marker_cells
-from server.vision.marker_search import cells_along_side, dictionary_by_name
+from server.vision.marker_search import cells_along_side, dictionary_by_name, marker_cells
 from server.vision.object_pose import ObjectName
 
 CELL_WARN_PX, CELL_FAIL_PX = 5.0, 3.0

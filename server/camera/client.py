@@ -29,9 +29,8 @@ from server.camera.contracts import (
     VisionSettings,
 )
 from server.camera.errors import CameraError
-from server.camera.looking import LookCollector
+from server.camera.looking import LookCollector, TrackCollector
 from server.camera.process import LIFE_S, run_vision
-from server.camera.tracking import TrackCollector
 from server.listeners import Listeners
 from server.supervised_tasks import whole_in_thread
 from server.vision.contracts import Array, Look, OdometryPose

@@ -1,10 +1,21 @@
 """Calibration files from disk: one, two, or a folder that holds them."""
 
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from machine.lens import PRINCIPAL_OFF_MAX_FRAC, principal_off_frac
+from machine.rotations import Array
 from recording.files import read_text
-from server.camera.rectification_files import CalibrationFileError, CalibrationText, RigCalibration, parse_calibration
+from server.camera.rectification_euroc import is_euroc, is_kalibr, parse_euroc, parse_kalibr
+from server.camera.rectification_opencv import is_opencv, parse_opencv
+from server.camera.rectification_rig import CalibrationFileError, EyeCalibration, RigCalibration, checked_rig
+from server.camera.rectification_ros import is_ros, parse_ros
+from server.camera.rectification_yaml import Tree, parse_yaml
+from server.camera.rectification_zed import is_zed, parse_zed
 
 IN_FOLDER = (  # pairs looked for, in this order
     ("mav0/cam0/sensor.yaml", "mav0/cam1/sensor.yaml"),
@@ -13,6 +24,143 @@ IN_FOLDER = (  # pairs looked for, in this order
     ("intrinsics.yml", "extrinsics.yml"),
     ("calib.txt",),
 )
+
+
+# Any known stereo calibration: texts of files -> rig. Which format it is, the text tells. Pure.
+
+__all__ = ["CalibrationFileError", "CalibrationText", "EyeCalibration", "RigCalibration", "parse_calibration"]
+
+KNOWN = (
+    "a ZED's SNxxxx.conf, OpenCV's stereo YAML (one file, or intrinsics and extrinsics), two ROS camera_info YAML, two "
+    "EuRoC sensor.yaml, a Kalibr camchain.yaml, or KITTI's calib.txt"
+)
+
+
+# Calibrations of KITTI, whose images are rectified already: projection matrices -> rig. Pure.
+
+LABEL = re.compile(r"^(P_rect_0|P)([0-3])\s*:\s*(.*)$")
+NUMBER = re.compile(r"^[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+PAIRS = ((0, 1), (2, 3))  # grey and colour
+
+
+def is_kitti(text: str) -> bool:
+    """Whether a text is projection matrices: labelled lines, or nothing but numbers."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    bare = bool(lines) and all(NUMBER.match(word) for line in lines for word in line.split())
+    labelled = [found for line in lines if (found := LABEL.match(line))]
+    return bare or any(NUMBER.match(found[3].split()[0]) for found in labelled if found[3].strip())
+
+
+def parse_kitti(text: str, file: str, size_px: tuple[int, int]) -> RigCalibration:
+    """The rig of P0 and P1 (or P2 and P3, or P_rect_0x), or of two bare lines of 12 numbers.
+
+    Model:   P = K [I | t]: baseline (P_left[0, 3] - P_right[0, 3]) / f. No lens, parallel eyes.
+    Args:    size_px: of one eye; the file does not tell it.
+    Raises:  CalibrationFileError: file, field, remedy.
+    Source:  Geiger et al. 2013, Vision meets robotics: the KITTI dataset, section IV.
+    """
+    left, right = _pair(text, file)
+    if abs(left[0, 0] - right[0, 0]) > 1e-6 * abs(left[0, 0]) or left[0, 0] <= 0.0:
+        raise CalibrationFileError(
+            f"{file}: focal lengths {left[0, 0]:g} and {right[0, 0]:g} px differ; they must agree"
+        )
+    t = np.array([(right[0, 3] - left[0, 3]) / left[0, 0], 0.0, 0.0])
+    eyes = [EyeCalibration(float(P[0, 0]), float(P[1, 1]), float(P[0, 2]), float(P[1, 2])) for P in (left, right)]
+    return checked_rig(RigCalibration(eyes[0], eyes[1], np.eye(3), t, *size_px), file)
+
+
+def _pair(text: str, file: str) -> tuple[Array, Array]:
+    found: dict[int, Array] = {}
+    bare: list[Array] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        labelled = LABEL.match(line.strip())
+        if labelled:
+            found[int(labelled[2])] = _matrix(labelled[3], f"{file}: {labelled[1]}{labelled[2]}")
+        elif line.strip() and NUMBER.match(line.split()[0]):
+            bare.append(_matrix(line, f"{file}: line {number}"))
+    for left, right in PAIRS:
+        if left in found and right in found:
+            return found[left], found[right]
+    if len(bare) == 2:
+        return bare[0], bare[1]
+    raise CalibrationFileError(f"{file}: has {sorted(found)} of the projections P0 .. P3; give P0 and P1, or P2 and P3")
+
+
+def _matrix(text: str, subject: str) -> Array:
+    words = text.split()
+    if len(words) != 12 or not all(NUMBER.match(word) for word in words):
+        raise CalibrationFileError(f"{subject} has {len(words)} words; give 3 x 4 numbers")
+    return np.array(words, dtype=float).reshape(3, 4)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationText:
+    """One file: its name, for the errors, and its text."""
+
+    name: str
+    text: str
+
+
+def parse_calibration(
+    files: Sequence[CalibrationText], size_px: tuple[int, int], off_centre: bool = False
+) -> RigCalibration:
+    """The rig that one or two files describe.
+
+    Args:    files: left before right where each eye has its own. size_px: width and height of one eye's images, for
+             formats that hold several sizes (ZED) or none (KITTI, some OpenCV files). off_centre: confirms a principal
+             point far from the middle.
+    Returns: the rig, every number checked.
+    Raises:  CalibrationFileError: file, field, value, remedy; also for a text of no known format.
+    """
+    if len(files) not in (1, 2):
+        raise CalibrationFileError(f"calibration: {len(files)} files; give one or two: {KNOWN}")
+    plain = [CalibrationText(file.name, file.text.removeprefix("\ufeff")) for file in files]
+    rig = _parsed(plain, size_px)
+    for name, eye in (("left", rig.left), ("right", rig.right)):
+        off_frac = principal_off_frac((eye.cx_px, eye.cy_px), (rig.width_px, rig.height_px))
+        if off_frac > PRINCIPAL_OFF_MAX_FRAC and not off_centre:
+            raise CalibrationFileError(
+                f"{' and '.join(file.name for file in files)}: {name} eye: principal point ({eye.cx_px:g}, "
+                f"{eye.cy_px:g}) px lies {100 * off_frac:.0f} % of {rig.width_px} x {rig.height_px} px from the middle "
+                f"(limit {100 * PRINCIPAL_OFF_MAX_FRAC:g} %); give the calibration of this image size, or confirm a "
+                "cropped picture with [camera] off_centre = true"
+            )
+    return rig
+
+
+def _parsed(files: Sequence[CalibrationText], size_px: tuple[int, int]) -> RigCalibration:
+    first = files[0]
+    if first.text.lstrip().startswith("<"):
+        raise CalibrationFileError(f"{first.name}: XML; save the calibration as YAML")
+    if len(files) == 1 and is_zed(first.text):
+        return parse_zed(first.text, first.name, size_px)
+    if len(files) == 1 and is_kitti(first.text):
+        return parse_kitti(first.text, first.name, size_px)
+    trees = [parse_yaml(file.text, file.name) for file in files]
+    names = tuple(file.name for file in files)
+    return _of_one(trees[0], names[0], size_px) if len(trees) == 1 else _of_two(trees, (names[0], names[1]), size_px)
+
+
+def _of_one(tree: Tree, name: str, size_px: tuple[int, int]) -> RigCalibration:
+    if is_kalibr(tree):
+        return parse_kalibr(tree, name)
+    if is_opencv(tree):
+        return parse_opencv(tree, name, size_px)
+    if is_ros(tree) or is_euroc(tree):
+        raise CalibrationFileError(f"{name}: one eye only; give the other eye's file as well, the left one first")
+    raise CalibrationFileError(f"{name}: no calibration of a stereo rig; give {KNOWN}")
+
+
+def _of_two(trees: Sequence[Tree], names: tuple[str, str], size_px: tuple[int, int]) -> RigCalibration:
+    left, right = trees
+    if is_ros(left) and is_ros(right):
+        return parse_ros(left, right, names)
+    if is_euroc(left) and is_euroc(right):
+        return parse_euroc(left, right, names)
+    merged = {**left, **right}
+    if is_opencv(merged):
+        return parse_opencv(merged, " and ".join(names), size_px)
+    raise CalibrationFileError(f"{names[0]} and {names[1]}: no calibration of a stereo rig together; give {KNOWN}")
 
 
 def read_calibration(paths: Sequence[str], size_px: tuple[int, int], off_centre: bool = False) -> RigCalibration:

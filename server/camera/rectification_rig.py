@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Literal
 
-import cv2
 import numpy as np
 
 from machine.rotations import Array, geodesic_angle, nearest_rotation
@@ -210,14 +209,3 @@ def distorted_reach(eye: EyeCalibration) -> float:
         distorted = np.where(good, r * above / np.where(good, below, 1.0), -1.0)
     falling = np.flatnonzero(np.diff(distorted) <= 0.0)
     return float(distorted[falling[0]]) if len(falling) else float(distorted[-1])
-
-
-def project_eye(eye: EyeCalibration, points_eye: Array) -> Array:
-    """Raw pixels (n, 2) of points (n, 3) [m] in the eye's own frame, in front of it."""
-    points = np.ascontiguousarray(points_eye, dtype=float).reshape(-1, 1, 3)
-    zero = np.zeros(3)
-    if eye.model == "fisheye":
-        pixels, _ = cv2.fisheye.projectPoints(points, zero, zero, eye.matrix, eye.coefficients)
-    else:
-        pixels, _ = cv2.projectPoints(points, zero, zero, eye.matrix, eye.coefficients)
-    return np.asarray(pixels, dtype=float).reshape(-1, 2)

@@ -1,20 +1,29 @@
 """The check list: its order, what each step needs before it, and how it is gone through."""
 
+import math
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 
+from protocol.limits import LimitTable, cfg_id, limits_of
 from recording.clock import mono_s
 from server.camera.client import FRESH_S
 from server.camera.errors import CameraError
 from server.commissioning.camera_axes import camera_axes
-from server.commissioning.contracts import StepResult, Verdict, cannot_tell, skipped, stands
-from server.commissioning.encoder_zeros import encoder_zeros
+from server.commissioning.contracts import (
+    Figure,
+    ReportTable,
+    StepResult,
+    Verdict,
+    cannot_tell,
+    judged,
+    skipped,
+    stands,
+)
 from server.commissioning.joint_ranges import joint_ranges
 from server.commissioning.joint_signs import joint_signs
-from server.commissioning.limits_equal import limits_equal
 from server.commissioning.link_dry_run import link_dry_run
-from server.commissioning.moving import NoLeaveError, NotReadyError, wait_for
+from server.commissioning.moving import NoLeaveError, NotReadyError, Reading, reading, wait_for
 from server.commissioning.site import Site
 from server.commissioning.stop_times import stop_times
 from server.commissioning.tool_marker import tool_marker
@@ -25,6 +34,105 @@ PLC_WAIT_S = 4.0
 CAMERA_WAIT_S = 20.0  # the first pair may compile
 DRY_RUN_WAIT_S = 5.0
 ONE_CONTROLLER = "is a server running, here or elsewhere? one controller at a time: the PLC answers only to the first"
+
+
+# Step: every encoder says what is read at the machine itself (scale, mark or inclinometer).
+
+NAME = "encoder zeros"
+REMEDY = "set the encoder's offset in the PLC so that it agrees with the mark, then run this step again"
+
+
+async def encoder_zeros(site: Site) -> StepResult:
+    """Ask for the angle of every joint as read at the machine; the encoder's value is shown only afterwards."""
+    site.operator.tell("put every joint on a known mark, or read its angle at the machine; leave empty what you cannot")
+    seen_deg: list[float | None] = []
+    for joint in site.machine.joints:
+        bounds = f"{math.degrees(joint.q_min_rad):.0f} .. {math.degrees(joint.q_max_rad):.0f}"
+        question = f"{joint.name}: angle read at the machine [deg, {bounds}; empty: not read]"
+        seen_deg.append(await _angle(site, f"encoder_zeros.{joint.name}", question))
+    names = [joint.name for joint in site.machine.joints]
+    return compare_zeros(names, await reading(site), seen_deg, site.options.zero_tolerance_deg)
+
+
+async def _angle(site: Site, key: str, question: str) -> float | None:
+    """A number, asked again until it is one; None when nobody says."""
+    for _ in range(3):
+        answer = await site.operator.ask(key, question)
+        if answer is None or not answer.strip():
+            return None
+        try:
+            value = float(answer)
+        except ValueError:
+            value = math.nan
+        if math.isfinite(value):
+            return value
+        site.operator.tell(f"'{answer}' is not a number; give degrees, such as 12.5")
+    return None
+
+
+def compare_zeros(
+    names: list[str], reading_now: Reading, seen_deg: list[float | None], tolerance_deg: float
+) -> StepResult:
+    """The result for what was read at the machine; None: not read."""
+    q_deg = [math.degrees(value) for value in reading_now.q]
+    pairs = list(zip(names, q_deg, seen_deg, strict=True))
+    figures = [
+        Figure(f"{name}: encoder against the mark", abs(q - seen), "deg", at_most=tolerance_deg)
+        for name, q, seen in pairs
+        if seen is not None
+    ]
+    untold = [name for name, _, seen in pairs if seen is None]
+    rows = tuple((name, f"{q:+.3f}", "" if seen is None else f"{seen:+.3f}") for name, q, seen in pairs)
+    table = ReportTable("angles", ("joint", "encoder deg", "read at the machine deg"), rows)
+    if not figures:
+        skip = skipped(NAME, "nobody read an angle at the machine", "read them, or give them in --answers")
+        return StepResult(NAME, Verdict.SKIPPED, skip.summary, remedy=skip.remedy, tables=(table,))
+    missing = [f"not read at the machine: {', '.join(untold)}"] if untold else []
+    summary = f"all encoders within {tolerance_deg:g} deg of their marks"
+    return judged(NAME, figures, summary, REMEDY, missing, tables=(table,))
+
+
+# Step: both ends hold the same limits, by their hash.
+
+LIMITS_NAME = "limits equal"
+_COLUMNS = (("Q_MIN", "q_min"), ("Q_MAX", "q_max"), ("QD_MAX", "qd_max"), ("QDD_MAX", "qdd_max"))
+
+
+async def limits_equal(site: Site) -> StepResult:
+    """Compare the PLC's cfg_id with ours; on a difference show our table to compare with GVL_HmMachine."""
+    table, theirs = limits_of(site.machine.joints), site.link.health.cfg_id
+    return compare_limits(table, theirs)
+
+
+def compare_limits(table: LimitTable, plc_cfg_id: int) -> StepResult:
+    """The result for our table and the PLC's hash; 0: the PLC told none."""
+    ours = cfg_id(table)
+    if plc_cfg_id == 0:
+        return cannot_tell(
+            LIMITS_NAME, "the PLC told no cfg_id (0)", "let the PLC compute it at start-up (FB_HmSelfCheck)"
+        )
+    if plc_cfg_id == ours:
+        return StepResult(LIMITS_NAME, Verdict.PASS, f"cfg_id {ours:#010x} on both ends")
+    return StepResult(
+        LIMITS_NAME,
+        Verdict.FAIL,
+        f"cfg_id of the PLC {plc_cfg_id:#010x}, ours {ours:#010x}: the limits differ, and the PLC refuses HELLO",
+        remedy="compare the table with GVL_HmMachine; the machine file is the source: export again and load it",
+        tables=(limits_table(table),),
+    )
+
+
+def limits_table(table: LimitTable) -> ReportTable:
+    """Our limits with the names that GVL_HmMachine has for them."""
+    rows = [
+        (
+            axis.name,
+            *(f"{getattr(axis, field)!r} ({math.degrees(getattr(axis, field)):.6g} deg)" for _, field in _COLUMNS),
+        )
+        for axis in table.axes
+    ]
+    shared = f"{table.spacing_min_ns} .. {table.spacing_max_ns} ns, start tolerance {table.start_tolerance_rad!r} rad"
+    return ReportTable(f"our limits [rad, s]; knots {shared}", ("axis", *(name for name, _ in _COLUMNS)), tuple(rows))
 
 
 class Need(Enum):

@@ -5,8 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from server.access.lease import Lease
+from server.access.roles import Caller
 from server.jobs.engine import Job
-from server.store.audit_rows import AuditEntry, Caller
+from server.store.audit_rows import AuditEntry
 from server.store.idempotency import Answered
 
 INSIDE = Caller("server", "engineer", "")

@@ -82,7 +82,7 @@ class Diagnoses:
         return self._begun(Diagnosis(uuid4().hex[:12], recordings))
 
     def queue(self, recordings: tuple[Path, ...], job_id: str) -> Diagnosis:
-        """Begin as soon as no other one runs: what an experiment's job asks for."""
+        """Begin as soon as no other one runs: what an identification's job asks for."""
         busy = any(one.state in UNDER_WAY for one in self.all)
         return self._begun(Diagnosis(uuid4().hex[:12], recordings, job_id, "waiting" if busy else "running"))
 

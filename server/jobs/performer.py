@@ -12,8 +12,8 @@ from server.calibration.contracts import Array, EncoderTrack
 from server.calibration.kinematic_errors import usual_play
 from server.calibration.play import PlayFollower
 from server.camera.contracts import FrameReport
-from server.cell import Cell
 from server.errors import JobFailedError
+from server.jobs.cell import Cell
 from server.jobs.requests import (
     Arm,
     BeginSegment,

@@ -8,24 +8,6 @@ from pathlib import Path
 
 from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
 from server.access.lease import Lease
-from server.api.views import (
-    CalibrateRequest,
-    ExecuteRequest,
-    ExperimentRequest,
-    IdentifyRequest,
-    LineRequest,
-    LookRequest,
-    OrientRequest,
-    ParkRequest,
-    PlanExperimentRequest,
-    PlanIdentifyRequest,
-    PositionRequest,
-    PreviewRequest,
-    RetractRequest,
-    ReturnRequest,
-    ServoRequest,
-)
-from server.cell import Cell
 from server.compensation.errors import CompensationError
 from server.compensation.reading import compensation_from
 from server.compensation.versions import MachineVersions
@@ -33,16 +15,15 @@ from server.disk_space import DiskSpace
 from server.errors import BusyError, JobFailedError
 from server.inner_faults import InnerFaults
 from server.jobs.calibration_store import CalibrationStore, machine_id_of
+from server.jobs.cell import Cell
 from server.jobs.commands import INSIDE_COMMAND, Command, began
 from server.jobs.context import PlanContext
 from server.jobs.diagnosing import Diagnoses
 from server.jobs.engine import Job, JobEngine, JobEvent
-from server.jobs.experiments import Experiments
-from server.jobs.finding_log import FindingLog
 from server.jobs.identification import Identification
+from server.jobs.keeper import FindingLog, Keeper
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
-from server.jobs.plans.experimenting import drive_experiment, plan_experiment
 from server.jobs.plans.identifying import drive_identification, plan_identification
 from server.jobs.plans.line import line_run
 from server.jobs.plans.looking import take_look
@@ -52,9 +33,23 @@ from server.jobs.plans.positioning import position
 from server.jobs.plans.returning import park, retract, return_to_start
 from server.jobs.plans.servoing import servo
 from server.jobs.plans.unmoved import moved_since_look
+from server.jobs.request_bodies import (
+    CalibrateRequest,
+    ExecuteRequest,
+    IdentifyRequest,
+    LineRequest,
+    LookRequest,
+    OrientRequest,
+    ParkRequest,
+    PlanIdentifyRequest,
+    PositionRequest,
+    PreviewRequest,
+    RetractRequest,
+    ReturnRequest,
+    ServoRequest,
+)
 from server.jobs.requests import Plan, Progress, Request
 from server.link.errors import LinkError
-from server.store.keeper import Keeper
 
 log = logging.getLogger(__name__)
 RESUME_SEEN_S = 0.1
@@ -68,8 +63,6 @@ JobBody = (
     | PositionRequest
     | LineRequest
     | ServoRequest
-    | PlanExperimentRequest
-    | ExperimentRequest
     | PlanIdentifyRequest
     | IdentifyRequest
     | RetractRequest
@@ -99,7 +92,6 @@ class JobService:
         self._by_settings = compensation_from(cell.settings, cell.machine)
         self.context = self._context()
         self.diagnoses = Diagnoses(Path(cell.settings.recording.folder))
-        self._experiments = Experiments(self.diagnoses)
         self.identification = Identification(self.diagnoses)
         self._suspend, self._resumed = SuspendWatch(), False
         cell.knowledge.unix_minus_mono_s = time.time() - mono_s()
@@ -198,7 +190,6 @@ class JobService:
             log.warning(SUSPENDED)
             self._resumed = True
             self.cell.knowledge.forget_sight()
-            self._experiments.forget()
             self.identification.forget()
             self.engine.leases.expel(SUSPENDED)
 
@@ -222,11 +213,6 @@ class JobService:
                 return line_run(ctx.with_method("paper"), body.variant)
             case ServoRequest():
                 return servo(ctx)
-            case PlanExperimentRequest():
-                asked = self._experiments.asked(body, self.cell)
-                return plan_experiment(ctx, asked, self._experiments.keep)
-            case ExperimentRequest():
-                return drive_experiment(ctx, self._experiments.executable(body, mono_ns()))
             case PlanIdentifyRequest():
                 desk = self.identification
                 return plan_identification(ctx, body.minutes, body.wall_free, desk.unfinished(body), desk.keep)
@@ -270,7 +256,6 @@ class JobService:
             self._store.keep(self.cell.knowledge)
             recorder.result(job.result if job.result is not None else job.reason)
             recording = recorder.stop()
-            self._experiments.follow(job, recording)
             self.identification.follow(job, recording)
 
 

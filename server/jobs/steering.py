@@ -12,8 +12,8 @@ import numpy as np
 from recording.clock import mono_ns, mono_s
 from server.calibration.contracts import Array
 from server.camera.contracts import FrameReport
-from server.cell import Cell
 from server.errors import JobFailedError
+from server.jobs.cell import Cell
 from server.jobs.steer_requests import Correct, NextPair, PairSeen
 from server.link.contracts import MotionEnded
 from server.link.errors import LinkRefusedError

@@ -1,9 +1,54 @@
 """How late the link sends, over the last twenty seconds."""
 
+import os
 from collections import deque
 from dataclasses import dataclass, field
 
 _WINDOW = 1000
+
+
+# A deadline that the server keeps moving on while motion may go on; missed, motion stops whatever the server does.
+
+
+@dataclass(slots=True)
+class Deadline:
+    """At most one at a time. Once missed, nothing may begin until it is set again. `missed_text`: why it stopped."""
+
+    missed_text: str
+    missed: bool = False
+    _until_ns: int | None = None
+
+    def set(self, until_ns: int | None) -> None:
+        """Let motion go on until then [monotonic ns]; None: nothing needs to be proven any more."""
+        self._until_ns, self.missed = until_ns, False
+
+    def just_missed(self, now_ns: int) -> bool:
+        """Whether it has passed since it was asked last."""
+        if self._until_ns is None or now_ns <= self._until_ns:
+            return False
+        self._until_ns, self.missed = None, True
+        return True
+
+
+# Ask the system to run this process before others.
+
+_FIFO_PRIORITY = 50
+_NICE = -15
+
+
+def raise_priority() -> str:
+    """Real-time scheduling if allowed, else a better nice value; the text says what is missing, empty if nothing is."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
+    except (OSError, AttributeError):
+        pass
+    else:
+        return ""
+    try:
+        os.setpriority(os.PRIO_PROCESS, 0, _NICE)
+    except (OSError, AttributeError):
+        return "link runs at normal priority (no SCHED_FIFO, no nice): under load sends may be late; grant CAP_SYS_NICE"
+    return f"link runs at nice {_NICE} instead of SCHED_FIFO: under load sends may be late; grant rtprio"
 
 
 @dataclass(frozen=True, slots=True)

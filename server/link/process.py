@@ -51,15 +51,12 @@ from server.link.contracts import (
     TailReport,
     Unbound,
 )
-from server.link.deadline import Deadline
 from server.link.knots import knots_from, refusals_text
-from server.link.lateness import Lateness, LatenessFigures
+from server.link.lateness import Deadline, Lateness, LatenessFigures, raise_priority
 from server.link.outbox import Outbox
-from server.link.priority import raise_priority
-from server.link.resolver import Resolver
-from server.link.sample import sample_of
+from server.link.samples import sample_of
 from server.link.settings import LinkSettings, framing_of
-from server.link.udp_end import Address, UdpEnd
+from server.link.udp_end import Address, Resolver, UdpEnd
 
 _HEALTH_NS = 100_000_000
 _RESOLVE_NS = 1_000_000_000

@@ -14,6 +14,7 @@ from server.motion.point_to_point import cartesian_leg, joint_leg, path_end, pla
 from server.motion.refusal import Refusal, refused_plan, require_goal, require_joints
 from server.motion.settings import DEFAULT_PLAN_SETTINGS, PlanSettings
 
+SAME_POSTURE_RAD = 1e-5
 # Enough to break each joint's stiction, and more than its gears' play: slew 2 mrad, wrists 0.3 deg peak to peak.
 _PLAY_RAD: tuple[float, ...] = tuple(np.deg2rad([0.8, 0.4, 0.4, 0.6, 0.6, 0.6]).tolist())
 
@@ -41,27 +42,34 @@ def plan_approach(
     settings: PlanSettings = DEFAULT_PLAN_SETTINGS,
     wall: Wall | None = None,
     approach: ApproachSettings = DEFAULT_APPROACH,
+    q_goal: Array | None = None,
 ) -> PathPlan:
     """Straight move to just before the goal, then a slow last leg in which every joint with backlash turns forward.
 
     Model:   q_pre = q_goal - play; line to the pose of q_pre, then joints straight to q_goal: gear flanks lie the same
              way after every move, so their play is a constant that looking sees and the next step removes.
-    Args:    as `plan_move`; approach: play per joint [rad].
+    Args:    as `plan_move`; approach: play per joint [rad]; q_goal: the joints of the goal (n,) [rad] where they are
+             known already; without them, or where the straight line ends in another posture, they are traced.
     Returns: the plan of both legs, or the status and reason of the one that is not possible.
     Raises:  MotionInputError: shapes, values that are not finite, not a pose.
     """
     chain = chain_of(machine)
     q = require_joints(q_start, chain.n, "q_start")
     goal = require_goal(T_base_tcp_goal, "T_base_tcp_goal")
-    direct = trace(machine, chain, q, straight_poses(tcp_pose(chain, q), goal, settings), settings)
-    if isinstance(direct, Refusal):
-        return refused_plan(direct, q, np.array([tcp_pose(chain, q), goal]))
-    q_goal = direct.qs[-1]
-    T_pre = tcp_pose(chain, q_goal - play_of(chain.n, approach))
-    first = cartesian_leg(machine, chain, q, T_pre, settings, wall)
+    if q_goal is not None:
+        q_end = require_joints(q_goal, chain.n, "q_goal")
+    else:
+        direct = trace(machine, chain, q, straight_poses(tcp_pose(chain, q), goal, settings), settings)
+        if isinstance(direct, Refusal):
+            return refused_plan(direct, q, np.array([tcp_pose(chain, q), goal]))
+        q_end = direct.qs[-1]
+    q_pre = q_end - play_of(chain.n, approach)
+    first = cartesian_leg(machine, chain, q, tcp_pose(chain, q_pre), settings, wall)
+    if q_goal is not None and (isinstance(first, Refusal) or np.abs(path_end(first) - q_pre).max() > SAME_POSTURE_RAD):
+        return plan_approach(machine, q_start, T_base_tcp_goal, settings, wall, approach)
     if isinstance(first, Refusal):
         return refused_plan(first, q, np.array([tcp_pose(chain, q), goal]))
-    last = joint_leg(machine, chain, path_end(first), q_goal, _creeping(settings, approach.last_leg_s), wall)
+    last = joint_leg(machine, chain, path_end(first), q_end, _creeping(settings, approach.last_leg_s), wall)
     if isinstance(last, Refusal):
         return refused_plan(last, q, np.array([tcp_pose(chain, q), goal]))
     return plan_of([first, last])

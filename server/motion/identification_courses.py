@@ -5,13 +5,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from machine.chain import Chain
 from machine.description import Machine
 from machine.kinematics import tcp_jacobian
-from server.motion.contracts import Array
-from server.motion.experiment_course import Course
+from server.motion.contracts import Array, JointTrajectory, PlanStatus
+from server.motion.refusal import Refusal
 from server.motion.settings import PlanSettings
+from server.motion.timing import excess
 
 Kind = Literal["repeat", "multisine", "steps", "sweep", "staircase", "workcycle", "hold"]
 Shape = Callable[[np.random.Generator, float, int], Array]
@@ -21,6 +23,10 @@ REST_S = 1.5  # at both ends of a course: what moves is over before the next beg
 FADE_S = 1.5
 REPEATS = 4
 SPAN_RAD, SPAN_M = 0.18, 0.35  # most that a joint turns to either side, and most that the TCP goes by it
+SAMPLE_S = 0.05
+SIZE_MIN_FRAC = 0.03  # of the intended size: less than that shows nothing any more
+ROUNDS = 20
+SPARE = 1.01  # beyond what a limit requires: the next round then passes
 TCP_SHARE = 0.55  # of the TCP's speed for each joint alone; the joints are not at their fastest at the same time
 
 
@@ -45,6 +51,54 @@ class MotionPart:
     shape: Shape
     shows: tuple[str, ...]
     repeats: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """A reference by its knots (k, n) [rad] every `knot_s`: the cubic spline through them, at rest at both ends."""
+
+    q: Array
+    knot_s: float
+
+
+def course_trajectory(course: Course, size_frac: float = 1.0) -> JointTrajectory:
+    """The course around its first knot, `size_frac` as large; knots every 50 ms.
+
+    Model:   q(t) = q_0 + size (s(t) - q_0), s the clamped cubic spline. The PLC's quintic between knots with the
+             spline's own rates is the spline itself wherever no knot of the spline lies between.
+    """
+    times = course.knot_s * np.arange(len(course.q))
+    spline = CubicSpline(times, course.q, bc_type="clamped")
+    count = max(2, int(np.ceil(times[-1] / SAMPLE_S - 1e-9)) + 1)
+    t = np.linspace(0.0, times[-1], count)
+    q, qd, qdd = (np.asarray(spline(t, order), dtype=float) for order in range(3))
+    start = course.q[0]
+    moved = JointTrajectory(t, start + size_frac * (q - start), size_frac * qd, size_frac * qdd)
+    moved.q[0], moved.q[-1] = start, start + size_frac * (course.q[-1] - start)
+    for rates in (moved.qd, moved.qdd):
+        rates[0], rates[-1] = 0.0, 0.0
+    return moved
+
+
+def fitted_course(machine: Machine, chain: Chain, course: Course, settings: PlanSettings) -> JointTrajectory | Refusal:
+    """The course at its own tempo, as small as the speeds and accelerations of joints and TCP require.
+
+    Returns: its trajectory; or TOO_FAST where less than SIZE_MIN_FRAC of it would be left.
+    """
+    size_frac, worst = 1.0, ""
+    for _ in range(ROUNDS):
+        trajectory = course_trajectory(course, size_frac)
+        found = excess(machine, chain, trajectory, settings, settings.limit_share)
+        if found.factor <= 1.0:
+            return trajectory
+        worst = found.worst
+        size_frac /= SPARE * found.factor
+        if size_frac < SIZE_MIN_FRAC:
+            break
+    return Refusal(
+        PlanStatus.TOO_FAST,
+        f"{worst} leaves less than {100 * SIZE_MIN_FRAC:.0f} % of the size; begin with the arm folded",
+    )
 
 
 def multisine(rng: np.random.Generator, seconds: float, n: int) -> Array:
@@ -140,9 +194,9 @@ def part_course(machine: Machine, chain: Chain, part: MotionPart, q_home: Array,
     return Course(q_home + np.concatenate([once, *([once[1:]] * (part.repeats - 1))]), KNOT_S)
 
 
-def part_marks(part: MotionPart, slower: float) -> tuple[Mark, ...]:
-    """The segments of a part whose course was made `slower` times as long."""
-    each_s = slower * (2.0 * REST_S + part.seconds - KNOT_S)
+def part_marks(part: MotionPart) -> tuple[Mark, ...]:
+    """The segments of a part."""
+    each_s = 2.0 * REST_S + part.seconds - KNOT_S
     if part.repeats == 1:
         return (Mark(part.name, part.kind, 0.0, each_s),)
     return tuple(

@@ -1,21 +1,116 @@
 """Time on a joint path: as fast as the limits of joints and TCP allow, for the reference that is really sent."""
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from machine.chain import Chain
 from machine.description import Machine
 from machine.kinematics import tcp_poses
 from server.motion.contracts import Array, JointTrajectory, PlanStatus
 from server.motion.joint_path import JointPath
-from server.motion.reference_shaping import servo_lag_of, shaped
 from server.motion.refusal import Refusal
 from server.motion.settings import PlanSettings
-from server.motion.time_law import CruiseLaw, QuinticLaw, TimeLaw
 from server.motion.trajectory import sample
 
 _ROUNDS = 12
+
+
+# Time laws: how the share of a path already covered grows with time, from rest to rest.
+
+
+class TimeLaw(Protocol):
+    """s(u) with u = t / T in 0..1, s(0) = 0, s(1) = 1, at rest at both ends."""
+
+    @property
+    def peak(self) -> float:
+        """Largest ds/du."""
+        ...
+
+    def derivatives(self, u: Array, highest: int) -> list[Array]:
+        """s and its derivatives with respect to u, up to order `highest`, at u (n,)."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class QuinticLaw:
+    """The paper's point-to-point law 10 u^3 - 15 u^4 + 6 u^5: zero velocity and acceleration at both ends."""
+
+    @property
+    def peak(self) -> float:
+        """Largest ds/du."""
+        return 15.0 / 8.0
+
+    def derivatives(self, u: Array, highest: int) -> list[Array]:
+        """s and its derivatives with respect to u, up to order `highest`, at u (n,)."""
+        s = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])
+        return [s(u), *(s.deriv(order)(u) for order in range(1, highest + 1))]
+
+
+@dataclass(frozen=True, slots=True)
+class CruiseLaw:
+    """Even speed between two smooth ramps; zero up to the fourth derivative at both ends.
+
+    Model:   ds/du = V S(u / r) on the ramp, S(x) = 35 x^4 - 84 x^5 + 70 x^6 - 20 x^7, V = 1 / (1 - r); mirrored at the
+             end. A reference shaped through two lags needs four vanishing derivatives to start and end smoothly.
+    Args:    ramp_frac: r, share of the duration that each ramp takes, 0 < r <= 0.5.
+    """
+
+    ramp_frac: float
+
+    @property
+    def peak(self) -> float:
+        """Largest ds/du."""
+        return 1.0 / (1.0 - self.ramp_frac)
+
+    def derivatives(self, u: Array, highest: int) -> list[Array]:
+        """s and its derivatives with respect to u, up to order `highest`, at u (n,)."""
+        r, V = self.ramp_frac, self.peak
+        late = u > 0.5  # the second half is the first one turned about its middle: s(u) = 1 - s(1 - u)
+        x = np.minimum(np.where(late, 1.0 - u, u) / r, 1.0)
+        ramp = Polynomial([0.0, 0.0, 0.0, 0.0, 0.0, 7.0, -14.0, 10.0, -2.5]) * r * V
+        first = ramp(x) + V * np.maximum(np.where(late, 1.0 - u, u) - r, 0.0)
+        result = [np.where(late, 1.0 - first, first)]
+        for order in range(1, highest + 1):
+            value = ramp.deriv(order)(x) / r**order
+            result.append(np.where(late, (-1.0) ** (order + 1) * value, value))
+        return result
+
+
+# Reference shaping: what to ask of a lagging P or PT-1 joint so that the joint itself follows the planned path.
+
+
+@dataclass(frozen=True, slots=True)
+class ServoLag:
+    """Nominal joint loops: qd = gain (q_ref - q) behind a first-order lag tau. Shapes (joints,), [1/s] and [s]."""
+
+    gain: Array
+    tau_s: Array
+
+
+def servo_lag_of(machine: Machine) -> ServoLag:
+    """The nominal loops of a machine: gain = kp velocity_gain, tau of the PT-1 joints (eq. 25)."""
+    gain = np.array([joint.kp_frac_per_rad * joint.velocity_gain_rad_s for joint in machine.joints])
+    return ServoLag(gain=gain, tau_s=np.array([joint.pt1_tau_s for joint in machine.joints]))
+
+
+def shaped(derivatives: list[Array], lag: ServoLag) -> list[Array]:
+    """Reference whose lagging response is the planned path.
+
+    Model:   u = kp (q_ref - q) / (tau s + 1), qd = velocity_gain u  =>  q_ref = q + (qd + tau qdd) / (kp
+             velocity_gain).
+    Args:    derivatives: planned q and its first four time derivatives, each (n, joints).
+    Returns: q_ref and its first two time derivatives, each (n, joints); equal to q wherever the first four vanish.
+    Source:  Makinen et al. 2023, eq. 6 and 25, inverted.
+    """
+    q, q1, q2, q3, q4 = derivatives
+    return [
+        q + (q1 + lag.tau_s * q2) / lag.gain,
+        q1 + (q2 + lag.tau_s * q3) / lag.gain,
+        q2 + (q3 + lag.tau_s * q4) / lag.gain,
+    ]
 
 
 def time_derivatives(path: JointPath, law: TimeLaw, t_s: Array, duration_s: float) -> list[Array]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from protocol.codes import FaultBit
 from recording.clock import mono_ns
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.service import JobService
 from server.version import __version__
 

@@ -10,19 +10,6 @@ KEPT_S = 400 * 86400.0  # of operation
 
 
 @dataclass(frozen=True, slots=True)
-class Caller:
-    """Who sends a request: the key's name, its role, and from where.
-
-    `by_key`: a key, or the session it opened, says so; else it is whoever is at this computer.
-    """
-
-    name: str = "local"
-    role: str = "operator"
-    address: str = ""
-    by_key: bool = False
-
-
-@dataclass(frozen=True, slots=True)
 class AuditEntry:
     """One line. `outcome` is "accepted" or the code of the refusal. Secrets never go in."""
 

@@ -1,28 +1,40 @@
 """Windowed stereo bundle adjustment: frames, points and rigid groups moved together until the rays fit best."""
 
+from typing import NamedTuple
+
 import numpy as np
 
-from server.vision.bundle_check import why_degenerate
 from server.vision.bundle_contracts import (
     BundleInputError,
+    BundleLayout,
     BundleLoss,
     BundleProblem,
     BundleResult,
     BundleSettings,
-    BundleStatus,
-    RigidGroup,
-)
-from server.vision.bundle_covariance import UNOBSERVED_M2, Fit, Spread, bodies_spread, fit_of, points_spread
-from server.vision.bundle_layout import (
-    BundleLayout,
     BundleState,
+    BundleStatus,
+    BundleWork,
+    Indices,
+    RigidGroup,
     check_shapes,
     make_layout,
     make_work,
 )
-from server.vision.bundle_levenberg import CONVERGED, NOT_FINITE
-from server.vision.bundle_rounds import adjust_in_rounds
-from server.vision.bundle_verdict import why_not_believed
+from server.vision.bundle_covariance import (
+    CONVERGED,
+    NOT_FINITE,
+    UNOBSERVED_M2,
+    Fit,
+    Spread,
+    bodies_spread,
+    fit_of,
+    minimise,
+    noise_of,
+    points_spread,
+    seen_counts,
+    total_cost,
+)
+from server.vision.bundle_residuals import HUBER, drop_behind, linearise
 from server.vision.contracts import Array
 
 __all__ = [
@@ -37,6 +49,212 @@ __all__ = [
 ]
 
 UNKNOWN_COVARIANCE = np.diag([np.pi**2] * 3 + [1e6] * 3)
+
+
+# Whether the numbers of a bundle problem can be adjusted at all; shapes are checked in `bundle_layout`.
+
+ROTATION_TOL = 1e-6
+SYMMETRY_TOL = 1e-9
+SIZE_MAX = 1e9  # m, px or rays: beyond, squares lose their digits
+
+
+def why_degenerate(problem: BundleProblem, layout: BundleLayout, start: BundleState) -> str:
+    """A reason why nothing can be adjusted, or an empty string."""
+    if len(problem.Ts_vo_cam) == 0 or len(problem.frames) == 0:
+        return f"{len(problem.Ts_vo_cam)} frames and {len(problem.frames)} observations; there is nothing to adjust"
+    return _bad_numbers(problem, layout, start) or _bad_priors(layout) or _bad_structure(problem, layout)
+
+
+def _bad_numbers(problem: BundleProblem, layout: BundleLayout, start: BundleState) -> str:
+    if not _sane(start.rotation) or not _sane(start.position):
+        return "a start pose is not finite"
+    off = np.abs(start.rotation @ start.rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    if (off > ROTATION_TOL).any() or (np.linalg.det(start.rotation) < 0.0).any():
+        return f"start pose {int(off.argmax())} is no rotation (off by {off.max():.1e})"
+    observed = np.diff(layout.first) > 0
+    if not _sane(start.points[observed]) or not _sane(layout.in_body):
+        return "the place of an observed point is not finite"
+    if not _sane(layout.rays):
+        return "a ray is infinite"
+    measured = ~np.isnan(problem.uv[:, 0]), ~np.isnan(problem.uv[:, 2])
+    for eye in range(2):
+        sigma = problem.sigma_px[measured[eye], min(eye, problem.uv.shape[1] - 3)]
+        if not ((sigma > 0.0) & (sigma < SIZE_MAX)).all():
+            return "a sigma is not a positive number"
+    if not (min(problem.focal_px) > 0.0 and np.isfinite(problem.baseline_m) and problem.baseline_m > 0.0):
+        return f"focal lengths {problem.focal_px} px and baseline {problem.baseline_m} m have to be positive"
+    return "" if _sane(layout.scale) else "a sigma is too small for its focal length"
+
+
+def _sane(array: Array) -> bool:
+    return bool((np.abs(array) < SIZE_MAX).all())
+
+
+def _bad_priors(layout: BundleLayout) -> str:
+    for body in np.flatnonzero(layout.has_prior):
+        own = layout.information[body]
+        if not np.isfinite(own).all():
+            return f"the information on body {body} is not finite"
+        size = np.abs(own).max()
+        if np.abs(own - own.T).max() > SYMMETRY_TOL * size or np.linalg.eigvalsh(own).min() < -SYMMETRY_TOL * size:
+            return f"the information on body {body} is not symmetric and positive"
+    return ""
+
+
+def _bad_structure(problem: BundleProblem, layout: BundleLayout) -> str:
+    held = (layout.column < 0).any() or layout.has_prior.any()
+    if not held and not (problem.fixed_points is not None and problem.fixed_points.any()):
+        return "no frame, group or point is fixed and no prior is given: everything could move together"
+    bodies = len(layout.column)
+    seen = np.zeros(bodies, dtype=bool)
+    seen[layout.frame[layout.alive]] = True
+    body = np.repeat(layout.body, np.diff(layout.first))[layout.alive]
+    seen[body[body >= 0]] = True
+    lonely = np.flatnonzero(~seen & (layout.column >= 0) & ~layout.has_prior)
+    if len(lonely):
+        return f"{_named(int(lonely[0]), len(problem.Ts_vo_cam))} has no observation and no prior"
+    return ""
+
+
+def _named(body: int, n_frames: int) -> str:
+    return f"frame {body}" if body < n_frames else f"group {body - n_frames}"
+
+
+# Whether an adjusted bundle is believed.
+
+OWN_MIN = 1e-10  # share of an unknown's information that must be its own; rounding leaves about 1e-14 of a gauge
+
+
+def why_not_believed(
+    layout: BundleLayout,
+    work: BundleWork,
+    spread: Spread,
+    fit: Fit,
+    seen: Indices,
+    n_frames: int,
+    settings: BundleSettings,
+) -> str:
+    """A reason why the optimum says nothing about the poses, or an empty string."""
+    if fit.redundancy <= 0:
+        return f"{-fit.redundancy} measurements too few for the unknowns"
+    if not np.isfinite(spread.covariance).all() or (spread.own_frac < OWN_MIN).any():
+        weakest = int(spread.own_frac.argmin()) // 6
+        return f"{_name(layout, weakest, n_frames)} is not determined by its observations"
+    wanted = np.bincount(layout.frame, (seen > 0).sum(axis=1), minlength=n_frames)
+    agreed = np.bincount(layout.frame, fit.agree.sum(axis=1), minlength=n_frames)
+    share = np.where(wanted > 0, agreed / np.maximum(wanted, 1), 1.0)
+    share[layout.column[:n_frames] < 0] = 1.0
+    worst = int(share.argmin())
+    if share[worst] < settings.inliers_min_frac:
+        return f"frame {worst}: {agreed[worst]:.0f} of {wanted[worst]:.0f} rays agree with the rest"
+    return _too_wide(layout, work, spread, fit, n_frames, settings)
+
+
+def _too_wide(
+    layout: BundleLayout, work: BundleWork, spread: Spread, fit: Fit, n_frames: int, settings: BundleSettings
+) -> str:
+    sigmas = np.sqrt(fit.variance_factor * np.diag(spread.covariance)).reshape(-1, 2, 3).max(axis=2)
+    depths = _median_depths(layout, work)
+    for body in np.flatnonzero(layout.column >= 0):
+        rotation, position = sigmas[layout.column[body]]
+        name = _name(layout, int(layout.column[body]), n_frames)
+        if rotation > settings.sigma_rotation_max_rad:
+            return f"{name}: sigma of the rotation {np.rad2deg(rotation):.1f} deg; too little is seen"
+        if position > settings.sigma_position_max_frac * depths[body]:
+            return f"{name}: sigma of the position {position:.3g} m at {depths[body]:.3g} m from the points"
+    return ""
+
+
+def _median_depths(layout: BundleLayout, work: BundleWork) -> Array:
+    """Median distance of each body's points from their eyes (b,); of a body that nothing sees: infinite."""
+    depths = np.full(len(layout.column), np.inf)
+    distance = np.linalg.norm(work.arm, axis=1)
+    body = np.repeat(layout.body, np.diff(layout.first))
+    for number in range(len(depths)):
+        own = ((layout.frame == number) | (body == number)) & layout.alive
+        if own.any():
+            depths[number] = np.median(distance[own])
+    return depths
+
+
+def _name(layout: BundleLayout, column: int, n_frames: int) -> str:
+    body = int(np.flatnonzero(layout.column == column)[0])
+    return f"frame {body}" if body < n_frames else f"group {body - n_frames}"
+
+
+# Adjusting in rounds: roughly with everything, then without the outliers and with the noise that there is.
+
+ROUNDS_MAX = 4
+ROUGH_STEP_SIGMA = 0.5  # per unknown: near enough to tell outliers; the slow end of reweighting is saved
+ROUGH_FRAC = 0.5  # of the iterations
+STEADY_FRAC = 0.1  # a noise that changed by less needs no further round
+
+
+class Adjusted(NamedTuple):
+    """How it ended, iterations, costs before and after, up to how many sigmas an eye agrees, what was seen (n, 2), and
+    the layout as it was at the end."""
+
+    ending: int
+    iterations: int
+    cost_before: float
+    cost_after: float
+    limit_sigma: float
+    seen: Indices
+    layout: BundleLayout
+
+
+def adjust_in_rounds(
+    layout: BundleLayout, start: BundleState, state: BundleState, work: BundleWork, settings: BundleSettings
+) -> Adjusted:
+    """Adjust `state` in place; with `trim`, eyes that disagree leave `layout` and the rest is adjusted again."""
+    trial = BundleState(*(array.copy() for array in state))
+    seen, iterations_max = seen_counts(layout), settings.iterations_max
+    drop_behind(layout, state)
+    before = total_cost(layout, start, state)[0]
+    if not settings.trim or settings.loss is BundleLoss.NONE:
+        ending, spent = minimise(layout, start, state, trial, work, iterations_max, settings.step_tol_sigma)
+        noise, latest = _noise(layout, state, work), layout
+    else:
+        # Huber first: far from the optimum Cauchy has other minima, in which good rays are the outliers
+        rough, tol = max(1, int(ROUGH_FRAC * iterations_max)), ROUGH_STEP_SIGMA * np.sqrt(_unknowns(layout))
+        ending, spent = minimise(layout._replace(loss=HUBER), start, state, trial, work, rough, tol)
+        noise, latest, used = _noise(layout, state, work), layout, 0.0
+        everything = layout.scale.copy()
+        for _ in range(ROUNDS_MAX):
+            changed = _trim(layout, everything, state, work, settings.inlier_sigma * noise)
+            if ending == NOT_FINITE or (changed == 0 and abs(noise - used) < STEADY_FRAC * used):
+                break
+            used, latest = noise, layout._replace(loss_scale=settings.loss_scale * noise)
+            left = iterations_max - spent
+            ending, more = minimise(latest, start, state, trial, work, left, settings.step_tol_sigma)
+            spent += more
+            noise = _noise(layout, state, work)
+    after = total_cost(layout, start, state)[0]
+    return Adjusted(ending, spent, before, after, settings.inlier_sigma * noise, seen, latest)
+
+
+def _unknowns(layout: BundleLayout) -> int:
+    return 6 * layout.n_columns + 3 * int(layout.free.sum())
+
+
+def _noise(layout: BundleLayout, state: BundleState, work: BundleWork) -> float:
+    linearise(layout, state, work)
+    return noise_of(layout, work.squares)
+
+
+def _trim(layout: BundleLayout, everything: Array, state: BundleState, work: BundleWork, limit_sigma: float) -> int:
+    """Take eyes that disagree out of `layout`, and those back in that agree by now; how many coordinates changed."""
+    before = layout.scale.copy()
+    layout.scale[:] = everything
+    layout.alive[:] = (everything > 0.0).any(axis=1)
+    drop_behind(layout, state)
+    linearise(layout, state, work)
+    out = work.squares > limit_sigma**2
+    if layout.joint:
+        out[:, 1] = out[:, 0]
+    layout.scale[np.repeat(out, 2, axis=1)] = 0.0
+    layout.alive[:] &= (layout.scale > 0.0).any(axis=1)
+    return int(((layout.scale > 0.0) != (before > 0.0)).sum())
 
 
 def adjust_bundle(problem: BundleProblem, settings: BundleSettings | None = None) -> BundleResult:

@@ -9,10 +9,6 @@ class UnknownDictionaryError(VisionError):
     """A marker dictionary that does not exist."""
 
 
-class ImageFormatError(VisionError):
-    """An image that is no grey 8-bit picture of the camera's size."""
-
-
 class NoMarkersError(VisionError):
     """A machine file without the markers that a pose source needs."""
 

@@ -11,7 +11,7 @@ from machine.poses import inverse_pose, transform_points
 from machine.rotations import nearest_rotation
 from server.vision.contracts import Array, Image, OdometryPose, OdometryStatus
 from server.vision.odometry_adjustment import adjust_keyframes
-from server.vision.odometry_covariance import KeyframeCovariances
+from server.vision.odometry_covariance import KeyframeCovariances, Readout, readout_of
 from server.vision.odometry_features import allowed_mask, coverage
 from server.vision.odometry_keyframe import Keyframe, SeenHere, make_keyframe
 from server.vision.odometry_motion import (
@@ -27,10 +27,8 @@ from server.vision.odometry_motion import (
 from server.vision.odometry_motions import Located, Scene, motions, parted, world_motion
 from server.vision.odometry_observation import Observed, expected_right, observe_map
 from server.vision.odometry_own import OwnStructure, vote
-from server.vision.odometry_place import best_place, travelled
+from server.vision.odometry_place import best_place, by_flow, by_recognition, travelled
 from server.vision.odometry_pose import PoseFit, pose_problem, rough, settled
-from server.vision.odometry_readout import Readout, readout_of
-from server.vision.odometry_relocation import by_flow, by_recognition
 from server.vision.odometry_sensitivity import Sensitivity, Shutter, sensitivity
 from server.vision.odometry_sight import ImageSight, Sight
 from server.vision.odometry_verdict import Evidence, OdometrySettings, verdict

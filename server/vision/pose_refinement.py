@@ -30,11 +30,6 @@ class PointObservations:
     focal_px: Array
     weights: Array | None = None
 
-    @property
-    def n_residuals(self) -> int:
-        """Number of scalar residuals."""
-        return 2 * len(self.points_object)
-
 
 @dataclass(frozen=True, slots=True)
 class RefinedPose:

@@ -6,7 +6,7 @@ from machine.poses import pose
 from server.vision.border_fit import border_covered, printed_pattern, sides_without_margin
 from server.vision.charuco_saddle import fit_saddles
 from server.vision.edge_fit import fit_corners
-from server.vision.marker_code import wrong_cells
+from server.vision.marker_search import wrong_cells
 from server.vision.pose_refinement import PointObservations, refine_pose
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,11 +14,47 @@ from machine.description import StereoCamera
 from machine.poses import inverse_pose
 from machine.rotations import Array
 from sim_plc.camera.boards import Board, chess_board, marker_board, paint_board, shank_board
-from sim_plc.camera.exposure import PoseHistory, StaticPose, key_poses
 from sim_plc.camera.own_structure import EyeView, OwnStructure, eye_views
 from sim_plc.camera.sensor import add_noise, motion_blur, noise_bank, point_spread
 from sim_plc.camera.texture import Grey, TextureLevel, best_level, rock_texture, texture_levels
 from sim_plc.camera.wall import Relief, node_map, paint_map, texel_map, wall_relief
+
+# Where the tool is while a picture is being exposed: pose history, and the key poses of a rolling shutter.
+
+
+class PoseHistory(Protocol):
+    """True tool poses of the recent past."""
+
+    def pose_at(self, t_ns: int, /) -> Array:
+        """T_base_tcp (4, 4) at one true time [ns]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class StaticPose:
+    """A tool at rest: the same pose at every time."""
+
+    T_base_tcp: Array
+
+    def pose_at(self, t_ns: int, /) -> Array:
+        """T_base_tcp, whatever the time."""
+        return self.T_base_tcp
+
+
+def shutter_times_ns(t_mid_ns: int, readout_s: float, n_keys: int) -> list[int]:
+    """Mid-exposure times of `n_keys` rows spread evenly from the first to the last row [ns].
+
+    Model:   t(row) = t_mid + (row / (rows - 1) - 1/2) readout; `t_mid_ns` is the middle row's.
+    """
+    return [t_mid_ns + round((k / (n_keys - 1) - 0.5) * readout_s * 1e9) for k in range(n_keys)]
+
+
+def key_poses(poses: PoseHistory, t_mid_ns: int, readout_s: float, n_keys: int) -> Array:
+    """T_base_tcp at the key rows of one exposure, (n_keys, 4, 4); between keys the renderer interpolates linearly."""
+    if readout_s == 0.0:
+        return np.repeat(poses.pose_at(t_mid_ns)[None], n_keys, axis=0)
+    return np.stack([poses.pose_at(t) for t in shutter_times_ns(t_mid_ns, readout_s, n_keys)])
+
 
 if TYPE_CHECKING:
     from sim_plc.world import CameraTruth, SceneTruth, World

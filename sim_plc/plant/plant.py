@@ -95,11 +95,6 @@ class Plant:
         return self.truth.supply.oil_temperature_c
 
     @property
-    def spool_frac(self) -> Array:
-        """Spool positions (6,) [fraction of full stroke]."""
-        return self.state.joint[:, kernel.SPOOL].copy()
-
-    @property
     def q_output_rad(self) -> Array:
         """True joint angles behind the play (6,) [rad]."""
         return self.state.joint[:, kernel.OUTPUT].copy()

@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from longreach.export_command import st_sources
-from longreach.plc_parameters import plc_parameters
-from protocol.twincat.project import project
+from longreach.export_command import plc_parameters, st_sources
+from protocol.twincat.bundle import project
 from server.settings import read_machine
 
 pytestmark = [

@@ -10,13 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from longreach.export_command import st_sources
-from longreach.plc_parameters import plc_parameters
+from longreach.export_command import plc_parameters, st_sources
 from protocol import layout
-from protocol.capture import Datagram, pcap
 from protocol.framing import EAP_PORT, EapFraming
 from protocol.twincat.bundle import bundle
-from protocol.twincat.golden import conversation
+from protocol.twincat.golden import Datagram, conversation, pcap
 from server.settings import read_machine
 
 TSHARK = shutil.which("tshark")

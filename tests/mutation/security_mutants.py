@@ -5,14 +5,12 @@ import os
 
 from server.access import gatekeeper, keys
 from server.access.desk import LeaseDesk
-from server.access.gatekeeper import Gatekeeper
+from server.access.gatekeeper import Gatekeeper, Lockout
 from server.access.keys import read_keys
-from server.access.lockout import Lockout
-from server.access.roles import Role
+from server.access.roles import Caller, Role
 from server.access.sessions import Sessions
 from server.api import diagnoses, guard, job_commands, lease_log, runs
 from server.api.lease_log import ControlLog
-from server.store.audit_rows import Caller
 
 ANYBODY = Caller("mallory", "admin", "10.0.0.9")
 

@@ -7,10 +7,10 @@ from importlib.resources import files
 from st_harness import MACHINE
 from st_program import Program, load_program
 
-from longreach.plc_parameters import plc_parameters
+from longreach.export_command import plc_parameters
 from machine.description import Machine
 from protocol.layout import COMMAND_SIZE
-from protocol.twincat.project import project
+from protocol.twincat.bundle import project
 from sim_plc.plc.sample import PlantSample
 
 RECEIVERS = ("FB_HmUdpTf6310", "FB_HmUdpTf6311")  # they use libraries of TwinCAT's: parsed, not run

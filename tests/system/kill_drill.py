@@ -24,7 +24,7 @@ from machine.description import Machine, parse_machine_toml
 from machine.kinematics import tcp_pose
 from protocol.codes import PlcState
 from server.settings import read_machine_text
-from sim_plc.settings import SimSettings
+from sim_plc.process import SimSettings
 
 __all__ = ["KillFigures", "Relay", "figures_table", "kill_drill", "machine_text", "observe_kill", "simulator"]
 

@@ -16,7 +16,7 @@ from longreach.processes import StackPorts, free_port
 from machine.chain import chain_of
 from machine.kinematics import tcp_pose
 from server.settings import read_machine, read_machine_text
-from sim_plc.settings import SimSettings
+from sim_plc.process import SimSettings
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]
 COMMAND = [sys.executable, "-m", "longreach.cli", "commission", "--yes"]

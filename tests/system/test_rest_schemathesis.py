@@ -14,7 +14,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from longreach.lease_holder import LeaseHolder
+from longreach.fleet_client import LeaseHolder
 
 sys.path.insert(0, str(Path(__file__).parent))
 from rest_stand import served

@@ -18,10 +18,9 @@ from recording.folder import read_folder
 from server.access.keys import read_keys
 from server.camera.errors import CameraError
 from server.camera.rectification_reading import read_calibration
-from server.camera.sources.euroc import EurocStereoSource
+from server.camera.sources.folder import EurocStereoSource
 from server.camera.sources.settings import EurocSource
 from server.errors import ServerError
-from server.jobs.proposals import machine_text_in
 from server.settings import read_machine_text, read_settings
 from server.shell_settings import read_key as read_plc_key
 
@@ -39,7 +38,6 @@ FILES: dict[str, tuple[str, str, Callable[[Path], Any]]] = {
     "settings": ("settings.toml", 'mode = "SIM"  # größer\n[http]\nport = 8090\n', read_settings),
     "machine by the settings": ("machine.toml", "# größe\n[machine]\n", lambda path: read_machine_text(str(path))),
     "machine by a command": ("machine.toml", "# größe\n[machine]\n", text_of_machine),
-    "machine in a recording": ("machine.toml", "# größe\n[machine]\n", lambda path: machine_text_in(path.parent)),
     "keys": (
         "keys.json",
         '{"keys": [{"name": "jörg", "role": "operator", "sha256": "00", "made_unix_s": 1.0}]}',

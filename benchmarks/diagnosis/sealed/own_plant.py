@@ -14,8 +14,8 @@ from sim_plc.plant import kernel
 from sim_plc.plant.aba import aba
 from sim_plc.plant.backlash import play
 from sim_plc.plant.cylinder import lookup
-from sim_plc.plant.friction import lugre_step
 from sim_plc.plant.hydraulics import VAPOUR_PA, opening, pump_flow, spool_step, valve_flows
+from sim_plc.plant.kernel import lugre_step
 from sim_plc.plant.plant import Plant
 from sim_plc.plant.statics import gravity_torques
 from sim_plc.plant.tree import FLEXES, MOTORS, N_JOINTS

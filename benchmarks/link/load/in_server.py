@@ -28,7 +28,7 @@ from server.link.contracts import LinkHealth, LinkPhase, MotionEnded, PlcSample
 from server.link.errors import LinkRefusedError
 from server.link.knots import knots_of
 from server.link.lateness import Lateness
-from server.link.sample import sample_of
+from server.link.samples import sample_of
 from server.link.udp_end import UdpEnd
 from server.motion.contracts import JointTrajectory
 

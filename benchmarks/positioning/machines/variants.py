@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 
 from benchmarks.positioning.machines.watched import LookChange
+from machine.description import Machine
 from machine.rotations import Array
 from server.calibration.joint_estimate import JointPrior
 from server.calibration.kinematic_errors import ErrorPrior
 from server.jobs.plans import driving, learning, planning
 from server.motion import calibration_paths
-from server.motion.contracts import JointTrajectory
+from server.motion.contracts import JointTrajectory, PathPlan, Wall
 from server.motion.point_to_point import plan_move
+from server.motion.settings import PlanSettings
 
 NONE6 = (0.0,) * 6
 KNOWN = 1e-9  # a standard deviation of what is taken for known
@@ -77,6 +79,13 @@ def _held_reference(trajectory: JointTrajectory, q_ref_now: Array, stall_rad: Ar
     return JointTrajectory(trajectory.t_s, trajectory.q + offset, trajectory.qd, trajectory.qdd)
 
 
+def _from_any_side(
+    machine: Machine, q: Array, T_base_tcp: Array, settings: PlanSettings, wall: Wall | None, q_goal: Array | None
+) -> PathPlan:
+    del q_goal
+    return plan_move(machine, q, T_base_tcp, settings, wall)
+
+
 def _never(machine: object, q: Array, residual: Array) -> Array:
     del machine, q
     return np.zeros(len(residual), dtype=bool)
@@ -110,7 +119,7 @@ ABLATIONS: tuple[Variant, ...] = (
     Variant("mono, single frame", "the left eye alone, one frame, as the paper", look=LookChange(pairs=1, mono=True)),
     Variant(
         "any side", "no last leg from below",
-        replaced=(Replacement(planning, "plan_approach", plan_move),),
+        replaced=(Replacement(planning, "plan_approach", _from_any_side),),
     ),
     Variant("circle", "a plain circle in place of the folded path", replaced=(
         Replacement(calibration_paths, "folded_corners", _circle),

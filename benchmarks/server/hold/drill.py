@@ -15,7 +15,7 @@ from longreach.fleet_client import JobClient
 from protocol.codes import PlcState
 from recording.clock import mono_ns
 from server.settings import read_machine_text
-from sim_plc.settings import SimSettings
+from sim_plc.process import SimSettings
 
 WAYS = ("release", "blur", "closed tab", "pulled network", "300 ms stall")
 LIMIT_MS = {"release": 100.0, "blur": 100.0, "closed tab": 100.0, "pulled network": 350.0, "300 ms stall": 350.0}

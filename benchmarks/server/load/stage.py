@@ -18,7 +18,7 @@ from benchmarks.server.load.clients import ClientProcess, Demand, Seen
 from benchmarks.server.load.mover import Mover
 from longreach.fleet_client import JobClient
 from longreach.processes import Stack, StackPorts
-from sim_plc.settings import SimSettings
+from sim_plc.process import SimSettings
 
 READY_S = 240.0  # the first start on a machine compiles
 SETTLE_S = 3.0

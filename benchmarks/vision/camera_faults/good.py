@@ -17,8 +17,7 @@ from machine.rotations import Array
 from server.camera.contracts import StereoFrame, VisionSettings
 from server.camera.process import build_pipeline
 from server.camera.sources.settings import HttpSource
-from sim_plc.camera.exposure import PoseHistory
-from sim_plc.camera.renderer import RenderSetup, StereoRenderer
+from sim_plc.camera.renderer import PoseHistory, RenderSetup, StereoRenderer
 from sim_plc.camera.texture import Grey
 from sim_plc.draw_world import draw_world
 from sim_plc.plant.plant import Plant

@@ -18,9 +18,8 @@ from server.vision.contracts import OdometryStatus
 from server.vision.odometry import OdometrySettings, StereoOdometry
 from server.vision.odometry_align import Alignment
 from server.vision.odometry_features import BORDER_PX
-from server.vision.odometry_flow import Flow
 from server.vision.odometry_motion import mean_twist, moved_by_twist, row_fractions
-from server.vision.odometry_sight import Sight, StereoMatches, Wanted
+from server.vision.odometry_sight import Flow, Sight, StereoMatches, Wanted
 
 WALL_POINTS = 6000
 WALL_HALF_M = 3.5

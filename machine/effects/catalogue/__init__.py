@@ -1,1 +1,1 @@
-"""The catalogue: one effect a file."""
+"""The catalogue: one file a stage, one entry an effect."""

@@ -1,4 +1,7 @@
-"""What each kind of source needs to know: frozen data, since it crosses a process boundary."""
+"""What each kind of source needs to know: frozen data, since it crosses a process boundary.
+
+Defaults are those of the settings (`server/settings_camera.py`).
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -24,10 +27,10 @@ class DeviceSource:
     """
 
     index: int | str
-    width_px: int = 2560
-    height_px: int = 720
-    rate_hz: float = 30.0
-    pixel_format: PixelFormat = "YUYV"
+    width_px: int
+    height_px: int
+    rate_hz: float
+    pixel_format: PixelFormat
 
 
 @dataclass(frozen=True, slots=True)

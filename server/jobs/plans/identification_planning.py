@@ -10,18 +10,17 @@ from server.calibration.contracts import Array
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.identification_records import IdentificationPart, IdentificationPlan
-from server.jobs.plans.experiment_planning import (
+from server.jobs.plans.drive_steps import (
     Step,
     check_driven,
     clearance_of,
-    experiment_settings,
+    drive_settings,
     steps_hash,
     way_to,
 )
 from server.motion.approach import play_of
 from server.motion.contracts import JointTrajectory
-from server.motion.experiment_course import fitted_course
-from server.motion.identification_courses import PARTS, MotionPart, part_course, part_marks
+from server.motion.identification_courses import PARTS, MotionPart, fitted_course, part_course, part_marks
 from server.motion.identification_postures import Postures, SeenObject, choose_postures
 from server.motion.refusal import Refusal
 from server.motion.timing import tcp_speed
@@ -120,22 +119,22 @@ def _seconds(part: MotionPart, share: float) -> float:
 
 def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array) -> PlannedPart:
     """A motion as large as the room allows. Raises: JobFailedError: none is possible, with the last reason."""
-    settings = experiment_settings(ctx)
+    settings = drive_settings(ctx)
     course = part_course(ctx.machine, ctx.chain, part, q_home, settings)
     refused: JobFailedError | None = None
     for size in SIZES:
         smaller = replace(course, q=q_home + size * (course.q - q_home))
-        fitted = fitted_course(ctx.machine, ctx.chain, smaller, settings, "tempo")
+        fitted = fitted_course(ctx.machine, ctx.chain, smaller, settings)
         if isinstance(fitted, Refusal):
             refused = JobFailedError(fitted.reason, f"plan_{fitted.status.value}")
             continue
         try:
-            check_driven(ctx, fitted.trajectory)
+            check_driven(ctx, fitted)
             way = way_to(ctx, here, q_home, "to where the motions begin")
         except JobFailedError as error:
             refused = error
             continue
-        step = Step(fitted.trajectory, part.name, marks=part_marks(part, fitted.slower))
+        step = Step(fitted, part.name, marks=part_marks(part))
         told = IdentificationPart(part.name, _duration((*way, step)), part.shows, _small(size))
         return PlannedPart(told, (*way, step))
     raise refused or JobFailedError("no size of it fits", "plan_too_fast")
@@ -150,7 +149,7 @@ def _looks_part(ctx: PlanContext, drive: Drive, here: Array) -> tuple[PlannedPar
         text = "no marker of the object is seen, so nothing can be looked at: zeros, lengths, sag and mount stay open"
         return None, [f"{text}; begin where the camera sees it"]
     count = max(POSTURES_MIN, round(POSTURES * min(1.0, drive.share / 0.66)))
-    margin_rad = experiment_settings(ctx).joint_margin_rad + float(play_of(ctx.chain.n).max())
+    margin_rad = drive_settings(ctx).joint_margin_rad + float(play_of(ctx.chain.n).max())
     found = choose_postures(ctx.machine, ctx.chain, drive.q_home, drive.seen, ctx.wall, count, margin_rad)
     steps, dropped = _look_steps(ctx, found.q, here)
     looked = sum(step.then == "look" for step in steps)

@@ -9,7 +9,7 @@ from recording.clock import mono_ns
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.identification_records import IdentificationDriven, IdentificationPlan
-from server.jobs.plans.experimenting import LOOK_PAIRS, begin_drive
+from server.jobs.plans.drive_steps import LOOK_PAIRS, begin_drive
 from server.jobs.plans.freshness import require_fresh
 from server.jobs.plans.identification_planning import (
     LOOKS,

@@ -42,7 +42,7 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
     require_valid(validity(ctx, taken.reading), "preview")
     goal = move_goal(ctx, taken)
     T_goal = goal.T_base_tcp
-    plan = plan_to(ctx, taken.reading, T_goal)
+    plan = plan_to(ctx, taken.reading, T_goal, q_goal=goal.q_rad)
     if plan.status is not PlanStatus.OK:
         raise JobFailedError(f"preview: {plan.reason}", f"plan_{plan.status.value}")
     require_valid(validity_at(ctx, taken.reading, plan.q_end, T_goal), "preview, at the goal")
@@ -65,11 +65,15 @@ def preview(ctx: PlanContext, taken: LookTaken, t_now_ns: int) -> PreviewedPlan:
 
 @dataclass(frozen=True, slots=True)
 class MoveGoal:
-    """T_base_tcp to plan for, one sigma of x, y, z after the move [mm], OOI axes, and the largest source of it."""
+    """T_base_tcp to plan for, one sigma of x, y, z after the move [mm], OOI axes, and the largest source of it.
+
+    `q_rad`: the joints there (n,), where the joint estimate has found them.
+    """
 
     T_base_tcp: Array
     sigma_mm: Sigmas
     largest_source: str = ""
+    q_rad: Array | None = None
 
 
 def move_goal(ctx: PlanContext, taken: LookTaken) -> MoveGoal:
@@ -115,7 +119,8 @@ def _joint_goal(ctx: PlanContext, estimate: JointEstimate, q_rad: Array) -> Move
         raise JobFailedError(f"preview: {goal.reason}", "plan_out_of_reach")
     x, y, z = np.sqrt(np.diag(goal.covariance)[3:]) * 1e3
     worst = int(np.argmax((x, y, z)))
-    return MoveGoal(goal.T_base_tcp, (float(x), float(y), float(z)), largest_in_words(goal.contributions, worst))
+    largest = largest_in_words(goal.contributions, worst)
+    return MoveGoal(goal.T_base_tcp, (float(x), float(y), float(z)), largest, goal.q)
 
 
 def predicted_sigma_mm(ctx: PlanContext, taken: LookTaken) -> Sigmas:

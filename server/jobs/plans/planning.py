@@ -17,10 +17,16 @@ from server.motion.settings import DEFAULT_PLAN_SETTINGS, PAPER_PLAN_SETTINGS, P
 LIMIT_SHARE = 0.8  # of the machine's limits: the rest is for taking the reference across the dead bands on the way
 
 
-def plan_to(ctx: PlanContext, reading: MachineReading, T_base_tcp_goal: Array, one_sided: bool = True) -> PathPlan:
-    """Path from the encoders' pose to the goal, laid onto the reference."""
+def plan_to(
+    ctx: PlanContext,
+    reading: MachineReading,
+    T_base_tcp_goal: Array,
+    one_sided: bool = True,
+    q_goal: Array | None = None,
+) -> PathPlan:
+    """Path from the encoders' pose to the goal, laid onto the reference; `q_goal`: its joints, where they are known."""
     if one_sided and ctx.method == "ours":
-        plan = plan_approach(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
+        plan = plan_approach(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall, q_goal=q_goal)
     else:
         plan = plan_move(ctx.machine, reading.q_rad, T_base_tcp_goal, plan_settings(ctx), ctx.wall)
     if ctx.method == "paper":  # eq. 4-5 know no stall: their reference ends at the goal, and the error is integrated

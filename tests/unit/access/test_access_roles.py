@@ -2,8 +2,8 @@
 
 import pytest
 
+from server.access.gatekeeper import ADDRESSES_MAX, FAILURES_MAX, LOCKED_S, Lockout
 from server.access.hosts import host_allowed, is_loopback, origin_allowed
-from server.access.lockout import ADDRESSES_MAX, FAILURES_MAX, LOCKED_S, Lockout
 from server.access.roles import ANYBODY, COMMANDERS, EVERY_ROLE, PERSONS, needed
 
 

@@ -15,13 +15,13 @@ from server.access.keys import KeyRing, new_key, with_key, write_keys
 from server.access.roles import Role
 from server.api.application import Running, Served, application
 from server.api.panel import install_panel
-from server.cell import Cell
 from server.errors import JobFailedError
+from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
+from server.jobs.keeper import Keeper
 from server.jobs.service import JobService
 from server.settings import RecordingSettings, ServerSettings
 from server.store.database import Database
-from server.store.keeper import Keeper
 
 HOST = "127.0.0.1:8080"
 

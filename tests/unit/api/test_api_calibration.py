@@ -21,8 +21,8 @@ from server.api.problems import install_problem_handlers
 from server.api.state import state_router
 from server.calibration.calibration_file import SavedCalibration, calibration_text, parse_calibration
 from server.calibration.calibration_life import LocalCalibration, MadeAt
-from server.cell import Cell
 from server.jobs.calibration_store import CalibrationStore
+from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import Knowledge
 from server.jobs.service import JobService

@@ -12,12 +12,10 @@ import httpx
 import pytest
 
 import longreach.fleet_client
-import longreach.lease_holder
-from longreach.fleet_client import JobClient, JobRefusedError
+from longreach.fleet_client import ControlRefusedError, JobClient, JobRefusedError, LeaseHolder
 from longreach.fleet_command import stop_all
-from longreach.lease_holder import ControlRefusedError, LeaseHolder
 
-SOURCES = (longreach.fleet_client, longreach.lease_holder)
+SOURCES = (longreach.fleet_client,)
 CALL = re.compile(r'_http\.(get|post|put|delete)\(\s*f?"([^"]+)"')
 FIELDS = {
     "LeaseView": {"lease_id", "fencing"},

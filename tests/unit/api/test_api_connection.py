@@ -8,9 +8,8 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from longreach.fleet_client import JobClient
+from longreach.fleet_client import TTL_S, JobClient
 from longreach.fleet_connection import IDLE_S, SteadyClient
-from longreach.lease_holder import TTL_S
 from server.api import slow_clients
 from server.api.connection_limit import ExhaustionLog, most_connections, one_to_close
 from server.app import config_of

@@ -6,11 +6,11 @@ import sys
 import pytest
 
 from server.access.lease import LeaseKind
+from server.access.roles import Caller
 from server.api.hold_rule import HoldRequiredError, require_hold
-from server.api.views import ExperimentRequest, PlanExperimentRequest
 from server.errors import BusyError
 from server.jobs.diagnosing import Diagnoses
-from server.store.audit_rows import Caller
+from server.jobs.request_bodies import IdentifyRequest, PlanIdentifyRequest
 
 SAY = "import json, sys, pathlib; a = sys.argv; pathlib.Path(a[a.index('--json') + 1]).write_text(json.dumps(a[1:]))"
 WAIT = "import time; time.sleep(60)"
@@ -76,27 +76,17 @@ async def test_several_runs_by_rest(open_bench, tmp_path, monkeypatch):
     assert [path.name for path in started[0].recordings] == ["a.mcap", "b.mcap"]
 
 
-def test_on_a_real_machine_an_operator_holds_the_button_for_an_experiment(open_bench):
-    body = ExperimentRequest(kind="experiment", diagnosis_id="0" * 12, plan_hash="0" * 16)
+def test_on_a_real_machine_an_operator_holds_the_button_for_an_identification(open_bench):
+    body = IdentifyRequest(kind="identify", plan_hash="0" * 16)
     operator = open_bench.service.engine.leases.acquire("anna", LeaseKind.OPERATOR, 60.0)
     with pytest.raises(HoldRequiredError):
         require_hold("REAL", body, operator, Caller())
     require_hold("SIM", body, operator, Caller())
 
 
-async def test_an_experiment_is_a_job_whose_diagnosis_must_be_known_and_planning_it_needs_no_hand(open_bench):
-    plan = {"kind": "plan_experiment", "diagnosis_id": "0" * 12}
-    async with open_bench.client(**open_bench.control()) as client:
-        for body, code in (
-            (plan, "unknown_diagnosis"),
-            ({"kind": "experiment", "diagnosis_id": "0" * 12, "plan_hash": "0" * 16}, "unknown_diagnosis"),
-        ):
-            answer = await client.post("/v1/jobs", json=body)
-            assert (answer.status_code, answer.json()["code"]) == (409, code)
-        for wrong in ({"diagnosis_id": "x"}, {"keep": "speed"}, {"wall_free": 1}, {"surprise": 1}):
-            assert (await client.post("/v1/jobs", json=plan | wrong)).status_code == 422
-    operator = open_bench.service.engine.leases.held
-    require_hold("REAL", PlanExperimentRequest(**plan), operator, Caller())
+def test_planning_an_identification_needs_no_hand(open_bench):
+    operator = open_bench.service.engine.leases.acquire("anna", LeaseKind.OPERATOR, 60.0)
+    require_hold("REAL", PlanIdentifyRequest(kind="plan_identify"), operator, Caller())
 
 
 def test_the_jobs_diagnoses_are_those_that_rest_lists(open_bench):

@@ -13,7 +13,7 @@ from server.api.jobs import jobs_router
 from server.api.lease import lease_router
 from server.api.problems import install_problem_handlers
 from server.api.state import state_router
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine, JobState
 from server.jobs.lease_guard import guard_lease
 from server.jobs.requests import Settle

@@ -15,7 +15,7 @@ from server.api.jobs import jobs_router
 from server.api.problems import install_problem_handlers
 from server.api.state import camera_reason, state_router
 from server.api.state_cache import FRESH_S
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.records import ErrorMm, LookRecord

@@ -13,7 +13,7 @@ from server.api.panel_figures import EDGES_MS, link_figures, loss_pct, safety_vi
 from server.api.panel_routes import setting_rows
 from server.api.state_view import steps
 from server.api.video_overlay import _cross
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.link.contracts import LinkHealth, LinkPhase
 from server.settings import ServerSettings, read_machine

@@ -11,19 +11,18 @@ from test_api_routes import MACHINE, StandInLink, StandInPerformer, StandInRecor
 
 from machine.chain import chain_of
 from server.access.lease import LeaseKind
-from server.access.roles import PERSONS
+from server.access.roles import PERSONS, Caller
 from server.api import hold as module
 from server.api.hold import hold_router
 from server.api.hold_rule import HoldRequiredError, mode_of, require_hold
 from server.api.panel_memory import PanelMemory
-from server.api.views import ExecuteRequest, LookRequest, ParkRequest, PreviewRequest
-from server.cell import Cell
+from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.hold import reply_to
+from server.jobs.request_bodies import ExecuteRequest, LookRequest, ParkRequest, PreviewRequest
 from server.jobs.requests import MachineReading
 from server.jobs.service import JobService
 from server.settings import RecordingSettings, ServerSettings
-from server.store.audit_rows import Caller
 
 HERE = Caller()
 CHAIN = chain_of(MACHINE)

@@ -6,7 +6,7 @@ import pytest
 from served import bench
 from test_api_open_connections import Connection, until
 
-from server.api.stop_audit import ADDRESSES_MAX, EVERY_S, FoldedStops
+from server.api.job_commands import ADDRESSES_MAX, EVERY_S, FoldedStops
 from server.link.errors import LinkSilentError
 
 

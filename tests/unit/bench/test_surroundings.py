@@ -10,10 +10,10 @@ from pathlib import Path
 import httpx
 import pytest
 
-from longreach import surroundings
+from longreach import cli as surroundings
+from longreach.cli import prepare
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.fleet_connection import SteadyClient, by_proxy
-from longreach.surroundings import prepare
 
 ROOT = Path(__file__).parents[3]
 NAMES = ("machine", "server", "recording", "selectors", "random", "numba")
@@ -25,7 +25,7 @@ def path():
     return sys.path
 
 if __name__ == "__main__":
-    from longreach.surroundings import prepare
+    from longreach.cli import prepare
     prepare()
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
         found = [pool.submit(path).result()]

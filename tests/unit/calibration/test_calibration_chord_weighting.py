@@ -5,7 +5,7 @@ import pytest
 from registration_cases import T_TCP_CAM_NOMINAL, RegistrationCase, draw_case
 
 from machine.rotations import geodesic_angle
-from server.calibration.chord_weighting import chord_weighting
+from server.calibration.chord_step import chord_weighting
 from server.calibration.chords import chord_pairs, chord_vectors
 from server.calibration.rotation_fit import fit_rotation
 from server.calibration.time_offset import find_time_offset, positions_at

@@ -13,7 +13,7 @@ from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec
 from server.calibration.contracts import CalibrationStatus, CameraTrack, EncoderTrack
 from server.calibration.fusion import prior_from_tool_marker
-from server.calibration.reference import goal_error, predicted_error_covariance, reference_from_look
+from server.calibration.reference import predicted_error_covariance, reference_from_look
 from server.calibration.trajectory_matching import estimate_camera_rotation
 from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper
 from server.motion.calibration_paths import plan_calibration_path
@@ -120,7 +120,8 @@ def one_move(seed: int, method: str, mount_deg: float = 4.0) -> tuple[np.ndarray
     assert plan.status is PlanStatus.OK, plan.reason
     reached = true.tcps(plan.q_end[None])[0]
     T_cam_base = inverse_pose(reached @ true.T_tcp_cam)
-    error, _ = goal_error(T_cam_base @ reached @ true.T_tcp_tool, T_cam_base @ T_base_ooi, T_OOI_GOAL)
+    T_ooi_tool = inverse_pose(T_cam_base @ T_base_ooi) @ T_cam_base @ reached @ true.T_tcp_tool
+    error = T_ooi_tool[:3, 3] - T_OOI_GOAL[:3, 3]
     covariance = predicted_error_covariance(
         found.covariance, found.R_tcp_cam, T_cam_tool, T_cam_ooi, T_OOI_GOAL, LOOK, LOOK
     )

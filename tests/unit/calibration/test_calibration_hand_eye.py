@@ -13,10 +13,10 @@ from machine.poses import pose
 from machine.rotations import geodesic_angle, rotation_from_rotvec, rotvec_from_rotation
 from server.calibration.checks import CalibrationInputError
 from server.calibration.contracts import CalibrationStatus
-from server.calibration.hand_eye import solve_ax_xb, solve_ax_yb
+from server.calibration.hand_eye import solve_ax_yb
 from server.calibration.hand_eye_contracts import HandEyeSettings
 from server.calibration.hand_eye_linear import inverse_poses, park_martin
-from server.calibration.hand_eye_models import HandEyeUnknowns, MotionModel, PoseModel
+from server.calibration.hand_eye_models import HandEyeUnknowns, PoseModel
 from server.calibration.hand_eye_tracks import estimate_hand_eye
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
@@ -57,14 +57,11 @@ def test_exact_poses_give_exact_x_and_y():
     np.testing.assert_allclose(found.Y, Y_TRUE, atol=1e-5)
 
 
-def test_park_martin_and_refinement_on_motions():
+def test_park_martin_on_motions():
     As = hand_poses(np.arange(0.0, 12.0, 0.4))
     Bs = inverse_poses(seen_target(As, np.random.default_rng(1), 0.1, 0.0005))
     motions = [inverse_poses(Ts[:-5]) @ Ts[5:] for Ts in (As, Bs)]
     assert np.rad2deg(geodesic_angle(park_martin(*motions), X_TRUE)) < 0.2
-    degrees, millimetres = errors_of(solve_ax_xb(*motions))
-    assert degrees < 0.2
-    assert millimetres < 2.0
 
 
 @pytest.mark.parametrize("share", [0.2, 0.4])
@@ -156,25 +153,17 @@ def test_too_few_poses_are_refused():
     )
 
 
-@pytest.mark.parametrize("kind", ["motions", "poses"])
-def test_jacobians_against_finite_differences(kind):
-    rng = np.random.default_rng(6)
-    As = hand_poses(np.arange(0.0, 5.0, 0.5))
-    if kind == "motions":
-        Bs = inverse_poses(np.tile(X_TRUE, (len(As), 1, 1))) @ As @ X_TRUE
-        model, at = MotionModel(As, Bs), HandEyeUnknowns(X_TRUE, None)
-    else:
-        times = np.arange(0.0, 5.0, 0.5)
-        Ts = seen_target(As, rng, scale=1.3)
-        model = PoseModel(lambda offset_s: hand_poses(times + offset_s), Ts, free_scale=True, free_offset=True)
-        at = HandEyeUnknowns(X_TRUE, Y_TRUE, 1.3)
+def test_the_jacobian_against_finite_differences():
+    times = np.arange(0.0, 5.0, 0.5)
+    Ts = seen_target(hand_poses(times), np.random.default_rng(6), scale=1.3)
+    model = PoseModel(lambda offset_s: hand_poses(times + offset_s), Ts, free_scale=True, free_offset=True)
+    at = HandEyeUnknowns(X_TRUE, Y_TRUE, 1.3)
     residuals, J = model.evaluate(at)
     assert np.abs(residuals).max() < 1e-9
     for k in range(J.shape[2]):
         step = np.zeros(J.shape[2])
         step[k] = 1e-6
-        free = kind == "poses"
-        ahead, behind = (model.evaluate(at.after(sign * step, free))[0] for sign in (1.0, -1.0))
+        ahead, behind = (model.evaluate(at.after(sign * step, True))[0] for sign in (1.0, -1.0))
         np.testing.assert_allclose(J[:, :, k], (ahead - behind) / 2e-6, atol=2e-5)
 
 

@@ -6,7 +6,6 @@ import pytest
 from machine.poses import inverse_pose, pose
 from machine.rotations import geodesic_angle, rotation_about, rotation_from_rotvec
 from server.calibration.reference import (
-    goal_error,
     position_reference_paper,
     predicted_error_covariance,
     reference_from_look,
@@ -34,6 +33,12 @@ def test_one_step_is_exact_when_the_calibration_is():
         goal = reference_from_look(T_base_tcp, tilted[:3, :3], T_TCP_TOOL, T_cam_tool, T_cam_ooi, T_OOI_GOAL)
         T_ooi_tool = inverse_pose(T_base_ooi) @ goal @ T_TCP_TOOL
         np.testing.assert_allclose(T_ooi_tool, T_OOI_GOAL, atol=1e-9)
+
+
+def goal_error(T_cam_tool, T_cam_ooi, T_ooi_goal):
+    """Tool minus goal as seen: position in OOI axes (3,) [m], and the geodesic angle [rad]."""
+    T_ooi_tool = inverse_pose(T_cam_ooi) @ T_cam_tool
+    return T_ooi_tool[:3, 3] - T_ooi_goal[:3, 3], geodesic_angle(T_ooi_goal[:3, :3], T_ooi_tool[:3, :3])
 
 
 def test_commanded_pose_may_differ_from_the_true_one():

@@ -12,10 +12,9 @@ from benchmarks.simulator.demo_scene import demo_tcp_pose, demo_world
 from machine.camera import distort_rays, undistort_to_rays
 from machine.description import Machine
 from machine.rotations import Array, rotation_from_rotvec
-from server.camera.check import Gathered, check_camera, steps
+from server.camera.check import Gathered, Gathering, check_camera, steps
 from server.camera.check_findings import CheckFinding, Level, exit_code, worst
 from server.camera.check_focal import Tape, check_focal
-from server.camera.check_gathering import Gathering
 from server.camera.check_matching import match_eyes
 from server.camera.check_picture import check_exposure, check_sharpness, edge_blur_px
 from server.camera.check_rig import check_rig

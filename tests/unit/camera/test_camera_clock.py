@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from server.camera.clock import STEP_PAIRS, CameraClock
 from server.camera.contracts import StereoFrame
 from server.camera.health import FaultCode
 from server.camera.health.pair import Pair
 from server.camera.health.stamps import StampMonitor
+from server.camera.pipeline import STEP_PAIRS, CameraClock
 from server.camera.smallest_offset import DRIFT_MAX_PPM
 
 MS = 1_000_000

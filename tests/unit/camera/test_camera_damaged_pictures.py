@@ -9,7 +9,7 @@ import pytest
 
 from server.camera.errors import CameraError, StreamError
 from server.camera.health.findings import FaultCode
-from server.camera.health.jump import JUMP_MIN_PX, JumpMonitor
+from server.camera.health.image_health import JUMP_MIN_PX, JumpMonitor
 from server.camera.sources.folder import read_grey
 from server.camera.sources.jpeg_scan import damage_of
 from server.camera.sources.side_by_side import decode_grey

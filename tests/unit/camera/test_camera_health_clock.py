@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from camera_stand_in import picture
 
-from server.camera.clock import CameraClock
 from server.camera.contracts import StereoFrame
 from server.camera.health import FaultCode, Finding, ImageHealth, sharpness
 from server.camera.health.stamps import STARTING_PAIRS
 from server.camera.masking import SHAFT_PX, ToolMask, blown_up, plate_and_shaft
+from server.camera.pipeline import CameraClock
 from server.camera.sources.side_by_side import split_side_by_side
 from server.vision.contracts import MarkerView
 

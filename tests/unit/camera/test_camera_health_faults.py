@@ -9,7 +9,7 @@ from health_pictures import CAMERA, HEIGHT, MS, PERIOD_MS, WIDTH, Camera, moved_
 
 from server.camera.contracts import StereoFrame
 from server.camera.health import FaultCode, Finding, ImageHealth, silence
-from server.camera.health.latch import GOOD_PAIRS
+from server.camera.health.image_health import GOOD_PAIRS
 from server.vision.contracts import Image
 
 BEFORE = 14

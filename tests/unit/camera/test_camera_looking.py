@@ -9,11 +9,10 @@ import pytest
 from camera_stand_in import picture
 
 from server.camera.contracts import FrameReport, StereoFrame, VisionSettings
-from server.camera.looking import LookCollector
+from server.camera.looking import LookCollector, TrackCollector
 from server.camera.pipeline import VisionPipeline
 from server.camera.sources.settings import HttpSource as Http
 from server.camera.sources.side_by_side import split_side_by_side
-from server.camera.tracking import TrackCollector
 from server.vision.contracts import (
     Array,
     Image,

@@ -23,8 +23,7 @@ from server.camera.errors import CameraError
 from server.camera.rectification import rectification_of, rectifying_maps
 from server.camera.sources import device
 from server.camera.sources.device import DeviceStereoSource
-from server.camera.sources.opening import open_source
-from server.camera.sources.rectifying import RectifyingSource
+from server.camera.sources.opening import RectifyingSource, open_source
 from server.camera.sources.rtsp import FFMPEG_OPTIONS, FFMPEG_VARIABLE, RtspStereoSource
 from server.camera.sources.settings import (
     DeviceSource,
@@ -82,7 +81,7 @@ def yuyv(grey: np.ndarray) -> np.ndarray:
     return np.stack([grey, np.full_like(grey, 128)], axis=2)
 
 
-SMALL = DeviceSource(0, width_px=160, height_px=60, rate_hz=30.0)
+SMALL = DeviceSource(0, width_px=160, height_px=60, rate_hz=30.0, pixel_format="YUYV")
 
 
 def opened_device(capture: CaptureStandIn, settings: DeviceSource = SMALL) -> DeviceStereoSource:
@@ -394,7 +393,7 @@ def test_rectifying_source_gives_rectified_pairs_with_the_same_stamps() -> None:
     rng = np.random.default_rng(5)
     left, right = (cv2.GaussianBlur(rng.integers(0, 256, (720, 1280)).astype(np.uint8), (0, 0), 3) for _ in range(2))
     inner = OnePair(left, right)
-    source = RectifyingSource(inner, RectifiedSource(DeviceSource(0), rig, 60.0))
+    source = RectifyingSource(inner, RectifiedSource(DeviceSource(0, 2560, 720, 60.0, "YUYV"), rig, 60.0))
     frame = source.read(0.0)
     assert frame is not None
     assert source.read(0.0) is None
@@ -409,7 +408,7 @@ def test_rectifying_source_gives_rectified_pairs_with_the_same_stamps() -> None:
 
 def test_rectifying_source_refuses_pictures_of_another_size() -> None:
     inner = OnePair(np.zeros((376, 672), np.uint8), np.zeros((376, 672), np.uint8))
-    source = RectifyingSource(inner, RectifiedSource(DeviceSource(0), brown_rig(), 60.0))
+    source = RectifyingSource(inner, RectifiedSource(DeviceSource(0, 2560, 720, 60.0, "YUYV"), brown_rig(), 60.0))
     assert source.read(0.0) is None
     assert f"calibration file is for {SIZE_PX[0]} x {SIZE_PX[1]}" in source.state
     source.close()

@@ -67,7 +67,7 @@ def test_a_device_in_which_opencv_raises_is_opened_again(at: str, monkeypatch: p
         device._maybe("open")
         return device
 
-    source = DeviceStereoSource(DeviceSource(0, width_px=160, height_px=60, rate_hz=30.0), opened)
+    source = DeviceStereoSource(DeviceSource(0, width_px=160, height_px=60, rate_hz=30.0, pixel_format="YUYV"), opened)
     assert told(source, f"{at}: unknown C++ exception")
     assert source.read(WAIT_S) is not None
     source.close()

@@ -9,7 +9,7 @@ from machine.camera import project_stereo
 from machine.rotations import Array
 from server.camera.errors import StreamError
 from server.camera.rectification import Rectifier, rectification_of, rectifying_maps, undistorted_rays
-from server.camera.rectification_rig import EyeCalibration, RigCalibration, checked_rig, project_eye
+from server.camera.rectification_rig import EyeCalibration, RigCalibration, checked_rig
 from server.vision.contracts import Image
 
 RIGS = [brown_rig(), turned_rig(), fisheye_rig()]
@@ -20,6 +20,13 @@ def points_ahead(n: int, seed: int) -> Array:
     rng = np.random.default_rng(seed)
     z = rng.uniform(0.6, 2.5, n)
     return np.column_stack([rng.uniform(-0.5, 0.5, n) * z, rng.uniform(-0.35, 0.35, n) * z, z])
+
+
+def project_eye(eye: EyeCalibration, points_eye: Array) -> Array:
+    """Raw pixels (n, 2) of points (n, 3) [m] in the eye's own frame, in front of it: OpenCV's own models."""
+    points, zero = np.ascontiguousarray(points_eye, dtype=float).reshape(-1, 1, 3), np.zeros(3)
+    project = cv2.fisheye.projectPoints if eye.model == "fisheye" else cv2.projectPoints
+    return np.asarray(project(points, zero, zero, eye.matrix, eye.coefficients)[0], dtype=float).reshape(-1, 2)
 
 
 def seen_by(rig: RigCalibration, points_left: Array) -> tuple[Array, Array]:

@@ -27,8 +27,13 @@ from rig_samples import (
 )
 
 from machine.rotations import rotation_from_rotvec
-from server.camera.rectification_files import CalibrationFileError, CalibrationText, RigCalibration, parse_calibration
-from server.camera.rectification_reading import read_calibration
+from server.camera.rectification_reading import (
+    CalibrationFileError,
+    CalibrationText,
+    RigCalibration,
+    parse_calibration,
+    read_calibration,
+)
 from server.camera.rectification_rig import EyeCalibration
 
 SHARED = Path(__file__).parents[4] / "shared" / "data"

@@ -7,7 +7,7 @@ import pytest
 from commissioning_states import CHAIN, MACHINE, MS, N, Q, sample
 
 from machine.kinematics import tcp_jacobian, tcp_pose
-from server.commissioning.link_figures import DRIFT_MAX_PPM, drift_ppm, lost_states, state_figures
+from server.commissioning.link_dry_run import DRIFT_MAX_PPM, drift_ppm, lost_states, state_figures
 from server.commissioning.stop_figures import stop_figures
 from server.commissioning.stopping import StopKind, rest_figures
 

@@ -5,7 +5,7 @@ import pytest
 from commissioning_states import MACHINE, StandInOperator, site
 
 from server.camera.own_structure import uncovered_frac
-from server.commissioning.masks import masks_wanted, propose_masks
+from server.commissioning.camera_axes import masks_wanted, propose_masks
 from server.settings import read_settings
 from server.settings_source import source_and_machine
 from server.shell_settings import vision_settings

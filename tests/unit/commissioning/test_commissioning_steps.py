@@ -9,12 +9,10 @@ from commissioning_states import CHAIN, MACHINE, NAMES, N, Q, StandInLink, Stand
 from protocol.codes import FaultBit
 from protocol.limits import cfg_id, limits_of
 from server.commissioning import stopping
+from server.commissioning.check_list import compare_limits, compare_zeros, encoder_zeros
 from server.commissioning.contracts import Verdict, judged
-from server.commissioning.directions import expected_motion
-from server.commissioning.encoder_zeros import compare_zeros, encoder_zeros
 from server.commissioning.joint_ranges import end_figure, range_figures
-from server.commissioning.joint_signs import jog_step, joint_signs, pressures_plausible, runaway
-from server.commissioning.limits_equal import compare_limits
+from server.commissioning.joint_signs import expected_motion, jog_step, joint_signs, pressures_plausible, runaway
 from server.commissioning.link_dry_run import closed_figures, dry_goal, dry_guard, playback_figures
 from server.commissioning.moving import NoLeaveError, NotReadyError, Played, Reading, at_rest, gentle_plan
 from server.commissioning.stopping import EndedByItselfError, StopKind, by_itself, run_and_stop

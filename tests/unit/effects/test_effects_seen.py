@@ -13,7 +13,6 @@ from machine.effects.seen import (
     points_on_links,
     sampled,
     seen_corners,
-    seen_odometry,
     tool_place,
     true_times,
 )
@@ -151,17 +150,6 @@ def test_clocks_map_stamps_to_true_times() -> None:
         ("clock_drift", {"rate_ppm": 400.0, "zero_s": -20.0}, 80.0 + (t - 80.0) / (1.0 + 4e-4)),
     ):
         assert true_times(packed(name, **parameters), t, 100.0) == pytest.approx(wanted, abs=1e-10)
-
-
-def test_odometry_is_scaled_from_its_first_frame() -> None:
-    poses = np.array(
-        [MACHINE.T_tcp_cam_left @ pose(rotation_about("y", a), np.array([a, 0.0, 0.1])) for a in (0.0, 0.1, 0.3)]
-    )
-    plain, scaled = seen_odometry(NONE, poses), seen_odometry(packed("odometry_scale", scale_frac=0.05), poses)
-    assert plain[0] == pytest.approx(np.eye(4), abs=1e-12)
-    assert poses[0] @ plain[2] == pytest.approx(poses[2], abs=1e-12)
-    assert scaled[:, :3, 3] == pytest.approx(1.05 * plain[:, :3, 3])
-    assert np.array_equal(scaled[:, :3, :3], plain[:, :3, :3])
 
 
 def test_signals_are_sampled_between_their_rows_and_points_follow_their_links() -> None:

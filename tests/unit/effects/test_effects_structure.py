@@ -10,8 +10,9 @@ from machine import kinematics
 from machine.chain import chain_of
 from machine.effects.arm import DhRow, arm_from_dh, arm_of
 from machine.effects.arm_urdf import arm_from_urdf
-from machine.effects.encoders import angles_at_rest, encoder_readings, true_angles
+from machine.effects.encoders import angles_at_rest, true_angles
 from machine.effects.entries import make_entry, pack
+from machine.effects.kernel import BIAS, ECC_AMPLITUDE, ECC_ORDER, ECC_PHASE, SCALE
 from machine.effects.layout import ParameterSets, neutral_sets, slots_of
 from machine.effects.registry import effect_named, effects_of
 from machine.effects.structure import gravity_torques, link_poses, loads_along, reference_torques, tcp_poses
@@ -154,6 +155,13 @@ def test_every_parameter_is_felt_finite_and_neutral_is_exact(effect) -> None:
                 poses = link_poses(ARM, changed, QS)
                 assert np.isfinite(poses).all()
                 assert same is None or np.array_equal(poses, nominal) == same, (slot, value)
+
+
+def encoder_readings(sets, q_true):
+    """Readings (m, n) [rad] at true motor-side angles (m, n): bias, scale and one sine."""
+    P = sets.joint[0]
+    wave = P[:, ECC_AMPLITUDE] * np.sin(P[:, ECC_ORDER] * q_true + P[:, ECC_PHASE])
+    return q_true * (1.0 + P[:, SCALE]) + P[:, BIAS] + wave
 
 
 def test_encoders_are_inverted_and_rest_on_either_side_of_their_play() -> None:

@@ -5,16 +5,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_jobs_experiments import performed
+from test_jobs_drive_steps import performed
 from test_jobs_plans import World, context, run
 
-from server.api.views import IdentifyRequest, PlanIdentifyRequest
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.diagnosing import Diagnosis
 from server.jobs.engine import Job, JobState
 from server.jobs.identification import ALL_PARTS, Identification, Session
-from server.jobs.plans import experimenting
+from server.jobs.plans import drive_steps
 from server.jobs.plans.identifying import drive_identification, plan_identification
+from server.jobs.request_bodies import IdentifyRequest, PlanIdentifyRequest
 from server.jobs.requests import BeginSegment, MachineReading, Move, ReadMachine, Settle, TakeLook
 from server.vision.contracts import LookStatus
 
@@ -152,7 +152,7 @@ class Interrupted:
 
 
 def test_two_hundred_interruptions_leave_whole_parts_and_a_next_step(stage, tmp_path, monkeypatch):
-    monkeypatch.setattr(experimenting, "check_driven", lambda _ctx, _trajectory: None)  # it takes seconds, 200 times
+    monkeypatch.setattr(drive_steps, "check_driven", lambda _ctx, _trajectory: None)  # it takes seconds, 200 times
     told = planned(stage.ctx, stage.world, stage.desk)
     whole, start = stage.desk.session.planned, stage.world.q_ref.copy()
     length = 2 * sum(len(part.steps) for part in whole.parts) + 2 * told.looks

@@ -7,8 +7,8 @@ import pytest
 
 from server.camera.client import VisionClient
 from server.camera.contracts import VisionSettings
+from server.camera.looking import POSES_MAX, TrackCollector
 from server.camera.sources.settings import HttpSource
-from server.camera.tracking import POSES_MAX, TrackCollector
 from server.errors import JobFailedError
 from server.jobs.performer import WATCHED_MAX, Performer
 from server.jobs.requests import Move, StartOdometry

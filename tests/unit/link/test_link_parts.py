@@ -20,8 +20,7 @@ from server.link.errors import LinkRefusedError
 from server.link.knots import knots_of
 from server.link.lateness import Lateness
 from server.link.outbox import Outbox
-from server.link.sample import sample_of
-from server.link.samples import SampleRing
+from server.link.samples import SampleRing, sample_of
 from server.link.settings import LinkSettings, framing_of
 from server.link.standing import stood_still
 from server.link.udp_end import StampClock, UdpEnd

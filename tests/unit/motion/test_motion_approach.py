@@ -36,6 +36,16 @@ def test_approach_passes_on_refusals():
     assert plan.trajectory is None
 
 
+def test_known_joints_of_the_goal_give_the_traced_path():
+    goal = shifted(Q_USUAL, [0.05, -0.08, -0.1])
+    traced = plan_approach(machine(), Q_USUAL, goal)
+    known = plan_approach(machine(), Q_USUAL, goal, q_goal=traced.q_end)
+    np.testing.assert_allclose(known.trajectory.q, traced.trajectory.q, atol=1e-9)
+    other_posture = traced.q_end + np.array([0.0, 0.0, 0.0, np.pi, 0.0, 0.0])
+    again = plan_approach(machine(), Q_USUAL, goal, q_goal=other_posture)
+    np.testing.assert_array_equal(again.trajectory.q, traced.trajectory.q)
+
+
 def test_offset_goal_moves_along_the_tools_own_axes():
     T = tcp_pose(chain(), Q_USUAL)
     np.testing.assert_allclose(offset_goal(T, np.array([0.0, 0.0, 0.2])), shifted(Q_USUAL, [0, 0, 0.2]))

@@ -13,13 +13,13 @@ from machine.targets import Board
 from server.motion.calibration_paths import (
     DEFAULT_PATH_SETTINGS,
     folded_corners,
+    markers_in_view,
     paper_corners,
     plan_calibration_path,
 )
 from server.motion.contracts import PlanStatus
 from server.motion.refusal import MotionInputError
 from server.motion.trajectory import sample
-from server.motion.visibility_cone import markers_in_view
 
 
 def test_folded_corners_are_a_metre_closed_folded_and_never_towards_the_wall():

@@ -11,13 +11,12 @@ from machine.description import parse_machine_toml
 from machine.kinematics import tcp_pose
 from machine.poses import inverse_pose, pose
 from machine.rotations import rotation_from_rotvec
-from server.motion.contracts import Wall
-from server.motion.experiment_course import fitted_course
-from server.motion.identification_courses import PARTS, part_course, part_marks
+from server.motion.calibration_paths import markers_in_view
+from server.motion.contracts import JointTrajectory, Wall
+from server.motion.identification_courses import PARTS, fitted_course, part_course, part_marks
 from server.motion.identification_postures import SeenObject, choose_postures
 from server.motion.settings import PlanSettings
 from server.motion.timing import excess
-from server.motion.visibility_cone import markers_in_view
 from server.motion.wall_clearance import clearances
 
 MACHINE = parse_machine_toml((files("machine") / "machines" / "hiab033.toml").read_text(encoding="utf-8"))
@@ -38,23 +37,23 @@ def in_front(chain, q_home, away_m=0.65):
 def test_every_part_is_inside_all_limits_and_comes_back_to_rest(machine, part):
     chain = chain_of(machine)
     home = HOME[: chain.n]
-    fitted = fitted_course(machine, chain, part_course(machine, chain, part, home, SETTINGS), SETTINGS, "tempo")
-    driven = fitted.trajectory
-    assert fitted.slower == 1.0
+    driven = fitted_course(machine, chain, part_course(machine, chain, part, home, SETTINGS), SETTINGS)
+    assert isinstance(driven, JointTrajectory)
     assert excess(machine, chain, driven, SETTINGS, SETTINGS.limit_share).factor <= 1.0
     for end in (0, -1):
         assert np.allclose(driven.q[end], home, atol=1e-9)
         assert not driven.qd[end].any()
     moved = np.ptp(driven.q, axis=0)
     assert (moved > np.deg2rad(0.3)).all() if part.kind != "hold" else not moved.any()
-    assert part_marks(part, 1.0)[-1].end_s == pytest.approx(driven.duration_s, abs=1e-6)
+    assert part_marks(part)[-1].end_s == pytest.approx(driven.duration_s, abs=1e-6)
 
 
 def test_repeats_are_the_same_motion_to_a_rounding_however_often_it_is_sampled():
     (part,) = (one for one in PARTS if one.repeats > 1)
     course = part_course(MACHINE, CHAIN, part, HOME, SETTINGS)
-    fitted = fitted_course(MACHINE, CHAIN, course, SETTINGS, "tempo").trajectory
-    marks = part_marks(part, 1.0)
+    fitted = fitted_course(MACHINE, CHAIN, course, SETTINGS)
+    assert isinstance(fitted, JointTrajectory)
+    marks = part_marks(part)
     assert len(marks) == 4
     assert {one.repeat_of for one in marks} == {part.name}
     once = np.searchsorted(fitted.t_s, marks[1].start_s - 1e-9)

@@ -7,9 +7,8 @@ from scipy.integrate import cumulative_simpson
 
 from server.motion.contracts import JointTrajectory
 from server.motion.point_to_point import plan_move
-from server.motion.reference_shaping import servo_lag_of
 from server.motion.settings import PAPER_PLAN_SETTINGS
-from server.motion.time_law import CruiseLaw, QuinticLaw
+from server.motion.timing import CruiseLaw, QuinticLaw, servo_lag_of
 from server.motion.trajectory import evaluate, hold, join, sample
 
 

@@ -4,8 +4,7 @@ import re
 import struct
 from functools import cache
 
-from longreach.export_command import st_sources
-from longreach.plc_parameters import plc_parameters
+from longreach.export_command import plc_parameters, st_sources
 from protocol.twincat.bundle import bundle
 from server.settings import read_machine
 

@@ -8,12 +8,10 @@ from xml.etree import ElementTree
 import pytest
 from export_parts import MACHINE, PARAMETERS, exported
 
-from longreach.export_command import st_sources
-from longreach.plc_parameters import plc_parameters
+from longreach.export_command import plc_parameters, st_sources
 from protocol.errors import LocalProtocolError
-from protocol.twincat.bundle import bundle
+from protocol.twincat.bundle import bundle, project
 from protocol.twincat.pou import parse_pou
-from protocol.twincat.project import project
 
 SOURCE = """\
 (* purpose; METHOD and END_VAR in a comment are text *)

@@ -13,7 +13,7 @@ from protocol.codes import PlcState
 from protocol.limits import cfg_id
 from protocol.plc_events import Effect
 from protocol.plc_states import TRANSITIONS, PlcEvent
-from protocol.twincat.transitions import next_state_source
+from protocol.twincat.bundle import next_state_source
 
 SIZES = {"BYTE": 1, "USINT": 1, "UINT": 2, "UDINT": 4, "REAL": 4, "ULINT": 8, "LREAL": 8}
 MEMBER = re.compile(r"^\s+(\w+)\s*:\s*(?:ARRAY\[0\.\.(\d+)\] OF )?(\w+);(?:\s*//\s*(\d+)\s*$)?", re.MULTILINE)

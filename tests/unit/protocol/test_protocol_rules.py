@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.clock_offset import ClockOffset
+from protocol.client_state import ClockOffset
 from protocol.codes import CommandFlag, PlcState, RejectCode, reject_text
 from protocol.errors import IllegalTransitionError, LocalProtocolError
 from protocol.limits import AxisLimits, LimitTable, axis_mask, cfg_id, limits_of

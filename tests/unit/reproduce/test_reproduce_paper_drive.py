@@ -14,8 +14,7 @@ from machine.chain import chain_of
 from machine.poses import pose
 from server.errors import JobFailedError
 from server.jobs.performer import Performer
-from server.jobs.plans.driving import drive
-from server.jobs.plans.integrating import STEPS_MAX, integrate
+from server.jobs.plans.driving import STEPS_MAX, drive, integrate
 from server.jobs.plans.planning import plan_to
 from server.jobs.requests import MachineReading, Move, Settle
 from server.jobs.watching import Sighted, StartWatching, StopWatching, sighted_of

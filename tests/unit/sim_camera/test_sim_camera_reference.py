@@ -13,8 +13,7 @@ from machine.camera import project
 from machine.description import Machine, parse_machine_toml
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import rotation_from_rotvec
-from sim_plc.camera.exposure import key_poses
-from sim_plc.camera.renderer import RenderSetup, StereoRenderer
+from sim_plc.camera.renderer import RenderSetup, StereoRenderer, key_poses
 
 READOUT_S = 0.011
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_plc.camera.exposure import StaticPose, key_poses, shutter_times_ns
+from sim_plc.camera.renderer import StaticPose, key_poses, shutter_times_ns
 from sim_plc.camera.sensor import add_noise, motion_blur, noise_bank, point_spread, streak_kernel
 
 

@@ -9,8 +9,7 @@ import pytest
 
 from sim_plc.camera.faults import FaultKind, FaultSwitch
 from sim_plc.camera.frames import Frame, FrameHub
-from sim_plc.camera.http_app import camera_app, multipart_part, multipart_stream
-from sim_plc.camera.pacing import ExposureGrid, RateGovernor, TrueClock
+from sim_plc.camera.http_app import ExposureGrid, RateGovernor, TrueClock, camera_app, multipart_part, multipart_stream
 
 
 def frame(sequence: int) -> Frame:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from sim_plc.camera.time_code import painted, read
+from sim_plc.camera.process import painted, read
 
 PICTURE = np.random.default_rng(3).integers(0, 255, (720, 1280), dtype=np.uint8)
 

@@ -5,8 +5,8 @@ import pytest
 
 from sim_plc.plant.backlash import play
 from sim_plc.plant.cylinder import LIFT_GEOMETRY, TILT_GEOMETRY, FourBarCylinder, lever_table, lookup
-from sim_plc.plant.friction import lugre_step
 from sim_plc.plant.hydraulics import opening, orifice, pump_flow, spool_step, valve_flows
+from sim_plc.plant.kernel import lugre_step
 
 
 def test_play_without_width_is_the_identity():

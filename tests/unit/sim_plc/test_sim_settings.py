@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim_plc.settings import SimSettings, SimSettingsError
+from sim_plc.process import SimSettings, SimSettingsError
 
 
 @pytest.mark.parametrize(

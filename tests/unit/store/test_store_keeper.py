@@ -8,14 +8,15 @@ import pytest
 
 from server.access.errors import LeaseLostError
 from server.access.lease import LeaseKind
+from server.access.roles import Caller
 from server.jobs.commands import Command, began
 from server.jobs.engine import JobEngine, JobState
+from server.jobs.keeper import Keeper
 from server.jobs.requests import Settle
-from server.store.audit_rows import AuditEntry, Caller, read_audit
+from server.store.audit_rows import AuditEntry, read_audit
 from server.store.database import Database
 from server.store.errors import StoreError
 from server.store.idempotency import Answered, KeyInProgressError, KeyReusedError, read_answer, replay_of, save_answer
-from server.store.keeper import Keeper
 from server.store.operating_time import read_operating_time
 
 FLEET = Caller("truck 7", "fleet", "10.0.0.7")
@@ -182,7 +183,7 @@ async def passed(keeper, clock, seconds):
 
 
 async def test_a_key_is_kept_for_a_day_of_operation_over_all_lives(tmp_path, monkeypatch):
-    monkeypatch.setattr("server.store.keeper.PROBE_S", 0.0)
+    monkeypatch.setattr("server.jobs.keeper.PROBE_S", 0.0)
     clock = Clock()
     engine, keeper = life(tmp_path, clock)
     job = await start(engine, keeper, "k")

@@ -6,8 +6,7 @@ import pytest
 
 from server.vision.border_fit import CELL_MIN_PX, border_covered, printed_pattern, sides_moved_in
 from server.vision.edge_fit import SideFit
-from server.vision.marker_code import marker_cells
-from server.vision.marker_search import dictionary_by_name, find_markers, refined
+from server.vision.marker_search import dictionary_by_name, find_markers, marker_cells, refined
 
 FINE = 6  # pictures are drawn finer and averaged
 NAMES = ("DICT_4X4_50", "DICT_APRILTAG_36h11")

@@ -9,11 +9,10 @@ from bundle_scenes import FOCAL_PX, SIGMA_PX, make_scene, rays_of
 from machine.poses import transform_points
 from machine.rotations import rotation_from_rotvec, rotvec_from_rotation
 from server.vision.bundle import BundleLoss, BundleSettings, adjust_bundle
+from server.vision.bundle_contracts import make_layout, make_work
 from server.vision.bundle_covariance import gaussian_factor
-from server.vision.bundle_layout import make_layout, make_work
-from server.vision.bundle_motion import add_priors
 from server.vision.bundle_reduced import assemble, choose_charts, set_body_arms
-from server.vision.bundle_residuals import CAUCHY, HUBER, NONE, linearise, loss, weight
+from server.vision.bundle_residuals import CAUCHY, HUBER, NONE, add_priors, linearise, loss, weight
 
 STEP = 1e-6
 

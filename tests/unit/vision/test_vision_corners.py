@@ -8,8 +8,7 @@ from vision_scenes import machine, renderer, tcp_in_ooi, truth_of
 from machine.camera import project_stereo
 from machine.markers import marker_corners
 from machine.poses import transform_points
-from server.vision.corners import refine_corners, side_sags
-from server.vision.edge_fit import SideFit
+from server.vision.edge_fit import SideFit, refine_corners, side_sags
 from server.vision.errors import UnknownDictionaryError
 from server.vision.marker_search import cells_along_side, dictionary_by_name, dictionary_names, find_markers, refined
 

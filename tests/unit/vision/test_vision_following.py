@@ -7,11 +7,9 @@ from vision_scenes import machine, renderer, tcp_in_ooi
 
 from machine.poses import pose
 from machine.rotations import rotation_from_rotvec
-from server.vision.detection import EyeDetector
-from server.vision.marker_code import NO_MATCH, marker_cells, wrong_cells
-from server.vision.marker_following import MarkerFollower
-from server.vision.marker_search import dictionary_by_name, find_markers, refined
-from sim_plc.camera.exposure import StaticPose
+from server.vision.detection import EyeDetector, MarkerFollower
+from server.vision.marker_search import NO_MATCH, dictionary_by_name, find_markers, marker_cells, refined, wrong_cells
+from sim_plc.camera.renderer import StaticPose
 
 WANTED = frozenset({1, 3, 10})  # 2 hides behind the tool here
 

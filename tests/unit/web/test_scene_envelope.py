@@ -5,7 +5,7 @@ import numpy as np
 from machine.chain import chain_of
 from machine.kinematics import tcp_pose
 from server.settings import read_machine
-from web.scene_envelope import reach_segments, slew_limits
+from web.scene import reach_segments, slew_limits
 
 CHAIN = chain_of(read_machine("hiab033"))
 

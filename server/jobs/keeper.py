@@ -1,0 +1,262 @@
+"""The keeper: what jobs, leases and findings leave on disk, and what the next life of the server finds there."""
+
+import asyncio
+import json
+import logging
+import sqlite3
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import asdict
+from typing import Any
+
+from recording.clock import mono_ns, mono_s
+from server.calibration.calibration_life import LocalCalibration
+from server.jobs.cell import Cell
+from server.jobs.commands import Began
+from server.jobs.engine import Job, JobEvent, JobState
+from server.jobs.knowledge import PreviewedPlan
+from server.store.audit_rows import AuditEntry, add_audit, forget_old_audit
+from server.store.database import Database, Work
+from server.store.errors import StoreError
+from server.store.finding_rows import add_calibration, add_plan
+from server.store.idempotency import forget_answer, save_answer
+from server.store.lease_rows import read_fencing, save_fencing
+from server.store.operating_time import read_operating_time, save_operating_time
+
+log = logging.getLogger(__name__)
+PROBE_S = 2.0
+SPARE = 64  # places of the queue that jobs and control have for themselves
+
+
+# Jobs on disk: a row before anything moves, its end when it ends, and an honest end after a crash.
+
+SHOWN = 200  # jobs that the engine remembers
+KEPT = 10_000
+INTERRUPTED = (
+    "the server ended while this job ran (killed, crashed or without power); "
+    "the PLC's watchdog ramped the machine down; arm and look again"
+)
+
+
+def add_job(db: sqlite3.Connection, job: Job, body: str) -> None:
+    """The row of a job that is about to begin."""
+    db.execute(
+        "INSERT INTO jobs (job_id, kind, owner, fencing, body, state, started_unix_s) VALUES (?, ?, ?, ?, ?, ?, ?)",
+        (job.job_id, job.kind, job.owner, job.fencing, body, job.state.value, job.started_unix_s),
+    )
+
+
+def end_job(db: sqlite3.Connection, job: Job, result: Any) -> None:
+    """How it ended; `result` as JSON data."""
+    db.execute(
+        "UPDATE jobs SET state = ?, code = ?, reason = ?, elapsed_s = ?, result = ? WHERE job_id = ?",
+        (job.state.value, job.code, job.reason, job.elapsed_s, json.dumps(result), job.job_id),
+    )
+
+
+def end_interrupted(db: sqlite3.Connection) -> list[str]:
+    """Give every job without an end the end that it had: the server's own. Their ids."""
+    open_states = (JobState.RUNNING.value, JobState.STOPPING.value)
+    found = [row[0] for row in db.execute("SELECT job_id FROM jobs WHERE state IN (?, ?)", open_states)]
+    db.execute(
+        "UPDATE jobs SET state = ?, code = 'interrupted', reason = ? WHERE state IN (?, ?)",
+        (JobState.INTERRUPTED.value, INTERRUPTED, *open_states),
+    )
+    db.execute("DELETE FROM jobs WHERE number <= (SELECT max(number) FROM jobs) - ?", (KEPT,))
+    return found
+
+
+def read_jobs(db: sqlite3.Connection, limit: int = SHOWN) -> list[Job]:
+    """The last jobs, oldest first."""
+    rows = db.execute("SELECT * FROM jobs ORDER BY number DESC LIMIT ?", (limit,)).fetchall()
+    return [_job(row) for row in reversed(rows)]
+
+
+def _job(row: sqlite3.Row) -> Job:
+    now = mono_s()
+    job = Job(row["job_id"], row["kind"], row["owner"], JobState(row["state"]), row["reason"], row["code"])
+    job.result = json.loads(row["result"]) if row["result"] else None
+    job.fencing, job.started_unix_s = row["fencing"], row["started_unix_s"]
+    job.started_mono_s, job.ended_mono_s = now - row["elapsed_s"], now
+    return job
+
+
+# The index of findings: what a job left that others ask for by REST, plans by hash and calibrations by number.
+
+
+class Keeper:
+    """Belongs to the event loop; the database has its thread. `result_of` makes JSON data of a job's result."""
+
+    def __init__(
+        self, database: Database, result_of: Callable[[Any], Any], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self.database = database
+        self._clock = clock
+        self._zero_s = clock()  # when the operating-hours counter would have stood at zero, on that clock
+        self._result_of = result_of
+        self._unsaved: dict[str, Job] = {}
+        self._taken_up: Callable[[list[Job], int], None] = lambda _jobs, _fencing: None
+        self._restored = False
+
+    @property
+    def problem(self) -> str:
+        """Why nothing can be kept now, and so nothing may move; empty when all is well."""
+        return self.database.problem
+
+    # --- a new life -------------------------------------------------------------------------------------------------
+
+    def on_restored(self, taken_up: Callable[[list[Job], int], None]) -> None:
+        """Call with the last jobs, each with an honest end, and the highest fencing number, once they are read."""
+        self._taken_up = taken_up
+
+    def restore(self) -> None:
+        """Read what the last life left; if that fails, `watch` tries again and nothing moves until then."""
+        try:
+            self._take(*self._left())
+        except StoreError as error:
+            log.error("earlier jobs are not known yet: %s", error)
+
+    def _left(self) -> tuple[list[Job], int]:
+        for job_id in self.database.write(end_interrupted):
+            log.warning("job %s was interrupted: the server ended while it ran", job_id)
+        self.database.write(forget_old_audit)
+        self._zero_s = self._clock() - self.database.read(read_operating_time)
+        return self.database.read(read_jobs), self.database.read(read_fencing)
+
+    def _take(self, jobs: list[Job], fencing: int) -> None:
+        self._taken_up(jobs, fencing)
+        self._restored = True
+
+    # --- commands: written before they are carried out or answered --------------------------------------------------
+
+    async def begin(self, began: Began) -> None:
+        """Job, audit and answer in one transaction.
+
+        Raises: StoreError: nothing was written, nothing may begin.
+        """
+        self.check()
+
+        def rows(db: sqlite3.Connection) -> None:
+            add_job(db, began.job, began.body)
+            save_fencing(db, began.job.fencing)
+            add_audit(db, began.audit)
+            if began.answered is not None:
+                save_answer(db, began.audit.who, began.key, began.answered)
+
+        try:
+            await self.database.written(rows)
+        except StoreError:
+            who, key = began.audit.who, began.key
+            if began.answered is not None:  # a disk that was late may write it all the same: the job was refused
+                self.later(lambda db: forget_answer(db, who, key))
+            raise
+
+    async def control(self, entry: AuditEntry) -> None:
+        """A new holder of control: fencing number and audit in one transaction.
+
+        Raises: StoreError: not written; the lease must not be told.
+        """
+
+        def rows(db: sqlite3.Connection) -> None:
+            save_fencing(db, entry.fencing)
+            add_audit(db, entry)
+
+        await self.database.written(rows)
+
+    def check(self) -> None:
+        """Raises: StoreError: nothing can be written down now, so nothing may move."""
+        if self.problem or not self._restored:
+            raise StoreError(self.problem or "the database has not been read yet")
+
+    # --- what may not wait for the disk -----------------------------------------------------------------------------
+
+    def audit(self, entry: AuditEntry) -> None:
+        """A line about what happened already, or about a refusal: queued; a full queue is logged."""
+        self.later(lambda db: add_audit(db, entry))
+
+    def later(self, work: Work[Any]) -> None:
+        """Queue a write whose failure is only logged."""
+        try:
+            self.database.submit(work, SPARE).add_done_callback(_logged)
+        except StoreError as error:
+            log.error("not written: %s", error)
+
+    def note(self, job: Job, event: JobEvent) -> None:
+        """Listener of the engine: the end of a job, tried again until it is on disk."""
+        if event.name == "ended":
+            self._unsaved[job.job_id] = job
+            self._save_ends()
+
+    def _save_ends(self) -> None:
+        for job in list(self._unsaved.values()):
+            result = self._result_of(job.result)
+            try:
+                done = self.database.submit(lambda db, job=job, result=result: end_job(db, job, result))
+            except StoreError:
+                return
+            done.add_done_callback(lambda done, job=job: self._saved(done, job))
+
+    def _saved(self, done: "Future[None]", job: Job) -> None:
+        if not done.cancelled() and done.exception() is None:
+            self._unsaved.pop(job.job_id, None)
+
+    async def watch(self) -> None:
+        """Until cancelled: find out whether the disk can be written (again), and save what waits for it."""
+        while True:
+            await asyncio.sleep(PROBE_S)
+            self._save_ends()
+            try:
+                if not self._restored:
+                    self._take(*await asyncio.to_thread(self._left))
+                operating_s = self._clock() - self._zero_s
+                await self.database.written(lambda db, now_s=operating_s: save_operating_time(db, now_s))
+            except StoreError:
+                continue  # logged by the database, once
+
+
+def _logged(done: "Future[Any]") -> None:
+    if not done.cancelled() and (error := done.exception()) is not None:
+        log.error("not written: %s", error)
+
+
+class FindingLog:
+    """Listener of the engine: at a job's end, what is new goes into the store."""
+
+    def __init__(self, cell: Cell, keeper: Keeper) -> None:
+        self._cell, self._keeper = cell, keeper
+        self._known: LocalCalibration | None = cell.knowledge.life
+
+    def note(self, job: Job, event: JobEvent) -> None:
+        """Keep the previewed plan and the calibration that the ended job left."""
+        if event.name != "ended":
+            return
+        if isinstance(job.result, PreviewedPlan):
+            self._plan(job.job_id, job.result)
+        life = self._cell.knowledge.life
+        if life is not None and life is not self._known:
+            self._known = life
+            self._calibration(job.job_id)
+
+    def _plan(self, job_id: str, previewed: PreviewedPlan) -> None:
+        made_unix_s, now_ns = time.time(), mono_ns()
+        expires_unix_s = made_unix_s + (previewed.expires_ns - now_ns) * 1e-9
+        plan = previewed.plan
+        view = json.dumps(
+            {
+                "length_mm": round(plan.length_m * 1e3, 1),
+                "duration_s": round(plan.duration_s, 2),
+                "predicted_sigma_mm": [round(value, 2) for value in previewed.predicted_sigma_mm],
+                "q_goal_rad": [float(value) for value in previewed.q_goal],
+            }
+        )
+        plan_hash = previewed.plan_hash
+        self._keeper.later(lambda db: add_plan(db, plan_hash, job_id, made_unix_s, expires_unix_s, view))
+
+    def _calibration(self, job_id: str) -> None:
+        record = self._cell.knowledge.calibration
+        if record is None:
+            return
+        made, view = time.time(), json.dumps(asdict(record))
+        figures = (record.method, record.sigma_deg, record.residual_rms_mm)
+        self._keeper.later(lambda db: add_calibration(db, made, job_id, *figures, view))
