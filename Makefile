@@ -34,11 +34,12 @@ test: $(VENV)/dev.stamp  ## all tests but the slow ones: pure ones on all cores,
 test-slow: $(VENV)/dev.stamp  ## compose, long drills
 	$(BIN)/python -m pytest -m slow
 
-check: $(VENV)/dev.stamp  ## format, lint, types, import contracts
+check: $(VENV)/dev.stamp  ## format, lint, types, import contracts, language
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/basedpyright --threads 2
 	$(BIN)/lint-imports
+	$(BIN)/python tools/language.py
 
 clean:           ## forget the environment
 	rm -rf $(VENV)
