@@ -54,5 +54,5 @@ def calibration_router(service: JobService) -> APIRouter:
 def _none(service: JobService) -> JSONResponse:
     note = service.cell.knowledge.calibration_note
     return problem(
-        404, "No calibration", note or "there is no calibration yet; run the job calibrate", "no_calibration"
+        404, "No calibration", note or "there is no calibration yet; run the job 'calibrate'", "no_calibration"
     )

@@ -18,13 +18,13 @@ REPORT_CSP = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sand
 RUNS_MAX = 10
 Id = Annotated[str, InPath(pattern=r"^[0-9a-f]{12}$")]
 UNKNOWN: dict[int | str, dict[str, Any]] = {404: {"model": Problem}}
-UNFINISHED = UNKNOWN | {409: {"model": Problem, "description": "it has no answer (yet)"}}
+UNFINISHED = UNKNOWN | {409: {"model": Problem, "description": "it has no result (yet)"}}
 
 
 class RunDiagnosis(Strict):
     """Of a recorded run."""
 
-    run_id: Annotated[str, Field(pattern=RUN_ID, description="as GET /v1/runs tells it")]
+    run_id: Annotated[str, Field(pattern=RUN_ID, description="as listed by GET /v1/runs")]
 
 
 class PathDiagnosis(Strict):

@@ -16,16 +16,16 @@ from server.api.views import ControlView, Problem, Strict
 from server.store.keeper import Keeper
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
-Ttl = Annotated[float, Field(ge=1.0, le=120.0, description="stale when not kept alive for so long")]
+Ttl = Annotated[float, Field(ge=1.0, le=120.0, description="the lease goes stale when not renewed for this long")]
 LeaseHeader = Annotated[str, Header(max_length=128, description="the lease_id of who has control")]
 FencingHeader = Annotated[int, Header(ge=0, le=2**62, description="the fencing number of that lease")]
-LeaseId = Annotated[str, Path(min_length=1, max_length=128, description="the secret that its holder was given")]
+LeaseId = Annotated[str, Path(min_length=1, max_length=128, description="the secret that the holder received")]
 REFUSED: dict[int | str, dict[str, Any]] = {
-    403: {"model": Problem, "description": "no lease, or not yours to take"},
-    409: {"model": Problem, "description": "somebody else has control; the answer names who and for how long"},
+    403: {"model": Problem, "description": "no lease, or the caller may not take it"},
+    409: {"model": Problem, "description": "another client has control; the answer states who and for how long"},
 }
 UNKEPT: dict[int | str, dict[str, Any]] = {
-    503: {"model": Problem, "description": "cannot be written down; see /readyz"}
+    503: {"model": Problem, "description": "cannot be stored; see /readyz"}
 }
 
 

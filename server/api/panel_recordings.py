@@ -84,7 +84,7 @@ def recordings_router(service: JobService) -> APIRouter:
     async def recording_picture(name: str, start: int, end: int) -> Response:
         """A picture of the run that was opened last."""
         if opened.name != name or not 0 <= start < end <= len(opened.pictures):
-            return problem(404, "Not opened", "open the run's replay first", "not_opened")
+            return problem(404, "Not opened", "open the replay of the run first", "not_opened")
         return Response(opened.pictures[start:end], media_type="image/jpeg")
 
     return router

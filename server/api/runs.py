@@ -11,10 +11,10 @@ from server.api.problems import problem
 from server.api.run_files import RUN_ID, GrowingFile, run_ids, run_path
 from server.api.views import Problem, View
 
-RunId = Annotated[str, Path(pattern=RUN_ID, description="as the list of runs tells it")]
+RunId = Annotated[str, Path(pattern=RUN_ID, description="as in the list of runs")]
 FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "the whole file", "content": {"application/octet-stream": {}}},
-    206: {"description": "the range asked for", "content": {"application/octet-stream": {}}},
+    206: {"description": "the requested range", "content": {"application/octet-stream": {}}},
     400: {"description": "a range header that cannot be read", "content": {"text/plain": {}}},
     404: {"model": Problem},
     416: {"description": "a range outside the file", "content": {"text/plain": {}}},

@@ -53,7 +53,7 @@ def compare_zeros(
     rows = tuple((name, f"{q:+.3f}", "" if seen is None else f"{seen:+.3f}") for name, q, seen in pairs)
     table = ReportTable("angles", ("joint", "encoder deg", "read at the machine deg"), rows)
     if not figures:
-        skip = skipped(NAME, "nobody read an angle at the machine", "read them, or give them in --answers")
+        skip = skipped(NAME, "no angle was read at the machine", "read them, or give them in --answers")
         return StepResult(NAME, Verdict.SKIPPED, skip.summary, remedy=skip.remedy, tables=(table,))
     missing = [f"not read at the machine: {', '.join(untold)}"] if untold else []
     summary = f"all encoders within {tolerance_deg:g} deg of their marks"

@@ -23,7 +23,7 @@ async def propose_masks(site: Site, seen: Sequence[Still], masks: Masks) -> str:
     """
     wanted = masks_wanted(seen, masks)
     if wanted is None:
-        return "no leg moved both pictures enough to tell what of them is the machine itself"
+        return "no leg moved both images enough to detect the machine's own structure"
     shares = [100.0 * uncovered_frac(mask, polygons) for mask, polygons in zip(wanted, masks, strict=True)]
     found = f"{shares[0]:.0f} % of the left and {shares[1]:.0f} % of the right picture move with the camera unmasked"
     if max(shares) < 100.0 * UNMASKED_MIN_FRAC:

@@ -58,7 +58,7 @@ def judge_marker(looks: Sequence[Sequence[FrameReport]], machine: Machine) -> St
         *place_figures(poses, machine),
     ]
     return judged(
-        NAME, figures, f"marker {_names(ids)} seen where it should be, and again the same", REMEDY, notes=notes
+        NAME, figures, f"marker {_names(ids)} seen at its expected place, repeatably", REMEDY, notes=notes
     )
 
 

@@ -69,7 +69,7 @@ def proposal_of(answer: dict[str, Any], joints: int) -> MotionProposal | LooksPr
     description = following.get("execute")
     if description is None:
         needed = following.get("signal") or following.get("why") or "it is to be done by hand"
-        raise JobFailedError(f"'{what}' is nothing that the link can drive; {needed}", NOT_DRIVABLE)
+        raise JobFailedError(f"'{what}' cannot be driven over the link; {needed}", NOT_DRIVABLE)
     found = _parsed(description, what)
     rows = [found.start_rad] if isinstance(found, MotionProposal) else found.q_rad
     if any(len(row) != joints for row in rows):

@@ -89,7 +89,7 @@ def test_a_gap_at_rest_only_makes_it_wait_for_a_new_row():
     late = VirtualCell(
         preset="ideal", gap_at_rest=(94, 112), hidden_from_s=0.3
     )  # 0.3 s without a pair, then all is well
-    with pytest.raises(JobFailedError, match="first lost look"):  # it did begin
+    with pytest.raises(JobFailedError, match="first invalid look"):  # it did begin
         steered(late, late.context())
     waited = [request.silence_max_s for _, request in late.told if isinstance(request, NextPair)]
     assert waited.count(1.0) >= 2

@@ -42,11 +42,11 @@ def drive(
         q_ref, q, settings = reading.q_ref_rad, reading.q_rad, trim_settings(ctx)
         again = plan_trim(ctx.machine, q_ref, q, plan.q_end, stall, play_rad, settings, ctx.wall)
         if again.trajectory is None:
-            raise JobFailedError(f"{purpose}: trim: {again.reason}", "trim_refused")
+            raise JobFailedError(f"{purpose}: correction: {again.reason}", "trim_refused")
         worst = float(np.rad2deg(np.abs(residual).max()))
-        text = f"{purpose}: coming again, encoders lack up to {worst:.2f} deg"
+        text = f"{purpose}: re-approaching: joints up to {worst:.2f} deg"
         yield Progress("trim", count, trims_max, "trims", text)
-        yield Move(again.trajectory, f"{purpose}: trim {count}")
+        yield Move(again.trajectory, f"{purpose}: correction {count}")
         direction = last_direction(again.trajectory)
 
 

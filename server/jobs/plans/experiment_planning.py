@@ -110,7 +110,7 @@ def _steps(
     if isinstance(fitted, Refusal):
         raise _refused(fitted)
     check_driven(ctx, fitted.trajectory)
-    way = way_to(ctx, q_ref, course.q[0], "to where the experiment begins")
+    way = way_to(ctx, q_ref, course.q[0], "to the start of the experiment")
     steps = (*way, Step(fitted.trajectory, f"experiment: {proposal.name}", "segment"))
     return steps, fitted.size_frac, fitted.slower
 

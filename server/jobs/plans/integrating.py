@@ -36,7 +36,7 @@ def integrate(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Reque
         step = off_the_wall(ctx.machine, step, [reading.q_rad, plan.q_end], ctx.wall)
         if step.trajectory is None:
             raise JobFailedError(f"{purpose}: integration of the error: {step.reason}", "trim_refused")
-        text = f"{purpose}: integrating, encoders lack up to {np.rad2deg(np.abs(lacking).max()):.2f} deg"
+        text = f"{purpose}: integrating, joints short of target by up to {np.rad2deg(np.abs(lacking).max()):.2f} deg"
         yield Progress("integrate", count + 1, STEPS_MAX, "steps", text)
         yield Move(step.trajectory, f"{purpose}: integration step {count + 1}")
     return STEPS_MAX

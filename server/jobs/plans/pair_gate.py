@@ -30,7 +30,7 @@ class PairGate:
         sigma_mm, limit_mm = 1e3 * self.sigma_m(seen), self.ctx.settings.closed_loop.sigma_max_mm
         if not sigma_mm <= limit_mm:
             return (
-                f"one pair knows the error to {sigma_mm:.1f} mm only (limit {limit_mm:g} mm); come nearer or add light"
+                f"the error of one pair is known only to {sigma_mm:.1f} mm only (limit {limit_mm:g} mm); come nearer or add light"
             )
         return ""
 

@@ -141,7 +141,7 @@ async def test_logging_out_gives_up_control(guarded):
         await leased_and_parking(guarded, client)
         await client.delete("/v1/session")
         await until(lambda: guarded.service.engine.current.ended)
-    assert "their session has ended" in guarded.service.engine.current.reason
+    assert "the session has ended" in guarded.service.engine.current.reason
 
 
 async def test_control_kept_alive_by_another_key_outlives_the_first(guarded):
