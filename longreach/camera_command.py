@@ -40,7 +40,7 @@ from server.settings_camera import (
 from server.settings_source import source_and_machine
 from server.shown_address import without_password
 
-app = typer.Typer(no_args_is_help=True, help="Look at the stereo camera; calibrate its lens.")
+app = typer.Typer(no_args_is_help=True, help="Check the stereo camera; calibrate its lens.")
 app.command("calibrate")(calibrate)
 
 READ_S = 0.1
@@ -57,9 +57,9 @@ Calibration = Annotated[
 ]
 EyeSize = Annotated[str | None, typer.Option(help="one eye's size, such as 1226x370, where the calibration needs it")]
 MachineFile = Annotated[str | None, typer.Option("--machine", help="machine file, or the name of a shipped one")]
-Seconds = Annotated[float, typer.Option(min=1.0, max=600.0, help="how long to look [s]")]
-Pairs = Annotated[int, typer.Option(min=1, max=200, help="pairs that are looked into")]
-AsJson = Annotated[bool, typer.Option("--json", help="print the findings as JSON only")]
+Seconds = Annotated[float, typer.Option(min=1.0, max=600.0, help="duration of the check [s]")]
+Pairs = Annotated[int, typer.Option(min=1, max=200, help="number of pairs analysed in detail")]
+AsJson = Annotated[bool, typer.Option("--json", help="print the findings only, as JSON")]
 
 
 @app.callback()
@@ -93,7 +93,7 @@ def check(
     try:
         _gather(stereo, gathering, seconds, console)
     except KeyboardInterrupt:
-        console.print("stopped early; what came until now is judged")
+        console.print("stopped early; evaluating the pairs received so far")
     finally:
         stereo.close()
     masks = (
@@ -141,9 +141,7 @@ def camera_settings_of(text: str) -> CameraSettings:
         return EurocCameraSettings(kind="euroc", path=text)
     if path.is_file():
         return FileCameraSettings(kind="file", path=text)
-    raise SettingsError(
-        f"--source '{without_password(text)}' is no address, device, file or folder; see longreach camera check --help"
-    )
+    raise SettingsError(f"--source '{without_password(text)}' is not an address, device, file or folder; see --help")
 
 
 def _gather(stereo: StereoSource, gathering: Gathering, seconds: float, console: Console) -> None:
@@ -204,7 +202,7 @@ def _judge(
     stored = not isinstance(plain, DeviceSource | HttpSource | RtspSource)
     gathered = gathering.gathered(stereo.skipped, own_clock=device, wanted_hz=wanted_hz, stored=stored)
     with Progress(console=console, transient=True) as progress:
-        task = progress.add_task("looking into the pairs", total=steps(gathered))
+        task = progress.add_task("analysing the pairs", total=steps(gathered))
         findings = check_camera(
             gathered,
             machine,
@@ -215,7 +213,7 @@ def _judge(
             masks,
         )
     if stereo.state and not gathering.n:
-        findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "mend what this line says"))
+        findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "fix what this line states"))
     return findings
 
 

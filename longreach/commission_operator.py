@@ -97,7 +97,7 @@ class TerminalOperator:
         """--move, or the machine's name typed."""
         if self._move or self._assume_yes:
             return self._move
-        text = f"the next steps move the machine. Type its name ({machine_name}) to give leave, or Enter to skip them"
+        text = f"the next steps move the machine. Type its name ({machine_name}) to permit this, or Enter to skip them"
         return await self._line(text) == machine_name
 
     async def confirm(self, text: str) -> bool:
@@ -105,7 +105,7 @@ class TerminalOperator:
         if self._assume_yes:
             self.tell(text)
             return True
-        return await self._line(f"{text}. Enter to go on, n to refuse") == ""
+        return await self._line(f"{text}. Press Enter to continue, n to refuse") == ""
 
     async def ask(self, key: str, question: str) -> str | None:
         """The file's answer, or the engineer's."""

@@ -27,7 +27,7 @@ def compare(
     machine: Annotated[list[str], typer.Option("--machine", help="a machine file, or a shipped one by name; several")],
     html_file: Annotated[Path | None, typer.Option("--html", help="write the curves here")] = None,
 ) -> None:
-    """Replay a recording against machine files: the miss at the tool over time [mm], for each."""
+    """Replay a recording against machine files: the tool error over time [mm] for each."""
     screen = Console(stderr=True)
     try:
         files = [file_of_machine(Path(one)) or Path(one) for one in machine]
@@ -67,10 +67,8 @@ def page(name: str, found: tuple[Miss, ...]) -> str:
         start_s = min(float(one.t_s.min()) for one in own)
         lines = [Line(one.name, css, one.t_s - start_s, one.mm) for one, css in zip(own, cycle(COLOURS), strict=False)]
         rows = [(one.name, f"{one.rms_mm:.2f}", f"{_high(one):.2f}") for one in own]
-        drawn = chart(lines, "time [s]", "miss at the tool [mm]", f"Miss at the tool, {what}")
-        parts.append(
-            section(f"Miss at the tool, {what}", drawn + table(("machine file", "RMS mm", "95 % below"), rows))
-        )
+        drawn = chart(lines, "time [s]", "tool error [mm]", f"Tool error, {what}")
+        parts.append(section(f"Tool error, {what}", drawn + table(("machine file", "RMS mm", "95 % below"), rows)))
     return document(f"Compared: {name}", f"<h1>{escape(name)}</h1>" + "".join(parts))
 
 

@@ -43,16 +43,17 @@ def diagnose(
         Path | None,
         typer.Option("--machine", callback=file_of_machine, help="use this machine file, or a shipped one by name"),
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write the whole answer here")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the full result here (JSON)")] = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="write a report here")] = None,
     lacking: Annotated[
-        list[str] | None, typer.Option("--without", help="leave this effect out of the library, to test refusals")
+        list[str] | None,
+        typer.Option("--without", help="leave this effect out of the catalogue, to test how the diagnosis rejects"),
     ] = None,
     fitting: Annotated[
-        bool, typer.Option("--fit-baseline", help="make a machine file from undisturbed recordings instead")
+        bool, typer.Option("--fit-baseline", help="make a machine file from baseline recordings instead")
     ] = False,
     leaving: Annotated[
-        bool, typer.Option("--leave-named-out", help="also tell in the JSON what it said without each name it gives")
+        bool, typer.Option("--leave-named-out", help="also report in the JSON the result without each reported effect")
     ] = False,
     machine_out: Annotated[
         Path | None, typer.Option("--machine-out", help="write the machine file with the diagnosed effects added")
@@ -116,11 +117,11 @@ def _require_sense(fitting: bool, out: Path | None, given: list[str], screen: Co
     """Refuse options of which one would do nothing beside the other."""
     told = ""
     if fitting and given:
-        told = f"{given[0]} does nothing beside --fit-baseline, which only writes --out; leave one of them out"
+        told = f"{given[0]} has no effect with --fit-baseline, which only writes --out; leave one of them out"
     elif out is not None and not fitting:
         told = "--out is where --fit-baseline writes; give it as well, or --machine-out in place of --out"
     elif "--leave-named-out" in given and "--json" not in given:
-        told = "--leave-named-out tells in the JSON only; give --json FILE as well"
+        told = "--leave-named-out writes to the JSON only; give --json FILE as well"
     if told:
         raise _refused(ValueError(told), screen)
 
@@ -135,7 +136,7 @@ def _set_aside(places: Sequence[Path | None], screen: Console) -> None:
             place.replace(aside)
             told = f"{place} is not written; the one of an earlier run is {aside.name} now"
         except OSError as error:
-            told = f"{place} is not written; what is there is of an earlier run ({error.strerror})"
+            told = f"{place} is not written; the present file is of an earlier run ({error.strerror})"
         screen.print(f"[yellow]longreach:[/] {escape(told)}", soft_wrap=True)
 
 

@@ -53,7 +53,7 @@ class Outlook:
         """As `diagnosis` tells it. The share never goes back: what is found on the way only makes the rest slower."""
         elapsed_s = self.now_s() - self._begun_s
         share = self._furthest = min(max(self._furthest, done / max(total, 1e-9)), 0.99)
-        rest = in_words(left_s(done, total, elapsed_s)) if share >= KNOWN_FROM else "how long is not known yet"
+        rest = in_words(left_s(done, total, elapsed_s)) if share >= KNOWN_FROM else "remaining time unknown"
         self.say(f"{text}: {100.0 * share:.0f} % done, {rest}", share, elapsed_s)
 
     def also(self, text: str) -> None:

@@ -50,7 +50,7 @@ def _usable(recordings: list[Path], machine_file: Path | None) -> list[Read]:
     wholes = [read(path, machine_file) for path in recordings]
     bad = [f"{one.path}: {'; '.join(map(str, one.findings))}" for one in wholes if not one.usable]
     if bad:
-        raise BaselineError("cannot be used, leave out or mend: " + "\n".join(bad))
+        raise BaselineError("cannot be used, leave out or fix: " + "\n".join(bad))
     return wholes
 
 
@@ -81,7 +81,7 @@ def told(found: Baseline, fitted: int, count: int) -> str:
     counts = f"names from {fitted} recordings, sizes from {count}, judged on {count - fitted}"
     rows = [f"{counts}; RMS in noise floors before and after:"]
     if count - fitted < JUDGED_ENOUGH:
-        rows.insert(0, f"few: with {RECORDINGS_ENOUGH} recordings it can also refuse what it has no name for")
+        rows.insert(0, f"few: with {RECORDINGS_ENOUGH} recordings it can also reject what no effect explains")
     rows += [f"  {one.label}: {one.before:.3g} -> {one.after:.3g}" for one in found.cells]
     rows += [f"  {one.name} {one.joint or ''} {dict(one.values)}" for one in found.effects]
     rows += [f"  {label}: a wrong name usually gains {times:.3g} times chance" for label, times in found.best_wrong]

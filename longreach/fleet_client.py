@@ -94,7 +94,7 @@ class JobClient:
                 reasons = reason_in(answer)
             except httpx.UnsupportedProtocol as error:
                 raise JobRefusedError(
-                    f"'{self._http.base_url}' is no address; give one as http://127.0.0.1:8080"
+                    f"'{self._http.base_url}' is not an address; give one such as http://127.0.0.1:8080"
                 ) from error
             except httpx.TransportError as error:
                 reasons = f"server does not answer ({error}){by_proxy(self.url)}"
@@ -184,7 +184,9 @@ class JobClient:
         try:
             self.stop()
         except httpx.HTTPError as error:
-            ending.add_note(f"STOP is not confirmed ({error}); without this client control lapses within {TTL_S:.0f} s")
+            ending.add_note(
+                f"STOP is not confirmed ({error}); without this client control expires within {TTL_S:.0f} s"
+            )
 
     def abandon(self) -> None:
         """From another thread: stop what this client runs, and let it begin nothing more."""

@@ -45,7 +45,7 @@ def reason_in(answer: httpx.Response) -> str:
         return "; ".join(problem.get("reasons") or filter(None, (problem["detail"], problem.get("hint", ""))))
     except (ValueError, KeyError, AttributeError):
         url = str(answer.request.url)
-        return f"{url} answers {answer.status_code} {answer.reason_phrase}, and not as longreach does{by_proxy(url)}"
+        return f"{url} answers {answer.status_code} {answer.reason_phrase}, which is no longreach answer{by_proxy(url)}"
 
 
 def by_proxy(url: str) -> str:
@@ -55,7 +55,7 @@ def by_proxy(url: str) -> str:
     proxy = proxies.get(scheme, proxies.get("all", ""))
     if not proxy or not host or is_loopback(host) or urllib.request.proxy_bypass(host):
         return ""
-    return f"; it was asked for through the proxy {proxy} ({scheme}_proxy); add {host} to no_proxy to ask it directly"
+    return f"; the request went through the proxy {proxy} ({scheme}_proxy); add {host} to no_proxy to connect directly"
 
 
 def _host(url: str) -> str:

@@ -63,18 +63,18 @@ def hand_eye(
         bool, typer.Option("--camera-in-target", help="--camera holds the camera in the target")
     ] = False,
     eye_to_hand: Annotated[
-        bool, typer.Option("--eye-to-hand", help="the camera stands beside the robot, and the hand holds the target")
+        bool, typer.Option("--eye-to-hand", help="the camera is fixed next to the robot, and the hand holds the target")
     ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", help="folder for TF, easy_handeye2, URDF and machine file")
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write the whole answer here")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the full result here (JSON)")] = None,
     base_frame: Annotated[str, typer.Option(help="name of the robot's base frame")] = "base_link",
     hand_frame: Annotated[str, typer.Option(help="name of the hand's frame")] = "tool0",
     camera_frame: Annotated[str, typer.Option(help="name of the camera's optical frame")] = "camera_optical_frame",
     target_frame: Annotated[str, typer.Option(help="name of the target's frame")] = "target",
 ) -> None:
-    """Find a camera's mount from poses of hand and target. Exit code 0: found, 1: not, and why."""
+    """Hand-eye calibration from poses of hand and target. Exit code 0: found, 1: not found; the reason is printed."""
     screen, covariances, hand_table = Console(), None, PoseTable((), None, np.zeros((0, 4, 4)))
     if bag is None and (hand is None or (camera is None) == (images is None)):
         raise typer.BadParameter("give --bag, or --hand and either --camera, poses of the target, or --images")
@@ -196,7 +196,7 @@ def _show(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solved: Sol
             for k in places[:ALIKE_SHOWN]
         )
         screen.print(
-            f"[yellow]outliers[/], {len(places)}: {escape(shown)}: look at their images, or leave them out",
+            f"[yellow]outliers[/], {len(places)}: {escape(shown)}: check their images, or leave them out",
             soft_wrap=True,
         )
 

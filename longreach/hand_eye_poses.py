@@ -52,7 +52,7 @@ def read_poses(path: Path) -> PoseTable:
         labels.append(cells[0])
         Ts.append(_pose(values, f"{path}, line {number}"))
     if not labels:
-        raise HandEyeError(f"{path} holds no pose; give rows of a time or name, x, y, z [m], qx, qy, qz, qw")
+        raise HandEyeError(f"{path} holds no poses; give rows of a time or name, x, y, z [m], qx, qy, qz, qw")
     times = _numbers(labels)
     return PoseTable(tuple(labels), None if times is None else np.array(times), np.array(Ts))
 

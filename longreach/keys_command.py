@@ -27,7 +27,7 @@ def add(
     """Make a key and print it, once: only its SHA-256 is kept."""
     secret = new_key()
     write_keys(file, with_key(read_keys(file), name, role, secret, time.time()))
-    Console(stderr=True).print(f"key of {name} ({role}), shown this once; send it as 'Authorization: Bearer KEY'")
+    Console(stderr=True).print(f"key of {name} ({role}), shown only once; send it as 'Authorization: Bearer KEY'")
     typer.echo(secret)
 
 

@@ -32,7 +32,7 @@ def calibrate(
     legacy_pattern: Annotated[bool, typer.Option(help="a board printed with OpenCV before 4.6")] = False,
     mono: Annotated[bool, typer.Option("--mono", help="one eye")] = False,
     out: Annotated[Path | None, typer.Option("--out", help="folder for ROS, OpenCV, Kalibr and ZED files")] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write the whole answer here")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the full result here (JSON)")] = None,
 ) -> None:
     """Calibrate the lens: intrinsics, the rig, sigma of each, coverage, what to photograph next. Exit code 1: none."""
     screen = Console()

@@ -54,7 +54,7 @@ def machine_with_effects(text: str, found: Diagnosis | Budget) -> str:
     if isinstance(found, Budget):
         if not found.confirmed and found.verdict != "none":
             raise MachineOutError(
-                f"no effect is confirmed ({found.why}): no machine file is made of it; do the next experiment and "
+                f"no effect is confirmed ({found.why}): no machine file is written; do the next experiment and "
                 "diagnose both recordings together"
             )
         line = f"\n# longreach diagnose: verdict {found.verdict}, {found.why}\n"
@@ -62,7 +62,7 @@ def machine_with_effects(text: str, found: Diagnosis | Budget) -> str:
     word = found.verdict.word
     if word not in USABLE:
         raise MachineOutError(
-            f"the diagnosis is '{word}' ({found.verdict.why}): no machine file is made of it; "
+            f"the diagnosis is '{word}' ({found.verdict.why}): no machine file is written; "
             "do the next experiment and diagnose both recordings together"
         )
     line = f"\n# longreach diagnose: verdict {word}, probability {probability_of_first(found):.3g}\n"

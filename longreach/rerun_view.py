@@ -28,7 +28,7 @@ class RerunError(Exception):
 
 def rerun(
     recording: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="an MCAP recording")],
-    target: Annotated[Path, typer.Argument(help="a new .rrd file; the blueprint goes beside it as .rbl")],
+    target: Annotated[Path, typer.Argument(help="a new .rrd file; the blueprint is written next to it as .rbl")],
 ) -> None:
     """Convert for Rerun, every channel, with a blueprint; open both with `rerun`."""
     try:
@@ -61,7 +61,7 @@ def _require_mcap(path: Path) -> None:
         with path.open("rb") as file:
             make_reader(file).get_header()
     except (McapError, OSError, struct.error) as error:
-        raise RerunError(f"{path.name} is no MCAP recording ({error})") from error
+        raise RerunError(f"{path.name} is not an MCAP recording ({error})") from error
 
 
 def library(name: str) -> Any:

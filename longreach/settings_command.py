@@ -30,7 +30,7 @@ def new(file: Annotated[Path, typer.Argument(help="the settings file to write")]
 
 def template() -> str:
     """TOML text that says nothing but the defaults: every field is a comment."""
-    lines = ["# Settings of `longreach serve --settings FILE`. What is commented out has this value already.", ""]
+    lines = ["# Settings of `longreach serve --settings FILE`. Commented lines show the defaults.", ""]
     lines += _fields(ServerSettings)
     for name, field in ServerSettings.model_fields.items():
         models = models_of(field.annotation)

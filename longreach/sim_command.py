@@ -22,7 +22,7 @@ def sim(
             help="ideal, realistic, paper or nominal; default: nominal for a file with effects, else realistic"
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="which machine is drawn")] = 1,
+    seed: Annotated[int, typer.Option(help="seed of the simulated machine")] = 1,
     machine: Annotated[str, typer.Option(help="machine file, or the name of a shipped one")] = "hiab033",
     plc_host: Annotated[str, typer.Option(help="address the PLC listens on")] = "127.0.0.1",
     plc_port: Annotated[int, typer.Option(help="UDP port the PLC listens on")] = 50110,

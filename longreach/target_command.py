@@ -135,7 +135,7 @@ def _task(nominal: Machine, on: Literal["tool", "ooi"], ids: str, side_mm: str, 
     size = dictionary_size(nominal.dictionary)
     beyond = [one for one in wanted if one < 0 or (size is not None and one >= size)]
     if beyond:
-        raise TargetError(f"--ids: {beyond[0]} is not in {nominal.dictionary}, which ends at {(size or 0) - 1}")
+        raise TargetError(f"--ids: {beyond[0]} is not in {nominal.dictionary}, whose last id is {(size or 0) - 1}")
     if frame not in ("present", "reference", "middle"):
         raise TargetError(f"--frame = {frame}: give present, reference or middle")
     sides = {one: present[one].side_m for one in wanted if one in present}
@@ -214,7 +214,7 @@ def _from_camera(
         f"markers {', '.join(map(str, task.ids))}: hold the camera still, then move it to the side, up or down by a "
         f"third of its distance, and hold it still again; {n_views} views; Ctrl-C when you have enough"
     )
-    with console.status("waiting for pictures") as status:
+    with console.status("waiting for images") as status:
 
         def tell(offer: Offer, view: TeachView, kept: list[TeachView]) -> None:
             _guide(offer, view, kept, n_views, status, console)
@@ -233,7 +233,7 @@ def _guide(
     offer: Offer, view: TeachView, kept: list[TeachView], n_views: int, status: Status, console: Console
 ) -> None:
     advice = {
-        Offer.TOO_FEW_MARKERS: "show two markers or more, all four sides of each",
+        Offer.TOO_FEW_MARKERS: "show at least two complete markers",
         Offer.MOVING: "hold still",
         Offer.ALIKE: "move to the side, up or down, closer or away",
         Offer.TAKEN: "taken",

@@ -153,5 +153,5 @@ def live_views(
     except KeyboardInterrupt:  # enough, says the operator
         any_pair = True
     if not any_pair:
-        raise TargetError(f"no picture within {first_s:g} s; {source.state or 'check the camera'}")
+        raise TargetError(f"no image within {first_s:g} s; {source.state or 'check the camera'}")
     return keeper.views

@@ -74,7 +74,7 @@ def _parsed(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text.removeprefix("\ufeff"))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise MachineFileError(f"the machine file would be no TOML: {error}; {REMEDY}") from error
+        raise MachineFileError(f"the machine file would not be valid TOML: {error}; {REMEDY}") from error
 
 
 def _require_same(before: dict[str, Any], after: dict[str, Any], names: Sequence[str]) -> None:

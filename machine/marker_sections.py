@@ -33,9 +33,9 @@ FAMILY_SIZES = {
 }
 REMEDIES = {
     "dictionary": "give a name of OpenCV's, such as DICT_4X4_50 or DICT_APRILTAG_36h11",
-    "id": "give the number printed beside the marker",
+    "id": "give the number printed next to the marker",
     "side_m": "measure the printed marker's black outer side and give it in metres",
-    "on": "say what it sits on",
+    "on": "state what it is mounted on",
     "T_on_marker": "give 16 numbers row by row, metres in the last column, or measure them by `longreach target teach`",
     "T_on_board": "give 16 numbers row by row, metres in the last column, of the board's middle",
     "kind": "charuco is a chessboard with markers in its white squares, grid is markers only",

@@ -158,7 +158,7 @@ class _Collected:
             elif topic == IMAGE_TOPIC:
                 self._images += 1
         except DecodeError as error:
-            raise RecordingError(f"channel {topic}: a message is not what its schema says: {error}") from error
+            raise RecordingError(f"channel {topic}: a message does not match its schema: {error}") from error
 
     def recording(self, complete: bool) -> Recording:
         attachments = dict(self._attachments)

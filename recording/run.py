@@ -97,7 +97,7 @@ def run_from_toml(text: str) -> RunInfo:
 def _number(value: object, subject: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= LONGEST_S:
         raise RecordingError(
-            f"run.toml: {subject} = {repr(value)[:60]} is no number between -{LONGEST_S:g} and {LONGEST_S:g} [s]"
+            f"run.toml: {subject} = {repr(value)[:60]} is not a number between -{LONGEST_S:g} and {LONGEST_S:g} [s]"
         )
     return float(value)
 

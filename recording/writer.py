@@ -35,7 +35,7 @@ CHUNK_BYTES = 256 * 1024
 OPEN_S = 30.0
 FLUSH_S = 1.0  # at most this much is lost when the process is killed
 CLOSE_S = 30.0
-RECOVERABLE = "what was written so far can be recovered"
+RECOVERABLE = "the rows written so far can be recovered"
 PUT_S = 0.5  # between two looks at whether the thread that empties the queue is still there
 TIME_MOST_NS = 2**64 - 1  # what MCAP's times hold
 
@@ -225,7 +225,9 @@ class RunWriter:
         try:
             self._queue.put_nowait(entry)
         except queue.Full:
-            self._fail(RecordingError(f"{QUEUE_ENTRIES} entries wait for the disk, and no more are taken: free it"))
+            self._fail(
+                RecordingError(f"{QUEUE_ENTRIES} entries wait for the disk, and no more are accepted: free disk space")
+            )
 
     def _put(self, entry: _Entry) -> None:
         """Wait for room as long as there is somebody who makes it."""
@@ -247,7 +249,7 @@ class RunWriter:
             while not (self._closing.is_set() and self._queue.empty()):
                 flushed_s = self._step(flushed_s)
         except BaseException:  # the interpreter ends it: nothing more is taken, and the file has no index
-            self._fail(RecordingError("the thread that writes it has ended"))
+            self._fail(RecordingError("the writer thread has ended"))
             raise
         finally:
             self._finish()

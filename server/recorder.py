@@ -92,7 +92,9 @@ class Recorder:
         """End the run's file because of a defect."""
         _log.exception("recording of %s ended with an internal error", self._run.name)
         writer, self._writer, self._last = self._writer, None, None
-        self._problem = f"recording of {self._run.name} ended with an internal error: {error!r}; report it with the server's log"
+        self._problem = (
+            f"recording of {self._run.name} ended with an internal error: {error!r}; report it with the server's log"
+        )
         if writer is not None:
             writer.close(wait_s=0.0)
             self._late.append(writer)

@@ -145,7 +145,7 @@ def _watched(stopped: Callable[[], bool], health: LoopHealth, camera: BaseProces
                 log.warning("%s", _too_slow(health))
             if camera is not None and not camera.is_alive() and not told_camera:
                 told_camera = True
-                log.error("the camera process has ended with code %s; the PLC goes on without it", camera.exitcode)
+                log.error("the camera process has ended with code %s; the PLC continues without it", camera.exitcode)
         return stopped()
 
     return asked

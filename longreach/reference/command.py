@@ -14,13 +14,13 @@ from longreach.reference.rest import endpoints, error_codes
 OUT = Path("docs/reference.md")
 ABOUT = """# Reference
 
-Made from the code by `longreach docs`; a test holds it current. How things belong together is told elsewhere:
+Made from the code by `longreach docs`; a test keeps it current. For explanations see
 [rest.md](rest.md), [security.md](security.md), [plc-link.md](plc-link.md), [tutorial.md](tutorial.md).
 """
 
 
 def docs(
-    out: Annotated[Path, typer.Option(help="where it goes")] = OUT,
+    out: Annotated[Path, typer.Option(help="output file")] = OUT,
     check: Annotated[bool, typer.Option("--check", help="write nothing; exit 1 when the file is out of date")] = False,
 ) -> None:
     """Write the reference of REST, commands, settings, alarms and codes."""

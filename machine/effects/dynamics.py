@@ -50,7 +50,7 @@ class Actuators:
             raise MachineError(f"plc.transport_delay_s = {self.transport_delay_s} s; give 0 or more")
         if not (self.cycle_s > 0.0 and abs(self.log_cycle_s / self.cycle_s - self.decimate) < 1e-6):
             raise MachineError(
-                f"plc.log_cycle_s = {self.log_cycle_s} s is no multiple of cycle_s = {self.cycle_s} s; give one"
+                f"plc.log_cycle_s = {self.log_cycle_s} s is not a multiple of cycle_s = {self.cycle_s} s; give one"
             )
 
     @property

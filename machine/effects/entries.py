@@ -250,8 +250,8 @@ def _step_aside(packed: ParameterSets, joint: int) -> None:
     row = packed.joint[0, joint - 1]
     if row[KNOWN_GAIN] != 0.0:
         raise MachineFileError(
-            f"effect {SWING}, joint {joint}: a third swing of one joint; two are modelled. Add the gains of those "
-            "whose frequencies are alike, or leave the smallest one out"
+            f"effect {SWING}, joint {joint}: a third oscillation of one joint; two are modelled. "
+            "Add the gains of those whose frequencies are alike, or leave the smallest one out"
         )
     row[[KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING]] = row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]]
     row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]] = neutral_sets(joint).joint[0, 0, [FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]]

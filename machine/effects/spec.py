@@ -107,7 +107,7 @@ class Direction:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One entry of the catalogue. `looks_like`, `told_apart_by`: for the report; `source`: where it comes from.
+    """One entry of the catalogue. `looks_like`, `distinguished_by`: for the report; `source`: where it comes from.
 
     `prevalence`: how likely a machine that nobody has measured has it (at one joint), before any data. `threshold`:
     small sizes change nothing until a motion exceeds them, so that there is no slope at neutral.
@@ -118,7 +118,7 @@ class Effect:
     scope: Scope
     parameters: tuple[Parameter, ...]
     looks_like: str
-    told_apart_by: str
+    distinguished_by: str
     source: str
     choice: Choice | None = None
     direction: Direction | None = None

@@ -73,7 +73,9 @@ def _text(path: Path) -> list[TableColumn]:
         file.seek(0)
         scope = _scope_separator(lines)
         if scope == " ":
-            raise RecordingError(f"{path}: a Scope export separated by spaces, which names hold, too; export with tabs")
+            raise RecordingError(
+                f"{path}: a Scope export separated by spaces, but names contain spaces; export with tabs"
+            )
         if scope:
             return _scope(csv.reader(_lines(file), delimiter=scope), scope)
         separator = _separator(lines)

@@ -155,7 +155,9 @@ class LeaseBook:
             raise LeaseLostError(
                 f"control was lost: {why or 'it has ended'}; {self._now(now_s)}", self.references(now_s)
             )
-        raise NoLeaseError(f"the command carries a lease of another machine; {self._now(now_s)}", self.references(now_s))
+        raise NoLeaseError(
+            f"the command carries a lease of another machine; {self._now(now_s)}", self.references(now_s)
+        )
 
     def check(self, lease_id: str, fencing: int | None, now_s: float) -> Lease:
         """The lease under which a command may move the machine.

@@ -24,9 +24,7 @@ REFUSED: dict[int | str, dict[str, Any]] = {
     403: {"model": Problem, "description": "no lease, or the caller may not take it"},
     409: {"model": Problem, "description": "another client has control; the answer states who and for how long"},
 }
-UNKEPT: dict[int | str, dict[str, Any]] = {
-    503: {"model": Problem, "description": "cannot be stored; see /readyz"}
-}
+UNKEPT: dict[int | str, dict[str, Any]] = {503: {"model": Problem, "description": "cannot be stored; see /readyz"}}
 
 
 class LeaseRequest(Strict):

@@ -19,7 +19,9 @@ class AlarmKind:
 
 
 OPERATOR = "the operator with control, by Acknowledge; it disappears once its cause is gone too"
-MACHINE = "a person at the machine removes the cause; then the operator with control presses Reset fault, then Acknowledge"
+MACHINE = (
+    "a person at the machine removes the cause; then the operator with control presses Reset fault, then Acknowledge"
+)
 
 _KINDS = (
     AlarmKind(
@@ -59,7 +61,7 @@ _KINDS = (
         "high",
         "A joint is outside its range",
         "The PLC reads a joint angle beyond the limits of the machine file.",
-        "Drive the joint back with the local lever, then press Reset fault. If it is inside, its encoder zero is wrong.",
+        "Drive the joint back by the local lever, then press Reset fault. If it is inside, its encoder zero is wrong.",
         MACHINE,
     ),
     AlarmKind(
@@ -122,7 +124,7 @@ _KINDS = (
         "camera_unfit",
         "medium",
         "The images are not usable for measurement",
-        "Images arrive, but the checks found them frozen, blurred, too dark, swapped or damaged: the text states which.",
+        "Images arrive, but the checks found them frozen, blurred, dark, swapped or damaged: the text states which.",
         "Do what the text says: clean the lens, light the target, reseat the cable. Looks are refused until then.",
         OPERATOR,
     ),

@@ -120,7 +120,9 @@ class PanelView(View):
     scene: SceneState
     hold: HoldState
     look_moved_deg: float | None = Field(description="largest joint turn since the last look")
-    look_moved_max_deg: float = Field(description="beyond this the last look no longer describes the machine's position")
+    look_moved_max_deg: float = Field(
+        description="beyond this the last look no longer describes the machine's position"
+    )
     look_age_max_s: float = Field(description="motions based on an older look are refused")
     recording: bool
     recorder_problem: str

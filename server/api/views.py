@@ -301,9 +301,12 @@ class PlanExperimentRequest(JobRequest):
 
     kind: Literal["plan_experiment"]
     diagnosis_id: str = Field(pattern="^[0-9a-f]{12}$")
-    wall_free: bool = Field(default=False, description="there is no wall within reach; required where none was measured")
+    wall_free: bool = Field(
+        default=False, description="there is no wall within reach; required where none was measured"
+    )
     keep: Literal["tempo", "size"] | None = Field(
-        default=None, description="if it is too fast: keep the tempo and drive smaller, or keep the size and drive slower; the experiment decides if absent"
+        default=None,
+        description="if too fast: keep the tempo and drive smaller, or keep the size and drive slower",
     )
 
 
@@ -319,7 +322,9 @@ class PlanIdentifyRequest(JobRequest):
     """Plan the drive that shows what this machine's model leaves out: look, and move nothing. `identify` drives it."""
 
     kind: Literal["plan_identify"]
-    minutes: float = Field(default=6.0, ge=1.5, le=6.0, description="approximate duration; shorter drives identify less")
+    minutes: float = Field(
+        default=6.0, ge=1.5, le=6.0, description="approximate duration; shorter drives identify less"
+    )
     wall_free: bool = Field(default=False, description="there is no wall within reach; required where none is measured")
     resume: bool = Field(default=False, description="only the remaining parts of a paused drive")
 

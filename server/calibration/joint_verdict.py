@@ -105,7 +105,7 @@ def _seeing(fitted: Fitted) -> str:
     if fitted.seeing_chi2 <= limit:
         return ""
     return (
-        "looks and path agree only with a camera that differs from the camera file: lens, scale of the odometry and clock are "
+        "looks and path agree only with a camera that differs from the camera file: lens, odometry scale and clock are "
         f"off by chi2 {fitted.seeing_chi2:.0f} (limit {limit:.0f}); calibrate the camera again, and check its clock"
     )
 

@@ -132,7 +132,9 @@ def check_rig(camera: StereoCamera, spots: Sequence[Array], rng: np.random.Gener
     """
     rays = rays_of(camera, spots)
     if len(rays) < SPOTS_MIN or _cover(camera, np.vstack([np.zeros((0, 4)), *spots])) < COVER_MIN:
-        text = f"{len(rays)} spots matched between the eyes, too few or too close together: the rig check is inconclusive"
+        text = (
+            f"{len(rays)} spots matched between the eyes, too few or too close together: the rig check is inconclusive"
+        )
         remedy = "point it at a scene with texture all over the picture, 0.5 to 3 m away, and light it"
         return [CheckFinding("eyes", Level.WARN, text, remedy, {"spots": float(len(rays))})]
     disparity_px = camera.fx_px * (rays[:, 0] - rays[:, 2])

@@ -135,7 +135,11 @@ def _latency(times: StreamTimes) -> CheckFinding:
     if abs(drift_ppm) > DRIFT_WARN_PPM:
         level = max(level, Level.WARN, key=_rank)
         text += f"; the clocks drift by {drift_ppm:.0f} ppm"
-    remedy = "" if level is Level.OK else "reduce the load of network and computer; use a wired link; check the camera's clock"
+    remedy = (
+        ""
+        if level is Level.OK
+        else "reduce the load of network and computer; use a wired link; check the camera's clock"
+    )
     return CheckFinding("latency", level, text, remedy, figures)
 
 

@@ -76,7 +76,9 @@ def judge_axes(legs: Sequence[Leg], untold: Sequence[str], disparities: Sequence
         figures += axes_figures(seen, [leg.name for leg, _ in told]) + depth_figure(seen)
         mounting = wrong_mounting(seen) if len(told) == len(_LEGS) else ""
         mountings += [f"by {by}: {mounting}"] if mounting else []
-    missing += [f"{leg.name}: neither odometry nor markers measured it" for leg in legs if leg.odometry is leg.markers is None]
+    missing += [
+        f"{leg.name}: neither odometry nor markers measured it" for leg in legs if leg.odometry is leg.markers is None
+    ]
     result = judged(NAME, figures, "the camera sees the moves as the machine makes them", REMEDY, missing, notes)
     return replace(result, summary="; ".join([*mountings, result.summary])) if mountings else result
 

@@ -165,7 +165,9 @@ def _need_proof(site: Site, name: str, dry_run: StepResult | None) -> StepResult
 async def _need_leave(site: Site, name: str) -> StepResult | None:
     if await site.may_move():
         return None
-    return skipped(name, "no permission to move the machine was given", "type the machine's name when asked, or give --move")
+    return skipped(
+        name, "no permission to move the machine was given", "type the machine's name when asked, or give --move"
+    )
 
 
 async def _need_camera(site: Site, name: str) -> StepResult | None:

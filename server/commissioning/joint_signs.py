@@ -80,7 +80,9 @@ async def joint_signs(site: Site) -> StepResult:
             break  # a joint that goes the wrong way ends this step: the others wait for the remedy
     headings = ("joint", "step deg", "expected", "seen", "followed %", "valve %")
     table = ReportTable("jogs", headings, tuple(rows))
-    return _with_skip(judged(NAME, figures, "every joint moves in the commanded direction", REMEDY, untold, tables=(table,)))
+    return _with_skip(
+        judged(NAME, figures, "every joint moves in the commanded direction", REMEDY, untold, tables=(table,))
+    )
 
 
 def _with_skip(result: StepResult) -> StepResult:

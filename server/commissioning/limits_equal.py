@@ -20,7 +20,9 @@ def compare_limits(table: LimitTable, plc_cfg_id: int) -> StepResult:
     """The result for our table and the PLC's hash; 0: the PLC told none."""
     ours = cfg_id(table)
     if plc_cfg_id == 0:
-        return cannot_tell(NAME, "the PLC reported no cfg_id (0)", "let the PLC compute it at start-up (FB_HmSelfCheck)")
+        return cannot_tell(
+            NAME, "the PLC reported no cfg_id (0)", "let the PLC compute it at start-up (FB_HmSelfCheck)"
+        )
     if plc_cfg_id == ours:
         return StepResult(NAME, Verdict.PASS, f"cfg_id {ours:#010x} on both ends")
     return StepResult(

@@ -41,7 +41,9 @@ def state_figures(samples: Sequence[PlcSample], period_s: float) -> tuple[Figure
         Figure("states lost", 100.0 * lost / (len(samples) + lost), "%", None, LOSS_MAX_PCT),
         Figure("largest gap between states", 1e3 * float(np.diff(t_pc).max()), "ms", at_most=GAP_MAX_MS),
         Figure("latency PLC to PC above the minimum, median", float(np.median(way_ms)), "ms"),
-        Figure("latency PLC to PC above the minimum, 99 %", float(np.percentile(way_ms, 99)), "ms", None, WAY_P99_MAX_MS),
+        Figure(
+            "latency PLC to PC above the minimum, 99 %", float(np.percentile(way_ms, 99)), "ms", None, WAY_P99_MAX_MS
+        ),
         Figure("drift of the PLC's clock against the PC's", abs(drift_ppm(t_pc, t_plc)), "ppm", at_most=DRIFT_MAX_PPM),
     )
 

@@ -26,9 +26,7 @@ from server.motion.point_to_point import plan_joint_move, plan_move
 from server.motion.settings import PlanSettings
 
 NAME = "stop times"
-REMEDY = (
-    "compare qdd_max in the machine file with what the machine can do; check the valve gains and the PLC task"
-)
+REMEDY = "compare qdd_max in the machine file with what the machine can do; check the valve gains and the PLC task"
 TRAVEL_MAX_MM = 80.0
 SPEEDS = (0.5, 1.0)
 KINDS = (StopKind.STOP, StopKind.QUICK_STOP, StopKind.SILENCE)

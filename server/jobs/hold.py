@@ -59,7 +59,7 @@ class HoldToRun:
             return None
         if t_ns - self._alive_ns > SILENCE_NS:
             silent_ms = (t_ns - self._alive_ns) // 1_000_000
-            self._ended = f"no answer from the page for {silent_ms} ms (limit {SILENCE_NS // 1_000_000} ms)"
+            self._ended = f"the page was silent for {silent_ms} ms (limit {SILENCE_NS // 1_000_000} ms)"
             return None
         if t_ns < self._next_ns:
             return None

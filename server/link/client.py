@@ -304,7 +304,9 @@ class LinkClient:
     def _refuse_if_stopped(self, stops: int, disarms: int) -> None:
         """Arming does not go on past a stop or disarm, nor begin beside a disarm; it began with these numbers."""
         if self._disarming or disarms != self._disarms:
-            raise LinkRefusedError("the machine was disarmed while it was being armed; arm again when the area is clear")
+            raise LinkRefusedError(
+                "the machine was disarmed while it was being armed; arm again when the area is clear"
+            )
         if stops != self._stops:
             raise LinkRefusedError("the machine was stopped while it was being armed; arm again when the area is clear")
 

@@ -50,7 +50,7 @@ def camera_app(hub: FrameHub, health: Callable[[], dict[str, Any]], faults: Faul
 
     async def snapshot(_request: Request) -> Response:
         if hub.newest is None:
-            return JSONResponse({"detail": "no picture yet; the camera is starting, see /healthz"}, status_code=503)
+            return JSONResponse({"detail": "no image yet; the camera is starting, see /healthz"}, status_code=503)
         return Response(hub.newest.jpeg, media_type="image/jpeg", headers=frame_headers(hub.newest))
 
     async def healthz(_request: Request) -> Response:

@@ -196,7 +196,9 @@ async def test_killed_link_process_ends_the_motion_and_is_replaced(raw_plc: PlcT
         await link.close()
 
 
-@pytest.mark.parametrize(("proof", "word"), [("hold_until", "hold-to-run"), ("steer_until", "no stereo pair was evaluated")])
+@pytest.mark.parametrize(
+    ("proof", "word"), [("hold_until", "hold-to-run"), ("steer_until", "no stereo pair was evaluated")]
+)
 async def test_a_proof_that_nobody_renews_stops_the_motion_without_the_server(
     raw_plc: PlcThread, machine: Machine, proof: str, word: str
 ) -> None:

@@ -21,7 +21,7 @@ EFFECT = Effect(
         "after each reversal the link stands still while the encoder moves; two values of the link for one encoder "
         "angle"
     ),
-    told_apart_by=(
+    distinguished_by=(
         "gravity_sag is the same from both sides; valve_hysteresis shows in the encoder; needs approaches from both "
         "sides"
     ),

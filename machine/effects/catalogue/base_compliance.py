@@ -19,7 +19,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="the whole arm leans towards its load, wherever slew points",
-    told_apart_by=(
+    distinguished_by=(
         "base_tilt stays fixed in the base; gravity_sag of lift bends about the lift axis, not about the base"
     ),
     source="stabiliser legs and sub-frame",

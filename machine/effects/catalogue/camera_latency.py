@@ -18,7 +18,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="while moving, the seen pose trails the encoders; nothing at rest",
-    told_apart_by="the same as clock_offset unless the clocks are tied by a round trip",
+    distinguished_by="the same as clock_offset unless the clocks are tied by a round trip",
     source="40 to 80 ms of USB stereo cameras",
     prevalence=0.3,
 )

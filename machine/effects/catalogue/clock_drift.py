@@ -28,7 +28,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="an offset between camera and encoders that grows evenly with time",
-    told_apart_by="clock_offset is constant; needs motion early and late in the recording",
+    distinguished_by="clock_offset is constant; needs motion early and late in the recording",
     source="crystal oscillators: 20 to 100 ppm",
     prevalence=0.02,
 )

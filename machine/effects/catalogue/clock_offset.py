@@ -18,7 +18,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="while moving, the seen pose trails or leads the encoders by speed times offset; nothing at rest",
-    told_apart_by=(
+    distinguished_by=(
         "the same as camera_latency unless one of the two is known by a round trip or a flash; clock_drift grows with"
         " time; link delays show between sent and received reference"
     ),

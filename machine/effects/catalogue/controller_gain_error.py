@@ -18,6 +18,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="valve command over tracking error has another slope, at every speed",
-    told_apart_by="flow_gain_error shows behind the valve command; controller_lag_error changes fast parts only",
+    distinguished_by="flow_gain_error shows behind the valve command; controller_lag_error changes fast parts only",
     source="contract of the gap diagnosis",
 )

@@ -18,6 +18,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="valve command follows the tracking error later or sooner; slow parts agree",
-    told_apart_by="controller_gain_error changes slow parts too; valve_lag acts behind the logged command",
+    distinguished_by="controller_gain_error changes slow parts too; valve_lag acts behind the logged command",
     source="contract of the gap diagnosis",
 )

@@ -19,7 +19,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="the valve command is cut flat at one size, both signs",
-    told_apart_by="reference_rate_limit cuts the reference's speed; supply_droop leaves the command alone",
+    distinguished_by="reference_rate_limit cuts the reference's speed; supply_droop leaves the command alone",
     source="contract of the gap diagnosis",
     prevalence=0.05,
 )

@@ -18,7 +18,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="a constant joint error: the tip errs along one direction that turns with the arm",
-    told_apart_by=(
+    distinguished_by=(
         "gravity_sag changes with posture; hand_eye_rotation turns with the wrist only; encoder_scale grows with the "
         "angle"
     ),

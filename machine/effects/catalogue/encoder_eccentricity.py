@@ -40,7 +40,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="a joint error that waves with the angle, once or twice a turn",
-    told_apart_by=(
+    distinguished_by=(
         "gravity_sag also waves once a turn of lift but follows the load; other orders are gears, not the encoder"
     ),
     source="off-centre code discs: eccentricity over grating radius",

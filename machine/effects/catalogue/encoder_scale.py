@@ -18,7 +18,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="a joint error in proportion to the joint's angle",
-    told_apart_by="encoder_bias is constant; needs the joint's whole range, measured from outside",
+    distinguished_by="encoder_bias is constant; needs the joint's whole range, measured from outside",
     source="wrong gear ratio or linear sensor calibration",
     prevalence=0.05,
 )

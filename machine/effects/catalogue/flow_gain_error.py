@@ -18,8 +18,8 @@ EFFECT = Effect(
         ),
     ),
     looks_like="speed over command has another slope, both signs, every load",
-    told_apart_by=(
-        "load_droop changes with the load: another posture or payload tells; supply_droop only shows while other "
+    distinguished_by=(
+        "load_droop changes with the load: another posture or payload shows it; supply_droop only shows while other "
         "joints move"
     ),
     source="valve size and supply pressure tolerance; oil temperature",

@@ -18,7 +18,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="everything appears larger or smaller by one factor",
-    told_apart_by=(
+    distinguished_by=(
         "marker_size_error scales distances only: the same at one distance, apart at two with known motion; "
         "odometry_scale leaves markers alone"
     ),

@@ -19,7 +19,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="the tip hangs lower, more so at long reach; the same from both sides of approach",
-    told_apart_by=(
+    distinguished_by=(
         "encoder_bias is the same in every posture; base_compliance turns the whole arm about the base; in one family"
         " of poses sag and bias are equal: vary the reach"
     ),

@@ -19,7 +19,7 @@ EFFECT = Effect(
     ),
     direction=Direction("axis", (0.0, 1.0, 0.0), "cam_left"),
     looks_like="what is seen is turned about the camera; error in proportion to distance",
-    told_apart_by=(
+    distinguished_by=(
         "encoder_bias of the last joint is the same until that joint turns; principal_point_error for narrow views"
     ),
     source="mount tilt 3 to 5 deg in the field",

@@ -19,7 +19,7 @@ EFFECT = Effect(
     ),
     direction=Direction("direction", (1.0, 0.0, 0.0), "tcp"),
     looks_like="a constant offset in the camera's frame, whatever the distance; seen only when the wrist turns",
-    told_apart_by=(
+    distinguished_by=(
         "hand_eye_rotation grows with distance; link_length_error of the last link is the same direction until the "
         "wrist turns"
     ),

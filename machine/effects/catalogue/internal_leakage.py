@@ -18,6 +18,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="slow drift along gravity's pull, also at zero command; grows with the load",
-    told_apart_by="valve_asymmetry needs a command; encoder_bias is constant; needs a hold under load of a minute",
+    distinguished_by="valve_asymmetry needs a command; encoder_bias is constant; needs a hold under load of a minute",
     source="piston seal leakage; cylinder drift tests of crane standards",
 )

@@ -19,7 +19,7 @@ EFFECT = Effect(
     ),
     choice=Choice("about", ("x", "y"), "which axis of the joint's own frame, before its motion"),
     looks_like="the tip moves on a tilted circle when this joint turns",
-    told_apart_by="base_tilt is the same for all joints; encoder_bias stays in the joint's plane",
+    distinguished_by="base_tilt is the same for all joints; encoder_bias stays in the joint's plane",
     source="Hayati 1983 for near-parallel axes",
     prevalence=0.15,
 )

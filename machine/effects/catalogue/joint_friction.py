@@ -19,7 +19,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="a joint starts late after each reversal, by an oil volume and not by a command",
-    told_apart_by=(
+    distinguished_by=(
         "valve_deadband and stiction go with the command: reverse slowly and fast; backlash is not in the encoder"
     ),
     source="Coulomb friction on a compressible oil column: a play operator between oil and joint",

@@ -18,6 +18,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="errors along the radius, growing with its third power, none in the middle",
-    told_apart_by="focal_length_error grows in proportion to the radius",
+    distinguished_by="focal_length_error grows in proportion to the radius",
     source="Brown 1966; 0.002 left after a good calibration",
 )

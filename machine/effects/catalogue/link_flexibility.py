@@ -40,7 +40,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="a decaying oscillation of the tip that the encoder does not show",
-    told_apart_by="backlash does not ring; clock errors follow speed, this one follows acceleration",
+    distinguished_by="backlash does not ring; clock errors follow speed, this one follows acceleration",
     source="first mode 2.3 to 3.5 Hz at full reach, damping 3 to 5 %",
     prevalence=0.05,
 )

@@ -19,7 +19,7 @@ EFFECT = Effect(
     ),
     choice=Choice("of", ("a", "d"), "which DH length"),
     looks_like="the tip errs by a constant along that link's direction",
-    told_apart_by=(
+    distinguished_by=(
         "encoder_bias errs across the link; a along x of one link and d along z of the next may be the same direction"
     ),
     source="welded booms: sd 3 to 4 mm",

@@ -18,6 +18,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="speed at the same command depends on load and direction",
-    told_apart_by="in one posture it is flow_gain_error plus valve_asymmetry: drive another posture or payload",
+    distinguished_by="in one posture it is flow_gain_error plus valve_asymmetry: drive another posture or payload",
     source="orifice flow sqrt(pS - pL); no pressure compensator",
 )

@@ -18,6 +18,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="marker distances are off by one factor, though the bearing is right",
-    told_apart_by="focal_length_error also scales bearings; stereo tells by its baseline",
+    distinguished_by="focal_length_error also scales bearings; stereo distinguishes them by its baseline",
     source="printer scaling: 0.1 mm of 150",
 )

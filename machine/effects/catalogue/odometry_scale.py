@@ -18,6 +18,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="odometry's translations are off by one factor, rotations are right",
-    told_apart_by="focal_length_error also changes marker poses and rotations",
+    distinguished_by="focal_length_error also changes marker poses and rotations",
     source="0.3 % with a stereo baseline; free with one eye",
 )

@@ -30,7 +30,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="the joint itself rings after each change of speed",
-    told_apart_by="link_flexibility rings behind the encoder; valve_lag does not ring",
+    distinguished_by="link_flexibility rings behind the encoder; valve_lag does not ring",
     source="hydraulic natural frequency of a valve-controlled actuator (Merritt 1967)",
     prevalence=0.3,
 )

@@ -18,6 +18,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="all that depends on gravity's torque grows together: sag, leakage, droop",
-    told_apart_by="by itself invisible on a rigid arm; a single gravity_sag changes one joint only",
+    distinguished_by="by itself invisible on a rigid arm; a single gravity_sag changes one joint only",
     source="contract of the gap diagnosis",
 )

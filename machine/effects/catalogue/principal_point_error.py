@@ -19,7 +19,7 @@ EFFECT = Effect(
     ),
     direction=Direction("direction", (1.0, 0.0), "image"),
     looks_like="the whole image is shifted, the same at every distance",
-    told_apart_by=(
+    distinguished_by=(
         "hand_eye_rotation is nearly the same for narrow views, but bends perspective; hand_eye_translation falls "
         "with distance"
     ),

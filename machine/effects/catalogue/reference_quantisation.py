@@ -18,7 +18,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="the received reference moves in equal stairs, most visible at slow motion",
-    told_apart_by="packet_loss gives stairs of unequal height at random times; a gap that depends on the value only",
+    distinguished_by="packet_loss gives stairs of unequal height at random times; a gap that depends on the value only",
     source="integer set-points of field buses",
     prevalence=0.05,
     threshold=True,

@@ -19,7 +19,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="fast parts of the received reference become straight lines; slow parts are untouched",
-    told_apart_by=(
+    distinguished_by=(
         "transport_delay also shifts slow parts; controller_saturation limits the valve command, not the reference"
     ),
     source="ramp limits of PLC axis blocks",

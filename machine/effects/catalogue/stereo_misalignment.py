@@ -19,6 +19,6 @@ EFFECT = Effect(
     ),
     direction=Direction("axis", (0.0, 1.0, 0.0), "cam_right"),
     looks_like="rows disagree (about x), depth is off with its square (about y), or rows tilt (about z)",
-    told_apart_by="focal_length_error scales depth evenly in both eyes; needs both eyes",
+    distinguished_by="focal_length_error scales depth evenly in both eyes; needs both eyes",
     source="rig drift after shocks; 0.1 px disparity bias",
 )

@@ -20,7 +20,7 @@ EFFECT = Effect(
     ),
     choice=Choice("sticks_again", ("below_a_fifth", "at_reversals"), "where a moving joint sticks again"),
     looks_like="starts late and with a jump; runs on below the command that it needed to start",
-    told_apart_by=(
+    distinguished_by=(
         "valve_deadband also stops the joint early and starts it softly; valve_hysteresis needs no standstill"
     ),
     source="LuGre and Stribeck friction: static 300 N, Coulomb 210 N on the PATU 655's cylinders",

@@ -19,6 +19,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="joints slow down together once their summed flow exceeds a limit",
-    told_apart_by="flow_gain_error and load_droop act on one joint alone; needs several joints moving at once",
+    distinguished_by="flow_gain_error and load_droop act on one joint alone; needs several joints moving together",
     source="pump sharing of open-centre and load-sensing cranes: 60 l/min for all functions",
 )

@@ -19,7 +19,7 @@ EFFECT = Effect(
     ),
     direction=Direction("axis", (1.0, 0.0, 0.0), "tool"),
     looks_like="what the tool's marker shows of the tool's direction is wrong by this, wherever the arm is",
-    told_apart_by="hand_eye_rotation turns what is seen of the object, too",
+    distinguished_by="hand_eye_rotation turns what is seen of the object, too",
     source="a marker glued on by hand: 1 deg, millimetres",
     prevalence=0.5,
 )

@@ -18,7 +18,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="the received reference is the sent one, shifted in time, whatever its shape",
-    told_apart_by=(
+    distinguished_by=(
         "valve_lag rounds steps off, a delay only shifts them; a constant error of the PLC-to-PC clock offset looks "
         "the same in one direction and needs a round trip"
     ),

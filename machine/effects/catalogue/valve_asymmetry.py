@@ -18,6 +18,6 @@ EFFECT = Effect(
         ),
     ),
     looks_like="speed over command has another slope for positive commands",
-    told_apart_by="flow_gain_error scales both signs; internal_leakage shifts both signs the same way, also at rest",
+    distinguished_by="flow_gain_error scales both signs; internal_leakage shifts both signs the same way, also at rest",
     source="area ratio of single-rod cylinders (bore 80, rod 45 mm: 0.68)",
 )

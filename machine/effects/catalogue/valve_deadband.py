@@ -21,7 +21,7 @@ EFFECT = Effect(
     ),
     choice=Choice("full_flow", ("kept", "lost"), "whether a full command still gives the full flow"),
     looks_like="no motion for small commands, either sign; the joint stops short of its target",
-    told_apart_by=(
+    distinguished_by=(
         "valve_hysteresis depends on the direction of change, stiction on whether the joint moves already, "
         "flow_gain_error acts on large commands too; needs slow passes through zero"
     ),

@@ -20,7 +20,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="speed depends on whether the command rises or falls; a lag that does not vanish at slow motion",
-    told_apart_by=(
+    distinguished_by=(
         "backlash shows behind the encoder; valve_deadband is the same for rising and falling commands; needs "
         "reversals of small and of large commands"
     ),

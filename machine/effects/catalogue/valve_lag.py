@@ -19,7 +19,7 @@ EFFECT = Effect(
         ),
     ),
     looks_like="speed follows the command rounded off; steady speeds agree",
-    told_apart_by=(
+    distinguished_by=(
         "transport_delay shifts without rounding and shows before the valve command; needs steps, not slow sines"
     ),
     source="pilot stages of proportional valves, 20 to 100 ms",

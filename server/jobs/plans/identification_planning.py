@@ -187,7 +187,9 @@ def _look_steps(ctx: PlanContext, postures: Array, here: Array) -> tuple[tuple[S
 def _stay_open(found: Postures) -> list[str]:
     """Numbers that looks from these postures leave about as open as they were."""
     left = [_word(name, joint) for name, joint, ratio in found.known if ratio > OPEN_SHARE]
-    return [f"the looks cannot separate {', '.join(dict.fromkeys(left))} from where object and camera are"] if left else []
+    return (
+        [f"the looks cannot separate {', '.join(dict.fromkeys(left))} from where object and camera are"] if left else []
+    )
 
 
 def _word(name: str, joint: int | None) -> str:

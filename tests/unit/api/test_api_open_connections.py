@@ -131,7 +131,7 @@ async def test_a_revoked_key_loses_its_control_and_its_job_is_stopped(guarded):
         assert not guarded.service.engine.current.ended
         revoke(guarded, "fleet 1")
         await until(lambda: guarded.service.engine.current.ended)
-    assert "the key of truck 7 is out of force" in guarded.service.engine.current.reason
+    assert "the key of truck 7 is no longer valid" in guarded.service.engine.current.reason
     assert guarded.service.engine.leases.held is None
 
 

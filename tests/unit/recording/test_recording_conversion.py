@@ -97,7 +97,7 @@ def test_an_infinite_count_in_a_folder_is_named(tmp_path: Path) -> None:
     cells = lines[1].split(",")
     cells[column] = "inf"
     path.write_text("\n".join([lines[0], ",".join(cells), *lines[2:]]), encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"sent\.csv.*'inf' is no count"):
+    with pytest.raises(RecordingError, match=r"sent\.csv.*'inf' is not a count"):
         read_run(tmp_path / "run")
 
 
@@ -121,7 +121,7 @@ def test_a_row_that_mcap_cannot_hold_is_named_and_nothing_is_written(
 
 def test_an_offset_before_all_time_is_named(tmp_path: Path) -> None:
     run = RunInfo("odd", pc_to_utc_offset_s=-1000.0)
-    with pytest.raises(RecordingError, match=r"plc\.csv, row 1: its time is -900 s in UTC.*mend .* \[clocks\]"):
+    with pytest.raises(RecordingError, match=r"plc\.csv, row 1: its time is -900 s in UTC.*fix .* \[clocks\]"):
         write_mcap(Recording("folder", run, "", (plc_state(0),)), tmp_path / "run.mcap")
 
 

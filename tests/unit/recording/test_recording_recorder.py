@@ -323,7 +323,7 @@ def test_a_defect_ends_the_recording_with_a_fault_and_nothing_else(
         recorder.report(report(0))
         recorder.result("done")
         assert recorder.stop() is None
-    assert "recording of x ended by a defect: UnicodeEncodeError" in recorder.problem
+    assert "recording of x ended with an internal error: UnicodeEncodeError" in recorder.problem
     recorder.start("y", "{}", MACHINE_TOML)
     assert recorder.problem == ""
     recorder.finish()

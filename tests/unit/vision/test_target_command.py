@@ -276,7 +276,7 @@ def test_a_camera_that_sends_nothing_is_told_of_after_half_a_minute_not_at_the_e
     clock = [0.0]
     monkeypatch.setattr("longreach.target_sources.time.monotonic", lambda: clock[-1])
     search = MarkerSearch(machine().camera, dictionary_by_name("DICT_4X4_50"), (1, 2, 3))
-    with pytest.raises(TargetError, match="no picture within 30 s; no connection to http://camera"):
+    with pytest.raises(TargetError, match="no image within 30 s; no connection to http://camera"):
         live_views(Silent(), search, TeachSettings(), 4, 600.0, lambda *_: None)
     assert clock[-1] == 30.0
 
