@@ -89,10 +89,11 @@ def long_lines_in(text: str) -> Iterator[tuple[int, str]]:
 
 def long_sentences_in(text: str) -> Iterator[tuple[int, str]]:
     """Line number and message of every sentence of a Markdown text that is too long, outside tables and code blocks."""
-    code, paragraph, first = False, [], 0
+    code, paragraph, first, before = False, [], 0, ""
     for number, line in enumerate([*text.splitlines(), ""], 1):
-        fence = line.lstrip().startswith("```")
-        code ^= fence
+        fence = line.lstrip().startswith("```") or (line.startswith("    ") and not before.strip() and not code)
+        code ^= line.lstrip().startswith("```")
+        before = line if not line.startswith("    ") or paragraph else ""
         if code or fence or not line.strip() or re.match(r"\s*([-*+]|\d+\.) |\s*[|#>!]", line):
             yield from ((first, message) for message in _too_long(" ".join(paragraph)))
             paragraph, first = [], number
