@@ -222,9 +222,9 @@ def report(findings: list[CheckFinding]) -> Table:
     table = Table(title="camera check", title_justify="left", caption=f"camera: {worst(findings).value}")
     for heading in ("", "what", "how it is", "to do"):
         table.add_column(heading, overflow="fold")
-    for one in findings:
-        level = f"[bold {COLOURS[one.level]}]{one.level.value}[/]"
-        table.add_row(level, one.name, escape(one.text), escape(one.remedy))
+    for finding in findings:
+        level = f"[bold {COLOURS[finding.level]}]{finding.level.value}[/]"
+        table.add_row(level, finding.name, escape(finding.text), escape(finding.remedy))
     return table
 
 
@@ -235,12 +235,12 @@ def as_document(findings: list[CheckFinding], source: str) -> dict[str, object]:
         "level": worst(findings).value,
         "findings": [
             {
-                "name": one.name,
-                "level": one.level.value,
-                "text": one.text,
-                "remedy": one.remedy,
-                "figures": {name: value for name, value in one.figures.items() if np.isfinite(value)},
+                "name": finding.name,
+                "level": finding.level.value,
+                "text": finding.text,
+                "remedy": finding.remedy,
+                "figures": {name: value for name, value in finding.figures.items() if np.isfinite(value)},
             }
-            for one in findings
+            for finding in findings
         ],
     }

@@ -81,7 +81,11 @@ def _while_starting(why: str) -> str:
 
 def _ended(processes: Mapping[str, Popen[bytes]]) -> str:
     """What has ended, and how; empty while all run."""
-    ended = (f"{name} ended with code {one.returncode}" for name, one in processes.items() if one.poll() is not None)
+    ended = (
+        f"{name} ended with code {process.returncode}"
+        for name, process in processes.items()
+        if process.poll() is not None
+    )
     return next(ended, "")
 
 

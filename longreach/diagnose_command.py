@@ -196,7 +196,7 @@ def _with_progress(
         if leaving:
             shown.also("without each name")
             result["left_out"] = leave_named_out(found)
-        cells = [Compared(one.search.cell, one.search.none, one.chosen) for one in found.cells]
+        cells = [Compared(cell.search.cell, cell.search.none, cell.chosen) for cell in found.cells]
         return found, result, curves_of(cells, _sliding(whole))
 
 

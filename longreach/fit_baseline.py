@@ -48,7 +48,9 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
 def _usable(recordings: list[Path], machine_file: Path | None) -> list[Read]:
     """All of them read, or one error that names every one that cannot be used."""
     wholes = [read(path, machine_file) for path in recordings]
-    bad = [f"{one.path}: {'; '.join(map(str, one.findings))}" for one in wholes if not one.usable]
+    bad = [
+        f"{recording.path}: {'; '.join(map(str, recording.findings))}" for recording in wholes if not recording.usable
+    ]
     if bad:
         raise BaselineError("cannot be used, leave out or fix: " + "\n".join(bad))
     return wholes
@@ -82,13 +84,13 @@ def told(found: Baseline, fitted: int, count: int) -> str:
     rows = [f"{counts}; RMS in noise floors before and after:"]
     if count - fitted < JUDGED_ENOUGH:
         rows.insert(0, f"few: with {RECORDINGS_ENOUGH} recordings it can also reject what no effect explains")
-    rows += [f"  {one.label}: {one.before:.3g} -> {one.after:.3g}" for one in found.cells]
-    rows += [f"  {one.name} {one.joint or ''} {dict(one.values)}" for one in found.effects]
+    rows += [f"  {cell.label}: {cell.before:.3g} -> {cell.after:.3g}" for cell in found.cells]
+    rows += [f"  {effect.name} {effect.joint or ''} {dict(effect.values)}" for effect in found.effects]
     rows += [f"  {label}: a wrong name usually gains {times:.3g} times chance" for label, times in found.best_wrong]
     rows += [
-        f"  {one.stage} {one.joint}: {name} wanders by {size:.2g}{_unit(name)} from day to day"
-        for one in found.remainders
-        for name, size in one.wander
+        f"  {remainder.stage} {remainder.joint}: {name} wanders by {size:.2g}{_unit(name)} from day to day"
+        for remainder in found.remainders
+        for name, size in remainder.wander
     ]
     rows += [
         f"  {name}: gains up to {nats:.3g} nats there, and has to gain half as much again"

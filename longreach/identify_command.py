@@ -131,9 +131,9 @@ def budget_table(answer: dict[str, Any]) -> Table:
     table = Table(title=answer["verdict"], title_justify="left", box=None, padding=(0, 2, 0, 0))
     for heading in ("effect", "joint", "column", "mm at the tool", "90 %", "p", ""):
         table.add_column(heading, justify="left" if heading in ("effect", "column", "") else "right")
-    for one in answer["budget"]["effects"]:
-        limits = f"{one['tool_low_mm']:.2f} .. {one['tool_high_mm']:.2f}"
-        joint = "" if one["joint"] is None else str(one["joint"])
-        size, chance = f"{one['tool_mm']:.2f}", f"{one['probability']:.2f}"
-        table.add_row(one["name"], joint, one["column"], size, limits, chance, one["status"])
+    for effect in answer["budget"]["effects"]:
+        limits = f"{effect['tool_low_mm']:.2f} .. {effect['tool_high_mm']:.2f}"
+        joint = "" if effect["joint"] is None else str(effect["joint"])
+        size, chance = f"{effect['tool_mm']:.2f}", f"{effect['probability']:.2f}"
+        table.add_row(effect["name"], joint, effect["column"], size, limits, chance, effect["status"])
     return table

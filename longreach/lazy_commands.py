@@ -84,4 +84,4 @@ class LazyGroup(TyperGroup):
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = {**{one.name: LazyCommand(one) for one in self.table}, **self.commands}
+        self.commands = {**{lazy.name: LazyCommand(lazy) for lazy in self.table}, **self.commands}

@@ -114,7 +114,7 @@ def _answer(fit: LensFit, covered: Coverage) -> dict[str, object]:
         "covariance": fit.covariance.tolist(),
         "rms_px": fit.rms_px,
         "used": list(fit.used),
-        "dropped": [list(one) for one in fit.dropped],
+        "dropped": [list(pair) for pair in fit.dropped],
         "coverage": covered.corners.tolist(),
         "next": list(covered.advice),
     }

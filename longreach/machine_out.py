@@ -28,7 +28,7 @@ def effects_found(found: Diagnosis | Budget) -> tuple[EffectEntry, ...]:
     try:
         if isinstance(found, Budget):
             return found.entries()
-        return tuple(entry for one in found.cells for entry in entries_of(one.chosen.fit))
+        return tuple(entry for cell in found.cells for entry in entries_of(cell.chosen.fit))
     except DiagnosisError as error:
         raise MachineOutError(str(error)) from error
 
@@ -96,5 +96,5 @@ def write_machine(text: str, found: Diagnosis | Budget, path: Path) -> str:
         write_durably(path, machine_with_effects(text, found))
     except OSError as error:
         raise MachineOutError(f"{path} cannot be written: {error.strerror}") from error
-    names = ", ".join(in_words(one.name, one.joint) for one in effects_found(found)) or "no effect"
+    names = ", ".join(in_words(effect.name, effect.joint) for effect in effects_found(found)) or "no effect"
     return f"{path}: the machine with {names}"

@@ -89,13 +89,17 @@ def shown(report: CheckReport, screen: Console) -> None:
     use = "usable for a diagnosis" if report.usable else "[red]not usable for a diagnosis[/]"
     screen.print(f"{escape(str(report.path))}: {whole}; {use}; {report.images} images", soft_wrap=True)
     table = Table("signal", *(Column(name, justify="right") for name in ("rows", "rate [Hz]", "lasts [s]", "gaps")))
-    for one in report.signals:
-        table.add_row(one.name, str(one.rows), f"{one.rate_hz:.4g}", f"{one.duration_s:.1f}", str(one.gaps))
+    for signal in report.signals:
+        table.add_row(
+            signal.name, str(signal.rows), f"{signal.rate_hz:.4g}", f"{signal.duration_s:.1f}", str(signal.gaps)
+        )
     screen.print(table)
     for text in report.problems:
         screen.print(f"[yellow]problem[/] {escape(text)}", soft_wrap=True)
-    for one in report.lacks:
-        screen.print(f"without {escape(one.signal)}: {escape(one.cost)}; {escape(one.remedy)}", soft_wrap=True)
+    for missing in report.lacks:
+        screen.print(
+            f"without {escape(missing.signal)}: {escape(missing.cost)}; {escape(missing.remedy)}", soft_wrap=True
+        )
 
 
 def _refuse(error: RecordingError) -> None:

@@ -103,5 +103,5 @@ def _simulated(text: str) -> tuple[str, tuple[str, ...] | None]:
     if not machine.effects:
         return text, None
     left_out = not_simulated(machine)
-    kept = tuple(one for one in machine.effects if one.name not in left_out)
+    kept = tuple(effect for effect in machine.effects if effect.name not in left_out)
     return with_tables(without_lists(text, ("effect",)), entries_to_toml(kept)), left_out

@@ -104,7 +104,7 @@ def check_markers(section: MarkersSection) -> None:
     """
     check_ids([marker.id for marker in section.marker], section.board, section.dictionary)
     for on in ("tool", "ooi"):
-        if not any(one.on == on for one in (*section.marker, *section.board)):
+        if not any(part.on == on for part in (*section.marker, *section.board)):
             raise MachineFileError(f"markers.marker: none has on = {on!r}; give the {on} at least one marker")
 
 

@@ -172,7 +172,7 @@ def _numbers(value: object, subject: str) -> tuple[float, ...]:
         return ()
     if not isinstance(value, list):
         raise MachineFileError(f"{subject} = {value!r} is not a list of numbers")
-    return tuple(_finite(one, subject) for one in value)
+    return tuple(_finite(number, subject) for number in value)
 
 
 def _number(table: dict[str, object], key: str, least: float, where: str) -> float:
@@ -190,7 +190,7 @@ def _finite(value: object, where: str) -> float:
 
 def remainders_to_toml(remainders: Iterable[Remainder]) -> str:
     """`[[remainder]]` tables that `parse_remainders` reads back to the same numbers."""
-    return "".join(_toml(one) for one in remainders)
+    return "".join(_toml(remainder) for remainder in remainders)
 
 
 def _toml(one: Remainder) -> str:

@@ -119,7 +119,7 @@ def edited_urdf(
     P, tilts = sets.joint[0], _tilts(sets)
     lengths = _length_directions(text, base_link, tip_link, names)
     root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"), ElementTree.XMLParser(target=_with_comments()))
-    elements = {one.get("name"): one for one in root.findall("joint")}
+    elements = {joint.get("name"): joint for joint in root.findall("joint")}
     fixed, lean = np.eye(4), _base(sets)
     for joint in chain:
         if joint.kind == "fixed" or joint.name not in names:

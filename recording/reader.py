@@ -75,9 +75,9 @@ class RecordStream:
                     self._judge(error)
                     break
                 ended = isinstance(record, Footer)
-                for one in self._inside(record) if isinstance(record, Chunk) else (record,):
-                    if self._placed(one):
-                        yield one
+                for inner in self._inside(record) if isinstance(record, Chunk) else (record,):
+                    if self._placed(inner):
+                        yield inner
             self.cut = self.cut or not ended
 
     def _inside(self, chunk: Chunk) -> list[McapRecord]:

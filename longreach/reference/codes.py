@@ -7,16 +7,16 @@ from server.api.panel_alarm_catalogue import CATALOGUE
 
 def alarms() -> str:
     """Every alarm; each has a page of its own in docs/alarms/."""
-    rows = [(code(one.code), one.level, one.title, one.remedy) for one in CATALOGUE.values()]
+    rows = [(code(alarm.code), alarm.level, alarm.title, alarm.remedy) for alarm in CATALOGUE.values()]
     return table(("code", "level", "what", "what to do"), rows)
 
 
 def rejects() -> str:
     """Every reject code of the protocol."""
-    rows = [(str(one.value), code(one.name), reject_text(one).partition(": ")[2]) for one in RejectCode]
+    rows = [(str(reject.value), code(reject.name), reject_text(reject).partition(": ")[2]) for reject in RejectCode]
     return table(("number", "code", "why"), rows)
 
 
 def fault_bits() -> str:
     """Every latched fault of the PLC."""
-    return table(("bit", "fault"), [(str(one.value.bit_length() - 1), code(str(one.name))) for one in FaultBit])
+    return table(("bit", "fault"), [(str(bit.value.bit_length() - 1), code(str(bit.name))) for bit in FaultBit])

@@ -29,7 +29,7 @@ def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _told(path: str, command: Any) -> str:
-    rows = [_parameter(one) for one in command.params if one.name != "help"]
+    rows = [_parameter(parameter) for parameter in command.params if parameter.name != "help"]
     about = " ".join((command.help or "").split())
     return f"### {path}\n\n{about}" + (f"\n\n{table(('option', 'default', 'what'), rows)}" if rows else "")
 

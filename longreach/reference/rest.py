@@ -53,7 +53,7 @@ def _endpoint(method: str, path: str, operation: dict[str, Any]) -> tuple[str, s
 
 def error_codes() -> str:
     """Codes of problems: of our errors, of plain refusals in the routes, of HTTP itself."""
-    found = {**{one: (status, "") for status, one in _http_codes()}, **dict(_in_routes()), **dict(_of_errors())}
+    found = {**{code: (status, "") for status, code in _http_codes()}, **dict(_in_routes()), **dict(_of_errors())}
     rows = [(code(name), str(status), hint) for name, (status, hint) in sorted(found.items())]
     return table(("code", "status", "what to do"), rows)
 

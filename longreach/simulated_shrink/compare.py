@@ -52,7 +52,7 @@ def closed(errors: Sequence[Errors], column: int | None = None) -> Closed:
     Model: 1 - (after^2 - floor^2) / (before^2 - floor^2), never clipped; None where the gap before is within the floor.
     """
     pick = slice(None) if column is None else slice(column, column + 1)
-    before, after = (_mean_square([getattr(one, name)[:, pick] for one in errors]) for name in ("before", "after"))
+    before, after = (_mean_square([getattr(error, name)[:, pick] for error in errors]) for name in ("before", "after"))
     floor = floor_square(errors, pick)
     quiet = floor or 0.0
     share = 1.0 - (after - quiet) / (before - quiet) if before > 1.1 * quiet and before > 0.0 else None
@@ -62,9 +62,9 @@ def closed(errors: Sequence[Errors], column: int | None = None) -> Closed:
 def floor_square(errors: Sequence[Errors], pick: slice) -> float | None:
     """Mean square of what repeats of one command differ by from their mean, times R / (R - 1); None without repeats."""
     groups: dict[str, list[Array]] = {}
-    for one in errors:
-        if one.repeats:
-            groups.setdefault(one.repeats, []).append(one.after[:, pick])
+    for error in errors:
+        if error.repeats:
+            groups.setdefault(error.repeats, []).append(error.after[:, pick])
     squares = []
     for members in groups.values():
         if len(members) < 2:
@@ -72,7 +72,7 @@ def floor_square(errors: Sequence[Errors], pick: slice) -> float | None:
         rows = min(len(member) for member in members)
         stack = np.stack([member[:rows] for member in members])
         squares.append((stack - stack.mean(axis=0)) ** 2 * len(members) / (len(members) - 1))
-    return None if not squares else float(np.mean(np.concatenate([one.ravel() for one in squares])))
+    return None if not squares else float(np.mean(np.concatenate([square.ravel() for square in squares])))
 
 
 def _mean_square(parts: Sequence[Array]) -> float:

@@ -27,15 +27,15 @@ def effects_without(found: Diagnosis, stretch: Stretch) -> HeldOut:
     """
     entries: list[EffectEntry] = []
     told = True
-    for one in found.cells:
-        if not one.chosen.fit.hypothesis:
+    for cell in found.cells:
+        if not cell.chosen.fit.hypothesis:
             continue
-        fold = _fold_of(one, stretch)
-        fit = one.chosen.fit
+        fold = _fold_of(cell, stretch)
+        fit = cell.chosen.fit
         if fold is None:
-            told = told and not isinstance(one.search.cell.whitened, Replay)
+            told = told and not isinstance(cell.search.cell.whitened, Replay)
         else:
-            fit = replace(fit, theta=one.chosen.folds.theta_without(fold))
+            fit = replace(fit, theta=cell.chosen.folds.theta_without(fold))
         entries += entries_of(fit)
     return HeldOut(tuple(entries), told)
 

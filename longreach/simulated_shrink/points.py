@@ -23,13 +23,15 @@ class Places:
 
 def places_of(nominal: Nominal, T_flange_tcp: Array) -> Places | None:
     """What the machine file knows of points; None where it does not say where tracker or points are."""
-    known = [one for one in nominal.points if one.joint == nominal.n and one.xyz_m is not None]
+    known = [point for point in nominal.points if point.joint == nominal.n and point.xyz_m is not None]
     if nominal.T_base_tracker is None or not known:
         return None
     T_tcp_flange = inverse_pose(T_flange_tcp)
-    flange = np.array([one.xyz_m for one in known], dtype=float)
+    flange = np.array([point.xyz_m for point in known], dtype=float)
     return Places(
-        tuple(one.name for one in known), flange @ T_tcp_flange[:3, :3].T + T_tcp_flange[:3, 3], nominal.T_base_tracker
+        tuple(point.name for point in known),
+        flange @ T_tcp_flange[:3, :3].T + T_tcp_flange[:3, 3],
+        nominal.T_base_tracker,
     )
 
 

@@ -89,10 +89,10 @@ def simulated_runs(found: Diagnosis, machine_text: str, progress: Progress = lam
 
 
 def _runs(found: Diagnosis, machine: Machine, progress: Progress) -> SimulatedRuns:
-    stretches = [one for one in found.whole.stretches if one.enc is not None and one.enc.shape[1] == 6]
-    held = [effects_without(found, one) for one in stretches]
+    stretches = [stretch for stretch in found.whole.stretches if stretch.enc is not None and stretch.enc.shape[1] == 6]
+    held = [effects_without(found, stretch) for stretch in stretches]
     plain = plain_world(machine)
-    sent = any(entry.name in LINK for one in held for entry in one.entries)
+    sent = any(entry.name in LINK for effects in held for entry in effects.entries)
     errors: dict[str, list[Errors]] = {JOINTS: [], COMMANDS: [], POINTS: [], SEEN: []}
     groups = _groups(found.whole.stretches)
     places_seen: tuple[list[Array], list[Array]] = ([], [])
@@ -102,10 +102,10 @@ def _runs(found: Diagnosis, machine: Machine, progress: Progress) -> SimulatedRu
         two = (machine.effects, (*machine.effects, *effects.entries))
         both = _Both(offline(plain, two[0]), offline(plain, two[1]), two)
         courses = _by_reference(both, stretch, sent)
-        for name, one in _of_stretch(found, stretch, groups.get(stretch.name, ""), both, courses, places):
-            errors[name].append(one)
-        for kept, one in zip(places_seen, _seen(found, both, courses, stretch), strict=False):
-            kept.append(one)
+        for name, error in _of_stretch(found, stretch, groups.get(stretch.name, ""), both, courses, places):
+            errors[name].append(error)
+        for kept, place in zip(places_seen, _seen(found, both, courses, stretch), strict=False):
+            kept.append(place)
     errors[SEEN] = [Errors(before, after, "") for before, after in about_their_mean(*places_seen)]
     rest = _static(found, plain, machine, places)
     if rest is not None:
@@ -119,16 +119,16 @@ def _runs(found: Diagnosis, machine: Machine, progress: Progress) -> SimulatedRu
     return SimulatedRuns(
         plant="the crane as preset 'ideal': rigid, no oil; it bends by what the machine file says",
         errors=kept,
-        held_out=all(one.told for one in held),
+        held_out=all(effects.told for effects in held),
         sent=sent,
-        seconds=sum(one.duration_s for one in stretches),
+        seconds=sum(stretch.duration_s for stretch in stretches),
         notes=_notes(held, rest is not None or SEEN in kept, places is None and _has_points(found)),
     )
 
 
 def _notes(held: list[HeldOut], behind_too: bool, points_unplaced: bool) -> tuple[str, ...]:
     out = []
-    if not all(one.told for one in held):
+    if not all(effects.told for effects in held):
         out.append("some numbers were fitted on the stretch they are judged on: it is the only one of its kind")
     if behind_too:
         out.append("what was measured behind the encoders is judged with arm and camera numbers fitted on all of it")
@@ -144,7 +144,7 @@ def _has_points(found: Diagnosis) -> bool:
 
 def _groups(stretches: tuple[Stretch, ...]) -> dict[str, str]:
     """Of each whole repeat of a command, which: a piece of one that was cut is no repeat of another piece."""
-    return {one.name: name for name, members in repeat_groups(stretches).items() for one in members}
+    return {member.name: name for name, members in repeat_groups(stretches).items() for member in members}
 
 
 def _of_stretch(
@@ -155,19 +155,19 @@ def _of_stretch(
         return
     enc, dt = filled(stretch.enc), stretch.dt_s
     if courses:
-        pair = [positions(enc, one.q_encoder, dt) for one in courses]
+        pair = [positions(enc, course.q_encoder, dt) for course in courses]
         yield JOINTS, Errors(pair[0], pair[1], group)
         table = None if found.whole.tables is None else found.whole.tables.tracker
         if places is not None and table is not None:
             rows = rows_during(places, table, stretch, SKIPPED_S)
             if len(rows):
                 measured, p_tcp = measured_in_base(places, table, rows)
-                tracked = [measured - _points_at(one, stretch, table.t_s[rows], p_tcp) for one in courses]
+                tracked = [measured - _points_at(course, stretch, table.t_s[rows], p_tcp) for course in courses]
                 yield POINTS, Errors(tracked[0], tracked[1], "")
     if stretch.u is not None:
         u = filled(stretch.u)
-        opened = [follow_commands(one, stretch.t_s, u, enc[0]) for one in (both.before, both.after)]
-        pair = [speeds(enc, one.q_encoder, dt) for one in opened]
+        opened = [follow_commands(machine, stretch.t_s, u, enc[0]) for machine in (both.before, both.after)]
+        pair = [speeds(enc, course.q_encoder, dt) for course in opened]
         yield COMMANDS, Errors(pair[0], pair[1], group)
 
 
@@ -178,11 +178,11 @@ def _by_reference(both: _Both, stretch: Stretch, sent: bool) -> tuple[Course, ..
     t_s, start, two = stretch.t_s, filled(stretch.enc)[0], (both.before, both.after)
     if sent and stretch.sent is not None:
         given = stretch.sent
-        return tuple(follow_sent(one, t_s, given.t_s, given.q, start) for one in two)
+        return tuple(follow_sent(machine, t_s, given.t_s, given.q, start) for machine in two)
     if stretch.ref is None:
         return ()
     ref = filled(stretch.ref)
-    return tuple(follow_reference(one, t_s, ref, start) for one in two)
+    return tuple(follow_reference(machine, t_s, ref, start) for machine in two)
 
 
 def _seen(found: Diagnosis, both: _Both, courses: tuple[Course, ...], stretch: Stretch) -> tuple[Array, ...]:
@@ -210,7 +210,7 @@ def _static(found: Diagnosis, plain: World, machine: Machine, places: Places | N
     rows = rows_at_rest(places, table)
     if not len(rows):
         return None
-    named = tuple(entry for one in found.cells for entry in entries_of(one.chosen.fit))
+    named = tuple(entry for cell in found.cells for entry in entries_of(cell.chosen.fit))
     measured, p_tcp = measured_in_base(places, table, rows)
     pair = []
     for entries in (machine.effects, (*machine.effects, *named)):

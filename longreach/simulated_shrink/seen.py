@@ -31,9 +31,9 @@ class Eyes:
 
 def eyes_of(nominal: Nominal, world: World, entries: tuple[EffectEntry, ...]) -> Eyes:
     """The simulator's camera in place of the file's; the right eye is taken to be as the left one."""
-    others = tuple(one for one in nominal.markers if one.on != "ooi")
+    others = tuple(marker for marker in nominal.markers if marker.on != "ooi")
     known = replace(nominal, camera=world.camera.left, markers=(*others, *world.scene.ooi_markers))
-    late_s = sum(one.value(LATE[one.name]) for one in entries if one.name in LATE)
+    late_s = sum(entry.value(LATE[entry.name]) for entry in entries if entry.name in LATE)
     return Eyes(known, world.camera.T_tcp_cam_left, late_s)
 
 
@@ -62,7 +62,7 @@ def _rows(table: MarkerTable, rows: NDArray[np.int64]) -> MarkerTable:
 
 def about_their_mean(before: list[Array], after: list[Array]) -> list[tuple[Array, Array]]:
     """Places less their mean over all stretches, before and after each by its own: nobody knows where the object is."""
-    if not before or sum(len(one) for one in before) < 2:
+    if not before or sum(len(places) for places in before) < 2:
         return []
     means = [np.concatenate(ones).mean(axis=0) for ones in (before, after)]
     return [(b - means[0], a - means[1]) for b, a in zip(before, after, strict=True) if len(b)]

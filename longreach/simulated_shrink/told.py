@@ -51,7 +51,7 @@ def lines(result: dict[str, Any]) -> list[str]:
     out = [f"simulated: {result['plant']}; {result['seconds']:g} s of the recording, before and after the effects"]
     for drive in result["drives"]:
         out.append(f"  {drive['metric']} [{drive['unit']}]: {_text(drive['overall'])}")
-        out += [f"    joint {one['joint']}: {_text(one)}" for one in drive.get("joints", [])]
+        out += [f"    joint {joint['joint']}: {_text(joint)}" for joint in drive.get("joints", [])]
     replayed = result["replayed_closed_frac"]
     if replayed is not None:
         out.append(f"  the diagnosis' own replay says: {100 * replayed:.3g} % closed")

@@ -68,10 +68,10 @@ def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
 def _require_sums(entries: tuple[EffectEntry, ...]) -> None:
     """That what adds up to a factor leaves one above zero, and what takes a share of the whole leaves some of it."""
     sums: dict[tuple[str, int | None], float] = {}
-    for one in entries:
-        if one.name in (*FACTORS, *SHARES):
-            size = one.value(_known(one).size.name)
-            sums[one.name, one.joint] = sums.get((one.name, one.joint), 0.0) + size
+    for entry in entries:
+        if entry.name in (*FACTORS, *SHARES):
+            size = entry.value(_known(entry).size.name)
+            sums[entry.name, entry.joint] = sums.get((entry.name, entry.joint), 0.0) + size
     for (name, joint), total in sums.items():
         if (name in FACTORS and total <= -SUM_MAX) or (name in SHARES and total >= SUM_MAX):
             where = "" if joint is None else f", joint {joint}"
@@ -124,14 +124,17 @@ def make_entry(effect: Effect, joint: int | None, parameters: Mapping[str, objec
     Raises: MachineFileError: a parameter is unknown, missing, not a number or out of bounds.
     """
     where = where or effect.name
-    words = [one.name for one in (effect.choice, effect.direction) if one is not None]
+    words = [extra.name for extra in (effect.choice, effect.direction) if extra is not None]
     names = [parameter.name for parameter in effect.parameters]
     for given in parameters:
         if given not in names and given not in words:
             raise MachineFileError(f"{where}: unknown parameter {given!r}{_nearest(given, names + words)}")
     if effect.size.name not in parameters:
         raise MachineFileError(f"{where}: {effect.size.name} is missing [{effect.size.unit}]; it says how large it is")
-    values = tuple((one.name, _number(one, parameters.get(one.name, one.neutral), where)) for one in effect.parameters)
+    values = tuple(
+        (parameter.name, _number(parameter, parameters.get(parameter.name, parameter.neutral), where))
+        for parameter in effect.parameters
+    )
     return EffectEntry(
         effect.name, joint, values, _option(effect, parameters, where), _direction(effect, parameters, where)
     )
@@ -230,7 +233,7 @@ def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
         for name, value in entry.values:
             parameter = effect.parameter(name)
             if parameter is None:
-                known = [one.name for one in effect.parameters]
+                known = [parameter.name for parameter in effect.parameters]
                 raise MachineFileError(f"effect {entry.name!r}: unknown parameter {name!r}{_nearest(name, known)}")
             _put(packed, entry, effect, parameter, value)
     return packed

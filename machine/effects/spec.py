@@ -127,14 +127,14 @@ class Effect:
 
     def parameter(self, name: str) -> Parameter | None:
         """The parameter of this name; None if there is none."""
-        return next((one for one in self.parameters if one.name == name), None)
+        return next((parameter for parameter in self.parameters if parameter.name == name), None)
 
     @property
     def size(self) -> Parameter:
         """The parameter that makes the effect vanish at neutral."""
-        return next(one for one in self.parameters if one.role == "size")
+        return next(parameter for parameter in self.parameters if parameter.role == "size")
 
     @property
     def shapes(self) -> tuple[Parameter, ...]:
         """The parameters that mean nothing while the size is neutral."""
-        return tuple(one for one in self.parameters if one.role == "shape")
+        return tuple(parameter for parameter in self.parameters if parameter.role == "shape")

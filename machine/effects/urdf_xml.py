@@ -48,11 +48,11 @@ def urdf_chain(text: str, base_link: str, tip_link: str) -> tuple[UrdfJoint, ...
             without an axis, or numbers that are none; names joint or link.
     """
     root = _root(text)
-    elements = [one for one in root.findall("joint") if _link(one, "parent") and _link(one, "child")]
+    elements = [joint for joint in root.findall("joint") if _link(joint, "parent") and _link(joint, "child")]
     up, down = _path(elements, base_link, tip_link)
     links = {link.get("name", ""): link for link in root.findall("link")}
-    rising = [(one, True) for one in up] + [(one, False) for one in down]
-    return tuple(_joint(one, is_rising, links.get(_link(one, "child"))) for one, is_rising in rising)
+    rising = [(joint, True) for joint in up] + [(joint, False) for joint in down]
+    return tuple(_joint(joint, is_rising, links.get(_link(joint, "child"))) for joint, is_rising in rising)
 
 
 def urdf_joint_names(text: str) -> frozenset[str]:

@@ -49,7 +49,7 @@ def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], co
         wanted.velocity_bandwidth_hz or VELOCITY_BANDWIDTH_HZ,
     )
     damping = wanted.damping or DAMPING
-    kp = tuple(2.0 * math.pi * position_hz / one for one in fastest)
+    kp = tuple(2.0 * math.pi * position_hz / speed for speed in fastest)
     notes = [f"nominal {kind}-controlled drive: velocity loop of {velocity_hz:g} Hz, damping {damping:g}"]
     if kind == "position":
         notes.append(f"position loop of {position_hz:g} Hz without feed-forward")
@@ -74,7 +74,7 @@ def with_fitted_gains(drive: DriveModel, t_s: Array, q: Array | None, u: Array) 
         good = np.isfinite(speed) & (np.abs(command) > FITTED_FROM)
         gain = float(speed[good] @ command[good] / (command[good] @ command[good])) if good.sum() > 2 else 0.0
         fastest[k] = abs(gain) or fastest[k]
-    kp = tuple(one * before / now for one, before, now in zip(drive.kp, drive.velocity_max, fastest, strict=True))
+    kp = tuple(gain * before / now for gain, before, now in zip(drive.kp, drive.velocity_max, fastest, strict=True))
     note = "velocities of a full command are fitted to this recording, which hides an error of the gain"
     return replace(drive, velocity_max=tuple(fastest), kp=kp, notes=(*drive.notes, f"{note}; give velocity_max"))
 

@@ -56,7 +56,7 @@ class _Chooser:
 
     def found(self, bag: RosBag) -> Found:
         ros = self._mapping.ros
-        for topic in (ros.encoders, ros.reference, ros.command, *(one.topic for one in ros.tracker)):
+        for topic in (ros.encoders, ros.reference, ros.command, *(tracker.topic for tracker in ros.tracker)):
             if topic and topic not in self._all.types:
                 raise RecordingError(f"the mapping names topic {topic}, which is not in the bag: {self._topics()}")
         self._references()
@@ -170,7 +170,9 @@ class _Chooser:
         states.sort(key=lambda topic: (not topic.endswith("joint_states"), -self._all.counts[topic]))
         for topic in states:
             if self._add("position", topic, "position"):
-                several = len([one for one in states if not one.endswith("dynamic_joint_states")]) > 1
+                several = (
+                    len([state_topic for state_topic in states if not state_topic.endswith("dynamic_joint_states")]) > 1
+                )
                 self._tell(topic, "encoders, by type" + (" and name" if several else ""), guess=several)
                 return
         for topic in self._of_type(CONTROLLER_STATE):
@@ -222,7 +224,7 @@ class _Chooser:
         return max(signals, key=lambda signal: len(signal.t_s)).names if signals else ()
 
     def _points(self) -> None:
-        named = {(one.topic, one.frame): one.point for one in self._mapping.ros.tracker}
+        named = {(tracker.topic, tracker.frame): tracker.point for tracker in self._mapping.ros.tracker}
         for (topic, name, _), series in self._all.series.items():
             frame = name.removeprefix("frame ") if name.startswith("frame ") else ""
             if name != "xyz" and not frame:
@@ -269,15 +271,18 @@ def _kind_by_name(topic: str) -> CommandKind | None:
 def _played(topic: str, trajectories: Sequence[Trajectory], by_stamp: bool) -> list[JointSignal]:
     """Trajectories one after the other; each counts until the next one starts, and its end is held."""
     by_names: dict[tuple[str, ...], list[Trajectory]] = {}
-    for one in trajectories:
-        by_names.setdefault(one.names, []).append(one)
+    for trajectory in trajectories:
+        by_names.setdefault(trajectory.names, []).append(trajectory)
     signals = []
     for names, several in by_names.items():
-        starts = [one.stamp_s if by_stamp and np.isfinite(one.stamp_s) else one.t_s for one in several]
+        starts = [
+            trajectory.stamp_s if by_stamp and np.isfinite(trajectory.stamp_s) else trajectory.t_s
+            for trajectory in several
+        ]
         ends = [*starts[1:], np.inf]
         times_s, rows = list[Array](), list[Array]()
-        for one, start, end in zip(several, starts, ends, strict=True):
-            t, positions = _curve(one, rows[-1][-1] if rows else None)
+        for trajectory, start, end in zip(several, starts, ends, strict=True):
+            t, positions = _curve(trajectory, rows[-1][-1] if rows else None)
             inside = start + t < end - HELD_S
             if not inside.any():
                 continue

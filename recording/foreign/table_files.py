@@ -98,10 +98,10 @@ def _separator(lines: Sequence[str]) -> str:
     """What stands between columns: of those that cut most lines alike, the one that gives most columns."""
     body = [line for line in lines[:-1] or lines if line.strip()][-20:]
     scores = {}
-    for one in SEPARATORS:
-        counts = Counter(line.count(one) for line in body)
+    for separator in SEPARATORS:
+        counts = Counter(line.count(separator) for line in body)
         usual, lines_alike = counts.most_common(1)[0]
-        scores[one] = lines_alike if usual else 0
+        scores[separator] = lines_alike if usual else 0
     best = max(scores, key=lambda one: scores[one])
     return best if scores[best] > len(body) // 2 else " "
 
