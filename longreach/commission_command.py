@@ -94,7 +94,7 @@ def commission(
 def chosen_steps(text: str) -> tuple[Step, ...]:
     """The steps of a list of numbers, in the list's own order; empty: all.
 
-    Raises: SettingsError: a number that is no step.
+    Raises: SettingsError: a number that is not a step.
     """
     if not text.strip():
         return STEPS
@@ -113,7 +113,7 @@ async def _commission(
     earlier: Report | None,
     console: Console,
 ) -> Report:
-    """Go through the steps; the report is written anew after each of them, so that none is lost."""
+    """Go through the steps; the report is rewritten after each of them, so that no result is lost."""
     report = _empty_report(settings, earlier)
     machine = parse_machine_toml(read_machine_text(settings.machine_file))
     chain = chain_of(machine)
@@ -184,7 +184,7 @@ async def _vision(
 async def _require_same_plc(earlier: Report, settings: ServerSettings, link: LinkClient) -> None:
     """What another PLC showed, or a simulated one, proves nothing of this one.
 
-    Raises: SettingsError: it was another one, or nobody can tell.
+    Raises: SettingsError: it is another PLC, or the PLC does not answer.
     """
     deadline_s = time.monotonic() + PLC_WAIT_S
     while (link.latest is None or not link.health.cfg_id) and time.monotonic() < deadline_s:  # noqa: ASYNC110 no event

@@ -20,7 +20,7 @@ from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
 from server.errors import SettingsError
 
-START_S = 1800.0  # a busy computer of two cores takes minutes to compile; what ends is told at once
+START_S = 1800.0  # a busy computer of two cores takes minutes to compile; a process that ends is reported immediately
 
 
 def demo(

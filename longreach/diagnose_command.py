@@ -114,30 +114,30 @@ def diagnose(
 
 
 def _require_sense(fitting: bool, out: Path | None, given: list[str], screen: Console) -> None:
-    """Refuse options of which one would do nothing beside the other."""
-    told = ""
+    """Refuse a pair of options of which one would have no effect."""
+    text = ""
     if fitting and given:
-        told = f"{given[0]} has no effect with --fit-baseline, which only writes --out; leave one of them out"
+        text = f"{given[0]} has no effect with --fit-baseline, which only writes --out; leave one of them out"
     elif out is not None and not fitting:
-        told = "--out is where --fit-baseline writes; give it as well, or --machine-out in place of --out"
+        text = "--out is where --fit-baseline writes; give it as well, or --machine-out in place of --out"
     elif "--leave-named-out" in given and "--json" not in given:
-        told = "--leave-named-out writes to the JSON only; give --json FILE as well"
-    if told:
-        raise _refused(ValueError(told), screen)
+        text = "--leave-named-out writes to the JSON only; give --json FILE as well"
+    if text:
+        raise _refused(ValueError(text), screen)
 
 
 def _set_aside(places: Sequence[Path | None], screen: Console) -> None:
-    """Files of an earlier run get another name where this run writes none, so that nobody takes them for its own."""
+    """Rename the files of an earlier run that this run does not write, so that they are not taken for its own."""
     for place in places:
         if place is None or not place.is_file():
             continue
         aside = place.with_name(f"{place.name}.earlier")
         try:
             place.replace(aside)
-            told = f"{place} is not written; the one of an earlier run is {aside.name} now"
+            text = f"{place} is not written; the one of an earlier run is {aside.name} now"
         except OSError as error:
-            told = f"{place} is not written; the present file is of an earlier run ({error.strerror})"
-        screen.print(f"[yellow]longreach:[/] {escape(told)}", soft_wrap=True)
+            text = f"{place} is not written; the present file is of an earlier run ({error.strerror})"
+        screen.print(f"[yellow]longreach:[/] {escape(text)}", soft_wrap=True)
 
 
 def _refused(error: Exception, screen: Console) -> typer.Exit:
@@ -157,7 +157,7 @@ def _machine_out(text: str, found: Diagnosis | Budget, out: Path, screen: Consol
 
 def _simulate(text: str, found: Diagnosis, result: dict[str, Any], screen: Console) -> None:
     """The shrink in the simulator's own run, into the answer; what it cannot simulate is said, and nothing fails."""
-    from longreach.simulated_shrink import told
+    from longreach.simulated_shrink import summary
     from longreach.simulated_shrink.run import SimulatedShrinkError, simulated_runs
 
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
@@ -172,8 +172,8 @@ def _simulate(text: str, found: Diagnosis, result: dict[str, Any], screen: Conso
         result["simulated_shrink"] = None
         result["not_simulated"] = str(error)
         return
-    result["simulated_shrink"] = told.told(runs, result["shrink"].get("overall", {}).get("closed_frac"))
-    for line in told.lines(result["simulated_shrink"]):
+    result["simulated_shrink"] = summary.summary(runs, result["shrink"].get("overall", {}).get("closed_frac"))
+    for line in summary.lines(result["simulated_shrink"]):
         typer.echo(line)
 
 

@@ -1,4 +1,4 @@
-"""`longreach diagnose --fit-baseline`: a machine file with the effects that belong to a machine undisturbed."""
+"""`longreach diagnose --fit-baseline`: a machine file with the effects of the machine's baseline."""
 
 from pathlib import Path
 
@@ -42,7 +42,7 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
         write_durably(out, with_baseline(nominal, found))
     except OSError as error:
         raise BaselineError(f"{out} cannot be written: {error.strerror}") from error
-    return told(found, count, len(wholes))
+    return report_of(found, count, len(wholes))
 
 
 def _usable(recordings: list[Path], machine_file: Path | None) -> list[Read]:
@@ -69,7 +69,7 @@ def _nominal(path: Path, machine_file: Path | None) -> str:
 def with_baseline(text: str, found: Baseline) -> str:
     """A machine file's text with this baseline in place of any that it had.
 
-    Raises: BaselineError: the text is no TOML, or its tables cannot be taken apart.
+    Raises: BaselineError: the text is not TOML, or its tables cannot be separated.
     """
     added = entries_to_toml(found.effects) + remainders_to_toml(found.remainders)
     try:
@@ -78,7 +78,7 @@ def with_baseline(text: str, found: Baseline) -> str:
         raise BaselineError(str(error)) from error
 
 
-def told(found: Baseline, fitted: int, count: int) -> str:
+def report_of(found: Baseline, fitted: int, count: int) -> str:
     """What was fitted and what is left, one line a cell."""
     counts = f"names from {fitted} recordings, sizes from {count}, judged on {count - fitted}"
     rows = [f"{counts}; RMS in noise floors before and after:"]

@@ -78,15 +78,15 @@ class JobClient:
         """Close the connection."""
         self._http.close()
 
-    def wait_ready(self, timeout_s: float, told: Callable[[float, str], None] = lambda _s, _why: None) -> None:
-        """Wait until a job could start; `told` hears how long it has been [s] and why it goes on, and may raise.
+    def wait_ready(self, timeout_s: float, report: Callable[[float, str], None] = lambda _s, _why: None) -> None:
+        """Wait until a job could start; `report` gets the waiting time [s] and the reason, and may raise.
 
         Raises: JobRefusedError with the server's last reasons when that takes longer.
         """
         began, reasons = time.monotonic(), "server does not answer"
         while (waited_s := time.monotonic() - began) < timeout_s:
             self._refuse_if_abandoned()
-            told(waited_s, reasons)
+            report(waited_s, reasons)
             try:
                 answer = self._http.get("/readyz")
                 if answer.status_code == 200:
@@ -130,7 +130,7 @@ class JobClient:
         raise JobRefusedError(reason_in(answer))
 
     def stop(self) -> None:
-        """Stop motion (software); asked for again when the connection broke, for two stops are one."""
+        """Stop motion (software); repeated when the connection broke, since a second stop is harmless."""
         try:
             answer = self._http.post("/v1/stop")
         except httpx.TransportError:

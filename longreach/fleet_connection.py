@@ -10,7 +10,7 @@ from server.access.hosts import is_loopback
 
 IDLE_S = 3.0  # below every server's own limit (uvicorn's default: 5 s), so that no request meets a closing connection
 IDEMPOTENT = frozenset({"GET", "HEAD", "OPTIONS", "PUT", "DELETE"})
-DROPPED = (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError)  # not: nobody there, no answer in time
+DROPPED = (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError)  # not: connection refused, timeout
 
 
 class SteadyClient(httpx.Client):
@@ -49,7 +49,7 @@ def reason_in(answer: httpx.Response) -> str:
 
 
 def by_proxy(url: str) -> str:
-    """That a server is asked for through a proxy of the environment, for messages; empty where it is asked directly."""
+    """Note for messages that a request goes through a proxy of the environment; empty for a direct request."""
     host, scheme = _host(url), urlsplit(url).scheme
     proxies = urllib.request.getproxies()
     proxy = proxies.get(scheme, proxies.get("all", ""))

@@ -46,8 +46,8 @@ def poses_of_bag(bag: Path, topic: str, urdf: Path, base_link: str, hand_link: s
             elif len(fields.position) == len(fields.name):
                 joints.setdefault(tuple(fields.name), []).append((t_s, list(fields.position)))
         if not seen or not joints:
-            lacking = f"poses on {topic}" if not seen else "joint states"
-            raise HandEyeError(f"{bag} holds no {lacking}; its topics are {', '.join(sorted(topics)[:20])}")
+            missing = f"poses on {topic}" if not seen else "joint states"
+            raise HandEyeError(f"{bag} holds no {missing}; its topics are {', '.join(sorted(topics)[:20])}")
         names, rows = max(joints.items(), key=lambda one: len(one[1]))
         text = read_text(urdf)
         chain = chain_for(text, names, UrdfChain(base_link=base_link, tip_link=hand_link))

@@ -110,13 +110,13 @@ def hand_eye(
     answer["alike"] = [[solved.labels[first], solved.labels[second]] for first, second in alike]
     if found.X is None or found.Y is None or found.covariance is None:
         screen.print(f"[bold red]not found[/]: {escape(found.reason)}", soft_wrap=True)
-        _tell_alike(alike, solved.labels, screen)
+        _show_alike(alike, solved.labels, screen)
         _write_json(json_file, answer)
         raise typer.Exit(1)
     left = pose_residuals(solved.hand, solved.target_from_camera, found.X, found.Y)
     mount = _mount(found, eye_to_hand, (base_frame, hand_frame, camera_frame, target_frame))
     _show(mount, found, left, solved, screen)
-    _tell_alike(alike, solved.labels, screen)
+    _show_alike(alike, solved.labels, screen)
     answer |= _as_answer(mount, found, left, solved)
     _write_json(json_file, answer)
     if out is not None:
@@ -201,7 +201,7 @@ def _show(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solved: Sol
         )
 
 
-def _tell_alike(alike: list[tuple[int, int]], labels: tuple[str, ...], screen: Console) -> None:
+def _show_alike(alike: list[tuple[int, int]], labels: tuple[str, ...], screen: Console) -> None:
     if alike:
         shown = ", ".join(f"{labels[second]} like {labels[first]}" for first, second in alike[:ALIKE_SHOWN])
         text = f"[yellow]too alike[/], {len(alike)}: {escape(shown)}: turn the hand further between poses"

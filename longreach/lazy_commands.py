@@ -78,7 +78,7 @@ def loaded(command: Any) -> Any:
 
 
 class LazyGroup(TyperGroup):
-    """A group that has the commands of its table, beside those it is given."""
+    """A command group with the commands of its table, in addition to those it is given."""
 
     table: ClassVar[tuple[Lazy, ...]] = ()
 

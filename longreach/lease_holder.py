@@ -26,7 +26,7 @@ class LeaseHolder:
     def __enter__(self) -> Self:
         """Acquire.
 
-        Raises: ControlRefusedError: somebody else has control.
+        Raises: ControlRefusedError: another client has control.
         """
         answer = self._http.post("/v1/lease", json={"owner": self._owner, "kind": self._kind, "ttl_s": self._ttl_s})
         if answer.status_code != httpx.codes.CREATED:
@@ -58,4 +58,4 @@ class LeaseHolder:
             except httpx.TransportError:
                 continue  # the next one may pass; else it goes stale, as it should
             if answer.status_code in (httpx.codes.FORBIDDEN, httpx.codes.CONFLICT):
-                return  # somebody else has control: the next command is refused and says who
+                return  # another client has control: the next command is refused and says who

@@ -59,7 +59,7 @@ def position(
 def _show(console: Console, status: Any, event: dict[str, Any]) -> None:
     status.update(event["text"])
     if event["name"] == "ended":
-        return  # told below, with what came of it
+        return  # reported below, with the outcome
     console.print(f"[dim]{event['elapsed_s']:6.1f} s[/]  {event['text']}")
 
 

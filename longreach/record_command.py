@@ -79,7 +79,7 @@ def recover(recording: Source, target: Target) -> None:
 def left_behind(found: Recording) -> list[str]:
     """What the other form does not hold, in words."""
     out = [] if found.complete else ["data behind the damage: the file is cut; rows up to there are written"]
-    out += [f"channel {told}" for told in found.foreign]
+    out += [f"channel {channel}" for channel in found.foreign]
     return out + ([f"{found.images} images: CSV folders hold no images"] if found.images else [])
 
 

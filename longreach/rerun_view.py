@@ -1,4 +1,4 @@
-"""`longreach recording rerun`: a recording for Rerun, with a blueprint that shows machine, picture and log at once.
+"""`longreach recording rerun`: a recording for Rerun, with a blueprint that shows machine, image and log together.
 
 Needs Rerun itself (`pip install rerun-sdk`); it is in no extra, since nothing but looking needs it.
 """
@@ -45,8 +45,8 @@ def convert(recording: Path, target: Path) -> None:
 
     Raises: RerunError: it is not there, or it failed.
     """
-    beside = Path(sys.executable).with_name("rerun")
-    program = str(beside) if beside.exists() else shutil.which("rerun")
+    installed = Path(sys.executable).with_name("rerun")
+    program = str(installed) if installed.exists() else shutil.which("rerun")
     if program is None:
         raise RerunError(f"Rerun is not installed: {sys.executable} -m pip install rerun-sdk")
     command = [program, "mcap", "convert", str(recording), "-o", str(target), "--application-id", APPLICATION]

@@ -220,7 +220,7 @@ def _from_camera(
     )
     with console.status("waiting for images") as status:
 
-        def tell(offer: Offer, view: TeachView, kept: list[TeachView]) -> None:
+        def report(offer: Offer, view: TeachView, kept: list[TeachView]) -> None:
             _guide(offer, view, kept, n_views, status, console)
             if offer is Offer.TAKEN and len(kept) >= settings.views_min:
                 console.print(
@@ -228,7 +228,7 @@ def _from_camera(
                 )
 
         try:
-            return live_views(source, search, settings, n_views, timeout_s, tell)
+            return live_views(source, search, settings, n_views, timeout_s, report)
         finally:
             source.close()
 

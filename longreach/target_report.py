@@ -1,4 +1,4 @@
-"""What teaching found: a table beside the present layout, lines for the machine file, and JSON with the covariance."""
+"""Result of teaching: a comparison with the present layout, machine-file lines, and JSON with the covariance."""
 
 import json
 from collections.abc import Mapping

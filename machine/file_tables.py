@@ -1,6 +1,6 @@
 """Lists of tables of a machine file, taken out of its text and added to it; comments and all else stay as they are.
 
-Every result is parsed and compared: what would be no TOML, or would say something else of the machine, is refused.
+Every result is parsed and compared: a result that is not TOML, or changes the machine otherwise, is refused.
 """
 
 import re
@@ -59,7 +59,7 @@ def with_room_for_effects(text: str) -> str:
 def with_tables(text: str, added: str) -> str:
     """A machine file's text with lists of tables added behind it.
 
-    Raises: MachineFileError: the whole would be no TOML, or would say something else than both.
+    Raises: MachineFileError: the result is not TOML, or states something else than both.
     """
     out = text.rstrip() + "\n" + added
     before, more, after = _parsed(text), _parsed(added), _parsed(out)

@@ -214,7 +214,7 @@ def decode_command(payload: bytes, key: bytes = b"") -> Command:
 
 
 def may_be_answered(payload: bytes) -> bool:
-    """Whether a refused payload is worth a state: it begins as a command, and is no shorter than the answer.
+    """Whether a refused payload is worth a state: it begins as a command, and is not shorter than the answer.
 
     So two PLCs never answer each other, and no forged sender is sent more bytes than it took.
     """

@@ -16,7 +16,7 @@ class IllegalTransitionError(LocalProtocolError):
 
 
 class RemoteProtocolError(ProtocolError):
-    """The other side's bytes break a rule; `code` and `offset` (byte of the payload, 0: not told) answer them."""
+    """The other side's bytes break a rule; `code` and `offset` (byte of the payload, 0: not known) answer them."""
 
     def __init__(self, code: RejectCode, text: str, offset: int = 0) -> None:
         super().__init__(f"{code.name}: {text}")

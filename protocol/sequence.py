@@ -30,7 +30,7 @@ class Sequenced:
 
 
 def classify_sequence(last: int, seq: int) -> Sequenced:
-    """Compare as signed 32-bit difference, so the wrap at 2^32 is no event."""
+    """Compare as signed 32-bit difference, so the wrap at 2^32 is not an event."""
     delta = (seq - last + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
     if delta == 1:
         return Sequenced(SequenceKind.NEXT)

@@ -1,4 +1,4 @@
-"""What a recording holds, what it lacks, and what each lack costs the gap diagnosis."""
+"""Check a recording: signals present, signals missing, and what each missing one costs the diagnosis."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class SignalCheck:
 
 @dataclass(frozen=True, slots=True)
 class Lack:
-    """A missing signal. `cost` says what can no longer be told apart, and `remedy` how to get it."""
+    """A missing signal. `cost` says what can no longer be distinguished, and `remedy` how to get it."""
 
     signal: str
     cost: str
@@ -168,7 +168,7 @@ def _problems(recording: Recording) -> list[str]:
         problems.append(
             f"it holds the readable part of a damaged file: {lost} chunks lost, {left[f'{RECOVERED}.reason']}"
         )
-    problems += [f"channel {told}: it is not of this format" for told in recording.foreign]
+    problems += [f"channel {channel}: it is not of this format" for channel in recording.foreign]
     for row_type, name in _TIMES:
         times_s = column(recording.of(row_type), name)
         back = int(np.sum(np.diff(times_s) < 0.0))

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 from recording.errors import RecordingError
 
 FORMAT_VERSION = 1
-LONGEST_S = 1e20  # nanoseconds of an epoch, and no more: what is no second is found and named later
+LONGEST_S = 1e20  # nanoseconds of an epoch, and no more: what is not a second is found and named later
 
 SegmentKind = Literal[
     "repeat", "multisine", "steps", "sweep", "staircase", "workcycle", "static", "hold", "positioning"

@@ -1,6 +1,6 @@
 """What a machine file's effects change between the reference and the valve: for a plant that has no oil of its own.
 
-Written anew, not taken from the kernel that the diagnosis fits with: another order of steps, 1 ms against its own.
+An independent implementation, not the kernel that the diagnosis fits with: another order of steps, 1 ms each.
 """
 
 from dataclasses import dataclass, replace

@@ -25,7 +25,7 @@ from sim_plc.world import World
 
 PRESET, SEED = "ideal", 1  # the nominal model, nothing drawn
 SAG = "gravity_sag"
-NOT_HERE = {"rolling_shutter"}  # rows of one picture are seen at once here
+NOT_HERE = {"rolling_shutter"}  # all rows of a picture are exposed together here
 STEP_S = 1e-3
 
 

@@ -1,4 +1,4 @@
-"""Every subcommand with its arguments and options, as the command line itself tells them."""
+"""Every subcommand with its arguments and options, from the command line's own description."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -13,7 +13,7 @@ def commands() -> str:
     """One table for each command."""
     from longreach.cli import app  # here: it imports this package
 
-    return "\n\n".join(_told(path, command) for path, command in _walk("longreach", typer.main.get_command(app)))
+    return "\n\n".join(_described(path, command) for path, command in _walk("longreach", typer.main.get_command(app)))
 
 
 def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
@@ -28,7 +28,7 @@ def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
         yield from _walk(f"{path} {name}", children[name])
 
 
-def _told(path: str, command: Any) -> str:
+def _described(path: str, command: Any) -> str:
     rows = [_parameter(parameter) for parameter in command.params if parameter.name != "help"]
     about = " ".join((command.help or "").split())
     return f"### {path}\n\n{about}" + (f"\n\n{table(('option', 'default', 'what'), rows)}" if rows else "")

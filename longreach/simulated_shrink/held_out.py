@@ -1,4 +1,4 @@
-"""A diagnosis' effects as a stretch of its recording was foretold: fitted without that stretch's kind of trajectory."""
+"""Held-out effects of a stretch: fitted without that stretch's kind of trajectory."""
 
 from dataclasses import dataclass, replace
 
@@ -14,10 +14,10 @@ from machine.effects.entries import EffectEntry
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Effects for one stretch. `told`: each of their numbers was fitted without this stretch."""
+    """Effects for one stretch. `held_out`: each of their numbers was fitted without this stretch."""
 
     entries: tuple[EffectEntry, ...]
-    told: bool
+    held_out: bool
 
 
 def effects_without(found: Diagnosis, stretch: Stretch) -> HeldOut:
@@ -26,18 +26,18 @@ def effects_without(found: Diagnosis, stretch: Stretch) -> HeldOut:
     Raises: DiagnosisError: a fitted number that is outside its effect's bounds.
     """
     entries: list[EffectEntry] = []
-    told = True
+    held_out = True
     for cell in found.cells:
         if not cell.chosen.fit.hypothesis:
             continue
         fold = _fold_of(cell, stretch)
         fit = cell.chosen.fit
         if fold is None:
-            told = told and not isinstance(cell.search.cell.whitened, Replay)
+            held_out = held_out and not isinstance(cell.search.cell.whitened, Replay)
         else:
             fit = replace(fit, theta=cell.chosen.folds.theta_without(fold))
         entries += entries_of(fit)
-    return HeldOut(tuple(entries), told)
+    return HeldOut(tuple(entries), held_out)
 
 
 def _fold_of(one: CellAnswer, stretch: Stretch) -> int | None:

@@ -119,7 +119,7 @@ def _runs(found: Diagnosis, machine: Machine, progress: Progress) -> SimulatedRu
     return SimulatedRuns(
         plant="the crane as preset 'ideal': rigid, no oil; it bends by what the machine file says",
         errors=kept,
-        held_out=all(effects.told for effects in held),
+        held_out=all(effects.held_out for effects in held),
         sent=sent,
         seconds=sum(stretch.duration_s for stretch in stretches),
         notes=_notes(held, rest is not None or SEEN in kept, places is None and _has_points(found)),
@@ -128,7 +128,7 @@ def _runs(found: Diagnosis, machine: Machine, progress: Progress) -> SimulatedRu
 
 def _notes(held: list[HeldOut], behind_too: bool, points_unplaced: bool) -> tuple[str, ...]:
     out = []
-    if not all(effects.told for effects in held):
+    if not all(effects.held_out for effects in held):
         out.append("some numbers were fitted on the stretch they are judged on: it is the only one of its kind")
     if behind_too:
         out.append("what was measured behind the encoders is judged with arm and camera numbers fitted on all of it")
@@ -143,7 +143,7 @@ def _has_points(found: Diagnosis) -> bool:
 
 
 def _groups(stretches: tuple[Stretch, ...]) -> dict[str, str]:
-    """Of each whole repeat of a command, which: a piece of one that was cut is no repeat of another piece."""
+    """Of each whole repeat of a command, which: part of an interrupted repeat does not repeat another part."""
     return {member.name: name for name, members in repeat_groups(stretches).items() for member in members}
 
 

@@ -61,7 +61,7 @@ def _rows(table: MarkerTable, rows: NDArray[np.int64]) -> MarkerTable:
 
 
 def about_their_mean(before: list[Array], after: list[Array]) -> list[tuple[Array, Array]]:
-    """Places less their mean over all stretches, before and after each by its own: nobody knows where the object is."""
+    """Places less their mean over all stretches, before and after each by its own: the true place is unknown."""
     if not before or sum(len(places) for places in before) < 2:
         return []
     means = [np.concatenate(ones).mean(axis=0) for ones in (before, after)]

@@ -1,4 +1,4 @@
-"""Many parameter sets through the dynamic stages at once: from the sent reference, or from each stage's own input."""
+"""Simulate many parameter sets through the dynamic stages, from the sent reference or from each stage's own input."""
 
 import math
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ class Actuators:
     refined: int = 1  # times as many steps as the nominal model's definition asks for
 
     def __post_init__(self) -> None:
-        """Refuse wrong shapes, values, and a log cycle that is no multiple of the PLC's cycle."""
+        """Refuse wrong shapes, values, and a log cycle that is not a multiple of the PLC's cycle."""
         joints = np.array(self.joints, dtype=float, order="C")
         if joints.ndim != 2 or joints.shape[1] != 5 or not np.isfinite(joints).all() or (joints[:, :3] <= 0).any():
             raise MachineError(

@@ -53,14 +53,14 @@ def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
     """The effects of a machine file's `effect` list, as `tomllib` gives it (None: no list).
 
     Raises: MachineFileError: unknown name (with the nearest ones), joint or parameter; value out of bounds; a joint's
-        third swing.
+        third oscillation.
     """
     if tables is None:
         return ()
     if not isinstance(tables, list):
         raise MachineFileError(f"effect = {tables!r} is not a list; write each effect as its own [[effect]] table")
     entries = tuple(_entry(table, n_joints, f"effect {number}") for number, table in enumerate(tables, start=1))
-    pack(entries, n_joints)  # a third swing of a joint
+    pack(entries, n_joints)  # a third oscillation of a joint
     _require_sums(entries)
     return entries
 
@@ -221,9 +221,9 @@ def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
     """One parameter set with these effects; several entries of one effect and joint add up.
 
     Model: sizes with neutral 0 add, limits (neutral 1 or inf) take the smaller one, shapes take the last one given. A
-           second swing of a joint goes on beside the first one, at its own frequency.
+           second oscillation of a joint continues in addition to the first one, at its own frequency.
 
-    Raises: MachineFileError: a joint has a third swing; a parameter that the effect does not have.
+    Raises: MachineFileError: a joint has a third oscillation; a parameter that the effect does not have.
     """
     packed = neutral_sets(n_joints)
     for entry in entries:
@@ -240,7 +240,7 @@ def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
 
 
 def pack_under(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
-    """The same, to put a hypothesis on: a joint's one swing leaves its place to what a hypothesis may put beside it."""
+    """The same, to put a hypothesis on: the one oscillation of a joint makes room for a second one."""
     packed = pack(entries, n_joints)
     for joint in range(1, n_joints + 1):
         row = packed.joint[0, joint - 1]

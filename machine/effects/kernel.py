@@ -17,7 +17,7 @@ STEP, RATE, KP_GAIN, PT1_LAG, U_LIMIT = 0, 1, 2, 3, 4
 HYSTERESIS, LAG, DEADBAND, FLOW, ASYMMETRY, DROOP, LEAK, BREAKAWAY = 5, 6, 7, 8, 9, 10, 11, 12
 BIAS, SCALE, ECC_AMPLITUDE, ECC_ORDER, ECC_PHASE = 13, 14, 15, 16, 17
 BACKLASH, FLEX_GAIN, FLEX_HZ, FLEX_DAMPING = 18, 19, 20, 21
-KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING = 22, 23, 24  # a swing of the same joint that goes on beside that one
+KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING = 22, 23, 24  # a second oscillation of the same joint
 DEADBAND_LOST = 25  # what is taken off every opening, also off a full one
 BREAKAWAY_ONCE = 26  # of a joint that, once moving, sticks again only where its spool changes sides
 FRICTION, OIL_PERIOD, OIL_DAMPING = 27, 28, 29  # how far the oil yields before a joint moves, and its spring
@@ -27,10 +27,10 @@ DELAY, LOSS, FLOW_LIMIT, PAYLOAD = 0, 1, 2, 3
 KV, WN, ZETA, KP, TAU = 0, 1, 2, 3, 4
 # Stages that a run begins and ends with.
 LINK, CONTROLLER, ACTUATOR, JOINT = 0, 1, 2, 3
-# A link behind its joint: where its side of the play is [rad], its speed, both swings [rad] and their speeds.
+# A link behind its joint: backlash position [rad], its speed, both oscillations [rad] and their speeds.
 SIDE, SIDE_D, BEND, BEND_D, KNOWN_BEND, KNOWN_BEND_D = 0, 1, 2, 3, 4, 5
 BEHIND = 6
-FREE = 8  # numbers of two free swings over one cycle
+FREE = 8  # coefficients of two free oscillations over one cycle
 
 RESTICK_SHARE = 0.2  # of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
 LOSS_STREAM = 0x7061636B65745F6C  # "packet_l": the stream of packet_loss
@@ -98,7 +98,7 @@ def _share(dt: float, tau: float) -> float:
 
 @njit(cache=True)
 def _swings(p: Array, dt: float, out: Array) -> None:
-    """Free motion (FREE,) of a joint's swing and of the one beside it; nothing of one that is not there."""
+    """Free motion (FREE,) of a joint's first and second oscillation; zeros for an absent one."""
     _swing(2.0 * np.pi * p[FLEX_HZ], p[FLEX_DAMPING], dt, out[:4])
     if p[KNOWN_GAIN] != 0.0:
         _swing(2.0 * np.pi * p[KNOWN_HZ], p[KNOWN_DAMPING], dt, out[4:])
@@ -183,7 +183,7 @@ def _sprung(q: float, q_d: float, at: float, spring: Array) -> tuple[float, floa
 
 @njit(cache=True, inline="always")
 def _follow(behind: Array, q: float, p: Array, swing: Array, cycle_s: float) -> None:
-    """One PLC cycle of a link behind its joint: play, then the swings that the link's side is kicked into."""
+    """One PLC cycle of a link behind its joint: backlash, then the oscillations that it excites."""
     before, before_d = behind[SIDE], behind[SIDE_D]
     behind[SIDE] = play_operator(q, before, 0.5 * p[BACKLASH])
     behind[SIDE_D] = (behind[SIDE] - before) / cycle_s

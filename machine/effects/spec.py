@@ -109,7 +109,7 @@ class Direction:
 class Effect:
     """One entry of the catalogue. `looks_like`, `distinguished_by`: for the report; `source`: where it comes from.
 
-    `prevalence`: how likely a machine that nobody has measured has it (at one joint), before any data. `threshold`:
+    `prevalence`: how likely a machine that no one has measured has it (at one joint), before any data. `threshold`:
     small sizes change nothing until a motion exceeds them, so that there is no slope at neutral.
     """
 

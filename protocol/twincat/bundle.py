@@ -19,7 +19,7 @@ MANIFEST = "MANIFEST.txt"
 def bundle(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, bytes]:
     """All files; `sources` are the hand-written blocks, file name to text.
 
-    Raises: LocalProtocolError: a source that is no POU.
+    Raises: LocalProtocolError: a source that is not a POU.
     """
     texts = {
         "README.md": guides.start_page(parameters),

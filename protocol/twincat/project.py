@@ -16,7 +16,7 @@ def project(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, 
     """Every file of the PLC program: DUTs/, GVLs/, POUs/.
 
     Args:    sources: the hand-written blocks, file name to text.
-    Raises: LocalProtocolError: a source that is no POU, or not named like its file.
+    Raises: LocalProtocolError: a source that is not a POU, or not named like its file.
     """
     files = {f"DUTs/{dut.name}.TcDUT": dut_xml(dut.name, dut.text) for dut in (*duts(), *enums())}
     files |= {f"GVLs/{gvl.name}.TcGVL": gvl_xml(gvl.name, gvl.text) for gvl in gvls(parameters)}

@@ -38,8 +38,10 @@ def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], co
             command over velocity_max, or kp (reference - encoder) with kp velocity_max = 2 pi bandwidth_hz.
     Args:   limits: velocities of the URDF (n,), inf without; commanded: largest velocity commands (n,), 0 without.
     """
-    told: CommandKind = "velocity" if command_kind == "velocity" else "valve" if command_kind == "valve" else "position"
-    kind = wanted.kind or told
+    given: CommandKind = (
+        "velocity" if command_kind == "velocity" else "valve" if command_kind == "valve" else "position"
+    )
+    kind = wanted.kind or given
     fastest = []
     for limit, largest in zip(limits, commanded, strict=True):
         known = limit if math.isfinite(limit) else VELOCITY_MAX

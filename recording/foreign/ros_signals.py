@@ -50,7 +50,7 @@ class _Chooser:
         self._all = collected
         self._mapping = mapping
         self._out = Found(started_s=collected.first_s)
-        self._told: set[str] = set()
+        self._used: set[str] = set()
         self._by_stamp, clock = clock_of(collected)
         self._out.notes.append(clock)
 
@@ -80,8 +80,8 @@ class _Chooser:
         failures = [f"{topic}: {why}" for topic, why in self._all.failures.items()]
         return "; ".join(failures) or f"its topics are {self._topics()}; name the topics in a mapping file"
 
-    def _tell(self, topic: str, why: str, guess: bool = False) -> None:
-        self._told.add(topic)
+    def _use(self, topic: str, why: str, guess: bool = False) -> None:
+        self._used.add(topic)
         kind, count = self._all.types.get(topic, ""), self._all.counts[topic]
         if self._all.failed[topic]:
             why += f"; {self._all.failed[topic]} messages are damaged and left out"
@@ -126,21 +126,21 @@ class _Chooser:
                 break
             if self._add("reference", topic, "reference.positions"):
                 self._add("velocity_reference", topic, "reference.velocities")
-                self._tell(topic, "reference and feedback of the joints, by type")
+                self._use(topic, "reference and feedback of the joints, by type")
         if self._out.of("reference"):
             return
         if wanted:
             if not self._reference_from(wanted):
                 raise RecordingError(f"topic {wanted} of the mapping holds no joint positions: {self._why()}")
-            self._tell(wanted, "reference of the joints, by the mapping")
+            self._use(wanted, "reference of the joints, by the mapping")
             return
         for topic in self._of_type(JOINT_STATE):
             if _named(topic, REFERENCE_WORDS) and self._reference_from(topic):
-                self._tell(topic, "reference of the joints, by its name", guess=True)
+                self._use(topic, "reference of the joints, by its name", guess=True)
                 return
         for topic in self._of_type(TRAJECTORY):
             if self._reference_from(topic):
-                self._tell(topic, "reference of the joints: its trajectories one after the other", guess=True)
+                self._use(topic, "reference of the joints: its trajectories one after the other", guess=True)
                 return
 
     def _reference_from(self, topic: str) -> bool:
@@ -160,7 +160,7 @@ class _Chooser:
             is_state = self._all.types[wanted] == CONTROLLER_STATE
             if not self._add("position", wanted, "feedback.positions" if is_state else "position"):
                 raise RecordingError(f"topic {wanted} of the mapping holds no joint positions: {self._why()}")
-            self._tell(wanted, "encoders, by the mapping")
+            self._use(wanted, "encoders, by the mapping")
             return
         most = max((self._all.counts[topic] for topic in states), default=0)
         for topic in self._of_type(CONTROLLER_STATE):
@@ -173,7 +173,7 @@ class _Chooser:
                 several = (
                     len([state_topic for state_topic in states if not state_topic.endswith("dynamic_joint_states")]) > 1
                 )
-                self._tell(topic, "encoders, by type" + (" and name" if several else ""), guess=several)
+                self._use(topic, "encoders, by type" + (" and name" if several else ""), guess=several)
                 return
         for topic in self._of_type(CONTROLLER_STATE):
             self._add("position", topic, "feedback.positions")
@@ -205,9 +205,9 @@ class _Chooser:
 
     def _command(self, topic: str, kind: CommandKind, names: tuple[str, ...], series: Series) -> None:
         guess = not (self._mapping.ros.command and self._mapping.ros.command_kind)
-        told = f"{kind} commands of {', '.join(names)}" + (", by its name and the encoders' order" if guess else "")
+        how = f"{kind} commands of {', '.join(names)}" + (", by its name and the encoders' order" if guess else "")
         if kind == "effort":
-            self._told.add(topic)
+            self._used.add(topic)
             why = "effort commands: a torque-driven joint has no nominal model here; the reference is used"
             self._out.entries.append(Entry(topic, self._all.types[topic], self._all.counts[topic], "ignored", why))
             return
@@ -217,7 +217,7 @@ class _Chooser:
         what: Kind = "reference" if kind == "position" else "command"
         self._out.signals.append(JointSignal(what, topic, names, t, values, held=True))
         self._out.command_kind = "" if kind == "position" else kind
-        self._tell(topic, told, guess)
+        self._use(topic, how, guess)
 
     def _names(self) -> tuple[str, ...]:
         signals = self._out.of("position")
@@ -235,14 +235,14 @@ class _Chooser:
             t, xyz = in_time_order(times(series, self._by_stamp), series.values)
             point = mapped or (frame or topic).strip("/").replace("/", "_")
             self._out.points.append(PointTrack(point, topic, t, xyz))
-            self._tell(topic, f"tracked point {point!r}" + ("" if mapped else ", by its name"), guess=mapped is None)
+            self._use(topic, f"tracked point {point!r}" + ("" if mapped else ", by its name"), guess=mapped is None)
 
     def _rest(self) -> None:
         """Every topic that is not used, and why."""
         frames = sorted({frame for _, frame in self._all.frames})
         shown = ", ".join(frames[:8]) + (" ..." if len(frames) > 8 else "")
         for topic, kind in sorted(self._all.types.items()):
-            if topic in self._told:
+            if topic in self._used:
                 continue
             why = self._all.failures.get(topic) or _why_ignored(kind, shown)
             self._out.entries.append(Entry(topic, kind, self._all.counts[topic], "ignored", why))

@@ -67,7 +67,9 @@ def _text(path: Path) -> list[TableColumn]:
         try:
             head.decode("utf-8-sig")
         except UnicodeDecodeError as error:
-            encoding = "utf-8-sig" if error.start > len(head) - 4 else "cp1252"  # a character cut by the end is none
+            encoding = (
+                "utf-8-sig" if error.start > len(head) - 4 else "cp1252"
+            )  # a character cut by the end does not count
     with path.open(encoding=encoding, newline="", errors="replace") as file:
         lines = file.read(SNIFFED).splitlines()
         file.seek(0)
@@ -116,7 +118,7 @@ def _scope_separator(lines: Sequence[str]) -> str:
 
 
 class _Columns:
-    """Numbers of a table, row by row; what is no number is NaN."""
+    """Numbers of a table, row by row; what is not a number is NaN."""
 
     def __init__(self, width: int, to_number: Callable[[str], float]) -> None:
         self._cells = [array("d") for _ in range(width)]
@@ -139,7 +141,7 @@ class _Columns:
 
 
 def _with_comma(text: str) -> float:
-    """A number with a decimal comma; NaN where it is none."""
+    """A number with a decimal comma; NaN if it is not a number."""
     try:
         return float(text.strip().replace(",", "."))
     except ValueError:

@@ -1,4 +1,4 @@
-"""What a column of somebody's own table may be: by the words of its name, its unit, and the size of its numbers."""
+"""Guess the signal of a table column from the words of its name, its unit, and the size of its numbers."""
 
 import math
 import re

@@ -94,7 +94,7 @@ def _guessed(columns: Sequence[TableColumn]) -> dict[str, Column]:
 
 
 def _alike(signal: str, unit: str, units: Sequence[str]) -> str:
-    """One joint beyond a whole turn in rad makes all of its kind degrees: nobody writes both."""
+    """One joint beyond a whole turn in rad makes all of its kind degrees: a table has one unit per signal."""
     return "deg" if signal in ("q", "q_ref", "qd_ref") and unit == "rad" and "deg" in units else unit
 
 

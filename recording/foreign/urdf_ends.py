@@ -1,4 +1,4 @@
-"""The arm in a URDF, when nobody says where it starts and ends: from the recorded joints."""
+"""Find the arm's chain in a URDF from the recorded joints, when base and tip are not given."""
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection

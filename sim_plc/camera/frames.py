@@ -30,7 +30,7 @@ class Subscriber:
         self._arrived.set()
 
     def close(self) -> None:
-        """Wake the client to tell it that nothing follows."""
+        """Wake the client with the information that nothing follows."""
         self._frame = None
         self._arrived.set()
 

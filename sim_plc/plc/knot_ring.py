@@ -34,7 +34,7 @@ class KnotRing:
         self.traj_id, self.first, self.last, self.end = 0, 0, -1, -1
 
     def clear(self) -> None:
-        """Forget everything: a new session numbers its trajectories anew."""
+        """Forget everything: a new session numbers its trajectories again."""
         self.traj_id, self.first, self.last, self.end = 0, 0, -1, -1
 
     @property

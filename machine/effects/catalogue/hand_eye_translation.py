@@ -1,4 +1,4 @@
-"""hand_eye_translation: the camera sits beside its nominal place."""
+"""hand_eye_translation: the camera is displaced from its nominal place."""
 
 from machine.effects.spec import Direction, Effect, Parameter, Prior
 

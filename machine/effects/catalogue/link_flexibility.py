@@ -1,4 +1,4 @@
-"""link_flexibility: the boom swings behind the encoder after each change of speed."""
+"""link_flexibility: the boom oscillates behind the encoder after each change of speed."""
 
 from machine.effects.spec import Effect, Parameter, Prior
 

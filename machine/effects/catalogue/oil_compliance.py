@@ -1,4 +1,4 @@
-"""oil_compliance: the load swings on the oil column between valve and joint, and the encoder shows it."""
+"""oil_compliance: the load oscillates on the oil column between valve and joint, and the encoder shows it."""
 
 from machine.effects.spec import Effect, Parameter, Prior
 

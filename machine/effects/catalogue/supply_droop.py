@@ -1,4 +1,4 @@
-"""supply_droop: the pump cannot serve all joints at once."""
+"""supply_droop: the pump cannot serve all joints together."""
 
 from machine.effects.spec import Effect, Parameter, Prior
 

@@ -15,7 +15,7 @@ METRICS = {
 }
 
 
-def told(runs: SimulatedRuns, replayed_frac: float | None) -> dict[str, Any]:
+def summary(runs: SimulatedRuns, replayed_frac: float | None) -> dict[str, Any]:
     """For the answer, under `simulated_shrink`. `replayed_frac`: what the diagnosis' own replay says is closed."""
     return {
         "plant": runs.plant,
@@ -47,7 +47,7 @@ def _round(value: float | None) -> float | None:
 
 
 def lines(result: dict[str, Any]) -> list[str]:
-    """For a terminal: one line a joint, then both closed shares beside each other."""
+    """For a terminal: one line a joint, then both closed shares side by side."""
     out = [f"simulated: {result['plant']}; {result['seconds']:g} s of the recording, before and after the effects"]
     for drive in result["drives"]:
         out.append(f"  {drive['metric']} [{drive['unit']}]: {_text(drive['overall'])}")
