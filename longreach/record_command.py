@@ -96,7 +96,7 @@ def shown(report: CheckReport, screen: Console) -> None:
     screen.print(table)
     for text in report.problems:
         screen.print(f"[yellow]problem[/] {escape(text)}", soft_wrap=True)
-    for missing in report.lacks:
+    for missing in report.missing:
         screen.print(
             f"without {escape(missing.signal)}: {escape(missing.cost)}; {escape(missing.remedy)}", soft_wrap=True
         )

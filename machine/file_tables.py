@@ -21,7 +21,7 @@ REMEDY = "write each of them as its own [[effect]] or [[remainder]] table, behin
 def without_lists(text: str, names: Sequence[str]) -> str:
     """A machine file's text without the lists of these names: `[[x]]` with its sub-tables, or `x = [...]` at the top.
 
-    Raises: MachineFileError: it is no TOML, or cannot be taken apart.
+    Raises: MachineFileError: it is not TOML, or cannot be split into tables.
     """
     before = _parsed(text)
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
@@ -45,7 +45,7 @@ def without_lists(text: str, names: Sequence[str]) -> str:
 def with_room_for_effects(text: str) -> str:
     """A machine file's text to whose end `[[effect]]` tables can be added: a list in one value becomes such tables.
 
-    Raises: MachineFileError: it is no TOML, or cannot be taken apart.
+    Raises: MachineFileError: it is not TOML, or cannot be split into tables.
     """
     before = _parsed(text)
     headers = [found[1] for line in text.splitlines() if (found := HEADER.match(line))]

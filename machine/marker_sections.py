@@ -1,4 +1,4 @@
-"""The part of a machine file that tells of markers and boards: strict sections, and the checks across them."""
+"""Marker and board sections of a machine file: strict models, and the checks across them."""
 
 import re
 from collections.abc import Sequence
@@ -92,7 +92,7 @@ class MarkersSection(Strict):
 
 
 def dictionary_size(name: str) -> int | None:
-    """Number of ids in a dictionary; None where neither the name nor the table tells."""
+    """Number of ids in a dictionary; None where neither the name nor the table states it."""
     counted = re.fullmatch(r"DICT_[4-7]X[4-7]_(\d+)", name)
     return int(counted[1]) if counted else FAMILY_SIZES.get(name.upper())
 

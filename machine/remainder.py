@@ -15,9 +15,9 @@ STAGES = ("link", "controller", "actuator", "structure", "camera")
 USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern explained, however small
 USUAL_ENERGY = "energy left"  # among the usual tests: the most that a recording left but for its two strongest blocks
 USUAL_NAME = "name "  # before an effect, among the usual tests: what that name gains there [nats]
-USUAL_SHAPE = "shape "  # before what a remainder may go with, among the usual tests: what it foretells there [nats]
+USUAL_SHAPE = "shape "  # before what a remainder may go with, among the usual tests: what it predicts there [nats]
 LARGEST = 1e12  # of any number here: squares and sums of more leave what a float holds
-SHARE_MIN = 0.5  # of the floor: a smaller share tells little of what would be foretold without noise
+SHARE_MIN = 0.5  # of the floor: a smaller share says little about the prediction without noise
 KEYS = {
     "stage",
     "joint",
@@ -42,13 +42,13 @@ class Remainder:
 
     `sigma`: innovation of the 20 Hz increments (link [rad], controller [1], actuator [rad]) or of points [m], corners
     [px], without the noise; `rms`: the same before whitening; `ar`: the increments' autoregression; `spread`: by how
-    much scores are divided, since a remainder of form is no white noise. `on`: static, tracker, ooi or tool.
+    much scores are divided, since a remainder of form is not white noise. `on`: static, tracker, ooi or tool.
     `by_axis`: of points, sigma radial, tangential, up about the base's upright; of corners, what u and v of all corners
-    of a frame share, beside each one's own `sigma`. `swing_rad`: the slew's swing that the points of an instant share.
-    `usual`: tests of a residual that fire on the undisturbed machine, and how large they get there; the most energy
-    that a recording left, where many tell; names that gain more there than others do, and what. `form`: what the model
+    of a frame share, besides each own `sigma`. `swing_rad`: slew oscillation shared by the points of an instant.
+    `usual`: tests of a residual that reject the baseline machine, and how large they get there; the most energy
+    that a recording left, where many agree; names that gain more there than others do, and what. `form`: what the model
     itself is wrong by there, as a function of what drives it (actuator [rad], points [m]): families and the numbers of
-    each; `form_most`: the most that it said of an undisturbed recording, mean square in floors, 0 where that does not
+    each; `form_most`: the most that it gave for a baseline recording, mean square in floors, 0 where that does not
     matter. `wander`: how far numbers of effects are off from one day to the next, in each one's own unit.
     """
 

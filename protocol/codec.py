@@ -175,7 +175,7 @@ def _number(kind: type[Any], value: int, name: str, at: dict[str, int]) -> Any:
     try:
         return kind(value)
     except ValueError:
-        raise MalformedError(RejectCode.VALUE, f"{name} = {value} is no {kind.__name__}", at[name]) from None
+        raise MalformedError(RejectCode.VALUE, f"{name} = {value} is not a {kind.__name__}", at[name]) from None
 
 
 def decode_command(payload: bytes, key: bytes = b"") -> Command:

@@ -30,7 +30,7 @@ class FramingError(RemoteProtocolError):
 
 
 class MalformedError(RemoteProtocolError):
-    """The payload is no message of this layout: length, magic, version, CRC, non-finite or impossible values."""
+    """The payload is not a message of this layout: length, magic, version, CRC, non-finite or impossible values."""
 
 
 class SessionError(RemoteProtocolError):

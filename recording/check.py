@@ -28,7 +28,7 @@ class SignalCheck:
 
 
 @dataclass(frozen=True, slots=True)
-class Lack:
+class MissingSignal:
     """A missing signal. `cost` says what can no longer be distinguished, and `remedy` how to get it."""
 
     signal: str
@@ -38,12 +38,12 @@ class Lack:
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """`usable`: at least one stage of the gap can be looked at."""
+    """Result of a check. `usable`: at least one stage of the gap can be examined."""
 
     path: Path
     complete: bool
     signals: tuple[SignalCheck, ...]
-    lacks: tuple[Lack, ...]
+    missing: tuple[MissingSignal, ...]
     problems: tuple[str, ...]
     usable: bool
     images: int
@@ -125,7 +125,7 @@ _TIMES: tuple[tuple[type[Row], str], ...] = (
 
 
 def check_recording(path: Path) -> CheckReport:
-    """Look through the recording at this path.
+    """Check the recording at this path.
 
     Raises: RecordingError when it cannot be read at all.
     """
@@ -134,15 +134,17 @@ def check_recording(path: Path) -> CheckReport:
     static = recording.of(StaticPoint)
     if static:
         signals.append(SignalCheck("static", len(static), 0.0, 0.0, 0))
-    lacks = tuple(Lack(name, cost, remedy) for name, is_there, cost, remedy in _NEEDS if not is_there(recording))
-    missing = {lack.signal for lack in lacks}
+    missing = tuple(
+        MissingSignal(name, cost, remedy) for name, is_there, cost, remedy in _NEEDS if not is_there(recording)
+    )
+    names = {signal.signal for signal in missing}
     return CheckReport(
         path=path,
         complete=recording.complete,
         signals=tuple(signals),
-        lacks=lacks,
+        missing=missing,
         problems=tuple(_problems(recording)),
-        usable="machine.toml" not in missing and ("plc.csv q" not in missing or bool(static)),
+        usable="machine.toml" not in names and ("plc.csv q" not in names or bool(static)),
         images=recording.images,
     )
 

@@ -37,7 +37,7 @@ WORDS = [
         (r"[Aa]new", "again"),
         (r"[Aa]t once", "immediately; simultaneously"),
         (r"[Uu]ndisturbed", "baseline"),
-        (r"(?:is|are) none", "is not one of, is not"),
+        (r"(?<![Tt]here )(?:is|are) none", "is not one of, is not"),
         (r"(?<![Tt]here )is no(?! (?:longer|more|less))", "is not a, is without"),
         (r"[Mm]end(?:s|ed|ing)?|[Cc]ure[sd]?", "fix"),
         (r"[Ww]ish(?:es|ed)?", "request, requested"),

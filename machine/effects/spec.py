@@ -1,4 +1,4 @@
-"""What an effect is: its parameters with bounds, unit, neutral and prior, and what tells it from its neighbours."""
+"""An effect: its parameters with bounds, unit, neutral and prior, and what distinguishes it from its neighbours."""
 
 import math
 from dataclasses import dataclass

@@ -45,7 +45,7 @@ def urdf_chain(text: str, base_link: str, tip_link: str) -> tuple[UrdfJoint, ...
     """The joints from one link up to the common ancestor and down to another one, fixed ones among them.
 
     Raises: MachineError: not URDF, no such link, no chain; on the chain a joint of another type (floating, planar) or
-            without an axis, or numbers that are none; names joint or link.
+            without an axis, or an invalid number; names joint or link.
     """
     root = _root(text)
     elements = [joint for joint in root.findall("joint") if _link(joint, "parent") and _link(joint, "child")]

@@ -53,7 +53,7 @@ def test_a_foreign_folder_with_few_columns(tmp_path: Path) -> None:
     assert rows[0].seq_received == -1
     assert math.isnan(rows[0].p_supply_pa)
     report = check_recording(tmp_path)
-    lacking = {lack.signal for lack in report.lacks}
+    lacking = {missing.signal for missing in report.missing}
     assert {"sent.csv", "plc.csv u", "machine.toml"} <= lacking
     assert "plc.csv q" not in lacking
     assert not any("p_a" in one or "p_supply" in one for one in lacking)  # the diagnosis reads no pressure
