@@ -1,4 +1,4 @@
-"""`longreach camera check`: is the camera fit for measuring? What is wrong, and what to do about it."""
+"""`longreach camera check`: check whether the camera is usable for measuring, with a remedy for each finding."""
 
 import json
 import time

@@ -1,4 +1,4 @@
-"""`longreach`: one command, one subcommand per thing a person does. What each needs is imported when it is called."""
+"""`longreach`: one command with a subcommand per task; each subcommand's imports are loaded on call."""
 
 import logging
 import sys

@@ -1,4 +1,4 @@
-"""`longreach compare`: one recording replayed by several machine files, and how far each misses the tool over time."""
+"""`longreach compare`: replay one recording with several machine files and plot the tool error of each over time."""
 
 from html import escape
 from itertools import cycle

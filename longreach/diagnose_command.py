@@ -1,4 +1,4 @@
-"""`longreach diagnose`: where the sim-to-real gap lies, which effect causes it, how far it shrinks."""
+"""`longreach diagnose`: locate the sim-to-real gap, name the effects that cause it, and state how far it shrinks."""
 
 import json
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""How far a diagnosis is and about how long it still takes: a bar on a terminal, a line every few seconds elsewhere."""
+"""Progress of a diagnosis with the remaining time: a bar on a terminal, a line every few seconds elsewhere."""
 
 import time
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""A small REST client for jobs: what `position`, the benches and a fleet program need."""
+"""Small REST client for jobs, used by `position`, the benches and fleet programs."""
 
 import json
 import threading

@@ -1,4 +1,4 @@
-"""The HTTP connection of our own clients: what a connection that ends under a request means, and what is sent again."""
+"""HTTP connection of our clients: classification of connection failures, and retries."""
 
 import urllib.request
 from typing import Any

@@ -1,4 +1,4 @@
-"""Logs of other systems on the command line: what was found is listed, guesses are confirmed, then it is converted."""
+"""Logs of other systems on the command line: list the findings, confirm guesses, convert."""
 
 import atexit
 import shutil

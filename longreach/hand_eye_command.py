@@ -1,4 +1,4 @@
-"""`longreach hand-eye`: where a camera sits, from poses of hand and target, with its covariance, or why not."""
+"""`longreach hand-eye`: hand-eye calibration from poses of hand and target, with covariance."""
 
 import json
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""`longreach identify`: plan the drive, drive it, wait for its budget, and use what it confirms, over REST."""
+"""`longreach identify`: plan and execute the test drive, wait for its budget, use the confirmed effects, over REST."""
 
 import time
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`longreach serve`: the server, from a settings file and what the command line puts over it."""
+"""`longreach serve`: start the server with a settings file and command-line overrides."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated

@@ -1,4 +1,4 @@
-"""SIGTERM and SIGHUP end a command as Ctrl-C does: what stops the machine on Ctrl-C stops it on every one of them."""
+"""Handle SIGTERM and SIGHUP as Ctrl-C, so that each of them stops the machine."""
 
 import contextlib
 import signal

@@ -1,4 +1,4 @@
-"""What a command's process, and all that it starts, need of their surroundings: set before anything else."""
+"""Environment of a command's process and its children, set before anything else."""
 
 import os
 import stat

@@ -1,4 +1,4 @@
-"""`longreach target ...`: print the markers in their true size, and measure how they sit on tool or OOI."""
+"""`longreach target ...`: print markers at true size, and measure their poses on tool or OOI."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What is on the pages: a marker or a board in its true size, a ruler, and the words that a printer's user needs."""
+"""Contents of the printed pages: a marker or board at true size, a ruler, and instructions."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""`[[remainder]]` of a machine file: what a fitted baseline leaves of the model's form, as an addition to the noise."""
+"""`[[remainder]]` of a machine file: what a fitted baseline cannot explain, as an addition to the noise."""
 
 import json
 from collections.abc import Iterable

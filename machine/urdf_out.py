@@ -1,4 +1,4 @@
-"""An arm with the effects that are known of it as URDF, for other programs; what a URDF cannot hold is said."""
+"""Export an arm with its known effects as URDF; what a URDF cannot hold is reported."""
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""What the PC's end of the link has counted."""
+"""Counters of the PC's end of the link."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""The motion that the PC has under way, and what the PLC's states say of it."""
+"""The motion that the PC has running, and its progress by the PLC's states."""
 
 from dataclasses import dataclass, field
 

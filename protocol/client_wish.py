@@ -1,4 +1,4 @@
-"""What the PC wants of the PLC beside motion: to arm, to reset a fault, to disarm. Repeated until a state shows it."""
+"""Standing requests of the PC to arm, reset or disarm, repeated until a state confirms them."""
 
 from dataclasses import dataclass
 from enum import Enum

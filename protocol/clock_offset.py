@@ -1,4 +1,4 @@
-"""How far the PLC's clock is from the PC's, from the echo's four stamps; the fastest round trips weigh most."""
+"""PLC-to-PC clock offset from the echo's four time stamps; the fastest round trips weigh most."""
 
 from collections import deque
 from dataclasses import dataclass, field

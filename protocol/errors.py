@@ -1,4 +1,4 @@
-"""The protocol's errors: who is to blame is in the type (ours: Local, theirs: Remote), why is in the code."""
+"""Protocol errors: the type states the side (Local, Remote), the code the cause."""
 
 from protocol.codes import RejectCode
 

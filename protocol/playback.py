@@ -1,4 +1,4 @@
-"""Which knots the next command carries: the sliding window over one trajectory, paced by what the PLC reports. Pure."""
+"""Select the knots of the next command: the sliding window over a trajectory, paced by the PLC's reports. Pure."""
 
 from dataclasses import dataclass, replace
 

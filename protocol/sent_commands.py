@@ -1,4 +1,4 @@
-"""What the PC has sent lately, so that a refusal can be shown with the field's name and value."""
+"""Recently sent commands, so that a refusal can be shown with the field's name and value."""
 
 from collections import OrderedDict
 from dataclasses import dataclass, field

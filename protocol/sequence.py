@@ -1,4 +1,4 @@
-"""The sequence rule of both directions: what a new number means after the last accepted one."""
+"""Sequence rule of both directions: classify a new number against the last accepted one."""
 
 from dataclasses import dataclass
 from enum import Enum

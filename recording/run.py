@@ -1,4 +1,4 @@
-"""run.toml: what a recording is, its clocks and its segments."""
+"""run.toml: identity, clocks and segments of a recording."""
 
 import json
 import tomllib

@@ -1,4 +1,4 @@
-"""A drawn machine with the effects of its machine file on top: what a diagnosis found, made true."""
+"""A drawn machine with the effects of its machine file, such as those of a diagnosis."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What to simulate and where it listens."""
+"""Settings of the simulation: machine, ports and camera."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Lines that show what the machine can reach: the outline of the tool's reach in its own plane, and the slew's ends."""
+"""Reach envelope lines: outline of the tool's reach in the arm plane, and the ends of slew."""
 
 from itertools import pairwise
 

@@ -1,1 +1,1 @@
-"""How far the gap shrinks in the simulator itself: its plant driven by a recording, without and with the effects."""
+"""Shrink of the gap in the simulator: its plant driven by a recording, with and without the effects."""

@@ -1,4 +1,4 @@
-"""Where the simulator has the measured points: tracked in motion or measured at rest, on the last link only."""
+"""Simulated positions of the measured points, tracked in motion or measured at rest, on the last link only."""
 
 from dataclasses import dataclass
 

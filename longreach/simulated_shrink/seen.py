@@ -1,5 +1,4 @@
-"""Where the object of interest lies by what was seen and by where the simulator has the tool: it stands still, if both
-are right."""
+"""Object position from camera and simulated tool pose; it is constant if both are right."""
 
 from dataclasses import dataclass, replace
 

@@ -1,4 +1,4 @@
-"""Where each effect's parameters stand in the arrays of the kernel and of the static maps."""
+"""Layout of each effect's parameters in the arrays of the kernel and of the static maps."""
 
 from dataclasses import dataclass
 from functools import cache

@@ -1,4 +1,4 @@
-"""What camera, odometry and tracker measure of a machine with effects: corners, paths and points, over many samples."""
+"""Simulated measurements of camera, odometry and tracker for a machine with effects, vectorised over samples."""
 
 from dataclasses import dataclass, replace
 

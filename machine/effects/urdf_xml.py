@@ -1,4 +1,4 @@
-"""The chain between two links as a URDF writes it: only what lies on it is read, and only that can be refused."""
+"""Read the chain between two links of a URDF; only what lies on it is read and can be refused."""
 
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass

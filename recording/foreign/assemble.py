@@ -1,4 +1,4 @@
-"""What was found in a log, on one time axis, as the folder form of a recording."""
+"""Assemble the signals found in a log on one time axis, as the folder form of a recording."""
 
 import csv
 import re

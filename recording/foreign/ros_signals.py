@@ -1,4 +1,4 @@
-"""Which topic of a bag is which signal: by the mapping, by type, else by name, which is a guess to be confirmed."""
+"""Assign ROS topics to signals: by the mapping, by type, else by name, which is a guess to confirm."""
 
 import json
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""The columns of a table as signals: by the mapping file, else guessed, which has to be confirmed."""
+"""Assign table columns to signals: by the mapping file, else by guesses to confirm."""
 
 import json
 from collections.abc import Iterable, Sequence

@@ -1,4 +1,4 @@
-"""Where the tool is while a picture is being exposed: pose history, and the key poses of a rolling shutter."""
+"""Tool poses during an exposure: pose history, and key poses of a rolling shutter."""
 
 from dataclasses import dataclass
 from typing import Protocol

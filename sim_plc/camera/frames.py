@@ -1,4 +1,4 @@
-"""The newest picture and who waits for it: every client gets the newest one only, and what it missed is counted."""
+"""Newest frame for all waiting clients; frames that a client missed are counted."""
 
 import asyncio
 from collections.abc import Iterator

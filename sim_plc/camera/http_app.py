@@ -1,4 +1,4 @@
-"""The camera's HTTP face: multipart stream, snapshot, health, and fault switches where they are allowed."""
+"""HTTP interface of the simulated camera: multipart stream, snapshot, health, and fault switches if enabled."""
 
 from collections.abc import AsyncIterator, Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""What is fixed to the camera: painted once, laid over every picture."""
+"""Image patches of structure fixed to the camera, painted once and laid over every image."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The ring of 64 knots, keyed by absolute index: what the PLC holds of a trajectory, and what it refuses to take."""
+"""Ring of 64 knots keyed by absolute index, with the checks for accepting a knot."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""What the PLC's logic knows of its machine: limits, gains and thresholds, as arrays for the compiled loops."""
+"""Machine parameters of the PLC logic: limits, gains and thresholds, as arrays for the compiled loops."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""joint_axis_tilt: a joint's axis is not where the drawing has it."""
+"""joint_axis_tilt: a joint axis deviates from the drawing."""
 
 from machine.effects.spec import Choice, Effect, Parameter, Prior
 

@@ -1,4 +1,4 @@
-"""principal_point_error: the optical centre is not where calibrated."""
+"""principal_point_error: the optical centre deviates from the calibration."""
 
 from machine.effects.spec import Direction, Effect, Parameter, Prior
 
