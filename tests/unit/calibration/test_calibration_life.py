@@ -182,8 +182,8 @@ def broken(**changed):
     [
         ("", "damaged"),
         ("{", "damaged"),
-        ("[]", "no 'longreach"),
-        ("{}", "no 'longreach"),
+        ("[]", "not a 'longreach"),
+        ("{}", "not a 'longreach"),
         (broken(version=0), "version 0"),
         (broken(version=2), "version 2"),
         (broken(version="1"), "version '1'"),

@@ -195,7 +195,7 @@ def test_teach_refuses_one_view_and_says_why(scene, tmp_path):
     [
         (["--on", "wall"], "give tool or ooi"),
         (["--ids", "1,x"], "give whole numbers"),
-        (["--ids", "1,50"], "50 is not in DICT_4X4_50, which ends at 49"),
+        (["--ids", "1,50"], "50 is not in DICT_4X4_50, whose last id is 49"),
         (["--side-mm", "wide"], "give 150, or"),
         (["--side-mm", "1=4000"], "between 5 and 2000"),
         (["--frame", "base"], "give present, reference or middle"),
