@@ -19,7 +19,7 @@ class FaultView(View):
 
 
 def fault_views(service: JobService) -> list[FaultView]:
-    """All of them, the gravest first."""
+    """All of them, most severe first."""
     found = [
         *_link(service),
         *_inner(service),

@@ -94,7 +94,7 @@ def findings_router(service: JobService, looks: LookLog) -> APIRouter:
 
     @router.get("/calibrations", response_model=list[CalibrationEntry], responses={503: {"model": Problem}})
     async def list_calibrations(limit: Limit = 50, before: Before = 2**62) -> list[CalibrationEntry]:
-        """All calibrations that jobs left, newest first; the one in force is /v1/calibration."""
+        """All calibrations made by jobs, newest first; /v1/calibration is the current one."""
         if service.keeper is None:
             return []
         rows = await service.keeper.database.found(lambda db: read_calibrations(db, before, limit))

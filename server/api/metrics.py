@@ -40,7 +40,7 @@ def metrics_router(service: JobService, readers: Callable[[], int]) -> APIRouter
 
     @router.get("/metrics", response_model=None, response_class=Response, responses=TEXT)
     async def read_metrics() -> Response:
-        """For a scraper; with keys, it sends one of a viewer."""
+        """Metrics in the Prometheus text format; if keys are in use, a viewer's key is needed."""
         return Response(generate_latest(registry), headers={"Content-Type": CONTENT_TYPE_LATEST})
 
     return router

@@ -35,14 +35,14 @@ def runs_router(folder: FilePath) -> APIRouter:
 
     @router.get("", response_model=list[RunView])
     async def list_runs(limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[RunView]:
-        """The newest first."""
+        """All recordings, newest first."""
         return await asyncio.to_thread(_views, folder, limit)
 
     @router.get("/{run_id}/mcap", response_model=None, response_class=FileResponse, responses=FILE)
     async def run_mcap(run_id: RunId) -> FileResponse | JSONResponse:
-        """The file; `Range: bytes=...` takes a part of it, so that a download can go on after a break.
+        """The MCAP file; `Range: bytes=...` returns a part of it, so that an interrupted download can resume.
 
-        Of a recording that is being written: what there is of it at this moment.
+        A recording that is being written is returned as far as it exists.
         """
         path = await asyncio.to_thread(run_path, folder, run_id)
         if path is None:

@@ -18,7 +18,7 @@ PICTURE: dict[int | str, dict[str, Any]] = {
 
 
 class HealthView(View):
-    """The process lives."""
+    """Whether the process is alive."""
 
     status: Literal["ok"] = "ok"
 
@@ -37,12 +37,12 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
 
     @router.get("/v1/state", response_model=StateView)
     async def read_state() -> Response:
-        """Everything one screen needs, at one instant at most 50 ms ago."""
+        """State of machine, link, camera and jobs at one instant, at most 50 ms old."""
         return states.answer()
 
     @router.get("/v1/camera.jpg", response_model=None, response_class=Response, responses=PICTURE)
     async def camera_picture() -> Response:
-        """The newest camera picture, left eye."""
+        """The newest camera image, left eye."""
         preview = service.cell.vision.latest_preview
         if preview is None:
             return problem(503, "No picture", "no image yet", "no_picture", "check the camera")
@@ -50,7 +50,7 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
 
     @router.get("/healthz", response_model=HealthView)
     async def health() -> HealthView:
-        """The process lives."""
+        """Whether the process is alive."""
         return HealthView()
 
     @router.get("/readyz", response_model=ReadyView, responses={503: {"model": ReadyView}})
