@@ -23,7 +23,7 @@ DEFAULT_URL = "http://127.0.0.1:8080"
 
 @app.command()
 def show(url: Url = DEFAULT_URL, file: File = None) -> None:
-    """What is known of the camera's mount and the local map: age, sigma, residual, where it holds."""
+    """Show the camera mount and the local map: age, sigma, residual, range of validity."""
     rows = _rows_of_file(_saved(file)) if file else _rows_of_server(_get(url, "").json())
     table = Table(title="local calibration", title_justify="left", show_header=False)
     for name, value in rows:

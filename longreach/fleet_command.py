@@ -66,7 +66,7 @@ def scrape(
     key_file: KeyFile = None,
     every_s: Annotated[float, typer.Option(help="pause between two rounds; 0 = one round")] = 0.0,
 ) -> None:
-    """Fetch /metrics of all machines and print one line each: what a Prometheus would keep."""
+    """Fetch /metrics of all machines and print one line each."""
     key = read_key(key_file)
     while True:
         for url in urls:

@@ -34,7 +34,7 @@ def calibrate(
     out: Annotated[Path | None, typer.Option("--out", help="folder for ROS, OpenCV, Kalibr and ZED files")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the full result here (JSON)")] = None,
 ) -> None:
-    """Calibrate the lens: intrinsics, the rig, sigma of each, coverage, what to photograph next. Exit code 1: none."""
+    """Calibrate lens and stereo rig: intrinsics with sigmas, coverage, what to photograph next. Exit code 1: failed."""
     screen = Console()
     views, size = board_views(
         _pictures(folder, mono), mono, board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)

@@ -28,7 +28,7 @@ Target = Annotated[
 
 @app.command()
 def check(recording: Source) -> None:
-    """Say what is there, what is missing, and what that costs."""
+    """List the signals present, those missing, and what each missing one costs."""
     try:
         shown(check_recording(recording), console)
     except RecordingError as error:
@@ -47,7 +47,7 @@ def convert(
         typer.Option("--mapping-out", help="write the guesses here, as a mapping file to correct"),
     ] = None,
 ) -> None:
-    """MCAP to a folder of CSV files, or back; a ROS bag or a table of another system to a folder."""
+    """Convert MCAP to a folder of CSV files or back, or a ROS bag or a table to a folder."""
     try:
         if mapping is not None or is_foreign(recording):
             convert_log(recording, target, urdf, mapping, yes, console, mapping_out)
@@ -64,7 +64,7 @@ def convert(
 
 @app.command()
 def recover(recording: Source, target: Target) -> None:
-    """Save what a crash left of an MCAP file."""
+    """Recover the readable part of a damaged MCAP file."""
     try:
         saved = recover_recording(recording, target)
     except RecordingError as error:

@@ -24,7 +24,7 @@ def settings() -> None:
 
 @app.command()
 def new(file: Annotated[Path, typer.Argument(help="the settings file to write")] = Path("settings.toml")) -> None:
-    """Write a settings file in which every field stands with its default, commented out."""
+    """Write a settings file with every field and its default, commented out."""
     write_new(file, template())
 
 

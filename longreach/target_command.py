@@ -54,7 +54,7 @@ def teach(
     timeout_s: Annotated[float, typer.Option(min=1.0, max=7200.0, help="live camera: at most this long [s]")] = 600.0,
     out: Annotated[Path | None, typer.Option(help="where to write NAME.toml and NAME.json")] = None,
 ) -> None:
-    """Measure the marker layout of tool or OOI from stereo views. Exit code 0: a layout, 1: none, and why."""
+    """Measure the marker layout of tool or OOI from stereo views. Exit code 0: found, 1: not found."""
     console = Console()
     nominal = read_machine(machine)
     task = _task(nominal, _on(on), ids, side_mm, frame)
