@@ -1,122 +1,157 @@
-"""The answer as JSON: its names are the contract's and never change. What each field means: docs/diagnosis-answer.md.
+"""The error budget as JSON (format version 2). What each field means: docs/diagnosis-answer.md."""
 
-One meaning has changed: `share_frac` was of the gaps carried to the tcp, and is of what was found wrong where anything
-was (decision 30). Those gaps are `gap_tcp_mm`.
-"""
-
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from diagnosis.budget import Budget, Line
 from diagnosis.cells.points import left_out
-from diagnosis.diagnose import Diagnosis
-from diagnosis.experiments.choice import next_experiment
-from diagnosis.localise import Place, totals_of
-from diagnosis.rivals import rivals
+from diagnosis.experiments.choice import Key, Pair, experiment_for
+from diagnosis.experiments.prediction import held
+from diagnosis.localise import Place, merged_stages, totals_of
 from diagnosis.search.candidates import Candidate
-from diagnosis.search.limits import Interval
-from diagnosis.search.score import Score
+from diagnosis.search.fit import Fit
+from diagnosis.shrink import closed_share, rms_of, shrinks, together
 from diagnosis.sliding import in_metres
-from diagnosis.verdict.cell_answer import CellAnswer
-from diagnosis.verdict.certain import share_of_first
-from diagnosis.verdict.equals import probability_with_equals
-from diagnosis.verdict.shrink import Shrink, Squares, closing, together
-from diagnosis.verdict.unseen import counted_as, one_more, outside_share, unseen_share
-from diagnosis.verdict.unweighed import unweighed
-from diagnosis.verdict.verdict import DOUBTED
-from diagnosis.verdict.weigh import Key, Whole
+from diagnosis.whole_model.evidence import EQUAL_T, detectable
+from diagnosis.whole_model.linear import Term
+from diagnosis.whole_model.probability import FEATURES, features
+from diagnosis.whole_model.solve import Fitted, WholeFit, fit_of
 from machine.effects.registry import effect_of
 from machine.effects.spec import Direction
 from machine.rotations import Array
 
-FORMAT = 1
-MASS_90 = 0.9
-HYPOTHESES_MAX = 10
-METRIC_DRIVEN = "RMS of 20 Hz increments on held-out trajectories"
-METRICS = {  # by stage and unit
-    ("structure", "m"): "RMS of measured points on held-out poses or pieces of a motion",
-    ("camera", "px"): "RMS of marker corners on held-out frames",
-    ("camera", "m"): "RMS of path lengths of a second on held-out pieces of a motion",
-}
+FORMAT = 2
+OPEN_NATS = 0.5 * EQUAL_T  # two sets closer than this are a doubt that an experiment may settle
+DIGITS = 4
 
 
-def answer(found: Diagnosis) -> dict[str, Any]:
+def answer(found: Budget) -> dict[str, Any]:
     """Everything the contract asks for."""
-    return {**judgement(found), "shapes": _shapes(found.cells), "next_experiment": next_experiment(found)}
-
-
-def judgement(found: Diagnosis) -> dict[str, Any]:
-    """What the recording says, without what to do next."""
-    shares = _shares(found)
-    count = min(len(found.hypotheses), HYPOTHESES_MAX)
-    hypotheses = [_hypothesis(found, number, shares) for number in range(count)]
-    told: dict[str, Any] = {
+    hypotheses = _hypotheses(found)
+    result: dict[str, Any] = {
         "format_version": FORMAT,
-        "verdict": found.verdict.word,
-        "why": found.verdict.why,
+        "verdict": found.verdict,
+        "why": found.why,
+        "budget": _budget(found),
+        "stages": [
+            {
+                "stage": one.stage,
+                "joint": one.joint,
+                "verdict": one.verdict,
+                "before_mm": _mm(one.before_mm),
+                "after_mm": _mm(one.after_mm),
+                "would_measure": one.why if one.verdict == "not_measured" else "",
+            }
+            for one in found.stages
+        ],
         "hypotheses": hypotheses,
-        "outside_probability": shares.outside,
-        "unseen_probability": rounded((1.0 - shares.outside) * shares.unseen),
-        "indistinguishable": _classes(found),
-        "credible_set_90": _credible(found, shares),
-        "localisation": localisation_table(found.localisation.places),
-        "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in found.localisation.merged],
+        "outside_probability": 1.0 if found.verdict == "outside" else 0.0,
+        "indistinguishable": [
+            [_key(line.evidence.term), *(_key(one) for one in members)]
+            for line in found.lines
+            for members in line.evidence.equals
+        ],
+        "credible_set_90": [
+            {"effects": _keys(one["effects"]), "probability": one["probability"]} for one in hypotheses
+        ],
+        "localisation": _localisation(found.before.places),
+        "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in merged_stages(found.whole)],
         "shrink": _shrink(found),
-        "unexplained": _unexplained(found.cells),
-        "detection_limits": _limits(found.cells),
+        "unexplained": [
+            {
+                "test": "miss left at the tool [mm]",
+                "stage": one.stage,
+                "joint": one.joint,
+                "size": _mm(one.after_mm),
+                "p_value": None,
+                "lead": one.why,
+            }
+            for one in found.stages
+            if one.verdict in ("partly", "unexplained")
+        ],
+        "detection_limits": list(_detection_limits(found)),
         "missing": _missing(found),
         "findings": [{"code": f.code, "severity": f.severity, "text": str(f)} for f in found.whole.findings],
-        "searched": [_searched(one) for one in found.cells],
-        "rivals": rivals(found.cells),
+        "searched": [_searched(fit) for fit in found.fits],
+        "next_experiment": experiment_for(found.whole, _open_pairs(found), found.verdict in ("none", "effects")),
     }
-    for number, one in enumerate(hypotheses):
-        one["probability_with_equals"] = rounded(probability_with_equals(told, number))
     nominal = found.whole.nominal
-    return in_metres(told, nominal.sliding) if nominal is not None and any(nominal.sliding) else told
+    result["budget"]["sentence"] = sentence(result["budget"])
+    return in_metres(result, nominal.sliding) if nominal is not None and any(nominal.sliding) else result
 
 
-@dataclass(frozen=True, slots=True)
-class _Shares:
-    """Probability that a cause outside the catalogue is at work; if it is none, that a further name is too small to be
-    seen.
-    """
-
-    outside: float
-    unseen: float
-
-    @property
-    def inside(self) -> float:
-        """Probability that the names printed are all that is at work."""
-        return (1.0 - self.outside) * (1.0 - self.unseen)
-
-
-def _shares(found: Diagnosis) -> _Shares:
-    heading = counted_as(found.verdict.word, share_of_first(found.cells, found.hypotheses))
-    return _Shares(outside_share(heading), unseen_share(heading))
-
-
-def _hypothesis(found: Diagnosis, number: int, shares: _Shares) -> dict[str, Any]:
-    whole = found.hypotheses[number]
-    effects = [effect for score in whole.scores for effect in _effects(score, found.numbers.get(id(score), ()))]
-    return {"effects": effects, "probability": rounded(whole.probability * shares.inside)}
-
-
-def probability_of_first(found: Diagnosis) -> float:
-    """The probability that the answer states of its first hypothesis; 1 where nothing was searched."""
-    return found.hypotheses[0].probability * _shares(found).inside if found.hypotheses else 1.0
-
-
-def _effects(score: Score, numbers: tuple[Interval, ...]) -> list[dict[str, Any]]:
-    out: list[dict[str, Any]] = []
-    for one, own in score.fit.slices:
-        out.append(effect_table(one, numbers[own] if numbers else _plain(score.fit.theta[own])))
+def sentence(budget: dict[str, Any]) -> str:
+    """What the model misses by, how much of it is explained, what is left."""
+    if not budget["columns"]:
+        return "Nothing in this recording says what the effects do at the tool."
+    sure = [one for one in budget["effects"] if one["status"] == "confirmed" and one["column"] != "sees"]
+    out = f"The model misses the tool by {budget['miss_mm']:.3g} mm."
+    if sure:
+        out += f" With the {len(sure)} confirmed effects it misses by {budget['left_mm']:.3g} mm."
+    seen = next((one for one in budget["columns"] if one["column"] == "sees"), None)
+    if seen is not None:
+        out += f" The camera misplaces what it sees by {seen['before_mm']:.3g} mm"
+        out += f", with the confirmed effects by {seen['after_mm']:.3g} mm."
     return out
 
 
-def effect_table(one: Candidate, numbers: tuple[Interval, ...]) -> dict[str, Any]:
-    """An effect with its numbers and their limits."""
+def _budget(found: Budget) -> dict[str, Any]:
+    return {
+        "miss_mm": _mm(found.miss_mm),
+        "left_mm": _mm(found.left_mm),
+        "columns": [
+            {
+                "column": one.name,
+                "before_mm": _mm(one.before_mm),
+                "after_mm": _mm(one.after_mm),
+                "floor_mm": _mm(one.floor_mm),
+                "measured": one.measured,
+            }
+            for one in found.columns
+        ],
+        "effects": [_line(line) for line in found.lines],
+        "unexplained_mm": [
+            {"stage": one.stage, "joint": one.joint, "mm": _mm(one.after_mm)}
+            for one in found.stages
+            if one.verdict in ("partly", "unexplained")
+        ],
+    }
+
+
+def _line(line: Line) -> dict[str, Any]:
+    evidence = line.evidence
+    return {
+        **_effect(line),
+        "column": line.column,
+        "tool_mm": _mm(line.mm),
+        "tool_low_mm": _mm(line.low_mm),
+        "tool_high_mm": _mm(line.high_mm),
+        "squares_mm2": rounded(line.squares_mm2),
+        "share_frac": rounded(line.share_frac),
+        "probability": rounded(line.probability),
+        "status": line.status,
+        "equals": [[_key(one) for one in members] for members in evidence.equals],
+        "evidence": {
+            "gain_nats": rounded(evidence.gain_nats),
+            "size_over_sd": rounded(evidence.z),
+            "scatter_frac": rounded(evidence.scatter),
+            "left_floors": rounded(evidence.left),
+            "noise_known": evidence.noise_known,
+            "figures": dict(zip(FEATURES, [rounded(float(x)) for x in features(evidence)], strict=True)),
+        },
+    }
+
+
+def _effect(line: Line) -> dict[str, Any]:
+    term, (low, high) = line.evidence.term, line.evidence.limits
+    return _effect_table(term.effect, np.stack([term.theta, low, high], axis=1))
+
+
+def _effect_table(one: Candidate, numbers: Array) -> dict[str, Any]:
+    """An effect with its numbers (slots, 3): value and 90 % limits."""
     effect = effect_of(one.name)
     parameters: dict[str, Any] = {}
     vector = len({slot.parameter for slot in one.slots}) < len(one.slots)
@@ -132,19 +167,15 @@ def effect_table(one: Candidate, numbers: tuple[Interval, ...]) -> dict[str, Any
     return {"name": one.name, "joint": one.joint, "stage": one.stage, "parameters": parameters}
 
 
-def _plain(theta: Array) -> tuple[Interval, ...]:
-    return tuple(Interval(float(x), float(x), float(x)) for x in theta)
+def _number(number: Array, unit: str) -> dict[str, Any]:
+    low, high = _round_outward(float(number[1]), -1), _round_outward(float(number[2]), 1)
+    return {"value": rounded(float(number[0])), "unit": unit, "low": low, "high": high}
 
 
-def _number(number: Interval, unit: str) -> dict[str, Any]:
-    low, high = _round_outward(number.low, -1), _round_outward(number.high, 1)
-    return {"value": rounded(number.value), "unit": unit, "low": low, "high": high}
-
-
-def _vector(name: str, unit: str, direction: Direction, numbers: tuple[Interval, ...]) -> dict[str, Any]:
+def _vector(name: str, unit: str, direction: Direction, numbers: Array) -> dict[str, Any]:
     vector = np.zeros(len(direction.default))
-    vector[: len(numbers)] = [one.value for one in numbers]
-    half = max(0.5 * (one.high - one.low) for one in numbers)
+    vector[: len(numbers)] = numbers[:, 0]
+    half = float(np.max(0.5 * (numbers[:, 2] - numbers[:, 1])))
     size = float(np.linalg.norm(vector))
     along = (vector / size).tolist() if size > 0.0 else vector.tolist()
     low, high = _round_outward(max(0.0, size - half), -1), _round_outward(size + half, 1)
@@ -154,41 +185,68 @@ def _vector(name: str, unit: str, direction: Direction, numbers: tuple[Interval,
     }
 
 
-def _classes(found: Diagnosis) -> list[list[dict[str, Any]]]:
-    """Effects that this recording cannot tell apart, and those that this machine file cannot."""
-    classes = [members for one in found.cells for members in one.same]
-    classes += unweighed(found.whole.nominal, _keys(found.hypotheses[0]) if found.hypotheses else ())
-    return [[{"name": name, "joint": joint} for name, joint in members] for members in classes]
+def _hypotheses(found: Budget) -> list[dict[str, Any]]:
+    """All effects that are more likely there than not, as one hypothesis: they do not exclude each other."""
+    if not found.fits:
+        return []
+    likely = [line for line in found.lines if line.status != "doubtful"]
+    all_there = float(np.prod([line.probability for line in likely]))
+    return [
+        {
+            "effects": [_effect(line) for line in likely],
+            "probability": rounded(all_there),
+        }
+    ]
 
 
-def _credible(found: Diagnosis, shares: _Shares) -> list[dict[str, Any]]:
-    """The fewest hypotheses that hold 90 % of what the catalogue can explain: those weighed, and the first one with one
-    more name that is too small to be seen.
-    """
-    unseen = shares.unseen
-    first = _keys(found.hypotheses[0]) if found.hypotheses else ()
-    weighed = [(_keys(whole), (1.0 - unseen) * whole.probability) for whole in found.hypotheses]
-    others = one_more(found.cells, frozenset(first)) if unseen > 0.0 else ()
-    further = [((*first, key), unseen * part) for key, part in others]
-    masses: dict[frozenset[Key], float] = {}
-    for keys, part in (*weighed, *further):
-        masses[frozenset(keys)] = masses.get(frozenset(keys), 0.0) + part
-    rows = sorted(masses.items(), key=lambda row: -row[1])
-    out, mass = [], 0.0
-    for keys, probability in rows:
-        named = [{"name": name, "joint": joint} for name, joint in sorted(keys, key=str)]
-        out.append({"effects": named, "probability": rounded(probability * (1.0 - shares.outside))})
-        mass += probability
-        if mass >= MASS_90:
-            break
-    return out
+def _key(term: Term) -> dict[str, Any]:
+    return {"name": term.effect.name, "joint": term.effect.joint}
 
 
-def _keys(whole: Whole) -> tuple[Key, ...]:
-    return tuple(one.key for score in whole.scores for one in score.fit.hypothesis)
+def _keys(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{"name": one["name"], "joint": one["joint"]} for one in effects]
 
 
-def localisation_table(places: tuple[Place, ...]) -> list[dict[str, Any]]:
+def _mm(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), DIGITS)
+
+
+METRIC_DRIVEN = "RMS of 20 Hz increments on held-out motions"
+METRICS = {  # by stage and unit
+    ("structure", "m"): "RMS of measured points on held-out poses or pieces of a motion",
+    ("camera", "px"): "RMS of marker corners on held-out frames",
+    ("camera", "m"): "RMS of path lengths of a second on held-out pieces of a motion",
+}
+
+
+def _shrink(found: Budget) -> dict[str, Any]:
+    """How far the gap shrinks on motions that nothing was fitted to: each part, and overall the parts with effects."""
+    parts = [(one, *part) for one in found.held_out for part in shrinks(one)]
+    stages = [
+        {
+            "stage": row.stage,
+            "joint": row.joint,
+            "measurement": row.measurement,
+            "metric": METRICS.get((row.stage, row.unit), METRIC_DRIVEN),
+            "unit": row.unit,
+            **_closed((row.before, row.after, row.floor), row.closed),
+        }
+        for _, row, _ in parts
+    ]
+    sums = [sums for one, _, sums in parts if one.fit.k] or [sums for _, _, sums in parts]
+    if not sums:
+        return {"overall": {}, "stages": stages}
+    whole = together(sums)
+    metric = {"metric": "RMS of held-out residuals where a gap was found", "unit": "noise floors"}
+    return {"overall": {**metric, **_closed(rms_of(whole), closed_share(whole))}, "stages": stages}
+
+
+def _closed(rms: Sequence[float], closed: Sequence[float | None]) -> dict[str, Any]:
+    names = ("before", "after", "floor", "closed_frac", "low", "high")
+    return dict(zip(names, map(rounded, (*rms, *closed)), strict=True))
+
+
+def _localisation(places: tuple[Place, ...]) -> list[dict[str, Any]]:
     """First each stage as a whole, then its joints or axes, which share what it has, and their regimes."""
     return [
         {
@@ -206,139 +264,96 @@ def localisation_table(places: tuple[Place, ...]) -> list[dict[str, Any]]:
     ]
 
 
-def _shrink(found: Diagnosis) -> dict[str, Any]:
-    rows = tuple(part for one in found.cells for part in one.shrinks)
-    found_in = [one for one in found.cells if one.fired or one.chosen.fit.hypothesis] or found.cells
-    return shrink_table(rows, [part for one in found_in for part in one.squares])
-
-
-def shrink_table(rows: Iterable[Shrink], squares: Sequence[Squares]) -> dict[str, Any]:
-    """How far the gap shrinks, part by part; overall by the squares of the parts where something was found."""
-    stages = []
-    for s in rows:
-        stages.append(
-            {
-                "stage": s.stage,
-                "joint": s.joint,
-                "measurement": s.measurement,
-                "metric": METRICS.get((s.stage, s.unit), METRIC_DRIVEN),
-                "unit": s.unit,
-                "before": rounded(s.before),
-                "after": rounded(s.after),
-                "floor": rounded(s.floor),
-                "floor_by": s.floor_by,
-                "closed_frac": rounded(s.closed_frac),
-                "low": rounded(s.low),
-                "high": rounded(s.high),
+def _detection_limits(found: Budget) -> Iterator[dict[str, Any]]:
+    for fit in found.fits:
+        for k, size in detectable(fit).items():
+            slot = fit.best.terms[k].effect.slots[0]
+            yield {
+                **_key(fit.best.terms[k]),
+                "parameter": slot.parameter,
+                "size": rounded(float(size)),
+                "unit": slot.spec.unit,
             }
-        )
-    return {"overall": _overall(squares), "stages": stages}
 
 
-def _overall(squares: Sequence[Squares]) -> dict[str, Any]:
-    """Parts together, each in units of its own floor."""
-    if not squares:
-        return {}
-    before, after, floor, (closed, low, high), floor_by = closing(together(squares))
-    return {
-        "metric": "RMS of held-out residuals where a gap was found",
-        "unit": "noise floors",
-        "before": rounded(before),
-        "after": rounded(after),
-        "floor": rounded(floor),
-        "floor_by": floor_by,
-        "closed_frac": rounded(closed),
-        "low": rounded(low),
-        "high": rounded(high),
-    }
-
-
-def _unexplained(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
-    return [
-        {
-            "test": fired.test,
-            "stage": fired.stage,
-            "joint": fired.joint,
-            "size": rounded(fired.size),
-            "p_value": rounded(fired.p_value),
-            "lead": fired.lead,
-        }
-        for one in cells
-        for fired in one.fired
+def _missing(found: Budget) -> list[dict[str, str]]:
+    whole, nominal = found.whole, found.whole.nominal
+    out = [
+        {"signal": one.stage, "costs": f"{one.stage} is not measured: {one.why}"}
+        for one in found.stages
+        if one.verdict == "not_measured"
     ]
-
-
-def _shapes(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
-    """What the chosen names leave is a function of; less what the undisturbed machine shows, where a baseline says."""
-    return [
-        {
-            "stage": shape.stage,
-            "joint": shape.joint,
-            "measurement": shape.measurement,
-            "goes_with": shape.goes_with,
-            "nats": rounded(shape.nats),
-        }
-        for one in cells
-        for shape in one.shapes
-    ]
-
-
-def _limits(cells: tuple[CellAnswer, ...]) -> list[dict[str, Any]]:
-    out = []
-    for one in cells:
-        for limit in one.limits:
-            out.append(
-                {
-                    "name": limit.name,
-                    "joint": limit.joint,
-                    "parameter": limit.parameter,
-                    "size": rounded(limit.size),
-                    "unit": effect_of(limit.name).size.unit,
-                }
-            )
-    return out
-
-
-def _missing(found: Diagnosis) -> list[dict[str, str]]:
-    out = [{"signal": why.split(":")[0], "costs": why} for _, why in found.localisation.merged]
-    nominal = found.whole.nominal
-    out += [{"signal": part, "costs": text} for part, text in found.whole.lacking]
-    guessed = [one.search.cell.label for one in found.cells if not one.search.cell.floor_known]
-    if nominal is not None and found.whole.tables is not None:
-        out += [{"signal": "points", "costs": text} for text in left_out(nominal, found.whole.tables)]
+    out += [{"signal": part, "costs": text} for part, text in whole.lacking]
+    if nominal is not None and whole.tables is not None:
+        out += [{"signal": "points", "costs": text} for text in left_out(nominal, whole.tables)]
+    guessed = [fit.cell.label for fit in found.fits if not fit.cell.floor_known]
     if guessed:
-        of = "" if len(guessed) == len(found.cells) else f" of {', '.join(guessed)}"
-        text = f"no usable repeats{of}: noise floor estimated, probabilities widened"
+        text = f"no usable repeats of {', '.join(guessed)}: the noise was estimated; repeat one command four times"
         out.append({"signal": "repeats", "costs": text})
-    known = nominal is not None and bool(nominal.remainders)
-    if not known and found.verdict.word in DOUBTED:
-        text = "the machine file does not tell what this machine is like undisturbed: fit it by --fit-baseline first"
-        out.append({"signal": "baseline", "costs": text})
-    if moved := sorted({joint for one in found.cells for joint in one.search.cell.moved_unlike}):
-        several = len(moved) > 1
-        joints = f"joint{'s' if several else ''} {', '.join(map(str, moved))}"
-        unlike = "the undisturbed recordings" if known else f"{'their' if several else 'its'} model's commands ask"
-        text = f"{joints} moved unlike {unlike}: what is left there is a lead and refuses nothing"
-        out.append({"signal": f"undisturbed motions like these of {joints}", "costs": text})
-    if any(one.search.cell.same_kind for one in found.cells):
-        text = "one kind of trajectory only: held-out data are of the same kind, which lag and delay can fool"
-        out.append({"signal": "other kinds of trajectory", "costs": text})
     return out
 
 
-def _searched(one: CellAnswer) -> dict[str, Any]:
-    cell = one.search.cell
+def _searched(fit: WholeFit) -> dict[str, Any]:
     return {
-        "stage": cell.stage,
-        "joint": cell.joint,
-        "rows": cell.rows.count,
-        "hypotheses": len(one.search.scored),
-        "candidates": len(one.search.scans),
-        "spread": rounded(one.search.spread),
-        "evidence_nats": rounded(one.chosen.evidence - one.search.none.evidence),
-        "held_out_nats": rounded(one.chosen.total - one.search.none.total),
-        "floor_known": cell.floor_known,
+        "stage": fit.cell.stage,
+        "joint": fit.cell.joint,
+        "rows": fit.cell.rows.count,
+        "hypotheses": len(fit.posterior.probability),
+        "candidates": len(fit.best.terms),
+        "spread": rounded(float(np.mean(fit.best.lin.residual**2))),
+        "trust": rounded(float(np.mean(fit.trust))),
+        "floor_known": fit.cell.floor_known,
+        "settled": fit.settled,
     }
+
+
+def _open_pairs(found: Budget) -> list[list[Pair]]:
+    """Doubts by part: the best set against each rival that the recording does not exclude, heaviest first."""
+    out = []
+    for fit in found.fits:
+        mine = held(fit_of(fit.best.terms, fit.best.lin), _spread(fit))
+        pairs = []
+        for number, rival in _rivals(fit):
+            other = held(fit_of(rival.terms, rival.lin), _spread(fit))
+            weight = next((line.mm for line in found.lines if line.evidence.term is fit.best.terms[number]), 0.0)
+            names = _first_apart(mine.fit, other.fit), _first_apart(other.fit, mine.fit)
+            pairs.append(Pair(fit.cell, _spread(fit), mine, other, weight + 1e-6, names))
+        if pairs:
+            out.append(sorted(pairs, key=lambda pair: -pair.weight)[:3])
+    return sorted(out, key=lambda pairs: -pairs[0].weight)
+
+
+def _first_apart(one: Fit, other: Fit) -> Key | None:
+    """The first effect that only `one` has."""
+    return next((effect.key for effect in one.hypothesis if effect.key not in {x.key for x in other.hypothesis}), None)
+
+
+def _spread(fit: WholeFit) -> float:
+    return 1.0 / float(np.mean(fit.trust))
+
+
+def _rivals(fit: WholeFit) -> Iterator[tuple[int, Fitted]]:
+    for number, rival in fit.rivals.items():
+        if rival is not None and fit.best.score - rival.score < OPEN_NATS:
+            yield number, rival
+    for kept, out in fit.twins:
+        if fit.best.present[kept]:
+            yield kept, _swapped(fit, kept, out)
+
+
+def _swapped(fit: WholeFit, kept: int, out: int) -> Fitted:
+    """The best set with an effect's twin in its place: their columns differ by a factor."""
+    lin = fit.best.lin
+    mine, other = (lin.J[:, lin.first[k]] for k in (kept, out))
+    ratio = float(mine @ other) / max(float(other @ other), 1e-300)
+    terms = list(lin.terms)
+    terms[out] = replace(terms[out], theta=ratio * terms[kept].theta, present=True)
+    terms[kept] = replace(terms[kept], theta=np.zeros_like(terms[kept].theta), present=False)
+    J: Array = lin.J.copy()
+    x = lin.x.copy()
+    x[lin.first[out]], x[lin.first[kept]] = ratio * x[lin.first[kept]], 0.0
+    moved = replace(lin, terms=tuple(terms), J=J, x=x)
+    return replace(fit.best, lin=moved)
 
 
 def rounded(value: float | None) -> float | None:

@@ -6,17 +6,17 @@ from typing import Literal
 
 import numpy as np
 
-from diagnosis.baseline.forward import entries_of as entry_of_fit
 from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.link_angles import without_encoders
 from diagnosis.localise import Localisation, Place, localise
 from diagnosis.reading.read import Read, stages_present
 from diagnosis.replay.repeats import overlaid
 from diagnosis.replay.stretches import repeat_groups, stood_still
-from diagnosis.search.fit import neutral_fit
-from diagnosis.search.score import Compared, score
+from diagnosis.search.fit import entries_of as entries_of_fit
 from diagnosis.search.work import Progress, Work, silent
+from diagnosis.shrink import UNKNOWN, shrinks
 from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
+from diagnosis.whole_model.held_out import HeldOut, held_out
 from diagnosis.whole_model.linear import Term
 from diagnosis.whole_model.parts import fit_machine
 from diagnosis.whole_model.probability import probability
@@ -98,7 +98,7 @@ class Budget:
     stages: tuple[StageLine, ...]
     before: Localisation
     after: Localisation
-    compared: tuple[Compared, ...]
+    held_out: tuple[HeldOut, ...]
     verdict: Verdict
     why: str
 
@@ -124,7 +124,7 @@ class Budget:
 
 def entries_of(terms: Sequence[Term]) -> tuple[EffectEntry, ...]:
     """Terms as entries of a machine file."""
-    return tuple(entry_of_fit(fit_of(terms)))
+    return tuple(entries_of_fit(fit_of(terms)))
 
 
 def _together(parts: Iterable[float]) -> float:
@@ -148,16 +148,11 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
         evidence, errors, chance
     )
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
-    stages = _stages(whole, lines, columns, (before, after), fits)
-    verdict, why = verdict_of(whole, lines, columns, stages, fits)
     work.conclude("held-out data", 0.8)
-    compared = tuple(
-        Compared(
-            fit.cell, score(fit.cell, neutral_fit(fit.cell)), score(fit.cell, fit_of(fit.best.terms, fit.best.lin))
-        )
-        for fit in fits
-    )
-    return Budget(whole, fits, lines, columns, stages, before, after, compared, verdict, why)
+    predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
+    stages = _stages(whole, lines, columns, (before, after), fits, predicted)
+    verdict, why = verdict_of(whole, lines, columns, stages, fits)
+    return Budget(whole, fits, lines, columns, stages, before, after, predicted, verdict, why)
 
 
 def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:
@@ -285,8 +280,10 @@ def _stages(
     columns: tuple[Column, ...],
     places: tuple[Localisation, Localisation],
     fits: tuple[WholeFit, ...],
+    predicted: tuple[HeldOut, ...],
 ) -> tuple[StageLine, ...]:
     """Every stage, and of those that drive joints every joint, judged by itself."""
+    beyond_noise = {(row.stage, row.joint) for one in predicted for row, _ in shrinks(one) if row.closed != UNKNOWN}
     before, after = places
     present = stages_present(whole)
     small = small_mm(columns)
@@ -301,7 +298,8 @@ def _stages(
         for joint in joints:
             confirmed = any(_belongs(line, stage, joint) and line.status == "confirmed" for line in lines)
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
-            verdict = stage_verdict(was, left, confirmed, small)
+            seen = bool({(stage, joint), (stage, None)} & beyond_noise) or joint is None
+            verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
             own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]
             lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""
             out.append(StageLine(stage, joint, verdict, was, left, lead))

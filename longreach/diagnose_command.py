@@ -8,22 +8,16 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from diagnosis.answer import answer
 from diagnosis.budget import Budget, budget_of
-from diagnosis.budget_answer import budget_answer
-from diagnosis.diagnose import Diagnosis
-from diagnosis.diagnose import diagnose as run_diagnosis
 from diagnosis.errors import DiagnosisError
-from diagnosis.leave_out import leave_named_out
 from diagnosis.reading.read import Read
 from diagnosis.reading.together import read_together
 from diagnosis.report.budget import budget_lines
 from diagnosis.report.curves import CellCurves, curves_of
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
-from diagnosis.search.score import Compared
 from longreach.diagnosis_outlook import outlook
 from longreach.fit_baseline import BaselineError, make_baseline
 from longreach.foreign_log import MappingFile, Urdf, Yes, as_recordings
@@ -52,15 +46,9 @@ def diagnose(
     fitting: Annotated[
         bool, typer.Option("--fit-baseline", help="make a machine file from baseline recordings instead")
     ] = False,
-    leaving: Annotated[
-        bool, typer.Option("--leave-named-out", help="also report in the JSON the result without each reported effect")
-    ] = False,
     machine_out: Annotated[
         Path | None, typer.Option("--machine-out", help="write the machine file with the diagnosed effects added")
     ] = None,
-    simulate: Annotated[
-        bool, typer.Option("--simulate", help="also run the simulator's plant by the recording, before and after")
-    ] = False,
     out: Annotated[Path | None, typer.Option("--out", help="where --fit-baseline writes the machine file")] = None,
     urdf: Urdf = None,
     mapping: MappingFile = None,
@@ -70,8 +58,7 @@ def diagnose(
     screen = Console(stderr=True)
     for place in (json_file, html_file, machine_out, out):
         _within_reach(place, screen)  # before minutes of work, not after
-    others = {"--json": json_file, "--html": html_file, "--without": lacking, "--leave-named-out": leaving}
-    others |= {"--machine-out": machine_out, "--simulate": simulate}
+    others = {"--json": json_file, "--html": html_file, "--without": lacking, "--machine-out": machine_out}
     _require_sense(fitting, out, [name for name, given in others.items() if given], screen)
     if fitting:
         _fit_baseline(recordings, machine_file, out, screen)
@@ -89,24 +76,16 @@ def diagnose(
             screen.print(f"[yellow]{finding.severity}[/] {escape(str(finding))}", soft_wrap=True)
         if not whole.usable:
             raise typer.Exit(BAD_INPUT)
-        text = machine_text(recording, machine_file) if simulate or machine_out is not None else ""
+        text = machine_text(recording, machine_file) if machine_out is not None else ""
         if machine_out is not None:
             require_room(text)
-        budgeted = by_budget(whole) and not leaving and not simulate
-        if budgeted:
-            found, result, curves = _budget(whole, screen, tuple(lacking or ()))
-        else:
-            found, result, curves = _with_progress(whole, screen, tuple(lacking or ()), leaving)
+        found, result, curves = _diagnosed(whole, screen, tuple(lacking or ()))
     except (DiagnosisError, MachineOutError) as error:
         _set_aside((json_file, html_file, machine_out), screen)
         raise _refused(error, screen) from error
     result["recordings"] = [path.name for path in recordings]
-    for line in budget_lines(result) if budgeted else []:
+    for line in (*budget_lines(result), *lines(result)):
         typer.echo(line)
-    for line in lines(result):
-        typer.echo(line)
-    if simulate and isinstance(found, Diagnosis):
-        _simulate(text, found, result, screen)
     _write(json_file, json.dumps(result, indent=1, allow_nan=False) + "\n", screen)
     _write(html_file, page(result, recording.name, curves), screen)
     if machine_out is not None:
@@ -120,8 +99,6 @@ def _require_sense(fitting: bool, out: Path | None, given: list[str], screen: Co
         text = f"{given[0]} has no effect with --fit-baseline, which only writes --out; leave one of them out"
     elif out is not None and not fitting:
         text = "--out is where --fit-baseline writes; give it as well, or --machine-out in place of --out"
-    elif "--leave-named-out" in given and "--json" not in given:
-        text = "--leave-named-out writes to the JSON only; give --json FILE as well"
     if text:
         raise _refused(ValueError(text), screen)
 
@@ -146,35 +123,13 @@ def _refused(error: Exception, screen: Console) -> typer.Exit:
     return typer.Exit(BAD_INPUT)
 
 
-def _machine_out(text: str, found: Diagnosis | Budget, out: Path, screen: Console) -> None:
+def _machine_out(text: str, found: Budget, out: Path, screen: Console) -> None:
     """The machine file with the diagnosed effects added."""
     try:
         typer.echo(write_machine(text, found, out))
     except MachineOutError as error:
         _set_aside((out,), screen)
         raise _refused(error, screen) from error
-
-
-def _simulate(text: str, found: Diagnosis, result: dict[str, Any], screen: Console) -> None:
-    """The shrink in the simulator's own run, into the answer; what it cannot simulate is said, and nothing fails."""
-    from longreach.simulated_shrink import summary
-    from longreach.simulated_shrink.run import SimulatedShrinkError, simulated_runs
-
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    try:
-        with Progress(*columns, console=screen, transient=True) as shown:
-            task = shown.add_task("simulating", total=None)
-            runs = simulated_runs(
-                found, text, lambda words, at, of: shown.update(task, description=words, completed=at, total=of)
-            )
-    except SimulatedShrinkError as error:
-        screen.print(f"[yellow]not simulated:[/] {escape(str(error))}", soft_wrap=True)
-        result["simulated_shrink"] = None
-        result["not_simulated"] = str(error)
-        return
-    result["simulated_shrink"] = summary.summary(runs, result["shrink"].get("overall", {}).get("closed_frac"))
-    for line in summary.lines(result["simulated_shrink"]):
-        typer.echo(line)
 
 
 def _fit_baseline(recordings: list[Path], machine_file: Path | None, out: Path | None, screen: Console) -> None:
@@ -186,36 +141,14 @@ def _fit_baseline(recordings: list[Path], machine_file: Path | None, out: Path |
         raise _refused(error, screen) from error
 
 
-def _with_progress(
-    whole: Read, screen: Console, lacking: tuple[str, ...], leaving: bool
-) -> tuple[Diagnosis, dict[str, Any], tuple[CellCurves, ...]]:
-    with outlook(screen) as shown:
-        found = run_diagnosis(whole, shown.heard, lacking)
-        shown.also("next experiment")
-        result = answer(found)
-        if leaving:
-            shown.also("without each name")
-            result["left_out"] = leave_named_out(found)
-        cells = [Compared(cell.search.cell, cell.search.none, cell.chosen) for cell in found.cells]
-        return found, result, curves_of(cells, _sliding(whole))
-
-
-def _sliding(whole: Read) -> tuple[bool, ...]:
-    return () if whole.nominal is None else whole.nominal.sliding
-
-
-def by_budget(whole: Read) -> bool:
-    """Whether the whole machine is to be explained: no baseline says what it is like when nothing new is wrong."""
-    return whole.nominal is not None and not whole.nominal.remainders
-
-
-def _budget(
+def _diagnosed(
     whole: Read, screen: Console, left_out: tuple[str, ...]
 ) -> tuple[Budget, dict[str, Any], tuple[CellCurves, ...]]:
     with outlook(screen) as shown:
         found = budget_of(whole, shown.heard, left_out)
         shown.also("next experiment")
-        return found, budget_answer(found), curves_of(found.compared, _sliding(whole))
+        sliding = () if whole.nominal is None else whole.nominal.sliding
+        return found, answer(found), curves_of(found.held_out, sliding)
 
 
 def _within_reach(place: Path | None, screen: Console) -> None:

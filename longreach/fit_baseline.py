@@ -17,7 +17,7 @@ from machine.file_tables import with_tables, without_lists
 from machine.remainder import remainders_to_toml
 from recording.files import write_durably
 
-NOTHING = Baseline((), (), (), (), ())
+NOTHING = Baseline((), (), ())
 FITTED_SHARE = 1.0 / 3.0  # of the recordings; the others judge
 
 
@@ -83,18 +83,13 @@ def report_of(found: Baseline, fitted: int, count: int) -> str:
     counts = f"names from {fitted} recordings, sizes from {count}, judged on {count - fitted}"
     rows = [f"{counts}; RMS in noise floors before and after:"]
     if count - fitted < JUDGED_ENOUGH:
-        rows.insert(0, f"few: with {RECORDINGS_ENOUGH} recordings it can also reject what no effect explains")
+        rows.insert(0, f"few: {RECORDINGS_ENOUGH} recordings also say what each joint leaves from day to day")
     rows += [f"  {cell.label}: {cell.before:.3g} -> {cell.after:.3g}" for cell in found.cells]
     rows += [f"  {effect.name} {effect.joint or ''} {dict(effect.values)}" for effect in found.effects]
-    rows += [f"  {label}: a wrong name usually gains {times:.3g} times chance" for label, times in found.best_wrong]
     rows += [
         f"  {remainder.stage} {remainder.joint}: {name} wanders by {size:.2g}{_unit(name)} from day to day"
         for remainder in found.remainders
         for name, size in remainder.wander
-    ]
-    rows += [
-        f"  {name}: gains up to {nats:.3g} nats there, and has to gain half as much again"
-        for name, nats in found.usual_names
     ]
     return "\n".join(rows)
 

@@ -2,35 +2,20 @@
 
 from pathlib import Path
 
-from diagnosis.answer import probability_of_first
-from diagnosis.baseline.forward import entries_of
 from diagnosis.budget import Budget
-from diagnosis.diagnose import Diagnosis
 from diagnosis.errors import DiagnosisError
 from diagnosis.search.candidates import in_words
 from longreach.shipped_machine import text_of_machine
-from machine.effects.entries import EffectEntry, entries_to_toml
+from machine.effects.entries import entries_to_toml
 from machine.errors import MachineFileError
 from machine.file_tables import with_room_for_effects, with_tables
 from recording.errors import RecordingError
 from recording.files import write_durably
 from recording.opening import read_run
 
-USABLE = ("effects", "none")
-
 
 class MachineOutError(Exception):
     """A diagnosis from which no machine file must be made, or a file that cannot be written."""
-
-
-def effects_found(found: Diagnosis | Budget) -> tuple[EffectEntry, ...]:
-    """What was chosen in every cell, or is confirmed in a budget, as entries of a machine file."""
-    try:
-        if isinstance(found, Budget):
-            return found.entries()
-        return tuple(entry for cell in found.cells for entry in entries_of(cell.chosen.fit))
-    except DiagnosisError as error:
-        raise MachineOutError(str(error)) from error
 
 
 def require_room(text: str) -> None:
@@ -44,35 +29,20 @@ def require_room(text: str) -> None:
         raise MachineOutError(str(error)) from error
 
 
-def machine_with_effects(text: str, found: Diagnosis | Budget) -> str:
-    """A machine file's text with the diagnosed effects behind it; its baseline, if it has one, stays.
+def machine_with_effects(text: str, found: Budget) -> str:
+    """A machine file's text with the confirmed effects behind it; its baseline, if it has one, stays.
 
-    Of a budget the confirmed effects are written whatever another stage leaves.
-
-    Raises: MachineOutError: the diagnosis is undecided, or outside the catalogue; or the text cannot be added to.
+    Raises: MachineOutError: no effect is confirmed though there is a gap; or the text cannot be added to.
     """
-    if isinstance(found, Budget):
-        if not found.confirmed and found.verdict != "none":
-            raise MachineOutError(
-                f"no effect is confirmed ({found.why}): no machine file is written; do the next experiment and "
-                "diagnose both recordings together"
-            )
-        line = f"\n# longreach diagnose: verdict {found.verdict}, {found.why}\n"
-        return _with_lines(text, line, found)
-    word = found.verdict.word
-    if word not in USABLE:
+    if not found.confirmed and found.verdict != "none":
         raise MachineOutError(
-            f"the diagnosis is '{word}' ({found.verdict.why}): no machine file is written; "
-            "do the next experiment and diagnose both recordings together"
+            f"no effect is confirmed ({found.why}): no machine file is written; do the next experiment and "
+            "diagnose both recordings together"
         )
-    line = f"\n# longreach diagnose: verdict {word}, probability {probability_of_first(found):.3g}\n"
-    return _with_lines(text, line, found)
-
-
-def _with_lines(text: str, line: str, found: Diagnosis | Budget) -> str:
+    line = f"\n# longreach diagnose: verdict {found.verdict}, {found.why}\n"
     try:
-        return with_tables(with_room_for_effects(text), line + entries_to_toml(effects_found(found)))
-    except MachineFileError as error:
+        return with_tables(with_room_for_effects(text), line + entries_to_toml(found.entries()))
+    except (DiagnosisError, MachineFileError) as error:
         raise MachineOutError(str(error)) from error
 
 
@@ -87,7 +57,7 @@ def machine_text(recording: Path, machine_file: Path | None) -> str:
         raise MachineOutError(str(error)) from error
 
 
-def write_machine(text: str, found: Diagnosis | Budget, path: Path) -> str:
+def write_machine(text: str, found: Budget, path: Path) -> str:
     """Write the file; what was written, for the screen.
 
     Raises: MachineOutError: see `machine_with_effects`; or the file cannot be written.
@@ -96,5 +66,5 @@ def write_machine(text: str, found: Diagnosis | Budget, path: Path) -> str:
         write_durably(path, machine_with_effects(text, found))
     except OSError as error:
         raise MachineOutError(f"{path} cannot be written: {error.strerror}") from error
-    names = ", ".join(in_words(effect.name, effect.joint) for effect in effects_found(found)) or "no effect"
+    names = ", ".join(in_words(effect.name, effect.joint) for effect in found.entries()) or "no effect"
     return f"{path}: the machine with {names}"

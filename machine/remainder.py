@@ -12,12 +12,7 @@ if TYPE_CHECKING:
     from machine.effects.entries import EffectEntry
 
 STAGES = ("link", "controller", "actuator", "structure", "camera")
-USUAL_NATS = "pattern_nats"  # among the usual tests: the most that any pattern explained, however small
-USUAL_ENERGY = "energy left"  # among the usual tests: the most that a recording left but for its two strongest blocks
-USUAL_NAME = "name "  # before an effect, among the usual tests: what that name gains there [nats]
-USUAL_SHAPE = "shape "  # before what a remainder may go with, among the usual tests: what it predicts there [nats]
 LARGEST = 1e12  # of any number here: squares and sums of more leave what a float holds
-SHARE_MIN = 0.5  # of the floor: a smaller share says little about the prediction without noise
 KEYS = {
     "stage",
     "joint",
@@ -25,7 +20,6 @@ KEYS = {
     "sigma",
     "rms",
     "ar",
-    "spread",
     "usual",
     "by_axis",
     "swing_rad",
@@ -41,12 +35,11 @@ class Remainder:
     """What the baseline does not explain of one stage's residual, on recordings that it was not fitted to.
 
     `sigma`: innovation of the 20 Hz increments (link [rad], controller [1], actuator [rad]) or of points [m], corners
-    [px], without the noise; `rms`: the same before whitening; `ar`: the increments' autoregression; `spread`: by how
-    much scores are divided, since a remainder of form is not white noise. `on`: static, tracker, ooi or tool.
+    [px], without the noise; `rms`: the same before whitening; `ar`: the increments' autoregression. `on`: static,
+    tracker, ooi or tool.
     `by_axis`: of points, sigma radial, tangential, up about the base's upright; of corners, what u and v of all corners
     of a frame share, besides each own `sigma`. `swing_rad`: slew oscillation shared by the points of an instant.
-    `usual`: tests of a residual that reject the baseline machine, and how large they get there; the most energy
-    that a recording left, where many agree; names that gain more there than others do, and what. `form`: what the model
+    `usual`: what each effect gains at most on baseline recordings [nats]. `form`: what the model
     itself is wrong by there, as a function of what drives it (actuator [rad], points [m]): families and the numbers of
     each; `form_most`: the most that it gave for a baseline recording, mean square in floors, 0 where that does not
     matter. `wander`: how far numbers of effects are off from one day to the next, in each one's own unit.
@@ -58,40 +51,12 @@ class Remainder:
     sigma: float
     rms: float
     ar: tuple[float, ...] = ()
-    spread: float = 1.0
     usual: tuple[tuple[str, float], ...] = ()
     by_axis: tuple[float, ...] = ()
     swing_rad: float = 0.0
     form: Form = ()
     form_most: float = 0.0
     wander: tuple[tuple[str, float], ...] = ()
-
-    @property
-    def usual_names(self) -> tuple[tuple[str, float], ...]:
-        """Those of the usual ones that are names."""
-        return tuple((name, nats) for name, nats in self.usual if name.startswith(USUAL_NAME))
-
-    def usual_at(self, share: float) -> tuple[tuple[str, float], ...]:
-        """The usual tests where the remainder is this share (0 to 1) of a recording's floor, in squares: noise drowns
-        patterns, and what they explain [nats] with them.
-        """
-        return tuple((name, size * _drowned(name, share)) for name, size in self.usual)
-
-
-def _drowned(name: str, share: float) -> float:
-    if name.startswith(USUAL_SHAPE):
-        return max(share, SHARE_MIN)
-    return share if name == USUAL_NATS else 1.0
-
-
-def usual_name(name: str) -> str:
-    """Key of an effect's name among the usual ones, on whatever joint."""
-    return f"{USUAL_NAME}{name}"
-
-
-def usual_shape(goes_with: str) -> str:
-    """Key of what a remainder may go with among the usual ones."""
-    return f"{USUAL_SHAPE}{goes_with}"
 
 
 def parse_baseline(tables: object, n_joints: int) -> "tuple[EffectEntry, ...]":
@@ -123,7 +88,10 @@ def _one(table: object, where: str) -> Remainder:
         raise MachineFileError(f"{where} is not a table; write [[remainder]] with stage, joint, sigma and rms")
     unknown = sorted(set(table) - KEYS)
     if unknown:
-        raise MachineFileError(f"{where}: unknown key {unknown[0]!r}; it has {', '.join(sorted(KEYS))}")
+        raise MachineFileError(
+            f"{where}: unknown key {unknown[0]!r}; it has {', '.join(sorted(KEYS))}. A baseline of an older version "
+            "has to be fitted again (`longreach diagnose --fit-baseline`)"
+        )
     stage, joint, on, ar, by_axis = (table.get(key) for key in ("stage", "joint", "on", "ar", "by_axis"))
     if stage not in STAGES:
         raise MachineFileError(f"{where}: stage = {stage!r}; give one of {', '.join(STAGES)}")
@@ -136,7 +104,6 @@ def _one(table: object, where: str) -> Remainder:
         _number(table, "sigma", 0.0, where),
         _number(table, "rms", 0.0, where),
         _numbers(ar, f"{where}: ar"),
-        _number(table, "spread", 1.0, where),
         _sizes(table.get("usual", {}), f"{where}: usual"),
         _numbers(by_axis, f"{where}: by_axis"),
         _number(table, "swing_rad", 0.0, where),
@@ -205,7 +172,7 @@ def _toml(one: Remainder) -> str:
         families = ", ".join(f"{json.dumps(name)} = [{', '.join(map(repr, row))}]" for name, row in one.form)
         more += f"form = {{ {families} }}\nform_most = {one.form_most!r}\n"
     more += _table("wander", one.wander)
-    numbers = f"sigma = {one.sigma!r}\nrms = {one.rms!r}\nspread = {one.spread!r}\n"
+    numbers = f"sigma = {one.sigma!r}\nrms = {one.rms!r}\n"
     return f'\n[[remainder]]\nstage = "{one.stage}"\n{joint}{on}{numbers}ar = [{", ".join(map(repr, one.ar))}]\n{more}'
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import examine
 from recording.content import Recording
 
@@ -14,4 +14,4 @@ def answered(recording: Recording) -> dict[str, Any]:
     whole = examine(recording, Path("bench"))
     if not whole.usable:
         raise RuntimeError("; ".join(str(one) for one in whole.findings))
-    return answer(diagnose(whole))
+    return answer(budget_of(whole))

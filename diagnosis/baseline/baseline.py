@@ -3,25 +3,30 @@
 Fitted on some recordings, judged on others. Why a remainder at all: docs/decisions/0011-baseline.md.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.baseline.forward import ROUNDS, entries_of, forward
 from diagnosis.baseline.left_over import cells_of, forms_of, remainders_of, with_baseline, with_mosts, with_wanders
-from diagnosis.baseline.usual import Progress, with_spread, with_usual, wrong_gains
+from diagnosis.baseline.usual import Gains, usual_gains
 from diagnosis.cells.behind import joined
 from diagnosis.errors import DiagnosisError
+from diagnosis.known.days import JUDGED_ENOUGH
 from diagnosis.known.form import TOGETHER_MIN
 from diagnosis.reading.read import Read
-from diagnosis.search.cell import Cell
-from diagnosis.search.fit import Fit, fit
+from diagnosis.search.cell import DRIVEN_STAGES, Cell
+from diagnosis.search.fit import Fit, entries_of, fit
+from diagnosis.whole_model.parts import library_of
+from diagnosis.whole_model.solve import fit_of, solve
 from machine.effects.entries import EffectEntry
-from machine.remainder import USUAL_NAME, Remainder
+from machine.remainder import Remainder
 
 PASSES = 3  # at most, each by the floor that the one before it left
 CHECKED_MIN = 2  # recordings that the baseline is judged on
+ROUNDS = 5  # of a fit of the sizes
 FOLDS = 3  # of the recordings, each judged by the form of the others
+Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,15 +41,11 @@ class CellBaseline:
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """Effects and remainders for the machine file. `best_wrong`: by cell, what the best wrong name usually gains, over
-    chance; `usual_names`: those that gain more than that, and what [nats].
-    """
+    """Effects and remainders for the machine file."""
 
     effects: tuple[EffectEntry, ...]
     remainders: tuple[Remainder, ...]
     cells: tuple[CellBaseline, ...]
-    best_wrong: tuple[tuple[str, float], ...]
-    usual_names: tuple[tuple[str, float], ...] = ()
 
 
 def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = lambda _text: None) -> Baseline:
@@ -69,9 +70,24 @@ def fit_baseline(fitted: list[Read], checked: list[Read], progress: Progress = l
     left = with_wanders(left, _beside(checked, entries, foretold, left))
     remainders = _with_forms(left, forms)
     remainders = with_mosts(remainders, [with_baseline(one, entries, remainders) for one in wholes])
-    spreads, usual, names = wrong_gains(_beside(checked, entries, foretold, left), progress)
-    finished = with_spread(tuple(with_usual(one, usual, len(checked)) for one in remainders), spreads, names)
-    return Baseline(entries, finished, _judged(checked, seen, entries), tuple(spreads.items()), _told(names))
+    progress("what each effect gains on the other recordings")
+    gains = usual_gains(_beside(checked, entries, foretold, left))
+    return Baseline(entries, with_usual(remainders, gains, len(checked)), _judged(checked, seen, entries))
+
+
+def with_usual(remainders: tuple[Remainder, ...], gains: Gains, days: int) -> tuple[Remainder, ...]:
+    """Remainders with what each effect gains there; of few recordings the most of any joint counts for all of them."""
+    out = []
+    for one in remainders:
+        joints = [joint for stage, joint in gains if stage == one.stage and one.on == ""]
+        if days >= JUDGED_ENOUGH and one.joint in joints:
+            joints = [one.joint]
+        most: dict[str, float] = {}
+        for own in (gains[one.stage, joint] for joint in joints):
+            most = {name: max(nats, most.get(name, 0.0)) for name, nats in {**most, **own}.items()}
+        out.append(replace(one, usual=tuple(most.items())))
+    behind = [(stage, own) for (stage, _), own in gains.items() if stage not in DRIVEN_STAGES]
+    return (*out, *(Remainder(stage, None, "", 0.0, 0.0, usual=tuple(own.items())) for stage, own in behind))
 
 
 def _forms(wholes: list[Read], entries: tuple[EffectEntry, ...]) -> tuple[Remainder, ...]:
@@ -110,10 +126,6 @@ def _with_forms(remainders: tuple[Remainder, ...], forms: tuple[Remainder, ...])
     return tuple(replace(one, form=known.get((one.stage, one.joint, one.on), ())) for one in remainders)
 
 
-def _told(names: dict[str, dict[str, float]]) -> tuple[tuple[str, float], ...]:
-    return tuple((name.removeprefix(USUAL_NAME), nats) for found in names.values() for name, nats in found.items())
-
-
 def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
     """Effects of each cell by the floor that they leave themselves, fitted again until their names stay.
 
@@ -130,12 +142,18 @@ def _settled(fitted: list[Read], progress: Progress) -> dict[str, Fit]:
             raise DiagnosisError("no stage of these recordings can be replayed; see `longreach recording check`")
         for label, cell in groups.items():
             progress(f"fitting {label}, pass {number} of at most {PASSES}")
-            found[label] = forward(cell).fit
+            found[label] = _whole(cell)
         entries = tuple(entry for one in found.values() for entry in entries_of(one))
         if [(one.name, one.joint) for one in entries] == before:
             break
         remainders = remainders_of([with_baseline(one, entries, ()) for one in fitted])
     return found
+
+
+def _whole(cell: Cell) -> Fit:
+    """All effects of a cell together, pruned."""
+    best = solve(cell, library_of(cell)).best
+    return fit_of(best.terms, best.lin)
 
 
 def _sized(wholes: list[Read], fits: dict[str, Fit], progress: Progress) -> tuple[EffectEntry, ...]:

@@ -9,7 +9,7 @@ from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.cells.behind import behind_cells, fitting, measurement_of, told_behind, without
 from diagnosis.cells.dynamic import stage_cells
-from diagnosis.chain.own_step import at_its_step
+from diagnosis.cells.own_step import at_its_step
 from diagnosis.errors import DiagnosisError
 from diagnosis.known.form import form_of, most_of
 from diagnosis.known.known import with_known

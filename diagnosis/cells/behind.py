@@ -14,6 +14,7 @@ from diagnosis.behind.corner_residual import CornerResidual
 from diagnosis.behind.link_angles import paths_of
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.cells.camera import camera_cells
+from diagnosis.cells.dynamic import usual_of
 from diagnosis.cells.odometry import odometry_cells
 from diagnosis.cells.points import point_cells
 from diagnosis.known.form import with_form
@@ -55,44 +56,15 @@ def behind_cells(whole: Read, base: ParameterSets, with_odometry: bool = False) 
     points = point_cells(whole, base, paths)
     parts = (with_form(points, nominal) if nominal is not None else points) + camera_cells(whole, base, paths)
     parts += odometry_cells(whole, base, paths) if with_odometry else []
-    if len(parts) < 2:
-        return parts
-    known = nominal.remainder("structure") if nominal is not None else None
-    if known is None:
-        return [joined(parts)]
-    return [replace(joined(parts, known.spread), usual_names=known.usual_names)]
+    if not parts:
+        return []
+    cell = joined(parts) if len(parts) > 1 else parts[0]
+    if nominal is None or not nominal.remainders:
+        return [cell]
+    return [replace(cell, usual=usual_of([nominal.remainder(cell.stage)]) or ())]
 
 
-def independent(cell: Cell, count: int) -> int:
-    """How many of so many residuals speak for themselves: where the noise was never measured, what an arm's model is
-    wrong by in one pose takes all of that pose's points with it.
-    """
-    if cell.floor_known or not isinstance(cell.whitened, PointResidual):
-        return count
-    return min(count, 3 * len(np.unique(cell.whitened.noise.instants)))
-
-
-def guessed_scatter_m(cell: Cell) -> float:
-    """The noise of measured points where it was guessed from what no mixture of effects explains; else 0."""
-    own = [
-        float(np.hypot(part.whitened.noise.own.max(), part.whitened.noise.common_m))
-        for part in cell.parts or (cell,)
-        if not part.floor_known and isinstance(part.whitened, PointResidual)
-    ]
-    return max(own, default=0.0)
-
-
-def measured_scatter_m(cell: Cell) -> float:
-    """The noise of measured points as the same point measured again in its pose shows it; else 0."""
-    own = [
-        float(np.hypot(part.whitened.noise.own.max(), part.whitened.noise.common_m))
-        for part in cell.parts or (cell,)
-        if part.floor_known and isinstance(part.whitened, PointResidual)
-    ]
-    return max(own, default=0.0)
-
-
-def joined(parts: list[Cell], spread: float = 1.0) -> Cell:
+def joined(parts: list[Cell]) -> Cell:
     """Several cells as one: candidates of all, residuals end to end.
 
     Folds keep their numbers (a quarter of every part is left out together), blocks and series do not.
@@ -121,9 +93,7 @@ def joined(parts: list[Cell], spread: float = 1.0) -> Cell:
         same_kind=all(part.same_kind for part in parts),
         regressors=(),
         t_s=np.concatenate([part.t_s for part in parts]),
-        coarse=any(part.coarse for part in parts),
-        least_nats=max(part.least_nats for part in parts),
-        spread_least=max(spread, *(part.spread_least for part in parts)),
+        restless=next((part.restless for part in parts if part.restless), ""),
         parts=tuple(parts),
     )
 
@@ -190,15 +160,6 @@ def measurement_of(part: Cell) -> str:
     if isinstance(part.whitened, PointResidual):
         return "tracker" if part.whitened.paths else "static"
     return ""
-
-
-def energies(cells: list[tuple[Cell, Array]]) -> dict[str, float]:
-    """Mean squared residual in floors by measurement, of cells with their residuals (N,)."""
-    out: dict[str, float] = {}
-    for cell, residual in cells:
-        for part, own in cell.by_part(residual):
-            out[measurement_of(part)] = float(np.mean(own**2))
-    return out
 
 
 def told_behind(cells: list[Cell]) -> tuple[str, ...]:

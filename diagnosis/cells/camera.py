@@ -25,7 +25,6 @@ from diagnosis.search.candidates import candidates_of
 from diagnosis.search.cell import Cell, Rows
 from machine.effects.layout import ParameterSets
 from machine.effects.structure import tcp_poses
-from machine.remainder import Remainder
 from machine.rotations import Array
 
 FRAMES_MAX = 160
@@ -128,7 +127,6 @@ def _cell(
     if on == "ooi":
         rows = replace(rows, alike=_postures(link_angles(paths, base, 0, at, frames.t_s))[frames.frame_of_each])
     noise = noise.with_remainder(record)
-    left = _share_left(record, noise) if record is not None else 0.0
     off_m = (nominal.sensors.layout_m or LAYOUT_M) if record is None else 0.0  # a baseline has them in its remainder
     placed = replace(placed, noise=noise, layout_m=off_m).with_layout(base)
     return [
@@ -146,8 +144,6 @@ def _cell(
             same_kind=False,
             regressors=(("time", t_s),),
             t_s=t_s,
-            usual=record.usual_at(left) if record is not None else (),
-            left_share=left,
             restless="" if loose is None else loose.told(frames.markers[loose.number].marker_id),
         )
     ]
@@ -156,12 +152,6 @@ def _cell(
 def _of_two(own_and_shared: tuple[float, float]) -> CornerNoise:
     own, shared = own_and_shared
     return CornerNoise(np.full(AXES, own), np.full(AXES, shared))
-
-
-def _share_left(record: Remainder, noise: CornerNoise) -> float:
-    """Of the corners' floor, in squares: what the baseline leaves."""
-    left = record.sigma**2 + float(np.mean(np.square(record.by_axis or (0.0,))))
-    return min(1.0, left / float(np.mean(noise.own**2 + noise.shared**2)))
 
 
 def _placed(rough: CornerResidual, nominal: Nominal, table: MarkerTable, base: ParameterSets) -> CornerResidual | None:

@@ -1,6 +1,7 @@
 """Cells of link, controller and actuator: 20 Hz increments of measured less replayed, white by the repeats' noise."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from diagnosis.replay.stage_floor import at_noise, stage_floor
 from diagnosis.replay.stage_replay import SKIPPED, Replay, part_of, white_rows
 from diagnosis.replay.stretches import Stretch
 from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, candidates_of, named
-from diagnosis.search.cell import FORM_SHARE, Cell, Rows, blocks_of, folds_of
+from diagnosis.search.cell import Cell, Rows, blocks_of, folds_of
 from diagnosis.sliding import unit_of
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
@@ -21,7 +22,6 @@ from machine.rotations import Array
 
 UNIT = {"link": "rad", "controller": "1", "actuator": "rad/s"}
 MIXED_UNIT = "noise floors"  # of joints that turn beside joints that slide
-FORM_SHARE_OIL = 0.03  # friction and dead bands of real valves are no single number
 
 
 def stage_cells(
@@ -88,7 +88,7 @@ def cell_of(
     regressors, t_s = regressors_of(parts, chosen, white.order, SKIPPED, per_channel)
     one_based = tuple(j + 1 for j in joints)
     whole = stage == "link" or len(joints) > 1
-    left = _records(replayer, stage, joints, white.sigma)
+    known = [replayer.nominal.remainder(stage, j + 1) for j in joints]
 
     def again(noise: Whitener) -> Cell:
         return cell_of(stage, joints, prepared, at_noise(floor, chosen, noise), base, replayer)
@@ -107,47 +107,19 @@ def cell_of(
         same_kind=same,
         regressors=regressors,
         t_s=t_s,
-        coarse=any(part.plant.decimate > 1 for part in parts),
-        spread_least=left.spread,
-        form_share=FORM_SHARE_OIL if stage == "actuator" else FORM_SHARE,
-        usual=left.usual,
-        left_share=float(np.mean(left.shares)),
-        usual_names=left.usual_names,
-        at_noise=None if floor.known or stage != "actuator" or any(left.known) else again,
+        usual=usual_of(known),
+        at_noise=None if floor.known or stage != "actuator" or any(known) else again,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Records:
-    """What the machine file's baseline leaves of a cell's joints: a record each (None: nothing known), and its share of
-    that joint's floor, in squares."""
-
-    known: tuple[Remainder | None, ...]
-    shares: tuple[float, ...]
-
-    @property
-    def usual(self) -> tuple[tuple[str, float], ...]:
-        """Tests that fire on the undisturbed machine, the largest size of any joint."""
-        pairs = zip(self.known, self.shares, strict=True)
-        rows = [row for one, share in pairs if one is not None for row in one.usual_at(share)]
-        return tuple({name: max(size for n, size in rows if n == name) for name, _ in rows}.items())
-
-    @property
-    def usual_names(self) -> tuple[tuple[str, float], ...]:
-        """Names that gain much there, and what [nats]."""
-        return tuple({name: nats for one in self.known if one is not None for name, nats in one.usual_names}.items())
-
-    @property
-    def spread(self) -> float:
-        """By how much scores are divided at least: the most that a joint asks for."""
-        return max((one.spread for one in self.known if one is not None), default=1.0)
-
-
-def _records(replayer: Replayer, stage: str, joints: tuple[int, ...], sigma: Array) -> _Records:
-    """Of joints (0-based) with floors `sigma` (joints,)."""
-    known = tuple(replayer.nominal.remainder(stage, j + 1) for j in joints)
-    shares = (0.0 if one is None else min(1.0, (one.sigma / s) ** 2) for one, s in zip(known, sigma, strict=True))
-    return _Records(known, tuple(shares))
+def usual_of(known: Sequence[Remainder | None]) -> tuple[tuple[str, float], ...] | None:
+    """What each effect gains on undisturbed recordings, the most of any joint [nats]; None without a baseline."""
+    some = [one for one in known if one is not None]
+    most: dict[str, float] = {}
+    for one in some:
+        for name, nats in one.usual:
+            most[name] = max(most.get(name, 0.0), nats)
+    return tuple(most.items()) if some else None
 
 
 def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]], bool]:

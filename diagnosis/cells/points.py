@@ -82,7 +82,6 @@ def _cell(
     record = nominal.remainder("structure", on="tracker" if paths else "static")
     found = point_scatter(rough, base, candidates, repeats, record is not None)
     sigma = np.hypot(np.maximum(found.own, SIGMA_MIN_M), axes_of(record, 3))
-    left = float(np.mean(axes_of(record, 3) ** 2 / sigma**2))
     swing_rad = record.swing_rad if record is not None else 0.0
     reach_m = rough.reach_m(base)
     noise = replace(rough.noise, own=sigma, swing_rad=swing_rad, reach_m=reach_m, common_m=found.common_m)
@@ -99,14 +98,10 @@ def _cell(
         scale=np.tile(np.hypot(sigma, found.common_m), m),
         quiet=1.0,
         floor_known=found.known,
-        floor_squares=found.squares,
         restless=found.restless,
-        spread_least=found.alike,
         same_kind=False,
         regressors=tuple(q.items()),
         t_s=np.repeat(data.when, 3),
-        usual=record.usual_at(left) if record is not None else (),
-        left_share=left,
     )
 
 

@@ -1,27 +1,28 @@
 """The next experiment: what of the library best separates the hypotheses that a diagnosis leaves open."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from diagnosis.behind.corner_residual import CornerResidual
-from diagnosis.diagnose import Diagnosis
 from diagnosis.experiments.described import described
 from diagnosis.experiments.library import Experiment, Motion, motions
-from diagnosis.experiments.live import Pair, live_pairs
 from diagnosis.experiments.postures import extremes, looks, pool, visible
-from diagnosis.experiments.prediction import rows_of_motion, rows_of_postures, sets_of
+from diagnosis.experiments.prediction import Hypothesis, rows_of_motion, rows_of_postures, sets_of
 from diagnosis.experiments.separation import separation_nats
 from diagnosis.log.nominal import Nominal
 from diagnosis.reading.read import Read
 from diagnosis.replay.stage_replay import Replay
-from diagnosis.verdict.weigh import SEPARATED_NATS, Key
+from diagnosis.search.cell import Cell
+from diagnosis.whole_model.evidence import EQUAL_T
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
+Key = tuple[str, int | None]  # an effect and its joint
 ENOUGH_NATS = 30.0  # beyond it two hypotheses are told apart; more is not better, sooner is
 POOL_SEED = 5
-TOLD_NATS = 0.5 * SEPARATED_NATS  # of a pair: an experiment that gives less of all of them is none
+TOLD_NATS = 0.5 * EQUAL_T  # of a pair: an experiment that gives less of all of them is none
 CELLS_MAX = 3  # asked about
 MINUTES_COST = 0.01  # nats a minute: of equals the shorter one
 SEEN_BEHIND = ("encoder_scale", "encoder_eccentricity")
@@ -32,17 +33,27 @@ SIGNALS = {
 }
 
 
-def next_experiment(found: Diagnosis) -> dict[str, Any]:
-    """What to drive or look at, how long, which pair it separates, the nats it should give; how to execute it.
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two sets of effects of one part, how much their difference matters, and the effects that differ.
 
-    Of the cells with open pairs the weightiest that an experiment can do something about: a lag that is too small to be
-    seen on one joint is no reason to leave another one's names apart.
+    `spread`: by how much the part's scores are to be divided.
     """
-    return experiment_for(found.whole, live_pairs(found), found.verdict.word in ("none", "effects"))
+
+    cell: Cell
+    spread: float
+    mine: Hypothesis
+    other: Hypothesis
+    weight: float
+    names: tuple[Key | None, Key | None]
 
 
 def experiment_for(whole: Read, cells: list[list[Pair]], settled: bool) -> dict[str, Any]:
-    """The same for open pairs by cell, the weightiest first. `settled`: whether the answer is sure without them."""
+    """What to drive or look at, how long, which pair it separates, the nats it should give; how to execute it.
+
+    Of the parts with open pairs (`cells`, the weightiest first) the first that an experiment can do something about.
+    `settled`: whether the answer is sure without them.
+    """
     nominal = whole.nominal
     if not cells or nominal is None:
         why = "nothing is left to separate" if settled else "no pair of names is live"

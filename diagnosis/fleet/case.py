@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.reading.read import Read, read
 
@@ -28,7 +28,7 @@ def diagnosed(path: str, machine_file: str | None = None) -> dict[str, Any]:
     if not whole.usable:
         return {**out, "status": "unusable", "findings": findings}
     try:
-        return {**out, "status": "diagnosed", "findings": findings, "answer": answer(diagnose(whole))}
+        return {**out, "status": "diagnosed", "findings": findings, "answer": answer(budget_of(whole))}
     except DiagnosisError as error:
         return {**out, "status": "failed", "findings": findings, "reason": str(error)}
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from diagnosis.verdict.equals import equals_of
+from diagnosis.report.equals import equals_of
 
 Z_90 = 1.645
 DRIFT_MIN = 3  # recordings of one effect on one machine, for a drift
@@ -104,11 +104,9 @@ def _why(one: dict[str, Any]) -> str:
 
 
 def _found(one: dict[str, Any]) -> list[Found]:
-    """Named effects of a recording; nothing is taken from a verdict that names none."""
-    if one["answer"]["verdict"] != "effects":
-        return []
+    """Confirmed effects of a recording."""
     out = []
-    for effect in one["answer"]["hypotheses"][0]["effects"]:
+    for effect in _confirmed(one["answer"]):
         sized = [
             (name, x) for name, x in effect["parameters"].items() if x["low"] is not None and x["high"] is not None
         ]
@@ -118,6 +116,10 @@ def _found(one: dict[str, Any]) -> list[Found]:
             when = _days(one["started_utc"])
             out.append(Found(machine_of(one), one["recording"], effect["name"], effect["joint"], *size, when))
     return out
+
+
+def _confirmed(answer: dict[str, Any]) -> list[dict[str, Any]]:
+    return [one for one in answer["budget"]["effects"] if one["status"] == "confirmed"]
 
 
 def _days(text: str) -> float | None:
@@ -142,9 +144,9 @@ def _shared(good: list[dict[str, Any]], found: tuple[Found, ...]) -> tuple[Share
 
 def _could_see(one: dict[str, Any], key: tuple[str, int | None], size: float) -> bool:
     answer = one["answer"]
-    if answer["verdict"] not in ("none", "effects"):
+    if answer["verdict"] not in ("none", "effects", "partly"):
         return False
-    named = answer["hypotheses"][0]["effects"] if answer["verdict"] == "effects" else []
+    named = _confirmed(answer)
     if key in {(other["name"], other["joint"]) for effect in named for other in equals_of(answer, effect)}:
         return False  # it may be what was named there: that recording cannot tell the two apart
     limit = {(x["name"], x["joint"]): x["size"] for x in answer["detection_limits"]}.get(key)

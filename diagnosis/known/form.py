@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.behind.link_angles import Path
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.errors import DiagnosisError
-from diagnosis.families.behind import acceleration_columns
-from diagnosis.families.driven import Course, courses_of, families_of, modelled_of, moving_families, white_columns
-from diagnosis.families.responses import RESPONSES, responses
+from diagnosis.known.courses import Course, courses_of, hats, modelled_of, moving_families, white_columns
+from diagnosis.known.responses import RESPONSES, responses
 from diagnosis.log.nominal import Nominal
 from diagnosis.replay.stage_replay import Replay
-from diagnosis.search.cell import EXCEEDED_TIMES, Cell
+from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs, neutral_fit, weights
 from machine.remainder import Form
 from machine.rotations import Array
@@ -30,9 +30,11 @@ TRACKED = "acceleration"
 KNOTS = np.array([-1.0, -0.5, -0.25, -0.12, -0.06, -0.03, 0.0, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0])  # of full command
 PIECE_S = 0.1  # of a course: a motion of shuffled pieces has all the frequencies that matter
 RIDGES = (10.0, 100.0, 1e3, 1e4)  # rows' worth of prior, of a motion unlike any and of each number
+SMOOTH_ROWS = 11  # of the encoders, for their accelerations
 NEARLY = 0.85  # of the best gain
 WORTH_NATS = 1.0  # a recording: a family that adds less is not worth its numbers
 LEAST_NATS = 12.0  # over all recordings: twice the margin of a name
+EXCEEDED_TIMES = 1.5  # the most that some recordings showed is exceeded by one more in every dozen
 TOGETHER_MIN = 3  # recordings: one of two would be foretold by a single one
 
 
@@ -52,35 +54,34 @@ def _less(cell: Cell, nominal: Nominal) -> Cell:
             known = _fitting({TRACKED: acceleration_columns(seen)}, form, "structure")
             return replace(cell, whitened=replace(seen, known=known))
     if isinstance(seen, Replay) and cell.stage == "actuator":
-        known, unlike = _course_taken_off(cell, seen, nominal)
-        return replace(cell, whitened=known, unlike=unlike)
+        return replace(cell, whitened=_course_taken_off(cell, seen, nominal))
     return cell
 
 
-def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> tuple[Replay, tuple[int, ...]]:
-    """The replay less its joints' forms, and the joints (1-based) whose form is of no use to a motion like this."""
+def _course_taken_off(cell: Cell, replay: Replay, nominal: Nominal) -> Replay:
+    """The replay less its joints' forms; a form that says much more of this motion than of any it was fitted to is
+    left out.
+    """
     records = [nominal.remainder(cell.stage, joint + 1) for joint in replay.joints]
     forms = [() if one is None else one.form for one in records]
     most = [0.0 if one is None else one.form_most for one in records]
     if not any(forms):
-        return replay, ()
-    unlike = []
+        return replay
     measured, modelled = [part.measured.copy() for part in replay.parts], modelled_of(cell, replay)
     moved: list[list[Callable[[Array], Array] | None]] = [[None] * len(replay.joints) for _ in replay.parts]
     for channel, (joint, form) in enumerate(zip(replay.joints, forms, strict=True)):
         if not form:
             continue
         courses = courses_of(cell, replay, modelled, channel)
-        known = [_fitting(one, form, f"{cell.stage} {joint + 1}") for one in _families(cell, courses)]
+        known = [_fitting(one, form, f"{cell.stage} {joint + 1}") for one in _families(courses)]
         if most[channel] and _power(replay, channel, known) > EXCEEDED_TIMES * most[channel]:
-            unlike.append(joint + 1)
             continue
         for own, said, otherwise, course in zip(measured, known, moved, courses, strict=True):
             own[: len(said), channel] -= said
             otherwise[channel] = Otherwise.of(course, form)
     pieces = zip(replay.parts, measured, moved, strict=True)
     parts = tuple(replace(part, measured=own, moved=tuple(one)) for part, own, one in pieces)
-    return replace(replay, parts=parts), tuple(unlike)
+    return replace(replay, parts=parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,12 +108,11 @@ class Otherwise:
         return _fitting(moving_families(replace(self.course, q=q)), self.form, "a joint") - self.said
 
 
-def _families(cell: Cell, courses: list[Course]) -> list[dict[str, Array]]:
+def _families(courses: list[Course]) -> list[dict[str, Array]]:
     """Of one joint's actuator, for each stretch: what it answers at once, and what it still answers later (m, k)."""
-    at_once = families_of(cell.stage, courses, KNOTS)
     return [
-        {**{name: own[name] for name in AT_ONCE}, **responses(course)}
-        for own, course in zip(at_once, courses, strict=True)
+        {"the valve command": course.whole(hats(course.drive, KNOTS)), **moving_families(course), **responses(course)}
+        for course in courses
     ]
 
 
@@ -132,7 +132,7 @@ def most_of(cells: list[Cell], form: Form) -> float:
     for cell in cells:
         replay = cell.whitened
         if isinstance(replay, Replay):
-            families = _families(cell, courses_of(cell, replay, modelled_of(cell, replay), 0))
+            families = _families(courses_of(cell, replay, modelled_of(cell, replay), 0))
             found.append(_power(replay, 0, [_fitting(one, form, cell.label) for one in families]))
     return max(found)
 
@@ -249,7 +249,7 @@ def _white(cell: Cell, jumbled: bool = False) -> dict[str, Array]:
     courses = courses_of(cell, seen, modelled_of(cell, seen), 0)
     if jumbled:
         courses = [_jumbled(one) for one in courses]
-    pieces = zip(courses, _families(cell, courses), strict=True)
+    pieces = zip(courses, _families(courses), strict=True)
     white = [
         {name: white_columns(seen.whitener, 0, one.dt_s, families[name]) for name in DRIVEN} for one, families in pieces
     ]
@@ -263,3 +263,22 @@ def _jumbled(c: Course) -> Course:
     order = np.concatenate([pieces[k] for k in np.random.default_rng(0).permutation(len(pieces))])
     q = c.q[0] + c.whole(c.rate(c.q)[order])
     return replace(c, q=q, drive=c.drive[order], load=c.load[order], others=c.others[order])
+
+
+def acceleration_columns(measured: PointResidual) -> Array:
+    """(3 m, 3 n) of tracked points, not weighed: what radial, tangential and up do with each joint's acceleration."""
+    return np.asarray(np.kron(_accelerations(measured.paths, measured.at, measured.data.when), np.eye(3)), dtype=float)
+
+
+def _accelerations(paths: tuple[Path, ...], at: NDArray[np.int64], t_s: Array) -> Array:
+    """Encoders' accelerations (m, n) at times (m,) in paths `at` (m,)."""
+    n = paths[0].enc.shape[1]
+    a = np.zeros((len(t_s), n))
+    window = np.ones(SMOOTH_ROWS) / SMOOTH_ROWS
+    for k in np.unique(at):
+        rows, path = at == k, paths[k]
+        for j in range(n):
+            smooth = np.convolve(path.enc[:, j], window, mode="same") if len(path.t_s) > SMOOTH_ROWS else path.enc[:, j]
+            speed = np.gradient(smooth, path.t_s)
+            a[rows, j] = np.interp(t_s[rows], path.t_s, np.gradient(speed, path.t_s))
+    return a

@@ -25,8 +25,7 @@ from machine.rotations import Array
 
 NO_NOISE = 0.2  # of the least sigma: below it repeats are equal but for rounding, and their filter means nothing
 SIGMA_MIN = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # nothing smaller moves the tcp by 0.1 mm
-SILENT = 1e-3  # of every usual test: a program that leaves nothing, day by day
-SILENT_SHARE = 0.25  # of the least sigma, there: what is no noise at all adds up along a move
+SILENT_SHARE = 0.25  # of the least sigma, where a program leaves nothing day by day: no noise adds up along a move
 STEP_SHARE = 0.41  # of an encoder's step, sqrt(2 / 12): two roundings, which repeats do not show when they round alike
 
 
@@ -85,7 +84,7 @@ def _smallest(stage: str, prepared: list[Prepared]) -> Array:
 
 def _silent(record: Remainder | None) -> bool:
     """Whether a joint's stage was never seen to leave anything on the undisturbed machine."""
-    return record is not None and bool(record.usual) and all(size < SILENT for _, size in record.usual)
+    return record is not None and record.sigma == 0.0
 
 
 def _not_below(floor: Floor, least: Array) -> Floor:

@@ -70,30 +70,6 @@ class Replay:
         out = np.concatenate(side_by_side(lambda part: self._white(part, chosen), self.parts), axis=1)
         return out if self.day is None else self.day.white(out)
 
-    def waits(self, sets: ParameterSets) -> list[tuple[float, float]]:
-        """Of each part, how many cycles later its input's course had come by the residual of the first set, and by how
-        much that is known [1 / cycle]; 0 where the course between rows is no guess of what was sent.
-        """
-        chosen = ParameterSets(np.ascontiguousarray(sets.joint[:1, list(self.joints)]), sets.machine[:1])
-        found = []
-        for part in self.parts:
-            if not part.sided or len(part.between) != SIDES:
-                found.append((0.0, 0.0))
-                continue
-            later, earlier = part.between
-            white, column = (
-                whiten_sets(self.whitener, one)[:, SKIPPED:] * trust(part, self.whitener)
-                for one in (part_increments(self.stage, part, chosen)[0], 0.5 * (later - earlier)[None])
-            )
-            power = float((column**2).sum())
-            found.append((float((column * white).sum()) / max(power, TINY), float(np.sqrt(power))))
-        return found
-
-    def guessed_nats(self) -> float:
-        """What other guesses of the input's course between logged rows change, as a misfit of the noise [nats]."""
-        white = (whiten_sets(self.whitener, one[None])[:, SKIPPED:] for part in self.parts for one in part.between)
-        return 0.5 * sum(float((one**2).sum()) for one in white)
-
     def _white(self, part: Part, sets: ParameterSets) -> Array:
         steps, shift = part_increments(self.stage, part, sets)
         weight = trust(part, self.whitener)

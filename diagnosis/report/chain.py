@@ -4,7 +4,6 @@ from html import escape
 from typing import Any
 
 from diagnosis.report.html import wide
-from diagnosis.verdict.verdict import Word
 from machine.effects.spec import STAGES
 
 BOX_W, BOX_H, STEP = 92, 112, 104
@@ -49,14 +48,12 @@ def is_total(one: dict[str, Any]) -> bool:
 
 
 def _named(result: dict[str, Any]) -> dict[str, list[str]]:
-    word: Word = result["verdict"]
-    if word != "effects":
-        return {}
     out: dict[str, list[str]] = {}
-    for one in result["hypotheses"][0]["effects"]:
-        out.setdefault(one["stage"], []).append(one["name"].replace("_", " "))
-        if one["joint"] is not None:
-            out[one["stage"]].append(f"joint {one['joint']}")
+    for one in result["budget"]["effects"]:
+        if one["status"] == "confirmed":
+            out.setdefault(one["stage"], []).append(one["name"].replace("_", " "))
+            if one["joint"] is not None:
+                out[one["stage"]].append(f"joint {one['joint']}")
     return out
 
 

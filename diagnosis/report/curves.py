@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from diagnosis.replay.stage_replay import LAST, OUTPUT, Part, Replay
 from diagnosis.search.candidates import put
-from diagnosis.search.score import Compared, Score
 from diagnosis.sliding import slides, unit_of
+from diagnosis.whole_model.held_out import HeldOut
 from machine.effects.dynamics import simulate
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
@@ -57,26 +57,26 @@ class CellCurves:
     replayed: Replayed | None
 
 
-def curves_of(cells: Sequence[Compared], sliding: tuple[bool, ...]) -> tuple[CellCurves, ...]:
+def curves_of(cells: Sequence[HeldOut], sliding: tuple[bool, ...]) -> tuple[CellCurves, ...]:
     """Of the cells with the largest gaps, at most four; those with a named effect first."""
-    ranked = sorted(cells, key=lambda one: (not one.chosen.fit.hypothesis, -_energy(one)))
+    ranked = sorted(cells, key=lambda one: (not one.fit.hypothesis, -_energy(one)))
     return tuple(_cell(one, sliding) for one in ranked[:CELLS_MAX])
 
 
-def _energy(one: Compared) -> float:
-    return float(np.mean(one.none.held_out**2))
+def _energy(one: HeldOut) -> float:
+    return float(np.mean(one.before**2))
 
 
-def _cell(one: Compared, sliding: tuple[bool, ...]) -> CellCurves:
+def _cell(one: HeldOut, sliding: tuple[bool, ...]) -> CellCurves:
     cell = one.cell
-    named = " + ".join(effect.name for effect in one.chosen.fit.hypothesis)
+    named = " + ".join(effect.name for effect in one.fit.hypothesis)
     order = np.argsort(cell.t_s, kind="stable")
-    before, after = one.none.held_out, one.chosen.held_out
+    before, after = one.before, one.after
     white = Residuals(cell.t_s[order], before[order], after[order], cell.rows.series[order])
     return CellCurves(cell.label, named, white, _replayed(one, sliding))
 
 
-def _replayed(one: Compared, sliding: tuple[bool, ...]) -> Replayed | None:
+def _replayed(one: HeldOut, sliding: tuple[bool, ...]) -> Replayed | None:
     """The stretch and joint on which the effect matters most, replayed by numbers fitted without that stretch's kind.
 
     Without a named effect: where the gap is largest; nominal and explained are then the same.
@@ -84,14 +84,14 @@ def _replayed(one: Compared, sliding: tuple[bool, ...]) -> Replayed | None:
     replay = one.cell.whitened
     if not isinstance(replay, Replay) or not replay.parts:
         return None
-    before, after = _energies(one, replay, one.none), _energies(one, replay, one.chosen)
-    wanted = before - after if one.chosen.fit.hypothesis else before
+    before, after = _energies(one, replay, one.before), _energies(one, replay, one.after)
+    wanted = before - after if one.fit.hypothesis else before
     at, channel = np.unravel_index(int(np.argmax(wanted)), wanted.shape)
     part = replay.parts[int(at)]
     fold = _fold_of(one, int(at) * len(replay.joints) + int(channel))
-    theta = one.chosen.folds.theta_without(fold)
+    theta = one.theta_without(fold)
     base = one.cell.base
-    traces = [_output(replay, part, sets, int(channel)) for sets in (base, put(base, one.chosen.fit.hypothesis, theta))]
+    traces = [_output(replay, part, sets, int(channel)) for sets in (base, put(base, one.fit.hypothesis, theta))]
     rows, joint = len(traces[0]), replay.joints[int(channel)]
     signal = SIGNALS[replay.stage]
     return Replayed(
@@ -105,14 +105,14 @@ def _replayed(one: Compared, sliding: tuple[bool, ...]) -> Replayed | None:
     )
 
 
-def _energies(one: Compared, replay: Replay, score: Score) -> Array:
+def _energies(one: HeldOut, replay: Replay, residual: Array) -> Array:
     """Sum of squared held-out residuals by stretch and channel (parts, joints)."""
     series = one.cell.rows.series
-    sums = np.bincount(series, weights=score.held_out**2, minlength=len(replay.parts) * len(replay.joints))
+    sums = np.bincount(series, weights=residual**2, minlength=len(replay.parts) * len(replay.joints))
     return np.asarray(sums, dtype=float).reshape(len(replay.parts), len(replay.joints))
 
 
-def _fold_of(one: Compared, series: int) -> int:
+def _fold_of(one: HeldOut, series: int) -> int:
     rows = one.cell.rows
     return int(rows.fold[np.argmax(rows.series == series)])
 

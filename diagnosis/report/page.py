@@ -7,54 +7,31 @@ from typing import Any
 from diagnosis.report.budget import budget_head, budget_sections
 from diagnosis.report.chain import chain
 from diagnosis.report.curves import CellCurves
-from diagnosis.report.html import document, section, table, wide
+from diagnosis.report.html import document, section, table
 from diagnosis.report.plots import plots
-from diagnosis.report.simulated import simulated_section
-from diagnosis.report.svg import bar
-from diagnosis.report.text import effects_text, place_text
-from diagnosis.report.words import next_text, verdict_text, what_it_looks_like
+from diagnosis.report.text import place_text
+from diagnosis.report.words import next_text, what_it_looks_like
 
 PLACES_MAX = 40
-HYPOTHESES_MAX = 6
 
 
 def page(result: dict[str, Any], name: str, curves: Sequence[CellCurves] = ()) -> str:
     """The whole page. `result`: the answer's JSON; `curves`: what cannot be drawn from it."""
-    by_budget = "budget" in result
     body = [
-        budget_head(result, name) + budget_sections(result) if by_budget else _head(result, name),
+        budget_head(result, name) + budget_sections(result),
         section("Where the gap lies", chain(result)),
         section("Measured, nominal, nominal with the effects", plots(curves)),
-        section("How likely", _classes(result) if by_budget else _hypotheses(result) + _classes(result)),
+        section("What cannot be distinguished", _classes(result)),
         section("Next experiment", f"<p>{escape(next_text(result))}</p>"),
         section("How far the gap shrinks on held-out trajectories", _shrinks(result)),
-        section("The same, run by the simulator", simulated_section(result)),
         section("What nothing explains", _table(result["unexplained"], UNEXPLAINED)),
-        section("What the remainder goes with", _shapes(result)),
         section("What the recording lacked", _table(result["missing"], (("signal", "signal"), ("costs", "costs")))),
         section("Findings about the recording", _table(result["findings"], FINDINGS)),
+        _details("What the confirmed effects look like", what_it_looks_like(result)),
         _details("Every place: stage, joint, axis, regime", _table(_places(result), PLACES)),
         _details("Smallest effects this recording could have shown", _table(result["detection_limits"], LIMITS)),
     ]
     return document(f"{name}: {result['verdict']}", "".join(body))
-
-
-SHAPES = (
-    ("stage", "stage"),
-    ("joint", "joint"),
-    ("measurement", "seen by"),
-    ("goes_with", "goes with"),
-    ("nats", "nats foretold"),
-)
-
-
-def _shapes(result: dict[str, Any]) -> str:
-    """What an unknown function of would foretell what the names leave."""
-    found = result.get("shapes", [])
-    if not found:
-        return "<p>nothing that was tried</p>"
-    why = "Functions of these foretell what the names above leave, where they were not fitted: where to look next."
-    return f"<p>{why}</p>" + _table(found, SHAPES)
 
 
 UNEXPLAINED = (
@@ -91,40 +68,8 @@ SHRINK = (
 )
 
 
-def _head(result: dict[str, Any], name: str) -> str:
-    words = verdict_text(result)
-    facts = "".join(f"<li>{escape(text)}</li>" for text in words.facts)
-    return (
-        f"<p class='name'>Sim-to-real gap of {escape(name)}</p>"
-        f'<header class="{escape(result["verdict"])}"><span aria-hidden="true">{words.sign}</span>'
-        f"<div><h1>{escape(words.headline)}</h1><ul>{facts}</ul></div></header>"
-        f"{what_it_looks_like(result)}"
-    )
-
-
 def _details(title: str, body: str) -> str:
     return f"<details><summary>{escape(title)}</summary>{body}</details>" if body else ""
-
-
-def _hypotheses(result: dict[str, Any]) -> str:
-    """Probability bars; what belongs to the 90 % set is marked; the cause outside the catalogue is one of them."""
-    credible = [_key(one["effects"]) for one in result["credible_set_90"]]
-    rows = [
-        (one["probability"], effects_text(one["effects"]), _key(one["effects"]) in credible)
-        for one in result["hypotheses"][:HYPOTHESES_MAX]
-    ]
-    rows.append((result["unseen_probability"], "one more effect, below its detection limit here", False))
-    rows.append((result["outside_probability"], "a cause outside the catalogue", False))
-    lines = "".join(
-        f'<tr><td class="n">{100 * probability:.1f} %</td><td>{bar(probability, "bar" if inside else "bar faint")}</td>'
-        f"<td>{escape(text)}{' <b>in the 90 % set</b>' if inside else ''}</td></tr>"
-        for probability, text, inside in rows
-    )
-    return wide(f"<table>{lines}</table>")
-
-
-def _key(effects: list[dict[str, Any]]) -> tuple[tuple[str, int], ...]:
-    return tuple(sorted((one["name"], one["joint"] or 0) for one in effects))
 
 
 def _classes(result: dict[str, Any]) -> str:

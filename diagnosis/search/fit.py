@@ -7,7 +7,10 @@ import numpy as np
 from diagnosis.errors import DiagnosisError
 from diagnosis.search.candidates import Candidate, put
 from diagnosis.search.cell import Cell
+from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.layout import ParameterSets
+from machine.effects.registry import effect_of
+from machine.errors import MachineFileError
 from machine.rotations import Array
 
 SOFT = 3.0  # whitened residuals beyond it count linearly (soft-L1)
@@ -165,3 +168,27 @@ def _bends(J: Array, residual: Array, theta: Array, trials: Array, tried: Array)
     w = weights(residual)[:, None]
     off = tried - residual - (trials - theta) @ J.T
     return -off @ (np.linalg.pinv((J * w).T @ J, hermitian=True) @ (J * w).T).T
+
+
+def entries_of(found: Fit) -> list[EffectEntry]:
+    """A fit as `[[effect]]` entries; sizes that ended at a bound lie on it."""
+    out = []
+    for one, values in found.by_effect:
+        effect = effect_of(one.name)
+        parameters: dict[str, object] = {slot.parameter: value for slot, value in one.fixed}
+        if effect.direction is not None:
+            size = float(np.linalg.norm(values))
+            parameters |= {effect.size.name: min(size, effect.size.highest)}
+            if size > 0.0:
+                along = np.zeros(len(effect.direction.default))  # a base is tilted about its level axes only
+                along[: len(values)] = values / size
+                parameters[effect.direction.name] = along.tolist()
+        else:
+            parameters |= {slot.parameter: float(value) for slot, value in zip(one.slots, values, strict=True)}
+        if effect.choice is not None and one.option:
+            parameters[effect.choice.name] = one.option
+        try:
+            out.append(make_entry(effect, one.joint, parameters))
+        except MachineFileError as error:
+            raise DiagnosisError(f"a fitted effect does not fit its own bounds: {error}") from error
+    return out

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs
 from diagnosis.whole_model.linear import Term, linearised
-from diagnosis.whole_model.solve import Fitted, WholeFit
+from diagnosis.whole_model.solve import Fitted, WholeFit, alike_delays
 from machine.rotations import Array
 
 QUANTILE_95 = 1.6448536269514722
@@ -67,13 +67,17 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
     out = []
     for term, k, own in zip(lin.terms, present, np.split(np.arange(J.shape[1]), lin.first[1:-1]), strict=True):
         sd = _with_open(term, spread[own])
+        z = _z(term, sd[: term.sizes])
+        if term.effect.cycles is not None:
+            run = alike_delays(fit.cell, lin, len(out), fit.trust)
+            sd = np.hypot(sd, (float(np.ptp(run)) + term.effect.cycles[0]) / np.sqrt(12.0))
         out.append(
             Evidence(
                 term=term,
                 part=fit.cell.label,
                 gain_nats=_gain(fit, int(k)),
                 sd=sd,
-                z=_z(term, sd[: term.sizes]),
+                z=z,
                 scatter=_share_of_size(term, scatter(J, residual, own[: term.sizes], groupings)),
                 equals=_equals(fit, int(k)),
                 left=left,

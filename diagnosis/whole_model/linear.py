@@ -22,6 +22,7 @@ from machine.rotations import Array
 SLAB = 3.0  # times the catalogue's prior scale: wide, so that a poor machine is no outlier
 SCANNED_AT_ONCE = 64  # parameter sets in one call, for memory
 CHANGED_SINCE = 0.02  # of the effects that a machine has: how many are expected to change between two diagnoses
+STEP_CYCLES = 10.0  # of a delay: many treads of its staircase, and little against any motion
 TWINS = 1e-5  # of the cosine between columns, by finite steps of different length
 
 
@@ -266,6 +267,8 @@ def _in_parts(cell: Cell, sets: ParameterSets) -> list[Array]:
 
 
 def _steps(term: Term) -> Array:
+    if term.effect.cycles is not None:  # the cost is a staircase of PLC cycles and logged rows
+        return np.full(1, STEP_CYCLES * term.effect.cycles[0])
     return STEP_SHARE * np.array([slot.high - slot.low for slot in term.effect.slots])
 
 
@@ -295,6 +298,6 @@ def log_odds_of(cell: Cell, term: Term) -> float:
     Why less what it usually gains: by so much it explains the undisturbed machine's own wrong form.
     """
     share = effect_of(term.effect.name).prevalence
-    if not cell.usual_known:
+    if cell.usual is None:
         return float(np.log(share / (1.0 - share)))
-    return float(np.log(CHANGED_SINCE * share)) - cell.usual_nats(term.effect, term.theta)
+    return float(np.log(CHANGED_SINCE * share)) - dict(cell.usual).get(term.effect.name, 0.0)

@@ -10,22 +10,23 @@ import numpy as np
 from diagnosis.cells.behind import behind_cells, fitting, told_behind, without
 from diagnosis.cells.dynamic import coupled_cell, stage_cells
 from diagnosis.cells.merged import merged_cells
-from diagnosis.chain.guessed_noise import SETTLED, by_noise_of, noise_about
-from diagnosis.chain.own_step import at_its_step
+from diagnosis.cells.own_step import at_its_step
 from diagnosis.known.known import with_known
 from diagnosis.reading.read import Read
 from diagnosis.replay.replayer import Replayer, replayer_of
-from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, put
+from diagnosis.search.candidates import DROOP, SEEN_BY_ENCODER, Candidate, beside, put
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import neutral_fit
 from diagnosis.search.work import Work
+from diagnosis.whole_model.guessed_noise import SETTLED, by_noise_of, noise_about
 from diagnosis.whole_model.linear import Term, linearised
-from diagnosis.whole_model.solve import WholeFit, fit_of, solve, trusted
+from diagnosis.whole_model.solve import WholeFit, fit_of, score_at, solve, trusted
 from diagnosis.whole_model.subsets import best_set
 from machine.effects.entries import pack_under
 from machine.effects.layout import ParameterSets
 
-REDUNDANT = (("valve_deadband", "kept"),)  # a dead band that loses flow, together with a flow gain
+OTHER_FORM = ("valve_deadband", "kept")  # the same as one that loses flow, together with a gain
+GAIN = "flow_gain_error"
 
 
 def fit_machine(whole: Read, work: Work | None = None, left_out: tuple[str, ...] = ()) -> tuple[WholeFit, ...]:
@@ -62,7 +63,7 @@ def _solved(cells: list[Cell], work: Work) -> list[WholeFit]:
     work.stage(cells)
     for cell in cells:
         work.begin(f"fitting {cell.label}")
-        out.append(_solved_by_its_noise(cell, work))
+        out.append(_in_other_form(_solved_by_its_noise(cell, work)))
         work.end()
     return out
 
@@ -81,8 +82,27 @@ def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
-    """A cell's effects, each in one parametrisation."""
-    return tuple(effect for effect in cell.candidates if (effect.name, effect.option) not in REDUNDANT)
+    """A cell's effects, each in one form; beside a baseline's own with that one's shapes."""
+    return beside(cell.base, tuple(one for one in cell.candidates if (one.name, one.option) != OTHER_FORM))
+
+
+def _in_other_form(found: WholeFit) -> WholeFit:
+    """The fit with dead bands that keep the full flow, where such a one explains as much as one that loses flow and a
+    gain that makes up for it.
+    """
+    kept = {one.joint: one for one in found.cell.candidates if (one.name, one.option) == OTHER_FORM}
+    for k, term in enumerate(found.best.terms):
+        joint = term.effect.joint
+        if not term.present or term.effect.name != OTHER_FORM[0] or joint not in kept:
+            continue
+        others = tuple(
+            replace(one, present=one.present and one.effect.key != (GAIN, joint)) for one in found.best.terms
+        )
+        terms = (*others[:k], replace(term, effect=kept[joint]), *others[k + 1 :])
+        tried = solve(found.cell, (), terms)
+        if score_at(tried.best.lin, found.trust) > score_at(found.best.lin, found.trust):
+            found = tried
+    return found
 
 
 def with_found(base: ParameterSets, fits: list[WholeFit], names: tuple[str, ...] | None = None) -> ParameterSets:

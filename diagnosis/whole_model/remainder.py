@@ -11,7 +11,9 @@ WORTH = 0.05  # of the remainder: a signal that explains less is no lead
 
 
 def lead_of(fit: WholeFit) -> str:
-    """The strongest lead in words; empty where no signal explains a twentieth of what is left."""
+    """The strongest lead in words: what moved by itself, else a signal that explains a twentieth of what is left."""
+    if fit.cell.restless:
+        return fit.cell.restless
     residual = fit.best.lin.residual
     found = [
         (explained(own, values), name)

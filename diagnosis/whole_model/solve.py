@@ -26,6 +26,7 @@ STEPS = 10  # of Gauss-Newton between two choices
 NEARLY_NATS = 0.5  # a step that gains less by tangents that were kept is followed by one of fresh ones
 SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
 SETTLED_NATS = 0.05
+CYCLES = 10  # of a PLC, to either side of a delay that a fit ended at
 CLEAR_NATS = 50.0  # by the linear model: nobody refits a set that is so much worse
 
 
@@ -76,14 +77,14 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
            the end the best set without each term is refitted; where one of these is better, it takes the place.
     """
     trust = np.ones(cell.rows.count)
-    terms = start
-    if not start:
-        terms = tuple(Term(effect, np.zeros(len(effect.slots)), False) for effect in library)
-        terms = refined(cell, tuple(replace(term, present=term.smooth) for term in terms), trust)
-    lin = linearised(cell, terms)
-    twins = lin.twins()
+    terms = start or tuple(Term(effect, np.zeros(len(effect.slots)), False) for effect in library)
+    twins = _twins(cell, terms)
     own = np.ones(len(terms), dtype=bool)
     own[[out for _, out in twins]] = False
+    if not start:
+        begun = (replace(term, present=bool(term.smooth and own[k])) for k, term in enumerate(terms))
+        terms = refined(cell, tuple(begun), trust)
+    lin = linearised(cell, terms)
     settled, rivals = False, dict[int, Fitted | None]()
     fitted: Fitted | None = None
     for _ in range(ROUNDS):
@@ -93,7 +94,7 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
             terms = refined(cell, _chosen(lin, problem, best), trust)
             trust = trusted(cell, terms)
             tried = _fitted(cell, terms, trust)
-            if fitted is None or tried.score > _score_at(fitted.lin, trust):
+            if fitted is None or tried.score > score_at(fitted.lin, trust):
                 fitted, lin = tried, tried.lin
                 continue
         columns = _tangents(cell, fitted)
@@ -110,6 +111,13 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
     return WholeFit(cell, fitted, posterior, trust, rivals, twins, settled)
 
 
+def _twins(cell: Cell, terms: tuple[Term, ...]) -> tuple[tuple[int, int], ...]:
+    """Pairs of smooth terms that do the same where both are absent: the one kept, and the one it stands for."""
+    smooth = [k for k, term in enumerate(terms) if term.smooth]
+    absent = tuple(replace(terms[k], theta=np.zeros_like(terms[k].theta), present=False) for k in smooth)
+    return tuple((smooth[kept], smooth[out]) for kept, out in linearised(cell, absent).twins())
+
+
 def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
     """The present terms as a plain fit, for what compares, writes or plans by one. `lin`: about them, for J."""
     some = [term for term in terms if term.present]
@@ -123,10 +131,10 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
 
 def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:
     lin = linearised(cell, terms, absent=absent)
-    return Fitted(lin, lin.problem(trust), _score_at(lin, trust))
+    return Fitted(lin, lin.problem(trust), score_at(lin, trust))
 
 
-def _score_at(lin: Linearised, trust: Array) -> float:
+def score_at(lin: Linearised, trust: Array) -> float:
     """Log posterior of the present set where it stands: Laplace, with the costs as they are [nats]."""
     problem, members = lin.problem(trust), lin.present
     cols = np.repeat(members, np.diff(lin.first))
@@ -205,8 +213,12 @@ def refined(
             fresh = False
         else:
             lin, fresh = linearised(cell, lin.terms, to_move=True), True
-    own = lin.terms
-    by_number = dict(zip(some, (replace(term, present=not _vanished(term)) for term in own), strict=True))
+    moved = _at_whole_cycles(cell, lin, trust)
+    if _total(moved, trust) < total - NEARLY_NATS:
+        beside = dict(zip(some, moved.terms, strict=True))
+        return refined(cell, tuple(beside.get(k, term) for k, term in enumerate(terms)), trust)
+    lin = moved
+    by_number = dict(zip(some, (replace(term, present=not _vanished(term)) for term in lin.terms), strict=True))
     return tuple(by_number.get(k, term) for k, term in enumerate(terms))
 
 
@@ -228,6 +240,39 @@ def _step(
         tried.append((_total(one, trust), one))
     best, at = min(tried, key=lambda pair: pair[0])
     return (at, best) if best < total else None
+
+
+def _at_whole_cycles(cell: Cell, lin: Linearised, trust: Array) -> Linearised:
+    """The terms with every delay in the middle of those whole PLC cycles near it that fit best; at none if that is
+    one of them.
+    """
+    for k, term in enumerate(lin.terms):
+        if term.effect.cycles is not None:
+            run = alike_delays(cell, lin, k, trust)
+            theta = run[0] if run[0, 0] == term.absent else run[len(run) // 2]
+            terms = tuple(one if j != k else replace(term, theta=theta) for j, one in enumerate(lin.terms))
+            lin = lin.at(terms, evaluated_at(cell, packed(cell, terms))[0])
+    return lin
+
+
+def alike_delays(cell: Cell, lin: Linearised, k: int, trust: Array) -> Array:
+    """Whole PLC cycles (m, 1) near a present delay, term k, that fit best and alike [s].
+
+    Why: what arrives is taken over at the next cycle and logged with the next row, so the cost is a staircase, which no
+    gradient crosses, and any delay on one tread is as good as any other.
+    """
+    term = lin.terms[k]
+    cycle_s = (term.effect.cycles or (0.0, 0.0))[0]
+    near = term.effect.settled(term.theta) + cycle_s * np.arange(-CYCLES, CYCLES + 1)[:, None]
+    tried = np.unique([_bounded(term, theta) for theta in near], axis=0)
+    sets = [tuple(one if j != k else replace(term, theta=theta) for j, one in enumerate(lin.terms)) for theta in tried]
+    thetas = np.array([np.concatenate([one.theta for one in terms]) for terms in sets])
+    left = evaluated_at(cell, packed(cell, lin.terms, thetas))
+    totals = np.array([_total(lin.at(terms, one), trust) for terms, one in zip(sets, left, strict=True)])
+    alike, best = totals < totals.min() + NEARLY_NATS, int(np.argmin(totals))
+    first = best - int(np.argmin(alike[best::-1])) + 1 if not alike[: best + 1].all() else 0
+    end = best + int(np.argmin(alike[best:])) if not alike[best:].all() else len(tried)
+    return tried[first:end]
 
 
 def _total(lin: Linearised, trust: Array) -> float:

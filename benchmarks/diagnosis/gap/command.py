@@ -9,14 +9,11 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from benchmarks.diagnosis.gap import figures, reliability
-from benchmarks.diagnosis.gap.calibrate import calibrated, fit, restated, shares_of_today, with_equals_known
-from benchmarks.diagnosis.gap.runner import PLANTS, ROOT, Campaign, CampaignError, pack, run_campaign, scores
+from benchmarks.diagnosis.gap import figures
+from benchmarks.diagnosis.gap.runner import PLANTS, Campaign, CampaignError, pack, run_campaign, scores
 from benchmarks.positioning.machines.command import share_text
 
 console = Console(width=170)
-JUDGEMENT = 100  # seeds from here on judge
-CALIBRATION = ROOT / "diagnosis" / "verdict" / "calibration.json"
 
 
 def gap(
@@ -26,18 +23,6 @@ def gap(
     first: Annotated[int, typer.Option(help="number of the first case")] = 0,
     factor: Annotated[float | None, typer.Option(help="all sizes at this many detection limits")] = None,
     workers: Annotated[int, typer.Option(help="cases at a time")] = 1,
-    calibrate: Annotated[
-        bool, typer.Option("--calibrate", help="fit the probabilities' numbers on what is on file (seeds below 100)")
-    ] = False,
-    with_seed: Annotated[
-        list[int] | None, typer.Option(help="a further campaign on file that --calibrate counts; may be given again")
-    ] = None,
-    keep_temperature: Annotated[
-        bool, typer.Option("--keep-temperature", help="--calibrate only counts the shares of what is outside or unseen")
-    ] = False,
-    spent: Annotated[
-        bool, typer.Option("--spent", help="the judgement seeds of --calibrate are spent: later code answers to them")
-    ] = False,
     only_tell: Annotated[bool, typer.Option("--tell", help="run nothing, tell what is on file")] = False,
     packed: Annotated[
         bool, typer.Option("--pack", help="write the scores on file as one, which another computer goes on from")
@@ -47,12 +32,6 @@ def gap(
     """Blind cases of the gap diagnosis: names, refusals, probabilities, limits and shrink against sealed truths."""
     if plant not in PLANTS:
         raise typer.BadParameter(f"--plant {plant}; there are {', '.join(PLANTS)}")
-    seeds = [seed, *(with_seed or ())]
-    if calibrate and max(seeds) >= JUDGEMENT and not spent:
-        raise typer.BadParameter(
-            f"--calibrate with --seed {max(seeds)}: seeds of {JUDGEMENT} and above judge, and fit nothing "
-            "before they are spent (--spent)"
-        )
     asked, numbers = Campaign(plant, seed, folder.resolve(), factor), range(first, first + n)
     try:
         if not only_tell:
@@ -64,12 +43,6 @@ def gap(
     except CampaignError as error:
         console.print(f"[bold red]longreach:[/] {escape(str(error))}")
         raise typer.Exit(2) from error
-    if calibrate and cases:
-        counted = [
-            one for number in seeds for one in scores(Campaign(plant, number, folder.resolve(), factor), numbers)
-        ]
-        told_seeds = f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
-        _calibrate(counted, f"{len(counted)} cases of plant {plant}, {told_seeds}", keep_temperature)
 
 
 def _run(asked: Campaign, numbers: range, workers: int) -> int:
@@ -83,15 +56,6 @@ def _run(asked: Campaign, numbers: range, workers: int) -> int:
         return run_campaign(asked, numbers, advance, workers)
 
 
-def _calibrate(cases: figures.Cases, told_on: str, keep_temperature: bool) -> None:
-    found = fit(cases, keep_temperature)
-    curve = reliability.by_width(restated(with_equals_known(cases), found))
-    CALIBRATION.write_text(calibrated(CALIBRATION.read_text(encoding="utf-8"), found, curve, told_on), encoding="utf-8")
-    console.print(f"sharper {found.sharper:.3g}, {found.per_effect:+.3g} nats an effect, outside {found.outside}")
-    for name, count, mean, right in curve:
-        console.print(f"  {name}: {count} cases, stated {mean:.2f}, right {right:.2f}")
-
-
 def tell(cases: figures.Cases, title: str) -> None:
     """Every table of a campaign."""
     console.print(f"{title}: N reached {len(cases)}")
@@ -101,10 +65,7 @@ def tell(cases: figures.Cases, title: str) -> None:
     console.print(
         _table("by size, by stage", [*figures.by_factor(cases), *figures.by_own_limit(cases), *figures.by_stage(cases)])
     )
-    console.print(_table("the true name left out of the library", figures.left_out(cases)))
-    console.print(_table("simpler methods, same cases", figures.rivals(cases)))
-    _tell_reliability(cases, "as the answers stated it")
-    _tell_reliability(restated(cases, shares_of_today()), "with the shares of this tree's calibration.json")
+    _tell_reliability(cases)
     sizes = [one["credible_size"] for one in cases]
     classes = [size for one in cases for size in one["classes"]]
     console.print(
@@ -122,13 +83,12 @@ def tell(cases: figures.Cases, title: str) -> None:
         console.print(f"  {escape(line)}")
 
 
-def _tell_reliability(cases: figures.Cases, how: str) -> None:
-    table = Table(title=f"probability of the best answer or its equals, {how}", title_justify="left")
-    for heading in ("stated", "cases", "mean stated", "share right"):
+def _tell_reliability(cases: figures.Cases) -> None:
+    table = Table(title="probability of each effect", title_justify="left")
+    for heading in ("stated", "effects", "mean stated", "share there"):
         table.add_column(heading)
-    widths, fifths = reliability.by_width(cases), reliability.by_fifths(cases)
-    for k, (bin_name, count, stated, right) in enumerate((*widths, *fifths)):
-        table.add_row(bin_name, str(count), f"{stated:.2f}", f"{right:.2f}", end_section=k == len(widths) - 1)
+    for name, count, stated, right in figures.reliability(cases):
+        table.add_row(name, str(count), f"{stated:.2f}", f"{right:.2f}")
     console.print(table)
 
 

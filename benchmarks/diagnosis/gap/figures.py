@@ -7,7 +7,6 @@ from statistics import median
 from typing import Any
 
 from benchmarks.reproduce.summary import Share, share
-from diagnosis.refusal.shapes import REFUSED_NATS
 
 Cases = Sequence[dict[str, Any]]
 LARGE = 2.0  # times the detection limit: from there on names are expected
@@ -83,40 +82,16 @@ def by_factor(cases: Cases) -> list[Line]:
     ]
 
 
-def left_out(cases: Cases) -> list[Line]:
-    """Line 5.4: the true name taken out of the library, over all effects and for the worst of them.
-
-    Where held-out data lose less than a family refuses by, one that held the missing effect alone would be silent.
-    """
-    rows = [row for one in large(cases) for row in one.get("left_out", [])]
-    good = [row["refused"] and bool(row["stage_right"]) for row in rows]
-    lines = [
-        _line("refused or undecided, and the right stage", ">= 85 %", good),
-        _line("no other name claimed", "", [not row["claimed"] for row in rows]),
-        _line("named its equal (T < 9)", "", [bool(row.get("twin")) for row in rows]),
-        _line(
-            f"of what was named in its place: held-out data lose less than {REFUSED_NATS:g} nats by it",
-            "",
-            [row["lost_nats"] < REFUSED_NATS for row in rows if row["claimed"] and row.get("lost_nats") is not None],
-        ),
-    ]
-    names = dict.fromkeys(row["name"] for row, fine in zip(rows, good, strict=True) if not fine)
-    return lines + [
-        _line(f"  {name}", "", [fine for row, fine in zip(rows, good, strict=True) if row["name"] == name])
-        for name in names
-    ]
-
-
-def rivals(cases: Cases) -> list[Line]:
-    """The two simpler methods on the same cases."""
-    big, lines = large(cases), []
-    for name, words in (("best_held_out", "best held-out score"), ("fit_everything", "fit everything")):
-        for mix in ("none", "single", "double"):
-            marks = [one["rivals"][name]["exact"] for one in of(big, mix) if name in one["rivals"]]
-            lines.append(_line(f"{words}: {mix} exact", "", marks))
-        wrong = [one["rivals"][name]["false"] > 0 for one in of(big, "none", "single", "double") if one["rivals"]]
-        lines.append(_line(f"{words}: false names", "", wrong))
-    return lines
+def reliability(cases: Cases) -> list[tuple[str, int, float, float]]:
+    """Probabilities of effects in five bins: bin, how many, mean stated, share that is there."""
+    stated = [(float(p), bool(right)) for one in cases for p, right in one["probabilities"]]
+    out = []
+    for low, high in pairwise((0.0, 0.5, 0.9, 0.95, 0.98, 1.0001)):
+        own = [(p, right) for p, right in stated if low <= p < high]
+        if own:
+            mean, share_right = (sum(column) / len(own) for column in zip(*own, strict=True))
+            out.append((f"{low:g} to {min(high, 1.0):g}", len(own), mean, share_right))
+    return out
 
 
 def limit_ratios(cases: Cases) -> list[float]:

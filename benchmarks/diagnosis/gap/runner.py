@@ -15,7 +15,6 @@ from typing import Any
 from benchmarks.diagnosis.case_code import CASES, ROOT
 from benchmarks.diagnosis.gap.packed import Packed, PackedError, read_packed, write_packed
 from benchmarks.diagnosis.gap.warm import Warm, with_path
-from diagnosis.verdict.equals import rows_alike
 from longreach.code_mark import code_mark
 from longreach.one_thread import ONE_THREAD
 
@@ -161,7 +160,7 @@ def _case(asked: Campaign, number: int, folder: Path, hands: Hands) -> bool:
     if _stage(hands, GENERATE, [*case, *machine, *size], folder).code != 0:
         return False
     lacking = (folder / "lacking.txt").read_text(encoding="utf-8").strip()  # no secret: the tool has to do without it
-    how = ["--without", lacking] if lacking else ["--leave-named-out"]
+    how = ["--without", lacking] if lacking else []
     answer = folder / "answer.json"
     told = _stage(
         hands, "longreach.cli", ["diagnose", str(folder / "recording"), "--json", str(answer), *how], folder
@@ -218,20 +217,10 @@ def scores(asked: Campaign, numbers: range) -> list[dict[str, Any]]:
     for number in numbers:
         folder = asked.place / f"case{number:05d}"
         if (folder / "score.json").is_file():
-            found.append(_score_in(folder))
+            found.append(json.loads((folder / "score.json").read_text(encoding="utf-8")))
         elif number in packed:
             found.append(packed[number])
     return found
-
-
-def _score_in(folder: Path) -> dict[str, Any]:
-    """A case's score, and which of the answer's hypotheses are the first one's equals: the judge, who knows nothing of
-    the diagnosis, counts these as one by a rule of its own.
-    """
-    score: dict[str, Any] = json.loads((folder / "score.json").read_text(encoding="utf-8"))
-    file = folder / "answer.json"
-    answer = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-    return {**score, "equals": rows_alike(answer) if answer.get("hypotheses") else [0]}
 
 
 def pack(asked: Campaign, numbers: range) -> Path:

@@ -41,12 +41,12 @@ UNREAD: dict[str, Any] = {  # the tool would not diagnose the recording at all
     "verdict": "undecided",
     "hypotheses": [],
     "outside_probability": 1.0,
-    "unseen_probability": 0.0,
     "indistinguishable": [],
     "credible_set_90": [],
     "localisation": [],
     "shrink": {},
     "detection_limits": [],
+    "budget": {"effects": []},
 }
 
 
@@ -150,11 +150,10 @@ def judged(
         answer = {**UNREAD, "why": answer["refused_to_read"]}
     catalogue = truth["mix"] in ("single", "double")
     equal = Equal(truth, remainders, plant)
-    top = answer["hypotheses"][0]["effects"] if answer["hypotheses"] else []
-    named = {(one["name"], one["joint"]): one for one in top}
+    named = {(one["name"], one["joint"]): one for one in answer["budget"]["effects"] if one["status"] == "confirmed"}
     pairs = matched(true, list(named.values()), equal.separation) if catalogue else {}
     refused = answer["verdict"] in ("outside", "undecided")
-    claimed = list(named) if answer["verdict"] == "effects" else []
+    claimed = list(named)
     false = [key for key in claimed if key not in pairs.values()]
     exact_named = len(pairs) == len(true) == len(named)
     strengths = [equal.strength(one) if one.name not in IN_LOG else None for one in true]
@@ -164,74 +163,28 @@ def judged(
         "named": [list(key) for key in named],
         "true": [[one.name, one.joint] for one in true],
         "refused": refused,
-        "exact": answer["verdict"] == "effects" and exact_named,
+        "exact": answer["verdict"] in ("effects", "partly") and exact_named,
         "exact_named": exact_named,
         "some": bool(pairs),
         "twin": _twin(true, claimed, named, equal.separation) if truth["mix"] == "lacking" else None,
         "false": [list(key) for key in false],
         "false_named": [list(key) for key in named if key not in pairs.values()],
         "none": not named and answer["verdict"] == "none",
-        "probability": answer["hypotheses"][0]["probability"] if answer["hypotheses"] else 0.0,
+        "probabilities": _probabilities(true, answer, equal.separation) if catalogue else [],
         "outside_probability": answer["outside_probability"],
-        "ladder": _ladder(truth, answer, exact_named),
         "first_stage": first_stage(answer),
         "stage_right": stage_right(truth, answer),
         "credible": _credible(true, answer, equal.separation, truth["mix"]),
         "credible_size": len(answer["credible_set_90"]),
-        "classes": _class_sizes(answer, list(named)) if answer["verdict"] == "effects" else [],
+        "classes": _class_sizes(answer, list(named)),
         "closed": (answer["shrink"].get("overall") or {}),
         "closed_true": equal.closed(true, list(named.values())) if exact_named and pairs else None,
         "strengths": strengths,
         "limits": _limits(true, strengths, answer),
         "values": _values(true, named),
-        "left_out": _left_out(truth, answer, true, equal.separation),
-        "rivals": {
-            name: _rival(true, effects, equal.separation, truth["mix"])
-            for name, effects in answer.get("rivals", {}).items()
-        },
     }
     kept = ("number", "seed", "mix", "noise", "effects", "lacking")
     return {**{name: truth[name] for name in kept}, **found}
-
-
-def _ladder(truth: dict[str, Any], answer: dict[str, Any], first_right: bool) -> list[list[Any]]:
-    """Each hypothesis: effects, probability among the catalogue's, whether it is the truth (the first one or its equal,
-    the others by name alone); what the probabilities are calibrated on.
-    """
-    if truth["mix"] not in ("none", "single", "double"):
-        first_right = False
-    wanted = {(one["effect"]["name"], one["effect"]["joint"]) for one in truth["effects"]}
-    inside = max(1.0 - answer["outside_probability"] - answer["unseen_probability"], 1e-9)
-    rows: list[list[Any]] = []
-    for k, one in enumerate(answer["hypotheses"]):
-        found = keys(one["effects"])
-        right = first_right if k == 0 else set(found) == wanted and truth["mix"] not in ("foreign", "lacking")
-        rows.append([len(found), one["probability"] / inside, bool(right)])
-    return rows
-
-
-def _left_out(
-    truth: dict[str, Any], answer: dict[str, Any], true: list[Injected], separation_of: Separation
-) -> list[dict[str, Any]]:
-    """Single effects: what the tool says when the true name is taken from its library (the same fits)."""
-    if truth["mix"] != "single":
-        return []
-    rows = []
-    for one in answer.get("left_out", []):
-        if one["without"] != true[0].name:
-            continue
-        named = {(other["name"], other["joint"]): other for other in one["named"] if one["verdict"] == "effects"}
-        rows.append(
-            {
-                "name": true[0].name,
-                "refused": one["verdict"] in ("outside", "undecided"),
-                "claimed": [list(key) for key in named],
-                "twin": _twin(true, list(named), named, separation_of),
-                "lost_nats": one.get("lost_nats"),
-                "stage_right": stage_right(truth, one),
-            }
-        )
-    return rows
 
 
 def matched(true: list[Injected], named: list[dict[str, Any]], separation_of: Separation) -> dict[Key, Key]:
@@ -323,16 +276,11 @@ def _values(true: list[Injected], named: dict[Key, dict[str, Any]]) -> list[dict
     return out
 
 
-def _rival(true: list[Injected], effects: list[dict[str, Any]], separation_of: Separation, mix: str) -> dict[str, Any]:
-    """The same counts for a rival method's list of names; it never refuses."""
-    found = {(one["name"], one["joint"]): one for one in effects}
-    own_names = {(one.name, one.joint) for one in true} if mix in ("single", "double") else set()
-    del separation_of  # rivals give no sizes: only their plain names count
-    return {
-        "exact": set(found) == own_names,
-        "some": bool(own_names & set(found)),
-        "false": len(set(found) - own_names),
-    }
+def _probabilities(true: list[Injected], answer: dict[str, Any], separation_of: Separation) -> list[tuple[float, bool]]:
+    """Of each effect of the budget its probability, and whether it is there; equals count as there."""
+    rows = answer["budget"]["effects"]
+    there = set(matched(true, rows, separation_of).values())
+    return [(one["probability"], (one["name"], one["joint"]) in there) for one in rows]
 
 
 def main() -> None:

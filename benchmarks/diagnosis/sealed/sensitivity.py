@@ -209,7 +209,12 @@ def wander_of(scene: Scene) -> dict[tuple[str, int], Array]:
         for turn in range(max(map(len, off.values()), default=0)):
             now = {joint: names[turn] for joint, names in off.items() if turn < len(names)}
             faults = faults_of(
-                tuple(Injected(name, j, {BY_NAME[name].parameter: size}) for j, (name, size) in now.items()), own.N
+                tuple(
+                    Injected(name, j, {BY_NAME[name].parameter: size})
+                    for j, (name, size) in now.items()
+                    if name in BY_NAME
+                ),
+                own.N,
             )
             steps = np.diff(_means(changes(scene, driven(scene, faults)).mean(axis=0)), axis=0)
             scene.wander |= {(name, joint): steps[:, joint - 1] for joint, (name, _) in now.items()}

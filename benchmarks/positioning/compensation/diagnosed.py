@@ -1,18 +1,16 @@
 """The effects of one machine by its recordings: a baseline fitted to one, judged on others, a diagnosis beyond it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from diagnosis.baseline.forward import entries_of, forward
 from diagnosis.baseline.left_over import cells_of, remainders_of, with_baseline
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import Read, examine
 from machine.effects.entries import EffectEntry
 from recording.content import Recording
 
-SPREAD = 2.0  # scores are divided by it: what the search for wrong names, left out here, gives on the blind benchmark
 CLOSED_MIN = 0.8  # of the squared gap on a recording not used for the fit: less is no cause, and is not compensated
 
 
@@ -35,21 +33,15 @@ def effects_of(fitted: Recording, left: Recording, judged: Recording) -> Found:
     """Fit on one recording, measure what is left of the model's form on a second, diagnose a third.
 
     Model: as `longreach diagnose --fit-baseline` and then `longreach diagnose` with the file that it makes; the second
-           step's search for wrong names is left out here, since it would triple the time and only widens the limits.
+           step's count of what each effect gains by chance is left out here.
     """
-    first = _read(fitted)
-    entries: list[EffectEntry] = []
-    for cell in cells_of(first):
-        entries += entries_of(forward(cell).fit)
-    effects = tuple(entries)
-    remainder = tuple(replace(one, spread=SPREAD) for one in remainders_of([with_baseline(_read(left), effects, ())]))
+    effects = budget_of(_read(fitted)).entries()
+    remainder = remainders_of([with_baseline(_read(left), effects, ())])
     last = _read(judged)
     before, after = (_energy(with_baseline(last, some, ())) for some in ((), effects))
-    found = diagnose(with_baseline(last, effects, remainder))
-    more = [effect for one in found.cells for effect in entries_of(one.chosen.fit)]
+    found = budget_of(with_baseline(last, effects, remainder))
     closed = 1.0 - (after - 1.0) / max(before - 1.0, 1e-9)
-    both = (*effects, *more) if found.verdict.word == "effects" else effects
-    return Found(both, found.verdict.word, closed, found.verdict.why)
+    return Found((*effects, *found.entries()), found.verdict, closed, found.why)
 
 
 def _read(recording: Recording) -> Read:

@@ -6,9 +6,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from diagnosis.diagnose import Diagnosis
+from diagnosis.budget import Budget
 from diagnosis.search.candidates import named
-from diagnosis.search.fit import Fit
+from diagnosis.search.fit import Fit, entries_of
 from longreach.machine_out import MachineOutError, machine_with_effects, require_room
 from machine.description import parse_machine_toml
 from server.settings import read_machine_text
@@ -16,44 +16,39 @@ from server.settings import read_machine_text
 TEXT = read_machine_text("hiab033")
 
 
-def diagnosis(word: str) -> Diagnosis:
-    """As much of a diagnosis as a machine file is made of."""
+def budget(verdict: str, *, confirmed: bool = True) -> Budget:
+    """As much of a budget as a machine file is made of."""
     candidates = named(("gravity_sag",), (2,)) + named(("hand_eye_rotation",), ())
     fit = Fit(candidates, np.array([1.5e-6, 0.003, -0.004, 0.0]), np.zeros(0), np.zeros((0, 4)), 0.0, ())
-    found: Any = SimpleNamespace(
-        verdict=SimpleNamespace(word=word, why="for a test"),
-        cells=(SimpleNamespace(chosen=SimpleNamespace(fit=fit)),),
-        hypotheses=(SimpleNamespace(probability=0.9),),
-    )
-    return cast(Diagnosis, found)
-
-
-@pytest.fixture(autouse=True)
-def stated(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the answer states of the first hypothesis; test_diagnosis_answer.py compares it with real answers."""
-    monkeypatch.setattr("longreach.machine_out.probability_of_first", lambda found: 0.75)
+    entries = tuple(entries_of(fit)) if confirmed else ()
+    found: Any = SimpleNamespace(verdict=verdict, why="for a test", confirmed=entries, entries=lambda: entries)
+    return cast(Budget, found)
 
 
 def test_the_effects_are_read_back():
-    text = machine_with_effects(TEXT, diagnosis("effects"))
+    text = machine_with_effects(TEXT, budget("effects"))
     sag, mount = parse_machine_toml(text).effects
     assert (sag.name, sag.joint, sag.value("compliance_rad_nm")) == ("gravity_sag", 2, 1.5e-6)
     assert mount.value("angle_rad") == pytest.approx(0.005)
     assert mount.direction == pytest.approx((0.6, -0.8, 0.0))
-    assert "# longreach diagnose: verdict effects, probability 0.75" in text
+    assert "# longreach diagnose: verdict effects, for a test" in text
 
 
-@pytest.mark.parametrize("word", ["undecided", "outside"])
-def test_nothing_is_written_of_an_unsettled_diagnosis(word):
-    with pytest.raises(MachineOutError, match=f"the diagnosis is '{word}'"):
-        machine_with_effects(TEXT, diagnosis(word))
+def test_confirmed_effects_are_written_whatever_another_stage_leaves():
+    assert len(parse_machine_toml(machine_with_effects(TEXT, budget("partly"))).effects) == 2
+
+
+@pytest.mark.parametrize("verdict", ["undecided", "outside"])
+def test_nothing_is_written_where_nothing_is_confirmed(verdict):
+    with pytest.raises(MachineOutError, match="no effect is confirmed"):
+        machine_with_effects(TEXT, budget(verdict, confirmed=False))
 
 
 @pytest.mark.parametrize(
     "before", ["effect = []\n", "effect = [{ name = 'backlash', joint = 1, parameters = { width_rad = 0.001 } }]\n"]
 )
 def test_a_list_in_one_line_is_added_to(before: str) -> None:
-    effects = parse_machine_toml(machine_with_effects(before + TEXT, diagnosis("effects"))).effects
+    effects = parse_machine_toml(machine_with_effects(before + TEXT, budget("effects"))).effects
     assert [one.name for one in effects][-2:] == ["gravity_sag", "hand_eye_rotation"]
     assert len(effects) == 2 + before.count("backlash")
 

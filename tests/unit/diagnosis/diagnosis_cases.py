@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -96,3 +97,17 @@ def permuted(values: tuple[float, ...], i: int, j: int) -> tuple[float, ...]:
     out = list(values)
     out[i], out[j] = out[j], out[i]
     return tuple(out)
+
+
+SMALL_MM = 0.5  # at the tool: nobody acts on less
+
+
+def likely(answer: dict[str, Any]) -> list[dict[str, Any]]:
+    """Effects of an answer that are more likely there than not and matter at the tool, or whose size there nobody
+    knows.
+    """
+    return [
+        one
+        for one in answer["budget"]["effects"]
+        if one["status"] != "doubtful" and (one["tool_mm"] >= SMALL_MM or not one["column"])
+    ]

@@ -10,13 +10,13 @@ from diagnosis_cases import MACHINE_TOML, entry
 from made_up_cell import made_up
 from scipy.signal import lfilter
 
-from diagnosis.baseline.forward import entries_of, forward
 from diagnosis.cells.behind import joined, told_behind, without
 from diagnosis.log.nominal import nominal_of
 from diagnosis.noise.floor import Floor, Whitener, with_remainder
 from diagnosis.search.candidates import named, put
-from diagnosis.search.fit import Fit, neutral_fit
-from diagnosis.search.search import search
+from diagnosis.search.fit import Fit, entries_of
+from diagnosis.whole_model.parts import library_of
+from diagnosis.whole_model.solve import solve
 from longreach.fit_baseline import with_baseline
 from machine.description import parse_machine_toml
 from machine.effects.entries import entries_to_toml, pack, parse_entries
@@ -26,7 +26,7 @@ from machine.effects.spec import Effect
 from machine.errors import MachineFileError
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
 
-REMAINDER = Remainder("actuator", 2, "", 1.5e-5, 4e-5, (0.7, -0.1), 1.8)
+REMAINDER = Remainder("actuator", 2, "", 1.5e-5, 4e-5, (0.7, -0.1))
 OF_POINTS = Remainder("structure", None, "tracker", 1e-4, 2e-4, by_axis=(1e-4, 2e-4, 3e-4), swing_rad=4e-4)
 
 
@@ -46,7 +46,7 @@ def test_a_machine_file_carries_its_baseline() -> None:
     [
         ({"stage": "weather"}, "stage = 'weather'"),
         ({"stage": "link", "sigma": -1.0}, "sigma = -1"),
-        ({"stage": "link", "spread": 0.5}, "below 1"),
+        ({"stage": "link", "spread": 1.5}, "a baseline of an older version has to be fitted again".capitalize()),
         ({"stage": "link", "joint": 0}, "joint = 0"),
         ({"stage": "link", "colour": 1}, "unknown key 'colour'"),
         ({"stage": "link", "ar": ["x"]}, "ar = 'x'"),
@@ -111,9 +111,11 @@ def test_joined_cells_ask_for_an_effect_once() -> None:
     assert len(both.candidates) == len(parts[0].candidates)
     assert len(np.unique(both.rows.block)) == 2 * len(np.unique(parts[0].rows.block))
     np.testing.assert_array_equal(both.whitened(both.base)[0, : parts[0].rows.count], parts[0].whitened(both.base)[0])
-    one, two = search(parts[0]), search(both)
-    assert [c.key for c in two.chosen.fit.hypothesis] == [c.key for c in one.chosen.fit.hypothesis]
-    assert two.chosen.total - two.none.total > 1.5 * (one.chosen.total - one.none.total)
+    one, two = (solve(cell, library_of(cell)) for cell in (parts[0], both))
+    assert [term.effect.key for term in two.best.terms if term.present] == [
+        term.effect.key for term in one.best.terms if term.present
+    ]
+    assert two.best.score < 1.5 * one.best.score < 0.0  # twice the cost of what is left
 
 
 def test_an_effect_can_be_taken_out_of_the_library() -> None:
@@ -122,31 +124,6 @@ def test_an_effect_can_be_taken_out_of_the_library() -> None:
     (less,) = without([cell], (gone,))
     assert gone not in {one.name for one in less.candidates}
     assert len(less.candidates) < len(cell.candidates)
-
-
-def test_a_spread_divides_what_counts() -> None:
-    cell = made_up((0.15, 0.0, 0.0))
-    assert joined([cell, cell], 7.0).spread_least == 7.0
-    assert search(joined([cell, cell], 7.0)).spread == 7.0
-
-
-def test_forward_steps_find_what_was_put_in_and_nothing_where_nothing_is() -> None:
-    truth = (0.15, 0.0, 0.0)
-    cell = made_up(truth)
-    found = forward(cell)
-    assert found.fit.hypothesis == search(cell).chosen.fit.hypothesis
-    packed = pack(entries_of(found.fit), 1)
-    again = cell.whitened(packed)[0]
-    np.testing.assert_allclose(again, found.fit.residual, atol=1e-6)
-    quiet = made_up((0.0, 0.0, 0.0))
-    assert forward(quiet).fit.hypothesis == ()
-    assert neutral_fit(quiet).k == 0
-
-
-@pytest.mark.parametrize(("lag_s", "told"), [(0.4, True), (0.504, False)])
-def test_a_size_at_the_end_of_what_is_believed_of_it_is_no_usual_state(lag_s: float, told: bool) -> None:
-    names = [one.name for one in forward(made_up((0.0, 0.0, lag_s))).fit.hypothesis]
-    assert ("valve_lag" in names) == told
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda one: one.name)

@@ -10,13 +10,11 @@ import pytest
 from diagnosis_cases import entry, folder, recording
 from typer.testing import CliRunner
 
-from diagnosis.answer import judgement
 from diagnosis.baseline.left_over import cells_of, forms_of, with_baseline, with_mosts
-from diagnosis.diagnose import diagnose
 from diagnosis.errors import DiagnosisError
-from diagnosis.families.driven import Course
-from diagnosis.families.responses import DAMPING, RESPONSES, SWINGS_HZ, responses
+from diagnosis.known.courses import Course
 from diagnosis.known.form import form_of, with_form
+from diagnosis.known.responses import DAMPING, RESPONSES, SWINGS_HZ, responses
 from diagnosis.reading.read import Read, examine
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import neutral_fit
@@ -101,7 +99,7 @@ def test_what_a_machine_answers_later_is_foretold_too() -> None:
     assert energy(actuator(with_baseline(next_day, (), forms_of(days)), 2)) < 0.1 * energy(actuator(next_day, 2))
 
 
-def test_a_form_asked_about_a_motion_unlike_any_is_left_out_and_said() -> None:
+def test_a_form_asked_about_a_motion_unlike_any_is_left_out() -> None:
     own = entry("valve_asymmetry", 2, gain_frac=0.005)
     days = [day(seed, own) for seed in (1, 2, 3)]
     forms = forms_of(days)
@@ -109,12 +107,9 @@ def test_a_form_asked_about_a_motion_unlike_any_is_left_out_and_said() -> None:
     calm = tuple(replace(one, form_most=1e-3 * one.form_most) for one in forms)
     whole = day(4, own)
     known, unlike = (actuator(with_baseline(whole, (), one), 2) for one in (forms, calm))
-    assert known.unlike == ()
-    assert unlike.unlike == (2,)
+    assert energy(known) < energy(unlike)
     formless = tuple(replace(one, form=()) for one in forms)
     assert energy(unlike) == pytest.approx(energy(actuator(with_baseline(whole, (), formless), 2)))
-    said = judgement(diagnose(with_baseline(whole, (), calm)))["missing"]
-    assert "joint 2 moved unlike the undisturbed recordings" in str(said)
 
 
 @pytest.mark.parametrize("step_s", [0.001, 0.005, 0.04])

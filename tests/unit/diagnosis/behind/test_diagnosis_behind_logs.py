@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import MACHINE, MACHINE_TOML
+from diagnosis_cases import MACHINE, MACHINE_TOML, likely
 from static_points import ARM, POINTS, TRACKER, static_recording
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import examine
 from machine.effects.entries import make_entry, pack
 from machine.effects.layout import ParameterSets, neutral_sets
@@ -36,9 +36,9 @@ def logged() -> list[Row]:
 def found_in(rows: list[Row], toml: str = MACHINE_TOML) -> list[tuple[str, int | None, dict[str, float]]]:
     segments = tuple(Segment(f"s{k}", "workcycle", 15.0 * k, 15.0 * k + 14.9) for k in range(4))
     made = Recording("folder", RunInfo("behind", "", None, 0.0, 0.0, None, segments), toml, (*logged(), *rows))
-    told = answer(diagnose(examine(made, Path("behind"))))
+    told = answer(budget_of(examine(made, Path("behind"))))
     assert told["verdict"] == "effects", told["why"]
-    first = told["hypotheses"][0]["effects"]
+    first = likely(told)
     return [(one["name"], one["joint"], {k: v["value"] for k, v in one["parameters"].items()}) for one in first]
 
 
@@ -75,8 +75,8 @@ def loaded(compliance: float, mass_kg: float) -> ParameterSets:
 
 
 def test_a_weight_is_found_beside_what_yields_to_it() -> None:
-    told = answer(diagnose(examine(static_recording(loaded(2e-6, 80.0)), Path("loaded"))))
+    told = answer(budget_of(examine(static_recording(loaded(2e-6, 80.0)), Path("loaded"))))
     assert told["verdict"] == "effects", told["why"]
-    first = {one["name"]: one["parameters"] for one in told["hypotheses"][0]["effects"]}
+    first = {one["name"]: one["parameters"] for one in likely(told)}
     assert set(first) == {"gravity_sag", "payload_error"}
     assert first["payload_error"]["mass_kg"]["value"] == pytest.approx(80.0, abs=8.0)

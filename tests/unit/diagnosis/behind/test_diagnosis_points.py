@@ -9,7 +9,7 @@ from static_points import ARM, NOISE_M, TRACKER, examined, packed, static_record
 
 from diagnosis.behind.points import fit_points, rigid_fit, static_data
 from diagnosis.behind.views import triangulated, views_of
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.errors import DiagnosisError
 from diagnosis.localise import localise, merged_stages
 from diagnosis.log.nominal import nominal_of
@@ -48,7 +48,7 @@ def test_a_log_of_which_nothing_is_replayed_is_said_beside_what_is_judged() -> N
     whole = examined(elsewhere)
     assert whole.usable
     assert whole.log_unused
-    verdict = diagnose(whole).verdict
+    verdict = budget_of(whole).verdict
     assert verdict.word == "undecided"
     assert "PLC's log" in verdict.why
 

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import Fault, write
 
 from diagnosis.answer import answer
 from diagnosis.behind.stairs import coarse_steps, unstepped
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.noise.floor import encoder_step
 from diagnosis.reading.read import read
 
@@ -31,7 +32,7 @@ def test_a_machine_with_twelve_bits_in_its_loop_is_judged_by_its_faults(tmp_path
     """Encoders that step back and forth were its reversals, and what a tracker saw of their steps a gap."""
     fault = Fault(deadband=(deadband, 0.0))
     place = write(tmp_path / "run", fault, seconds=20.0, tracker_m=2e-4, log_s=0.02, counts=4096)
-    found = answer(diagnose(read(place)))
+    found = answer(budget_of(read(place)))
     assert found["verdict"] == ("effects" if deadband else "none"), found["why"]
-    named = [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+    named = [(one["name"], one["joint"]) for one in likely(found)]
     assert named == ([("valve_deadband", 1)] if deadband else [])

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import Fault, write
 from static_points import examined, static_recording
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.log.findings import Finding
 from diagnosis.reading.read import Read, read
 from machine.effects.layout import neutral_sets
@@ -67,9 +68,9 @@ def test_lost_rows_are_left_out_and_the_rest_tells_what_it_told(
     whole = read(spoiled(made(tmp_path, frame=frame), change))
     (finding,) = lost(whole)
     assert finding.count == count
-    found = answer(diagnose(whole))
+    found = answer(budget_of(whole))
     assert found["verdict"] == "effects", found["why"]
-    (effect,) = found["hypotheses"][0]["effects"]
+    (effect,) = likely(found)
     assert (effect["name"], effect["joint"]) == ("backlash", 2)
     assert effect["parameters"]["width_rad"]["value"] == pytest.approx(0.004, abs=3e-4)
 

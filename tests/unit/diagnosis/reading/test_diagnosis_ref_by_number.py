@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
+from diagnosis.budget import budget_of
 from diagnosis.datagrams.ref_by_number import with_reference
-from diagnosis.diagnose import diagnose
 from diagnosis.log.tables import Tables
 from diagnosis.reading.read import read
 
@@ -33,8 +34,8 @@ def unlogged(tables: Tables, **changed: Any) -> Tables:
 
 def told(place: Path, fault: Fault) -> tuple[dict[str, Any], list[tuple[str, int | None]]]:
     write(place, fault, seed=5, seconds=8.0, kinds=KINDS)
-    found = answer(diagnose(read(rewritten(place, without=("q_ref",)))))
-    best = found["hypotheses"][0]["effects"] if found["hypotheses"] else []
+    found = answer(budget_of(read(rewritten(place, without=("q_ref",)))))
+    best = likely(found)
     return found, [(one["name"], one["joint"]) for one in best]
 
 

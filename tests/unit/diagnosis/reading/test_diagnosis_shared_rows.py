@@ -8,7 +8,7 @@ import pytest
 from diagnosis_cases import recording
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import Read, examine
 from recording.run import Segment
 
@@ -43,7 +43,7 @@ def test_windows_that_slide_over_a_motion_hold_each_row_once() -> None:
     windows = [Segment(f"w{k}", "workcycle", start, start + 3.0) for k, start in enumerate(starts)]
     whole = examined(*windows)
     assert rows_used(whole) > 1000
-    assert answer(diagnose(whole))["verdict"] == "none"
+    assert answer(budget_of(whole))["verdict"] == "none"
 
 
 @pytest.mark.parametrize("shared_s", [0.0, 0.01])

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.log.quality import GAP_STEPS, too_long
 from diagnosis.log.stamps import even_grid, taken_evenly
 from diagnosis.reading.read import read
@@ -64,13 +65,13 @@ def test_a_log_stamped_by_a_pc_is_judged_by_its_machine(tmp_path: Path, gain: fl
     """Its stamps moved a command's jumps: a healthy machine was refused for what its controller seemed to do."""
     whole = read(rewritten(logged(tmp_path / "run", Fault(gain=(gain, 0.0)), 10.0), jittered))
     assert [one.code for one in whole.findings if one.code in ("uneven_stamps", "gap")] == ["uneven_stamps"]
-    found = answer(diagnose(whole))
+    found = answer(budget_of(whole))
     assert found["verdict"] == ("effects" if gain else "none"), found["why"]
-    named = [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+    named = [(one["name"], one["joint"]) for one in likely(found)]
     assert named == ([("flow_gain_error", 1)] if gain else [])
 
 
 def test_where_no_reference_was_logged_its_steps_are_no_gain(tmp_path: Path) -> None:
     """A row shows a command some way up the tooth that each new reference makes: 0.45 % of gain on every joint."""
-    found = answer(diagnose(read(rewritten(logged(tmp_path / "run", Fault()), without=("q_ref", "seq")))))
-    assert (found["verdict"], found["hypotheses"][0]["effects"]) == ("none", []), found["why"]
+    found = answer(budget_of(read(rewritten(logged(tmp_path / "run", Fault()), without=("q_ref", "seq")))))
+    assert (found["verdict"], likely(found)) == ("none", []), found["why"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import recording
 
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import examine
 from diagnosis.replay.stretches import Stretch, stood_still
 
@@ -54,9 +54,9 @@ def test_holes_in_a_column_are_no_motion() -> None:
 
 def test_a_recording_that_moves_is_judged_and_the_same_one_standing_is_not() -> None:
     made = recording()
-    assert diagnose(examine(made, Path("moves"))).verdict.word == "none"
+    assert budget_of(examine(made, Path("moves"))).verdict.word == "none"
     moving = examine(made, Path("stands"))
-    verdict = diagnose(replace(moving, stretches=tuple(_frozen(one) for one in moving.stretches))).verdict
+    verdict = budget_of(replace(moving, stretches=tuple(_frozen(one) for one in moving.stretches))).verdict
     assert verdict.word == "undecided"
     assert "no joint moved" in verdict.why
 

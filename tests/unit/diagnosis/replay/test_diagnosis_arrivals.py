@@ -5,13 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 
 from benchmarks.diagnosis.links.recorded import Link, arrived, over
 from diagnosis.answer import answer
+from diagnosis.budget import budget_of
 from diagnosis.datagrams.arrivals import Arrivals, arrivals
 from diagnosis.datagrams.by_value import by_value
 from diagnosis.datagrams.lost import never_received
-from diagnosis.diagnose import diagnose
 from diagnosis.reading.read import examine
 
 CYCLE_S = 1e-3
@@ -33,7 +34,7 @@ def logged(link: Link, seed: int = 1) -> tuple[np.ndarray, Arrivals, np.ndarray]
 
 
 def diagnosed(link: Link) -> dict[str, Any]:
-    return answer(diagnose(examine(over(link), Path("link"))))
+    return answer(budget_of(examine(over(link), Path("link"))))
 
 
 def test_what_comes_on_the_dot_is_left_as_it_was_sent() -> None:
@@ -237,7 +238,7 @@ def test_a_healthy_machine_behind_such_a_link_has_no_fault(link: Link) -> None:
 
 def test_lost_datagrams_are_named_where_rows_are_rarer_than_they() -> None:
     found = diagnosed(Link(loss_frac=0.03, jitter_s=2e-4))
-    (effect,) = found["hypotheses"][0]["effects"]
+    (effect,) = likely(found)
     assert (found["verdict"], effect["name"]) == ("effects", "packet_loss"), found["why"]
     share = effect["parameters"]["loss_frac"]
     assert share["value"] == pytest.approx(0.03, rel=0.2)
@@ -247,7 +248,7 @@ def test_lost_datagrams_are_named_where_rows_are_rarer_than_they() -> None:
 def test_a_short_delay_is_found_between_rare_rows() -> None:
     """The cost has terraces there: the end of one, 0.8 ms, was taken for the best."""
     found = diagnosed(Link(delay_s=0.003))
-    (effect,) = found["hypotheses"][0]["effects"]
+    (effect,) = likely(found)
     assert (found["verdict"], effect["name"]) == ("effects", "transport_delay"), found["why"]
     delay = effect["parameters"]["delay_s"]
     assert delay["low"] <= 0.003 <= delay["high"]

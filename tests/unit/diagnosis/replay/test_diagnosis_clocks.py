@@ -4,11 +4,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import OFFSET_S, Fault, write
 
 from diagnosis.answer import answer
+from diagnosis.budget import budget_of
 from diagnosis.datagrams.clocks import camera_to_plc_s, plc_to_pc_s
-from diagnosis.diagnose import diagnose
 from diagnosis.reading.read import Read, read
 
 
@@ -30,9 +31,9 @@ def test_pictures_are_placed_by_how_they_move(tmp_path: Path, fault: Fault, name
     notes = [str(one) for one in whole.findings if one.code == "clock_offset_unknown"]
     assert any("a camera that stamps late cannot be told" in one for one in notes)
     assert "gap" not in {one.code for one in whole.findings}
-    found: dict[str, Any] = answer(diagnose(whole))
+    found: dict[str, Any] = answer(budget_of(whole))
     assert found["verdict"] == ("effects" if named else "none"), found["why"]
-    assert [one["name"] for one in found["hypotheses"][0]["effects"]] == named
+    assert [one["name"] for one in likely(found)] == named
     assert not {"camera_latency", "clock_offset"} & {one["name"] for one in found["detection_limits"]}
 
 

@@ -8,7 +8,7 @@ import pytest
 from diagnosis_cases import PLANT, folder, recording
 
 from diagnosis.baseline.left_over import cells_of
-from diagnosis.chain.own_step import Share, agreed
+from diagnosis.cells.own_step import Share, agreed
 from diagnosis.reading.read import read
 from diagnosis.search.fit import neutral_fit
 

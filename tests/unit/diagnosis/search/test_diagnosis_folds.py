@@ -7,16 +7,15 @@ import pytest
 from made_up_cell import COLUMNS, GAIN, LAG, N, made_up
 
 from diagnosis.search.fit import costs, fit, neutral_fit
-from diagnosis.search.folds import refitted
-from diagnosis.search.score import score
+from diagnosis.whole_model.held_out import held_out
 from machine.effects.layout import ParameterSets
 
 
 def test_without_names_nothing_is_refitted() -> None:
     cell = made_up((0.2, 0.0, 0.0))
-    folds, _ = refitted(cell, neutral_fit(cell))
-    assert folds.thetas.shape == (len(folds.numbers), 0)
-    assert score(cell, neutral_fit(cell)).held_out == pytest.approx(neutral_fit(cell).residual)
+    found = held_out(cell, neutral_fit(cell))
+    assert found.thetas.shape == (len(found.folds), 0)
+    assert found.after == pytest.approx(neutral_fit(cell).residual)
 
 
 def test_a_second_name_that_is_nothing_leaves_the_first_one_to_be_refitted() -> None:
@@ -31,9 +30,9 @@ def test_a_second_name_that_is_nothing_leaves_the_first_one_to_be_refitted() -> 
     alone = fit(cell, (gain,), np.array([0.01]))
     both = fit(cell, (gain, lag), np.append(alone.theta, 0.0))
     assert both.theta[1] == 0.0
-    without = [refitted(cell, one)[0].thetas[:, 0] for one in (both, alone)]
-    assert without[0] == pytest.approx(without[1], abs=1e-6)
-    assert score(cell, both).total == pytest.approx(score(cell, alone).total, abs=1e-3)
+    without = [held_out(cell, one) for one in (both, alone)]
+    assert without[0].thetas[:, 0] == pytest.approx(without[1].thetas[:, 0], abs=1e-6)
+    assert without[0].after == pytest.approx(without[1].after, abs=1e-3)
 
 
 def test_a_step_that_leads_astray_is_damped() -> None:
@@ -49,8 +48,8 @@ def test_a_step_that_leads_astray_is_damped() -> None:
 
     cell = replace(plain, whitened=whitened)
     found = fit(cell, cell.candidates[:1], np.array([0.2]))
-    folds, _ = refitted(cell, found)
-    for fold, theta in zip(folds.numbers, folds.thetas, strict=True):
+    refitted = held_out(cell, found)
+    for fold, theta in zip(refitted.folds, refitted.thetas, strict=True):
         keep = cell.rows.fold != fold
         sets = ParameterSets(plain.base.joint.copy(), plain.base.machine.copy())
         sets.joint[:, 0, GAIN.column] = theta[0]

@@ -1,18 +1,15 @@
 """Arms at rest with several things wrong at once, as calibration sets show them: which length, and beside what."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
-from diagnosis_cases import MACHINE_TOML
+from diagnosis_cases import MACHINE_TOML, likely
 from static_points import examined, packed, static_recording
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.report.text import lines
-from diagnosis.verdict.unweighed import unweighed
 from machine.effects.arm_urdf import arm_from_urdf
 from recording.content import Recording
 from recording.rows import StaticPoint
@@ -35,11 +32,11 @@ def with_bias(made: Recording, joint: int, bias_rad: float) -> Recording:
 
 
 def told(made: Recording) -> dict[str, Any]:
-    return answer(diagnose(examined(made)))
+    return answer(budget_of(examined(made)))
 
 
 def names(found: dict[str, Any]) -> set[tuple[str, int | None, str | None]]:
-    first = found["hypotheses"][0]["effects"]
+    first = likely(found)
     return {(one["name"], one["joint"], one["parameters"].get("of", {}).get("value")) for one in first}
 
 
@@ -86,7 +83,7 @@ def test_six_poses_name_what_six_poses_show(place: str) -> None:
         found = told(replace(made, rows=tip[:6]))
         assert found["verdict"] == wanted, found["why"]
         if wanted == "effects":
-            (effect,) = found["hypotheses"][0]["effects"]
+            (effect,) = likely(found)
             assert (effect["name"], effect["joint"]) == ("link_length_error", 2)
             assert effect["parameters"]["error_m"]["low"] < error_m < effect["parameters"]["error_m"]["high"]
 
@@ -109,22 +106,11 @@ def test_a_urdf_length_is_what_parts_two_axes() -> None:
     assert arm.length_before[0, 0] == pytest.approx([0.0, 0.0, 0.0])
 
 
-def test_without_masses_a_sag_may_stand_behind_an_encoders_error() -> None:
-    arm, _ = arm_from_urdf(URDF, "base", "c")
-    nominal = SimpleNamespace(arm=arm, n=3)
-    keys = [("encoder_scale", 1), ("encoder_scale", 2), ("encoder_bias", 3)]
-    assert unweighed(nominal, keys) == [(("encoder_scale", 2), ("gravity_sag", 2))]  # pyright: ignore[reportArgumentType]
-    both = [("encoder_bias", 2), ("encoder_scale", 2)]
-    assert [key for key, _ in unweighed(nominal, both)] == both  # pyright: ignore[reportArgumentType]
-    heavy = SimpleNamespace(arm=replace(arm, mass=np.ones(3)), n=3)
-    assert unweighed(heavy, keys) == []  # pyright: ignore[reportArgumentType]
-
-
 def test_where_nothing_can_be_replayed_no_effect_is_no_answer() -> None:
     """Every point has a name that the machine file does not know."""
     elsewhere = MACHINE_TOML + "\n[points]\nwrist = { joint = 6 }\n"
     whole = examined(static_recording(packed("link_length_error", 4, error_m=0.0, of="d"), elsewhere))
     assert any("xyz_m where it is known" in str(one) for one in whole.findings)
-    found = answer(diagnose(whole))
+    found = answer(budget_of(whole))
     assert (found["verdict"], found["hypotheses"]) == ("undecided", [])
     assert not [one for one in lines(found) if "no effect" in one]

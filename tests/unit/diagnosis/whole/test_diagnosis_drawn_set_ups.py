@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from diagnosis_cases import likely
 from drawn_set_ups import Named, SetUp, drawn
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import read
 
 COUNT = int(os.environ.get("LONGREACH_SET_UPS", "34"))
@@ -33,7 +34,7 @@ def test_what_is_named_is_there(tmp_path: Path) -> None:
     exact, false = [], []
     for seed in range(FIRST, FIRST + COUNT):
         one = drawn(seed)
-        found = answer(diagnose(read(one.write(tmp_path / str(seed)))))
+        found = answer(budget_of(read(one.write(tmp_path / str(seed)))))
         verdict, told = found["verdict"], _told(found)
         right = _right(one, found, told)
         exact.append(right)
@@ -45,7 +46,7 @@ def test_what_is_named_is_there(tmp_path: Path) -> None:
 
 
 def _told(found: dict[str, Any]) -> Named:
-    best = found["hypotheses"][0]["effects"] if found["hypotheses"] else []
+    best = likely(found)
     return [(effect["name"], effect["joint"]) for effect in best]
 
 

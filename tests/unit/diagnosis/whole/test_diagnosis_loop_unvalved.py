@@ -5,10 +5,11 @@ a model that is stepped otherwise make no fault of it, and a fault keeps its nam
 from pathlib import Path
 
 import pytest
+from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import read
 
 KINDS = ("steps", "workcycle", "sweep")
@@ -25,8 +26,8 @@ MEANT = {"valve_lag": "time_constant_s", "valve_deadband": "half_width_frac"}
 )
 def test_a_loop_is_judged_by_its_reference(tmp_path: Path, fault: Fault, name: str, size: float) -> None:
     place = write(tmp_path / "run", fault, seed=26, seconds=10.0, kinds=KINDS, log_s=0.005)
-    found = answer(diagnose(read(rewritten(place, without=("u_",)))))
-    first = found["hypotheses"][0]["effects"]
+    found = answer(budget_of(read(rewritten(place, without=("u_",)))))
+    first = likely(found)
     assert [(one["name"], one["joint"]) for one in first] == ([(name, 1)] if name else []), found["why"]
     assert found["verdict"] == ("effects" if name else "none"), found["why"]
     for one in first:

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnosis_cases import changed, entry, recording
+from diagnosis_cases import changed, entry, likely, recording
 from foreign_plant import Fault, write
 from one_joint_cases import Machine, recorded
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.localise import totals_of
 from diagnosis.noise.floor import encoder_step
 from diagnosis.reading.read import examine, read
@@ -37,12 +37,14 @@ def test_rows_that_are_missing_everywhere_are_filled(tmp_path: Path) -> None:
     whole = read(place)
     assert whole.usable
     assert "bridged" in {one.code for one in whole.findings}
-    found = answer(diagnose(whole))
-    assert ("flow_gain_error", 1) in [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+    found = answer(budget_of(whole))
+    assert ("flow_gain_error", 1) in [(one["name"], one["joint"]) for one in likely(found)]
 
 
 def test_shares_of_the_gap_sum_to_one() -> None:
-    found = answer(diagnose(examine(recording(effects=(entry("valve_deadband", 3, half_width_frac=0.05),)), Path("x"))))
+    found = answer(
+        budget_of(examine(recording(effects=(entry("valve_deadband", 3, half_width_frac=0.05),)), Path("x")))
+    )
     totals = [one for one in found["localisation"] if one["joint"] is None and one["axis"] is None]
     parts = [one for one in found["localisation"] if one["joint"] is not None and one["regime"] == "all"]
     assert totals[0]["stage"] == "actuator"
@@ -54,11 +56,11 @@ def test_shares_of_the_gap_sum_to_one() -> None:
 def test_joints_without_valve_commands_are_judged_one_by_one() -> None:
     made = recording(effects=(entry("flow_gain_error", 2, gain_frac=-0.2),))
     blind = changed(made, PlcState, lambda _number, row: replace(row, u_frac=()))
-    found = diagnose(examine(blind, Path("x")))
-    assert {one.search.cell.joint for one in found.cells} >= {1, 2, 3}
-    named = [effect.key for one in found.cells for effect in one.chosen.fit.hypothesis]
+    found = budget_of(examine(blind, Path("x")))
+    assert {fit.cell.joint for fit in found.fits} >= {1, 2, 3}
+    named = [line.evidence.term.effect.key for line in found.lines if line.status != "doubtful"]
     assert named in ([("flow_gain_error", 2)], [("controller_gain_error", 2)])
-    assert next(one.joint for one in found.localisation.places if one.stage == "actuator") == 2
+    assert next(one.joint for one in found.before.places if one.stage == "actuator") == 2
 
 
 @pytest.mark.parametrize("lag_s", [0.03, pytest.param(0.0, marks=pytest.mark.slow)])
@@ -66,7 +68,7 @@ def test_a_reference_between_rare_rows_is_a_curve(tmp_path: Path, lag_s: float) 
     """Straight lines through its rows cut a healthy machine's corners: a lag of 1.4 ms, and refused for the rest."""
     place = write(tmp_path / "run", Fault(lag_s=(0.0, lag_s)), log_s=0.05)
     (place / "sent.csv").unlink()
-    found = answer(diagnose(read(place)))
+    found = answer(budget_of(read(place)))
     assert found["verdict"] == ("effects" if lag_s else "none"), found["why"]
-    named = [(one["name"], one["joint"]) for one in found["hypotheses"][0]["effects"]]
+    named = [(one["name"], one["joint"]) for one in likely(found)]
     assert named == ([("valve_lag", 2)] if lag_s else [])

@@ -3,10 +3,11 @@
 from pathlib import Path
 from typing import Any
 
+from diagnosis_cases import likely
 from foreign_plant import Fault, rewritten, write
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import read
 
 ROWS_S, FINE = 0.02, 2**20  # seconds between rows; counts of a quiet encoder
@@ -16,8 +17,8 @@ REPEATED = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle")
 
 def told(place: Path) -> tuple[dict[str, Any], list[tuple[str, int | None]]]:
     """The answer, and what its best hypothesis names."""
-    found = answer(diagnose(read(place)))
-    best = found["hypotheses"][0]["effects"] if found["hypotheses"] else []
+    found = answer(budget_of(read(place)))
+    best = likely(found)
     return found, [(one["name"], one["joint"]) for one in best]
 
 
@@ -41,5 +42,5 @@ def test_a_delay_between_two_sizes_of_its_range_is_found(tmp_path: Path) -> None
     place = write(tmp_path, fault, seed=755, seconds=10.0, noise=6e-5, log_s=ROWS_S, counts=FINE)
     found, named = told(place)
     assert (found["verdict"], named) == ("effects", [("transport_delay", None)]), found["why"]
-    delay = found["hypotheses"][0]["effects"][0]["parameters"]["delay_s"]
+    delay = likely(found)[0]["parameters"]["delay_s"]
     assert delay["low"] < fault.delay_s < delay["high"]

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnosis_cases import likely
 from scipy.io import loadmat
 
 from diagnosis.answer import answer
 from diagnosis.behind.points import fit_points, static_data
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.localise import localise, merged_stages
 from diagnosis.log.units import measured_gains
 from diagnosis.reading.read import examine, stages_present
@@ -65,8 +66,8 @@ def test_a_wrong_chain_shows_as_centimetres() -> None:
 
 def test_the_offset_of_a_wrist_joint_is_named_as_its_owners_say() -> None:
     """They calibrate joint offsets, and know of play at the wrist: that play is what no name takes away here."""
-    found = answer(diagnose(examine(tiago(), Path("tiago"))))
-    first = found["hypotheses"][0]["effects"]
+    found = answer(budget_of(examine(tiago(), Path("tiago"))))
+    first = likely(found)
     assert ("encoder_bias", 6) in {(one["name"], one["joint"]) for one in first}  # arm_5, the wrist's first
     assert not found["unexplained"]
     assert 0.4 < found["shrink"]["overall"]["closed_frac"] < 0.8
@@ -81,7 +82,7 @@ def test_an_oil_pressure_is_no_joint(turned: bool) -> None:
     u, p, step_s = mat["u"].ravel(), mat["p"].ravel() / mat["p"].std(), 0.05
     angle = 0.1 * (p if turned else np.cumsum(p - p.mean()) * step_s)
     command = (u - u.mean()) / np.abs(u - u.mean()).max()
-    found = answer(diagnose(examine(one_joint(step_s * np.arange(len(u)), angle, command, "revolute"), Path("oil"))))
+    found = answer(budget_of(examine(one_joint(step_s * np.arange(len(u)), angle, command, "revolute"), Path("oil"))))
     assert found["verdict"] == "outside"
     assert found["unexplained"][0]["test"] == "autocorrelation"
 
@@ -123,7 +124,7 @@ def test_what_a_differential_cylinder_and_its_oil_do_is_told_in_part() -> None:
     """
     mat = loadmat(DATA / "patu_lift_boom" / "lift_1dof.mat")
     t, u, stroke = (mat[name].ravel()[::10] for name in ("t", "U1", "s1"))
-    found = answer(diagnose(examine(one_joint(t, stroke, u / np.abs(u).max(), "prismatic"), Path("patu"))))
+    found = answer(budget_of(examine(one_joint(t, stroke, u / np.abs(u).max(), "prismatic"), Path("patu"))))
     assert found["verdict"] == "outside"
     names = {one["name"] for hypothesis in found["hypotheses"] for one in hypothesis["effects"]}
     assert "valve_asymmetry" in names

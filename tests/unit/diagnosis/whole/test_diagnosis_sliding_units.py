@@ -7,14 +7,13 @@ import pytest
 from one_joint_cases import Machine, recorded
 
 from diagnosis.answer import answer
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.experiments.described import described, experiment_of
 from diagnosis.experiments.library import Motion, Postures
 from diagnosis.localise import Place, totals_of
 from diagnosis.reading.read import read
 from diagnosis.report.chain import is_total, stage_shares
 from diagnosis.report.curves import curves_of
-from diagnosis.search.score import Compared
 from diagnosis.sliding import column_of, in_metres, unit_of
 
 
@@ -59,7 +58,7 @@ def test_a_proposal_says_what_its_numbers_are(experiment: Motion | Postures) -> 
 
 
 def test_a_cylinder_is_told_in_metres_throughout(tmp_path: Path) -> None:
-    found = diagnose(
+    found = budget_of(
         read(recorded(tmp_path, Machine(prismatic=True, kinds=("multisine", "steps"), gain=lambda _t: 1.1)))
     )
     told = answer(found)
@@ -67,8 +66,11 @@ def test_a_cylinder_is_told_in_metres_throughout(tmp_path: Path) -> None:
     assert ("actuator", "m/s") in places
     assert not [unit for _, unit in places if "rad" in unit]
     assert not [one["unit"] for one in told["shrink"]["stages"] if "rad" in one["unit"]]
-    cells = [Compared(one.search.cell, one.search.none, one.chosen) for one in found.cells]
     sliding = found.whole.nominal.sliding
-    plots = {(one.replayed.signal, one.replayed.unit) for one in curves_of(cells, sliding) if one.replayed is not None}
+    plots = {
+        (one.replayed.signal, one.replayed.unit)
+        for one in curves_of(found.held_out, sliding)
+        if one.replayed is not None
+    }
     assert ("joint position", "m") in plots
     assert "joint angle" not in {signal for signal, _ in plots}

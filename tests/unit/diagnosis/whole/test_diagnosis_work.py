@@ -7,7 +7,7 @@ import pytest
 from foreign_plant import Fault, write
 from rich.console import Console
 
-from diagnosis.diagnose import diagnose
+from diagnosis.budget import budget_of
 from diagnosis.reading.read import read
 from diagnosis.search.work import Work
 from longreach.diagnosis_outlook import EVERY_S, Outlook, in_words, left_s, outlook
@@ -19,16 +19,16 @@ SEGMENTS = ("repeat", "repeat", "repeat", "repeat", "steps", "workcycle")
 def test_work_is_told_from_the_first_candidate_to_the_end(tmp_path, fault) -> None:
     heard: list[tuple[str, float, float]] = []
     whole = read(write(tmp_path / "run", fault, 3, seconds=6.0, kinds=SEGMENTS, tracker_m=2e-4))
-    found = diagnose(whole, lambda *told: heard.append(told))
+    found = budget_of(whole, lambda *told: heard.append(told))
     texts, done, total = zip(*heard, strict=True)
-    assert (texts[0], texts[-1]) == ("searching structure", "localising")
-    assert {"searching link", "searching controller 2", "searching actuator 1", "weighing"} <= set(texts)
+    assert (texts[0], texts[-1]) == ("fitting structure", "held-out data")
+    assert {"fitting link", "fitting controller 2", "fitting actuator 1", "weighing", "localising"} <= set(texts)
     assert all(later >= earlier for earlier, later in pairwise(done))
     assert done[0] == 0.0
     assert 0.9 < done[-1] / total[-1] <= 1.0
     assert all(part < whole for part, whole in zip(done[:-1], total, strict=False))
     assert max(total) / total[0] < 4.0
-    assert found.verdict.word == ("none" if fault == Fault() else "effects")
+    assert found.verdict == ("none" if fault == Fault() else "effects")
     assert max(total) > total[0] or fault == Fault()  # names make it more
 
 

@@ -1,4 +1,4 @@
-"""Where a fit would have ended without each fold (kind of trajectory)."""
+"""How well a fit predicts kinds of motion that it was not fitted to."""
 
 from dataclasses import dataclass
 
@@ -13,47 +13,56 @@ DAMPINGS = (0.1, 1.0, 10.0, 100.0)  # of a step that leads astray, over each num
 
 
 @dataclass(frozen=True, slots=True)
-class Folds:
-    """Numbers of the folds (m,), ascending, and theta without each of them (m, k)."""
+class HeldOut:
+    """One part predicted by a fit to its other kinds of motion.
 
-    numbers: NDArray[np.int64]
+    `before`, `after`: residual (N,) without effects, and with those fitted without that row's fold; `folds` (m,):
+    numbers of the folds, ascending; `thetas` (m, k): the numbers without each of them.
+    """
+
+    cell: Cell
+    fit: Fit
+    folds: NDArray[np.int64]
     thetas: Array
+    before: Array
+    after: Array
 
     def theta_without(self, fold: int) -> Array:
-        """Theta (k,) without one fold."""
-        return np.asarray(self.thetas[int(np.searchsorted(self.numbers, fold))])
+        """The numbers (k,) without one fold."""
+        return np.asarray(self.thetas[int(np.searchsorted(self.folds, fold))])
 
 
-def refitted(cell: Cell, found: Fit) -> tuple[Folds, Array]:
-    """The fit without each fold, and the residuals of all rows there (m, N).
+def held_out(cell: Cell, found: Fit) -> HeldOut:
+    """Leave each fold (kind of motion) out, fit the others again, and predict it.
 
     Model: one Gauss-Newton step, theta_f = theta - (J'WJ + R)^-1 J'Wr inside the bounds, rows of fold f left out, R =
            1 / range^2; a damped one where that serves the rest better, or none.
-    Why damped: at a kink (a limit just reached, a whole cycle of delay) or where the rest hardly tells a number, the
-           step goes far astray, and what the fold then costs is no fault of its name.
+    Why damped: at a kink (a limit just reached, a whole cycle of delay) or where the rest hardly determines a number,
+           the step goes far astray, and what the fold then costs is no fault of its effect.
     """
-    numbers = np.unique(cell.rows.fold)
+    folds = np.unique(cell.rows.fold)
+    before = evaluated(cell, (), np.zeros((1, 0)))[0]
     if found.k == 0:
-        return Folds(numbers, np.zeros((len(numbers), 0))), np.tile(found.residual, (len(numbers), 1))
-    kept = cell.rows.fold != numbers[:, None]
+        return HeldOut(cell, found, folds, np.zeros((len(folds), 0)), before, before)
+    kept = cell.rows.fold != folds[:, None]
     thetas = np.array([_stepped(found, keep, 0.0) for keep in kept])
     residuals = evaluated(cell, found.hypothesis, thetas)
-    before = kept @ costs(found.residual)
-    worse = np.nonzero((costs(residuals) * kept).sum(axis=1) > before)[0]
+    worse = np.nonzero((costs(residuals) * kept).sum(axis=1) > kept @ costs(found.residual))[0]
     if len(worse):
-        damped = np.array([[_stepped(found, kept[k], one) for k in worse] for one in DAMPINGS])
+        damped = np.array([[_stepped(found, kept[k], damping) for k in worse] for damping in DAMPINGS])
         there = evaluated(cell, found.hypothesis, damped.reshape(-1, found.k)).reshape(len(DAMPINGS), len(worse), -1)
         damped = np.concatenate([damped, np.tile(found.theta, (1, len(worse), 1))])
         there = np.concatenate([there, np.tile(found.residual, (1, len(worse), 1))])
         best = np.argmin((costs(there) * kept[worse]).sum(axis=2), axis=0), np.arange(len(worse))
         thetas[worse], residuals[worse] = damped[best], there[best]
-    return Folds(numbers, thetas), residuals
+    after = residuals[np.searchsorted(folds, cell.rows.fold), np.arange(cell.rows.count)]
+    return HeldOut(cell, found, folds, thetas, before, after)
 
 
 def _stepped(found: Fit, keep: NDArray[np.bool_], damping: float) -> Array:
     """Theta (k,) after a step on some rows; a number that would leave its range stays at the end, the others go on.
 
-    Why go on: a second name that is nothing here would else keep its neighbours where they are.
+    Why go on: a second effect that is nothing here would else keep its neighbours where they are.
     """
     low, high = bounds(found.hypothesis)
     span = spans(found.hypothesis)

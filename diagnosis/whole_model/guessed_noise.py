@@ -9,40 +9,18 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.behind.saturated import unexplained
-from diagnosis.chain.echo import without_echoes
-from diagnosis.families.quiet_loop import quiet_loop
 from diagnosis.noise.floor import ORDER_MAX, Whitener, fit_whitener, increments
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.search.candidates import put
 from diagnosis.search.cell import Cell
-from diagnosis.search.fit import Fit, evaluated_at, neutral_fit
-from diagnosis.search.search import Search, search
-from diagnosis.search.work import Work
+from diagnosis.search.fit import Fit, evaluated_at
+from diagnosis.whole_model.quiet_loop import quiet_loop
 from machine.rotations import Array
 
-ROUNDS = 3
 SLOW_ROWS = 400  # 20 s
 SETTLED = 0.05  # change of the noise's size
 SHARE_MAX = 0.2  # of the motion's own increments: what is more is no noise, but a model that does not fit
 TAKEN = ("whitened", "rows", "scale", "quiet", "regressors", "t_s")  # by the noise, of a cell
-
-
-def searched(cell: Cell, work: Work | None = None) -> Search:
-    """Search a cell for what is no echo of its noise; where that was never measured, by what all effects together leave
-    about the best model. `work`: is told of it.
-    """
-    noise = None if cell.at_noise is None else noise_about(cell, neutral_fit(cell))
-    if cell.at_noise is None or noise is None:
-        return without_echoes(search(cell, work=work))
-    found = without_echoes(search(by_noise_of(cell, cell.at_noise(noise)), work=work))
-    for _ in range(ROUNDS - 1):
-        again = noise_about(cell, max(found.scored, key=lambda one: one.total).fit)
-        if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
-            break
-        if work is not None:
-            work.again()
-        noise, found = again, without_echoes(search(by_noise_of(cell, cell.at_noise(again)), work=work))
-    return found
 
 
 def by_noise_of(cell: Cell, other: Cell) -> Cell:

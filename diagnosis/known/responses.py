@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from diagnosis.families.driven import Course, hats
+from diagnosis.known.courses import Course, hats
 from machine.rotations import Array
 
 ECHOES_S = np.arange(1, 21) * 0.05

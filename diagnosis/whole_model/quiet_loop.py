@@ -16,7 +16,6 @@ from diagnosis.replay.stage_replay import Part, Replay
 from diagnosis.search.candidates import put
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import Fit, evaluated_at
-from diagnosis.search.score import Score
 from machine.effects import kernel
 from machine.effects.dynamics import DynamicStage, at_cycles, drive_controller, simulate
 from machine.effects.layout import ParameterSets
@@ -30,7 +29,7 @@ def quiet_loop(cell: Cell) -> "QuietLoop | None":
     feed forward that commands the valve as well, or a baseline, which knows what names gain there.
     """
     replay = cell.whitened
-    if cell.stage != "actuator" or cell.joint is None or cell.usual or not isinstance(replay, Replay):
+    if cell.stage != "actuator" or cell.joint is None or cell.usual is not None or not isinstance(replay, Replay):
         return None
     loops = [_loop(part, replay.joints) for part in replay.parts]
     if any(one is None for one in loops):
@@ -56,10 +55,6 @@ class QuietLoop:
             off += float(((part.drive.u[: len(u)] - u) ** 2).sum())
             power += float((part.drive.u**2).sum())
         return off <= OBEYS**2 * power
-
-    def change(self, one: Score, rest: Score) -> Array:
-        """What the names of a score take off the residual (N,) beyond those of another one, by undisturbed commands."""
-        return -self._beyond(one.fit, rest.fit)(self._put(one.fit))[0]
 
     def residual(self, about: Fit) -> Callable[[ParameterSets], Array]:
         """The residual (sets, N) about a fit, where further names see undisturbed commands."""

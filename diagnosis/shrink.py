@@ -1,0 +1,92 @@
+"""How far the effects found close the gap on held-out motions, above the noise, with limits by resampling blocks."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.cells.behind import measurement_of
+from diagnosis.search.cell import Cell
+from diagnosis.whole_model.held_out import HeldOut
+from machine.rotations import Array
+
+DRAWS = 400
+LIMIT_SHARE = 0.05  # of all cases beyond each limit
+FLOOR_SHARE = 0.1  # of the noise: how well repeats determine it
+Closed = tuple[float | None, float | None, float | None]
+UNKNOWN: Closed = (None, None, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Squares:
+    """Whitened squares by block (blocks,): without effects, with them, of the noise; `rows` in all blocks."""
+
+    before: Array
+    after: Array
+    noise: Array
+    rows: int
+
+
+@dataclass(frozen=True, slots=True)
+class Shrink:
+    """The gap of one part on held-out motions: RMS before, after and of the noise in `unit`; share closed with its
+    90 % limits. `measurement`: static, tracker, ooi, tool or odometry behind the encoders, else empty.
+    """
+
+    stage: str
+    joint: int | None
+    measurement: str
+    unit: str
+    before: float
+    after: float
+    floor: float
+    closed: Closed
+
+
+def shrinks(one: HeldOut) -> list[tuple[Shrink, Squares]]:
+    """Of each part of a cell; a plain cell is its own only part."""
+    squares = np.stack([one.before**2, one.after**2], axis=1)
+    out = []
+    for part, own in one.cell.by_part(squares):
+        block = part.rows.block
+        before, after = (np.bincount(block, weights=column).astype(float) for column in own.T)
+        sums = Squares(before, after, np.asarray(part.quiet * np.bincount(block), dtype=float), part.rows.count)
+        out.append((_shrink(part, sums), sums))
+    return out
+
+
+def together(parts: Iterable[Squares]) -> Squares:
+    """Parts as one."""
+    some = tuple(parts)
+    joined = [np.concatenate([getattr(one, name) for one in some]) for name in ("before", "after", "noise")]
+    return Squares(*joined, rows=sum(one.rows for one in some))
+
+
+def _shrink(part: Cell, sums: Squares) -> Shrink:
+    unit_scale = float(np.sqrt(np.mean(part.scale**2)))
+    rms = [unit_scale * x for x in rms_of(sums)]
+    return Shrink(part.stage, part.joint, measurement_of(part), part.unit, *rms, closed=closed_share(sums))
+
+
+def rms_of(sums: Squares) -> Sequence[float]:
+    """RMS before, after and of the noise, in noise floors."""
+    return [float(np.sqrt(x.sum() / sums.rows)) for x in (sums.before, sums.after, _noise(sums))]
+
+
+def closed_share(sums: Squares, seed: int = 0) -> Closed:
+    """1 - (after - noise) / (before - noise) of the sums of squares, never clipped; None without a gap before."""
+    noise = _noise(sums)
+    excess = float(sums.before.sum() - noise.sum())
+    if excess <= 2.0 * np.sqrt(2.0 * noise.sum()) + FLOOR_SHARE * sums.rows:
+        return UNKNOWN
+    closed = 1.0 - float(sums.after.sum() - noise.sum()) / excess
+    draws = np.random.default_rng(seed).integers(0, len(noise), (DRAWS, len(noise)))
+    b, a, n = sums.before[draws].sum(axis=1), sums.after[draws].sum(axis=1), noise[draws].sum(axis=1)
+    good = b - n > 0.0
+    shares = 1.0 - (a[good] - n[good]) / (b[good] - n[good])
+    return closed, float(np.quantile(shares, LIMIT_SHARE)), float(np.quantile(shares, 1.0 - LIMIT_SHARE))
+
+
+def _noise(sums: Squares) -> Array:
+    """The noise's squares by block (blocks,): where less is left than the noise is said to be, what is left."""
+    return sums.noise * min(1.0, float(sums.after.sum()) / max(float(sums.noise.sum()), 1e-300))
