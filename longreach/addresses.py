@@ -1,4 +1,4 @@
-"""Every address that a command listens on is tried before anything starts: one line says what is wrong with which."""
+"""Check every listening address before anything starts; one line names the faulty one."""
 
 import errno
 import socket

@@ -16,7 +16,7 @@ from server.vision.marker_search import dictionary_by_name
 
 
 def board_of(squares: str, square_mm: float, marker_mm: float, name: str, legacy: bool) -> "cv2.aruco.CharucoBoard":
-    """The board of the command line's words. Raises: typer.BadParameter: words that are none."""
+    """The board described by the command line. Raises: typer.BadParameter: not a board."""
     across, _, down = squares.partition("x")
     if not (across.isdigit() and down.isdigit() and int(across) >= 3 and int(down) >= 3):
         raise typer.BadParameter(f"--squares {squares!r} is not ACROSSxDOWN, such as 11x8, of 3 and more")

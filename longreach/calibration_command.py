@@ -17,13 +17,13 @@ from server.calibration.calibration_life import observability_text
 
 app = typer.Typer(no_args_is_help=True)
 Url = Annotated[str, typer.Option(help="the server")]
-File = Annotated[Path | None, typer.Option("--file", help="a kept calibration.json instead of a server")]
+File = Annotated[Path | None, typer.Option("--file", help="a saved calibration.json instead of a server")]
 DEFAULT_URL = "http://127.0.0.1:8080"
 
 
 @app.command()
 def show(url: Url = DEFAULT_URL, file: File = None) -> None:
-    """What is known of the camera's mount and the local map: age, sigma, residual, where it holds."""
+    """Show the camera mount and the local map: age, sigma, residual, range of validity."""
     rows = _rows_of_file(_saved(file)) if file else _rows_of_server(_get(url, "").json())
     table = Table(title="local calibration", title_justify="left", show_header=False)
     for name, value in rows:
@@ -48,7 +48,7 @@ def export(
     try:
         write_durably(out, text)
     except OSError as error:
-        _complain(f"{out}: {error.strerror}; give a file that can be written")
+        _complain(f"{out}: {error.strerror}; give a writable file")
 
 
 def _saved(file: Path) -> SavedCalibration:
@@ -84,10 +84,10 @@ def _rows_of_server(view: dict[str, Any]) -> list[tuple[str, str]]:
     return [
         ("state", f"{valid} {view['expiry_reason']}".strip()),
         ("age", f"{(view['age_s'] or 0.0) / 60.0:.1f} min (limit {view['age_max_h']:g} h)"),
-        ("holds within", f"{view['radius_mm']:.0f} mm of where it was made{far}"),
+        ("valid within", f"{view['radius_mm']:.0f} mm of where it was made{far}"),
         *_common(view["sigma_deg"], view["from_nominal_deg"], view["residual_rms_mm"], view["n_used"]),
         ("observability", view["observability_text"]),
-        ("add to camera time", f"{view['time_offset_ms']:.0f} ms"),
+        ("camera time offset", f"{view['time_offset_ms']:.0f} ms"),
     ]
 
 
@@ -95,8 +95,8 @@ def _rows_of_file(saved: SavedCalibration) -> list[tuple[str, str]]:
     one = saved.calibration
     sigma_deg = float(one.sigmas_rad[-1]) * 57.29577951
     return [
-        ("state", one.slip or "as kept; whether it holds is for the server to say"),
-        ("holds within", f"{1e3 * one.expiry.radius_m:.0f} mm of where it was made"),
+        ("state", one.slip or "as saved; the server decides whether it is valid"),
+        ("valid within", f"{1e3 * one.expiry.radius_m:.0f} mm of where it was made"),
         *_common(sigma_deg, one.from_nominal_deg, one.residual_rms_mm, one.n_used),
         ("observability", observability_text(one)),
         ("clock offset", f"{1e3 * one.time_offset_s:.0f} ms"),

@@ -1,4 +1,4 @@
-"""`longreach camera check`: is the camera fit for measuring? What is wrong, and what to do about it."""
+"""`longreach camera check`: check whether the camera is usable for measuring, with a remedy for each finding."""
 
 import json
 import time
@@ -39,7 +39,7 @@ from server.settings_camera import (
 from server.settings_source import source_and_machine
 from server.shown_address import without_password
 
-app = typer.Typer(no_args_is_help=True, help="Look at the stereo camera; calibrate its lens.")
+app = typer.Typer(no_args_is_help=True, help="Check the stereo camera; calibrate its lens.")
 app.command("calibrate")(calibrate)
 
 READ_S = 0.1
@@ -56,9 +56,9 @@ Calibration = Annotated[
 ]
 EyeSize = Annotated[str | None, typer.Option(help="one eye's size, such as 1226x370, where the calibration needs it")]
 MachineFile = Annotated[str | None, typer.Option("--machine", help="machine file, or the name of a shipped one")]
-Seconds = Annotated[float, typer.Option(min=1.0, max=600.0, help="how long to look [s]")]
-Pairs = Annotated[int, typer.Option(min=1, max=200, help="pairs that are looked into")]
-AsJson = Annotated[bool, typer.Option("--json", help="print the findings as JSON only")]
+Seconds = Annotated[float, typer.Option(min=1.0, max=600.0, help="duration of the check [s]")]
+Pairs = Annotated[int, typer.Option(min=1, max=200, help="number of pairs analysed in detail")]
+AsJson = Annotated[bool, typer.Option("--json", help="print the findings only, as JSON")]
 
 
 @app.callback()
@@ -92,7 +92,7 @@ def check(
     try:
         _gather(stereo, gathering, seconds, console)
     except KeyboardInterrupt:
-        console.print("stopped early; what came until now is judged")
+        console.print("stopped early; evaluating the pairs received so far")
     finally:
         stereo.close()
     masks = (
@@ -140,9 +140,7 @@ def camera_settings_of(text: str) -> CameraSettings:
         return EurocCameraSettings(kind="euroc", path=text)
     if path.is_file():
         return FileCameraSettings(kind="file", path=text)
-    raise SettingsError(
-        f"--source '{without_password(text)}' is no address, device, file or folder; see longreach camera check --help"
-    )
+    raise SettingsError(f"--source '{without_password(text)}' is not an address, device, file or folder; see --help")
 
 
 def _gather(stereo: StereoSource, gathering: Gathering, seconds: float, console: Console) -> None:
@@ -203,7 +201,7 @@ def _judge(
     stored = not isinstance(plain, DeviceSource | HttpSource | RtspSource)
     gathered = gathering.gathered(stereo.skipped, own_clock=device, wanted_hz=wanted_hz, stored=stored)
     with Progress(console=console, transient=True) as progress:
-        task = progress.add_task("looking into the pairs", total=steps(gathered))
+        task = progress.add_task("analysing the pairs", total=steps(gathered))
         findings = check_camera(
             gathered,
             machine,
@@ -214,7 +212,7 @@ def _judge(
             masks,
         )
     if stereo.state and not gathering.n:
-        findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "mend what this line says"))
+        findings.insert(0, CheckFinding("source", Level.FAIL, stereo.state, "fix what this line states"))
     return findings
 
 
@@ -223,9 +221,9 @@ def report(findings: list[CheckFinding]) -> Table:
     table = Table(title="camera check", title_justify="left", caption=f"camera: {worst(findings).value}")
     for heading in ("", "what", "how it is", "to do"):
         table.add_column(heading, overflow="fold")
-    for one in findings:
-        level = f"[bold {COLOURS[one.level]}]{one.level.value}[/]"
-        table.add_row(level, one.name, escape(one.text), escape(one.remedy))
+    for finding in findings:
+        level = f"[bold {COLOURS[finding.level]}]{finding.level.value}[/]"
+        table.add_row(level, finding.name, escape(finding.text), escape(finding.remedy))
     return table
 
 
@@ -236,12 +234,12 @@ def as_document(findings: list[CheckFinding], source: str) -> dict[str, object]:
         "level": worst(findings).value,
         "findings": [
             {
-                "name": one.name,
-                "level": one.level.value,
-                "text": one.text,
-                "remedy": one.remedy,
-                "figures": {name: value for name, value in one.figures.items() if np.isfinite(value)},
+                "name": finding.name,
+                "level": finding.level.value,
+                "text": finding.text,
+                "remedy": finding.remedy,
+                "figures": {name: value for name, value in finding.figures.items() if np.isfinite(value)},
             }
-            for one in findings
+            for finding in findings
         ],
     }

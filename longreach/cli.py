@@ -1,4 +1,4 @@
-"""`longreach`: one command, one subcommand per thing a person does. What each needs is imported when it is called."""
+"""`longreach`: one command with a subcommand per task; each subcommand's imports are loaded on call."""
 
 import logging
 import os
@@ -23,7 +23,7 @@ COMMANDS = (
     Lazy(
         "relay",
         "longreach.relay_command:relay",
-        "Pass datagrams between PC and PLC, and lose, double, delay or damage some; on Ctrl-C tell what was done.",
+        "Pass datagrams between PC and PLC, and drop, duplicate, delay or corrupt some; Ctrl-C prints the counts.",
     ),
     Lazy(
         "export-plc",
@@ -33,8 +33,8 @@ COMMANDS = (
     Lazy(
         "commission",
         "longreach.commission_command:commission",
-        "Go through the check list of a new machine. Exit code 0: all pass, 1: something failed, 3: something not "
-        "told.",
+        "Go through the check list of a new machine. Exit code 0: all checks passed, 1: a check failed, 3: a check was "
+        "inconclusive.",
     ),
     Lazy(
         "position",
@@ -44,17 +44,17 @@ COMMANDS = (
     Lazy(
         "identify",
         "longreach.identify_command:identify",
-        "Identify this machine: one drive, the error budget of it, and the effects to use.",
+        "Identify this machine: one test drive, its error budget, and the effects to use.",
     ),
     Lazy(
         "compare",
         "longreach.compare_command:compare",
-        "Replay a recording against machine files: the miss at the tool over time [mm], for each.",
+        "Replay a recording against machine files: the tool error over time [mm] for each.",
     ),
     Lazy(
         "hand-eye",
         "longreach.hand_eye_command:hand_eye",
-        "Find a camera's mount from poses of hand and target. Exit code 0: found, 1: not, and why.",
+        "Hand-eye calibration from poses of hand and target. Exit code 0: found, 1: not found; the reason is printed.",
     ),
     Lazy("demo", "longreach.demo:demo", "Start everything on this computer and show where the panel is."),
     Lazy(
@@ -81,7 +81,7 @@ COMMANDS = (
     Lazy("machine", "longreach.machine_command:app", "A new machine file; a machine as URDF."),
     Lazy("settings", "longreach.settings_command:app", "A new settings file."),
     Lazy("calibration", "longreach.calibration_command:app", "Show and export the local calibration."),
-    Lazy("camera", "longreach.camera_command:app", "Look at the stereo camera."),
+    Lazy("camera", "longreach.camera_command:app", "Check the stereo camera; calibrate its lens."),
     Lazy("target", "longreach.target_command:app", "Print targets; measure how they sit."),
     Lazy("fleet", "longreach.fleet_command:app", "Many machines from one program."),
     Lazy("keys", "longreach.keys_command:app", "API keys: make, list, revoke."),

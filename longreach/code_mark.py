@@ -1,4 +1,4 @@
-"""Which code made what is on file: cases or answers of two versions are never taken for those of one."""
+"""Fingerprint of the code that produced stored results, so that results of two versions are never mixed."""
 
 import hashlib
 from pathlib import Path

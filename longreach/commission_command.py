@@ -50,15 +50,20 @@ def commission(
     machine: Annotated[str | None, typer.Option(help="machine file, or the name of a shipped one")] = None,
     runs: Annotated[Path | None, typer.Option(help="folder for the report")] = None,
     steps: Annotated[str, typer.Option(help=f"which, by number: {_LIST}")] = "",
-    move: Annotated[bool, typer.Option("--move", help="leave to move, instead of typing the machine's name")] = False,
-    yes: Annotated[bool, typer.Option("--yes", help="nobody is there: confirm everything, ask nothing")] = False,
-    answers: Annotated[Path | None, typer.Option(help="TOML file of what a person saw, by step and joint")] = None,
-    resume: Annotated[Path | None, typer.Option(help="earlier report (.json) that this run goes on from")] = None,
+    move: Annotated[
+        bool, typer.Option("--move", help="permission to move, instead of typing the machine's name")
+    ] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="unattended: confirm everything, ask nothing")] = False,
+    answers: Annotated[Path | None, typer.Option(help="TOML file of answers, by step and joint")] = None,
+    resume: Annotated[Path | None, typer.Option(help="earlier report (.json) to continue")] = None,
     ends: Annotated[bool, typer.Option("--ends", help="drive every joint to its ends by lever (step 4)")] = False,
     each_joint: Annotated[bool, typer.Option("--each-joint", help="stop times of every joint too (step 8)")] = False,
     listen_s: Annotated[float, typer.Option(min=3.0, max=600.0, help="how long step 1 listens [s]")] = 10.0,
 ) -> None:
-    """Go through the check list of a new machine. Exit code 0: all pass, 1: something failed, 3: something not told."""
+    """Go through the check list of a new machine.
+
+    Exit code 0: all checks passed, 1: a check failed, 3: a check was inconclusive.
+    """
     plc = {"host": plc_host, "port": plc_port, "local_port": plc_local_port, "framing": framing}
     settings = _with_options(read_settings(settings_file), plc, camera_url, machine, runs)
     console = Console()
@@ -82,21 +87,21 @@ def commission(
     finally:
         operator.close()
     if report.open_answers:
-        console.print(f"answers that nothing asked for: {', '.join(report.open_answers)}", style="yellow")
+        console.print(f"answers without a question: {', '.join(report.open_answers)}", style="yellow")
     raise typer.Exit(exit_code(report.all_results))
 
 
 def chosen_steps(text: str) -> tuple[Step, ...]:
     """The steps of a list of numbers, in the list's own order; empty: all.
 
-    Raises: SettingsError: a number that is no step.
+    Raises: SettingsError: a number that is not a step.
     """
     if not text.strip():
         return STEPS
     wanted = {part.strip() for part in text.split(",") if part.strip()}
     unknown = sorted(wanted - {str(step.number) for step in STEPS})
     if unknown:
-        raise SettingsError(f"--steps: {', '.join(unknown)} is no step; choose from {_LIST}")
+        raise SettingsError(f"--steps: {', '.join(unknown)} is not a step; choose from {_LIST}")
     return tuple(step for step in STEPS if str(step.number) in wanted)
 
 
@@ -108,7 +113,7 @@ async def _commission(
     earlier: Report | None,
     console: Console,
 ) -> Report:
-    """Go through the steps; the report is written anew after each of them, so that none is lost."""
+    """Go through the steps; the report is rewritten after each of them, so that no result is lost."""
     report = _empty_report(settings, earlier)
     machine = parse_machine_toml(read_machine_text(settings.machine_file))
     chain = chain_of(machine)
@@ -179,16 +184,14 @@ async def _vision(
 async def _require_same_plc(earlier: Report, settings: ServerSettings, link: LinkClient) -> None:
     """What another PLC showed, or a simulated one, proves nothing of this one.
 
-    Raises: SettingsError: it was another one, or nobody can tell.
+    Raises: SettingsError: it is another PLC, or the PLC does not answer.
     """
     deadline_s = time.monotonic() + PLC_WAIT_S
     while (link.latest is None or not link.health.cfg_id) and time.monotonic() < deadline_s:  # noqa: ASYNC110 no event
         await asyncio.sleep(0.05)
     latest, cfg_id, host = link.latest, link.health.cfg_id, settings.plc.host
     if latest is None or not cfg_id:
-        raise SettingsError(
-            f"--resume: the PLC at {host} does not answer, so nobody can tell whether it is the report's"
-        )
+        raise SettingsError(f"--resume: the PLC at {host} does not answer, so it cannot be compared with the report")
     before = earlier.settings.get("plc", {}).get("host")
     differ = [
         f"{name} was {was}, is {now}"
@@ -201,7 +204,7 @@ async def _require_same_plc(earlier: Report, settings: ServerSettings, link: Lin
     ]
     if differ:
         raise SettingsError(
-            f"--resume: the report of {earlier.started} is of another PLC: {'; '.join(differ)}; begin anew"
+            f"--resume: the report of {earlier.started} is of another PLC: {'; '.join(differ)}; start a new report"
         )
 
 
@@ -215,7 +218,7 @@ def _carried(earlier: Report | None, machine: Machine, digest: str) -> tuple[Ste
     if earlier.machine_sha256 != digest:
         raise SettingsError(
             f"--resume: the report of {earlier.started} is of another machine file than the present one of "
-            f"'{machine.name}'; begin anew"
+            f"'{machine.name}'; start a new report"
         )
     return earlier.all_results
 

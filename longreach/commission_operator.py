@@ -1,4 +1,4 @@
-"""The engineer at the terminal, a file of answers, or nobody: what `longreach commission` asks and shows."""
+"""Operator interface of `longreach commission`: terminal, answers file, or unattended."""
 
 import asyncio
 import os
@@ -42,7 +42,7 @@ def read_answers(path: Path | None) -> dict[str, str]:
 
 
 class _Lines:
-    """Lines of the standard input, read beside the event loop; an unfinished read keeps nothing from ending."""
+    """Standard input read line by line in a thread; an unfinished read never blocks the exit."""
 
     def __init__(self) -> None:
         self._left = b""
@@ -78,7 +78,7 @@ class _Lines:
 
 
 class TerminalOperator:
-    """Asks at the terminal what the answers do not say. With `assume_yes` nobody is there: nothing is asked."""
+    """Asks at the terminal what the answers file leaves open. With `assume_yes` (unattended) nothing is asked."""
 
     def __init__(self, console: Console, answers: dict[str, str], assume_yes: bool, move: bool) -> None:
         self._console, self._answers, self._assume_yes, self._move = console, answers, assume_yes, move
@@ -90,14 +90,14 @@ class TerminalOperator:
 
     @property
     def open_answers(self) -> tuple[str, ...]:
-        """Answers that nothing asked for: most likely misspelt."""
+        """Answers without a question: most likely misspelt."""
         return tuple(sorted(set(self._answers) - self._asked))
 
     async def may_move(self, machine_name: str) -> bool:
         """--move, or the machine's name typed."""
         if self._move or self._assume_yes:
             return self._move
-        text = f"the next steps move the machine. Type its name ({machine_name}) to give leave, or Enter to skip them"
+        text = f"the next steps move the machine. Type its name ({machine_name}) to permit this, or Enter to skip them"
         return await self._line(text) == machine_name
 
     async def confirm(self, text: str) -> bool:
@@ -105,7 +105,7 @@ class TerminalOperator:
         if self._assume_yes:
             self.tell(text)
             return True
-        return await self._line(f"{text}. Enter to go on, n to refuse") == ""
+        return await self._line(f"{text}. Press Enter to continue, n to refuse") == ""
 
     async def ask(self, key: str, question: str) -> str | None:
         """The file's answer, or the engineer's."""

@@ -1,4 +1,4 @@
-"""`longreach compare`: one recording replayed by several machine files, and how far each misses the tool over time."""
+"""`longreach compare`: replay one recording with several machine files and plot the tool error of each over time."""
 
 from html import escape
 from itertools import cycle
@@ -27,14 +27,14 @@ def compare(
     machine: Annotated[list[str], typer.Option("--machine", help="a machine file, or a shipped one by name; several")],
     html_file: Annotated[Path | None, typer.Option("--html", help="write the curves here")] = None,
 ) -> None:
-    """Replay a recording against machine files: the miss at the tool over time [mm], for each."""
+    """Replay a recording against machine files: the tool error over time [mm] for each."""
     screen = Console(stderr=True)
     try:
-        files = [file_of_machine(Path(one)) or Path(one) for one in machine]
+        files = [file_of_machine(Path(given)) or Path(given) for given in machine]
         texts = [(path.name, text_of_machine(path)) for path in files]
         whole = read_together([recording], files[0])
         if not whole.usable:
-            raise DiagnosisError("; ".join(str(one) for one in whole.findings if one.severity == "fatal"))
+            raise DiagnosisError("; ".join(str(finding) for finding in whole.findings if finding.severity == "fatal"))
         found = misses(whole, texts)
         if html_file is not None:
             write_durably(html_file, page(recording.name, found))
@@ -50,10 +50,10 @@ def shown(found: tuple[Miss, ...]) -> Table:
     for heading in ("machine file", "measured", "RMS mm", "95 % below mm", "of the first"):
         out.add_column(heading, justify="left" if heading in ("machine file", "measured") else "right")
     for by in BY:
-        own = [one for one in found if one.by == by]
-        for one in own:
-            share = one.rms_mm / own[0].rms_mm
-            out.add_row(one.name, BY[by], f"{one.rms_mm:.2f}", f"{_high(one):.2f}", f"{100.0 * share:.0f} %")
+        own = [curve for curve in found if curve.by == by]
+        for curve in own:
+            share = curve.rms_mm / own[0].rms_mm
+            out.add_row(curve.name, BY[by], f"{curve.rms_mm:.2f}", f"{_high(curve):.2f}", f"{100.0 * share:.0f} %")
     return out
 
 
@@ -61,16 +61,17 @@ def page(name: str, found: tuple[Miss, ...]) -> str:
     """The curves as a page without scripts."""
     parts = []
     for by, what in BY.items():
-        own = [one for one in found if one.by == by]
+        own = [curve for curve in found if curve.by == by]
         if not own:
             continue
-        start_s = min(float(one.t_s.min()) for one in own)
-        lines = [Line(one.name, css, one.t_s - start_s, one.mm) for one, css in zip(own, cycle(COLOURS), strict=False)]
-        rows = [(one.name, f"{one.rms_mm:.2f}", f"{_high(one):.2f}") for one in own]
-        drawn = chart(lines, "time [s]", "miss at the tool [mm]", f"Miss at the tool, {what}")
-        parts.append(
-            section(f"Miss at the tool, {what}", drawn + table(("machine file", "RMS mm", "95 % below"), rows))
-        )
+        start_s = min(float(curve.t_s.min()) for curve in own)
+        lines = [
+            Line(curve.name, css, curve.t_s - start_s, curve.mm)
+            for curve, css in zip(own, cycle(COLOURS), strict=False)
+        ]
+        rows = [(curve.name, f"{curve.rms_mm:.2f}", f"{_high(curve):.2f}") for curve in own]
+        drawn = chart(lines, "time [s]", "tool error [mm]", f"Tool error, {what}")
+        parts.append(section(f"Tool error, {what}", drawn + table(("machine file", "RMS mm", "95 % below"), rows)))
     return document(f"Compared: {name}", f"<h1>{escape(name)}</h1>" + "".join(parts))
 
 

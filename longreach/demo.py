@@ -20,12 +20,12 @@ from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
 from server.errors import SettingsError
 
-START_S = 1800.0  # a busy computer of two cores takes minutes to compile; what ends is told at once
+START_S = 1800.0  # a busy computer of two cores takes minutes to compile; a process that ends is reported immediately
 
 
 def demo(
     preset: Annotated[str, typer.Option(help="ideal, realistic or paper")] = "realistic",
-    seed: Annotated[int, typer.Option(help="which machine is drawn")] = 1,
+    seed: Annotated[int, typer.Option(help="seed of the simulated machine")] = 1,
     port: Annotated[int, typer.Option(help="port of the panel")] = 8080,
     browser: Annotated[bool, typer.Option(help="open the panel in a browser if there is one")] = True,
     seconds: Annotated[float, typer.Option(help="end after this time; 0 = on Ctrl-C")] = 0.0,
@@ -46,7 +46,9 @@ def demo(
     started = time.monotonic()
     runs = Path("runs") / f"{preset}-{seed}"  # what was calibrated on one machine says nothing of another
     logs = runs / "logs"
-    console.print("starting simulator, server and camera; the first time their numerics are compiled, for some minutes")
+    console.print(
+        "starting simulator, server and camera; the first start compiles the numerics, which takes some minutes"
+    )
     with Stack(ports, preset=preset, seed=seed, log_folder=logs, runs=runs) as stack:
         try:
             with console.status("starting") as status, JobClient(stack.url) as client:
@@ -56,7 +58,7 @@ def demo(
             raise typer.Exit(1) from error
         took_s = time.monotonic() - started
         console.print(f"[bold green]ready[/] after {took_s:.0f} s: open [bold]{stack.url}/[/]   (Ctrl-C ends it)")
-        console.print(f"or without hands:  {_command()} position --url {stack.url}")
+        console.print(f"or unattended:  {_command()} position --url {stack.url}")
         console.print(f"recordings and calibration of this machine: {runs}/")
         if browser:
             webbrowser.open(stack.url)
@@ -74,12 +76,16 @@ def _while_starting(why: str) -> str:
     """What a server waits for means something else while everything only starts: no cable is loose here."""
     if why.startswith("server does not answer"):
         return "the server is not up yet"
-    return "no picture of the simulated camera yet" if "the camera" in why else why
+    return "no image from the simulated camera yet" if "the camera" in why else why
 
 
 def _ended(processes: Mapping[str, Popen[bytes]]) -> str:
     """What has ended, and how; empty while all run."""
-    ended = (f"{name} ended with code {one.returncode}" for name, one in processes.items() if one.poll() is not None)
+    ended = (
+        f"{name} ended with code {process.returncode}"
+        for name, process in processes.items()
+        if process.poll() is not None
+    )
     return next(ended, "")
 
 

@@ -1,4 +1,4 @@
-"""`longreach diagnose`: where the sim-to-real gap lies, which effect causes it, how far it shrinks."""
+"""`longreach diagnose`: locate the sim-to-real gap, name the effects that cause it, and state how far it shrinks."""
 
 import json
 from collections.abc import Sequence
@@ -37,13 +37,14 @@ def diagnose(
         Path | None,
         typer.Option("--machine", callback=file_of_machine, help="use this machine file, or a shipped one by name"),
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write the whole answer here")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the full result here (JSON)")] = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="write a report here")] = None,
     lacking: Annotated[
-        list[str] | None, typer.Option("--without", help="leave this effect out of the library, to test refusals")
+        list[str] | None,
+        typer.Option("--without", help="leave this effect out of the catalogue, to test how the diagnosis rejects"),
     ] = None,
     fitting: Annotated[
-        bool, typer.Option("--fit-baseline", help="make a machine file from undisturbed recordings instead")
+        bool, typer.Option("--fit-baseline", help="make a machine file from baseline recordings instead")
     ] = False,
     machine_out: Annotated[
         Path | None, typer.Option("--machine-out", help="write the machine file with the diagnosed effects added")
@@ -92,28 +93,28 @@ def diagnose(
 
 
 def _require_sense(fitting: bool, out: Path | None, given: list[str], screen: Console) -> None:
-    """Refuse options of which one would do nothing beside the other."""
-    told = ""
+    """Refuse a pair of options of which one would have no effect."""
+    text = ""
     if fitting and given:
-        told = f"{given[0]} does nothing beside --fit-baseline, which only writes --out; leave one of them out"
+        text = f"{given[0]} has no effect with --fit-baseline, which only writes --out; leave one of them out"
     elif out is not None and not fitting:
-        told = "--out is where --fit-baseline writes; give it as well, or --machine-out in place of --out"
-    if told:
-        raise _refused(ValueError(told), screen)
+        text = "--out is where --fit-baseline writes; give it as well, or --machine-out in place of --out"
+    if text:
+        raise _refused(ValueError(text), screen)
 
 
 def _set_aside(places: Sequence[Path | None], screen: Console) -> None:
-    """Files of an earlier run get another name where this run writes none, so that nobody takes them for its own."""
+    """Rename the files of an earlier run that this run does not write, so that they are not taken for its own."""
     for place in places:
         if place is None or not place.is_file():
             continue
         aside = place.with_name(f"{place.name}.earlier")
         try:
             place.replace(aside)
-            told = f"{place} is not written; the one of an earlier run is {aside.name} now"
+            text = f"{place} is not written; the one of an earlier run is {aside.name} now"
         except OSError as error:
-            told = f"{place} is not written; what is there is of an earlier run ({error.strerror})"
-        screen.print(f"[yellow]longreach:[/] {escape(told)}", soft_wrap=True)
+            text = f"{place} is not written; the present file is of an earlier run ({error.strerror})"
+        screen.print(f"[yellow]longreach:[/] {escape(text)}", soft_wrap=True)
 
 
 def _refused(error: Exception, screen: Console) -> typer.Exit:

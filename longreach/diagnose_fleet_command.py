@@ -69,12 +69,12 @@ def diagnose_fleet(
     fleet = summary_of(results)
     write_durably(out / "fleet.json", json.dumps(results, indent=1) + "\n")
     write_durably(out / "fleet.html", fleet_page(fleet, folder.name))
-    for one in fleet.shared:
-        joint = "" if one.joint is None else f" on joint {one.joint}"
-        typer.echo(f"{one.name}{joint}: {len(one.machines)} of {len(fleet.machines)} machines")
-    for one in fleet.drifts:
-        if one.drifts:
-            typer.echo(f"{one.machine}: {one.name} drifts by {one.per_day:.3g} {one.unit} a day")
+    for effect in fleet.shared:
+        joint = "" if effect.joint is None else f" on joint {effect.joint}"
+        typer.echo(f"{effect.name}{joint}: {len(effect.machines)} of {len(fleet.machines)} machines")
+    for drift in fleet.drifts:
+        if drift.drifts:
+            typer.echo(f"{drift.machine}: {drift.name} drifts by {drift.per_day:.3g} {drift.unit} a day")
     typer.echo(f"{len(paths)} recordings, {len(fleet.unusable)} not usable; report: {out / 'fleet.html'}")
 
 

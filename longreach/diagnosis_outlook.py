@@ -1,4 +1,4 @@
-"""How far a diagnosis is and about how long it still takes: a bar on a terminal, a line every few seconds elsewhere."""
+"""Progress of a diagnosis with the remaining time: a bar on a terminal, a line every few seconds elsewhere."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 USUAL_S = 2.0  # of work that is taken to have gone as fast as usual before this computer's own speed counts
-SOONER, LATER = 0.6, 2.0  # of what the speed so far foretells
+SOONER, LATER = 0.6, 2.0  # of what the speed so far predicts
 KNOWN_FROM = 0.1  # of the work: before that the speed is a guess
 EVERY_S = 2.0  # between two lines where there is no terminal
 STEPS_S = (5, 10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 300, 420, 600, 900, 1200, 1800, 3600)
@@ -21,7 +21,7 @@ def left_s(done: float, total: float, elapsed_s: float) -> float:
 
 
 def in_words(seconds: float) -> str:
-    """As a range, since whether a name will be found, and looked for beside others, is not known before."""
+    """Remaining time as a range: how many effects will be found, and so searched, is not known in advance."""
     low, high = (_near(factor * seconds) for factor in (SOONER, LATER))
     if high <= STEPS_S[0]:
         return "a few seconds left"
@@ -39,7 +39,7 @@ Say = Callable[[str, float, float], None]  # words, share that is done, seconds 
 
 @dataclass(slots=True)
 class Outlook:
-    """Takes what a diagnosis tells of its work, and says it with the time that is left."""
+    """Shows the progress of a diagnosis with the estimated remaining time."""
 
     say: Say
     now_s: Callable[[], float] = time.monotonic
@@ -50,10 +50,10 @@ class Outlook:
         self._begun_s = self.now_s()
 
     def heard(self, text: str, done: float, total: float) -> None:
-        """As `diagnosis` tells it. The share never goes back: what is found on the way only makes the rest slower."""
+        """Progress callback of the diagnosis. The share never decreases, although found effects slow the rest down."""
         elapsed_s = self.now_s() - self._begun_s
         share = self._furthest = min(max(self._furthest, done / max(total, 1e-9)), 0.99)
-        rest = in_words(left_s(done, total, elapsed_s)) if share >= KNOWN_FROM else "how long is not known yet"
+        rest = in_words(left_s(done, total, elapsed_s)) if share >= KNOWN_FROM else "remaining time unknown"
         self.say(f"{text}: {100.0 * share:.0f} % done, {rest}", share, elapsed_s)
 
     def also(self, text: str) -> None:
@@ -74,7 +74,7 @@ def outlook(screen: Console, now_s: Callable[[], float] = time.monotonic) -> Ite
 
 
 def _lines(screen: Console) -> Say:
-    """For a log, or for the server that follows: no more than one in EVERY_S, and none at once."""
+    """For a log, or for the server that follows: at most one line in EVERY_S, and none at the start."""
     last_s = EVERY_S
 
     def say(words: str, _share: float, elapsed_s: float) -> None:

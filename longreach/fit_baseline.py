@@ -1,4 +1,4 @@
-"""`longreach diagnose --fit-baseline`: a machine file with the effects that belong to a machine undisturbed."""
+"""`longreach diagnose --fit-baseline`: a machine file with the effects of the machine's baseline."""
 
 from pathlib import Path
 
@@ -42,15 +42,17 @@ def make_baseline(recordings: list[Path], machine_file: Path | None, out: Path, 
         write_durably(out, with_baseline(nominal, found))
     except OSError as error:
         raise BaselineError(f"{out} cannot be written: {error.strerror}") from error
-    return told(found, count, len(wholes))
+    return report_of(found, count, len(wholes))
 
 
 def _usable(recordings: list[Path], machine_file: Path | None) -> list[Read]:
     """All of them read, or one error that names every one that cannot be used."""
     wholes = [read(path, machine_file) for path in recordings]
-    bad = [f"{one.path}: {'; '.join(map(str, one.findings))}" for one in wholes if not one.usable]
+    bad = [
+        f"{recording.path}: {'; '.join(map(str, recording.findings))}" for recording in wholes if not recording.usable
+    ]
     if bad:
-        raise BaselineError("cannot be used, leave out or mend: " + "\n".join(bad))
+        raise BaselineError("cannot be used, leave out or fix: " + "\n".join(bad))
     return wholes
 
 
@@ -67,7 +69,7 @@ def _nominal(path: Path, machine_file: Path | None) -> str:
 def with_baseline(text: str, found: Baseline) -> str:
     """A machine file's text with this baseline in place of any that it had.
 
-    Raises: BaselineError: the text is no TOML, or its tables cannot be taken apart.
+    Raises: BaselineError: the text is not TOML, or its tables cannot be separated.
     """
     added = entries_to_toml(found.effects) + remainders_to_toml(found.remainders)
     try:
@@ -76,18 +78,18 @@ def with_baseline(text: str, found: Baseline) -> str:
         raise BaselineError(str(error)) from error
 
 
-def told(found: Baseline, fitted: int, count: int) -> str:
+def report_of(found: Baseline, fitted: int, count: int) -> str:
     """What was fitted and what is left, one line a cell."""
     counts = f"names from {fitted} recordings, sizes from {count}, judged on {count - fitted}"
     rows = [f"{counts}; RMS in noise floors before and after:"]
     if count - fitted < JUDGED_ENOUGH:
         rows.insert(0, f"few: {RECORDINGS_ENOUGH} recordings also say what each joint leaves from day to day")
-    rows += [f"  {one.label}: {one.before:.3g} -> {one.after:.3g}" for one in found.cells]
-    rows += [f"  {one.name} {one.joint or ''} {dict(one.values)}" for one in found.effects]
+    rows += [f"  {cell.label}: {cell.before:.3g} -> {cell.after:.3g}" for cell in found.cells]
+    rows += [f"  {effect.name} {effect.joint or ''} {dict(effect.values)}" for effect in found.effects]
     rows += [
-        f"  {one.stage} {one.joint}: {name} wanders by {size:.2g}{_unit(name)} from day to day"
-        for one in found.remainders
-        for name, size in one.wander
+        f"  {remainder.stage} {remainder.joint}: {name} wanders by {size:.2g}{_unit(name)} from day to day"
+        for remainder in found.remainders
+        for name, size in remainder.wander
     ]
     return "\n".join(rows)
 

@@ -1,4 +1,4 @@
-"""A small REST client for jobs: what `position`, the benches and a fleet program need."""
+"""Small REST client for jobs, used by `position`, the benches and fleet programs."""
 
 import json
 import threading
@@ -40,7 +40,7 @@ class LeaseHolder:
     def __enter__(self) -> Self:
         """Acquire.
 
-        Raises: ControlRefusedError: somebody else has control.
+        Raises: ControlRefusedError: another client has control.
         """
         answer = self._http.post("/v1/lease", json={"owner": self._owner, "kind": self._kind, "ttl_s": self._ttl_s})
         if answer.status_code != httpx.codes.CREATED:
@@ -72,7 +72,7 @@ class LeaseHolder:
             except httpx.TransportError:
                 continue  # the next one may pass; else it goes stale, as it should
             if answer.status_code in (httpx.codes.FORBIDDEN, httpx.codes.CONFLICT):
-                return  # somebody else has control: the next command is refused and says who
+                return  # another client has control: the next command is refused and says who
 
 
 class JobRefusedError(Exception):
@@ -133,15 +133,15 @@ class JobClient:
         """Close the connection."""
         self._http.close()
 
-    def wait_ready(self, timeout_s: float, told: Callable[[float, str], None] = lambda _s, _why: None) -> None:
-        """Wait until a job could start; `told` hears how long it has been [s] and why it goes on, and may raise.
+    def wait_ready(self, timeout_s: float, report: Callable[[float, str], None] = lambda _s, _why: None) -> None:
+        """Wait until a job could start; `report` gets the waiting time [s] and the reason, and may raise.
 
         Raises: JobRefusedError with the server's last reasons when that takes longer.
         """
         began, reasons = time.monotonic(), "server does not answer"
         while (waited_s := time.monotonic() - began) < timeout_s:
             self._refuse_if_abandoned()
-            told(waited_s, reasons)
+            report(waited_s, reasons)
             try:
                 answer = self._http.get("/readyz")
                 if answer.status_code == 200:
@@ -149,7 +149,7 @@ class JobClient:
                 reasons = reason_in(answer)
             except httpx.UnsupportedProtocol as error:
                 raise JobRefusedError(
-                    f"'{self._http.base_url}' is no address; give one as http://127.0.0.1:8080"
+                    f"'{self._http.base_url}' is not an address; give one such as http://127.0.0.1:8080"
                 ) from error
             except httpx.TransportError as error:
                 reasons = f"server does not answer ({error}){by_proxy(self.url)}"
@@ -185,7 +185,7 @@ class JobClient:
         raise JobRefusedError(reason_in(answer))
 
     def stop(self) -> None:
-        """Stop motion (software); asked for again when the connection broke, for two stops are one."""
+        """Stop motion (software); repeated when the connection broke, since a second stop is harmless."""
         try:
             answer = self._http.post("/v1/stop")
         except httpx.TransportError:
@@ -239,7 +239,9 @@ class JobClient:
         try:
             self.stop()
         except httpx.HTTPError as error:
-            ending.add_note(f"STOP is not confirmed ({error}); without this client control lapses within {TTL_S:.0f} s")
+            ending.add_note(
+                f"STOP is not confirmed ({error}); without this client control expires within {TTL_S:.0f} s"
+            )
 
     def abandon(self) -> None:
         """From another thread: stop what this client runs, and let it begin nothing more."""

@@ -21,7 +21,7 @@ KeyFile = Annotated[Path | None, typer.Option(help="file with the API key", envv
 
 @app.command()
 def position(urls: Urls, key_file: KeyFile = None, wait_s: float = 60.0) -> None:
-    """Position all machines at once, each under control of its own, and say how each of them ended."""
+    """Position all machines in parallel, each under its own lease, and report how each ended."""
     key = read_key(key_file)
     clients = [JobClient(url, owner="fleet example", kind="fleet", key=key) for url in urls]
     with ThreadPoolExecutor(len(urls)) as pool:
@@ -66,7 +66,7 @@ def scrape(
     key_file: KeyFile = None,
     every_s: Annotated[float, typer.Option(help="pause between two rounds; 0 = one round")] = 0.0,
 ) -> None:
-    """Fetch /metrics of all machines and print one line each: what a Prometheus would keep."""
+    """Fetch /metrics of all machines and print one line each."""
     key = read_key(key_file)
     while True:
         for url in urls:
@@ -80,7 +80,7 @@ SHOWN = ("job_running", "faults", "store_ok", "camera_pairs_per_second", "plc_st
 
 
 def metrics_line(url: str, key: str = "") -> str:
-    """The figures of one machine in one line, or why there are none."""
+    """The figures of one machine in one line, or why they are missing."""
     headers = {"Authorization": f"Bearer {key}"} if key else {}
     try:
         with SteadyClient(url, 5.0, headers) as client:

@@ -1,4 +1,4 @@
-"""The HTTP connection of our own clients: what a connection that ends under a request means, and what is sent again."""
+"""HTTP connection of our clients: classification of connection failures, and retries."""
 
 import urllib.request
 from typing import Any
@@ -10,7 +10,7 @@ from server.access.hosts import is_loopback
 
 IDLE_S = 3.0  # below every server's own limit (uvicorn's default: 5 s), so that no request meets a closing connection
 IDEMPOTENT = frozenset({"GET", "HEAD", "OPTIONS", "PUT", "DELETE"})
-DROPPED = (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError)  # not: nobody there, no answer in time
+DROPPED = (httpx.RemoteProtocolError, httpx.ReadError, httpx.WriteError)  # not: connection refused, timeout
 
 
 class SteadyClient(httpx.Client):
@@ -45,17 +45,17 @@ def reason_in(answer: httpx.Response) -> str:
         return "; ".join(problem.get("reasons") or filter(None, (problem["detail"], problem.get("hint", ""))))
     except (ValueError, KeyError, AttributeError):
         url = str(answer.request.url)
-        return f"{url} answers {answer.status_code} {answer.reason_phrase}, and not as longreach does{by_proxy(url)}"
+        return f"{url} answers {answer.status_code} {answer.reason_phrase}, which is no longreach answer{by_proxy(url)}"
 
 
 def by_proxy(url: str) -> str:
-    """That a server is asked for through a proxy of the environment, for messages; empty where it is asked directly."""
+    """Note for messages that a request goes through a proxy of the environment; empty for a direct request."""
     host, scheme = _host(url), urlsplit(url).scheme
     proxies = urllib.request.getproxies()
     proxy = proxies.get(scheme, proxies.get("all", ""))
     if not proxy or not host or is_loopback(host) or urllib.request.proxy_bypass(host):
         return ""
-    return f"; it was asked for through the proxy {proxy} ({scheme}_proxy); add {host} to no_proxy to ask it directly"
+    return f"; the request went through the proxy {proxy} ({scheme}_proxy); add {host} to no_proxy to connect directly"
 
 
 def _host(url: str) -> str:

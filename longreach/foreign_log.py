@@ -1,4 +1,4 @@
-"""Logs of other systems on the command line: what was found is listed, guesses are confirmed, then it is converted."""
+"""Logs of other systems on the command line: list the findings, confirm guesses, convert."""
 
 import atexit
 import shutil
@@ -24,7 +24,7 @@ MappingFile = Annotated[
     Path | None,
     typer.Option("--mapping", help="which topic or column is which signal: a TOML file, docs/other-logs.md"),
 ]
-Yes = Annotated[bool, typer.Option("--yes", help="use what topics and columns were guessed to be, without asking")]
+Yes = Annotated[bool, typer.Option("--yes", help="accept the guessed topics and columns without asking")]
 
 
 def convert_log(

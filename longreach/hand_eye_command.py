@@ -1,4 +1,4 @@
-"""`longreach hand-eye`: where a camera sits, from poses of hand and target, with its covariance, or why not."""
+"""`longreach hand-eye`: hand-eye calibration from poses of hand and target, with covariance."""
 
 import json
 from dataclasses import dataclass, replace
@@ -67,8 +67,8 @@ def poses_of_bag(bag: Path, topic: str, urdf: Path, base_link: str, hand_link: s
             elif len(fields.position) == len(fields.name):
                 joints.setdefault(tuple(fields.name), []).append((t_s, list(fields.position)))
         if not seen or not joints:
-            lacking = f"poses on {topic}" if not seen else "joint states"
-            raise HandEyeError(f"{bag} holds no {lacking}; its topics are {', '.join(sorted(topics)[:20])}")
+            missing = f"poses on {topic}" if not seen else "joint states"
+            raise HandEyeError(f"{bag} holds no {missing}; its topics are {', '.join(sorted(topics)[:20])}")
         names, rows = max(joints.items(), key=lambda one: len(one[1]))
         text = read_text(urdf)
         chain = chain_for(text, names, UrdfChain(base_link=base_link, tip_link=hand_link))
@@ -170,18 +170,18 @@ def hand_eye(
         bool, typer.Option("--camera-in-target", help="--camera holds the camera in the target")
     ] = False,
     eye_to_hand: Annotated[
-        bool, typer.Option("--eye-to-hand", help="the camera stands beside the robot, and the hand holds the target")
+        bool, typer.Option("--eye-to-hand", help="the camera is fixed next to the robot, and the hand holds the target")
     ] = False,
     out: Annotated[
         Path | None, typer.Option("--out", help="folder for TF, easy_handeye2, URDF and machine file")
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write the whole answer here")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the full result here (JSON)")] = None,
     base_frame: Annotated[str, typer.Option(help="name of the robot's base frame")] = "base_link",
     hand_frame: Annotated[str, typer.Option(help="name of the hand's frame")] = "tool0",
     camera_frame: Annotated[str, typer.Option(help="name of the camera's optical frame")] = "camera_optical_frame",
     target_frame: Annotated[str, typer.Option(help="name of the target's frame")] = "target",
 ) -> None:
-    """Find a camera's mount from poses of hand and target. Exit code 0: found, 1: not, and why."""
+    """Hand-eye calibration from poses of hand and target. Exit code 0: found, 1: not found; the reason is printed."""
     screen, covariances, hand_table = Console(), None, PoseTable((), None, np.zeros((0, 4, 4)))
     if bag is None and (hand is None or (camera is None) == (images is None)):
         raise typer.BadParameter("give --bag, or --hand and either --camera, poses of the target, or --images")
@@ -217,13 +217,13 @@ def hand_eye(
     answer["alike"] = [[solved.labels[first], solved.labels[second]] for first, second in alike]
     if found.X is None or found.Y is None or found.covariance is None:
         screen.print(f"[bold red]not found[/]: {escape(found.reason)}", soft_wrap=True)
-        _tell_alike(alike, solved.labels, screen)
+        _show_alike(alike, solved.labels, screen)
         _write_json(json_file, answer)
         raise typer.Exit(1)
     left = pose_residuals(solved.hand, solved.target_from_camera, found.X, found.Y)
     mount = _mount(found, eye_to_hand, (base_frame, hand_frame, camera_frame, target_frame))
     _show(mount, found, left, solved, screen)
-    _tell_alike(alike, solved.labels, screen)
+    _show_alike(alike, solved.labels, screen)
     answer |= _as_answer(mount, found, left, solved)
     _write_json(json_file, answer)
     if out is not None:
@@ -303,12 +303,12 @@ def _show(mount: Mount, found: HandEyeEstimate, left: PoseResiduals, solved: Sol
             for k in places[:ALIKE_SHOWN]
         )
         screen.print(
-            f"[yellow]outliers[/], {len(places)}: {escape(shown)}: look at their images, or leave them out",
+            f"[yellow]outliers[/], {len(places)}: {escape(shown)}: check their images, or leave them out",
             soft_wrap=True,
         )
 
 
-def _tell_alike(alike: list[tuple[int, int]], labels: tuple[str, ...], screen: Console) -> None:
+def _show_alike(alike: list[tuple[int, int]], labels: tuple[str, ...], screen: Console) -> None:
     if alike:
         shown = ", ".join(f"{labels[second]} like {labels[first]}" for first, second in alike[:ALIKE_SHOWN])
         text = f"[yellow]too alike[/], {len(alike)}: {escape(shown)}: turn the hand further between poses"

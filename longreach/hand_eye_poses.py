@@ -20,7 +20,7 @@ class HandEyeError(ServerError):
 
 @dataclass(frozen=True, slots=True)
 class PoseTable:
-    """Rows of a table: labels as written, times (n,) [s] or None where labels are none, poses (n, 4, 4) [m]."""
+    """Rows of a table: labels as written, times (n,) [s] or None where labels are not times, poses (n, 4, 4) [m]."""
 
     labels: tuple[str, ...]
     t_s: Array | None
@@ -30,7 +30,7 @@ class PoseTable:
 def read_poses(path: Path) -> PoseTable:
     """The poses of a CSV file; a first row of names is passed over.
 
-    Raises: HandEyeError: not readable, or a row that is no pose; names file and line.
+    Raises: HandEyeError: not readable, or a row that is not a pose; names file and line.
     """
     try:
         lines = read_text(path).splitlines()
@@ -52,7 +52,7 @@ def read_poses(path: Path) -> PoseTable:
         labels.append(cells[0])
         Ts.append(_pose(values, f"{path}, line {number}"))
     if not labels:
-        raise HandEyeError(f"{path} holds no pose; give rows of a time or name, x, y, z [m], qx, qy, qz, qw")
+        raise HandEyeError(f"{path} holds no poses; give rows of a time or name, x, y, z [m], qx, qy, qz, qw")
     times = _numbers(labels)
     return PoseTable(tuple(labels), None if times is None else np.array(times), np.array(Ts))
 

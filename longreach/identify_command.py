@@ -1,4 +1,4 @@
-"""`longreach identify`: plan the drive, drive it, wait for its budget, and use what it confirms, over REST."""
+"""`longreach identify`: plan and execute the test drive, wait for its budget, use the confirmed effects, over REST."""
 
 import time
 from pathlib import Path
@@ -17,11 +17,15 @@ POLL_S = 2.0
 
 def identify(
     url: Annotated[str, typer.Option(help="the server")] = "http://127.0.0.1:8080",
-    minutes: Annotated[float, typer.Option(help="about how long; shorter shows less", min=1.5, max=6.0)] = 6.0,
-    wall_free: Annotated[bool, typer.Option(help="there is no wall within reach; needed where none is seen")] = False,
-    resume: Annotated[bool, typer.Option(help="only what is left of a paused drive")] = False,
+    minutes: Annotated[
+        float, typer.Option(help="approximate duration [min]; shorter drives identify less", min=1.5, max=6.0)
+    ] = 6.0,
+    wall_free: Annotated[
+        bool, typer.Option(help="there is no wall within reach; required where none is measured")
+    ] = False,
+    resume: Annotated[bool, typer.Option(help="only the remaining parts of a paused drive")] = False,
     use: Annotated[bool, typer.Option("--use", help="use all confirmed effects from now on")] = False,
-    only_plan: Annotated[bool, typer.Option("--plan", help="show what would be driven, and drive nothing")] = False,
+    only_plan: Annotated[bool, typer.Option("--plan", help="show the plan without moving")] = False,
     machine_out: Annotated[Path | None, typer.Option(help="write the machine file with the effects here")] = None,
     owner: Annotated[str, typer.Option(help="who asks")] = "cli",
     kind: Annotated[
@@ -32,7 +36,7 @@ def identify(
     ] = None,
     wait_s: Annotated[float, typer.Option(help="how long to wait for the server to be ready")] = 30.0,
 ) -> None:
-    """Identify this machine: one drive, the error budget of it, and the effects to use."""
+    """Identify this machine: one test drive, its error budget, and the effects to use."""
     console = Console()
     client = JobClient(url, owner=owner, kind=kind, key=read_key(key_file))
     try:
@@ -59,7 +63,7 @@ def identify(
         console.print(f"[bold red]server:[/] {error}", soft_wrap=True)
         raise typer.Exit(2) from error
     except KeyboardInterrupt as ending:
-        console.print(f"[bold]stopped[/] {' '.join(getattr(ending, '__notes__', ()))}; --resume drives the rest")
+        console.print(f"[bold]stopped[/] {' '.join(getattr(ending, '__notes__', ()))}; --resume continues")
         raise typer.Exit(130) from None
     finally:
         client.close()
@@ -94,7 +98,7 @@ def _diagnosed(console: Console, client: JobClient, diagnosis_id: str) -> dict[s
 
 def _take_up(console: Console, client: JobClient, diagnosis_id: str, use: bool, machine_out: Path | None) -> None:
     if not use and machine_out is None:
-        console.print("nothing is used yet: --use, or 'Use these effects' in the panel's Gap tab")
+        console.print("not in use yet: --use, or 'Use these effects' in the panel's Gap tab")
         return
     version = client.send("POST", "/v1/machine/versions", {"diagnosis_id": diagnosis_id})
     if use:
@@ -127,9 +131,9 @@ def budget_table(answer: dict[str, Any]) -> Table:
     table = Table(title=answer["verdict"], title_justify="left", box=None, padding=(0, 2, 0, 0))
     for heading in ("effect", "joint", "column", "mm at the tool", "90 %", "p", ""):
         table.add_column(heading, justify="left" if heading in ("effect", "column", "") else "right")
-    for one in answer["budget"]["effects"]:
-        limits = f"{one['tool_low_mm']:.2f} .. {one['tool_high_mm']:.2f}"
-        joint = "" if one["joint"] is None else str(one["joint"])
-        size, chance = f"{one['tool_mm']:.2f}", f"{one['probability']:.2f}"
-        table.add_row(one["name"], joint, one["column"], size, limits, chance, one["status"])
+    for effect in answer["budget"]["effects"]:
+        limits = f"{effect['tool_low_mm']:.2f} .. {effect['tool_high_mm']:.2f}"
+        joint = "" if effect["joint"] is None else str(effect["joint"])
+        size, chance = f"{effect['tool_mm']:.2f}", f"{effect['probability']:.2f}"
+        table.add_row(effect["name"], joint, effect["column"], size, limits, chance, effect["status"])
     return table

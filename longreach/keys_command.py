@@ -24,16 +24,16 @@ def add(
     role: Annotated[Role, typer.Option(help="what the key may do")] = Role.OPERATOR,
     file: File = DEFAULT,
 ) -> None:
-    """Make a key and print it, once: only its SHA-256 is kept."""
+    """Make a key and print it once; only its SHA-256 is stored."""
     secret = new_key()
     write_keys(file, with_key(read_keys(file), name, role, secret, time.time()))
-    Console(stderr=True).print(f"key of {name} ({role}), shown this once; send it as 'Authorization: Bearer KEY'")
+    Console(stderr=True).print(f"key of {name} ({role}), shown only once; send it as 'Authorization: Bearer KEY'")
     typer.echo(secret)
 
 
 @app.command("list")
 def list_keys(file: File = DEFAULT) -> None:
-    """Names, roles and dates; never a key."""
+    """List names, roles and dates, without the keys."""
     table = Table()
     for heading in ("name", "role", "made", "revoked"):
         table.add_column(heading)
@@ -45,7 +45,7 @@ def list_keys(file: File = DEFAULT) -> None:
 
 @app.command()
 def revoke(name: Name, file: File = DEFAULT) -> None:
-    """Put a key out of force; a running server sees it within a second, and its sessions end."""
+    """Revoke a key; a running server applies it within a second and ends its sessions."""
     write_keys(file, without_key(read_keys(file), name, time.time()))
     typer.echo(f"key of {name} revoked")
 

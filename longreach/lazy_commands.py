@@ -78,10 +78,10 @@ def loaded(command: Any) -> Any:
 
 
 class LazyGroup(TyperGroup):
-    """A group that has the commands of its table, beside those it is given."""
+    """A command group with the commands of its table, in addition to those it is given."""
 
     table: ClassVar[tuple[Lazy, ...]] = ()
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
-        self.commands = {**{one.name: LazyCommand(one) for one in self.table}, **self.commands}
+        self.commands = {**{lazy.name: LazyCommand(lazy) for lazy in self.table}, **self.commands}

@@ -32,9 +32,9 @@ def calibrate(
     legacy_pattern: Annotated[bool, typer.Option(help="a board printed with OpenCV before 4.6")] = False,
     mono: Annotated[bool, typer.Option("--mono", help="one eye")] = False,
     out: Annotated[Path | None, typer.Option("--out", help="folder for ROS, OpenCV, Kalibr and ZED files")] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="write the whole answer here")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the full result here (JSON)")] = None,
 ) -> None:
-    """Calibrate the lens: intrinsics, the rig, sigma of each, coverage, what to photograph next. Exit code 1: none."""
+    """Calibrate lens and stereo rig: intrinsics with sigmas, coverage, what to photograph next. Exit code 1: failed."""
     screen = Console()
     views, size = board_views(
         _pictures(folder, mono), mono, board_of(squares, square_mm, marker_mm, dictionary, legacy_pattern)
@@ -114,7 +114,7 @@ def _answer(fit: LensFit, covered: Coverage) -> dict[str, object]:
         "covariance": fit.covariance.tolist(),
         "rms_px": fit.rms_px,
         "used": list(fit.used),
-        "dropped": [list(one) for one in fit.dropped],
+        "dropped": [list(pair) for pair in fit.dropped],
         "coverage": covered.corners.tolist(),
         "next": list(covered.advice),
     }

@@ -94,7 +94,7 @@ def _own_urdf(text: str, machine: Path) -> tuple[str, str, str] | None:
         return None
     found = UrdfFiles(beside=machine.parent).text(section["file"])
     if found is None:
-        raise MachineFileError(f"{section['file']} is not beside {machine}; put it there")
+        raise MachineFileError(f"{section['file']} is not next to {machine}; put it there")
     urdf_chain(found, section["base_link"], section["tip_link"])
     return found, section["base_link"], section["tip_link"]
 

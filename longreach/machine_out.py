@@ -36,7 +36,7 @@ def machine_with_effects(text: str, found: Budget) -> str:
     """
     if not found.confirmed and found.verdict != "none":
         raise MachineOutError(
-            f"no effect is confirmed ({found.why}): no machine file is made of it; do the next experiment and "
+            f"no effect is confirmed ({found.why}): no machine file is written; do the next experiment and "
             "diagnose both recordings together"
         )
     line = f"\n# longreach diagnose: verdict {found.verdict}, {found.why}\n"
@@ -66,5 +66,5 @@ def write_machine(text: str, found: Budget, path: Path) -> str:
         write_durably(path, machine_with_effects(text, found))
     except OSError as error:
         raise MachineOutError(f"{path} cannot be written: {error.strerror}") from error
-    names = ", ".join(in_words(one.name, one.joint) for one in found.entries()) or "no effect"
+    names = ", ".join(in_words(effect.name, effect.joint) for effect in found.entries()) or "no effect"
     return f"{path}: the machine with {names}"

@@ -14,7 +14,7 @@ def position(
     url: Annotated[str, typer.Option(help="the server")] = "http://127.0.0.1:8080",
     method: Annotated[str, typer.Option(help="ours or paper")] = "ours",
     owner: Annotated[str, typer.Option(help="who asks")] = "cli",
-    keep_calibration: Annotated[bool, typer.Option(help="use the calibration at hand, if any")] = False,
+    keep_calibration: Annotated[bool, typer.Option(help="use the present calibration, if any")] = False,
     key_file: Annotated[
         Path | None, typer.Option(help="file with the API key", envvar="LONGREACH_KEY_FILE", exists=True)
     ] = None,
@@ -59,7 +59,7 @@ def position(
 def _show(console: Console, status: Any, event: dict[str, Any]) -> None:
     status.update(event["text"])
     if event["name"] == "ended":
-        return  # told below, with what came of it
+        return  # reported below, with the outcome
     console.print(f"[dim]{event['elapsed_s']:6.1f} s[/]  {event['text']}")
 
 

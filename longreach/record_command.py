@@ -21,12 +21,14 @@ app = typer.Typer(no_args_is_help=True)
 app.command("rerun")(rerun)
 console = Console()
 Source = Annotated[Path, typer.Argument(help="an MCAP file or a folder of CSV files")]
-Target = Annotated[Path, typer.Argument(help="where the result goes; the ending .mcap decides the form")]
+Target = Annotated[
+    Path, typer.Argument(help="output; a name ending in .mcap is written as MCAP, else as a folder of CSV files")
+]
 
 
 @app.command()
 def check(recording: Source) -> None:
-    """Say what is there, what is missing, and what that costs."""
+    """List the signals present, those missing, and what each missing one costs."""
     try:
         shown(check_recording(recording), console)
     except RecordingError as error:
@@ -42,10 +44,10 @@ def convert(
     yes: Yes = False,
     mapping_out: Annotated[
         Path | None,
-        typer.Option("--mapping-out", help="write what was guessed here, as a mapping file to be corrected"),
+        typer.Option("--mapping-out", help="write the guesses here, as a mapping file to correct"),
     ] = None,
 ) -> None:
-    """MCAP to a folder of CSV files, or back; a ROS bag or a table of another system to a folder."""
+    """Convert MCAP to a folder of CSV files or back, or a ROS bag or a table to a folder."""
     try:
         if mapping is not None or is_foreign(recording):
             convert_log(recording, target, urdf, mapping, yes, console, mapping_out)
@@ -62,38 +64,42 @@ def convert(
 
 @app.command()
 def recover(recording: Source, target: Target) -> None:
-    """Save what a crash left of an MCAP file."""
+    """Recover the readable part of a damaged MCAP file."""
     try:
         saved = recover_recording(recording, target)
     except RecordingError as error:
         _refuse(error)
     else:
         lost = f"{saved.lost_chunks} damaged chunks are lost; " if saved.lost_chunks else ""
-        how = "nothing was broken" if saved.was_complete else f"{lost}not read on at: {escape(saved.reason)}"
+        how = "nothing was damaged" if saved.was_complete else f"{lost}stopped reading at: {escape(saved.reason)}"
         text = f"saved {saved.messages} messages and {saved.attachments} attachments to {escape(str(target))}; {how}"
         console.print(text, soft_wrap=True)
 
 
 def left_behind(found: Recording) -> list[str]:
     """What the other form does not hold, in words."""
-    out = [] if found.complete else ["what was behind the damage: the file was cut; its rows up to there are written"]
-    out += [f"channel {told}" for told in found.foreign]
-    return out + ([f"{found.images} images: a folder of CSV files has none"] if found.images else [])
+    out = [] if found.complete else ["data behind the damage: the file is cut; rows up to there are written"]
+    out += [f"channel {channel}" for channel in found.foreign]
+    return out + ([f"{found.images} images: CSV folders hold no images"] if found.images else [])
 
 
 def shown(report: CheckReport, screen: Console) -> None:
     """A report as people read it: what is there, then what is missing, what that costs, and the remedy."""
-    whole = "whole" if report.complete else "[yellow]cut off[/]: longreach recording recover saves what can be read"
-    use = "a diagnosis can use it" if report.usable else "[red]no diagnosis can use it[/]"
+    whole = "whole" if report.complete else "[yellow]cut off[/]: `longreach recording recover` saves the readable part"
+    use = "usable for a diagnosis" if report.usable else "[red]not usable for a diagnosis[/]"
     screen.print(f"{escape(str(report.path))}: {whole}; {use}; {report.images} images", soft_wrap=True)
     table = Table("signal", *(Column(name, justify="right") for name in ("rows", "rate [Hz]", "lasts [s]", "gaps")))
-    for one in report.signals:
-        table.add_row(one.name, str(one.rows), f"{one.rate_hz:.4g}", f"{one.duration_s:.1f}", str(one.gaps))
+    for signal in report.signals:
+        table.add_row(
+            signal.name, str(signal.rows), f"{signal.rate_hz:.4g}", f"{signal.duration_s:.1f}", str(signal.gaps)
+        )
     screen.print(table)
     for text in report.problems:
         screen.print(f"[yellow]problem[/] {escape(text)}", soft_wrap=True)
-    for one in report.lacks:
-        screen.print(f"without {escape(one.signal)}: {escape(one.cost)}; {escape(one.remedy)}", soft_wrap=True)
+    for missing in report.missing:
+        screen.print(
+            f"without {escape(missing.signal)}: {escape(missing.cost)}; {escape(missing.remedy)}", soft_wrap=True
+        )
 
 
 def _refuse(error: RecordingError) -> None:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:  # at run time only where it is used: the server's process nev
 
 Share = Annotated[float, typer.Option(min=0.0, max=100.0, help="share of the datagrams, in %")]
 Milliseconds = Annotated[float, typer.Option(min=0.0, help="in ms")]
-After = Annotated[float | None, typer.Option(min=0.0, help="seconds after the first datagram; not given: never")]
-For = Annotated[float | None, typer.Option(min=0.0, help="seconds; not given: for good")]
+After = Annotated[float | None, typer.Option(min=0.0, help="seconds after the first datagram; default: never")]
+For = Annotated[float | None, typer.Option(min=0.0, help="seconds; default: until the end")]
 _FOR_GOOD_S = 1e9
 
 
@@ -27,7 +27,7 @@ def relay(
     plc_port: Annotated[int, typer.Option(help="UDP port of the PLC")] = 50110,
     listen_host: Annotated[str, typer.Option(help="address to listen on, for the PC")] = "127.0.0.1",
     listen_port: Annotated[int, typer.Option(help="UDP port to listen on, for the PC")] = 50120,
-    seed: Annotated[int, typer.Option(help="which datagrams it hits")] = 1,
+    seed: Annotated[int, typer.Option(help="seed of the faults")] = 1,
     direction: Annotated[str, typer.Option(help="both, to-plc or to-pc: for all but cut and freeze")] = "both",
     loss_pct: Share = 0.0,
     burst_pct: Annotated[
@@ -41,16 +41,18 @@ def relay(
     jitter_ms: Annotated[float, typer.Option(min=0.0, help="up to this much more, in ms")] = 0.0,
     corrupt_pct: Annotated[float, typer.Option(min=0.0, max=100.0, help="one to eight bits flipped, in %")] = 0.0,
     truncate_pct: Share = 0.0,
-    replay_pct: Annotated[float, typer.Option(min=0.0, max=100.0, help="an old one comes again behind it, in %")] = 0.0,
+    replay_pct: Annotated[
+        float, typer.Option(min=0.0, max=100.0, help="share followed by a repeated old datagram, in %")
+    ] = 0.0,
     cut_after_s: After = None,
     cut_for_s: For = None,
     cut_direction: Annotated[str, typer.Option(help="both, to-plc or to-pc")] = "both",
     freeze_after_s: After = None,
     freeze_for_s: For = None,
     freeze_direction: Annotated[str, typer.Option(help="both, to-plc or to-pc")] = "to-pc",
-    for_s: Annotated[float | None, typer.Option(min=0.0, help="end by itself after so many seconds")] = None,
+    for_s: Annotated[float | None, typer.Option(min=0.0, help="stop after this many seconds")] = None,
 ) -> None:
-    """Pass datagrams between PC and PLC, and lose, double, delay or damage some; on Ctrl-C tell what was done."""
+    """Pass datagrams between PC and PLC, and drop, duplicate, delay or corrupt some; Ctrl-C prints the counts."""
     from sim_plc.relay.faults import Faults, FaultSettingsError
     from sim_plc.relay.relay_process import run_relay
     from sim_plc.relay.settings import RelaySettings

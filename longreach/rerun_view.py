@@ -1,4 +1,4 @@
-"""`longreach recording rerun`: a recording for Rerun, with a blueprint that shows machine, picture and log at once.
+"""`longreach recording rerun`: a recording for Rerun, with a blueprint that shows machine, image and log together.
 
 Needs Rerun itself (`pip install rerun-sdk`); it is in no extra, since nothing but looking needs it.
 """
@@ -28,7 +28,7 @@ class RerunError(Exception):
 
 def rerun(
     recording: Annotated[Path, typer.Argument(exists=True, dir_okay=False, help="an MCAP recording")],
-    target: Annotated[Path, typer.Argument(help="a new .rrd file; the blueprint goes beside it as .rbl")],
+    target: Annotated[Path, typer.Argument(help="a new .rrd file; the blueprint is written next to it as .rbl")],
 ) -> None:
     """Convert for Rerun, every channel, with a blueprint; open both with `rerun`."""
     try:
@@ -45,8 +45,8 @@ def convert(recording: Path, target: Path) -> None:
 
     Raises: RerunError: it is not there, or it failed.
     """
-    beside = Path(sys.executable).with_name("rerun")
-    program = str(beside) if beside.exists() else shutil.which("rerun")
+    installed = Path(sys.executable).with_name("rerun")
+    program = str(installed) if installed.exists() else shutil.which("rerun")
     if program is None:
         raise RerunError(f"Rerun is not installed: {sys.executable} -m pip install rerun-sdk")
     command = [program, "mcap", "convert", str(recording), "-o", str(target), "--application-id", APPLICATION]
@@ -61,7 +61,7 @@ def _require_mcap(path: Path) -> None:
         with path.open("rb") as file:
             make_reader(file).get_header()
     except (McapError, OSError, struct.error) as error:
-        raise RerunError(f"{path.name} is no MCAP recording ({error})") from error
+        raise RerunError(f"{path.name} is not an MCAP recording ({error})") from error
 
 
 def library(name: str) -> Any:

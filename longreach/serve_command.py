@@ -1,4 +1,4 @@
-"""`longreach serve`: the server, from a settings file and what the command line puts over it."""
+"""`longreach serve`: start the server with a settings file and command-line overrides."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -22,10 +22,14 @@ def serve(
     camera_url: Annotated[str | None, typer.Option(help="multipart stream of side-by-side JPEG")] = None,
     runs: Annotated[str | None, typer.Option(help="folder for recordings")] = None,
     keys: Annotated[str | None, typer.Option(help="key file; required to listen beyond this computer")] = None,
-    allow_host: Annotated[list[str] | None, typer.Option(help="a name it is reached by, beside addresses")] = None,
-    first_key: Annotated[Path | None, typer.Option(help="make an operator's key here if there is none")] = None,
+    allow_host: Annotated[
+        list[str] | None, typer.Option(help="host name of this server, in addition to its addresses")
+    ] = None,
+    first_key: Annotated[
+        Path | None, typer.Option(help="create an operator key in this file if it does not exist")
+    ] = None,
     wait_for_address: Annotated[
-        float, typer.Option(min=0.0, help="at boot: how long to wait for an address that is not there yet [s]")
+        float, typer.Option(min=0.0, help="at boot: how long to wait for the network address [s]")
     ] = 0.0,
 ) -> None:
     """Start the server: panel, REST, link and vision processes."""

@@ -24,13 +24,13 @@ def settings() -> None:
 
 @app.command()
 def new(file: Annotated[Path, typer.Argument(help="the settings file to write")] = Path("settings.toml")) -> None:
-    """Write a settings file in which every field stands with its default, commented out."""
+    """Write a settings file with every field and its default, commented out."""
     write_new(file, template())
 
 
 def template() -> str:
     """TOML text that says nothing but the defaults: every field is a comment."""
-    lines = ["# Settings of `longreach serve --settings FILE`. What is commented out has this value already.", ""]
+    lines = ["# Settings of `longreach serve --settings FILE`. Commented lines show the defaults.", ""]
     lines += _fields(ServerSettings)
     for name, field in ServerSettings.model_fields.items():
         models = models_of(field.annotation)

@@ -7,7 +7,7 @@ from recording.files import read_text
 
 
 def file_of_machine(given: Path | None) -> Path | None:
-    """The shipped file where a name such as `hiab033` was given that is no file here; else what was given."""
+    """The shipped machine file for a name such as `hiab033`; else the given path."""
     if given is None or given.exists() or given.name != str(given):
         return given
     from server.settings import shipped_machine  # here: most calls name no machine
@@ -19,7 +19,7 @@ def file_of_machine(given: Path | None) -> Path | None:
 def text_of_machine(path: Path) -> str:
     """The text of a machine file.
 
-    Raises: MachineFileError: it is not there, cannot be read, or is no UTF-8 text.
+    Raises: MachineFileError: it is not there, cannot be read, or is not UTF-8 text.
     """
     try:
         return read_text(path)

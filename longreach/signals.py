@@ -1,4 +1,4 @@
-"""SIGTERM and SIGHUP end a command as Ctrl-C does: what stops the machine on Ctrl-C stops it on every one of them."""
+"""Handle SIGTERM and SIGHUP as Ctrl-C, so that each of them stops the machine."""
 
 import contextlib
 import signal
@@ -20,7 +20,7 @@ def end_as_by_ctrl_c() -> None:
 
 
 def _as_ctrl_c(number: int, frame: FrameType | None) -> None:
-    """Whoever handles Ctrl-C now handles this, too: Python, asyncio, the web server."""
+    """Handle this signal as Ctrl-C is handled at present: by Python, asyncio or the web server."""
     _ended_by.append(number)
     handler = signal.getsignal(signal.SIGINT)
     if not callable(handler):  # a shell starts its background jobs with Ctrl-C ignored

@@ -22,7 +22,7 @@ def sim(
             help="ideal, realistic, paper or nominal; default: nominal for a file with effects, else realistic"
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="which machine is drawn")] = 1,
+    seed: Annotated[int, typer.Option(help="seed of the simulated machine")] = 1,
     machine: Annotated[str, typer.Option(help="machine file, or the name of a shipped one")] = "hiab033",
     plc_host: Annotated[str, typer.Option(help="address the PLC listens on")] = "127.0.0.1",
     plc_port: Annotated[int, typer.Option(help="UDP port the PLC listens on")] = 50110,
@@ -103,5 +103,5 @@ def _simulated(text: str) -> tuple[str, tuple[str, ...] | None]:
     if not machine.effects:
         return text, None
     left_out = not_simulated(machine)
-    kept = tuple(one for one in machine.effects if one.name not in left_out)
+    kept = tuple(effect for effect in machine.effects if effect.name not in left_out)
     return with_tables(without_lists(text, ("effect",)), entries_to_toml(kept)), left_out

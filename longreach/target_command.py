@@ -1,4 +1,4 @@
-"""`longreach target ...`: print the markers in their true size, and measure how they sit on tool or OOI."""
+"""`longreach target ...`: print markers at true size, and measure their poses on tool or OOI."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -54,7 +54,7 @@ def teach(
     timeout_s: Annotated[float, typer.Option(min=1.0, max=7200.0, help="live camera: at most this long [s]")] = 600.0,
     out: Annotated[Path | None, typer.Option(help="where to write NAME.toml and NAME.json")] = None,
 ) -> None:
-    """Measure the marker layout of tool or OOI from stereo views. Exit code 0: a layout, 1: none, and why."""
+    """Measure the marker layout of tool or OOI from stereo views. Exit code 0: found, 1: not found."""
     console = Console()
     nominal = read_machine(machine)
     task = _task(nominal, _on(on), ids, side_mm, frame)
@@ -96,7 +96,7 @@ def print_markers(
 
 def _pages(nominal: Machine, sides: Sequence[str], paper: str | None) -> list[Page]:
     dictionary, name = _dictionary(nominal), nominal.dictionary
-    in_grids = {one for board in nominal.boards if board.kind == "grid" for one in board_marker_ids(board)}
+    in_grids = {marker_id for board in nominal.boards if board.kind == "grid" for marker_id in board_marker_ids(board)}
     pages = [
         marker_page(name, dictionary, marker, paper)
         for marker in nominal.markers
@@ -133,13 +133,17 @@ def _task(nominal: Machine, on: Literal["tool", "ooi"], ids: str, side_mm: str, 
     present = {marker.marker_id: marker for marker in nominal.markers_on(on)}
     wanted = _whole_numbers(ids) if ids.strip() else tuple(present)
     size = dictionary_size(nominal.dictionary)
-    beyond = [one for one in wanted if one < 0 or (size is not None and one >= size)]
+    beyond = [marker_id for marker_id in wanted if marker_id < 0 or (size is not None and marker_id >= size)]
     if beyond:
-        raise TargetError(f"--ids: {beyond[0]} is not in {nominal.dictionary}, which ends at {(size or 0) - 1}")
+        raise TargetError(f"--ids: {beyond[0]} is not in {nominal.dictionary}, whose last id is {(size or 0) - 1}")
     if frame not in ("present", "reference", "middle"):
         raise TargetError(f"--frame = {frame}: give present, reference or middle")
-    sides = {one: present[one].side_m for one in wanted if one in present}
-    places = {one: (present[one].T_on_marker, present[one].side_m) for one in wanted if one in present}
+    sides = {marker_id: present[marker_id].side_m for marker_id in wanted if marker_id in present}
+    places = {
+        marker_id: (present[marker_id].T_on_marker, present[marker_id].side_m)
+        for marker_id in wanted
+        if marker_id in present
+    }
     return TeachTask(wanted, _sides(side_mm, wanted, sides), LayoutFrame(cast("FrameName", frame), places))
 
 
@@ -162,12 +166,12 @@ def _sides(text: str, ids: Sequence[int], present_m: Mapping[int, float]) -> dic
             sides = dict.fromkeys(ids, 1e-3 * float(text))
         else:
             pairs = [part.split("=") for part in text.split(",") if part.strip()]
-            sides = {int(one): 1e-3 * float(side) for one, side in pairs}
+            sides = {int(marker_id): 1e-3 * float(side) for marker_id, side in pairs}
     except ValueError as error:
         raise TargetError(f"--side-mm = {text}: give 150, or 1=150,2=149.8, or none") from error
-    for one, side in sides.items():
-        if one not in ids or not 0.005 <= side <= 2.0:
-            raise TargetError(f"--side-mm: {one}={1e3 * side:g} must be of --ids, and between 5 and 2000 [mm]")
+    for marker_id, side in sides.items():
+        if marker_id not in ids or not 0.005 <= side <= 2.0:
+            raise TargetError(f"--side-mm: {marker_id}={1e3 * side:g} must be of --ids, and between 5 and 2000 [mm]")
     return sides
 
 
@@ -214,9 +218,9 @@ def _from_camera(
         f"markers {', '.join(map(str, task.ids))}: hold the camera still, then move it to the side, up or down by a "
         f"third of its distance, and hold it still again; {n_views} views; Ctrl-C when you have enough"
     )
-    with console.status("waiting for pictures") as status:
+    with console.status("waiting for images") as status:
 
-        def tell(offer: Offer, view: TeachView, kept: list[TeachView]) -> None:
+        def report(offer: Offer, view: TeachView, kept: list[TeachView]) -> None:
             _guide(offer, view, kept, n_views, status, console)
             if offer is Offer.TAKEN and len(kept) >= settings.views_min:
                 console.print(
@@ -224,7 +228,7 @@ def _from_camera(
                 )
 
         try:
-            return live_views(source, search, settings, n_views, timeout_s, tell)
+            return live_views(source, search, settings, n_views, timeout_s, report)
         finally:
             source.close()
 
@@ -233,7 +237,7 @@ def _guide(
     offer: Offer, view: TeachView, kept: list[TeachView], n_views: int, status: Status, console: Console
 ) -> None:
     advice = {
-        Offer.TOO_FEW_MARKERS: "show two markers or more, all four sides of each",
+        Offer.TOO_FEW_MARKERS: "show at least two complete markers",
         Offer.MOVING: "hold still",
         Offer.ALIKE: "move to the side, up or down, closer or away",
         Offer.TAKEN: "taken",
@@ -248,7 +252,7 @@ def _so_far(layout: TaughtLayout) -> str:
 
 
 def _shown(view: TeachView) -> str:
-    return ", ".join(str(one) for one in sorted(view.left.keys() | view.right.keys()))
+    return ", ".join(str(marker_id) for marker_id in sorted(view.left.keys() | view.right.keys()))
 
 
 def _finish(layout: TaughtLayout, nominal: Machine, on: str, out: Path | None, console: Console) -> None:

@@ -55,14 +55,14 @@ def svg_of(page: Page) -> bytes:
     ]
     for shape in page.shapes:
         path = "".join(
-            f"M{one.x_mm:.6g} {one.y_mm:.6g}h{one.width_mm:.6g}v{one.height_mm:.6g}h{-one.width_mm:.6g}z"
-            for one in shape
+            f"M{box.x_mm:.6g} {box.y_mm:.6g}h{box.width_mm:.6g}v{box.height_mm:.6g}h{-box.width_mm:.6g}z"
+            for box in shape
         )
         parts.append(f'<path d="{path}" fill="black"/>')
-    for one in page.texts:
+    for label in page.texts:
         parts.append(
-            f'<text x="{one.x_mm:g}" y="{one.y_mm:g}" font-family="Helvetica, Arial, sans-serif" '
-            f'font-size="{one.height_mm / 0.72:.3g}">{escape(one.text)}</text>'
+            f'<text x="{label.x_mm:g}" y="{label.y_mm:g}" font-family="Helvetica, Arial, sans-serif" '
+            f'font-size="{label.height_mm / 0.72:.3g}">{escape(label.text)}</text>'
         )
     return "\n".join([*parts, "</svg>", ""]).encode()
 
@@ -91,15 +91,15 @@ def _pdf_content(page: Page) -> bytes:
     lines = ["0 g"]
     for shape in page.shapes:
         lines += [
-            f"{one.x_mm * k:.5f} {(height - one.y_mm - one.height_mm) * k:.5f} {one.width_mm * k:.5f} "
-            f"{one.height_mm * k:.5f} re"
-            for one in shape
+            f"{box.x_mm * k:.5f} {(height - box.y_mm - box.height_mm) * k:.5f} {box.width_mm * k:.5f} "
+            f"{box.height_mm * k:.5f} re"
+            for box in shape
         ]
         lines.append("f")
-    for one in page.texts:
-        text = one.text.replace("\\", "\\\\").replace("(", "\\(").replace(")", "\\)")
-        x, y = one.x_mm * k, (height - one.y_mm) * k
-        lines.append(f"BT /F1 {one.height_mm * k / 0.72:.3f} Tf {x:.3f} {y:.3f} Td ({text}) Tj ET")
+    for label in page.texts:
+        text = label.text.replace("\\", "\\\\").replace("(", "\\(").replace(")", "\\)")
+        x, y = label.x_mm * k, (height - label.y_mm) * k
+        lines.append(f"BT /F1 {label.height_mm * k / 0.72:.3f} Tf {x:.3f} {y:.3f} Td ({text}) Tj ET")
     return "\n".join(lines).encode("latin-1", "replace")
 
 
@@ -120,14 +120,14 @@ def raster_of(page: Page, dpi: int) -> Image:
     """The page as a grey picture; edges to the nearest pixel."""
     k = dpi / 25.4
     image = np.full((round(page.height_mm * k), round(page.width_mm * k)), 255, np.uint8)
-    for one in (rectangle for shape in page.shapes for rectangle in shape):
-        left, top = round(one.x_mm * k), round(one.y_mm * k)
-        right, low = round((one.x_mm + one.width_mm) * k), round((one.y_mm + one.height_mm) * k)
+    for box in (box for shape in page.shapes for box in shape):
+        left, top = round(box.x_mm * k), round(box.y_mm * k)
+        right, low = round((box.x_mm + box.width_mm) * k), round((box.y_mm + box.height_mm) * k)
         image[top:low, left:right] = 0
-    for one in page.texts:
-        scale = one.height_mm * k / HERSHEY_HEIGHT_PX
-        place = (round(one.x_mm * k), round(one.y_mm * k))
-        cv2.putText(image, one.text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, max(1, round(scale * 2)), cv2.LINE_AA)
+    for label in page.texts:
+        scale = label.height_mm * k / HERSHEY_HEIGHT_PX
+        place = (round(label.x_mm * k), round(label.y_mm * k))
+        cv2.putText(image, label.text, place, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, max(1, round(scale * 2)), cv2.LINE_AA)
     return image
 
 

@@ -1,4 +1,4 @@
-"""What is on the pages: a marker or a board in its true size, a ruler, and the words that a printer's user needs."""
+"""Contents of the printed pages: a marker or board at true size, a ruler, and instructions."""
 
 import cv2
 import numpy as np
@@ -72,7 +72,7 @@ def board_page(dictionary_name: str, dictionary: "cv2.aruco.Dictionary", board: 
 
 
 def _paper_for(wide_mm: float, high_mm: float, paper: str | None, what: str) -> tuple[float, float]:
-    """The paper asked for, or the smallest that holds it; upright or across."""
+    """The requested paper, or the smallest that holds it; portrait or landscape."""
     names = [paper] if paper else list(PAPERS_MM)
     for name in names:
         short, long = PAPERS_MM[name]

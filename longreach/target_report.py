@@ -1,4 +1,4 @@
-"""What teaching found: a table beside the present layout, lines for the machine file, and JSON with the covariance."""
+"""Result of teaching: a comparison with the present layout, machine-file lines, and JSON with the covariance."""
 
 import json
 from collections.abc import Mapping
@@ -17,14 +17,14 @@ def layout_table(layout: TaughtLayout, present: Mapping[int, Marker]) -> Table:
     table = Table(title="places, against the present ones", title_justify="left")
     for heading in ("id", "dx mm", "dy mm", "dz mm", "turn deg", "+- mm", "+- deg", "views", "rms px"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for one in layout.markers:
-        sigmas = f"{1e3 * position_sigma_m(one):.2f}", f"{np.rad2deg(angle_sigma_rad(one)):.3f}"
+    for marker in layout.markers:
+        sigmas = f"{1e3 * position_sigma_m(marker):.2f}", f"{np.rad2deg(angle_sigma_rad(marker)):.3f}"
         table.add_row(
-            str(one.marker_id),
-            *_moved(one, present.get(one.marker_id)),
+            str(marker.marker_id),
+            *_moved(marker, present.get(marker.marker_id)),
             *sigmas,
-            str(one.n_views),
-            f"{one.residual_rms_px:.3f}",
+            str(marker.n_views),
+            f"{marker.residual_rms_px:.3f}",
         )
     return table
 
@@ -43,17 +43,17 @@ def sides_table(layout: TaughtLayout) -> Table:
     table = Table(title="sides", title_justify="left")
     for heading in ("id", "print mm", "images and baseline mm", "both mm"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for one in layout.markers:
-        printed = "-" if one.printed_side_m is None else f"{1e3 * one.printed_side_m:.2f}"
-        images = f"{1e3 * one.stereo_side_m:.2f} +- {1e3 * one.stereo_side_sigma_m:.2f}"
-        both = f"{1e3 * one.side_m:.2f} +- {1e3 * one.side_sigma_m:.2f}"
-        table.add_row(str(one.marker_id), printed, images, both)
+    for marker in layout.markers:
+        printed = "-" if marker.printed_side_m is None else f"{1e3 * marker.printed_side_m:.2f}"
+        images = f"{1e3 * marker.stereo_side_m:.2f} +- {1e3 * marker.stereo_side_sigma_m:.2f}"
+        both = f"{1e3 * marker.side_m:.2f} +- {1e3 * marker.side_sigma_m:.2f}"
+        table.add_row(str(marker.marker_id), printed, images, both)
     return table
 
 
 def verdict_text(layout: TaughtLayout) -> str:
     """One honest sentence."""
-    angle_deg = np.rad2deg(max(angle_sigma_rad(one) for one in layout.markers))
+    angle_deg = np.rad2deg(max(angle_sigma_rad(marker) for marker in layout.markers))
     return (
         f"{len(layout.markers)} markers from {layout.n_views} views, {layout.spread_deg:.0f} deg apart at most; "
         f"residual {layout.residual_rms_px:.3f} px rms. Known to +-{layout.sigma_mm:.2f} mm and +-{angle_deg:.3f} deg "
@@ -67,11 +67,11 @@ def layout_toml(layout: TaughtLayout, on: str) -> str:
     parts = [
         f"# By `longreach target teach`: {layout.n_views} views, +-{layout.sigma_mm:.2f} mm (one sigma, worst marker)."
     ]
-    for one in layout.markers:
-        rows = [", ".join(f"{value:.12f}" for value in row) for row in one.T_on_marker]
-        sigma = f"# +-{1e3 * position_sigma_m(one):.2f} mm, +-{np.rad2deg(angle_sigma_rad(one)):.3f} deg"
+    for marker in layout.markers:
+        rows = [", ".join(f"{value:.12f}" for value in row) for row in marker.T_on_marker]
+        sigma = f"# +-{1e3 * position_sigma_m(marker):.2f} mm, +-{np.rad2deg(angle_sigma_rad(marker)):.3f} deg"
         parts.append(
-            f'[[markers.marker]]\nid = {one.marker_id}\nside_m = {one.side_m:.6f}\non = "{on}"\n'
+            f'[[markers.marker]]\nid = {marker.marker_id}\nside_m = {marker.side_m:.6f}\non = "{on}"\n'
             f"T_on_marker = [{(',' + chr(10) + ' ' * 15).join(rows)}]   {sigma}\n"
         )
     return "\n".join(parts)
@@ -89,7 +89,7 @@ def layout_json(layout: TaughtLayout, on: str) -> str:
         "baseline_frac": _number(layout.baseline_frac),
         "baseline_sigma_frac": _number(layout.baseline_sigma_frac),
         "notes": list(layout.notes),
-        "markers": [_marker(one) for one in layout.markers],
+        "markers": [_marker(marker) for marker in layout.markers],
     }
     return json.dumps(content, indent=2, allow_nan=False) + "\n"
 

@@ -97,7 +97,7 @@ def _partner(left: Path) -> Path:
 def read_pair(left: Path, right: Path | None) -> tuple[Image, Image]:
     """Grey pictures of one stored pair.
 
-    Raises: TargetError: a file that is no picture, or a side-by-side picture of odd width.
+    Raises: TargetError: a file that is not a picture, or a side-by-side picture of odd width.
     """
     if right is not None:
         return _grey(left), _grey(right)
@@ -131,11 +131,11 @@ def live_views(
     settings: TeachSettings,
     n_views: int,
     timeout_s: float,
-    tell: Callable[[Offer, TeachView, list[TeachView]], None],
+    report: Callable[[Offer, TeachView, list[TeachView]], None],
 ) -> list[TeachView]:
     """Views kept from a live camera, until there are enough, time is up, the source ends, or Ctrl-C.
 
-    `tell` hears what became of every pair.
+    `report` gets the outcome of every pair.
     Raises: TargetError: no picture at all within half a minute, or within the time.
     """
     keeper = ViewKeeper(search.camera, settings)
@@ -149,9 +149,9 @@ def live_views(
                 continue
             any_pair = True
             view = search.view(frame.left, frame.right)
-            tell(keeper.offer(view), view, keeper.views)
+            report(keeper.offer(view), view, keeper.views)
     except KeyboardInterrupt:  # enough, says the operator
         any_pair = True
     if not any_pair:
-        raise TargetError(f"no picture within {first_s:g} s; {source.state or 'check the camera'}")
+        raise TargetError(f"no image within {first_s:g} s; {source.state or 'check the camera'}")
     return keeper.views

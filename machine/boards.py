@@ -1,4 +1,4 @@
-"""Where a board's chess corners and markers lie: origin at its middle, x right, y up, z out of the print."""
+"""Chess corners and markers of a board: origin at its middle, x right, y up, z out of the print."""
 
 import numpy as np
 from numpy.typing import NDArray

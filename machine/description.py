@@ -89,9 +89,9 @@ class Machine:
     plc_log_cycle_s: float
     transport_delay_s: float
     boards: tuple[Board, ...] = ()
-    effects: "tuple[EffectEntry, ...]" = ()  # the baseline: of this machine undisturbed
+    effects: "tuple[EffectEntry, ...]" = ()  # the machine's baseline
     remainders: tuple[Remainder, ...] = ()
-    serial: str = ""  # tells machines of one name apart in a fleet; no number is read from it
+    serial: str = ""  # distinguishes machines of one name in a fleet; not interpreted
 
     def markers_on(self, on: Literal["tool", "ooi"]) -> tuple[Marker, ...]:
         """The markers that sit on one object."""
@@ -244,7 +244,7 @@ def _marker(section: MarkerSection) -> Marker:
 
 
 def board_of(section: BoardSection) -> Board:
-    """The board that a section tells of. Raises: MachineFileError: its place is no pose, or far off."""
+    """The board of a section. Raises: MachineFileError: its place is not a pose, or too far away."""
     return Board(
         kind=section.kind,
         on=section.on,

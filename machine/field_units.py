@@ -1,4 +1,4 @@
-"""The unit of a field by its name's ending, for messages and tables: what a boundary name promises."""
+"""Unit of a field from the suffix of its name, for messages and tables."""
 
 UNITS = {
     "_mm": "mm",

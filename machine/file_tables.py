@@ -1,6 +1,6 @@
 """Lists of tables of a machine file, taken out of its text and added to it; comments and all else stay as they are.
 
-Every result is parsed and compared: what would be no TOML, or would say something else of the machine, is refused.
+Every result is parsed and compared: a result that is not TOML, or changes the machine otherwise, is refused.
 """
 
 import re
@@ -21,7 +21,7 @@ REMEDY = "write each of them as its own [[effect]] or [[remainder]] table, behin
 def without_lists(text: str, names: Sequence[str]) -> str:
     """A machine file's text without the lists of these names: `[[x]]` with its sub-tables, or `x = [...]` at the top.
 
-    Raises: MachineFileError: it is no TOML, or cannot be taken apart.
+    Raises: MachineFileError: it is not TOML, or cannot be split into tables.
     """
     before = _parsed(text)
     lines = text.removeprefix("\ufeff").replace("\r\n", "\n").split("\n")
@@ -45,7 +45,7 @@ def without_lists(text: str, names: Sequence[str]) -> str:
 def with_room_for_effects(text: str) -> str:
     """A machine file's text to whose end `[[effect]]` tables can be added: a list in one value becomes such tables.
 
-    Raises: MachineFileError: it is no TOML, or cannot be taken apart.
+    Raises: MachineFileError: it is not TOML, or cannot be split into tables.
     """
     before = _parsed(text)
     headers = [found[1] for line in text.splitlines() if (found := HEADER.match(line))]
@@ -59,7 +59,7 @@ def with_room_for_effects(text: str) -> str:
 def with_tables(text: str, added: str) -> str:
     """A machine file's text with lists of tables added behind it.
 
-    Raises: MachineFileError: the whole would be no TOML, or would say something else than both.
+    Raises: MachineFileError: the result is not TOML, or states something else than both.
     """
     out = text.rstrip() + "\n" + added
     before, more, after = _parsed(text), _parsed(added), _parsed(out)
@@ -74,7 +74,7 @@ def _parsed(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text.removeprefix("\ufeff"))
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise MachineFileError(f"the machine file would be no TOML: {error}; {REMEDY}") from error
+        raise MachineFileError(f"the machine file would not be valid TOML: {error}; {REMEDY}") from error
 
 
 def _require_same(before: dict[str, Any], after: dict[str, Any], names: Sequence[str]) -> None:

@@ -103,7 +103,7 @@ def _check_pose(T_base_tcp: Array) -> None:
     error = float(rotation_fault(np.array(T_base_tcp, dtype=float)))
     if error > ROTATION_TOLERANCE:
         raise MachineError(
-            f"wanted pose is no pose: its rotation departs from orthonormal by {error:.1e} (limit "
+            f"wanted pose is not a pose: its rotation departs from orthonormal by {error:.1e} (limit "
             f"{ROTATION_TOLERANCE:.0e}; inf: mirrored); make it a rotation first"
         )
 
@@ -136,7 +136,7 @@ def _reach_reason(chain: Chain, T_base_tcp: Array) -> str:
     radius = float(np.hypot(x, y))
     if radius < lateral:
         return (
-            f"the wrist centre would be {radius:.3f} m from the slew axis, where the booms, {lateral:.3f} m beside it, "
+            f"the wrist centre would be {radius:.3f} m from the slew axis, where the booms, {lateral:.3f} m off it, "
             "cannot come; move the target away from the slew axis"
         )
     ahead = float(np.sqrt(radius * radius - lateral * lateral)) - chain.a[0]
@@ -166,10 +166,10 @@ def _singular_reason(chain: Chain, q: Array, T_base_tcp: Array) -> str:
         )
     T_base_flange = T_base_tcp @ inverse_pose(chain.T_flange_tcp)
     centre = T_base_flange[:2, 3] - chain.d[5] * T_base_flange[:2, 1]
-    beside = np.sqrt(max(0.0, float(centre @ centre) - float(chain.d[1] + chain.d[2]) ** 2))
-    if beside < SINGULAR:
+    off_axis_m = np.sqrt(max(0.0, float(centre @ centre) - float(chain.d[1] + chain.d[2]) ** 2))
+    if off_axis_m < SINGULAR:
         return (
-            f"the wrist centre is {beside:.5f} m from the slew axis (limit {SINGULAR:g} m), where "
+            f"the wrist centre is {off_axis_m:.5f} m from the slew axis (limit {SINGULAR:g} m), where "
             f"{chain.label(0)} cannot move it sideways; move the target away from the slew axis"
         )
     return ""

@@ -1,7 +1,7 @@
 """Forward kinematics and geometric Jacobian of a classic-DH chain (paper eq. 1-2 and 23-24).
 
 The kernels are compiled, with bodies that run as plain Python too (`kernel.py_func`). They get the joint angles as a
-fresh array, `q + theta_offset`, so that a read-only or strided q compiles nothing anew.
+fresh array, `q + theta_offset`, so that a read-only or strided q triggers no new compilation.
 """
 
 import numpy as np

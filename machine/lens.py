@@ -1,4 +1,4 @@
-"""How far from its axis a lens model with radial terms k1, k2, k3 can be inverted."""
+"""Largest angle up to which a lens model with radial terms k1, k2, k3 can be inverted."""
 
 from functools import lru_cache
 

@@ -1,4 +1,4 @@
-"""The part of a machine file that tells of markers and boards: strict sections, and the checks across them."""
+"""Marker and board sections of a machine file: strict models, and the checks across them."""
 
 import re
 from collections.abc import Sequence
@@ -33,9 +33,9 @@ FAMILY_SIZES = {
 }
 REMEDIES = {
     "dictionary": "give a name of OpenCV's, such as DICT_4X4_50 or DICT_APRILTAG_36h11",
-    "id": "give the number printed beside the marker",
+    "id": "give the number printed next to the marker",
     "side_m": "measure the printed marker's black outer side and give it in metres",
-    "on": "say what it sits on",
+    "on": "state what it is mounted on",
     "T_on_marker": "give 16 numbers row by row, metres in the last column, or measure them by `longreach target teach`",
     "T_on_board": "give 16 numbers row by row, metres in the last column, of the board's middle",
     "kind": "charuco is a chessboard with markers in its white squares, grid is markers only",
@@ -92,7 +92,7 @@ class MarkersSection(Strict):
 
 
 def dictionary_size(name: str) -> int | None:
-    """Number of ids in a dictionary; None where neither the name nor the table tells."""
+    """Number of ids in a dictionary; None where neither the name nor the table states it."""
     counted = re.fullmatch(r"DICT_[4-7]X[4-7]_(\d+)", name)
     return int(counted[1]) if counted else FAMILY_SIZES.get(name.upper())
 
@@ -104,7 +104,7 @@ def check_markers(section: MarkersSection) -> None:
     """
     check_ids([marker.id for marker in section.marker], section.board, section.dictionary)
     for on in ("tool", "ooi"):
-        if not any(one.on == on for one in (*section.marker, *section.board)):
+        if not any(part.on == on for part in (*section.marker, *section.board)):
             raise MachineFileError(f"markers.marker: none has on = {on!r}; give the {on} at least one marker")
 
 

@@ -1,4 +1,4 @@
-"""`[[remainder]]` of a machine file: what a fitted baseline leaves of the model's form, as an addition to the noise."""
+"""`[[remainder]]` of a machine file: what a fitted baseline cannot explain, as an addition to the noise."""
 
 import json
 from collections.abc import Iterable
@@ -38,10 +38,10 @@ class Remainder:
     [px], without the noise; `rms`: the same before whitening; `ar`: the increments' autoregression. `on`: static,
     tracker, ooi or tool.
     `by_axis`: of points, sigma radial, tangential, up about the base's upright; of corners, what u and v of all corners
-    of a frame share, beside each one's own `sigma`. `swing_rad`: the slew's swing that the points of an instant share.
-    `usual`: what each effect gains at most on recordings of the undisturbed machine [nats]. `form`: what the model
+    of a frame share, besides each own `sigma`. `swing_rad`: slew oscillation shared by the points of an instant.
+    `usual`: what each effect gains at most on baseline recordings [nats]. `form`: what the model
     itself is wrong by there, as a function of what drives it (actuator [rad], points [m]): families and the numbers of
-    each; `form_most`: the most that it said of an undisturbed recording, mean square in floors, 0 where that does not
+    each; `form_most`: the most that it gave for a baseline recording, mean square in floors, 0 where that does not
     matter. `wander`: how far numbers of effects are off from one day to the next, in each one's own unit.
     """
 
@@ -139,7 +139,7 @@ def _numbers(value: object, subject: str) -> tuple[float, ...]:
         return ()
     if not isinstance(value, list):
         raise MachineFileError(f"{subject} = {value!r} is not a list of numbers")
-    return tuple(_finite(one, subject) for one in value)
+    return tuple(_finite(number, subject) for number in value)
 
 
 def _number(table: dict[str, object], key: str, least: float, where: str) -> float:
@@ -157,7 +157,7 @@ def _finite(value: object, where: str) -> float:
 
 def remainders_to_toml(remainders: Iterable[Remainder]) -> str:
     """`[[remainder]]` tables that `parse_remainders` reads back to the same numbers."""
-    return "".join(_toml(one) for one in remainders)
+    return "".join(_toml(remainder) for remainder in remainders)
 
 
 def _toml(one: Remainder) -> str:

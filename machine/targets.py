@@ -1,4 +1,4 @@
-"""What is printed and stuck on tool and OOI: markers, and boards of markers."""
+"""Printed targets on tool and OOI: markers, and boards of markers."""
 
 from dataclasses import dataclass
 from typing import Literal

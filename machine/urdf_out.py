@@ -1,4 +1,4 @@
-"""An arm with the effects that are known of it as URDF, for other programs; what a URDF cannot hold is said."""
+"""Export an arm with its known effects as URDF; what a URDF cannot hold is reported."""
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
@@ -119,7 +119,7 @@ def edited_urdf(
     P, tilts = sets.joint[0], _tilts(sets)
     lengths = _length_directions(text, base_link, tip_link, names)
     root = ElementTree.fromstring(text.lstrip("\ufeff \t\r\n"), ElementTree.XMLParser(target=_with_comments()))
-    elements = {one.get("name"): one for one in root.findall("joint")}
+    elements = {joint.get("name"): joint for joint in root.findall("joint")}
     fixed, lean = np.eye(4), _base(sets)
     for joint in chain:
         if joint.kind == "fixed" or joint.name not in names:

@@ -1,4 +1,4 @@
-"""Whether a camera can see an object: inside the image, in front, and facing it. Geometry only, no occlusion."""
+"""Visibility of an object: inside the image, in front of the camera, and facing it; no occlusion."""
 
 import numpy as np
 

@@ -20,7 +20,7 @@ Public API (import from the modules; nothing here opens a socket, sleeps, reads 
     protocol.gate         gate(command, view, table) -> GateVerdict, check_trajectory(knots, q_ref, table) -> refusals
     protocol.client_state ClockOffset: PLC to PC clock offset by the echo's four stamps
     protocol.playback     Playback: the sliding window over a trajectory
-    protocol.client_link  ClientLink: the PC's end; protocol.client_events: what it tells its shell
+    protocol.client_link  ClientLink: the PC's end; protocol.client_events: its events
     protocol.plc_link     PlcLink, PlcLinkSettings: the PLC's end (receive rules, states; knows nothing of joints)
     protocol.plc_events   Accepted, Effect, Rejected, StateChanged, SessionOpened, SessionVoid: what PlcLink hands up
     protocol.errors       ProtocolError > LocalProtocolError (our mistake) | RemoteProtocolError (their bytes; .code)
@@ -33,7 +33,7 @@ How a PLC uses its end (one cycle; t_plc_ns = the PLC's own monotonic clock, sta
         for datagram, source in arrived:
             for event in link.receive(datagram, t_plc_ns, source): handle(event)
         for event in link.poll(t_plc_ns): handle(event)    # silence: RUN -> STOPPING (250 ms), session void (1 s)
-        ... cycle logic looks at link.state, and tells the link what only it knows:
+        ... cycle logic looks at link.state, and passes to the link what only it knows:
         link.apply(PlcEvent.END | AT_REST | SOFT_STOP (underrun) | FAULT | LOCAL_ON | LOCAL_OFF, t_plc_ns)
         every 10 ms, for each of link.receivers():         # the peer, and once a sender that was refused
             the same link.send(PlcStatus(...), t_plc_ns)

@@ -1,6 +1,6 @@
 """Optional authentication of both directions: HMAC-SHA-256, cut to 16 bytes, over everything before the tag.
 
-It keeps a stranger on the network from commanding the machine; it does not hide anything and is no safety measure.
+It keeps a stranger on the network from commanding the machine; it does not hide anything and is not a safety measure.
 Source: RFC 2104; a replayed old datagram is refused by session, sequence and arm nonce.
 """
 
@@ -25,7 +25,7 @@ def checked_key(key: bytes) -> bytes:
 
 
 def parse_key(text: str) -> bytes:
-    """A key from its hexadecimal text; empty text is no key.
+    """A key from its hexadecimal text; empty text means no key.
 
     Raises: LocalProtocolError: not hexadecimal, or a bad length.
     """

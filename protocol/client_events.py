@@ -1,4 +1,4 @@
-"""What the PC's end of the link tells its shell."""
+"""Events that the PC's end of the link reports to its shell."""
 
 from dataclasses import dataclass
 from enum import Enum

@@ -114,7 +114,7 @@ class ClientLink:
         self._standing.wish = Wish.DISARM
 
     def cancel_wish(self) -> None:
-        """Stop asking for arm or reset; a disarm that was asked for goes on until it is done."""
+        """Stop asking for arm or reset; a disarm that was requested goes on until it is done."""
         self._standing.cancel()
 
     def request_run(
@@ -122,7 +122,7 @@ class ClientLink:
     ) -> tuple[Refusal, ...]:
         """Play a trajectory from the present reference; refusals (nothing is sent then) or nothing.
 
-        `judged`: somebody with more time has run check_trajectory, so it is not run again here. The gate judges every
+        `judged`: the caller has run check_trajectory already, so it is not run again here. The gate judges every
         knot when it is sent, start and end too, whatever was said before.
 
         Raises: LocalProtocolError: not holding, or another motion is under way.
@@ -136,7 +136,7 @@ class ClientLink:
     def request_tail(self, traj_id: int, first: int, knots: Sequence[Knot], t_mono_ns: int) -> tuple[Refusal, ...]:
         """Replace the running trajectory from knot `first` on; refusals (nothing changes then) or nothing.
 
-        The new knots join the trajectory's own knot before them, never the measured joints. TailAnswered tells whether
+        The new knots join the trajectory's own knot before them, never the measured joints. TailAnswered says whether
         the PLC took them.
 
         Raises: LocalProtocolError: that trajectory does not run (yet), or the splice is too near.
@@ -282,7 +282,7 @@ class ClientLink:
         """The PLC is there, but not in session with us (yet): show it, and why it refused our HELLO.
 
         A state from before the newest one is late; after a silence it is a PLC that was switched off and on, whose
-        clock begins anew.
+        clock begins again.
         """
         silent = self.age_ns(t_mono_ns) > STATE_LOST.ns
         if self.state and not silent and state.t_send_ns <= self.state.t_send_ns:
@@ -313,7 +313,7 @@ class ClientLink:
             events.append(TailAnswered(run.traj_id, False, self.last_reject))
         return events
 
-    # --- progress of what was asked for -------------------------------------------------------------------------------
+    # --- progress of what was requested -------------------------------------------------------------------------------
 
     def _progress(self, state: State) -> list[ClientEvent]:
         self._standing.look(state)

@@ -1,4 +1,4 @@
-"""The motion that the PC has under way, and what the PLC's states say of it."""
+"""The motion that the PC has running, and its progress by the PLC's states."""
 
 from dataclasses import dataclass, field
 
@@ -10,7 +10,7 @@ from protocol.servo_target import ServoTarget
 
 MOVING = (PlcState.RUN, PlcState.STOPPING)
 _OF_KNOTS = range(RejectCode.LIMIT_Q, RejectCode.OVERRIDE + 1)  # refusals that blame what a command carries
-_OF_OTHERS = (RejectCode.SOURCE, RejectCode.SESSION)  # refusals of somebody else's datagrams, with their numbers
+_OF_OTHERS = (RejectCode.SOURCE, RejectCode.SESSION)  # refusals of another client's datagrams, with their numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Stop:
 
 @dataclass(slots=True)
 class Run:
-    """A trajectory or a servo motion, asked for at command `first_seq`."""
+    """A trajectory or a servo motion, requested at command `first_seq`."""
 
     motion: Playback | ServoTarget
     first_seq: int

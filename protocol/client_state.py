@@ -1,4 +1,4 @@
-"""What the PC wants of the PLC beside motion: to arm, to reset a fault, to disarm. Repeated until a state shows it."""
+"""Standing requests of the PC to arm, reset or disarm, repeated until a state confirms them."""
 
 from collections import OrderedDict, deque
 from dataclasses import dataclass, field
@@ -125,11 +125,11 @@ class StandingWish:
 
     @property
     def is_disarm(self) -> bool:
-        """Whether disarming was asked for, which nothing but its end takes back."""
+        """Whether disarming was requested, which nothing but its end takes back."""
         return self.wish is Wish.DISARM
 
     def cancel(self) -> None:
-        """Stop asking for arm or reset; a disarm that was asked for goes on until it is done."""
+        """Stop asking for arm or reset; a disarm that was requested goes on until it is done."""
         if not self.is_disarm:
             self.wish = Wish.NONE
 

@@ -175,7 +175,7 @@ def _number(kind: type[Any], value: int, name: str, at: dict[str, int]) -> Any:
     try:
         return kind(value)
     except ValueError:
-        raise MalformedError(RejectCode.VALUE, f"{name} = {value} is no {kind.__name__}", at[name]) from None
+        raise MalformedError(RejectCode.VALUE, f"{name} = {value} is not a {kind.__name__}", at[name]) from None
 
 
 def decode_command(payload: bytes, key: bytes = b"") -> Command:
@@ -214,7 +214,7 @@ def decode_command(payload: bytes, key: bytes = b"") -> Command:
 
 
 def may_be_answered(payload: bytes) -> bool:
-    """Whether a refused payload is worth a state: it begins as a command, and is no shorter than the answer.
+    """Whether a refused payload is worth a state: it begins as a command, and is not shorter than the answer.
 
     So two PLCs never answer each other, and no forged sender is sent more bytes than it took.
     """

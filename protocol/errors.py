@@ -1,4 +1,4 @@
-"""The protocol's errors: who is to blame is in the type (ours: Local, theirs: Remote), why is in the code."""
+"""Protocol errors: the type states the side (Local, Remote), the code the cause."""
 
 from protocol.codes import RejectCode
 
@@ -16,7 +16,7 @@ class IllegalTransitionError(LocalProtocolError):
 
 
 class RemoteProtocolError(ProtocolError):
-    """The other side's bytes break a rule; `code` and `offset` (byte of the payload, 0: not told) answer them."""
+    """The other side's bytes break a rule; `code` and `offset` (byte of the payload, 0: not known) answer them."""
 
     def __init__(self, code: RejectCode, text: str, offset: int = 0) -> None:
         super().__init__(f"{code.name}: {text}")
@@ -30,7 +30,7 @@ class FramingError(RemoteProtocolError):
 
 
 class MalformedError(RemoteProtocolError):
-    """The payload is no message of this layout: length, magic, version, CRC, non-finite or impossible values."""
+    """The payload is not a message of this layout: length, magic, version, CRC, non-finite or impossible values."""
 
 
 class SessionError(RemoteProtocolError):

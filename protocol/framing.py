@@ -1,4 +1,4 @@
-"""What goes around a payload: nothing (raw), or a process-data frame of the EtherCAT Automation Protocol (EAP)."""
+"""Framing of a payload: raw, or a process-data frame of the EtherCAT Automation Protocol (EAP)."""
 
 import struct
 from dataclasses import dataclass

@@ -52,7 +52,7 @@ class GateView:
 
 @dataclass(frozen=True, slots=True)
 class GateVerdict:
-    """What may be sent, and why that is not what was asked for (empty: it is)."""
+    """What may be sent, and why that is not what was requested (empty: it is)."""
 
     sent: Command
     refusals: tuple[Refusal, ...] = ()

@@ -1,4 +1,4 @@
-"""The limits both ends hold the knots against, and the id by which they make sure to hold the same ones."""
+"""Axis limits that both ends enforce, and the id by which they verify that their tables are equal."""
 
 import zlib
 from collections.abc import Iterable

@@ -29,7 +29,7 @@ class Knot:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """PC to PLC. `hello` tells a HELLO (same layout, msg_type 3); `knots` holds 0..6 from index `knot_first` on."""
+    """PC to PLC. `hello` marks a HELLO (same layout, msg_type 3); `knots` holds 0..6 from index `knot_first` on."""
 
     session: int
     seq: int

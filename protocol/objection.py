@@ -1,4 +1,4 @@
-"""Why a command is refused: the code that the state carries back, and the byte of the payload it points at."""
+"""A refusal: reject code and byte offset of the payload."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Which knots the next command carries: the sliding window over one trajectory, paced by what the PLC reports. Pure."""
+"""Select the knots of the next command: the sliding window over a trajectory, paced by the PLC's reports. Pure."""
 
 from dataclasses import dataclass, replace
 
@@ -23,7 +23,7 @@ class Window:
 
 
 def _first_difference(old: tuple[Knot, ...], new: tuple[Knot, ...]) -> int | None:
-    """Index of the first knot that the PLC would see replaced; of the end that is none any more, or is one now.
+    """Index of the first knot that the PLC would see replaced; of the end that stops or starts being the end.
 
     A command with nothing but knots that the PLC holds already replaces nothing, whatever follows them here.
     """
@@ -55,7 +55,7 @@ class Playback:
         return replace(self, splice=None)
 
     def window(self, state: State) -> Window:
-        """The first knots that the PLC lacks, while its ring has room; else the next unplayed ones again."""
+        """The first knots that the PLC is missing, while its ring has room; else the next unplayed ones again."""
         first = self._first(state)
         knots = self.knots[first : first + KNOTS_PER_COMMAND]
         flags = CommandFlag.START if self._may_start(state) else CommandFlag(0)

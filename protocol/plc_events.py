@@ -1,4 +1,4 @@
-"""What the PLC's end of the link hands up to the PLC's logic."""
+"""Events that the PLC's end of the link passes to the PLC logic."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass

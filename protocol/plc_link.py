@@ -247,7 +247,7 @@ class PlcLink:
             raise SessionError(RejectCode.SESSION, text, _AT["session"])
         if self.state is PlcState.BOOT:
             raise RefusedError(RejectCode.MODE_ILLEGAL, "HELLO while booting; wait for DISARMED", _AT["mode"])
-        self.peer = source  # from here on the PC is told why, even if refused below
+        self.peer = source  # from here on the PC gets the reason, even if refused below
         self._check_cfg(hello)
         events = self.apply(PlcEvent.HELLO, t_plc_ns)
         self._session = _Session(session=hello.session, source=source, last_seq=hello.seq)

@@ -1,4 +1,4 @@
-"""The sequence rule of both directions: what a new number means after the last accepted one."""
+"""Sequence rule of both directions: classify a new number against the last accepted one."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -30,7 +30,7 @@ class Sequenced:
 
 
 def classify_sequence(last: int, seq: int) -> Sequenced:
-    """Compare as signed 32-bit difference, so the wrap at 2^32 is no event."""
+    """Compare as signed 32-bit difference, so the wrap at 2^32 is not an event."""
     delta = (seq - last + 0x8000_0000) % 0x1_0000_0000 - 0x8000_0000
     if delta == 1:
         return Sequenced(SequenceKind.NEXT)

@@ -64,7 +64,7 @@ SERVO_STALE = Timeout(
     "three commands: a target may move on for this long without news of it",
 )
 SERVO_LOST = Timeout(
-    "servo target lost", "PC", 250 * MS, "STOP is sent", "whoever steers is gone: same bound as for commands"
+    "servo target lost", "PC", 250 * MS, "STOP is sent", "the steering client is gone: same bound as for commands"
 )
 LINK_CLOSED = Timeout(
     "link closed", "PC", 1000 * MS, "session given up, HELLO with a new one", "same bound as the PLC's"

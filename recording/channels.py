@@ -32,14 +32,14 @@ class Channels:
         """Learn of a schema or a channel; other records say nothing here."""
         match record:
             case Schema():
-                if self._schemas.get(record.id) != record:  # the summary tells them again
+                if self._schemas.get(record.id) != record:  # the summary repeats them
                     self._fitting.pop(record.id, None)
                 self._schemas[record.id] = record
             case Channel():
                 self._channels[record.id] = record
 
     def topic_of(self, message: Message) -> str:
-        """The topic of a message of this format; empty for one of somebody else's, which is counted."""
+        """The topic of a message of this format; empty for a foreign message, which is counted."""
         channel = self._channels[message.channel_id]
         schema = self._schemas.get(channel.schema_id)
         encodings = (channel.message_encoding, "" if schema is None else schema.encoding)
@@ -58,9 +58,9 @@ class Channels:
     @property
     def foreign(self) -> tuple[str, ...]:
         """Channels whose messages are not of this format, each in words."""
-        return tuple(self._told(number, count) for number, count in self._foreign.items())
+        return tuple(self._described(number, count) for number, count in self._foreign.items())
 
-    def _told(self, number: int, count: int) -> str:
+    def _described(self, number: int, count: int) -> str:
         channel = self._channels[number]
         schema = self._schemas.get(channel.schema_id)
         name = "no schema" if schema is None else f"schema {schema.name!r}"

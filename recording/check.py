@@ -1,4 +1,4 @@
-"""What a recording holds, what it lacks, and what each lack costs the gap diagnosis."""
+"""Check a recording: signals present, signals missing, and what each missing one costs the diagnosis."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,8 +28,8 @@ class SignalCheck:
 
 
 @dataclass(frozen=True, slots=True)
-class Lack:
-    """A missing signal. `cost` says what can no longer be told apart, and `remedy` how to get it."""
+class MissingSignal:
+    """A missing signal. `cost` says what can no longer be distinguished, and `remedy` how to get it."""
 
     signal: str
     cost: str
@@ -38,12 +38,12 @@ class Lack:
 
 @dataclass(frozen=True, slots=True)
 class CheckReport:
-    """`usable`: at least one stage of the gap can be looked at."""
+    """Result of a check. `usable`: at least one stage of the gap can be examined."""
 
     path: Path
     complete: bool
     signals: tuple[SignalCheck, ...]
-    lacks: tuple[Lack, ...]
+    missing: tuple[MissingSignal, ...]
     problems: tuple[str, ...]
     usable: bool
     images: int
@@ -62,7 +62,7 @@ _NEEDS: tuple[tuple[str, Callable[[Recording], bool], str, str], ...] = (
     (
         "sent.csv",
         lambda recording: bool(recording.of(Sent)),
-        "stage link cannot be looked at: delay and loss between PC and PLC stay unknown",
+        "the link stage cannot be examined: delay and loss between PC and PLC stay unknown",
         "log the reference as the PC sends it",
     ),
     (
@@ -74,44 +74,44 @@ _NEEDS: tuple[tuple[str, Callable[[Recording], bool], str, str], ...] = (
     (
         "plc.csv q",
         lambda recording: _has(recording, "q_rad"),
-        "controller and actuator cannot be looked at, nor points and the object's markers in motion; poses at rest can",
+        "controller and actuator cannot be examined, nor points and object markers in motion; poses at rest can",
         "log the encoders",
     ),
     (
         "plc.csv u",
         lambda recording: _has(recording, "u_frac"),
-        "stages controller and actuator merge: dead band and controller gain cannot be told apart",
+        "stages controller and actuator merge: dead band and controller gain cannot be distinguished",
         "log the valve commands",
     ),
     (
         "markers.csv, tracker.csv or static.csv",
         _link_side,
-        "stages joint, structure and camera cannot be looked at: nothing was measured behind the encoders",
+        "stages joint, structure and camera cannot be examined: nothing was measured behind the encoders",
         "record the camera or an external tracker",
     ),
     (
         "tracker.csv or static.csv",
         lambda recording: bool(recording.of(TrackerPoint) or recording.of(StaticPoint)),
-        "stages structure and camera merge: the camera alone cannot say whether it or the boom is wrong",
+        "stages structure and camera merge: the camera alone cannot separate its own errors from those of the boom",
         "measure a few poses at rest by an external tracker",
     ),
     (
         "odometry.csv",
         lambda recording: bool(recording.of(OdometryRow)),
-        "the camera's motion is known only while it sees markers",
-        "switch odometry on, or leave the wall in view",
+        "the camera motion is known only while markers are visible",
+        "switch odometry on, or keep the wall in view",
     ),
     (
         "segments with repeat_of",
         lambda recording: any(segment.repeat_of for segment in recording.run.segments),
-        "the noise floor must be guessed: no command was repeated",
+        "the noise floor must be assumed: no command was repeated",
         "drive at least one command four times and name its runs in run.toml",
     ),
     (
         "machine.toml",
         lambda recording: bool(recording.machine_toml),
         "there is no nominal machine to compare with",
-        "put the nominal machine's file into the recording",
+        "add the nominal machine file to the recording",
     ),
 )
 
@@ -125,7 +125,7 @@ _TIMES: tuple[tuple[type[Row], str], ...] = (
 
 
 def check_recording(path: Path) -> CheckReport:
-    """Look through the recording at this path.
+    """Check the recording at this path.
 
     Raises: RecordingError when it cannot be read at all.
     """
@@ -134,15 +134,17 @@ def check_recording(path: Path) -> CheckReport:
     static = recording.of(StaticPoint)
     if static:
         signals.append(SignalCheck("static", len(static), 0.0, 0.0, 0))
-    lacks = tuple(Lack(name, cost, remedy) for name, is_there, cost, remedy in _NEEDS if not is_there(recording))
-    missing = {lack.signal for lack in lacks}
+    missing = tuple(
+        MissingSignal(name, cost, remedy) for name, is_there, cost, remedy in _NEEDS if not is_there(recording)
+    )
+    names = {signal.signal for signal in missing}
     return CheckReport(
         path=path,
         complete=recording.complete,
         signals=tuple(signals),
-        lacks=lacks,
+        missing=missing,
         problems=tuple(_problems(recording)),
-        usable="machine.toml" not in missing and ("plc.csv q" not in missing or bool(static)),
+        usable="machine.toml" not in names and ("plc.csv q" not in names or bool(static)),
         images=recording.images,
     )
 
@@ -161,12 +163,14 @@ def _signal(row_type: type[Row], time_name: str, recording: Recording) -> Signal
 def _problems(recording: Recording) -> list[str]:
     problems: list[str] = []
     if not recording.complete:
-        remedy = "`longreach recording recover` writes a whole one of what is left"
+        remedy = "`longreach recording recover` writes a complete file from the readable part"
         problems.append("it was made of a cut or damaged file" if recording.run.cut else f"the file was cut; {remedy}")
     left = dict(recording.metadata)
     if (lost := left.get(f"{RECOVERED}.lost_chunks")) is not None:
-        problems.append(f"it holds what was left of a damaged file: {lost} chunks lost, {left[f'{RECOVERED}.reason']}")
-    problems += [f"channel {told}: it is not of this format" for told in recording.foreign]
+        problems.append(
+            f"it holds the readable part of a damaged file: {lost} chunks lost, {left[f'{RECOVERED}.reason']}"
+        )
+    problems += [f"channel {channel}: it is not of this format" for channel in recording.foreign]
     for row_type, name in _TIMES:
         times_s = column(recording.of(row_type), name)
         back = int(np.sum(np.diff(times_s) < 0.0))
@@ -174,7 +178,7 @@ def _problems(recording: Recording) -> list[str]:
             problems.append(f"{row_type.topic.strip('/')}: {name} runs backwards {back} times; sort the rows by time")
     problems += _machine_problems(recording)
     if recording.run.plc_to_pc_offset_s is None and recording.of(Sent):
-        problems.append("run.toml has no clocks.plc_to_pc_offset_s: the link's delay is known but for a constant")
+        problems.append("run.toml has no clocks.plc_to_pc_offset_s: the link delay is known only up to a constant")
     return problems
 
 

@@ -18,7 +18,7 @@ from recording.run import RunInfo
 from recording.writer import RECOVERABLE, TIME_MOST_NS, RunWriter
 
 COUNT_LEAST, COUNT_MOST = -(2**63), 2**63 - 1  # what the messages' counts hold
-CLOCKS = "mend the row's time, or [clocks] of run.toml"
+CLOCKS = "fix the row's time, or [clocks] of run.toml"
 
 
 def convert(source: Path, target: Path) -> Recording:
@@ -69,12 +69,14 @@ def _require_room(recording: Recording, to_utc_ns: int) -> None:
         numbers[kind] += 1
         for name in counts[kind]:
             if not COUNT_LEAST <= getattr(row, name) <= COUNT_MOST:
-                told = f"{name} = {getattr(row, name)}, limits {COUNT_LEAST} to {COUNT_MOST}"
-                raise RecordingError(f"{_place(recording, kind, numbers[kind])}: {told}; leave the cell of none empty")
+                fault = f"{name} = {getattr(row, name)}, limits {COUNT_LEAST} to {COUNT_MOST}"
+                raise RecordingError(
+                    f"{_place(recording, kind, numbers[kind])}: {fault}; leave the cell empty if there is none"
+                )
         t_utc_ns = pc_time_ns(row, recording.run) + to_utc_ns
         if not 0 <= t_utc_ns <= TIME_MOST_NS:
-            told = f"its time is {t_utc_ns * 1e-9:.6g} s in UTC, limits 0 to {TIME_MOST_NS * 1e-9:.6g} s since 1970"
-            raise RecordingError(f"{_place(recording, kind, numbers[kind])}: {told}; {CLOCKS}")
+            fault = f"its time is {t_utc_ns * 1e-9:.6g} s in UTC, limits 0 to {TIME_MOST_NS * 1e-9:.6g} s since 1970"
+            raise RecordingError(f"{_place(recording, kind, numbers[kind])}: {fault}; {CLOCKS}")
 
 
 def _counts(row_type: type[Row]) -> list[str]:

@@ -75,10 +75,10 @@ def _cell(value: object) -> str:
 
 
 def _none_in(folder: Path) -> str:
-    """That a folder is no recording, and what in it is one."""
+    """Error text for a folder that is not a recording, naming the recordings in it."""
     files = sorted(folder.glob("*.mcap"))
     if files:
-        return f"folder {folder} is no recording but holds {len(files)}: name one of them, such as {files[-1]}"
+        return f"folder {folder} is not a recording but holds {len(files)}: name one of them, such as {files[-1]}"
     return f"folder {folder} holds no recording: neither run.toml nor plc.csv, static.csv or the like"
 
 
@@ -91,7 +91,7 @@ def read_folder(folder: Path) -> Recording:
     known = ("run.toml", "machine.toml", *(row_type.file for row_type in CSV_ROW_TYPES))
     odd = [name for name in known if os.path.lexists(folder / name) and not (folder / name).is_file()]
     if odd:
-        raise RecordingError(f"{folder / odd[0]} is no file but a folder, a pipe or a broken link; put a file there")
+        raise RecordingError(f"{folder / odd[0]} is a folder, a pipe or a broken link; put a file there")
     if not any((folder / name).is_file() for name in known if name != "machine.toml"):
         raise RecordingError(_none_in(folder))
     rows: list[Row] = []
@@ -99,14 +99,14 @@ def read_folder(folder: Path) -> Recording:
         path = folder / row_type.file
         if path.is_file():
             rows += _read_csv(path, row_type)
-    beside = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.is_file()]
+    attached = [path for path in sorted(folder.iterdir()) if path.suffix in (".json", ".urdf") and path.is_file()]
     run = run_from_toml(_text(run_file)) if run_file.is_file() else RunInfo("")
     return Recording(
         form="folder",
         run=run,
         machine_toml=_text(machine_file) if machine_file.is_file() else "",
         rows=tuple(rows),
-        attachments=tuple(Attachment(path.name, _media_type(path), _bytes(path)) for path in beside),
+        attachments=tuple(Attachment(path.name, _media_type(path), _bytes(path)) for path in attached),
         complete=not run.cut,
     )
 
@@ -221,16 +221,14 @@ def _places(path: Path, pattern: str, header: list[str]) -> list[int]:
 
 
 def _twice(path: Path, header: list[str], places: list[int]) -> RecordingError:
-    """Two columns of one field: nobody can say which of them it is."""
+    """Error text for two columns of one field."""
     first, second = places[:2]
     one, other = header[first], header[second]
     where, columns = f"{path}: column", f"(columns {first + 1} and {second + 1} of the file)"
     if ("_rad" in one) != ("_rad" in other):
         return RecordingError(f"{where} '{other}' is there in two units {columns}; keep the one of the joint's type")
-    beside = "" if one == other else f", as '{one}' and as '{other}'"
-    return RecordingError(
-        f"{where} '{one}' is there twice{beside} {columns}; name each as what it holds, or remove one"
-    )
+    both = "" if one == other else f", as '{one}' and as '{other}'"
+    return RecordingError(f"{where} '{one}' is there twice{both} {columns}; rename one by what it holds, or remove it")
 
 
 def _value(kind: object, texts: list[str], where: str) -> object:
@@ -242,7 +240,9 @@ def _value(kind: object, texts: list[str], where: str) -> object:
     if kind is int:
         missing = not numbers or math.isnan(numbers[0])
         if not missing and math.isinf(numbers[0]):
-            raise RecordingError(f"{where}: {texts[0].strip()!r} is no count; give a whole number, or leave it empty")
+            raise RecordingError(
+                f"{where}: {texts[0].strip()!r} is not a count; give a whole number, or leave it empty"
+            )
         return MISSING_COUNT if missing else int(numbers[0])
     return numbers[0] if numbers else NAN
 

@@ -78,10 +78,15 @@ class RowCodec:
             files = descriptor_pb2.FileDescriptorSet.FromString(schema).file
         except DecodeError:
             return False
-        told = [one for file in files for one in file.message_type if f"{file.package}.{one.name}" == self.schema_name]
-        if len(told) != 1:
+        found = [
+            message
+            for file in files
+            for message in file.message_type
+            if f"{file.package}.{message.name}" == self.schema_name
+        ]
+        if len(found) != 1:
             return False
-        theirs = {field.name: (field.number, field.type, field.label) for field in told[0].field}
+        theirs = {field.name: (field.number, field.type, field.label) for field in found[0].field}
         return all(theirs.get(name, place) == place for name, place in self._places.items())
 
     def decode(self, data: bytes) -> Row:

@@ -42,10 +42,10 @@ LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 
 
 class RecordStream:
-    """The records of an MCAP file in order, until its end or where it cannot be framed any more. `cut` tells which.
+    """The records of an MCAP file in order, until its end or the first unreadable record. `cut` states which.
 
     A damaged chunk is left out and counted (`lost_chunks`): the next one is framed by its length. A message whose
-    channel was never told is damage, too, and left out: nobody can say what it is.
+    channel was never declared is damage, too, and left out: its meaning is unknown.
     """
 
     def __init__(self, path: Path) -> None:
@@ -75,9 +75,9 @@ class RecordStream:
                     self._judge(error)
                     break
                 ended = isinstance(record, Footer)
-                for one in self._inside(record) if isinstance(record, Chunk) else (record,):
-                    if self._placed(one):
-                        yield one
+                for inner in self._inside(record) if isinstance(record, Chunk) else (record,):
+                    if self._placed(inner):
+                        yield inner
             self.cut = self.cut or not ended
 
     def _inside(self, chunk: Chunk) -> list[McapRecord]:
@@ -97,7 +97,7 @@ class RecordStream:
         self.cut, self.reason = True, self.reason or reason
 
     def _placed(self, record: McapRecord) -> bool:
-        """Whether what a record refers to was told before it; a channel without its schema still has a topic."""
+        """Whether what a record refers to was declared before it; a channel without its schema still has a topic."""
         match record:
             case Schema():
                 self._schemas.add(record.id)
@@ -114,7 +114,7 @@ class RecordStream:
 def read_mcap(path: Path) -> Recording:
     """The numbers, log and attachments of an MCAP file; of a cut file what can be read.
 
-    Raises: RecordingError when it is no MCAP file or holds nothing of ours.
+    Raises: RecordingError when it is not an MCAP file or holds no longreach channel.
     """
     stream = RecordStream(path)
     collected = _Collected()
@@ -158,7 +158,7 @@ class _Collected:
             elif topic == IMAGE_TOPIC:
                 self._images += 1
         except DecodeError as error:
-            raise RecordingError(f"channel {topic}: a message is not what its schema says: {error}") from error
+            raise RecordingError(f"channel {topic}: a message does not match its schema: {error}") from error
 
     def recording(self, complete: bool) -> Recording:
         attachments = dict(self._attachments)

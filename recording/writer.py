@@ -35,7 +35,7 @@ CHUNK_BYTES = 256 * 1024
 OPEN_S = 30.0
 FLUSH_S = 1.0  # at most this much is lost when the process is killed
 CLOSE_S = 30.0
-RECOVERABLE = "what was written so far can be recovered"
+RECOVERABLE = "the rows written so far can be recovered"
 PUT_S = 0.5  # between two looks at whether the thread that empties the queue is still there
 TIME_MOST_NS = 2**64 - 1  # what MCAP's times hold
 
@@ -107,7 +107,7 @@ class RunWriter:
         )
         self._thread.start()
         if opened.wait(open_wait_s) and self._error:
-            self._closing.set()  # nobody is given this one, and so nobody could end its thread
+            self._closing.set()  # no caller gets this object, so no caller could end its thread
             with contextlib.suppress(queue.Full):
                 self._queue.put_nowait(None)
             raise RecordingError(self._error)
@@ -173,7 +173,7 @@ class RunWriter:
         """Write what waits, the final run.toml and the index. The file is complete afterwards.
 
         A disk may take longer than `wait_s`: the report says so then, the file is written to its end all the same, and
-        `ended` and `error` tell when and how.
+        `ended` and `error` state when and how.
         """
         if not self._closing.is_set():
             self._final_run = run
@@ -225,10 +225,12 @@ class RunWriter:
         try:
             self._queue.put_nowait(entry)
         except queue.Full:
-            self._fail(RecordingError(f"{QUEUE_ENTRIES} entries wait for the disk, and no more are taken: free it"))
+            self._fail(
+                RecordingError(f"{QUEUE_ENTRIES} entries wait for the disk, and no more are accepted: free disk space")
+            )
 
     def _put(self, entry: _Entry) -> None:
-        """Wait for room as long as there is somebody who makes it."""
+        """Wait for room as long as the writer thread runs."""
         while self._thread.is_alive():
             try:
                 return self._queue.put(entry, timeout=PUT_S)
@@ -238,7 +240,7 @@ class RunWriter:
     def _work(self, begun: Sequence[Attachment], metadata: Sequence[tuple[str, str]], opened: threading.Event) -> None:
         """Thread: the file's head, entries from the queue, a chunk at least every FLUSH_S, then the file's end.
 
-        Whatever goes wrong ends the file and never the thread: it empties the queue on, so that nobody waits for it.
+        Whatever goes wrong ends the file and never the thread: it keeps emptying the queue, so that no producer waits.
         """
         try:
             self._open(begun, metadata)
@@ -247,7 +249,7 @@ class RunWriter:
             while not (self._closing.is_set() and self._queue.empty()):
                 flushed_s = self._step(flushed_s)
         except BaseException:  # the interpreter ends it: nothing more is taken, and the file has no index
-            self._fail(RecordingError("the thread that writes it has ended"))
+            self._fail(RecordingError("the writer thread has ended"))
             raise
         finally:
             self._finish()
@@ -263,7 +265,7 @@ class RunWriter:
                 flushed_s = mono_s()
                 self._writer.flush()
                 self._require_name()
-        except Exception as error:  # a row that cannot be written must not stop the machine that it tells of
+        except Exception as error:  # a row that cannot be written must not stop the machine
             self._fail(error)
         return flushed_s
 
@@ -279,8 +281,8 @@ class RunWriter:
     def _fail(self, error: Exception) -> None:
         if self._error:
             return  # what came first is the cause
-        told = error.strerror if isinstance(error, OSError) else str(error)
-        self._error = f"recording {self.path}: {told or repr(error)}; {RECOVERABLE}"
+        why = error.strerror if isinstance(error, OSError) else str(error)
+        self._error = f"recording {self.path}: {why or repr(error)}; {RECOVERABLE}"
         _log.error(self._error)
 
     def _write(self, entry: _Entry) -> None:

@@ -29,7 +29,7 @@ class Listeners(Generic[P]):
             try:
                 listener(*args, **kwargs)
             except Exception as error:  # the outermost call of a part: what it drops is reported
-                problem = f"{getattr(listener, '__qualname__', 'a listener')} took no note of {self._of}: {error!r}"
+                problem = f"{getattr(listener, '__qualname__', 'a listener')} failed to handle {self._of}: {error!r}"
                 if problem != self._problem:
                     log.exception(problem)
                 self._problem, self._failed_s = problem, time.monotonic()

@@ -90,9 +90,11 @@ class Recorder:
 
     def give_up(self, error: Exception) -> None:
         """End the run's file because of a defect."""
-        _log.exception("recording of %s ended by a defect", self._run.name)
+        _log.exception("recording of %s ended with an internal error", self._run.name)
         writer, self._writer, self._last = self._writer, None, None
-        self._problem = f"recording of {self._run.name} ended by a defect: {error!r}; report it with the server's log"
+        self._problem = (
+            f"recording of {self._run.name} ended with an internal error: {error!r}; report it with the server's log"
+        )
         if writer is not None:
             writer.close(wait_s=0.0)
             self._late.append(writer)
@@ -123,7 +125,7 @@ class Recorder:
             self._problem, self._last = "", None
         except RecordingError as error:
             self._problem = str(error)
-            _log.error("%s; the run goes on without a recording", error)
+            _log.error("%s; the run continues without a recording", error)
 
     def _metadata(self, seed: int | None) -> list[tuple[str, str]]:
         return [
@@ -154,8 +156,8 @@ class Recorder:
 
     def _begin_anew(self) -> None:
         """The PLC was switched off and on: what was open ends by its old clock, and its stamps are mapped anew."""
-        _log.warning("the PLC's clock began anew during a recording; its segments end there")
-        self.event("warning", "the PLC's clock began anew")
+        _log.warning("the PLC's clock restarted during a recording; its segments end there")
+        self.event("warning", "the PLC's clock restarted")
         self._end_segments()
         self._first_plc_ns = self._plc_offset_ns = None
 

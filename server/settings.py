@@ -42,7 +42,7 @@ LocalPort = Annotated[int, Field(ge=0, le=65535)]
 
 
 class HttpSettings(Strict):
-    """Where the panel and the REST interface listen."""
+    """Address and access of the panel and the REST interface."""
 
     host: str = "127.0.0.1"
     port: LocalPort = 8080
@@ -65,7 +65,7 @@ class PlcSettings(Strict):
 
 
 class LookSettings(Strict):
-    """How a look is taken and when it counts."""
+    """Number of pairs of a look, and its limits."""
 
     pairs: Annotated[int, Field(ge=1, le=600)] = 20
     timeout_s: Annotated[float, Field(gt=0.0, le=120.0)] = 12.0
@@ -116,7 +116,7 @@ class CalibrationSettings(Strict):
 
 
 class ClosedLoopSettings(Strict):
-    """The gate of closed-loop visual control: how slow, how far, how reliable its looks must be."""
+    """Limits of closed-loop visual control: speed, distance and reliability of its looks."""
 
     speed_max_mm_s: Annotated[float, Field(gt=0.0, le=50.0)] = 20.0
     distance_max_mm: Annotated[float, Field(gt=0.0, le=300.0)] = 150.0
@@ -128,21 +128,21 @@ class ClosedLoopSettings(Strict):
 
 
 class CompensationSettings(Strict):
-    """A diagnosed machine whose effects are taken into account; off without a file."""
+    """A diagnosed machine whose effects are compensated; off without a file."""
 
     machine_file: str | None = None  # with [[effect]], as `longreach diagnose --machine-out` writes it
     diagnosis_file: str | None = None  # the answer (--json) that it comes from: undecided or outside is refused
 
 
 class RecordingSettings(Strict):
-    """Where runs are written."""
+    """Folder and contents of recordings."""
 
     folder: str = "runs"
     images: bool = True
 
 
 class OpcUaSettings(Strict):
-    """The read-only OPC UA face; it knows no keys, so that beyond this computer it must be wanted so."""
+    """Read-only OPC UA interface. It has no authentication; binding to other hosts must be enabled explicitly."""
 
     enabled: bool = False
     host: str = "127.0.0.1"

@@ -59,7 +59,7 @@ class HttpCameraSettings(_CameraSection):
 
 
 class DeviceCameraSettings(_CameraSection):
-    """A UVC device that gives side-by-side frames; the defaults are those of a ZED2 at 720p.
+    """A UVC device with side-by-side frames; the defaults are those of a ZED2 at 720p.
 
     `path` instead of `index`: /dev/v4l/by-id/... stays the same when devices are plugged over. `width_px`: both eyes.
     """
@@ -137,7 +137,7 @@ CameraSettings = Annotated[
 def with_stream(section: CameraSettings, url: str | None) -> dict[str, object]:
     """A section's fields with the stream of another address in place of its source; None or "": as it is.
 
-    What is known of the rig stays: pictures that are not rectified any more would put every pose off without a word.
+    What is known of the rig stays: pictures that are not rectified any more would silently bias every pose.
     """
     if not url:
         return dict(section)

@@ -53,7 +53,7 @@ class SupervisedTasks:
             begun_s = mono_s()
             why = await _ended(name, loop)
             ended_s = mono_s()
-            self._failed[name] = ended_s, f"{name} failed ({why}) and is started again; the server's log says more"
+            self._failed[name] = ended_s, f"{name} failed ({why}) and was restarted; see the server's log"
             if on_failure is not None:
                 await _ended(f"what follows a failure of {name}", on_failure)
             wait_s = FIRST_S if ended_s - begun_s > WELL_S else wait_s

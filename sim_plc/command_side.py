@@ -1,6 +1,6 @@
 """What a machine file's effects change between the reference and the valve: for a plant that has no oil of its own.
 
-Written anew, not taken from the kernel that the diagnosis fits with: another order of steps, 1 ms against its own.
+An independent implementation, not the kernel that the diagnosis fits with: another order of steps, 1 ms each.
 """
 
 from dataclasses import dataclass, replace
@@ -35,22 +35,22 @@ def side_numbers(entries: tuple[EffectEntry, ...], n: int, cycle_s: float) -> Si
     """The numbers of those effects that belong here; the others are passed over."""
     dead, lost, hysteresis, lag = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     gain, limit, delay = np.ones(n), np.ones(n), 0.0
-    for one in entries:
-        j = (one.joint or 1) - 1
-        match one.name:
+    for effect in entries:
+        j = (effect.joint or 1) - 1
+        match effect.name:
             case "valve_deadband":
-                dead[j] += one.value("half_width_frac")
-                lost[j] += one.value("half_width_frac") if one.option == "lost" else 0.0
+                dead[j] += effect.value("half_width_frac")
+                lost[j] += effect.value("half_width_frac") if effect.option == "lost" else 0.0
             case "valve_hysteresis":
-                hysteresis[j] += one.value("half_width_frac")
+                hysteresis[j] += effect.value("half_width_frac")
             case "valve_lag":
-                lag[j] += one.value("time_constant_s")
+                lag[j] += effect.value("time_constant_s")
             case "valve_asymmetry":
-                gain[j] *= 1.0 + one.value("gain_frac")
+                gain[j] *= 1.0 + effect.value("gain_frac")
             case "controller_saturation":
-                limit[j] = min(limit[j], one.value("limit_frac"))
+                limit[j] = min(limit[j], effect.value("limit_frac"))
             case "transport_delay":
-                delay += one.value("delay_s")
+                delay += effect.value("delay_s")
             case _:
                 pass
     share = np.where(lag > 0.0, 1.0 - np.exp(-cycle_s / np.maximum(lag, 1e-9)), 1.0)
@@ -65,10 +65,10 @@ def controller_settings(machine: Machine, entries: tuple[EffectEntry, ...], cycl
     """
     plain = plc_settings(machine)
     kp, tau = np.array(plain.kp), np.array([joint.pt1_tau_s for joint in machine.joints])
-    for one in entries:
-        if one.name == "controller_gain_error":
-            kp[(one.joint or 1) - 1] *= 1.0 + one.value("gain_frac")
-        elif one.name == "controller_lag_error":
-            tau[(one.joint or 1) - 1] *= 1.0 + one.value("lag_frac")
+    for effect in entries:
+        if effect.name == "controller_gain_error":
+            kp[(effect.joint or 1) - 1] *= 1.0 + effect.value("gain_frac")
+        elif effect.name == "controller_lag_error":
+            tau[(effect.joint or 1) - 1] *= 1.0 + effect.value("lag_frac")
     share = np.where(tau > 0.0, 1.0 - np.exp(-(cycle_s or plain.cycle_s) / np.maximum(tau, 1e-9)), 1.0)
     return replace(plain, kp=kp, pt1_share=share)

@@ -1,4 +1,4 @@
-"""A drawn machine with the effects of its machine file on top: what a diagnosis found, made true."""
+"""A drawn machine with the effects of its machine file, such as those of a diagnosis."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,7 +18,7 @@ Change = Callable[[World, EffectEntry], World]
 
 def not_simulated(machine: Machine) -> tuple[str, ...]:
     """Effects of a machine file that this plant cannot have, once each."""
-    beyond = (one.name for one in machine.effects if one.name not in CHANGES or _bends_elsewhere(one))
+    beyond = (effect.name for effect in machine.effects if effect.name not in CHANGES or _bends_elsewhere(effect))
     return tuple(dict.fromkeys(beyond))
 
 
@@ -129,7 +129,7 @@ def _print(world: World, entry: EffectEntry) -> World:
     scale = 1.0 + entry.value("scale_frac")
     scene = world.scene
     bigger = {
-        name: tuple(replace(one, side_m=one.side_m * scale) for one in getattr(scene, name))
+        name: tuple(replace(marker, side_m=marker.side_m * scale) for marker in getattr(scene, name))
         for name in ("ooi_markers", "tool_markers")
     }
     return replace(world, scene=replace(scene, **bigger))
@@ -141,7 +141,7 @@ def _tool_marker(world: World, entry: EffectEntry) -> World:
         moved = pose(rotation_from_rotvec(entry.value("angle_rad") * along), np.zeros(3))
     else:
         moved = pose(np.eye(3), entry.value("distance_m") * along)
-    markers = tuple(replace(one, T_on_marker=moved @ one.T_on_marker) for one in world.scene.tool_markers)
+    markers = tuple(replace(marker, T_on_marker=moved @ marker.T_on_marker) for marker in world.scene.tool_markers)
     return replace(world, scene=replace(world.scene, tool_markers=markers))
 
 

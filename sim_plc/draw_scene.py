@@ -1,4 +1,4 @@
-"""Draws where the machine stands, and the wall with its markers in front of it."""
+"""Draw the machine's placement and the wall with its markers."""
 
 from dataclasses import replace
 

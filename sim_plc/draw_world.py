@@ -50,7 +50,7 @@ def draw_world(machine: Machine, preset: str, seed: int) -> World:
 
 
 def draw_world_reported(machine: Machine, preset: str, seed: int) -> tuple[World, DrawReport]:
-    """The world, and how many draws it took. Mount, tool marker, posture and start are drawn anew in every attempt.
+    """The world, and how many draws it took. Mount, tool marker, posture and start are drawn again in every attempt.
 
     Raises:  PresetError: no such preset, or no usable scene in ATTEMPTS_MAX draws.
     """
@@ -81,7 +81,7 @@ def draw_world_reported(machine: Machine, preset: str, seed: int) -> tuple[World
 
 
 def posture_fault(machine: Machine, q_start: Array | None) -> str | None:
-    """Why a start posture is no good, or None: limits, wrist angle, look direction, height."""
+    """Why a start posture is unusable, or None: limits, wrist angle, look direction, height."""
     if q_start is None:
         return "reach"
     chain = _narrowed(chain_of(machine))
@@ -98,7 +98,7 @@ def posture_fault(machine: Machine, q_start: Array | None) -> str | None:
 def scene_fault(
     machine: Machine, q_start: Array, T_base_tcp: Array, scene: SceneTruth, camera: CameraTruth
 ) -> str | None:
-    """Why a scene is no good, or None: reach and limits on the way, markers in view, clearance to the wall."""
+    """Why a scene is unusable, or None: reach and limits on the way, markers in view, clearance to the wall."""
     T_ooi_start = inverse_pose(scene.T_base_ooi) @ T_base_tcp @ scene.T_tcp_tool
     T_ooi_goal = pose(np.eye(3), np.array([0.0, 0.0, STAND_OFF_M]))
     if not all_in_view(camera, scene, T_ooi_start, VIEW_MARGIN_START_PX):

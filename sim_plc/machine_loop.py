@@ -1,4 +1,4 @@
-"""Plant and PLC program together, one PLC cycle at a time; whoever calls decides what time is."""
+"""Plant and PLC program together, one PLC cycle at a time; the caller provides the time."""
 
 from collections.abc import Callable
 from typing import Literal
@@ -48,7 +48,7 @@ class MachineLoop:
     def cycle(self) -> bytes | None:
         """One PLC cycle at `t_plc_ns`, after which plant and clock have moved on by it.
 
-        Returns: the state datagram if one is due and somebody gets it. Poses and truth go where they are wanted.
+        Returns: the state datagram if one is due and has a receiver. Poses and truth go where they are wanted.
         """
         t_plc_ns = self.t_plc_ns
         valves = self.plc.cycle(t_plc_ns, self._sample())
@@ -59,10 +59,10 @@ class MachineLoop:
         n_ms = self.t_plc_ns // MS - t_plc_ns // MS  # whole ones, due by now, whatever the cycle
         if n_ms:
             self.plant.step(valves, n_ms)
-        self._tell_pose()
+        self._publish_pose()
         return datagram
 
-    def _tell_pose(self) -> None:
+    def _publish_pose(self) -> None:
         truth, feed = self.truth, self.feed
         truth_due = truth is not None and truth.due(self.t_plc_ns)
         if feed is None and not truth_due:

@@ -1,7 +1,7 @@
 """A shared-memory ring of true tool poses: written in every cycle by the PLC process, read by the camera process.
 
 One writer, any number of readers, no lock. Entry number n lives in slot n % SLOTS under a guard: 2n + 1 while it is
-being written, 2n + 2 when it is whole. Another guard before or after a reader's copy tells of a torn or newer entry.
+being written, 2n + 2 when it is whole. A guard that differs before and after a copy indicates a torn or newer entry.
 """
 
 import struct
@@ -13,7 +13,7 @@ import numpy as np
 from machine.poses import pose
 from machine.rotations import Array, rotation_from_rotvec, rotvec_from_rotation
 
-SLOTS = 8192  # 8 s at 1 kHz: a camera process that was held up for so long starts anew
+SLOTS = 8192  # 8 s at 1 kHz: a camera process that was delayed for so long restarts
 _MARGIN = 64  # entries at the old end that are about to be overwritten
 _RETRIES = 100
 _HEAD = struct.Struct("<Qq")  # entries written so far; PLC clock minus the PC's clock [ns]
@@ -24,7 +24,7 @@ _SLOT_SIZE = 128
 
 
 class PoseFeedError(Exception):
-    """The feed does not hold what was asked for."""
+    """The feed does not hold what was requested."""
 
 
 class PoseFeed:

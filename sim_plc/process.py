@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 _WARM_UP_CYCLES = 3
 _EPOCH_RANGE_S = 100_000
 _HEALTH_NS = 5_000 * MS
-_LATE_MS = 250.0  # later than this is told: whoever watched the machine saw it stand still
+_LATE_MS = 250.0  # later than this is logged: the machine visibly stood still
 _FIFO_PRIORITY = 20  # below the link process, should both run here
 _NICENESS = -10  # where it is allowed: the PLC's cycles before pictures and panels
 _CAMERA_STOP_S = 3.0
@@ -108,7 +108,7 @@ def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda worl
     """Run until SIGTERM or SIGINT; leaves no process and no shared memory behind. Returns how the loop kept up.
 
     While it prepares (at the first start it compiles for a minute), a signal raises SystemExit.
-    `place` may set the drawn world up anew (the OOI elsewhere) before it runs.
+    `place` may change the drawn world (the OOI elsewhere) before it runs.
     Raises: SimSettingsError (also when the UDP port is taken), PresetError, MachineFileError: nothing was started.
     """
     with _StopFlag() as stopped:
@@ -134,7 +134,7 @@ def _run(settings: SimSettings, world: World, panel: LocalPanel, stopped: "_Stop
             machine.truth = TruthLog(settings.truth_log, world, settings.stand_off_m)
             cleanup.callback(machine.truth.close)
         camera = None
-        if settings.camera:  # without one nobody reads the poses, which cost a sixth of a cycle
+        if settings.camera:  # without a camera the poses have no reader, and cost a sixth of a cycle
             machine.feed = PoseFeed.create(offset_ns)
             cleanup.callback(machine.feed.close)
             camera = _start_camera(world, machine.feed, settings)
@@ -197,19 +197,19 @@ def _too_slow(health: LoopHealth) -> str:
 
 def _watched(stopped: Callable[[], bool], health: LoopHealth, camera: BaseProcess | None) -> Callable[[], bool]:
     """`stopped`, and on the way a line in the log when the cycles were late or the camera has died."""
-    told, told_camera, next_ns = (_LATE_MS, 0), False, mono_ns() + _HEALTH_NS
+    reported, camera_reported, next_ns = (_LATE_MS, 0), False, mono_ns() + _HEALTH_NS
 
     def asked() -> bool:
-        nonlocal told, told_camera, next_ns
+        nonlocal reported, camera_reported, next_ns
         if mono_ns() >= next_ns:
             next_ns = mono_ns() + _HEALTH_NS
             now = (health.behind_max_ms, health.lost_ms)
-            if now[0] > told[0] or now[1] > told[1]:
-                told = now
+            if now[0] > reported[0] or now[1] > reported[1]:
+                reported = now
                 log.warning("%s", _too_slow(health))
-            if camera is not None and not camera.is_alive() and not told_camera:
-                told_camera = True
-                log.error("the camera process has ended with code %s; the PLC goes on without it", camera.exitcode)
+            if camera is not None and not camera.is_alive() and not camera_reported:
+                camera_reported = True
+                log.error("the camera process has ended with code %s; the PLC continues without it", camera.exitcode)
         return stopped()
 
     return asked

@@ -11,7 +11,7 @@ from sim_plc.machine_loop import MS, MachineLoop
 
 WAKE_NS = 2 * MS
 BATCH_NS = 20 * MS  # at most this much is caught up before the socket is looked at again
-GIVE_UP_NS = 2000 * MS  # a pause of this computer is none of the PLC's: up to this much is caught up, more is let go
+GIVE_UP_NS = 2000 * MS  # a pause of this computer is not one of the PLC: up to this much is caught up, more is skipped
 _DRAIN = 64  # datagrams a wake, so that a flood cannot keep the plant from its cycles
 _MAX_DATAGRAM = 4096
 

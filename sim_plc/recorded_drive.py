@@ -30,7 +30,7 @@ from sim_plc.world import World
 
 PRESET, SEED = "ideal", 1  # the nominal model, nothing drawn
 SAG = "gravity_sag"
-NOT_HERE = {"rolling_shutter"}  # rows of one picture are seen at once here
+NOT_HERE = {"rolling_shutter"}  # all rows of a picture are exposed together here
 STEP_S = 1e-3
 
 
@@ -167,15 +167,15 @@ def offline(plain: World, entries: tuple[EffectEntry, ...]) -> Offline:
 
     Raises: PresetError: one that neither the plant nor what is before it can have.
     """
-    side = tuple(one for one in entries if one.name in SIDE_NAMES)
-    rest = tuple(one for one in entries if one.name not in (*SIDE_NAMES, SAG))
-    unknown = sorted({one.name for one in rest} - (set(CHANGES) - NOT_HERE))
+    side = tuple(effect for effect in entries if effect.name in SIDE_NAMES)
+    rest = tuple(effect for effect in entries if effect.name not in (*SIDE_NAMES, SAG))
+    unknown = sorted({effect.name for effect in rest} - (set(CHANGES) - NOT_HERE))
     if unknown:
         raise PresetError(f"effect {unknown[0]} cannot be simulated by the plant")
     compliance = np.zeros(6)
-    for one in entries:
-        if one.name == SAG:
-            compliance[(one.joint or 1) - 1] += one.value("compliance_rad_nm")
+    for effect in entries:
+        if effect.name == SAG:
+            compliance[(effect.joint or 1) - 1] += effect.value("compliance_rad_nm")
     world = with_effects(replace(plain, nominal=replace(plain.nominal, effects=rest)))
     return Offline(world, side, Bending(compliance, world.plant.inertia.gravity_base_m_s2))
 

@@ -1,4 +1,4 @@
-"""The truth, for whoever judges a run afterwards: true tool pose in the OOI by PLC time. The server never sees it."""
+"""The truth, for evaluating a run afterwards: true tool pose in the OOI by PLC time. The server never sees it."""
 
 import csv
 import json

@@ -211,7 +211,7 @@ class Scene:
 
 
 def _same(a: SceneView, b: SceneView) -> bool:
-    """Whether nobody could see a difference: an encoder that flickers must not redraw every viewer's screen."""
+    """Whether no viewer could see a difference: an encoder that flickers must not redraw every viewer's screen."""
     turned = max(abs(x - y) for x, y in zip(a.q_rad, b.q_rad, strict=True))
     moved = float(np.abs(a.T_base_cam - b.T_base_cam).max())
     way = _alike(a.track_base_m, b.track_base_m) and _alike(a.map_base_m, b.map_base_m)

@@ -65,7 +65,7 @@ class SceneProcess:
         self._sender.start()
 
     def show(self, view: SceneView) -> None:
-        """Leave the newest view for the sender and return at once; one that it has not sent yet is left out.
+        """Leave the newest view for the sender and return immediately; one that it has not sent yet is left out.
 
         Raises: SceneGoneError: the process has ended.
         """

@@ -1,4 +1,4 @@
-"""What the 3D scene shows at one instant: plain frozen data, since it crosses a process boundary."""
+"""Contents of the 3D scene at one instant: frozen data that cross a process boundary."""
 
 from dataclasses import dataclass
 

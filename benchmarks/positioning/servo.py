@@ -144,6 +144,6 @@ def _summary(cases: list[ServoCase]) -> Table:
     table = Table(title=f"closed loop, N = {len(cases)}", title_justify="left", show_header=False)
     table.add_row("ended inside by the image", f"{sum(case.reached for case in cases)} of {len(cases)}")
     table.add_row("truly inside 5 mm and 1 deg", f"{sum(truly_inside(case) for case in cases)} of {len(cases)}")
-    lost = sum("lost look" in case.code_or_reason for case in cases)
-    table.add_row("stopped at a lost look", f"{lost} of {len(cases)}")
+    lost = sum("invalid look" in case.code_or_reason for case in cases)
+    table.add_row("stopped at an invalid look", f"{lost} of {len(cases)}")
     return table

@@ -15,7 +15,7 @@ def what_it_looks_like(result: dict[str, Any]) -> str:
             continue
         effect = effect_named(one["name"])
         if effect is not None:
-            text = f"On the machine: {effect.looks_like}. Told apart by: {effect.told_apart_by}."
+            text = f"On the machine: {effect.looks_like}. Distinguished by: {effect.distinguished_by}."
             lines.append(f"<p class='look'><b>{escape(place_text(one).replace('_', ' '))}</b>: {escape(text)}</p>")
     return "".join(lines)
 

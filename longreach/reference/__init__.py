@@ -1,1 +1,1 @@
-"""docs/reference.md, made from the code: what it lists is what there is."""
+"""Generate docs/reference.md from the code."""

@@ -17,7 +17,7 @@ from server.api.panel_alarm_catalogue import CATALOGUE
 OUT = Path("docs/reference.md")
 ABOUT = """# Reference
 
-Made from the code by `longreach docs`; a test holds it current. How things belong together is told elsewhere:
+Made from the code by `longreach docs`; a test keeps it current. For explanations see
 [rest.md](rest.md), [security.md](security.md), [plc-link.md](plc-link.md), [tutorial.md](tutorial.md).
 """
 
@@ -27,19 +27,19 @@ Made from the code by `longreach docs`; a test holds it current. How things belo
 
 def alarms() -> str:
     """Every alarm; each has a page of its own in docs/alarms/."""
-    rows = [(code(one.code), one.level, one.title, one.remedy) for one in CATALOGUE.values()]
+    rows = [(code(alarm.code), alarm.level, alarm.title, alarm.remedy) for alarm in CATALOGUE.values()]
     return table(("code", "level", "what", "what to do"), rows)
 
 
 def rejects() -> str:
     """Every reject code of the protocol."""
-    rows = [(str(one.value), code(one.name), reject_text(one).partition(": ")[2]) for one in RejectCode]
+    rows = [(str(reject.value), code(reject.name), reject_text(reject).partition(": ")[2]) for reject in RejectCode]
     return table(("number", "code", "why"), rows)
 
 
 def fault_bits() -> str:
     """Every latched fault of the PLC."""
-    return table(("bit", "fault"), [(str(one.value.bit_length() - 1), code(str(one.name))) for one in FaultBit])
+    return table(("bit", "fault"), [(str(bit.value.bit_length() - 1), code(str(bit.name))) for bit in FaultBit])
 
 
 # Every subcommand with its arguments and options, as the command line itself tells them.
@@ -49,7 +49,7 @@ def commands() -> str:
     """One table for each command."""
     from longreach.cli import app  # here: it imports this package
 
-    return "\n\n".join(_told(path, command) for path, command in _walk("longreach", typer.main.get_command(app)))
+    return "\n\n".join(_described(path, command) for path, command in _walk("longreach", typer.main.get_command(app)))
 
 
 def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
@@ -64,8 +64,8 @@ def _walk(path: str, command: Any) -> Iterator[tuple[str, Any]]:
         yield from _walk(f"{path} {name}", children[name])
 
 
-def _told(path: str, command: Any) -> str:
-    rows = [_parameter(one) for one in command.params if one.name != "help"]
+def _described(path: str, command: Any) -> str:
+    rows = [_parameter(parameter) for parameter in command.params if parameter.name != "help"]
     about = " ".join((command.help or "").split())
     return f"### {path}\n\n{about}" + (f"\n\n{table(('option', 'default', 'what'), rows)}" if rows else "")
 
@@ -82,7 +82,7 @@ def _default(one: Any) -> str:
 
 
 def docs(
-    out: Annotated[Path, typer.Option(help="where it goes")] = OUT,
+    out: Annotated[Path, typer.Option(help="output file")] = OUT,
     check: Annotated[bool, typer.Option("--check", help="write nothing; exit 1 when the file is out of date")] = False,
 ) -> None:
     """Write the reference of REST, commands, settings, alarms and codes."""

@@ -73,10 +73,10 @@ _WORDS: dict[Any, str] = {str: "text", int: "whole number", float: "number", boo
 
 def bounds_text(field: FieldInfo) -> str:
     """A field's bounds in words; empty without."""
-    told = [
-        f"{word} {getattr(one, name)}"
-        for one in field.metadata
+    parts = [
+        f"{word} {getattr(bound, name)}"
+        for bound in field.metadata
         for name, word in _BOUNDS.items()
-        if getattr(one, name, None) is not None
+        if getattr(bound, name, None) is not None
     ]
-    return ", ".join(told)
+    return ", ".join(parts)

@@ -47,13 +47,13 @@ def _endpoint(method: str, path: str, operation: dict[str, Any]) -> tuple[str, s
     good = [status for status in operation["responses"] if status < "400"]
     what = operation.get("description", operation["summary"]).split("\n\nRoles:")[0]
     roles = needed(method, path)
-    told = "anybody" if roles == ANYBODY else ", ".join(role.value for role in Role if role in roles)
-    return code(f"{method} {path}"), what, ", ".join(good), "all" if len(roles) == len(Role) else told
+    some = "anyone" if roles == ANYBODY else ", ".join(role.value for role in Role if role in roles)
+    return code(f"{method} {path}"), what, ", ".join(good), "all" if len(roles) == len(Role) else some
 
 
 def error_codes() -> str:
     """Codes of problems: of our errors, of plain refusals in the routes, of HTTP itself."""
-    found = {**{one: (status, "") for status, one in _http_codes()}, **dict(_in_routes()), **dict(_of_errors())}
+    found = {**{code: (status, "") for status, code in _http_codes()}, **dict(_in_routes()), **dict(_of_errors())}
     rows = [(code(name), str(status), hint) for name, (status, hint) in sorted(found.items())]
     return table(("code", "status", "what to do"), rows)
 

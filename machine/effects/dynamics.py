@@ -1,4 +1,4 @@
-"""Many parameter sets through the dynamic stages at once: from the sent reference, or from each stage's own input."""
+"""Simulate many parameter sets through the dynamic stages, from the sent reference or from each stage's own input."""
 
 import math
 from dataclasses import dataclass, field
@@ -38,7 +38,7 @@ class Actuators:
     refined: int = 1  # times as many steps as the nominal model's definition asks for
 
     def __post_init__(self) -> None:
-        """Refuse wrong shapes, values, and a log cycle that is no multiple of the PLC's cycle."""
+        """Refuse wrong shapes, values, and a log cycle that is not a multiple of the PLC's cycle."""
         joints = np.array(self.joints, dtype=float, order="C")
         if joints.ndim != 2 or joints.shape[1] != 5 or not np.isfinite(joints).all() or (joints[:, :3] <= 0).any():
             raise MachineError(
@@ -50,7 +50,7 @@ class Actuators:
             raise MachineError(f"plc.transport_delay_s = {self.transport_delay_s} s; give 0 or more")
         if not (self.cycle_s > 0.0 and abs(self.log_cycle_s / self.cycle_s - self.decimate) < 1e-6):
             raise MachineError(
-                f"plc.log_cycle_s = {self.log_cycle_s} s is no multiple of cycle_s = {self.cycle_s} s; give one"
+                f"plc.log_cycle_s = {self.log_cycle_s} s is not a multiple of cycle_s = {self.cycle_s} s; give one"
             )
 
     @property

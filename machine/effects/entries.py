@@ -53,14 +53,14 @@ def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
     """The effects of a machine file's `effect` list, as `tomllib` gives it (None: no list).
 
     Raises: MachineFileError: unknown name (with the nearest ones), joint or parameter; value out of bounds; a joint's
-        third swing.
+        third oscillation.
     """
     if tables is None:
         return ()
     if not isinstance(tables, list):
         raise MachineFileError(f"effect = {tables!r} is not a list; write each effect as its own [[effect]] table")
     entries = tuple(_entry(table, n_joints, f"effect {number}") for number, table in enumerate(tables, start=1))
-    pack(entries, n_joints)  # a third swing of a joint
+    pack(entries, n_joints)  # a third oscillation of a joint
     _require_sums(entries)
     return entries
 
@@ -68,10 +68,10 @@ def parse_entries(tables: object, n_joints: int) -> tuple[EffectEntry, ...]:
 def _require_sums(entries: tuple[EffectEntry, ...]) -> None:
     """That what adds up to a factor leaves one above zero, and what takes a share of the whole leaves some of it."""
     sums: dict[tuple[str, int | None], float] = {}
-    for one in entries:
-        if one.name in (*FACTORS, *SHARES):
-            size = one.value(_known(one).size.name)
-            sums[one.name, one.joint] = sums.get((one.name, one.joint), 0.0) + size
+    for entry in entries:
+        if entry.name in (*FACTORS, *SHARES):
+            size = entry.value(_known(entry).size.name)
+            sums[entry.name, entry.joint] = sums.get((entry.name, entry.joint), 0.0) + size
     for (name, joint), total in sums.items():
         if (name in FACTORS and total <= -SUM_MAX) or (name in SHARES and total >= SUM_MAX):
             where = "" if joint is None else f", joint {joint}"
@@ -124,14 +124,17 @@ def make_entry(effect: Effect, joint: int | None, parameters: Mapping[str, objec
     Raises: MachineFileError: a parameter is unknown, missing, not a number or out of bounds.
     """
     where = where or effect.name
-    words = [one.name for one in (effect.choice, effect.direction) if one is not None]
+    words = [extra.name for extra in (effect.choice, effect.direction) if extra is not None]
     names = [parameter.name for parameter in effect.parameters]
     for given in parameters:
         if given not in names and given not in words:
             raise MachineFileError(f"{where}: unknown parameter {given!r}{_nearest(given, names + words)}")
     if effect.size.name not in parameters:
         raise MachineFileError(f"{where}: {effect.size.name} is missing [{effect.size.unit}]; it says how large it is")
-    values = tuple((one.name, _number(one, parameters.get(one.name, one.neutral), where)) for one in effect.parameters)
+    values = tuple(
+        (parameter.name, _number(parameter, parameters.get(parameter.name, parameter.neutral), where))
+        for parameter in effect.parameters
+    )
     return EffectEntry(
         effect.name, joint, values, _option(effect, parameters, where), _direction(effect, parameters, where)
     )
@@ -218,9 +221,9 @@ def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
     """One parameter set with these effects; several entries of one effect and joint add up.
 
     Model: sizes with neutral 0 add, limits (neutral 1 or inf) take the smaller one, shapes take the last one given. A
-           second swing of a joint goes on beside the first one, at its own frequency.
+           second oscillation of a joint continues in addition to the first one, at its own frequency.
 
-    Raises: MachineFileError: a joint has a third swing; a parameter that the effect does not have.
+    Raises: MachineFileError: a joint has a third oscillation; a parameter that the effect does not have.
     """
     packed = neutral_sets(n_joints)
     for entry in entries:
@@ -230,14 +233,14 @@ def pack(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
         for name, value in entry.values:
             parameter = effect.parameter(name)
             if parameter is None:
-                known = [one.name for one in effect.parameters]
+                known = [parameter.name for parameter in effect.parameters]
                 raise MachineFileError(f"effect {entry.name!r}: unknown parameter {name!r}{_nearest(name, known)}")
             _put(packed, entry, effect, parameter, value)
     return packed
 
 
 def pack_under(entries: Iterable[EffectEntry], n_joints: int) -> ParameterSets:
-    """The same, to put a hypothesis on: a joint's one swing leaves its place to what a hypothesis may put beside it."""
+    """The same, to put a hypothesis on: the one oscillation of a joint makes room for a second one."""
     packed = pack(entries, n_joints)
     for joint in range(1, n_joints + 1):
         row = packed.joint[0, joint - 1]
@@ -250,8 +253,8 @@ def _step_aside(packed: ParameterSets, joint: int) -> None:
     row = packed.joint[0, joint - 1]
     if row[KNOWN_GAIN] != 0.0:
         raise MachineFileError(
-            f"effect {SWING}, joint {joint}: a third swing of one joint; two are modelled. Add the gains of those "
-            "whose frequencies are alike, or leave the smallest one out"
+            f"effect {SWING}, joint {joint}: a third oscillation of one joint; two are modelled. "
+            "Add the gains of those whose frequencies are alike, or leave the smallest one out"
         )
     row[[KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING]] = row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]]
     row[[FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]] = neutral_sets(joint).joint[0, 0, [FLEX_GAIN, FLEX_HZ, FLEX_DAMPING]]

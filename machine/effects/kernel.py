@@ -17,7 +17,7 @@ STEP, RATE, KP_GAIN, PT1_LAG, U_LIMIT = 0, 1, 2, 3, 4
 HYSTERESIS, LAG, DEADBAND, FLOW, ASYMMETRY, DROOP, LEAK, BREAKAWAY = 5, 6, 7, 8, 9, 10, 11, 12
 BIAS, SCALE, ECC_AMPLITUDE, ECC_ORDER, ECC_PHASE = 13, 14, 15, 16, 17
 BACKLASH, FLEX_GAIN, FLEX_HZ, FLEX_DAMPING = 18, 19, 20, 21
-KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING = 22, 23, 24  # a swing of the same joint that goes on beside that one
+KNOWN_GAIN, KNOWN_HZ, KNOWN_DAMPING = 22, 23, 24  # a second oscillation of the same joint
 DEADBAND_LOST = 25  # what is taken off every opening, also off a full one
 BREAKAWAY_ONCE = 26  # of a joint that, once moving, sticks again only where its spool changes sides
 FRICTION, OIL_PERIOD, OIL_DAMPING = 27, 28, 29  # how far the oil yields before a joint moves, and its spring
@@ -27,10 +27,10 @@ DELAY, LOSS, FLOW_LIMIT, PAYLOAD = 0, 1, 2, 3
 KV, WN, ZETA, KP, TAU = 0, 1, 2, 3, 4
 # Stages that a run begins and ends with.
 LINK, CONTROLLER, ACTUATOR, JOINT = 0, 1, 2, 3
-# A link behind its joint: where its side of the play is [rad], its speed, both swings [rad] and their speeds.
+# A link behind its joint: backlash position [rad], its speed, both oscillations [rad] and their speeds.
 SIDE, SIDE_D, BEND, BEND_D, KNOWN_BEND, KNOWN_BEND_D = 0, 1, 2, 3, 4, 5
 BEHIND = 6
-FREE = 8  # numbers of two free swings over one cycle
+FREE = 8  # coefficients of two free oscillations over one cycle
 
 RESTICK_SHARE = 0.2  # of the breakaway command: below it a moving joint sticks again (Coulomb below static friction)
 LOSS_STREAM = 0x7061636B65745F6C  # "packet_l": the stream of packet_loss
@@ -97,15 +97,15 @@ def _share(dt: float, tau: float) -> float:
 
 
 @njit(cache=True)
-def _swings(p: Array, dt: float, out: Array) -> None:
-    """Free motion (FREE,) of a joint's swing and of the one beside it; nothing of one that is not there."""
-    _swing(2.0 * np.pi * p[FLEX_HZ], p[FLEX_DAMPING], dt, out[:4])
+def _free_oscillations(p: Array, dt: float, out: Array) -> None:
+    """Free motion (FREE,) of a joint's first and second oscillation; zeros for an absent one."""
+    _free_oscillation(2.0 * np.pi * p[FLEX_HZ], p[FLEX_DAMPING], dt, out[:4])
     if p[KNOWN_GAIN] != 0.0:
-        _swing(2.0 * np.pi * p[KNOWN_HZ], p[KNOWN_DAMPING], dt, out[4:])
+        _free_oscillation(2.0 * np.pi * p[KNOWN_HZ], p[KNOWN_DAMPING], dt, out[4:])
 
 
 @njit(cache=True)
-def _swing(w: float, damping: float, dt: float, out: Array) -> None:
+def _free_oscillation(w: float, damping: float, dt: float, out: Array) -> None:
     """Free motion of an underdamped oscillator over dt, exactly: (b, b') -> out (2, 2, row by row) times (b, b')."""
     wd = w * np.sqrt(1.0 - damping * damping)
     fade, c, s = np.exp(-damping * w * dt), np.cos(wd * dt), np.sin(wd * dt)
@@ -171,7 +171,7 @@ def _flow(x: float, deadband: float, gains: Gains, droop: float, load: float) ->
 def _spring(p: Array, dt: float, out: Array) -> None:
     """Free motion (4,) of a joint on its oil's spring over dt; nothing without one."""
     if p[OIL_PERIOD] > 0.0:
-        _swing(1.0 / p[OIL_PERIOD], p[OIL_DAMPING], dt, out)
+        _free_oscillation(1.0 / p[OIL_PERIOD], p[OIL_DAMPING], dt, out)
 
 
 @njit(cache=True, inline="always")
@@ -182,18 +182,18 @@ def _sprung(q: float, q_d: float, at: float, spring: Array) -> tuple[float, floa
 
 
 @njit(cache=True, inline="always")
-def _follow(behind: Array, q: float, p: Array, swing: Array, cycle_s: float) -> None:
-    """One PLC cycle of a link behind its joint: play, then the swings that the link's side is kicked into."""
+def _follow(behind: Array, q: float, p: Array, free: Array, cycle_s: float) -> None:
+    """One PLC cycle of a link behind its joint: backlash, then the oscillations that it excites."""
     before, before_d = behind[SIDE], behind[SIDE_D]
     behind[SIDE] = play_operator(q, before, 0.5 * p[BACKLASH])
     behind[SIDE_D] = (behind[SIDE] - before) / cycle_s
     kicked = behind[BEND_D] - p[FLEX_GAIN] * (behind[SIDE_D] - before_d)
-    behind[BEND_D] = swing[2] * behind[BEND] + swing[3] * kicked
-    behind[BEND] = swing[0] * behind[BEND] + swing[1] * kicked
+    behind[BEND_D] = free[2] * behind[BEND] + free[3] * kicked
+    behind[BEND] = free[0] * behind[BEND] + free[1] * kicked
     if p[KNOWN_GAIN] != 0.0:
         kicked = behind[KNOWN_BEND_D] - p[KNOWN_GAIN] * (behind[SIDE_D] - before_d)
-        behind[KNOWN_BEND_D] = swing[6] * behind[KNOWN_BEND] + swing[7] * kicked
-        behind[KNOWN_BEND] = swing[4] * behind[KNOWN_BEND] + swing[5] * kicked
+        behind[KNOWN_BEND_D] = free[6] * behind[KNOWN_BEND] + free[7] * kicked
+        behind[KNOWN_BEND] = free[4] * behind[KNOWN_BEND] + free[5] * kicked
 
 
 @njit(cache=True, nogil=True)
@@ -202,11 +202,11 @@ def course(p: Array, enc: Array, cycle_s: float, side: float = 0.0) -> Array:
     cycle: what `run` does in its last stage, for one joint and set. `side`: of its play, where it stands before the
     first row: -1 to 1, 0 in the middle.
     """
-    swing, behind, out = np.zeros(FREE), np.zeros(BEHIND), np.zeros(len(enc))
-    _swings(p, cycle_s, swing)
+    free, behind, out = np.zeros(FREE), np.zeros(BEHIND), np.zeros(len(enc))
+    _free_oscillations(p, cycle_s, free)
     behind[SIDE] = _true_angle(enc[0], p) + 0.5 * side * p[BACKLASH]
     for k in range(len(enc)):
-        _follow(behind, _true_angle(enc[k], p), p, swing, cycle_s)
+        _follow(behind, _true_angle(enc[k], p), p, free, cycle_s)
         out[k] = behind[SIDE] + behind[BEND] + behind[KNOWN_BEND]
     return out
 
@@ -289,8 +289,8 @@ def _alone(
     gains = _gains(p, nominal[KV])
     friction, sprung, spring = p[FRICTION], p[OIL_PERIOD] > 0.0, np.zeros(4)
     _spring(p, dt, spring)
-    swing, behind = np.zeros(FREE), np.zeros(BEHIND)
-    _swings(p, cycle_s, swing)
+    free, behind = np.zeros(FREE), np.zeros(BEHIND)
+    _free_oscillations(p, cycle_s, free)
     ref = float(sent[kept[latest[0]], 0]) if first == LINK else float(enc_start[0])
     enc, q = enc_start[0], _true_angle(enc_start[0], p)
     lagged = u = play = slow = spool = u_start[0]
@@ -318,7 +318,7 @@ def _alone(
         if last == JOINT:
             if first == JOINT:
                 q = _true_angle(enc_in[k, 0], p)
-            _follow(behind, q, p, swing, cycle_s)
+            _follow(behind, q, p, free, cycle_s)
         if logged:
             ref_out[row, 0], u_out[row, 0], enc_out[row, 0] = ref, u, enc
             link_out[row, 0] = behind[SIDE] + behind[BEND] + behind[KNOWN_BEND]
@@ -359,13 +359,13 @@ def _together(
     play, slow, spool, spool_d, speed = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     moving, q, enc, pull = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
     oil, pushed, q_d, spring = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros((n, 4))
-    behind, swing = np.zeros((n, BEHIND)), np.zeros((n, FREE))
+    behind, free = np.zeros((n, BEHIND)), np.zeros((n, FREE))
     pt1, slow_share, gains = np.zeros(n), np.zeros(n), np.zeros((n, 3))
     for j in range(n):
         pt1[j] = _share(cycle_s, nominal[j, TAU] * (1.0 + P[j, PT1_LAG]))
         slow_share[j] = _share(dt, P[j, LAG])
         gains[j, 0], gains[j, 1], gains[j, 2] = _gains(P[j], nominal[j, KV])
-        _swings(P[j], cycle_s, swing[j])
+        _free_oscillations(P[j], cycle_s, free[j])
         _spring(P[j], dt, spring[j])
         ref[j] = sent[kept[latest[0]], j] if first == LINK else enc_start[j]
         enc[j] = enc_start[j]
@@ -399,7 +399,7 @@ def _together(
             for j in range(n):
                 if first == JOINT:
                     q[j] = _true_angle(enc_in[k, j], P[j])
-                _follow(behind[j], q[j], P[j], swing[j], cycle_s)
+                _follow(behind[j], q[j], P[j], free[j], cycle_s)
         if logged:
             for j in range(n):
                 ref_out[row, j], u_out[row, j], enc_out[row, j] = ref[j], u[j], enc[j]

@@ -1,4 +1,4 @@
-"""Where each effect's parameters stand in the arrays of the kernel and of the static maps."""
+"""Layout of each effect's parameters in the arrays of the kernel and of the static maps."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -109,7 +109,7 @@ class Slot:
     @property
     def spec(self) -> Parameter:
         """What the catalogue says of this number."""
-        return next(one for one in effect_of(self.effect).parameters if one.name == self.parameter)
+        return next(parameter for parameter in effect_of(self.effect).parameters if parameter.name == self.parameter)
 
 
 @dataclass(frozen=True, slots=True)

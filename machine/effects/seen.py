@@ -1,4 +1,4 @@
-"""What camera, odometry and tracker measure of a machine with effects: corners, paths and points, over many samples."""
+"""Simulated measurements of camera, odometry and tracker for a machine with effects, vectorised over samples."""
 
 from dataclasses import dataclass, replace
 
@@ -94,7 +94,10 @@ class Corners:
 def marker_points(sets: ParameterSets, markers: tuple[Marker, ...], which: int = 0) -> Array:
     """True corners on the object (markers, 4, 3) [m]."""
     size = 1.0 + sets.machine[which, MARKER_SIZE]
-    points = [marker_corners(one.side_m * size) @ one.T_on_marker[:3, :3].T + one.T_on_marker[:3, 3] for one in markers]
+    points = [
+        marker_corners(marker.side_m * size) @ marker.T_on_marker[:3, :3].T + marker.T_on_marker[:3, 3]
+        for marker in markers
+    ]
     return np.array(points).reshape(len(markers), 4, 3)
 
 
@@ -130,8 +133,8 @@ def seen_corners(
     later = _both_eyes(sets, lens, np.asarray(Ts_cam_object_later, dtype=float), points, which)
     return Corners(
         *(
-            _sheared(one, two, camera.height_px, readout / dt_s, float(sets.machine[which, STAMP_ROW]))
-            for one, two in zip((left, right), later, strict=True)
+            _sheared(now, two, camera.height_px, readout / dt_s, float(sets.machine[which, STAMP_ROW]))
+            for now, two in zip((left, right), later, strict=True)
         )
     )
 

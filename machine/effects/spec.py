@@ -1,4 +1,4 @@
-"""What an effect is: its parameters with bounds, unit, neutral and prior, and what tells it from its neighbours."""
+"""An effect: its parameters with bounds, unit, neutral and prior, and what distinguishes it from its neighbours."""
 
 import math
 from dataclasses import dataclass
@@ -107,9 +107,9 @@ class Direction:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """One entry of the catalogue. `looks_like`, `told_apart_by`: for the report; `source`: where it comes from.
+    """One entry of the catalogue. `looks_like`, `distinguished_by`: for the report; `source`: where it comes from.
 
-    `prevalence`: how likely a machine that nobody has measured has it (at one joint), before any data. `threshold`:
+    `prevalence`: how likely a machine that no one has measured has it (at one joint), before any data. `threshold`:
     small sizes change nothing until a motion exceeds them, so that there is no slope at neutral.
     """
 
@@ -118,7 +118,7 @@ class Effect:
     scope: Scope
     parameters: tuple[Parameter, ...]
     looks_like: str
-    told_apart_by: str
+    distinguished_by: str
     source: str
     choice: Choice | None = None
     direction: Direction | None = None
@@ -127,14 +127,14 @@ class Effect:
 
     def parameter(self, name: str) -> Parameter | None:
         """The parameter of this name; None if there is none."""
-        return next((one for one in self.parameters if one.name == name), None)
+        return next((parameter for parameter in self.parameters if parameter.name == name), None)
 
     @property
     def size(self) -> Parameter:
         """The parameter that makes the effect vanish at neutral."""
-        return next(one for one in self.parameters if one.role == "size")
+        return next(parameter for parameter in self.parameters if parameter.role == "size")
 
     @property
     def shapes(self) -> tuple[Parameter, ...]:
         """The parameters that mean nothing while the size is neutral."""
-        return tuple(one for one in self.parameters if one.role == "shape")
+        return tuple(parameter for parameter in self.parameters if parameter.role == "shape")

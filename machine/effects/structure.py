@@ -1,4 +1,4 @@
-"""Where the links really are: lengths, axis tilts, base tilt, and bending under gravity, over many samples at once."""
+"""True link poses: lengths, axis tilts, base tilt, and bending under gravity, vectorised over samples."""
 
 import numpy as np
 from numba import njit

@@ -1,4 +1,4 @@
-"""The chain between two links as a URDF writes it: only what lies on it is read, and only that can be refused."""
+"""Read the chain between two links of a URDF; only what lies on it is read and can be refused."""
 
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
@@ -45,14 +45,14 @@ def urdf_chain(text: str, base_link: str, tip_link: str) -> tuple[UrdfJoint, ...
     """The joints from one link up to the common ancestor and down to another one, fixed ones among them.
 
     Raises: MachineError: not URDF, no such link, no chain; on the chain a joint of another type (floating, planar) or
-            without an axis, or numbers that are none; names joint or link.
+            without an axis, or an invalid number; names joint or link.
     """
     root = _root(text)
-    elements = [one for one in root.findall("joint") if _link(one, "parent") and _link(one, "child")]
+    elements = [joint for joint in root.findall("joint") if _link(joint, "parent") and _link(joint, "child")]
     up, down = _path(elements, base_link, tip_link)
     links = {link.get("name", ""): link for link in root.findall("link")}
-    rising = [(one, True) for one in up] + [(one, False) for one in down]
-    return tuple(_joint(one, is_rising, links.get(_link(one, "child"))) for one, is_rising in rising)
+    rising = [(joint, True) for joint in up] + [(joint, False) for joint in down]
+    return tuple(_joint(joint, is_rising, links.get(_link(joint, "child"))) for joint, is_rising in rising)
 
 
 def urdf_joint_names(text: str) -> frozenset[str]:

@@ -162,7 +162,7 @@ def project(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, 
     """Every file of the PLC program: DUTs/, GVLs/, POUs/.
 
     Args:    sources: the hand-written blocks, file name to text.
-    Raises: LocalProtocolError: a source that is no POU, or not named like its file.
+    Raises: LocalProtocolError: a source that is not a POU, or not named like its file.
     """
     files = {f"DUTs/{dut.name}.TcDUT": dut_xml(dut.name, dut.text) for dut in (*duts(), *enums())}
     files |= {f"GVLs/{gvl.name}.TcGVL": gvl_xml(gvl.name, gvl.text) for gvl in gvls(parameters)}
@@ -181,7 +181,7 @@ def _named(file_name: str, text: str) -> Pou:
 def bundle(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, bytes]:
     """All files; `sources` are the hand-written blocks, file name to text.
 
-    Raises: LocalProtocolError: a source that is no POU.
+    Raises: LocalProtocolError: a source that is not a POU.
     """
     texts = {
         "README.md": guides.start_page(parameters),

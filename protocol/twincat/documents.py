@@ -1,4 +1,4 @@
-"""The reference pages that go with the PLC program, generated so that they cannot drift from it."""
+"""Reference pages of the exported PLC program, generated from the protocol tables."""
 
 from protocol import codes, layout, plc_states, timeouts
 from protocol.framing import COMMAND_VARIABLE, EAP_OVERHEAD, EAP_PORT, STATE_VARIABLE
@@ -16,7 +16,7 @@ _BLOCKS = (
 
 
 def offsets_page() -> str:
-    """Every field's place."""
+    """Byte offset of every field."""
     tables = "\n\n".join(f"## {title}\n\n{layout.offsets_markdown(block)}" for title, block in _BLOCKS)
     return f"# HMLINK {VERSION}: byte offsets\n\nLittle endian, natural alignment = packing.\n\n{tables}\n"
 
@@ -46,8 +46,8 @@ def states_page() -> str:
 def rejects_page() -> str:
     """Every reject code with its remedy."""
     return (
-        f"# HMLINK {VERSION}: reject codes\n\n`reject_code`, `reject_seq` and `reject_offset` of the state tell which "
-        "rule, which command and which of its bytes\n([offsets](offsets.md)); offset 0: no single field.\n\n"
+        f"# HMLINK {VERSION}: reject codes\n\n`reject_code`, `reject_seq` and `reject_offset` of the state identify the "
+        "rule, the command and its byte\n([offsets](offsets.md)); offset 0: no single field.\n\n"
         f"{codes.rejects_markdown()}\n"
     )
 

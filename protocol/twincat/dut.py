@@ -1,4 +1,4 @@
-"""The wire structs as TwinCAT types, from the layout table; and the unions through which their bytes are read."""
+"""Wire structs as TwinCAT types from the layout table, with the unions that access their bytes."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A short golden conversation for whoever builds or tests another end: HELLO to STOP, in both framings."""
+"""A short golden conversation for building or testing another end: HELLO to STOP, in both framings."""
 
 import struct
 from collections.abc import Iterable

@@ -67,14 +67,14 @@ def _block(block: Block, payload: bytes, offset: int) -> dict[str, Wire]:
 
 def _section(golden: Golden) -> str:
     kind = "command" if isinstance(golden.message, Command) else "state"
-    values = "\n".join(f"- {name}: {_text(name, value)}" for name, value in _told(golden).items())
+    values = "\n".join(f"- {name}: {_text(name, value)}" for name, value in _described(golden).items())
     payload = golden.payload
     starts = [at for at in range(0, len(payload), 16) if any(payload[at : at + 16])]
     dump = "\n".join(f"{at:5d}: {payload[at : at + 16].hex(' ')}" for at in starts)
     return f"## {golden.name} ({kind}): {golden.purpose}\n\n{values}\n\n```\n{dump}\n```\n"
 
 
-def _told(golden: Golden) -> Mapping[str, object]:
+def _described(golden: Golden) -> Mapping[str, object]:
     return {name: value for name, value in asdict(golden.message).items() if _says_something(value)}
 
 

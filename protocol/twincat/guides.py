@@ -1,4 +1,4 @@
-"""The pages that are read from the top: start, import, commissioning. What is not verified stands on each."""
+"""Guides of the exported PLC program: start, import, commissioning; each lists what is not verified."""
 
 from protocol import layout, timeouts
 from protocol.limits import AxisLimits, cfg_id
@@ -9,16 +9,16 @@ _IN_TIME_MS = (timeouts.COMMAND_LOST.ns + timeouts.STATE_PERIOD.ns) // timeouts.
 _NOT_VERIFIED = """\
 ## What is not verified
 
-Nothing here has met a real TwinCAT runtime or a real machine. Verified: the Structured Text is executed in tests
-beside the simulated PLC and sends the same bytes; an independent parser reads every file; Wireshark's own dissector
-decodes the EAP frames. To be confirmed on the machine:
+Nothing here has run on a real TwinCAT runtime or a real machine. Verified: tests execute the Structured Text in
+parallel with the simulated PLC, and it sends the same bytes; an independent parser reads every file; Wireshark's own
+dissector decodes the EAP frames. To be confirmed on the machine:
 
 - that XAE imports the files as they are and compiles them, and that every SIZEOF is as here (`bLayoutOk`);
 - the EAP state-machine byte (we send 0 and ignore it), the meaning of VarState's bits, whether TwinCAT checks the
   frame's length;
 - FB_HmUdpTf6310 and FB_HmUdpTf6311, which have been parsed but never run; the size limit of TF6311 (1304 bytes are
   within one Ethernet frame);
-- the longest cycle: FB_HmMotion states what its worst one has to do.
+- the longest cycle time: FB_HmMotion states the work of its worst cycle.
 """
 _WATCH_LIST = """\
 ## Watch list
@@ -45,7 +45,7 @@ def start_page(p: PlcParameters) -> str:
 
 One command datagram 50 times a second from the PC, one state datagram every 10 ms from the PLC. The PC sends knots of
 a reference ahead of time; the PLC plays them on its own clock, checks them against its own limits, and ramps down by
-itself when the PC falls silent. **This link is no safety channel**: emergency stop and enable stay hard-wired.
+itself when the PC falls silent. **This link is not a safety channel**: emergency stop and enable stay hard-wired.
 
 | | |
 |---|---|
@@ -60,9 +60,9 @@ itself when the PC falls silent. **This link is no safety channel**: emergency s
 
 1. **Import** `twincat/` into a PLC project, as docs/import.md says.
 2. **Task**: call MAIN every {p.cycle_ns / 1e6:g} ms. For another cycle change the machine file and export again.
-3. **Layout**: build, run, look at `MAIN.fbPlc.bLayoutOk`. FALSE latches fault LAYOUT: a struct is laid out in another
-   way than here, or limits were edited without a new export. `MAIN.fbPlc.fbSelfCheck` tells which check fails; none,
-   and `nOddCycles` of 100: the task's cycle is not that of step 2.
+3. **Layout**: build, run, look at `MAIN.fbPlc.bLayoutOk`. FALSE latches fault LAYOUT: a struct has another layout than
+   here, or limits were edited without a new export. `MAIN.fbPlc.fbSelfCheck` shows which check fails. If none fails and
+   `nOddCycles` is 100, the task's cycle is not that of step 2.
 4. **EAP**: eap/configuration-sheet.md. VarState must be 0 and CycleIndex must run as soon as the PC sends.
 5. **Dry run**: `GVL_HmIo.bDryRun` is TRUE from the start: everything is played, the valves stay closed. Leave it so.
 6. **PC**: `longreach commission --framing eap --plc-host {p.plc_address}`. Its first step arms, plays a small
@@ -78,13 +78,13 @@ itself when the PC falls silent. **This link is no safety channel**: emergency s
 - `c/hmlink.h`: the messages for C and C++;
 - `vectors/`: a golden conversation as captures (EAP and raw), as text and as JSON;
 - `docs/`: import, commissioning, offsets, time limits with reasons, states, reject codes;
-- `MANIFEST.txt`: SHA-256 of every file; `sha256sum -c MANIFEST.txt` tells what was edited since.
+- `MANIFEST.txt`: SHA-256 of every file; `sha256sum -c MANIFEST.txt` lists what was edited since.
 
 {_NOT_VERIFIED}"""
 
 
 def import_page() -> str:
-    """How the files come into a PLC project."""
+    """How to import the files into a PLC project."""
     return """\
 # Import into TwinCAT
 
@@ -101,15 +101,15 @@ There is no project file: add the files to a PLC project of your own (TwinCAT 3.
 7. Bind GVL_HmIo: the EAP variables as in eap/configuration-sheet.md; bEnable, bLeverTaken and bEstop to their switches;
    until MAIN sets bPanelValid from the state of their terminal nothing arms. In MAIN, where it says "here", scale this
    machine's encoders and pressures into stSample, and aValves to its valves.
-8. Build. Warnings are worth reading; errors are worth telling us: none of this has met a real XAE yet.
+8. Build. Read the warnings, and report errors to us: none of this has been compiled by a real XAE yet.
 
 The files have fixed ids, so an import of a newer export replaces the older one. Edit nothing in DUTs and GVLs but
-GVL_HmIo and GVL_HmAuth: change the machine file and export again, else fault LAYOUT or reject CFG tells of it.
+GVL_HmIo and GVL_HmAuth: change the machine file and export again, else fault LAYOUT or reject CFG reports it.
 """
 
 
 def commissioning_page(p: PlcParameters) -> str:
-    """From the dry run to the moving machine, with what must be seen at each step."""
+    """Commissioning from the dry run to the moving machine, with the expected observation of each step."""
     rows = "\n".join(_joint_row(axis) for axis in p.table.axes)
     ramp_s = max(axis.qd_max / axis.qdd_max for axis in p.table.axes)
     return f"""\
@@ -126,8 +126,8 @@ The valves stay closed until step 5. One person at the machine with the emergenc
    stays 0. Pull the network cable in mid-motion: STOPPING within {_IN_TIME_MS} ms, HOLD after a ramp of about
    {ramp_s:.1f} s or less, DISARMED after 1 s of silence. Plug it in: nothing moves; HELLO and ARM are needed again.
 4. **Encoders**, pump on, by lever (LOCAL): sign, zero and range of every joint as in the table. Unplug one encoder:
-   MAIN must tell by writing the bits of a NaN (`uSample.w[j] := 16#7FF8_0000_0000_0000`), and fault SENSOR must come
-   (armed, a reading that jumps gives it as well).
+   MAIN must report it as a NaN (`uSample.w[j] := 16#7FF8_0000_0000_0000`), and fault SENSOR must appear
+   (while armed, a jumping reading raises it as well).
 5. **Valves, joint by joint** (`bDryRun` FALSE while disarmed: armed, the dry run lasts until the next disarming;
    low pump pressure if you can, boom low): jog 2 degrees there and back.
    The valve must open to the side that moves the encoder towards the reference; a wrong sign shows as fault LAG.

@@ -39,7 +39,7 @@ VAR_GLOBAL
 END_VAR
 """
 _IO = f"""\
-(* Bind these to this machine: EAP subscriber and publisher, the switches beside the machine, encoders, valves. *)
+(* Bind these to this machine: EAP subscriber and publisher, the switches at the machine, encoders, valves. *)
 {_QUALIFIED}
 VAR_GLOBAL
     stCmd AT %I* : ST_HmCmd; // EAP subscriber variable 16#4801
@@ -48,8 +48,8 @@ VAR_GLOBAL
     nCmdVarState AT %I* : UINT; // 0: good
     stState AT %Q* : ST_HmState; // EAP publisher variable 16#4802
 
-    bEnable AT %I* : BOOL; // enable key beside the machine
-    bLeverTaken AT %I* : BOOL; // somebody drives by hand
+    bEnable AT %I* : BOOL; // enable key at the machine
+    bLeverTaken AT %I* : BOOL; // a person drives by hand
     bEstop AT %I* : BOOL; // TRUE: pressed; the stop itself is hard-wired
     bPanelValid : BOOL; // TRUE while the three inputs above are read: set it in MAIN from their terminal's WcState
     stSample : ST_HmSample; // scaled readings of this cycle

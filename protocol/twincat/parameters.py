@@ -1,4 +1,4 @@
-"""What the delivered PLC program must know of its machine: the same numbers that the simulated PLC runs with."""
+"""Machine parameters of the delivered PLC program, equal to those of the simulated PLC."""
 
 from dataclasses import dataclass
 

@@ -1,1 +1,1 @@
-"""Logs of other systems (ROS bags, tables) as recordings: what was found, what it was taken for, and why."""
+"""Import logs of other systems (ROS bags, tables) as recordings; each guess is reported with its reason."""

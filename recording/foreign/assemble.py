@@ -1,4 +1,4 @@
-"""What was found in a log, on one time axis, as the folder form of a recording."""
+"""Assemble the signals found in a log on one time axis, as the folder form of a recording."""
 
 import csv
 import re
@@ -66,11 +66,11 @@ def assemble(found: Found, mapping: Mapping, name: str, urdf: Path | None) -> As
     largest = (
         np.zeros(len(joints)) if command is None else np.nan_to_num(np.nanmax(np.abs(command), axis=0, initial=0.0))
     )
-    drive = drive_model(mapping.actuator, found.command_kind, limits, [float(one) for one in largest])
+    drive = drive_model(mapping.actuator, found.command_kind, limits, [float(value) for value in largest])
     if found.command_kind == "valve" and command is not None and mapping.actuator.velocity_max is None:
         drive = with_fitted_gains(drive, t, signals["position"], command)
     step_s = float(f"{np.median(np.diff(t)):.6g}") if len(t) > 1 else 0.01
-    on_joint = {one.point: one.joint for one in mapping.ros.tracker if one.joint is not None}
+    on_joint = {tracker.point: tracker.joint for tracker in mapping.ros.tracker if tracker.joint is not None}
     points = {track.name: on_joint.get(track.name, len(joints)) for track in found.points}
     machine = machine_toml(name, joints, sliding, drive, step_s, chain, urdf.name if urdf else "", points)
     if command is not None and found.command_kind != "valve":

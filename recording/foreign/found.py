@@ -1,4 +1,4 @@
-"""What a log of another system holds, before it is put on one time axis."""
+"""Signals found in a log of another system, before they are put on one time axis."""
 
 from dataclasses import dataclass, field
 from typing import Literal

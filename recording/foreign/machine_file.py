@@ -38,8 +38,10 @@ def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], co
             command over velocity_max, or kp (reference - encoder) with kp velocity_max = 2 pi bandwidth_hz.
     Args:   limits: velocities of the URDF (n,), inf without; commanded: largest velocity commands (n,), 0 without.
     """
-    told: CommandKind = "velocity" if command_kind == "velocity" else "valve" if command_kind == "valve" else "position"
-    kind = wanted.kind or told
+    given: CommandKind = (
+        "velocity" if command_kind == "velocity" else "valve" if command_kind == "valve" else "position"
+    )
+    kind = wanted.kind or given
     fastest = []
     for limit, largest in zip(limits, commanded, strict=True):
         known = limit if math.isfinite(limit) else VELOCITY_MAX
@@ -49,7 +51,7 @@ def drive_model(wanted: Actuator, command_kind: str, limits: Sequence[float], co
         wanted.velocity_bandwidth_hz or VELOCITY_BANDWIDTH_HZ,
     )
     damping = wanted.damping or DAMPING
-    kp = tuple(2.0 * math.pi * position_hz / one for one in fastest)
+    kp = tuple(2.0 * math.pi * position_hz / speed for speed in fastest)
     notes = [f"nominal {kind}-controlled drive: velocity loop of {velocity_hz:g} Hz, damping {damping:g}"]
     if kind == "position":
         notes.append(f"position loop of {position_hz:g} Hz without feed-forward")
@@ -74,7 +76,7 @@ def with_fitted_gains(drive: DriveModel, t_s: Array, q: Array | None, u: Array) 
         good = np.isfinite(speed) & (np.abs(command) > FITTED_FROM)
         gain = float(speed[good] @ command[good] / (command[good] @ command[good])) if good.sum() > 2 else 0.0
         fastest[k] = abs(gain) or fastest[k]
-    kp = tuple(one * before / now for one, before, now in zip(drive.kp, drive.velocity_max, fastest, strict=True))
+    kp = tuple(gain * before / now for gain, before, now in zip(drive.kp, drive.velocity_max, fastest, strict=True))
     note = "velocities of a full command are fitted to this recording, which hides an error of the gain"
     return replace(drive, velocity_max=tuple(fastest), kp=kp, notes=(*drive.notes, f"{note}; give velocity_max"))
 

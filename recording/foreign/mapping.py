@@ -1,4 +1,4 @@
-"""The mapping file: which topic or column is which signal, where a guess by name is not wanted."""
+"""The mapping file: assigns topics or columns to signals where guessing by name is not wanted."""
 
 import tomllib
 from pathlib import Path

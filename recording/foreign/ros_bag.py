@@ -231,7 +231,7 @@ class _Types:
                 read = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
                 message = read(data, kind)
             except Exception as error:  # the decoders are made from the definition and raise what they meet
-                why = f"a message is not what its type says: {error}"
+                why = f"a message does not match its type: {error}"
                 continue
             if place:
                 self._stores[kind, encoding] = [store, *stores[:place], *stores[place + 1 :]]

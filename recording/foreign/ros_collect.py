@@ -148,8 +148,8 @@ def _dynamic_state(found: Collected, message: RosMessage, t_s: float, first_ns: 
     fields = message.decode()
     at = (t_s, _stamp_s(fields, first_ns))
     values: dict[str, list[tuple[str, float]]] = {}
-    for joint, one in zip(fields.joint_names, fields.interface_values, strict=False):
-        for name, value in zip(one.interface_names, one.values, strict=False):
+    for joint, interface in zip(fields.joint_names, fields.interface_values, strict=False):
+        for name, value in zip(interface.interface_names, interface.values, strict=False):
             values.setdefault(name, []).append((joint, float(value)))
     for name in ("position", "velocity", "effort"):
         if name in values:
@@ -205,12 +205,14 @@ def _place(of: Callable[[Any], Any]) -> Callable[..., None]:
 def _transforms(
     found: Collected, message: RosMessage, t_s: float, first_ns: int, wanted: tuple[set[str], set[str]]
 ) -> None:
-    for one in message.decode().transforms:
-        frame = one.child_frame_id.lstrip("/")
+    for transform in message.decode().transforms:
+        frame = transform.child_frame_id.lstrip("/")
         found.frames[message.topic, frame] += 1
-        if frame in wanted[1] or is_tracker(f"{one.header.frame_id} {frame}"):
-            place = one.transform.translation
-            found.add(message.topic, f"frame {frame}", (), (t_s, _stamp_s(one, first_ns)), (place.x, place.y, place.z))
+        if frame in wanted[1] or is_tracker(f"{transform.header.frame_id} {frame}"):
+            place = transform.transform.translation
+            found.add(
+                message.topic, f"frame {frame}", (), (t_s, _stamp_s(transform, first_ns)), (place.x, place.y, place.z)
+            )
 
 
 def is_tracker(name: str) -> bool:
@@ -235,9 +237,9 @@ _TAKERS: dict[str, Callable[..., None]] = {
 def clock_of(found: Collected) -> tuple[bool, str]:
     """Whether headers' stamps are the time, and what to say of it: not where they are far from the recorder's clock."""
     apart = [
-        np.nanmedian(np.frombuffer(one.t) - np.frombuffer(one.stamp))
-        for one in found.series.values()
-        if np.isfinite(np.frombuffer(one.stamp)).any()
+        np.nanmedian(np.frombuffer(series.t) - np.frombuffer(series.stamp))
+        for series in found.series.values()
+        if np.isfinite(np.frombuffer(series.stamp)).any()
     ]
     if not apart:
         return False, "no header has a stamp: times are those of recording, later than measured by the transport"

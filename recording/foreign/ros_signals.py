@@ -1,4 +1,4 @@
-"""Which topic of a bag is which signal: by the mapping, by type, else by name, which is a guess to be confirmed."""
+"""Assign ROS topics to signals: by the mapping, by type, else by name, which is a guess to confirm."""
 
 import json
 from collections.abc import Sequence
@@ -50,13 +50,13 @@ class _Chooser:
         self._all = collected
         self._mapping = mapping
         self._out = Found(started_s=collected.first_s)
-        self._told: set[str] = set()
+        self._used: set[str] = set()
         self._by_stamp, clock = clock_of(collected)
         self._out.notes.append(clock)
 
     def found(self, bag: RosBag) -> Found:
         ros = self._mapping.ros
-        for topic in (ros.encoders, ros.reference, ros.command, *(one.topic for one in ros.tracker)):
+        for topic in (ros.encoders, ros.reference, ros.command, *(tracker.topic for tracker in ros.tracker)):
             if topic and topic not in self._all.types:
                 raise RecordingError(f"the mapping names topic {topic}, which is not in the bag: {self._topics()}")
         self._references()
@@ -80,8 +80,8 @@ class _Chooser:
         failures = [f"{topic}: {why}" for topic, why in self._all.failures.items()]
         return "; ".join(failures) or f"its topics are {self._topics()}; name the topics in a mapping file"
 
-    def _tell(self, topic: str, why: str, guess: bool = False) -> None:
-        self._told.add(topic)
+    def _use(self, topic: str, why: str, guess: bool = False) -> None:
+        self._used.add(topic)
         kind, count = self._all.types.get(topic, ""), self._all.counts[topic]
         if self._all.failed[topic]:
             why += f"; {self._all.failed[topic]} messages are damaged and left out"
@@ -126,21 +126,21 @@ class _Chooser:
                 break
             if self._add("reference", topic, "reference.positions"):
                 self._add("velocity_reference", topic, "reference.velocities")
-                self._tell(topic, "reference and feedback of the joints, by type")
+                self._use(topic, "reference and feedback of the joints, by type")
         if self._out.of("reference"):
             return
         if wanted:
             if not self._reference_from(wanted):
                 raise RecordingError(f"topic {wanted} of the mapping holds no joint positions: {self._why()}")
-            self._tell(wanted, "reference of the joints, by the mapping")
+            self._use(wanted, "reference of the joints, by the mapping")
             return
         for topic in self._of_type(JOINT_STATE):
             if _named(topic, REFERENCE_WORDS) and self._reference_from(topic):
-                self._tell(topic, "reference of the joints, by its name", guess=True)
+                self._use(topic, "reference of the joints, by its name", guess=True)
                 return
         for topic in self._of_type(TRAJECTORY):
             if self._reference_from(topic):
-                self._tell(topic, "reference of the joints: its trajectories one after the other", guess=True)
+                self._use(topic, "reference of the joints: its trajectories one after the other", guess=True)
                 return
 
     def _reference_from(self, topic: str) -> bool:
@@ -160,7 +160,7 @@ class _Chooser:
             is_state = self._all.types[wanted] == CONTROLLER_STATE
             if not self._add("position", wanted, "feedback.positions" if is_state else "position"):
                 raise RecordingError(f"topic {wanted} of the mapping holds no joint positions: {self._why()}")
-            self._tell(wanted, "encoders, by the mapping")
+            self._use(wanted, "encoders, by the mapping")
             return
         most = max((self._all.counts[topic] for topic in states), default=0)
         for topic in self._of_type(CONTROLLER_STATE):
@@ -170,8 +170,10 @@ class _Chooser:
         states.sort(key=lambda topic: (not topic.endswith("joint_states"), -self._all.counts[topic]))
         for topic in states:
             if self._add("position", topic, "position"):
-                several = len([one for one in states if not one.endswith("dynamic_joint_states")]) > 1
-                self._tell(topic, "encoders, by type" + (" and name" if several else ""), guess=several)
+                several = (
+                    len([state_topic for state_topic in states if not state_topic.endswith("dynamic_joint_states")]) > 1
+                )
+                self._use(topic, "encoders, by type" + (" and name" if several else ""), guess=several)
                 return
         for topic in self._of_type(CONTROLLER_STATE):
             self._add("position", topic, "feedback.positions")
@@ -203,9 +205,9 @@ class _Chooser:
 
     def _command(self, topic: str, kind: CommandKind, names: tuple[str, ...], series: Series) -> None:
         guess = not (self._mapping.ros.command and self._mapping.ros.command_kind)
-        told = f"{kind} commands of {', '.join(names)}" + (", by its name and the encoders' order" if guess else "")
+        how = f"{kind} commands of {', '.join(names)}" + (", by its name and the encoders' order" if guess else "")
         if kind == "effort":
-            self._told.add(topic)
+            self._used.add(topic)
             why = "effort commands: a torque-driven joint has no nominal model here; the reference is used"
             self._out.entries.append(Entry(topic, self._all.types[topic], self._all.counts[topic], "ignored", why))
             return
@@ -215,14 +217,14 @@ class _Chooser:
         what: Kind = "reference" if kind == "position" else "command"
         self._out.signals.append(JointSignal(what, topic, names, t, values, held=True))
         self._out.command_kind = "" if kind == "position" else kind
-        self._tell(topic, told, guess)
+        self._use(topic, how, guess)
 
     def _names(self) -> tuple[str, ...]:
         signals = self._out.of("position")
         return max(signals, key=lambda signal: len(signal.t_s)).names if signals else ()
 
     def _points(self) -> None:
-        named = {(one.topic, one.frame): one.point for one in self._mapping.ros.tracker}
+        named = {(tracker.topic, tracker.frame): tracker.point for tracker in self._mapping.ros.tracker}
         for (topic, name, _), series in self._all.series.items():
             frame = name.removeprefix("frame ") if name.startswith("frame ") else ""
             if name != "xyz" and not frame:
@@ -233,14 +235,14 @@ class _Chooser:
             t, xyz = in_time_order(times(series, self._by_stamp), series.values)
             point = mapped or (frame or topic).strip("/").replace("/", "_")
             self._out.points.append(PointTrack(point, topic, t, xyz))
-            self._tell(topic, f"tracked point {point!r}" + ("" if mapped else ", by its name"), guess=mapped is None)
+            self._use(topic, f"tracked point {point!r}" + ("" if mapped else ", by its name"), guess=mapped is None)
 
     def _rest(self) -> None:
         """Every topic that is not used, and why."""
         frames = sorted({frame for _, frame in self._all.frames})
         shown = ", ".join(frames[:8]) + (" ..." if len(frames) > 8 else "")
         for topic, kind in sorted(self._all.types.items()):
-            if topic in self._told:
+            if topic in self._used:
                 continue
             why = self._all.failures.get(topic) or _why_ignored(kind, shown)
             self._out.entries.append(Entry(topic, kind, self._all.counts[topic], "ignored", why))
@@ -269,15 +271,18 @@ def _kind_by_name(topic: str) -> CommandKind | None:
 def _played(topic: str, trajectories: Sequence[Trajectory], by_stamp: bool) -> list[JointSignal]:
     """Trajectories one after the other; each counts until the next one starts, and its end is held."""
     by_names: dict[tuple[str, ...], list[Trajectory]] = {}
-    for one in trajectories:
-        by_names.setdefault(one.names, []).append(one)
+    for trajectory in trajectories:
+        by_names.setdefault(trajectory.names, []).append(trajectory)
     signals = []
     for names, several in by_names.items():
-        starts = [one.stamp_s if by_stamp and np.isfinite(one.stamp_s) else one.t_s for one in several]
+        starts = [
+            trajectory.stamp_s if by_stamp and np.isfinite(trajectory.stamp_s) else trajectory.t_s
+            for trajectory in several
+        ]
         ends = [*starts[1:], np.inf]
         times_s, rows = list[Array](), list[Array]()
-        for one, start, end in zip(several, starts, ends, strict=True):
-            t, positions = _curve(one, rows[-1][-1] if rows else None)
+        for trajectory, start, end in zip(several, starts, ends, strict=True):
+            t, positions = _curve(trajectory, rows[-1][-1] if rows else None)
             inside = start + t < end - HELD_S
             if not inside.any():
                 continue

@@ -67,13 +67,17 @@ def _text(path: Path) -> list[TableColumn]:
         try:
             head.decode("utf-8-sig")
         except UnicodeDecodeError as error:
-            encoding = "utf-8-sig" if error.start > len(head) - 4 else "cp1252"  # a character cut by the end is none
+            encoding = (
+                "utf-8-sig" if error.start > len(head) - 4 else "cp1252"
+            )  # a character cut by the end does not count
     with path.open(encoding=encoding, newline="", errors="replace") as file:
         lines = file.read(SNIFFED).splitlines()
         file.seek(0)
         scope = _scope_separator(lines)
         if scope == " ":
-            raise RecordingError(f"{path}: a Scope export separated by spaces, which names hold, too; export with tabs")
+            raise RecordingError(
+                f"{path}: a Scope export separated by spaces, but names contain spaces; export with tabs"
+            )
         if scope:
             return _scope(csv.reader(_lines(file), delimiter=scope), scope)
         separator = _separator(lines)
@@ -96,10 +100,10 @@ def _separator(lines: Sequence[str]) -> str:
     """What stands between columns: of those that cut most lines alike, the one that gives most columns."""
     body = [line for line in lines[:-1] or lines if line.strip()][-20:]
     scores = {}
-    for one in SEPARATORS:
-        counts = Counter(line.count(one) for line in body)
+    for separator in SEPARATORS:
+        counts = Counter(line.count(separator) for line in body)
         usual, lines_alike = counts.most_common(1)[0]
-        scores[one] = lines_alike if usual else 0
+        scores[separator] = lines_alike if usual else 0
     best = max(scores, key=lambda one: scores[one])
     return best if scores[best] > len(body) // 2 else " "
 
@@ -114,7 +118,7 @@ def _scope_separator(lines: Sequence[str]) -> str:
 
 
 class _Columns:
-    """Numbers of a table, row by row; what is no number is NaN."""
+    """Numbers of a table, row by row; what is not a number is NaN."""
 
     def __init__(self, width: int, to_number: Callable[[str], float]) -> None:
         self._cells = [array("d") for _ in range(width)]
@@ -137,7 +141,7 @@ class _Columns:
 
 
 def _with_comma(text: str) -> float:
-    """A number with a decimal comma; NaN where it is none."""
+    """A number with a decimal comma; NaN if it is not a number."""
     try:
         return float(text.strip().replace(",", "."))
     except ValueError:

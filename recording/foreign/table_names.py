@@ -1,4 +1,4 @@
-"""What a column of somebody's own table may be: by the words of its name, its unit, and the size of its numbers."""
+"""Guess the signal of a table column from the words of its name, its unit, and the size of its numbers."""
 
 import math
 import re
@@ -88,7 +88,7 @@ def unit_factor(unit: str, signal: ColumnSignal) -> float:
     }
     if found is None or found[0] not in wanted.get(signal, ("angle", "length")):
         known = ", ".join(name for name, (kind, _) in UNITS.items() if kind in wanted.get(signal, ("angle", "length")))
-        raise RecordingError(f"unit {unit!r} is none of a column of {signal}; give one of {known}")
+        raise RecordingError(f"unit {unit!r} does not fit a column of {signal}; give one of {known}")
     return found[1]
 
 
@@ -125,7 +125,7 @@ def guess_column(name: str, unit: str, values: Array) -> ColumnGuess:
         return ColumnGuess("q_ref", joint, unit=unit or _angle_unit(values), why="reference, by its name")
     if known & POSITION:
         return ColumnGuess("q", joint, unit=unit or _angle_unit(values), why="encoder, by its name")
-    return ColumnGuess("ignored", why="its name says nothing; name it in a mapping file to use it")
+    return ColumnGuess("ignored", why="its name is not recognised; name it in a mapping file to use it")
 
 
 def _without_unit(name: str) -> tuple[str, str]:

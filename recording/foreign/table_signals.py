@@ -1,4 +1,4 @@
-"""The columns of a table as signals: by the mapping file, else guessed, which has to be confirmed."""
+"""Assign table columns to signals: by the mapping file, else by guesses to confirm."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -65,34 +65,36 @@ def _names(columns: Sequence[TableColumn]) -> str:
 
 def _mapped(columns: Sequence[TableColumn], mapping: Mapping, path: Path) -> dict[str, Column]:
     known = {column.name for column in columns}
-    for one in mapping.column:
-        if one.name not in known:
-            raise RecordingError(f"{path} has no column {one.name!r} of the mapping; it has {_names(columns)}")
-        if one.signal in ("q", "q_ref", "qd_ref", "u") and one.joint is None:
-            raise RecordingError(f"mapping: column {one.name!r} is {one.signal}: give its joint, from 1")
-        if one.signal != "ignored":
-            unit_factor(one.unit, one.signal)
-    return {one.name: one for one in mapping.column}
+    for column in mapping.column:
+        if column.name not in known:
+            raise RecordingError(f"{path} has no column {column.name!r} of the mapping; it has {_names(columns)}")
+        if column.signal in ("q", "q_ref", "qd_ref", "u") and column.joint is None:
+            raise RecordingError(f"mapping: column {column.name!r} is {column.signal}: give its joint, from 1")
+        if column.signal != "ignored":
+            unit_factor(column.unit, column.signal)
+    return {column.name: column for column in mapping.column}
 
 
 def _guessed(columns: Sequence[TableColumn]) -> dict[str, Column]:
     guesses = {column.name: guess_column(column.name, column.unit, column.values) for column in columns}
-    places = joint_numbers([one.joint for one in guesses.values() if one.signal in KINDS])
+    places = joint_numbers([guess.joint for guess in guesses.values() if guess.signal in KINDS])
     out: dict[str, Column] = {}
     taken: set[tuple[str, int | str]] = set()
-    for name, one in guesses.items():
-        joint = places[one.joint] if one.signal in KINDS else None
-        key = (one.signal, joint if joint is not None else one.point)
-        if one.signal == "ignored" or key in taken:
+    for name, guess in guesses.items():
+        joint = places[guess.joint] if guess.signal in KINDS else None
+        key = (guess.signal, joint if joint is not None else guess.point)
+        if guess.signal == "ignored" or key in taken:
             continue
         taken.add(key)
-        unit = _alike(one.signal, one.unit, [other.unit for other in guesses.values() if other.signal == one.signal])
-        out[name] = Column(name=name, signal=one.signal, joint=joint, point=one.point, unit=unit)
+        unit = _alike(
+            guess.signal, guess.unit, [other.unit for other in guesses.values() if other.signal == guess.signal]
+        )
+        out[name] = Column(name=name, signal=guess.signal, joint=joint, point=guess.point, unit=unit)
     return out
 
 
 def _alike(signal: str, unit: str, units: Sequence[str]) -> str:
-    """One joint beyond a whole turn in rad makes all of its kind degrees: nobody writes both."""
+    """One joint beyond a whole turn in rad makes all of its kind degrees: a table has one unit per signal."""
     return "deg" if signal in ("q", "q_ref", "qd_ref") and unit == "rad" and "deg" in units else unit
 
 
@@ -125,17 +127,17 @@ def _signal(column: TableColumn, one: Column, clock: Array | None) -> JointSigna
 def _together(kind: Kind, several: Sequence[tuple[int, JointSignal]]) -> list[JointSignal]:
     """Joints on one time axis as one signal; others stay apart."""
     groups: list[list[tuple[int, JointSignal]]] = []
-    for number, one in sorted(several, key=lambda pair: pair[0]):
-        group = next((g for g in groups if np.array_equal(g[0][1].t_s, one.t_s)), None)
+    for number, signal in sorted(several, key=lambda pair: pair[0]):
+        group = next((g for g in groups if np.array_equal(g[0][1].t_s, signal.t_s)), None)
         if group is None:
-            groups.append([(number, one)])
+            groups.append([(number, signal)])
         else:
-            group.append((number, one))
+            group.append((number, signal))
     out = []
     for group in groups:
-        signals = [one for _, one in group]
-        values = np.hstack([one.values for one in signals])
-        names = tuple(one.names[0] for one in signals)
+        signals = [signal for _, signal in group]
+        values = np.hstack([signal.values for signal in signals])
+        names = tuple(signal.names[0] for signal in signals)
         out.append(JointSignal(kind, signals[0].source, names, signals[0].t_s, values, signals[0].held))
     return out
 
@@ -160,7 +162,7 @@ def _points(columns: Sequence[TableColumn], wanted: dict[str, Column], clock: Ar
 
 
 def _command_kind(columns: Iterable[Column]) -> str:
-    units = [one.unit for one in columns if one.signal == "u"]
+    units = [column.unit for column in columns if column.signal == "u"]
     if not units:
         return ""
     return "valve" if units[0].lower() in ("frac", "%", "percent", "pct") else "velocity"
@@ -169,9 +171,9 @@ def _command_kind(columns: Iterable[Column]) -> str:
 def proposal(columns: Iterable[Column]) -> str:
     """The guesses as a mapping file, to be corrected."""
     lines = []
-    for one in columns:
-        lines += ["[[column]]", f"name = {json.dumps(one.name)}", f'signal = "{one.signal}"']
-        lines += [f"joint = {one.joint}"] if one.joint is not None else []
-        lines += [f"point = {json.dumps(one.point)}"] if one.point else []
-        lines += [f"unit = {json.dumps(one.unit)}", ""]
+    for column in columns:
+        lines += ["[[column]]", f"name = {json.dumps(column.name)}", f'signal = "{column.signal}"']
+        lines += [f"joint = {column.joint}"] if column.joint is not None else []
+        lines += [f"point = {json.dumps(column.point)}"] if column.point else []
+        lines += [f"unit = {json.dumps(column.unit)}", ""]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The arm in a URDF, when nobody says where it starts and ends: from the recorded joints."""
+"""Find the arm's chain in a URDF from the recorded joints, when base and tip are not given."""
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Collection
@@ -77,7 +77,7 @@ def _tip(parents: dict[str, ElementTree.Element], recorded: Collection[str]) -> 
         is_finger = joint.find("mimic") is not None or (above is not None and siblings.count(above) > 1)
         if joint.get("name") not in recorded or (is_finger and joint.get("type") == "prismatic"):
             continue
-        count = sum(one.get("name") in recorded for one in _way(parents, _link(joint, "child")))
+        count = sum(element.get("name") in recorded for element in _way(parents, _link(joint, "child")))
         if count > best:
             best, tip = count, _link(joint, "child")
     if tip:
@@ -87,4 +87,4 @@ def _tip(parents: dict[str, ElementTree.Element], recorded: Collection[str]) -> 
 
 
 def _next_moving(parents: dict[str, ElementTree.Element], link: str) -> str | None:
-    return next((one.get("name") for one in _way(parents, link) if one.get("type") != "fixed"), None)
+    return next((element.get("name") for element in _way(parents, link) if element.get("type") != "fixed"), None)

@@ -52,7 +52,7 @@ class LeaseDesk:
         """Take control from a holder who would not be admitted now; the lease that ended, if one did."""
         if self.book.held is None or self._still():
             return None
-        return self.expel(f"the key of {self.book.held.owner} is out of force, or their session has ended")
+        return self.expel(f"the key of {self.book.held.owner} is no longer valid, or the session has ended")
 
     def expel(self, why: str) -> Lease | None:
         """As LeaseBook.expel."""

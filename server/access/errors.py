@@ -29,7 +29,7 @@ class LeaseLostError(AccessError):
 
     code = "lease_lost"
     status = 409
-    hint = "control has passed on: ask for it (POST /v1/lease/ask) or, as a person, take it (POST /v1/lease/take)"
+    hint = "another client has control: request it (POST /v1/lease/ask) or, as a person, take it (POST /v1/lease/take)"
 
 
 class LeaseStaleError(AccessError):
@@ -37,7 +37,7 @@ class LeaseStaleError(AccessError):
 
     code = "lease_stale"
     status = 409
-    hint = "PUT /v1/lease/{lease_id} revives it, then send the command again; keep it alive every third of ttl_s"
+    hint = "PUT /v1/lease/{lease_id} renews it, then send the command again; renew it every third of ttl_s"
 
 
 class LeaseHeldError(AccessError):
@@ -45,11 +45,11 @@ class LeaseHeldError(AccessError):
 
     code = "lease_held"
     status = 409
-    hint = "wait, ask for it (POST /v1/lease/ask) or, as a person, take it (POST /v1/lease/take)"
+    hint = "wait, request it (POST /v1/lease/ask) or, as a person, take it (POST /v1/lease/take)"
 
 
 class TakeRefusedError(AccessError):
     """A forced take is for persons; a fleet's program may ask and wait."""
 
     code = "take_refused"
-    hint = "a fleet acquires a free lease, or asks the holder for it (POST /v1/lease/ask)"
+    hint = "a fleet acquires a free lease, or requests it from the holder (POST /v1/lease/ask)"

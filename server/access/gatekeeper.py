@@ -54,7 +54,7 @@ class Lockout:
 
 
 class HostError(AccessError):
-    """The Host header is none of this server's names."""
+    """The Host header is not one of this server's names."""
 
     code = "foreign_host"
     status = 421
@@ -115,7 +115,7 @@ class Gatekeeper:
         Raises: HostError, OriginError, LockedOutError, KeyRequiredError, RoleError.
         """
         if not host_allowed(request.host, self._hosts):
-            raise HostError(f"host '{request.host[:64]}' is none of this server's names")
+            raise HostError(f"host '{request.host[:64]}' is not one of this server's names")
         if request.method not in SAFE_METHODS and not origin_allowed(request.origin, request.host):
             raise OriginError(f"a page of {(request.origin or '')[:64]} may not command this machine")
         roles = _needed(request)
@@ -149,7 +149,7 @@ class Gatekeeper:
             if required:
                 raise
             if not isinstance(error, AccessError):
-                log.exception("the caller of %s is not known", request.path)
+                log.exception("the caller of %s is unknown", request.path)
             return Caller("nobody", "", request.address)
 
     def _presented(self, request: Credentials, now_s: float) -> ApiKey:
@@ -157,7 +157,7 @@ class Gatekeeper:
             return self._by_key(request.bearer, request.address, now_s)
         key = self._by_session(request.cookie, now_s)
         if key is None:
-            raise KeyRequiredError(self._none_in_force() or "no key, or a session that has ended")
+            raise KeyRequiredError(self._none_in_force() or "no key given, or the session has ended")
         return key
 
     def _by_session(self, cookie: str, now_s: float) -> ApiKey | None:
@@ -166,7 +166,7 @@ class Gatekeeper:
 
     def _none_in_force(self) -> str:
         """Told to whoever asks: the reason itself names a file, and stands in log, faults and /readyz."""
-        return "the server cannot read its key file, and no key is in force until it can" if self.keys.problem else ""
+        return "the server cannot read its key file; until it can, no key is accepted" if self.keys.problem else ""
 
     def _by_key(self, secret: str, address: str, now_s: float) -> ApiKey:
         left_s = self._lockout.locked_s(address, now_s)
@@ -186,7 +186,7 @@ class Gatekeeper:
     def _role(self, caller: Caller, roles: frozenset[Role], request: Credentials) -> Caller:
         if roles and caller.role not in roles:
             wanted = ", ".join(sorted(roles))
-            raise RoleError(f"role {caller.role} may not {request.method} {request.path}; it takes {wanted}")
+            raise RoleError(f"role {caller.role} may not {request.method} {request.path}; required: {wanted}")
         return caller
 
 

@@ -77,7 +77,7 @@ def without_key(keys: tuple[ApiKey, ...], name: str, t_unix_s: float) -> tuple[A
     Raises: KeysError: there is none.
     """
     if not any(key.name == name and key.revoked_unix_s is None for key in keys):
-        raise KeysError(f"no key '{name}' in force; `longreach keys list` shows all")
+        raise KeysError(f"no valid key '{name}'; `longreach keys list` shows all")
     return tuple(
         replace(key, revoked_unix_s=t_unix_s) if key.name == name and key.revoked_unix_s is None else key
         for key in keys
@@ -97,7 +97,7 @@ def read_keys(path: Path) -> tuple[ApiKey, ...]:
     except OSError as error:
         raise KeysError(f"key file {path}: {error.strerror}") from error
     except (ValueError, KeyError, TypeError) as error:
-        raise KeysError(f"key file {path} is none ({error}); make one with `longreach keys add`") from error
+        raise KeysError(f"{path} is not a key file ({error}); make one with `longreach keys add`") from error
 
 
 def write_keys(path: Path, keys: tuple[ApiKey, ...]) -> None:
@@ -117,7 +117,7 @@ def write_private(path: Path, text: str) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_durably(path, text, private=True)
     except OSError as error:
-        raise KeysError(f"{path}: {error.strerror}; give a folder that can be written") from error
+        raise KeysError(f"{path}: {error.strerror}; give a writable folder") from error
 
 
 def first_key(path: Path, role: Role, secret_path: Path) -> bool:

@@ -76,7 +76,7 @@ class LeaseBook:
         if held is None or held.stale(now_s) or held.offered(owner, now_s):
             return self._give(owner, kind, ttl_s, lease_id, now_s, f"{owner} acquired it")
         raise LeaseHeldError(
-            f"{held.owner} ({held.kind}) has control for {held.expires_in_s(now_s):.0f} s more unless kept alive",
+            f"{held.owner} ({held.kind}) has control for {held.expires_in_s(now_s):.0f} s more unless renewed",
             self.references(now_s),
         )
 
@@ -87,7 +87,7 @@ class LeaseBook:
         """
         if not kind.person:
             raise TakeRefusedError(
-                f"{owner} is a fleet's program: control is taken by a person", self.references(now_s)
+                f"{owner} is a fleet program: only a person may take control", self.references(now_s)
             )
         return self._give(owner, kind, ttl_s, lease_id, now_s, f"{owner} took it: {reason}")
 
@@ -155,7 +155,9 @@ class LeaseBook:
             raise LeaseLostError(
                 f"control was lost: {why or 'it has ended'}; {self._now(now_s)}", self.references(now_s)
             )
-        raise NoLeaseError(f"the command carries no lease of this machine; {self._now(now_s)}", self.references(now_s))
+        raise NoLeaseError(
+            f"the command carries a lease of another machine; {self._now(now_s)}", self.references(now_s)
+        )
 
     def check(self, lease_id: str, fencing: int | None, now_s: float) -> Lease:
         """The lease under which a command may move the machine.
@@ -167,7 +169,7 @@ class LeaseBook:
         held = self.known(lease_id, now_s, fencing)
         if held.stale(now_s):
             raise LeaseStaleError(
-                f"control of {held.owner} is stale: not kept alive for {now_s - held.heard_s:.1f} s "
+                f"control of {held.owner} is stale: not renewed for {now_s - held.heard_s:.1f} s "
                 f"(limit {held.ttl_s:.1f} s)",
                 self.references(now_s),
             )
@@ -179,7 +181,7 @@ class LeaseBook:
         if held is not None and held.fencing == fencing:
             if not held.stale(now_s):
                 return ""
-            return f"control of {held.owner} went stale: not kept alive for {held.ttl_s:.1f} s"
+            return f"control of {held.owner} went stale: not renewed for {held.ttl_s:.1f} s"
         return f"control was lost: {self._ended[-1][1] if self._ended else 'it has ended'}"
 
     def references(self, now_s: float) -> dict[str, str]:
@@ -193,7 +195,7 @@ class LeaseBook:
     def _now(self, now_s: float) -> str:
         held = self.held
         if held is None:
-            return "nobody has control"
+            return "no one has control"
         return f"{held.owner} ({held.kind}) has control" + (", stale" if held.stale(now_s) else "")
 
 

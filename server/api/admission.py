@@ -14,7 +14,7 @@ from server.access.gatekeeper import KeyRequiredError
 CHECK_S = 0.4  # with the key file's period (server/access/keys.py): out of force within a second
 CLOSE = {"type": "websocket.close", "code": 4401, "reason": "unauthorized"}
 DISCONNECT = {"type": "websocket.disconnect", "code": 4401, "reason": "unauthorized"}
-OVER = "the key is out of force, or the session has ended"
+OVER = "the key is no longer valid, or the session has ended"
 StillAdmitted = Callable[[], bool]
 
 

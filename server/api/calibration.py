@@ -32,12 +32,12 @@ def calibration_router(service: JobService) -> APIRouter:
 
     @router.get("", response_model=CalibrationView, responses={404: {"model": Problem}})
     async def read_calibration() -> CalibrationView | JSONResponse:
-        """The calibration of here and now; 404 with the reason while there is none."""
+        """The current local calibration; 404 with the reason if there is none."""
         return calibration_view(cell, service.context, mono_ns()) or _none(service)
 
     @router.get("/export", response_model=None, response_class=Response, responses=EXPORTED)
     async def export_calibration(format: Literal["yaml", "ros", "json"] = "yaml") -> PlainTextResponse | JSONResponse:
-        """As YAML, as ROS's static transform, or as longreach's own file (JSON)."""
+        """The calibration as YAML, as a ROS static transform, or as longreach's own file (JSON)."""
         life = cell.knowledge.life
         if life is None:
             return _none(service)
@@ -54,5 +54,5 @@ def calibration_router(service: JobService) -> APIRouter:
 def _none(service: JobService) -> JSONResponse:
     note = service.cell.knowledge.calibration_note
     return problem(
-        404, "No calibration", note or "there is no calibration yet; run the job calibrate", "no_calibration"
+        404, "No calibration", note or "there is no calibration yet; run the job 'calibrate'", "no_calibration"
     )

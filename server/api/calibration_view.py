@@ -10,7 +10,7 @@ from server.jobs.cell import Cell
 from server.jobs.context import PlanContext
 from server.link.contracts import oil_told_c
 
-NOW_UNKNOWN = Validity(ValidityStatus.VALID, "where the machine stands is not known: the PLC has not been heard")
+NOW_UNKNOWN = Validity(ValidityStatus.VALID, "the machine's position is unknown: no state received from the PLC")
 
 
 def calibration_view(cell: Cell, ctx: PlanContext, t_mono_ns: int) -> CalibrationView | None:

@@ -18,13 +18,13 @@ REPORT_CSP = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; sand
 RUNS_MAX = 10
 Id = Annotated[str, InPath(pattern=r"^[0-9a-f]{12}$")]
 UNKNOWN: dict[int | str, dict[str, Any]] = {404: {"model": Problem}}
-UNFINISHED = UNKNOWN | {409: {"model": Problem, "description": "it has no answer (yet)"}}
+UNFINISHED = UNKNOWN | {409: {"model": Problem, "description": "it has no result (yet)"}}
 
 
 class RunDiagnosis(Strict):
     """Of a recorded run."""
 
-    run_id: Annotated[str, Field(pattern=RUN_ID, description="as GET /v1/runs tells it")]
+    run_id: Annotated[str, Field(pattern=RUN_ID, description="as listed by GET /v1/runs")]
 
 
 class PathDiagnosis(Strict):
@@ -70,18 +70,18 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
 
     @router.get("", response_model=list[DiagnosisView])
     async def list_diagnoses() -> list[DiagnosisView]:
-        """The last ones of this life, newest first."""
+        """The diagnoses since the server started, newest first."""
         return [_view(one) for one in reversed(diagnoses.all)]
 
     @router.get("/{diagnosis_id}", response_model=DiagnosisView, responses=UNKNOWN)
     async def read_diagnosis(diagnosis_id: Id) -> DiagnosisView | JSONResponse:
-        """How far it is."""
+        """State and progress of a diagnosis."""
         one = diagnoses.find(diagnosis_id)
         return _view(one) if one else _unknown(diagnosis_id)
 
     @router.delete("/{diagnosis_id}", status_code=204, response_class=Response, responses=UNKNOWN)
     async def stop_diagnosis(diagnosis_id: Id) -> Response:
-        """End it."""
+        """Cancel a diagnosis."""
         one = diagnoses.find(diagnosis_id)
         if one is None:
             return _unknown(diagnosis_id)
@@ -90,7 +90,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
 
     @router.get("/{diagnosis_id}/result", response_model=None, responses=UNFINISHED)
     async def diagnosis_result(diagnosis_id: Id) -> JSONResponse:
-        """The whole answer as JSON; docs/diagnosis-answer.md describes it field by field."""
+        """The full result as JSON; docs/diagnosis-answer.md describes it field by field."""
         one = diagnoses.find(diagnosis_id)
         if one is None or one.state != "done":
             return _unfinished(one) if one else _unknown(diagnosis_id)
@@ -103,7 +103,7 @@ def diagnoses_router(folder: Path, diagnoses: Diagnoses) -> APIRouter:
         responses=UNFINISHED | {200: {"description": "a page", "content": {"text/html": {}}}},
     )
     async def diagnosis_report(diagnosis_id: Id) -> FileResponse | JSONResponse:
-        """The report as a page of its own."""
+        """The report as a self-contained HTML page."""
         one = diagnoses.find(diagnosis_id)
         if one is None or one.state != "done":
             return _unfinished(one) if one else _unknown(diagnosis_id)

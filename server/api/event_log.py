@@ -45,7 +45,7 @@ class EventLog:
         if not last_id:
             return self.number, ""
         if life != self.life or not number.isdecimal():
-            return 0, "the server has started anew since that event"
+            return 0, "the server has restarted since that event"
         if int(number) + 1 < oldest:
             return 0, f"only the last {KEPT} events are kept"
         return min(int(number), self.number), ""

@@ -37,7 +37,7 @@ def events_router(log: EventLog) -> APIRouter:
         last_event_id: Annotated[str, Header(max_length=64)] = "",
         state: Annotated[bool, Query(description="also the state, once a second")] = True,
     ) -> StreamingResponse | JSONResponse:
-        """Events `job`, `control`, `link`, `fault`, and `state`; resumes behind Last-Event-ID, tells a `gap`."""
+        """Events `job`, `control`, `link`, `fault`, and `state`; resumes after Last-Event-ID and reports a `gap`."""
         if log.readers >= READERS_MAX:
             return problem(503, "Too many readers", f"{READERS_MAX} follow already", "too_many_readers", "try later")
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}

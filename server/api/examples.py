@@ -301,7 +301,7 @@ EXAMPLES: dict[str, Example] = {
         "hint": "wait for its end, or POST /v1/stop",
         "references": {"job_id": JOB_ID, "owner": "fleet 1"},
     },
-    "ReadyView": {"ready": False, "reasons": ["the camera gives no images: check its cable and [camera] settings"]},
+    "ReadyView": {"ready": False, "reasons": ["the camera delivers no images: check its cable and [camera] settings"]},
     "RecordingView": {
         "name": "20261121T052553-position-6c4a5f3859a3.mcap",
         "size_mb": 93.7,

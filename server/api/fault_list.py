@@ -19,7 +19,7 @@ class FaultView(View):
 
 
 def fault_views(service: JobService) -> list[FaultView]:
-    """All of them, the gravest first."""
+    """All of them, most severe first."""
     found = [
         *_link(service),
         *_inner(service),
@@ -40,8 +40,8 @@ def _link(service: JobService) -> list[FaultView]:
             "the PLC does not answer",
             health.error or "check its program, cable and address, and that no other PC holds it",
         ),
-        "fault": ("plc_fault", "the PLC reports a fault", "clear its cause, then POST /v1/reset"),
-        "local": ("plc_local", "the machine is on its local lever", "give it back to remote at the machine"),
+        "fault": ("plc_fault", "the PLC reports a fault", "remove its cause, then POST /v1/reset"),
+        "local": ("plc_local", "the machine is in local (lever) control", "switch it back to remote at the machine"),
     }
     other = health.other_pc
     hint = "one server commands one PLC: end the other server, or give this one another PLC in [plc]"
@@ -54,7 +54,7 @@ def _link(service: JobService) -> list[FaultView]:
 
 def _inner(service: JobService) -> list[FaultView]:
     hints = {
-        KEYS_UNREADABLE: "make the file readable to the server's user, or write it anew with `longreach keys`",
+        KEYS_UNREADABLE: "make the file readable to the server's user, or write it again with `longreach keys`",
         PART_FAILED: "see the server's log and report it; restart the server if it goes on",
     }
     told = service.inner_faults.told
@@ -72,7 +72,7 @@ def _camera(service: JobService) -> list[FaultView]:
     age_ms = None if report is None else (mono_ns() - report.t_receive_mono_ns) * 1e-6
     if age_ms is not None and age_ms < CAMERA_SILENT_MS:
         return []
-    text = "no picture yet" if age_ms is None else "the camera gives no new pictures"
+    text = "no image yet" if age_ms is None else "the camera delivers no new images"
     return [
         FaultView(fault_id="camera_silent", level="URGENT", text=text, hint="check the camera, its cable, [camera]")
     ]

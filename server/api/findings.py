@@ -16,7 +16,7 @@ from server.jobs.service import JobService
 from server.store.finding_rows import read_calibrations, read_plan
 
 LOOKS_KEPT = 200
-PlanHash = Annotated[str, Path(pattern=r"^[0-9a-f]{16}$", description="as a preview told it")]
+PlanHash = Annotated[str, Path(pattern=r"^[0-9a-f]{16}$", description="as returned by the preview")]
 Limit = Annotated[int, Query(ge=1, le=200)]
 Before = Annotated[int, Query(ge=1, le=2**62, description="only numbers below this one; for the next page")]
 
@@ -94,7 +94,7 @@ def findings_router(service: JobService, looks: LookLog) -> APIRouter:
 
     @router.get("/calibrations", response_model=list[CalibrationEntry], responses={503: {"model": Problem}})
     async def list_calibrations(limit: Limit = 50, before: Before = 2**62) -> list[CalibrationEntry]:
-        """All calibrations that jobs left, newest first; the one in force is /v1/calibration."""
+        """All calibrations made by jobs, newest first; /v1/calibration is the current one."""
         if service.keeper is None:
             return []
         rows = await service.keeper.database.found(lambda db: read_calibrations(db, before, limit))
@@ -109,7 +109,7 @@ def findings_router(service: JobService, looks: LookLog) -> APIRouter:
         if service.keeper is not None:
             row = await service.keeper.database.found(lambda db: read_plan(db, plan_hash))
         if row is None:
-            return problem(404, "Unknown plan", f"no plan {plan_hash}", "unknown_plan", "run the job preview")
+            return problem(404, "Unknown plan", f"no plan {plan_hash}", "unknown_plan", "run the job 'preview'")
         expired = time.time() >= row["expires_unix_s"]
         return PlanEntry(**row | {"view": json.loads(row["view"]), "expired": expired})
 

@@ -34,7 +34,7 @@ class BodyTooLargeError(AccessError):
 
     code = "body_too_large"
     status = 413
-    hint = "the longest command is a few hundred bytes"
+    hint = "a command has at most a few hundred bytes"
 
 
 class SlowBodyError(AccessError):

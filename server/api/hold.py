@@ -92,7 +92,7 @@ async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) ->
     except (ServerError, LinkError) as error:
         return await _tell(socket, refused=str(error), code=getattr(error, "code", "link"))
     except (ValidationError, TimeoutError) as error:
-        return await _tell(socket, refused=f"not a press: {error}"[:300], code="invalid_request")
+        return await _tell(socket, refused=f"not a valid hold request: {error}"[:300], code="invalid_request")
     bond = press.press.plan_hash if isinstance(press.press, ExecuteRequest) else job.job_id
     held = HoldToRun(bond, lambda: secrets.randbits(32), mono_ns())
     memory.held_by = lease.owner
@@ -115,7 +115,7 @@ async def _hold(
     finally:  # whatever ended it, a socket that broke or the server's own end: nothing may go on moving
         hearing.cancel()
         if _needed(job):
-            await _stop(service, memory, held.ended or "the page is gone")
+            await _stop(service, memory, held.ended or "the page is disconnected")
         await asyncio.gather(hearing, return_exceptions=True)
         await service.engine.hold_until(None)
     await _tell(socket, ended=job.state.value, reason=job.reason)
@@ -151,7 +151,7 @@ async def _hear(socket: WebSocket, service: JobService, held: HoldToRun, changed
     except (WebSocketDisconnect, RuntimeError):
         held.release("the page's socket closed")
     except ValidationError:
-        held.release("the page sent what is no answer")
+        held.release("the page sent an invalid answer")
     changed.set()
 
 

@@ -37,4 +37,4 @@ def require_hold(mode: str, body: JobBody, lease: Lease, caller: Caller) -> None
     """
     person = caller.by_key and caller.role != Role.FLEET
     if mode == "REAL" and body.kind not in STILL and (person or lease.kind is not LeaseKind.FLEET):
-        raise HoldRequiredError(f"{body.kind} moves a REAL machine: a person holds the button while it moves")
+        raise HoldRequiredError(f"{body.kind} moves a REAL machine: a person must hold the button while it moves")

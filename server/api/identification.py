@@ -22,7 +22,7 @@ def identification_router(identification: Identification) -> APIRouter:
 
     @router.get("", response_model=IdentificationView)
     async def read_identification() -> IdentificationView:
-        """What has been driven of the last identification, and what is left of it."""
+        """Completed and remaining parts of the last identification."""
         session = identification.session
         return IdentificationView(
             parts_done=[] if session is None else session.done,

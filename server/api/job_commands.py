@@ -56,7 +56,7 @@ class ExpiredError(AccessError):
 
     code = "expired"
     status = 409
-    hint = "GET /v1/time tells this server's clock; send the command anew if it is still wanted"
+    hint = "GET /v1/time returns this server's clock; send the command again if it is still needed"
 
 
 @dataclass(frozen=True, slots=True)

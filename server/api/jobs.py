@@ -69,12 +69,12 @@ def jobs_router(service: JobService) -> APIRouter:
 
     @router.get("/jobs", response_model=list[JobView])
     async def list_jobs() -> list[JobView]:
-        """The last jobs, newest last, without their stories."""
+        """The last jobs, newest last, without their events."""
         return [job_view(job, events_from=10**9) for job in service.engine.jobs]
 
     @router.get("/jobs/{job_id}", response_model=JobView, responses={404: {"model": Problem}})
     async def read_job(job_id: str) -> JobView | JSONResponse:
-        """A job with its story and, at its end, its result."""
+        """A job with its events and, at its end, its result."""
         job = service.engine.find(job_id)
         return job_view(job) if job else _unknown(job_id)
 
@@ -82,7 +82,7 @@ def jobs_router(service: JobService) -> APIRouter:
     async def follow_job(
         job_id: str, last_event_id: Annotated[str, Header(max_length=64)] = ""
     ) -> StreamingResponse | JSONResponse:
-        """The story as server-sent events; resumes behind Last-Event-ID; ends with the job."""
+        """The events of a job as server-sent events; resumes after Last-Event-ID; ends with the job."""
         job = service.engine.find(job_id)
         if job is None:
             return _unknown(job_id)

@@ -16,17 +16,15 @@ from server.api.views import ControlView, Problem, Strict
 from server.jobs.keeper import Keeper
 
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
-Ttl = Annotated[float, Field(ge=1.0, le=120.0, description="stale when not kept alive for so long")]
+Ttl = Annotated[float, Field(ge=1.0, le=120.0, description="the lease goes stale when not renewed for this long")]
 LeaseHeader = Annotated[str, Header(max_length=128, description="the lease_id of who has control")]
 FencingHeader = Annotated[int, Header(ge=0, le=2**62, description="the fencing number of that lease")]
-LeaseId = Annotated[str, Path(min_length=1, max_length=128, description="the secret that its holder was given")]
+LeaseId = Annotated[str, Path(min_length=1, max_length=128, description="the secret that the holder received")]
 REFUSED: dict[int | str, dict[str, Any]] = {
-    403: {"model": Problem, "description": "no lease, or not yours to take"},
-    409: {"model": Problem, "description": "somebody else has control; the answer names who and for how long"},
+    403: {"model": Problem, "description": "no lease, or the caller may not take it"},
+    409: {"model": Problem, "description": "another client has control; the answer states who and for how long"},
 }
-UNKEPT: dict[int | str, dict[str, Any]] = {
-    503: {"model": Problem, "description": "cannot be written down; see /readyz"}
-}
+UNKEPT: dict[int | str, dict[str, Any]] = {503: {"model": Problem, "description": "cannot be stored; see /readyz"}}
 
 
 class LeaseRequest(Strict):
@@ -38,7 +36,7 @@ class LeaseRequest(Strict):
 
 
 class TakeRequest(LeaseRequest):
-    """A person who takes control from whoever has it."""
+    """A person takes control from the present holder."""
 
     reason: Annotated[str, Field(min_length=1, max_length=200)]
 
@@ -73,20 +71,20 @@ def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
 
     @router.post("/take", status_code=201, response_model=LeaseView, responses=REFUSED | UNKEPT)
     async def take(body: TakeRequest, request: Request) -> JSONResponse:
-        """Take control as a person, whoever has it; a running job of theirs is stopped with a ramp."""
+        """Take control as a person from any holder; the holder's running job is stopped with a ramp."""
         log.check(request, body.kind)
         lease = desk.take(body.owner, LeaseKind(body.kind), body.reason, body.ttl_s)
         return await log.given(request, lease, "lease.take", body.reason)
 
     @router.post("/ask", response_model=ControlView)
     async def ask(body: AskRequest, request: Request) -> ControlView:
-        """Tell the holder that somebody would like to have control."""
+        """Request control from the holder."""
         log.note(request, desk.ask(body.owner), "lease.ask", body.owner)
         return control_view(desk)
 
     @router.put("/{lease_id}", response_model=LeaseView, responses=REFUSED)
     async def keep_alive(lease_id: LeaseId, request: Request) -> LeaseView:
-        """Keep alive; revives a stale lease that nobody else has acquired."""
+        """Renew a lease; also revives a stale one that no other client has acquired."""
         lease = desk.keep_alive(lease_id)
         desk.vouch(admission_of(request))
         return lease_view(desk, lease)
@@ -99,7 +97,7 @@ def lease_router(desk: LeaseDesk, keeper: Keeper | None = None) -> APIRouter:
 
     @router.post("/{lease_id}/grant", response_model=ControlView, responses=REFUSED)
     async def grant(lease_id: LeaseId, body: GrantRequest, request: Request) -> ControlView:
-        """Hand over: the named one may acquire within 30 s; until then the holder keeps control."""
+        """Hand over: the named client may acquire within 30 s; until then the holder keeps control."""
         log.note(request, desk.grant(lease_id, body.to), "lease.grant", body.to)
         return control_view(desk)
 

@@ -34,7 +34,7 @@ class LiveFeed:
         try:
             view = self._memory.live()
         except Exception:  # a defect in the view: the page says that nothing is current, and the next tick tries again
-            log.exception("the live state could not be made")
+            log.exception("the live state could not be built")
             return
         self._text = view.model_dump_json() if self._memory.viewers else ""
         self._fresh.set()

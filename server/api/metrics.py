@@ -35,12 +35,12 @@ def metrics_router(service: JobService, readers: Callable[[], int]) -> APIRouter
             ended.labels(job.kind, job.state.value).inc()
 
     service.engine.on_event(count)
-    pairs = Counter("longreach_camera_pairs", "stereo pairs worked through since the start", registry=registry)
+    pairs = Counter("longreach_camera_pairs", "stereo pairs processed since the start", registry=registry)
     service.cell.vision.on_report(lambda _: pairs.inc())
 
     @router.get("/metrics", response_model=None, response_class=Response, responses=TEXT)
     async def read_metrics() -> Response:
-        """For a scraper; with keys, it sends one of a viewer."""
+        """Metrics in the Prometheus text format; if keys are in use, a viewer's key is needed."""
         return Response(generate_latest(registry), headers={"Content-Type": CONTENT_TYPE_LATEST})
 
     return router
@@ -83,7 +83,7 @@ def _counters(service: JobService) -> Figures:
         ("plc_states_received", "PLC states received", health.received),
         ("plc_states_lost", "PLC states lost", health.lost),
         ("plc_states_dropped", "PLC states that the server did not fetch in time", health.samples_dropped),
-        ("plc_underruns", "knot buffer ran dry", latest.underruns if latest is not None else 0),
+        ("plc_underruns", "knot buffer underruns", latest.underruns if latest is not None else 0),
     ]
 
 
@@ -109,9 +109,9 @@ def _camera(service: JobService) -> Figures:
         return []
     age_s = (mono_ns() - report.t_receive_mono_ns) * 1e-9
     return [
-        ("camera_pairs_per_second", "stereo pairs worked through", report.fps),
+        ("camera_pairs_per_second", "stereo pairs processed", report.fps),
         ("camera_age_seconds", "age of the newest pair", age_s),
-        ("camera_process_seconds", "time one pair takes", report.process_ms * 1e-3),
+        ("camera_process_seconds", "processing time of one pair", report.process_ms * 1e-3),
     ]
 
 
@@ -120,11 +120,11 @@ def _service(service: JobService) -> Figures:
     keeper, free = service.keeper, service.disk.free_bytes
     return [
         ("job_running", "1 while a job runs", float(job is not None and not job.ended)),
-        ("control_held", "1 while somebody has control", float(service.engine.leases.held is not None)),
+        ("control_held", "1 while a client has control", float(service.engine.leases.held is not None)),
         ("fencing", "the highest fencing number given", service.engine.leases.book.fencing),
         ("store_ok", "1 while the database can be written", float(keeper is not None and not keeper.problem)),
         ("faults", "faults now", len(fault_views(service))),
-        ("disk_free_bytes", "left where recordings are written", float("nan") if free is None else free),
+        ("disk_free_bytes", "free disk space where recordings are written", float("nan") if free is None else free),
         ("asyncio_tasks", "tasks of the event loop", len(asyncio.all_tasks())),
         ("store_bytes", "size of the database with its log", _size(service)),
     ]

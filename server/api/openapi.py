@@ -12,14 +12,14 @@ from server.api.examples import with_examples
 PROBLEM = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/Problem"}}}
 BY_GUARD = {
     "400": "the request cannot be read",
-    "401": "no key, or one that is not in force",
-    "403": "not with this role, without control, or from another web page",
+    "401": "no key, or an invalid one",
+    "403": "role not permitted, no control, or a request from another web page",
     "408": "the body did not arrive in time",
     "413": "the body is too large",
-    "421": "the Host header is none of this server's names",
+    "421": "the Host header is not one of this server's names",
     "422": "the request is not as described here",
     "429": "too many wrong keys from this address",
-    "500": "a defect; the server's log says more",
+    "500": "internal error; see the server's log",
 }
 KEY_HEADER = "Authorization: Bearer KEY; not needed while the server listens on loopback without keys"
 
@@ -97,7 +97,7 @@ def _tell_files(paths: dict[str, Any]) -> None:
             kind = {"type": "object"} if media_type == "application/json" else {"type": "string"}
             responses["200"]["content"] = {media_type: {"schema": kind}}
             for status in refusals:
-                responses.setdefault(status, {"description": "there is none, or it cannot be read"})
+                responses.setdefault(status, {"description": "it does not exist, or cannot be read"})
             for parameter in paths[path]["get"].get("parameters", ()):
                 if parameter["schema"].get("type") == "integer":
                     parameter["schema"]["minimum"] = (

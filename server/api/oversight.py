@@ -46,7 +46,7 @@ def oversight_router(service: JobService, life: str) -> APIRouter:
 
     @router.get("/faults", response_model=list[FaultView])
     async def list_faults() -> list[FaultView]:
-        """What is wrong with the machine now, the gravest first."""
+        """The present faults of machine and server, most severe first."""
         return fault_views(service)
 
     @router.get("/audit", response_model=list[AuditView], responses={503: {"model": Problem}})
@@ -59,7 +59,7 @@ def oversight_router(service: JobService, life: str) -> APIRouter:
 
     @router.get("/time", response_model=TimeView)
     async def read_time() -> TimeView:
-        """For the expiry of commands (Longreach-Expires), in this server's time."""
+        """The server's clocks, for the expiry of commands (Longreach-Expires)."""
         return TimeView(t_unix_ns=time.time_ns(), t_mono_ns=mono_ns(), life=life)
 
     return router

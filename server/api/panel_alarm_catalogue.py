@@ -18,15 +18,17 @@ class AlarmKind:
     clears: str
 
 
-OPERATOR = "whoever has control, by Acknowledge; it disappears once its cause is gone too"
-MACHINE = "a person at the machine removes the cause; then whoever has control presses Reset fault; then Acknowledge"
+OPERATOR = "the operator with control, by Acknowledge; it disappears once its cause is gone too"
+MACHINE = (
+    "a person at the machine removes the cause; then the operator with control presses Reset fault, then Acknowledge"
+)
 
 _KINDS = (
     AlarmKind(
         "plc_silent",
         "high",
         "The PLC does not answer",
-        "No state has come from the PLC for 250 ms: it is off, the network is cut, or another PC holds it.",
+        "No state received from the PLC for 250 ms: it is off, the network is down, or another PC is connected to it.",
         "Check the PLC's power and program, cable, [plc] address, other servers. The PLC stops the machine by itself.",
         OPERATOR,
     ),
@@ -34,8 +36,8 @@ _KINDS = (
         "plc_estop",
         "high",
         "Emergency stop at the machine",
-        "The PLC tells that its hard-wired emergency stop was pressed.",
-        "Find out why. Release the button at the machine, then Reset fault. Nothing moves by that.",
+        "The PLC reports that its hard-wired emergency stop was pressed.",
+        "Find out why. Release the button at the machine, then press Reset fault. This does not start a motion.",
         MACHINE,
     ),
     AlarmKind(
@@ -43,7 +45,7 @@ _KINDS = (
         "high",
         "Local enable lost",
         "The enable at the machine was withdrawn while the machine was armed.",
-        "See that nobody is near, give the enable at the machine, then Reset fault.",
+        "Make sure that no one is near the machine, give the enable at the machine, then press Reset fault.",
         MACHINE,
     ),
     AlarmKind(
@@ -51,7 +53,7 @@ _KINDS = (
         "high",
         "A joint does not follow its reference",
         "Encoder and reference are too far apart: a blocked joint, low supply pressure, a stuck or disconnected valve.",
-        "Look at the machine, the pump and the valve plugs before Reset fault. Retract before you try again.",
+        "Look at the machine, the pump and the valve plugs before you press Reset fault. Retract before you try again.",
         MACHINE,
     ),
     AlarmKind(
@@ -59,15 +61,15 @@ _KINDS = (
         "high",
         "A joint is outside its range",
         "The PLC reads a joint angle beyond the limits of the machine file.",
-        "Drive the joint back with the local lever, then Reset fault. If it is inside, its encoder zero is wrong.",
+        "Drive the joint back by the local lever, then press Reset fault. If it is inside, its encoder zero is wrong.",
         MACHINE,
     ),
     AlarmKind(
         "plc_sensor",
         "high",
         "A sensor of the machine failed",
-        "The PLC tells that an encoder or a pressure sensor gives no or impossible values.",
-        "Check plug and cable of the sensor that the PLC names, then Reset fault.",
+        "The PLC reports that an encoder or a pressure sensor delivers no values or impossible ones.",
+        "Check plug and cable of the sensor that the PLC names, then press Reset fault.",
         MACHINE,
     ),
     AlarmKind(
@@ -75,7 +77,7 @@ _KINDS = (
         "high",
         "Hydraulic pressure outside its limits",
         "The supply pressure is too low or too high.",
-        "Check pump, oil level and relief valve, then Reset fault.",
+        "Check pump, oil level and relief valve, then press Reset fault.",
         MACHINE,
     ),
     AlarmKind(
@@ -83,15 +85,15 @@ _KINDS = (
         "high",
         "Oil temperature outside its limits",
         "The oil is too cold to control precisely, or too hot for the seals.",
-        "Let it warm up without load, or cool down; then Reset fault and calibrate anew.",
+        "Let it warm up without load, or cool down; then press Reset fault and calibrate again.",
         MACHINE,
     ),
     AlarmKind(
         "plc_program",
         "high",
-        "The PLC's program reports a defect",
-        "Its cycle took too long or is not the machine file's, or its message layout is not this version's.",
-        "Have the PLC engineer compare the versions and look at the task's execution time, then Reset fault.",
+        "The PLC program reports a fault",
+        "Its cycle took too long or differs from the machine file, or its message layout is of another version.",
+        "Have the PLC engineer compare the versions and look at the task's execution time, then press Reset fault.",
         MACHINE,
     ),
     AlarmKind(
@@ -99,30 +101,30 @@ _KINDS = (
         "medium",
         "The PLC link loses many datagrams",
         "More than 5 % of the states of the last ten seconds did not arrive.",
-        "Use a cable of its own between PC and PLC; see the lateness histogram under Engineering, Link.",
+        "Use a dedicated cable between PC and PLC; see the lateness histogram under Engineering, Link.",
         OPERATOR,
     ),
     AlarmKind(
         "plc_contested",
         "medium",
-        "Another PC has or wants the PLC",
+        "Another PC addresses the PLC",
         "Two servers address one PLC, which takes commands of one session only: the text gives its number.",
-        "End one of both servers, or give it another PLC in [plc]. The one that holds the session goes on meanwhile.",
+        "Stop one of the two servers, or set another PLC in its [plc]. The server that has the session keeps working.",
         OPERATOR,
     ),
     AlarmKind(
         "camera_silent",
         "high",
-        "No picture from the camera",
-        "No new picture has come for a second: the camera is off, its cable is loose, or its computer is busy.",
+        "No image from the camera",
+        "No new image for one second: the camera is off, its cable is loose, or its computer is overloaded.",
         "Check the camera's power and cable and [camera] in the settings. A look is not possible until it is back.",
         OPERATOR,
     ),
     AlarmKind(
         "camera_unfit",
         "medium",
-        "The pictures are not fit to measure with",
-        "Pictures come, but the checks found them frozen, blurred, too dark, swapped or damaged: the text says which.",
+        "The images are not usable for measurement",
+        "Images arrive, but the checks found them frozen, blurred, dark, swapped or damaged: the text states which.",
         "Do what the text says: clean the lens, light the target, reseat the cable. Looks are refused until then.",
         OPERATOR,
     ),
@@ -131,31 +133,31 @@ _KINDS = (
         "medium",
         "The vision process has ended",
         "The program that finds the markers ended unexpectedly. It is being started again.",
-        "Wait for ten seconds. If it comes back every time, note the text and look into the server's log.",
+        "Wait for ten seconds. If the alarm returns each time, note the text and read the server's log.",
         OPERATOR,
     ),
     AlarmKind(
         "keys_unreadable",
         "high",
         "The key file cannot be read",
-        "The file with the keys changed and cannot be read any more, or is gone: no key and no session is in force.",
-        "Make it readable to the server's user, or write it anew with `longreach keys`. Then log in again.",
+        "The file with the keys changed and cannot be read any more, or is missing: no key and no session is valid.",
+        "Make it readable to the server's user, or write it again with `longreach keys`. Then log in again.",
         OPERATOR,
     ),
     AlarmKind(
         "server_part_failed",
         "high",
         "A part of the server failed",
-        "One of the loops that the server always runs ended by a defect. A job was stopped if it was the lease guard.",
-        "It is started again by itself. Report what the server's log says; restart the server if it comes back.",
+        "One of the server's permanent loops ended with an error. If it was the lease guard, the job was stopped.",
+        "It restarts automatically. Report what the server's log says; restart the server if the alarm returns.",
         OPERATOR,
     ),
     AlarmKind(
         "store_failed",
         "high",
-        "Nothing can be written down",
-        "The database in the recordings' folder cannot be written, so no job may begin and nobody can take control.",
-        "Free space, or make the folder writable; a damaged database is moved away by hand. The server tries again.",
+        "The database cannot be written",
+        "The database in the recordings folder cannot be written, so no job may start and no one can take control.",
+        "Free space, or make the folder writable; move a damaged database away by hand. The server retries.",
         OPERATOR,
     ),
     AlarmKind(
@@ -177,8 +179,8 @@ _KINDS = (
     AlarmKind(
         "calibration_expired",
         "medium",
-        "The local calibration does not hold here",
-        "It is too old, the machine is too far from where it was made, or something slipped: the text says which.",
+        "The local calibration is not valid here",
+        "It is too old, the machine is too far from where it was made, or something slipped: the text states which.",
         "Press Calibrate.",
         OPERATOR,
     ),
@@ -186,8 +188,8 @@ _KINDS = (
         "job_failed",
         "medium",
         "A job ended without reaching its goal",
-        "The text is the job's own reason.",
-        "Do what the text says, then begin again with Look.",
+        "The text states the job's reason.",
+        "Do what the text says, then start again with Look.",
         OPERATOR,
     ),
     AlarmKind(
@@ -202,16 +204,16 @@ _KINDS = (
         "mode_mismatch",
         "medium",
         "Settings and PLC disagree: SIM or REAL",
-        "The PLC tells with every state whether it drives a simulation; the settings' mode says otherwise.",
-        "Until they agree every motion must be held, as on a real machine. Set mode in the settings file.",
+        "Every PLC state reports whether it drives a simulation; the mode in the settings differs.",
+        "Until they agree, every motion requires hold-to-run, as on a real machine. Set mode in the settings file.",
         OPERATOR,
     ),
     AlarmKind(
         "scene_ended",
         "low",
         "The 3D view is not running",
-        "The program that draws the 3D view has ended. It holds no command; everything else works.",
-        "Nothing: it is started again by itself. If it stays away, look into the server's log.",
+        "The program that draws the 3D view has ended. It sends no commands; everything else works.",
+        "Nothing: it restarts automatically. If it does not, read the server's log.",
         OPERATOR,
     ),
 )

@@ -140,10 +140,10 @@ def _plc(state: StateView, around: Surroundings) -> dict[str, str]:
     if link.phase == "offline":
         if link.age_ms is None and around.up_s < STARTING_S:
             return {}
-        age = "never heard" if link.age_ms is None else f"last heard {link.age_ms / 1e3:.1f} s ago"
+        age = "no state received yet" if link.age_ms is None else f"last heard {link.age_ms / 1e3:.1f} s ago"
         return {"plc_silent": f"{age}. {link.warning}".strip()}
     bits = link.fault_bits
-    return {code: f"told by the PLC (fault bits {bits:#x})" for mask, code in FAULT_CODES if bits & mask}
+    return {code: f"reported by the PLC (fault bits {bits:#x})" for mask, code in FAULT_CODES if bits & mask}
 
 
 def _camera(state: StateView, around: Surroundings) -> dict[str, str]:
@@ -153,7 +153,7 @@ def _camera(state: StateView, around: Surroundings) -> dict[str, str]:
     if age_ms is None and around.up_s < STARTING_S:
         return {}
     if age_ms is None or age_ms > 1000.0:
-        return {"camera_silent": state.camera.warnings[-1] if state.camera.warnings else "no picture yet"}
+        return {"camera_silent": state.camera.warnings[-1] if state.camera.warnings else "no image yet"}
     if state.camera.warnings and around.unfit_for_s > UNFIT_AFTER_S:
         return {"camera_unfit": state.camera.warnings[-1]}
     return {}

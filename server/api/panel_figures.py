@@ -64,8 +64,8 @@ def vision_figures(vision: VisionClient, viewers: int, t_mono_ns: int) -> Vision
             skipped=0,
             restarts=vision.restarts,
             video_viewers=viewers,
-            tool="no picture yet",
-            target="no picture yet",
+            tool="no image yet",
+            target="no image yet",
         )
     tool, ooi = report.observation.tool, report.observation.ooi
     return VisionFigures(

@@ -165,9 +165,9 @@ class PanelMemory:
     def accept(self, who: str) -> str:
         """Mark the newest look as accepted; the reason when it cannot be."""
         if not self.history or self.history[-1].error is None:
-            return "there is no good look to accept; look first"
+            return "there is no valid look to accept; look first"
         if not self.history[-1].inside:
-            return "the last look is not inside the tolerance with two sigma to spare; preview and move, or look again"
+            return "the last look is not within tolerance including 2 sigma; preview and move, or look again"
         self.history[-1] = self.history[-1].model_copy(update={"accepted_by": who})
         return ""
 

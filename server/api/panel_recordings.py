@@ -47,12 +47,12 @@ def recordings_router(service: JobService) -> APIRouter:
 
     @router.get("", response_model=list[RecordingView])
     async def list_panel_recordings() -> list[RecordingView]:
-        """The newest first."""
+        """All recordings with the panel's details, newest first."""
         return await asyncio.to_thread(_listed, folder)
 
     @router.get("/viewers/foxglove-layout", include_in_schema=False)
     async def layout() -> Response:
-        """The arrangement of panels for Foxglove that shows such a recording at once."""
+        """Foxglove layout for recordings of longreach."""
         name = {"Content-Disposition": "attachment; filename=longreach-foxglove-layout.json"}
         return Response(LAYOUT.read_bytes(), media_type="application/json", headers=name)
 
@@ -64,7 +64,7 @@ def recordings_router(service: JobService) -> APIRouter:
 
     @router.get("/{name}/replay", response_model=None)
     async def recording_replay(name: str) -> Response:
-        """What happened, second by second; read in a process of its own."""
+        """Contents of a run over time, for the replay; read in a separate process."""
         path = _path(folder, name)
         if path is None:
             return _unknown(name)
@@ -82,9 +82,9 @@ def recordings_router(service: JobService) -> APIRouter:
 
     @router.get("/{name}/pictures/{start}-{end}", response_model=None)
     async def recording_picture(name: str, start: int, end: int) -> Response:
-        """A picture of the run that was opened last."""
+        """An image of the run whose replay was opened last."""
         if opened.name != name or not 0 <= start < end <= len(opened.pictures):
-            return problem(404, "Not opened", "open the run's replay first", "not_opened")
+            return problem(404, "Not opened", "open the replay of the run first", "not_opened")
         return Response(opened.pictures[start:end], media_type="image/jpeg")
 
     return router

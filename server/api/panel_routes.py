@@ -68,26 +68,26 @@ def panel_router(service: JobService, memory: PanelMemory) -> APIRouter:
 
     @router.put("/v1/goal", response_model=GoalView, responses=refused, dependencies=[Depends(control)])
     async def put_goal(request: GoalRequest) -> GoalView:
-        """Set the goal for the next preview; a plan that was previewed for another goal is gone."""
+        """Set the goal for the next preview; a plan previewed for another goal is discarded."""
         set_goal(service, request.stand_off_mm, request.offset_x_mm, request.offset_y_mm)
         goal = service.context.settings.position
         return GoalView(stand_off_mm=goal.stand_off_mm, offset_x_mm=goal.offset_x_mm, offset_y_mm=goal.offset_y_mm)
 
     @router.post("/v1/accept", status_code=204, response_model=None, responses=refused)
     async def accept_tool(lease: Annotated[Lease, Depends(control)]) -> JSONResponse | None:
-        """Note that the last look is accepted as the result."""
+        """Accept the last look as the result."""
         reason = memory.accept(lease.owner)
         return problem(409, "Not accepted", reason, "not_acceptable") if reason else None
 
     @router.post("/v1/alarms/{code}/acknowledge", status_code=204, response_model=None, responses=refused)
     async def acknowledge(code: str, lease: Annotated[Lease, Depends(control)]) -> JSONResponse | None:
-        """Note that a person has seen an alarm. Nothing moves by it."""
+        """Acknowledge an alarm; this never starts a motion."""
         found = memory.book.acknowledge(code, lease.owner)
         return None if found else problem(404, "No such alarm", f"no alarm {code[:40]!r} is on", "no_such_alarm")
 
     @router.get("/v1/settings", response_model=list[SettingRow])
     async def list_settings() -> list[SettingRow]:
-        """The resolved settings, with units; secrets are files and are named only."""
+        """The resolved settings with units; of secrets only the file names."""
         return setting_rows(service.context.settings.model_dump())
 
     @router.get("/help/alarms/{code}", include_in_schema=False, response_model=None)

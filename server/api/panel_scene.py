@@ -83,11 +83,11 @@ class SceneFeed:
                     raise SceneGoneError("the 3D view's process has ended")
                 await asyncio.sleep(PERIOD_S)
         except SceneGoneError as error:
-            log.error("%s; the page goes on without it, a new one starts in %s s", error, RESTART_S)
+            log.error("%s; the page continues without it, it restarts in %s s", error, RESTART_S)
             self._say(running=False, problem=str(error), process_id=None)
         except Exception:  # the scene is an extra: the page with its STOP must go on without it
             log.exception("the 3D view failed")
-            self._say(running=False, problem="the 3D view failed; the server's log says how", process_id=None)
+            self._say(running=False, problem="the 3D view failed; see the server's log", process_id=None)
         finally:
             self._process = None
             await asyncio.shield(asyncio.to_thread(process.close))

@@ -55,7 +55,7 @@ class LinkFigures(View):
     """How punctual the link is, over the last ten seconds."""
 
     lateness_edges_ms: list[float] = Field(description="upper edges of the histogram; the last bin is open")
-    lateness_counts: list[int] = Field(description="PLC states by how late each came behind the earliest")
+    lateness_counts: list[int] = Field(description="PLC states by delay behind the fastest")
     loss_pct: float
     send_late_p50_ms: float
     send_late_p99_ms: float
@@ -72,7 +72,7 @@ class VisionFigures(View):
     """How vision does."""
 
     sharpness: float | None
-    exposure_age_ms: float | None = Field(description="since the newest pair was exposed, as far as clocks tell")
+    exposure_age_ms: float | None = Field(description="since the newest pair was exposed, as far as the clocks allow")
     process_ms: float
     skipped: int
     restarts: int
@@ -120,8 +120,10 @@ class PanelView(View):
     scene: SceneState
     hold: HoldState
     look_moved_deg: float | None = Field(description="largest joint turn since the last look")
-    look_moved_max_deg: float = Field(description="beyond this the last look says nothing of where the machine is now")
-    look_age_max_s: float = Field(description="an older look is refused by what would move by it")
+    look_moved_max_deg: float = Field(
+        description="beyond this the last look no longer describes the machine's position"
+    )
+    look_age_max_s: float = Field(description="motions based on an older look are refused")
     recording: bool
     recorder_problem: str
     disk_free_gb: float | None

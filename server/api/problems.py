@@ -19,7 +19,7 @@ STATUS = {BusyError: 409, PlanRefusedError: 409, JobFailedError: 409}
 HTTP_CODES = {400: "unreadable_body", 404: "unknown_path", 405: "method_not_allowed"}
 HINTS = {
     400: "send JSON in UTF-8 with Content-Type: application/json",
-    404: "see /v1/openapi.json for what there is",
+    404: "see /v1/openapi.json for the available paths",
     405: "see /v1/openapi.json for the methods of this path",
 }
 
@@ -80,7 +80,7 @@ def install_problem_handlers(app: FastAPI) -> None:
         where = ".".join(str(part) for part in first["loc"])
         if first["type"] == "json_invalid":
             return problem(400, "Unreadable body", f"{where}: {first['msg']}", HTTP_CODES[400], HINTS[400])
-        hint = "see /v1/openapi.json for what the request takes"
+        hint = "see /v1/openapi.json for the request's fields"
         told = first["msg"]
         if first["type"] == "union_tag_invalid":  # pydantic's words hold what was sent; nothing that was sent is echoed
             told = f"'kind' must be one of {first['ctx']['expected_tags']}"
@@ -90,7 +90,7 @@ def install_problem_handlers(app: FastAPI) -> None:
     @app.exception_handler(Exception)
     async def defect(request: Request, error: Exception) -> JSONResponse:
         log.error("defect at %s %s", request.method, request.scope.get("route", ""), exc_info=error)
-        return problem(500, "Defect", "internal error; the server's log says more", "internal", "report it, please")
+        return problem(500, "Defect", "internal error; see the server's log", "internal", "report it, please")
 
 
 def _number_sent(value: object) -> str:

@@ -11,10 +11,10 @@ from server.api.problems import problem
 from server.api.run_files import RUN_ID, GrowingFile, run_ids, run_path
 from server.api.views import Problem, View
 
-RunId = Annotated[str, Path(pattern=RUN_ID, description="as the list of runs tells it")]
+RunId = Annotated[str, Path(pattern=RUN_ID, description="as in the list of runs")]
 FILE: dict[int | str, dict[str, Any]] = {
     200: {"description": "the whole file", "content": {"application/octet-stream": {}}},
-    206: {"description": "the range asked for", "content": {"application/octet-stream": {}}},
+    206: {"description": "the requested range", "content": {"application/octet-stream": {}}},
     400: {"description": "a range header that cannot be read", "content": {"text/plain": {}}},
     404: {"model": Problem},
     416: {"description": "a range outside the file", "content": {"text/plain": {}}},
@@ -35,14 +35,14 @@ def runs_router(folder: FilePath) -> APIRouter:
 
     @router.get("", response_model=list[RunView])
     async def list_runs(limit: Annotated[int, Query(ge=1, le=1000)] = 100) -> list[RunView]:
-        """The newest first."""
+        """All recordings, newest first."""
         return await asyncio.to_thread(_views, folder, limit)
 
     @router.get("/{run_id}/mcap", response_model=None, response_class=FileResponse, responses=FILE)
     async def run_mcap(run_id: RunId) -> FileResponse | JSONResponse:
-        """The file; `Range: bytes=...` takes a part of it, so that a download can go on after a break.
+        """The MCAP file; `Range: bytes=...` returns a part of it, so that an interrupted download can resume.
 
-        Of a recording that is being written: what there is of it at this moment.
+        A recording that is being written is returned as far as it exists.
         """
         path = await asyncio.to_thread(run_path, folder, run_id)
         if path is None:

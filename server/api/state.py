@@ -13,12 +13,12 @@ from server.jobs.service import JobService
 
 PICTURE: dict[int | str, dict[str, Any]] = {
     200: {"description": "the picture", "content": {"image/jpeg": {"schema": {"type": "string"}}}},
-    503: {"model": Problem, "description": "no picture yet"},
+    503: {"model": Problem, "description": "no image yet"},
 }
 
 
 class HealthView(View):
-    """The process lives."""
+    """Whether the process is alive."""
 
     status: Literal["ok"] = "ok"
 
@@ -37,12 +37,12 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
 
     @router.get("/v1/state", response_model=StateView)
     async def read_state() -> Response:
-        """Everything one screen needs, at one instant at most 50 ms ago."""
+        """State of machine, link, camera and jobs at one instant, at most 50 ms old."""
         return states.answer()
 
     @router.get("/v1/camera.jpg", response_model=None, response_class=Response, responses=PICTURE)
     async def camera_picture() -> Response:
-        """The newest camera picture, left eye."""
+        """The newest camera image, left eye."""
         preview = service.cell.vision.latest_preview
         if preview is None:
             return problem(503, "No picture", "no image yet", "no_picture", "check the camera")
@@ -50,7 +50,7 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
 
     @router.get("/healthz", response_model=HealthView)
     async def health() -> HealthView:
-        """The process lives."""
+        """Whether the process is alive."""
         return HealthView()
 
     @router.get("/readyz", response_model=ReadyView, responses={503: {"model": ReadyView}})
@@ -61,7 +61,7 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
         if (camera := camera_reason(view.camera.age_ms)) is not None:
             reasons.append(camera)
         if service.store_problem:
-            reasons.append(f"nothing can be written down: {service.store_problem}")
+            reasons.append(f"the database cannot be written: {service.store_problem}")
         if service.disk.problem:
             reasons.append(f"the disk is nearly full: {service.disk.problem}: move old recordings away")
         reasons += service.inner_faults.told.values()
@@ -74,7 +74,7 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
 def camera_reason(age_ms: float | None) -> str | None:
     """Why no look could be taken with a newest picture of this age [ms]; None: it could."""
     if age_ms is None:
-        return "the camera gives no images: check its cable and [camera] settings"
+        return "the camera delivers no images: check its cable and [camera] settings"
     if age_ms > CAMERA_SILENT_MS:
         old = f"{age_ms / 1e3:.1f} s old (limit {CAMERA_SILENT_MS / 1e3:.1f} s)"
         return f"the camera's newest image is {old}: check its cable, its rate and how busy its computer is"

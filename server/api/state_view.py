@@ -101,7 +101,7 @@ def _compensation(ctx: PlanContext) -> CompensationView:
 
 def steps(cell: Cell, engine: JobEngine, store_problem: str = "") -> dict[str, str]:
     """For each step the reason why it is not possible now; empty when it is."""
-    common = _blocked(cell, engine) or (f"nothing can be written down: {store_problem}" if store_problem else "")
+    common = _blocked(cell, engine) or (f"the database cannot be written: {store_problem}" if store_problem else "")
     look = cell.knowledge.last_look
     no_look = "" if look is not None and look.error is not None else "look first"
     return {
@@ -138,8 +138,8 @@ def _blocked(cell: Cell, engine: JobEngine) -> str:
         check = health.error or "check its program, cable and address, and that no other PC holds it"
         return {
             "offline": f"the PLC does not answer: {check}",
-            "fault": "the PLC reports a fault: clear its cause, then reset",
-            "local": "the machine is on its local lever",
+            "fault": "the PLC reports a fault: remove its cause, then reset",
+            "local": "the machine is in local (lever) control",
         }[phase]
     return ""
 

@@ -24,8 +24,8 @@ class ControlView(View):
     kind: Literal["operator", "fleet", "engineer"] | None = None
     fencing: int = Field(default=0, description="grows with every new holder")
     expires_in_s: float | None = None
-    stale: bool = Field(default=False, description="not kept alive: nothing moves, its holder may revive it")
-    asked_by: list[str] = Field(default_factory=list, description="who would like to have control")
+    stale: bool = Field(default=False, description="not renewed: nothing moves, the holder may renew it")
+    asked_by: list[str] = Field(default_factory=list, description="clients that request control")
     offered_to: str = Field(default="", description="who may acquire it now")
 
 
@@ -116,8 +116,8 @@ class CalibrationView(View):
     n_used: int
     observability: float
     duration_s: float
-    focal_off_pct: float | None = Field(default=None, description="true focal length against the camera file's")
-    focal_sigma_pct: float | None = Field(default=None, description="one sigma of it")
+    focal_off_pct: float | None = Field(default=None, description="true focal length relative to the camera file")
+    focal_sigma_pct: float | None = Field(default=None, description="its standard deviation")
     valid: bool = True
     expiry_reason: str = ""
     age_s: float | None = None
@@ -125,10 +125,10 @@ class CalibrationView(View):
     sigmas_deg: list[float] = Field(default_factory=list, description="principal sigmas of the rotation")
     observability_text: str = ""
     path_length_m: float | None = None
-    radius_mm: float | None = Field(default=None, description="it holds within this distance of where it was made")
-    distance_mm: float | None = Field(default=None, description="of the tool from where it was made")
+    radius_mm: float | None = Field(default=None, description="valid within this distance of where it was made")
+    distance_mm: float | None = Field(default=None, description="distance of the tool from where it was made")
     age_max_h: float | None = None
-    map_looks: int = Field(default=0, description="looks that the local map has learnt from")
+    map_looks: int = Field(default=0, description="looks used by the local map")
 
 
 class PlanView(View):

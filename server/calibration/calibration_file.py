@@ -177,21 +177,22 @@ def parse_calibration(text: str) -> SavedCalibration:
     try:
         body = json.loads(text)
     except ValueError as error:
-        raise CalibrationFileError(f"calibration file is damaged ({error}); calibrate anew") from error
+        raise CalibrationFileError(f"calibration file is damaged ({error}); calibrate again") from error
     if not isinstance(body, dict) or body.get("format") != FORMAT:
-        raise CalibrationFileError(f"this is no '{FORMAT}' file; give one that longreach has written")
+        raise CalibrationFileError(f"not a '{FORMAT}' file; give one written by longreach")
     if body.get("version") != VERSION:
         raise CalibrationFileError(
-            f"calibration file has format version {body.get('version')!r}, this program reads {VERSION}; calibrate anew"
+            f"calibration file has format version {body.get('version')!r}, this program reads {VERSION}; "
+            "calibrate again"
         )
     try:
         return _read(_File.model_validate(body))
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise CalibrationFileError(f"calibration file: {where}: {first['msg']}; calibrate anew") from error
+        raise CalibrationFileError(f"calibration file: {where}: {first['msg']}; calibrate again") from error
     except (CalibrationInputError, ValueError) as error:
-        raise CalibrationFileError(f"calibration file: {error}; calibrate anew") from error
+        raise CalibrationFileError(f"calibration file: {error}; calibrate again") from error
 
 
 def _read(file: _File) -> SavedCalibration:

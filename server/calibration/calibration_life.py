@@ -184,7 +184,13 @@ def _angle_text(what: str, angle_rad: float, limit_rad: float) -> str:
 def observability_text(calibration: LocalCalibration) -> str:
     """What the path showed, in words: how well the weakest turn is known and about which axis."""
     value = calibration.observability
-    words = "well seen about all axes" if value > 0.1 else "fair" if value > 0.01 else "nearly a line: one turn is weak"
+    words = (
+        "well determined about all axes"
+        if value > 0.1
+        else "fair"
+        if value > 0.01
+        else "nearly a straight line: one rotation is weakly determined"
+    )
     axis = calibration.weakest_axis_tcp
     name = "xyz"[int(np.argmax(np.abs(axis)))]
     sigma_deg = float(np.rad2deg(calibration.sigmas_rad[-1]))

@@ -67,7 +67,7 @@ def _looks(look_chi2: Sequence[float]) -> str:
     for what, value, limit in [*cases, ("all looks together", float(sum(look_chi2)), together)]:
         if not value <= limit:
             return (
-                f"what was seen contradicts itself: {what} by chi2 {value:.0f} (limit {limit:.0f}); "
+                f"the observations contradict each other: {what} by chi2 {value:.0f} (limit {limit:.0f}); "
                 "the object of interest was moved, something slipped, or machine or camera file is of another machine"
             )
     return ""
@@ -96,7 +96,7 @@ def _mount(fitted: Fitted) -> str:
         return ""
     return (
         f"the camera stands {np.rad2deg(fitted.mount_rad):.0f} deg from the machine file (chi2 {fitted.mount_chi2:.0f} "
-        f"against what a mount may be off, limit {limit:.0f}); correct the mount in the machine file"
+        f"against the allowed mount tolerance, limit {limit:.0f}); correct the mount in the machine file"
     )
 
 
@@ -105,8 +105,8 @@ def _seeing(fitted: Fitted) -> str:
     if fitted.seeing_chi2 <= limit:
         return ""
     return (
-        "looks and path only agree with another camera than the file's: lens, scale of the odometry and clock are "
-        f"off by chi2 {fitted.seeing_chi2:.0f} (limit {limit:.0f}); calibrate the camera anew, and check its clock"
+        "looks and path agree only with a camera that differs from the camera file: lens, odometry scale and clock are "
+        f"off by chi2 {fitted.seeing_chi2:.0f} (limit {limit:.0f}); calibrate the camera again, and check its clock"
     )
 
 

@@ -113,7 +113,7 @@ def _fitted(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
     scale = np.sqrt(np.diag(H))
     scaled = H / np.outer(scale, scale)
     if not np.isfinite(scaled).all() or np.linalg.eigvalsh(scaled)[0] < 1e-13:
-        raise LensFitError("the views do not tell focal length from distance; tilt the board by 30 deg and more")
+        raise LensFitError("the views cannot distinguish focal length from distance; tilt the board by 30 deg and more")
     variance = float(residuals @ residuals) / max(len(residuals) - len(x), 1)
     covariance = variance * np.linalg.inv(scaled) / np.outer(scale, scale)
     return problem.result(x, covariance, residuals, size_px)

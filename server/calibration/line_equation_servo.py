@@ -81,5 +81,5 @@ class LineServo:
         if d > limits.growth_max * self._last_m:
             return f"distance grew from {1e3 * self._last_m:.0f} to {1e3 * d:.0f} mm: the direction is wrong; calibrate"
         if self._steps >= limits.steps_max:
-            return f"{1e3 * d:.0f} mm left after {self._steps} steps (limit {limits.steps_max}); calibrate anew"
+            return f"{1e3 * d:.0f} mm left after {self._steps} steps (limit {limits.steps_max}); calibrate again"
         return ""

@@ -68,4 +68,4 @@ def largest_in_words(found: Sequence[Contribution], axis: int) -> str:
     if not found:
         return ""
     top = max(found, key=lambda one: float(one.variance[axis]))
-    return f"most of it from: {top.name} ({1e3 * float(np.sqrt(top.variance[axis])):.1f} mm); {REMEDIES[top.name]}"
+    return f"largest contribution: {top.name} ({1e3 * float(np.sqrt(top.variance[axis])):.1f} mm); {REMEDIES[top.name]}"

@@ -78,6 +78,6 @@ def _reason(large: bool, shift_m: float, turn_rad: float, chi2: float, bounds: S
     )
     chance = f"chi2 {chi2:.0f}, limit {bounds.chi2_max:.0f}"
     if not large:
-        return f"{found}, a little, but beyond chance ({chance}); calibrate"
+        return f"{found}: small, but significant ({chance}); calibrate"
     limits = f"limits {1e3 * bounds.shift_min_m:.0f} mm, {np.rad2deg(bounds.turn_min_rad):.0f} deg; {chance}"
     return f"mount or marker slipped: {found} ({limits}); tighten camera mount and tool marker, then calibrate"

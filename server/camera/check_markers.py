@@ -20,7 +20,7 @@ TILT_WARN_DEG, TILT_FAIL_DEG = 60.0, 75.0
 SIGMA_WARN_MM, SIGMA_FAIL_MM = 1.0, 5.0
 SEEN_WARN_FRAC, SEEN_FAIL_FRAC = 0.9, 0.5
 MARGIN_FRAC = 0.04  # of the picture's width that a marker should stay away from its border
-RIG_FIRST = "mend first what the lines on eyes, rows and scale say"
+RIG_FIRST = "fix the findings on eyes, rows and scale first"
 CELL_SAMPLES_PX = 8  # a cell of the straightened marker
 
 

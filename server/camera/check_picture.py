@@ -51,7 +51,7 @@ def check_sharpness(pairs: Sequence[tuple[Image, Image]]) -> CheckFinding:
         return CheckFinding(
             "sharpness",
             Level.WARN,
-            "no edge in view: it cannot be told",
+            "inconclusive: no edge in view",
             "point it at something with edges, and light it",
         )
     medians = [float(np.median(blur)) for blur in known]

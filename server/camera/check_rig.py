@@ -132,7 +132,9 @@ def check_rig(camera: StereoCamera, spots: Sequence[Array], rng: np.random.Gener
     """
     rays = rays_of(camera, spots)
     if len(rays) < SPOTS_MIN or _cover(camera, np.vstack([np.zeros((0, 4)), *spots])) < COVER_MIN:
-        text = f"{len(rays)} spots matched between the eyes, too few or too close together: the rig cannot be told"
+        text = (
+            f"{len(rays)} spots matched between the eyes, too few or too close together: the rig check is inconclusive"
+        )
         remedy = "point it at a scene with texture all over the picture, 0.5 to 3 m away, and light it"
         return [CheckFinding("eyes", Level.WARN, text, remedy, {"spots": float(len(rays))})]
     disparity_px = camera.fx_px * (rays[:, 0] - rays[:, 2])
@@ -172,7 +174,7 @@ def _eyes(disparity_px: Array) -> CheckFinding:
 def _rows(fit: RigFit) -> CheckFinding:
     level = level_of(fit.spread_px, SPREAD_WARN_PX, SPREAD_FAIL_PX)
     text = f"differ by {fit.row_px:+.2f} px (median), spread {fit.spread_px:.2f} px after the fit, {fit.n_spots} spots"
-    remedy = "" if level is Level.OK else "expose both eyes at once; check that the calibration is this camera's"
+    remedy = "" if level is Level.OK else "expose both eyes simultaneously; check that the calibration is this camera's"
     figures = {"row_median_px": fit.row_px, "row_spread_px": fit.spread_px}
     return CheckFinding("rows", level, text, remedy, figures)
 
@@ -207,7 +209,7 @@ def _turns(camera: StereoCamera, fit: RigFit) -> list[CheckFinding]:
         remedy = (
             ""
             if level is Level.OK
-            else f"the rig was bumped ({name}) or this is another camera's file: calibrate it anew"
+            else f"the rig was bumped ({name}) or this is another camera's file: calibrate it again"
         )
         key = f"{name}_{'pct' if unit == '%' else unit}"
         findings.append(

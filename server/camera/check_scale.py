@@ -66,7 +66,7 @@ def check_scale(ratios: Sequence[SideRatio]) -> CheckFinding:
     """Finding `scale`. One marker off among others that agree is a wrong side; all off alike is the rig."""
     if not ratios:
         remedy = "show a marker of known side to both eyes"
-        return CheckFinding("scale", Level.WARN, "no marker seen by both eyes: it cannot be told", remedy)
+        return CheckFinding("scale", Level.WARN, "inconclusive: no marker visible in both eyes", remedy)
     ids = sorted({one.marker_id for one in ratios})
     per_marker = {i: float(np.median([one.ratio for one in ratios if one.marker_id == i])) for i in ids}
     off = float(np.median(list(per_marker.values()))) - 1.0

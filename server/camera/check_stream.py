@@ -115,8 +115,8 @@ def _latency(times: StreamTimes) -> CheckFinding:
     """From stamp to arrival where one clock made both; otherwise how much it varies, the clocks' drift taken out."""
     late_s = (times.t_receive_ns - times.t_exposure_ns).astype(float) * 1e-9
     if not late_s.any():
-        text = "pairs are stamped on arrival: latency and jitter cannot be told"
-        remedy = "use a source with stamps of its own (X-Exposure-Ns, V4L2, RTSP)"
+        text = "pairs are stamped on arrival: latency and jitter cannot be measured"
+        remedy = "use a source that provides time stamps (X-Exposure-Ns, V4L2, RTSP)"
         return CheckFinding("latency", Level.WARN, text, remedy)
     t_s = (times.t_receive_ns - times.t_receive_ns[0]).astype(float) * 1e-9
     newest = times.connection == times.connection[-1]
@@ -131,11 +131,15 @@ def _latency(times: StreamTimes) -> CheckFinding:
         text = f"latency {1e3 * p50:.1f} ms (95 %: {1e3 * p95:.1f} ms), {text}"
         level = max(level, level_of(p95, LATENCY_WARN_S, LATENCY_FAIL_S), key=_rank)
     else:
-        text += "; the camera has a clock of its own, so latency itself cannot be told"
+        text += "; the camera has a clock of its own, so the absolute latency cannot be measured"
     if abs(drift_ppm) > DRIFT_WARN_PPM:
         level = max(level, Level.WARN, key=_rank)
         text += f"; the clocks drift by {drift_ppm:.0f} ppm"
-    remedy = "" if level is Level.OK else "relieve network and computer; use a wired link; check the camera's clock"
+    remedy = (
+        ""
+        if level is Level.OK
+        else "reduce the load of network and computer; use a wired link; check the camera's clock"
+    )
     return CheckFinding("latency", level, text, remedy, figures)
 
 

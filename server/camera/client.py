@@ -128,7 +128,7 @@ class VisionClient:
         try:
             pipe.send(QuitCommand())
         except OSError:
-            _log.info("vision process was already gone")
+            _log.info("vision process had already ended")
         await asyncio.to_thread(process.join, QUIT_S if self._begun else 0.0)  # while it compiles it hears nothing
         if process.is_alive():
             process.kill()
@@ -235,18 +235,18 @@ class VisionClient:
         if self.stream_text:
             return self.stream_text
         if self.latest is None:
-            return "no picture yet; check the camera, its power and its cable"
+            return "no image yet; check the camera, its power and its cable"
         from server.camera.health.stamps import silence
 
         return "; ".join(found.text for found in silence(self.latest.t_receive_mono_ns, mono_ns()))
 
     def _send(self, command: VisionCommand) -> None:
         if self._pipe is None:
-            raise CameraError("vision process is not running; it is being started again")
+            raise CameraError("vision process is not running; it is restarting")
         try:
             self._pipe.send(command)
         except OSError as error:
-            raise CameraError("vision process has ended; it is being started again") from error
+            raise CameraError("vision process has ended; it is restarting") from error
 
     def _spawn(self) -> None:
         context = multiprocessing.get_context("spawn")
@@ -290,7 +290,7 @@ class VisionClient:
             await asyncio.sleep(LIFE_S)
             silent, self._heard = 0 if self._heard or not self._begun else silent + 1, False
             if silent >= HUNG_LOOKS and self._process is not None:
-                _log.error("vision process has said nothing for %.0f s; it is ended", silent * LIFE_S)
+                _log.error("no message from the vision process for %.0f s; terminating it", silent * LIFE_S)
                 self._process.kill()
                 silent = 0
 

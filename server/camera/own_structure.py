@@ -72,7 +72,7 @@ def check_own_structure(pairs: Sequence[tuple[Image, Image]], masks: Masks = (()
     found = [still_mask([pair[eye] for pair in pairs]) for eye in range(2)]
     left, right = found
     if left is None or right is None:
-        text = "the picture did not move, so what of it is the machine itself is not known"
+        text = "the image did not move, so the machine's own structure in it is unknown"
         return CheckFinding("own structure", Level.OK, text)
     open_fracs = [uncovered_frac(mask, polygons) for mask, polygons in zip((left, right), masks, strict=True)]
     shares = [float((mask > 0).mean()) for mask in (left, right)]

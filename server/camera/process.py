@@ -94,7 +94,7 @@ def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> 
     try:
         VisionLoop(pipe, source, pipeline).run()
     except (EOFError, BrokenPipeError, ConnectionResetError):
-        _log.info("the server is gone; vision ends")
+        _log.info("the server has ended; the vision process ends")
     finally:
         source.close()
         pipeline.close()

@@ -42,7 +42,7 @@ def axes_figures(seen: Seen, legs: list[str]) -> list[Figure]:
         angle = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
         figures.append(Figure(f"{leg}, by {seen.by}: off the expected direction", angle, "deg", at_most=ANGLE_MAX_DEG))
         ratio = got_length / max(length, 1e-12)
-        figures.append(Figure(f"{leg}, by {seen.by}: length seen", ratio, "of expected", RATIO_MIN, RATIO_MAX))
+        figures.append(Figure(f"{leg}, by {seen.by}: measured length", ratio, "of expected", RATIO_MIN, RATIO_MAX))
     return figures
 
 

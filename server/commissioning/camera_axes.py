@@ -48,7 +48,7 @@ async def propose_masks(site: Site, seen: Sequence[Still], masks: Masks) -> str:
     """
     wanted = masks_wanted(seen, masks)
     if wanted is None:
-        return "no leg moved both pictures enough to tell what of them is the machine itself"
+        return "no leg moved both images enough to detect the machine's own structure"
     shares = [100.0 * uncovered_frac(mask, polygons) for mask, polygons in zip(wanted, masks, strict=True)]
     found = f"{shares[0]:.0f} % of the left and {shares[1]:.0f} % of the right picture move with the camera unmasked"
     if max(shares) < 100.0 * UNMASKED_MIN_FRAC:
@@ -139,17 +139,19 @@ def judge_axes(legs: Sequence[Leg], untold: Sequence[str], disparities: Sequence
     if disparities:
         figures.append(Figure("disparity of the markers", float(np.median(disparities)), "px", at_least=1.0))
     else:
-        missing.append("no marker was in both eyes: whether they are exchanged was not seen")
+        missing.append("no marker was visible in both eyes, so whether they are exchanged is not checked")
     for by, steps in (("odometry", [leg.odometry for leg in legs]), ("OOI markers", [leg.markers for leg in legs])):
         told = [(leg, step) for leg, step in zip(legs, steps, strict=True) if step is not None]
         if not told:
-            notes.append(f"{by} told nothing")
+            notes.append(f"{by} measured nothing")
             continue
         seen = Seen(by, np.array([leg.expected for leg, _ in told]), np.array([step for _, step in told]))
         figures += axes_figures(seen, [leg.name for leg, _ in told]) + depth_figure(seen)
         mounting = wrong_mounting(seen) if len(told) == len(_LEGS) else ""
         mountings += [f"by {by}: {mounting}"] if mounting else []
-    missing += [f"{leg.name}: neither odometry nor markers told" for leg in legs if leg.odometry is leg.markers is None]
+    missing += [
+        f"{leg.name}: neither odometry nor markers measured it" for leg in legs if leg.odometry is leg.markers is None
+    ]
     result = judged(NAME, figures, "the camera sees the moves as the machine makes them", REMEDY, missing, notes)
     return replace(result, summary="; ".join([*mountings, result.summary])) if mountings else result
 

@@ -85,7 +85,7 @@ def compare_zeros(
     rows = tuple((name, f"{q:+.3f}", "" if seen is None else f"{seen:+.3f}") for name, q, seen in pairs)
     table = ReportTable("angles", ("joint", "encoder deg", "read at the machine deg"), rows)
     if not figures:
-        skip = skipped(NAME, "nobody read an angle at the machine", "read them, or give them in --answers")
+        skip = skipped(NAME, "no angle was read at the machine", "read them, or give them in --answers")
         return StepResult(NAME, Verdict.SKIPPED, skip.summary, remedy=skip.remedy, tables=(table,))
     missing = [f"not read at the machine: {', '.join(untold)}"] if untold else []
     summary = f"all encoders within {tolerance_deg:g} deg of their marks"
@@ -140,8 +140,8 @@ class Need(Enum):
 
     PLC = "states from the PLC"
     VALVES = "a PLC that is not in dry run"
-    LEAVE = "leave to move"
-    CAMERA = "pictures from the camera"
+    LEAVE = "permission to move"
+    CAMERA = "images from the camera"
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,7 +197,7 @@ async def _one(site: Site, step: Step, results: dict[str, StepResult]) -> StepRe
         result = await step.run(site)
         return replace(result, notes=(*result.notes, *_unproven(step, results)))
     except NoLeaveError as error:
-        return skipped(step.name, str(error), "give leave when all is clear, and run this step again")
+        return skipped(step.name, str(error), "give permission when the area is clear, and run this step again")
     except (LinkError, CameraError, NotReadyError, ValueError) as error:
         return cannot_tell(step.name, str(error), "remove the cause and run this step again")
     finally:
@@ -216,7 +216,7 @@ async def _refusal(site: Site, step: Step, results: dict[str, StepResult]) -> St
     """Why a step cannot begin, or None."""
     failed = [s.name for s in STEPS if s.number in step.after and _has_failed(results.get(s.name))]
     if failed:
-        return cannot_tell(step.name, f"not begun, because '{failed[0]}' failed", f"first mend '{failed[0]}'")
+        return cannot_tell(step.name, f"not started, because '{failed[0]}' failed", f"fix '{failed[0]}' first")
     for need in step.needs:
         refusal = await _NEEDS[need](site, step.name)
         if refusal is not None:
@@ -266,23 +266,25 @@ def _need_proof(site: Site, name: str, dry_run: StepResult | None) -> StepResult
     simulated = latest is not None and latest.simulation
     if simulated or (dry_run is not None and dry_run.verdict is Verdict.PASS):
         return None
-    why = "step 1 (link dry run) has not passed: nobody has seen this PLC stop by itself"
-    return cannot_tell(name, why, "run step 1 in dry run first; --resume takes its report over")
+    why = "step 1 (link dry run) has not passed: it is not proven that this PLC stops by itself"
+    return cannot_tell(name, why, "run step 1 in dry run first; --resume continues its report")
 
 
 async def _need_leave(site: Site, name: str) -> StepResult | None:
     if await site.may_move():
         return None
-    return skipped(name, "no leave to move the machine was given", "type the machine's name when asked, or give --move")
+    return skipped(
+        name, "no permission to move the machine was given", "type the machine's name when asked, or give --move"
+    )
 
 
 async def _need_camera(site: Site, name: str) -> StepResult | None:
     vision = site.vision
     if vision is None:
         return cannot_tell(name, "no camera was started", "run the steps that look with a camera in the settings")
-    if await wait_for(site, lambda: vision.age_s < FRESH_S, CAMERA_WAIT_S, "waiting for pictures"):
+    if await wait_for(site, lambda: vision.age_s < FRESH_S, CAMERA_WAIT_S, "waiting for images"):
         return None
-    return cannot_tell(name, f"no pictures: {vision.stream_text or 'camera is silent'}", "check the camera's settings")
+    return cannot_tell(name, f"no images: {vision.stream_text or 'camera is silent'}", "check the camera's settings")
 
 
 _NEEDS = {

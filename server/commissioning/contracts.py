@@ -97,7 +97,11 @@ def judged(
         verdict=verdict,
         summary=found,
         figures=all_figures,
-        remedy=remedy if wrong else "" if verdict is Verdict.PASS else "run this step again with what was missing",
+        remedy=remedy
+        if wrong
+        else ""
+        if verdict is Verdict.PASS
+        else "provide what was missing and run this step again",
         notes=(*notes, *(missing if wrong else ())),
         tables=tuple(tables),
     )

@@ -27,10 +27,10 @@ async def joint_ranges(site: Site) -> StepResult:
     samples = site.link.samples_since(0)
     recent = [s for s in samples if before is None or s.t_mono_ns > before.t_mono_ns]
     if len(recent) < 10:
-        return cannot_tell(NAME, f"{len(recent)} states in {WATCH_S:.0f} s", "see to the link first (step 1)")
+        return cannot_tell(NAME, f"{len(recent)} states in {WATCH_S:.0f} s", "fix the link first (step 1)")
     figures = range_figures(recent, site.machine.joints)
     if not site.options.ask_for_ends:
-        note = "the mechanical ends were not driven to; --ends asks for them"
+        note = "the mechanical end stops were not checked; --ends includes them"
         return judged(NAME, figures, "all joints quiet and inside their ranges", REMEDY, notes=(note,))
     ends, untold, table = await _ends(site)
     summary = "all joints quiet, inside their ranges, and the ranges inside the mechanical ends"

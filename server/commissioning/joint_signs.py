@@ -1,4 +1,4 @@
-"""Step: every joint moves the way it is told to, by its encoder and in the eyes of the engineer."""
+"""Step: every joint moves in the commanded direction, by its encoder and in the eyes of the engineer."""
 
 import math
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ TIP_M = 0.03  # a wrist turns as much as moves the tip by this, so that it can b
 RUNAWAY_RAD = math.radians(1.0)  # the wrong way by this much: valves to neutral at once
 FOLLOWED_MIN, FOLLOWED_MAX = 0.3, 1.5  # of the step; a dead band swallows a part
 PRESSURE_MAX_PA = 50e6
-_REMARK = "nobody said which way the tool went"
+_REMARK = "the direction of the tool was not entered"
 
 
 # Which way the tool goes when a joint turns, in the words of somebody who stands behind the machine. Pure.
@@ -151,7 +151,9 @@ async def joint_signs(site: Site) -> StepResult:
             break  # a joint that goes the wrong way ends this step: the others wait for the remedy
     headings = ("joint", "step deg", "expected", "seen", "followed %", "valve %")
     table = ReportTable("jogs", headings, tuple(rows))
-    return _with_skip(judged(NAME, figures, "every joint moves the way it is told to", REMEDY, untold, tables=(table,)))
+    return _with_skip(
+        judged(NAME, figures, "every joint moves in the commanded direction", REMEDY, untold, tables=(table,))
+    )
 
 
 def _with_skip(result: StepResult) -> StepResult:
@@ -161,7 +163,7 @@ def _with_skip(result: StepResult) -> StepResult:
     return StepResult(
         result.name,
         result.verdict,
-        f"what was measured is right; still open: {result.summary}",
+        f"measured values are correct; still open: {result.summary}",
         result.figures,
         "watch the tool and answer, or give the answers in --answers; remove what else is named",
         result.notes,
@@ -201,7 +203,7 @@ async def _direction(site: Site, key: str, question: str) -> str | None:
         word = understood(answer)
         if word is not None:
             return word
-        site.operator.tell(f"'{answer}' is none of the directions")
+        site.operator.tell(f"'{answer}' is not one of the directions")
     return None
 
 
@@ -228,7 +230,7 @@ def runaway(sample: PlcSample, q_start: Array, index: int, step: float) -> str:
     if backwards > RUNAWAY_RAD:
         return f"went {math.degrees(backwards):.1f} deg the wrong way"
     if abs(moved[index]) > abs(step) + 2.0 * RUNAWAY_RAD:
-        return f"went {math.degrees(abs(moved[index])):.1f} deg, {math.degrees(abs(step)):.1f} deg were asked for"
+        return f"went {math.degrees(abs(moved[index])):.1f} deg, {math.degrees(abs(step)):.1f} deg were commanded"
     others = np.delete(np.abs(moved), index)
     if len(others) and float(others.max()) > RUNAWAY_RAD:
         return f"another joint moved by {math.degrees(float(others.max())):.1f} deg: crossed valves or encoders"

@@ -38,7 +38,7 @@ ROUND_TRIP_MAX_MS = 50.0
 PLAY_S = 4.0
 SILENT_PLAY_S = 6.0
 AFTER_S = 2.0
-_VERSIONS = (f"states are HMLINK {VERSION_MAJOR}, layout {LAYOUT_ID:#010x}: others would not have been taken",)
+_VERSIONS = (f"states are HMLINK {VERSION_MAJOR}, layout {LAYOUT_ID:#010x}; other versions are rejected",)
 
 
 # How well states arrive, from the samples alone: rate, loss, gaps, delay and the drift of the clocks. Pure.
@@ -74,8 +74,10 @@ def state_figures(samples: Sequence[PlcSample], period_s: float) -> tuple[Figure
         ),
         Figure("states lost", 100.0 * lost / (len(samples) + lost), "%", None, LOSS_MAX_PCT),
         Figure("largest gap between states", 1e3 * float(np.diff(t_pc).max()), "ms", at_most=GAP_MAX_MS),
-        Figure("way PLC to PC beyond the quickest, median", float(np.median(way_ms)), "ms"),
-        Figure("way PLC to PC beyond the quickest, 99 %", float(np.percentile(way_ms, 99)), "ms", None, WAY_P99_MAX_MS),
+        Figure("latency PLC to PC above the minimum, median", float(np.median(way_ms)), "ms"),
+        Figure(
+            "latency PLC to PC above the minimum, 99 %", float(np.percentile(way_ms, 99)), "ms", None, WAY_P99_MAX_MS
+        ),
         Figure("drift of the PLC's clock against the PC's", abs(drift_ppm(t_pc, t_plc)), "ppm", at_most=DRIFT_MAX_PPM),
     )
 
@@ -146,7 +148,7 @@ async def _listen(site: Site) -> list[Figure]:
     after, samples = site.link.health, site.link.samples_since(t_start_ns)
     return [
         *state_figures(samples, site.machine.plc_log_cycle_s),
-        Figure("quickest round trip", after.round_trip_min_ms, "ms", at_most=ROUND_TRIP_MAX_MS),
+        Figure("minimum round trip", after.round_trip_min_ms, "ms", at_most=ROUND_TRIP_MAX_MS),
         Figure("commands sent late by, median", after.lateness_p50_us / 1e3, "ms"),
         Figure("commands sent late by, 99 %", after.lateness_p99_us / 1e3, "ms"),
         Figure("commands refused", float(after.rejected - before.rejected), "commands", at_most=0.0),
@@ -204,7 +206,7 @@ def playback_figures(played: Played, wanted: JointTrajectory, machine: Machine) 
         Figure("reference off its goal", off_goal, "deg", None, 1e-6),
         Figure("encoders moved", math.degrees(float(np.ptp(qs, axis=0).max())), "deg", at_most=math.degrees(STILL_RAD)),
         Figure("largest valve command", max(abs(v) for s in own for v in s.valve_frac), "of full", at_most=0.0),
-        Figure("knots ran out", float(own[-1].underruns - own[0].underruns), "times", at_most=0.0),
+        Figure("knot buffer underruns", float(own[-1].underruns - own[0].underruns), "times", at_most=0.0),
     ]  # fmt: skip
 
 

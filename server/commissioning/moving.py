@@ -56,7 +56,7 @@ class Played:
 async def require_leave(site: Site, what: str) -> None:
     """Raises NoLeaveError unless the engineer gave leave to move and confirms this motion."""
     if not await site.may_move():
-        raise NoLeaveError("no leave to move the machine was given; type its name when asked, or give --move")
+        raise NoLeaveError("no permission to move the machine was given; type its name when asked, or give --move")
     if not await site.operator.confirm(what):
         raise NoLeaveError("the engineer did not confirm the motion")
 

@@ -65,7 +65,7 @@ def from_json(text: str, subject: str) -> Report:
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"])
-        raise SettingsError(f"{subject} is no report of this command: {where}: {first['msg']}") from error
+        raise SettingsError(f"{subject} is not a report of this command: {where}: {first['msg']}") from error
     if report.version != _REPORT_VERSION:
         raise SettingsError(f"{subject}: report version {report.version}, this command reads {_REPORT_VERSION}")
     return report
@@ -80,7 +80,7 @@ def to_markdown(report: Report) -> str:
     simulation = "**A simulated machine**, not a real one.\n\n" if report.simulation else ""
     unfinished = "" if report.complete else "**Not finished**: interrupted, or still under way.\n\n"
     left = ", ".join(report.open_answers)
-    unasked = f"Answers that nothing asked for: {left}\n\n" if left else ""
+    unasked = f"Answers without a question: {left}\n\n" if left else ""
     return (
         f"# Commissioning of {report.machine}\n\n{simulation}{unfinished}| | |\n|---|---|\n"
         f"| begun | {report.started} |\n| longreach | {report.longreach} |\n| link | {report.link} |\n"

@@ -39,7 +39,7 @@ def stop_figures(samples: Sequence[PlcSample], t_trigger_plc_ns: int, machine: M
     """
     at = next((i for i, sample in enumerate(samples) if sample.t_plc_ns >= t_trigger_plc_ns), len(samples))
     if at == 0 or samples[at - 1].plc_state != "RUN":
-        raise ValueError("no motion when the stop was asked for; make the move longer")
+        raise ValueError("no motion when the stop was requested; make the move longer")
     begin = _first(samples, at, lambda state: state != "RUN")
     rest = None if begin is None else _first(samples, begin, lambda state: state not in _MOVING)
 

@@ -26,9 +26,7 @@ from server.motion.point_to_point import plan_joint_move, plan_move
 from server.motion.settings import PlanSettings
 
 NAME = "stop times"
-REMEDY = (
-    "look at qdd_max in the machine file against what the machine can do, at the valves' gains and at the PLC's task"
-)
+REMEDY = "compare qdd_max in the machine file with what the machine can do; check the valve gains and the PLC task"
 TRAVEL_MAX_MM = 80.0
 SPEEDS = (0.5, 1.0)
 KINDS = (StopKind.STOP, StopKind.QUICK_STOP, StopKind.SILENCE)
@@ -80,7 +78,7 @@ async def stop_times(site: Site) -> StepResult:
         try:
             await _take_home(site, home)
         except (NotReadyError, LinkError) as error:
-            untold.append(f"after '{name}' the machine could not be taken back: {error}")
+            untold.append(f"after '{name}' the machine could not be moved back: {error}")
             break
     table = ReportTable(f"stops; ramp at most bound + {RAMP_SLACK_MS:.0f} ms", _HEADINGS, tuple(rows))
     summary = f"every ramp within |qd|/qdd_max, every travel below {TRAVEL_MAX_MM:.0f} mm, nothing resumed"
@@ -116,7 +114,7 @@ async def _trajectory(site: Site, case: StopCase) -> JointTrajectory:
         if plan.trajectory is not None:
             return plan.trajectory
         reason = reason or plan.reason
-    raise NotReadyError(f"no move of the wanted length is possible from here: {reason}")
+    raise NotReadyError(f"no move of the required length is possible from here: {reason}")
 
 
 def _tool_plans(site: Site, q_ref: Array, settings: PlanSettings) -> Iterator[PathPlan]:

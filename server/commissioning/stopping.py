@@ -64,7 +64,7 @@ async def run_and_stop(
             async with asyncio.timeout(SILENCE_S):
                 t_trigger_ns = await trigger
         except TimeoutError:
-            raise EndedByItselfError(played.objection or played.ended.reason or "it was at its end") from None
+            raise EndedByItselfError(played.objection or played.ended.reason or "it had reached its end") from None
     finally:
         trigger.cancel()
     await wait(site, SILENCE_S if kind is StopKind.SILENCE else _AFTER_STOP_S, f"{text}: watching it come to rest")

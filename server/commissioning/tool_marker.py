@@ -57,9 +57,7 @@ def judge_marker(looks: Sequence[Sequence[FrameReport]], machine: Machine) -> St
         *repeat_figures(poses),
         *place_figures(poses, machine),
     ]
-    return judged(
-        NAME, figures, f"marker {_names(ids)} seen where it should be, and again the same", REMEDY, notes=notes
-    )
+    return judged(NAME, figures, f"marker {_names(ids)} seen at its expected place, repeatably", REMEDY, notes=notes)
 
 
 def _names(ids: Sequence[int]) -> str:

@@ -73,7 +73,7 @@ def nominal_goal(diagnosed: DiagnosedArm, chain: Chain, q_now: Array, T_goal: Ar
         if found.q is None:
             raise CompensationError(f"compensated goal: {found.reason}")
         q = found.q
-    raise CompensationError("compensated goal: the diagnosed machine does not come to it; are its effects this large?")
+    raise CompensationError("compensated goal: the diagnosed machine cannot reach it; check the size of its effects")
 
 
 def mount_of(diagnosed: DiagnosedArm, machine: Machine) -> Array:

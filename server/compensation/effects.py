@@ -22,7 +22,7 @@ COMPENSATED = {
     "hand_eye_rotation": "camera mount",
     "hand_eye_translation": "camera mount",
     "valve_deadband": "first stall",
-    "transport_delay": "said, not needed",  # a whole trajectory is played by the PLC's clock: it only starts later
+    "transport_delay": "reported, not needed",  # a whole trajectory is played by the PLC's clock: it only starts later
 }
 
 

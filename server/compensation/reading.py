@@ -99,7 +99,9 @@ def _verdict(path: Path) -> str:
     try:
         return str(json.loads(_text(path))["verdict"])
     except (json.JSONDecodeError, KeyError, TypeError) as error:
-        raise CompensationError(f"[compensation] diagnosis_file {path} is no answer of `longreach diagnose`") from error
+        raise CompensationError(
+            f"[compensation] diagnosis_file {path} is not a result of `longreach diagnose`"
+        ) from error
 
 
 def _text(path: Path) -> str:

@@ -48,7 +48,7 @@ class CalibrationStore:
             self._kept, knowledge.calibration_note = life, ""
         except (OSError, ValueError) as error:  # a number that is none cannot be written either
             why = error.strerror if isinstance(error, OSError) else error
-            knowledge.calibration_note = f"calibration is not kept: {self.path}: {why}"
+            knowledge.calibration_note = f"calibration is not saved: {self.path}: {why}"
             log.error(knowledge.calibration_note)
 
     def restore(
@@ -66,7 +66,7 @@ class CalibrationStore:
                 saved = replace(saved, calibration=replace(saved.calibration, expiry=expiry))
             self._take_up(knowledge, saved, machine_id, n_joints, t_unix_s)
         except (OSError, UnicodeDecodeError, CalibrationFileError) as error:
-            knowledge.calibration_note = f"kept calibration {self.path} was not taken up: {error}"
+            knowledge.calibration_note = f"saved calibration {self.path} was not loaded: {error}"
             log.warning(knowledge.calibration_note)
 
     def _take_up(
@@ -74,9 +74,9 @@ class CalibrationStore:
     ) -> None:
         one = saved.calibration
         if one.machine_id != machine_id:
-            raise CalibrationFileError("it was made with another machine, camera or compensation file; calibrate anew")
+            raise CalibrationFileError("it was made with another machine, camera or compensation file; calibrate again")
         if one.made.q.shape != (n_joints,) or any(run.joints.qs.shape[1] != n_joints for run in saved.runs):
-            raise CalibrationFileError(f"it has {one.made.q.size} joints, the machine {n_joints}; calibrate anew")
+            raise CalibrationFileError(f"it has {one.made.q.size} joints, the machine {n_joints}; calibrate again")
         found = one.valid_at(t_unix_s, one.made.q, one.made.T_base_tcp)
         if not found.ok:
             raise CalibrationFileError(found.reason)
@@ -105,7 +105,7 @@ def _record(one: LocalCalibration) -> CalibrationRecord:
     return CalibrationRecord(
         method=one.method,
         status="ok",
-        reason=f"kept from before; {observability_text(one)}",
+        reason=f"saved earlier; {observability_text(one)}",
         sigma_deg=float(np.rad2deg(one.sigmas_rad[-1])),
         from_nominal_deg=one.from_nominal_deg,
         time_offset_ms=1e3 * one.time_offset_s,

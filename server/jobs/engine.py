@@ -118,7 +118,7 @@ class JobEngine:
     def submit(self, kind: str, plan: Plan, owner: str, lease: Lease | None = None) -> Job:
         """Start a plan now, under a lease; without one it is the server's own.
 
-        Raises: BusyError naming the running job and its owner; JobFailedError: the server is closing.
+        Raises: BusyError naming the running job and its owner; JobFailedError: the server is shutting down.
         """
         job = self._reserved(kind, plan, owner, lease)
         self._begin(job, plan)
@@ -137,7 +137,7 @@ class JobEngine:
         except BaseException as error:
             plan.close()
             job.code = getattr(error, "code", "internal")
-            self._end(job, JobState.FAILED, f"it was not begun: {error}")
+            self._end(job, JobState.FAILED, f"it was not started: {error}")
             raise
         lost = self.leases.lost(job.fencing) if lease else ""
         if job.state is JobState.STOPPING or lost:  # while it was written down
@@ -150,7 +150,7 @@ class JobEngine:
     def _reserved(self, kind: str, plan: Plan, owner: str, lease: Lease | None) -> Job:
         if self._closing:
             plan.close()
-            raise JobFailedError("the server is closing; ask again when it is back", "closing")
+            raise JobFailedError("the server is shutting down; try again when it is back", "closing")
         if self.current is not None and not self.current.ended:
             plan.close()
             busy = self.current
@@ -208,7 +208,7 @@ class JobEngine:
         """End everything: the machine is left holding, and no job begins any more."""
         self._closing = True
         try:
-            await self.stop("server is closing")
+            await self.stop("server is shutting down")
         finally:
             self._planner.shutdown(wait=False)
 
@@ -226,7 +226,7 @@ class JobEngine:
             job.code = getattr(error, "code", "link")
             self._end(job, JobState.FAILED, str(error))
         except Exception as error:  # outermost loop of the shell: a defect must still leave the machine holding
-            log.exception("job %s (%s) failed by a defect", job.job_id, job.kind)
+            log.exception("job %s (%s) failed with an internal error", job.job_id, job.kind)
             await self._stop_safely("internal error")
             job.code = "internal"
             self._end(job, JobState.FAILED, f"internal error: {error!r}; see the server's log")

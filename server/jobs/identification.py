@@ -48,7 +48,7 @@ class Identification:
         if not session.left:
             return "diagnose its recordings" if session.recordings else "plan it again"
         left = (
-            f"{len(session.left)} of {len(session.left) + len(session.done)} parts are left ({', '.join(session.left)})"
+            f"{len(session.left)} of {len(session.left) + len(session.done)} parts remain ({', '.join(session.left)})"
         )
         ended = f" after '{session.ended}'" if session.ended else ""
         return f"paused{ended}: {left}; plan the rest with resume, or diagnose what is recorded"

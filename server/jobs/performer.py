@@ -120,7 +120,7 @@ class Performer:
         samples = self._cell.link.samples_since(now - int(window_s * 1e9))
         latest = self._cell.link.latest
         if latest is None or now - latest.t_mono_ns > SILENT_S * 1e9:
-            age = "never heard" if latest is None else f"{(now - latest.t_mono_ns) / 1e6:.0f} ms old"
+            age = "missing" if latest is None else f"{(now - latest.t_mono_ns) / 1e6:.0f} ms old"
             raise JobFailedError(
                 f"PLC state is {age} (limit {SILENT_S * 1e3:.0f} ms); check cable, PLC program and the plc settings",
                 "plc_silent",

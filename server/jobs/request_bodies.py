@@ -71,9 +71,11 @@ class PlanIdentifyRequest(JobRequest):
     """Plan the drive that shows what this machine's model leaves out: look, and move nothing. `identify` drives it."""
 
     kind: Literal["plan_identify"]
-    minutes: float = Field(default=6.0, ge=1.5, le=6.0, description="about how long; shorter shows less")
-    wall_free: bool = Field(default=False, description="there is no wall within reach; needed where none is seen")
-    resume: bool = Field(default=False, description="only the parts of a paused drive that are left")
+    minutes: float = Field(
+        default=6.0, ge=1.5, le=6.0, description="approximate duration; shorter drives identify less"
+    )
+    wall_free: bool = Field(default=False, description="there is no wall within reach; required where none is measured")
+    resume: bool = Field(default=False, description="only the remaining parts of a paused drive")
 
 
 class IdentifyRequest(JobRequest):
@@ -100,4 +102,4 @@ class ParkRequest(JobRequest):
     """Fold the machine. Refused (`no_wall`) while nobody has looked for a wall, but for `wall_free`."""
 
     kind: Literal["park"]
-    wall_free: bool = Field(default=False, description="there is no wall within reach; needed before the first look")
+    wall_free: bool = Field(default=False, description="there is no wall within reach; required before the first look")

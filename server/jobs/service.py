@@ -225,7 +225,7 @@ class JobService:
             case ParkRequest():
                 if not (ctx.knowledge.looked or body.wall_free):
                     raise JobFailedError(
-                        "no wall is known, so folding cannot be checked against it: look first, or park with "
+                        "no wall is known, so the clearance while folding cannot be checked: look first, or park with "
                         "wall_free = true if there is none within reach",
                         "no_wall",
                     )
@@ -235,7 +235,7 @@ class JobService:
         """The last look, if it may still be acted upon: never move on a stale look."""
         taken, limit_s = self.cell.knowledge.last_look, self.cell.settings.look.age_max_s
         if taken is None or taken.error is None:
-            raise JobFailedError("there is no good look yet; look first", "no_look")
+            raise JobFailedError("there is no valid look yet; look first", "no_look")
         age_s = (mono_ns() - taken.record.t_mono_ns) * 1e-9
         if age_s > limit_s:
             raise JobFailedError(

@@ -101,7 +101,7 @@ class Steering:
         """
         motion, self._motion = self._motion, None
         if motion is None:
-            raise JobFailedError("no motion was begun", "motion_ended_early")
+            raise JobFailedError("no motion was started", "motion_ended_early")
         try:
             ended = await motion
         finally:

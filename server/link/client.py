@@ -149,7 +149,7 @@ class LinkClient:
                 raise LinkRefusedError(self._why_not_armed())
             left_s = deadline_s - mono_s()
             if left_s <= 0:
-                await self._request(StopRequest("arming was given up"))
+                await self._request(StopRequest("arming was cancelled"))
                 silent = self.health.phase is LinkPhase.OFFLINE
                 raise (LinkSilentError if silent else LinkRefusedError)(self._why_not_armed())
             await self._request(ArmRequest())
@@ -162,7 +162,7 @@ class LinkClient:
         Raises: LinkRefusedError: not armed, busy, or the motion gate says no. LinkSilentError: the process is gone.
         """
         if self._motion is not None:
-            raise LinkRefusedError("a trajectory is under way; wait for its end or stop it")
+            raise LinkRefusedError("a trajectory is running; wait for its end or stop it")
         if self.health.phase is not LinkPhase.ARMED:
             raise LinkRefusedError(f"PLC link is {self.health.phase.value}, must be armed and at rest; arm first")
         knots, stops = knots_of(trajectory, len(self._table.axes)), self._stops
@@ -283,7 +283,7 @@ class LinkClient:
 
     async def _request(self, request: LinkRequest) -> None:
         if self._process is None:
-            raise LinkSilentError("the link process does not run; it is started by itself, then arm")
+            raise LinkSilentError("the link process is not running; it restarts automatically, then arm")
         await self._process.request(request)
 
     async def _until(self, wanted: Callable[[], bool], timeout_s: float) -> bool:
@@ -304,9 +304,11 @@ class LinkClient:
     def _refuse_if_stopped(self, stops: int, disarms: int) -> None:
         """Arming does not go on past a stop or disarm, nor begin beside a disarm; it began with these numbers."""
         if self._disarming or disarms != self._disarms:
-            raise LinkRefusedError("the machine was disarmed while it was being armed; arm again when all is clear")
+            raise LinkRefusedError(
+                "the machine was disarmed while it was being armed; arm again when the area is clear"
+            )
         if stops != self._stops:
-            raise LinkRefusedError("the machine was stopped while it was being armed; arm again when all is clear")
+            raise LinkRefusedError("the machine was stopped while it was being armed; arm again when the area is clear")
 
     def _why_not_disarmed(self) -> LinkError:
         health = self.health
@@ -324,7 +326,7 @@ class LinkClient:
             reason = health.error or "is it on, are address, port and framing right, and does no other PC hold it?"
             return f"PLC silent: no state from {where}; {reason}"
         if health.phase is LinkPhase.LOCAL:
-            return "PLC is in LOCAL: the lever at the machine has it; release the lever, then arm"
+            return "PLC is in LOCAL: the lever at the machine has control; release the lever, then arm"
         if health.phase is LinkPhase.FAULT:
             bits = self.latest.fault_bits if self.latest else 0
             return f"PLC is in FAULT (bits {bits:#x}): remove the cause and reset, then arm"
@@ -367,7 +369,7 @@ class LinkClient:
         try:
             await dead.end()
         except Exception:  # whatever is left of it, without a new one nothing is ever commanded again
-            _LOG.exception("the dead link process could not be cleared away")
+            _LOG.exception("the resources of the ended link process could not be released")
         while not self._closing:
             await asyncio.sleep(_RESTART_S)
             try:

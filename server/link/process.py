@@ -62,8 +62,8 @@ _HEALTH_NS = 100_000_000
 _RESOLVE_NS = 1_000_000_000
 _REJECTS_KEPT = 10
 _OTHER_PC_NS = 2 * SESSION_VOID.ns  # by then a session that ended is void, and a PC that wants one has asked again
-_HOLD_LOST = "hold-to-run: no proof that the button is held reached the link in time; press it again"
-_SIGHT_LOST = "closed loop: no pair was judged in time, the server or this computer is busy with something else"
+_HOLD_LOST = "hold-to-run: no hold confirmation reached the link in time; press it again"
+_SIGHT_LOST = "closed loop: no stereo pair was evaluated in time; the server or this computer is overloaded"
 _AGE_SHOWN_NS = 3_600_000_000_000  # "never" is shown as an hour
 
 
@@ -164,7 +164,7 @@ class LinkProcess:
 
     def _watch_parent(self) -> None:
         if os.getppid() != self._parent_pid or self._outbox.broken:
-            self.leave("the server is gone")
+            self.leave("the server has ended")
 
     def _watch_deadlines(self, now_ns: int) -> None:
         """What the button and the camera prove comes through the server; when it stops coming, motion stops, too."""
@@ -193,7 +193,7 @@ class LinkProcess:
             while self._pipe.poll():
                 self._request(self._pipe.recv())
         except (EOFError, OSError):
-            self.leave("the server is gone")
+            self.leave("the server has ended")
 
     def _request(self, request: LinkRequest) -> None:
         match request:
@@ -285,7 +285,7 @@ class LinkProcess:
                     self._renew()
                 case Dropped(code=code, text=text):
                     self._unread_ns = t_mono_ns
-                    self._unread = f"the PLC answers, but not for this PC: {reject_text(code)} [{text}]"
+                    self._unread = f"the PLC answers, but rejects this PC: {reject_text(code)} [{text}]"
 
     def _note_buffer(self, state: State) -> None:
         """Only while knots are still to come: towards its end every trajectory empties the ring."""

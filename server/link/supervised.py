@@ -71,7 +71,9 @@ class SupervisedProcess:
         try:
             await self._loop.run_in_executor(self._writer, self._pipe.send, request)
         except (OSError, RuntimeError) as error:
-            raise LinkSilentError(f"the link process is gone ({error}); it restarts by itself, then arm") from error
+            raise LinkSilentError(
+                f"the link process has ended ({error}); it restarts automatically, then arm"
+            ) from error
 
     async def end(self) -> None:
         """Let it stop the machine and end; killed after 2 s."""

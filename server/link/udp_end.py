@@ -44,7 +44,7 @@ class Resolver:
             try:
                 found = socket.getaddrinfo(self._host, self._port, socket.AF_INET, socket.SOCK_DGRAM)
             except (OSError, UnicodeError) as error:
-                self.error = f"PLC host '{self._host}' is not known: {error}; check [plc] host in the settings"
+                self.error = f"PLC host '{self._host}' cannot be resolved: {error}; check [plc] host in the settings"
                 continue
             host, port = found[0][4][:2]
             self.address, self.error = (str(host), int(port)), ""

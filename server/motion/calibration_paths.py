@@ -134,7 +134,7 @@ def plan_calibration_path(
             if plan.status is PlanStatus.OK:
                 return plan
             refusal, tried = Refusal(plan.status, plan.reason), plan.Ts_base_tcp
-    smallest = f"no calibration path has room here, mirrored or at {100 * path.scales[-1]:.0f} % of its size either: "
+    smallest = f"no calibration path fits here, mirrored or at {100 * path.scales[-1]:.0f} % of its size either: "
     status, reason = (refusal.status, refusal.reason) if refusal else (PlanStatus.INVALID, "no scale was given")
     return refused_plan(Refusal(status, smallest + reason), q, tried)
 
@@ -164,7 +164,7 @@ def _place_refusal(
     distances = np.minimum(*(np.linalg.norm(p - T_base_ooi[:3, 3], axis=1) for p in (along[:, :3, 3], markers)))
     if distances.min() < path.ooi_distance_min_m:
         text = (
-            f"tool would come to {1e3 * distances.min():.0f} mm from the target while calibrating, limit "
+            f"tool would come as near as {1e3 * distances.min():.0f} mm from the target while calibrating, limit "
             f"{1e3 * path.ooi_distance_min_m:.0f} mm; retract first"
         )
         return Refusal(PlanStatus.WALL, text)

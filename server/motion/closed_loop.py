@@ -78,7 +78,7 @@ def path_to_rest(
         worst, duration_s = found.worst, KNOT_S * n * min(1.02 * found.factor, 2.0)
         if duration_s > DURATION_MAX_S:
             break
-    text = f"{worst} asks for more than {DURATION_MAX_S:.0f} s; come nearer by an ordinary move first"
+    text = f"{worst} asks for more than {DURATION_MAX_S:.0f} s; move closer with an ordinary move first"
     return Refusal(PlanStatus.TOO_FAST, text)
 
 

@@ -95,7 +95,7 @@ def check_opcua(settings: OpcUaSettings) -> None:
     """
     if settings.enabled and not is_loopback(settings.host) and not settings.without_keys:
         raise SettingsError(
-            f"[opcua] host = '{settings.host}' is reachable from other computers, and OPC UA asks for no key: "
+            f"[opcua] host = '{settings.host}' is reachable from other computers, and OPC UA requires no key: "
             "listen on 127.0.0.1, or set [opcua] without_keys = true"
         )
     if settings.enabled:
@@ -143,4 +143,4 @@ async def opcua_face(service: JobService, settings: OpcUaSettings) -> AsyncItera
 def _tell(done: "asyncio.Task[None]") -> None:
     """A face that ends by itself is a defect; the machine goes on without it, and its clients see old time stamps."""
     if not done.cancelled() and (error := done.exception()) is not None:
-        log.error("opcua: no values any more", exc_info=error)
+        log.error("opcua: values are no longer updated", exc_info=error)

@@ -76,7 +76,7 @@ def _hold_path(folder: Path) -> socket.socket:
             return holder
         holder.close()
         raise SettingsError(
-            f"folder {folder} was removed and made anew under another server (process {_process_behind(name)}), "
+            f"folder {folder} was removed and recreated under another server (process {_process_behind(name)}), "
             "which still uses its path; end it, or give another folder by --runs"
         ) from error
     return holder

@@ -161,6 +161,6 @@ def _unused_views(found: tuple[EyeDetection, EyeDetection], known: set[int]) -> 
         reason = f"marker {number} is printed white on black; print it black on white"
         views[number] = MarkerView(number, None, None, float("nan"), False, reason)
     for one in sorted(left.repeated_ids | right.repeated_ids):
-        reason = f"marker id {one} is seen at two places; cover or remove one"
+        reason = f"marker id {one} is visible at two places; cover or remove one"
         views[one] = MarkerView(one, None, None, float("nan"), False, reason)
     return list(views.values())

@@ -70,7 +70,7 @@ def _bad_numbers(problem: BundleProblem, layout: BundleLayout, start: BundleStat
         return "a start pose is not finite"
     off = np.abs(start.rotation @ start.rotation.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     if (off > ROTATION_TOL).any() or (np.linalg.det(start.rotation) < 0.0).any():
-        return f"start pose {int(off.argmax())} is no rotation (off by {off.max():.1e})"
+        return f"start pose {int(off.argmax())} is not a rotation (off by {off.max():.1e})"
     observed = np.diff(layout.first) > 0
     if not _sane(start.points[observed]) or not _sane(layout.in_body):
         return "the place of an observed point is not finite"

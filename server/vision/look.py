@@ -43,7 +43,7 @@ def average_look(
     limits = settings or AverageSettings(spread_max_mm=spread_max_mm, drift_max_mm=spread_max_mm)
     if not observations:
         return _failed(
-            observations, LookStatus.NO_IMAGES, "no stereo pairs came; check the camera source and its cable"
+            observations, LookStatus.NO_IMAGES, "no stereo pairs received; check the camera source and its cable"
         )
     usable = [one for one in observations if one.tool.status in USABLE and one.ooi.status in USABLE]
     if len(usable) < max(1.0, limits.used_min_frac * len(observations)):

@@ -53,7 +53,7 @@ def check_connected(seen: SeenViews) -> Refusal | None:
     names = " and ".join(f"{{{_listed([seen.ids[k] for k in group])}}}" for group in groups)
     return Refusal(
         TeachStatus.NOT_CONNECTED,
-        f"markers {names} are never seen together; take views that show markers of both groups at once",
+        f"markers {names} are never seen together; take views that show markers of both groups together",
     )
 
 

@@ -34,7 +34,7 @@ STAMP_AHEAD_NS = 700_000_000
 STAMP_BACK_NS = 300_000_000
 MOVED_M = 0.008
 MOVED_RAD = np.deg2rad(3.0)
-SECOND_PRINT_M = (-0.35, 0.25, 0.0)  # from the OOI's middle: beside and above its markers, on the open wall
+SECOND_PRINT_M = (-0.35, 0.25, 0.0)  # from the OOI's middle: next to and above its markers, on the open wall
 RECODED_QUALITIES = (95, 93, 96, 94, 97)
 GARBAGE_FROM_FRAC = 0.4  # of the bytes
 
@@ -44,7 +44,7 @@ class FaultKind(Enum):
 
     NONE = "none"
     FREEZE = "freeze"
-    FREEZE_RECODED = "freeze_recoded"  # the same picture, compressed anew each time at a quality of its own
+    FREEZE_RECODED = "freeze_recoded"  # the same picture, compressed again each time at a quality of its own
     LEFT_FREEZE = "left_freeze"
     RIGHT_FREEZE = "right_freeze"
     SILENT = "silent"  # no pictures at all

@@ -1,4 +1,4 @@
-"""The newest picture and who waits for it: every client gets the newest one only, and what it missed is counted."""
+"""Newest frame for all waiting clients; frames that a client missed are counted."""
 
 import asyncio
 from collections.abc import Iterator
@@ -30,7 +30,7 @@ class Subscriber:
         self._arrived.set()
 
     def close(self) -> None:
-        """Wake the client to tell it that nothing follows."""
+        """Wake the client with the information that nothing follows."""
         self._frame = None
         self._arrived.set()
 

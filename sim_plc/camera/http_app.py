@@ -1,4 +1,4 @@
-"""The camera's HTTP face: multipart stream, snapshot, health, and fault switches where they are allowed."""
+"""HTTP interface of the simulated camera: multipart stream, snapshot, health, and fault switches if enabled."""
 
 from collections import deque
 from collections.abc import AsyncIterator, Callable
@@ -129,7 +129,7 @@ def camera_app(hub: FrameHub, health: Callable[[], dict[str, Any]], faults: Faul
 
     async def snapshot(_request: Request) -> Response:
         if hub.newest is None:
-            return JSONResponse({"detail": "no picture yet; the camera is starting, see /healthz"}, status_code=503)
+            return JSONResponse({"detail": "no image yet; the camera is starting, see /healthz"}, status_code=503)
         return Response(hub.newest.jpeg, media_type="image/jpeg", headers=frame_headers(hub.newest))
 
     async def healthz(_request: Request) -> Response:

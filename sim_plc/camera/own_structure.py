@@ -1,4 +1,4 @@
-"""The crane's own structure in both eyes: what is fixed to the camera painted once, the hoses in every picture."""
+"""The crane's own structure in both eyes: fixed parts painted once, hoses in every image."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,4 @@
-"""What faults do to pictures: shade, glare, blur, another lens, a bumped eye, light that flickers, dirt."""
+"""Image faults: shade, glare, blur, another lens, a bumped eye, flicker, dirt."""
 
 from collections.abc import Callable
 

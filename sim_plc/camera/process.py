@@ -105,7 +105,7 @@ class CameraLoop:
         return sum(t >= since for t in tuple(self._done_mono_ns)) / _FPS_WINDOW_S
 
     def run(self, feed_name: str) -> None:
-        """Until `stop` is set; a failure ends the pictures and is told in `error`."""
+        """Until `stop` is set; a failure ends the pictures and is stored in `error`."""
         try:
             renderer = StereoRenderer(self._world)
             feed = self._attached(feed_name)
@@ -114,7 +114,7 @@ class CameraLoop:
                     self._run(renderer, feed)
                 finally:
                     feed.close()
-        except Exception as error:  # the outermost loop of this thread: /healthz tells it
+        except Exception as error:  # the outermost loop of this thread: /healthz reports it
             log.exception("camera loop ended")
             self.error = f"{type(error).__name__}: {error}"
 
@@ -152,7 +152,7 @@ class CameraLoop:
                 log.info("camera: %.1f pairs/s of %.1f wanted", grid.rate_hz, self.governor.wanted_hz)
 
     def _faulty(self, renderer: StereoRenderer) -> StereoRenderer:
-        """The renderer of the scene as the chosen fault leaves it; made when first asked for."""
+        """The renderer of the scene as the chosen fault leaves it; made when first requested."""
         kind = self._faults.kind
         if kind not in SCENE_FAULTS:
             return renderer

@@ -1,4 +1,4 @@
-"""What lens and sensor do to a sharp picture: motion blur, point spread, noise, clipping to 8 bits."""
+"""Lens and sensor model: motion blur, point spread, noise, clipping to 8 bits."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""The wall: its relief, where rays meet it, and its picture in one eye by a sparse map."""
+"""The wall: relief, ray intersection, and its image in one eye by a sparse map."""
 
 from dataclasses import dataclass
 

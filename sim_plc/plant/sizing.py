@@ -1,4 +1,4 @@
-"""The undisturbed crane of this class: actuator sizes, oil, friction and link inertias, before any preset is drawn.
+"""The nominal crane of this class: actuator sizes, oil, friction and link inertias, before any preset is drawn.
 
 Marks: E read in a source or measured, K general knowledge, A assumption, C computed from those (docs/plant.md).
 """

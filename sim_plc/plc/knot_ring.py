@@ -1,4 +1,4 @@
-"""The ring of 64 knots, keyed by absolute index: what the PLC holds of a trajectory, and what it refuses to take."""
+"""Ring of 64 knots keyed by absolute index, with the checks for accepting a knot."""
 
 from dataclasses import dataclass
 
@@ -34,7 +34,7 @@ class KnotRing:
         self.traj_id, self.first, self.last, self.end = 0, 0, -1, -1
 
     def clear(self) -> None:
-        """Forget everything: a new session numbers its trajectories anew."""
+        """Forget everything: a new session numbers its trajectories again."""
         self.traj_id, self.first, self.last, self.end = 0, 0, -1, -1
 
     @property

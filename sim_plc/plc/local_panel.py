@@ -8,9 +8,9 @@ EnableMode = Literal["auto", "panel"]
 
 @dataclass(slots=True)
 class LocalPanel:
-    """`auto`: the enable is given again by itself after every disarming (for machines that nobody stands beside).
+    """`auto`: the enable is given again by itself after every disarming (for unattended machines).
 
-    `panel`: somebody must give it, and after the last disarming: an enable left on does not arm the machine again.
+    `panel`: a person must give it, and after the last disarming: an enable left on does not arm the machine again.
     """
 
     mode: EnableMode = "auto"

@@ -26,7 +26,7 @@ from sim_plc.plc.status import PlcCounters, status_of
 
 
 class PlcNotStartedError(RuntimeError):
-    """A state was asked for before the first cycle."""
+    """A state was requested before the first cycle."""
 
 
 class PlcLogic:
@@ -117,7 +117,7 @@ class PlcLogic:
         self.monitor.latch(faults)
         self._apply(PlcEvent.FAULT, t_plc_ns)
         if faults & (FaultBit.SENSOR | FaultBit.ESTOP) and self._sample is not None:
-            self.reference.let_go()  # without encoders or oil there is no ramp: valves neutral at once
+            self.reference.let_go()  # without encoders or oil there is no ramp: valves neutral immediately
 
     # --- one cycle --------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""What the PLC watches in every cycle: lag, range, encoders, oil. Faults latch until RESET, warnings do not."""
+"""Per-cycle monitoring of lag, range, encoders and oil; faults latch until RESET, warnings do not."""
 
 import numpy as np
 from numba import njit

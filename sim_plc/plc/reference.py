@@ -111,7 +111,7 @@ class Reference:
         self._k, self._sigma, self._rate = 0, 0.0, 0.0
 
     def play(self) -> None:
-        """Start from knot 0; it is at rest, so full rate at once is no step."""
+        """Start from knot 0; it is at rest, so starting at full rate is not a step."""
         self.rewind()
         self._rate = self.speed_override
         self.motion = Motion.PLAY

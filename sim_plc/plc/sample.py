@@ -1,4 +1,4 @@
-"""What the PLC's inputs tell in one cycle."""
+"""The PLC's inputs of one cycle."""
 
 import math
 from dataclasses import dataclass, replace

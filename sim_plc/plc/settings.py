@@ -1,4 +1,4 @@
-"""What the PLC's logic knows of its machine: limits, gains and thresholds, as arrays for the compiled loops."""
+"""Machine parameters of the PLC logic: limits, gains and thresholds, as arrays for the compiled loops."""
 
 from dataclasses import dataclass
 
@@ -14,7 +14,7 @@ LAG_FLOOR_RAD = 0.05  # a fast loop still needs room for gravity, friction and d
 RANGE_MARGIN_RAD = 0.05  # a loaded joint may be pushed this far past its limit before it is a fault
 ENCODER_JUMP_RAD = 0.01  # no joint goes this far, and three times its top speed, between two cycles: the encoder lies
 ENCODER_JUMP_FACTOR = 3.0
-REST_SPEED_RAD_S = 0.05  # faster than this while arming: the boom is swinging or somebody moves it
+REST_SPEED_RAD_S = 0.05  # faster than this while arming: the boom oscillates or a person moves it
 SUPPLY_FAULT_PA = 2e6  # no pump at all: a joint would sink instead of following
 SUPPLY_WARN_PA = 10e6  # half of the usual supply pressure: the pump does not keep up
 OIL_WARN_C = 70.0

@@ -26,7 +26,7 @@ _BY_OVERRIDE = (Motion.HOLD, Motion.SERVO)
 
 @dataclass(slots=True)
 class PlcCounters:
-    """Counted since the start; `starved` tells of the present trajectory."""
+    """Counted since the start; `starved` refers to the present trajectory."""
 
     cycles: int = 0
     underruns: int = 0
@@ -84,12 +84,12 @@ def _sent(values: Array) -> Axes:
 
 def _axis_words(settings: PlcSettings, monitor: Monitor, q: Array, q_ref: Array, valves: Array) -> tuple[int, ...]:
     """axis_status of every joint in use."""
-    told = np.isfinite(q)
+    readable = np.isfinite(q)
     words = np.full(settings.n, int(AxisBit.IN_USE))
-    words += int(AxisBit.AT_Q_MIN) * (told & (q <= settings.q_min))
-    words += int(AxisBit.AT_Q_MAX) * (told & (q >= settings.q_max))
+    words += int(AxisBit.AT_Q_MIN) * (readable & (q <= settings.q_min))
+    words += int(AxisBit.AT_Q_MAX) * (readable & (q >= settings.q_max))
     words += int(AxisBit.VALVE_SATURATED) * (np.abs(valves) >= 1.0)
     jumped = (monitor.jumped >> np.arange(settings.n)) & 1 == 1
-    words += int(AxisBit.ENCODER_FAULT) * (~told | jumped)
-    words += int(AxisBit.LAG) * (told & (np.abs(q_ref - q) > settings.lag_warn))
+    words += int(AxisBit.ENCODER_FAULT) * (~readable | jumped)
+    words += int(AxisBit.LAG) * (readable & (np.abs(q_ref - q) > settings.lag_warn))
     return tuple(words.tolist())

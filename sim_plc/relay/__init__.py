@@ -1,1 +1,1 @@
-"""A seeded network that misbehaves, and the drills that run the link through it."""
+"""A seeded network with faults, and the fault-injection tests that run the link through it."""

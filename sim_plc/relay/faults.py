@@ -22,7 +22,7 @@ class FaultSettingsError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What happens to the datagrams of one direction; the neutral values let everything pass at once.
+    """What happens to the datagrams of one direction; the neutral values let everything pass immediately.
 
     Windows are (from, until) in seconds of the channel's time.
     """

@@ -148,7 +148,7 @@ class UdpRelay:
 def run_relay(
     settings: RelaySettings, ready: Callable[[Address], None] | None = None, for_s: float | None = None
 ) -> RelayFigures:
-    """Relay until SIGTERM or SIGINT, or for `for_s`; `ready` is told the address. Returns the figures.
+    """Relay until SIGTERM or SIGINT, or for `for_s`; `ready` gets the address. Returns the figures.
 
     Raises: FaultSettingsError: the port is taken, or the PLC's name is unknown.
     """
@@ -182,7 +182,7 @@ def _stop_flag() -> Iterator[Callable[[], bool]]:
 
 
 def _drained(port: socket.socket) -> Iterator[tuple[bytes, Address]]:
-    """What waits in a socket. An ICMP answer to something sent earlier is no datagram."""
+    """What waits in a socket. An ICMP answer to something sent earlier is not a datagram."""
     for _ in range(_DRAIN):
         try:
             yield port.recvfrom(_MAX_DATAGRAM)

@@ -1,4 +1,4 @@
-"""Where the relay listens, where it sends to, and what it does on the way."""
+"""Settings of the relay: addresses and faults."""
 
 from dataclasses import dataclass, field
 

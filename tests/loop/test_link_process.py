@@ -196,7 +196,9 @@ async def test_killed_link_process_ends_the_motion_and_is_replaced(raw_plc: PlcT
         await link.close()
 
 
-@pytest.mark.parametrize(("proof", "word"), [("hold_until", "hold-to-run"), ("steer_until", "no pair was judged")])
+@pytest.mark.parametrize(
+    ("proof", "word"), [("hold_until", "hold-to-run"), ("steer_until", "no stereo pair was evaluated")]
+)
 async def test_a_proof_that_nobody_renews_stops_the_motion_without_the_server(
     raw_plc: PlcThread, machine: Machine, proof: str, word: str
 ) -> None:
@@ -261,7 +263,7 @@ async def test_a_steered_motion_goes_on_by_its_pairs_and_not_past_a_stall(raw_pl
         assert raw_plc.plc.link.state is PlcState.RUN
         time.sleep(1.5)  # noqa: ASYNC251 the server is busy with something else
         assert raw_plc.plc.link.state is not PlcState.RUN
-        with pytest.raises(JobFailedError, match="no pair was judged in time"):
+        with pytest.raises(JobFailedError, match="no stereo pair was evaluated in time"):
             await asyncio.wait_for(steering.end(), 3.0)
         task = asyncio.ensure_future(link.run(long_path(raw_plc)))  # the next job is not held to it
         assert await until(lambda: raw_plc.plc.link.state is PlcState.RUN, 3.0)

@@ -40,7 +40,7 @@ def first_lost(cell):
 @pytest.mark.parametrize(("rate_hz", "latency_s", "in_motion"), [(60.0, 0.040, 1), (60.0, 0.040, 2), (15.0, 0.080, 2)])
 def test_a_marker_lost_on_the_way_is_answered_by_a_ramp_within_200_ms(rate_hz, latency_s, in_motion):
     cell = VirtualCell(seed=2, rate_hz=rate_hz, latency_s=latency_s, hidden_from_s=1.5, in_motion=in_motion)
-    with pytest.raises(JobFailedError, match=r"first lost look: object of interest: no marker") as failed:
+    with pytest.raises(JobFailedError, match=r"first invalid look: object of interest: no marker") as failed:
         steered(cell, cell.context())
     assert failed.value.code == "servo_look_lost"
     assert (
@@ -89,7 +89,7 @@ def test_a_gap_at_rest_only_makes_it_wait_for_a_new_row():
     late = VirtualCell(
         preset="ideal", gap_at_rest=(94, 112), hidden_from_s=0.3
     )  # 0.3 s without a pair, then all is well
-    with pytest.raises(JobFailedError, match="first lost look"):  # it did begin
+    with pytest.raises(JobFailedError, match="first invalid look"):  # it did begin
         steered(late, late.context())
     waited = [request.silence_max_s for _, request in late.told if isinstance(request, NextPair)]
     assert waited.count(1.0) >= 2

@@ -150,5 +150,5 @@ def test_words_of_the_command_line_mean_sources() -> None:
     assert camera_settings_of("l/*.png, r/*.png") == FolderCameraSettings(
         kind="folder", left_glob="l/*.png", right_glob="r/*.png"
     )
-    with pytest.raises(SettingsError, match="no address, device, file or folder"):
+    with pytest.raises(SettingsError, match="is not an address, device, file or folder"):
         camera_settings_of("nothing.here")

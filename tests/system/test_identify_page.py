@@ -124,7 +124,7 @@ def serve(route, server):
         script = "import{openGap}from './gap.js';import{fillTexts}from './texts.js';fillTexts(document);openGap()"
         head = '<link rel="stylesheet" href="style.css">'
         switch = '<input id="hold-switch" type="checkbox" hidden><p id="notice" hidden></p>'
-        switch += '<button id="stop" hidden><b id="stop-told"></b></button><p id="stop-unheard" hidden></p>'
+        switch += '<button id="stop" hidden><b id="stop-status"></b></button><p id="stop-unheard" hidden></p>'
         shown = gap.replace("hidden>", ">", 1)
         body = f"{switch}{shown}<script type=module>{script}</script>"
         html = f"<!doctype html><html><head>{head}</head><body>{body}</body></html>"
@@ -146,7 +146,7 @@ def test_from_the_plan_to_the_comparison(tmp_path):
         page.goto("http://panel.test/")
         page.click("#identify-plan")
         page.locator("#identify-drive").wait_for()
-        assert "6.0 min, 15 looks" in page.inner_text("#identify-told")
+        assert "6.0 min, 15 looks" in page.inner_text("#identify-plan-facts")
         page.screenshot(path=folder / "page-1-plan.png")
         server.session |= {"parts_done": [], "parts_left": ["repeats", "slow passes", "looks"]}
         page.click("#identify-drive")

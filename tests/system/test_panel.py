@@ -174,7 +174,7 @@ def test_the_second_person_cannot_execute_but_can_stop(anna, bert, stack):
 
 def test_control_is_asked_for_and_handed_over(anna, bert):
     anna.take_control()
-    bert.page.get_by_role("button", name="Ask for control", exact=True).click()
+    bert.page.get_by_role("button", name="Request control", exact=True).click()
     anna.page.get_by_role("button", name="Hand over to").click(timeout=20_000)
     bert.page.locator("#control-buttons button.primary").click(timeout=20_000)
     bert.page.wait_for_function("() => document.getElementById('control').classList.contains('mine')")
@@ -261,12 +261,12 @@ def test_stop_goes_out_at_the_touch_and_says_whether_it_was_heard(anna):
     page.goto(anna.url + "/?no3d")
     page.locator("#stop").hover(force=True)
     page.mouse.down()
-    page.wait_for_function("() => document.getElementById('stop-told').textContent === 'NOT CONFIRMED'")
+    page.wait_for_function("() => document.getElementById('stop-status').textContent === 'NOT CONFIRMED'")
     assert "emergency stop" in page.locator("#stop-unheard").inner_text()
     page.mouse.up()
     page.unroute("**/v1/stop")
     page.keyboard.press("Escape")
-    page.wait_for_function("() => document.getElementById('stop-told').textContent === 'STOP received'")
+    page.wait_for_function("() => document.getElementById('stop-status').textContent === 'STOP received'")
     assert page.locator("#stop-unheard").is_hidden()
     page.close()
 
@@ -277,7 +277,7 @@ def test_esc_stops_from_inside_the_3d_view(viewer):
     with page.expect_response("**/v1/stop") as answered:
         page.keyboard.press("Escape")
     assert answered.value.status == 200
-    page.wait_for_function("() => document.getElementById('stop-told').textContent === 'STOP received'")
+    page.wait_for_function("() => document.getElementById('stop-status').textContent === 'STOP received'")
 
 
 def test_a_double_click_takes_control_and_keeps_it(anna):

@@ -79,7 +79,7 @@ def test_a_frozen_camera(anna, stack, tmp_path):
     assert httpx.post(camera, json={"kind": "silent"}).status_code == 200
     after_one_second(anna, "camera-silent", tmp_path)
     assert anna.text("#veil").startswith("old: ")
-    assert "no picture" in anna.text("#camera")
+    assert "no image" in anna.text("#camera")
     assert crossed(anna, "#errors td.now")
     httpx.post(camera, json={"kind": "none"})
     anna.page.wait_for_function("() => document.getElementById('veil').hidden", timeout=60_000)
@@ -112,7 +112,7 @@ def test_a_full_disk(anna, stack, disk, tmp_path):
     )
     after_one_second(anna, "disk-full", tmp_path)
     told = anna.page.locator("#alarm-list .alarm", has_text=re.compile("disk|recorded")).first.text_content()
-    assert "still so" in told
+    assert "still active" in told
     assert anna.page.locator("#stop").is_enabled()
     (folder / "ballast").unlink()
 
@@ -121,7 +121,7 @@ def test_a_dead_plc(anna, stack, tmp_path):
     os.killpg(stack.processes["sim"].pid, signal.SIGSTOP)
     after_one_second(anna, "plc-dead", tmp_path)
     assert "no answer" in anna.text("#link")
-    assert "not told" in anna.text("#safety") or crossed(anna, "#safety b")
+    assert "not known" in anna.text("#safety") or crossed(anna, "#safety b")
     assert "PLC is silent" in anna.text("button[data-kind=look]")
     assert crossed(anna, "#panel-joints td.v")
     assert anna.page.locator("#main-steps button:enabled").count() == 0

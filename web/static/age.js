@@ -1,4 +1,4 @@
-// How old things are. The server tells ages and its own clock; both clocks are matched here, so that what has waited in
+// How old things are. The server sends ages and its own clock; both clocks are matched here, so that what has waited in
 // a queue on its way is as old as it is, and ages go on growing while nothing new comes.
 import { setClass } from "./dom.js";
 
@@ -22,17 +22,17 @@ export const pageTime = (serverMs, otherwise) => (Number.isFinite(ahead) ? Math.
 export const silence = () => performance.now() - heardAt;
 export const serverSilent = () => silence() > LIMITS_MS.server;
 
-// An age that was told with the newest message, as it is now; null stays null.
-export const grown = (toldMs) => (toldMs === null || toldMs === undefined ? null : toldMs + silence());
+// An age that came with the newest message, as it is now; null stays null.
+export const grown = (ageMs) => (ageMs === null || ageMs === undefined ? null : ageMs + silence());
 
-export const isOld = (toldMs, limitMs) => toldMs === null || toldMs === undefined || grown(toldMs) > limitMs;
+export const isOld = (ageMs, limitMs) => ageMs === null || ageMs === undefined || grown(ageMs) > limitMs;
 
 // The last look against the server's own limits: its age, and whether the machine is where it was taken. A calibration is
-// driven: the look before it is no look of now, also where the machine came back.
+// driven: the look before it is outdated, also where the machine came back.
 export const lookOld = (state) => isOld(state.look ? 1000 * state.look.age_s : null, 1000 * state.panel.look_age_max_s);
 export const movedSince = (state) => state.panel.look_moved_deg > state.panel.look_moved_max_deg || (state.calibration?.age_s ?? Infinity) < (state.look?.age_s ?? 0);
 
-// Whether what the camera tells is not of now: nothing came for too long, what comes was long on its way, or the same
+// Whether the camera's data are stale: nothing came for too long, what comes was long on its way, or the same
 // picture comes again and again.
 export const pictureOld = ({ camera, panel }) =>
   serverSilent() || isOld(camera.age_ms, LIMITS_MS.camera) || isOld(panel.vision.exposure_age_ms, LIMITS_MS.camera) || stalePicture(camera.warnings) !== "";

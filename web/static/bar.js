@@ -3,6 +3,8 @@ import { LIMITS_MS, ageText, crossOut, grown, isOld, pictureOld, serverSilent, s
 import { byId, setClass, setText } from "./dom.js";
 import { t } from "./texts.js";
 
+const NOT_REPORTED = "not told"; // the value of the REST interface
+
 export function showBar(state) {
   const real = state.mode === "REAL";
   setText(byId("mode"), t(real ? "real" : "sim"));
@@ -27,7 +29,7 @@ function chip(id, level, text, sub, old) {
   crossOut(element, old);
 }
 
-// What is silent says so in the present tense, and when it was heard last; what it told then is gone.
+// What is silent says so in the present tense, and when it was heard last; what it reported then is gone.
 function showLink(link, figures) {
   const silent = isOld(link.age_ms, LIMITS_MS.link);
   const age = link.age_ms === null ? t("never") : ageText(grown(link.age_ms));
@@ -54,9 +56,10 @@ function showCamera(state) {
 function showSafety(safety, link) {
   const old = isOld(link.age_ms, LIMITS_MS.link) || serverSilent();
   const bad = safety.estop === "PRESSED" || safety.enable === "LOST";
-  const enable = safety.enable === "needed to arm" ? t("enable_needed") : safety.enable;
-  const told = safety.estop !== "not told";
-  chip("safety", bad ? "bad" : old ? "warn" : "good", safety.estop, t("estop_sub", { enable }), old && (told || serverSilent()));
+  const enable = { "needed to arm": t("enable_needed"), [NOT_REPORTED]: t("not_known") }[safety.enable] ?? safety.enable;
+  const known = safety.estop !== NOT_REPORTED;
+  const estop = known ? safety.estop : t("not_known");
+  chip("safety", bad ? "bad" : old ? "warn" : "good", estop, t("estop_sub", { enable }), old && (known || serverSilent()));
 }
 
 // What is still so goes before what is over, whatever its priority.

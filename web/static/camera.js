@@ -16,7 +16,7 @@ let drawn = 0;
 export function startCamera() {
   const socket = new WebSocket(address("/v1/video"));
   socket.binaryType = "arraybuffer";
-  let newest = -1; // of this connection: two may be decoded at once, and end in the other order
+  let newest = -1; // of this connection: two may be decoded simultaneously, and end in the other order
   socket.onmessage = async (message) => {
     try {
       const frame = await decoded(message.data);
@@ -24,7 +24,7 @@ export function startCamera() {
       newest = frame.header.number;
       offer(frame);
     } catch (error) {
-      reportError(error); // one bad picture; the next one is asked for all the same
+      reportError(error); // one bad picture; the next one is requested all the same
     } finally {
       if (socket.readyState === WebSocket.OPEN) socket.send("next");
     }

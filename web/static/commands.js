@@ -1,4 +1,4 @@
-// Every command goes through here: with this page's lease, once, and its refusal told in words.
+// Every command goes through here: with this page's lease, once, and its refusal shown in words.
 import { byId, setText } from "./dom.js";
 import { t } from "./texts.js";
 

@@ -1,4 +1,4 @@
-// The live socket: states in, wishes about the view out. It reconnects for ever.
+// The live socket: states in, requests about the view out. It reconnects for ever.
 import { forgetClock, heard } from "./age.js";
 
 const AGAIN_MS = 1000;
@@ -43,12 +43,12 @@ export class Live {
     this.open();
   }
 
-  send(wish) {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(wish));
+  send(request) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(request));
   }
 }
 
-// A refused socket does not tell the page why; the session does.
+// A refused socket gives the page no reason; the session does.
 async function sessionEnded() {
   const answer = await fetch("v1/session").catch(() => null);
   return answer !== null && answer.status === UNAUTHORIZED;

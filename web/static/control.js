@@ -1,5 +1,5 @@
 // Who has control: take, keep alive, release, ask, hand over. The secret stays in this page's memory: a copy of the
-// tab, or the same page loaded anew, has none.
+// tab, or the same page reloaded, has none.
 import { getLease, notice, send, setLease } from "./commands.js";
 import { byId, make, setClass, setText, whenChanged } from "./dom.js";
 import { serverSilent } from "./age.js";
@@ -83,7 +83,7 @@ function holderLeft(control, mine, offered) {
   return control.stale ? t("control_stale") : t("control_left", { s: Math.round(control.expires_in_s ?? 0) });
 }
 
-// The box is drawn anew under the pointer: the second half of a double click on "Take control" must not be "Release".
+// The box is redrawn under the pointer: the second half of a double click on "Take control" must not be "Release".
 let asking = false;
 async function once(event, act) {
   if (asking || event.detail > 1) return;
@@ -94,8 +94,8 @@ async function once(event, act) {
 function buttons(control, mine, free, offered) {
   const button = (key, act, kind = "", values = {}) => make("button", { class: kind, onclick: (event) => once(event, act), type: "button" }, t(key, values));
   if (mine) {
-    const wishes = control.asked_by.slice(-1).map((owner) => button("hand_over", () => grant(owner), "", { owner }));
-    return [...wishes, button("release", release)];
+    const requests = control.asked_by.slice(-1).map((owner) => button("hand_over", () => grant(owner), "", { owner }));
+    return [...requests, button("release", release)];
   }
   if (free || offered) return [button("take_control", acquire, "primary")];
   return [button("ask", () => ask(control.owner)), button("take_over", takeOver, "grave")];

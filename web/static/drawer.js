@@ -1,4 +1,4 @@
-// Engineering: link, vision, calibration, gap, recordings with replay, settings. Opens beside; never covers the top bar.
+// Engineering: link, vision, calibration, gap, recordings with replay, settings. Opens at the side; never covers the top bar.
 import { LIMITS_MS, ageText, crossOut, grown, isOld, serverSilent } from "./age.js";
 import { send } from "./commands.js";
 import { byId, make, setText, svg, whenChanged } from "./dom.js";

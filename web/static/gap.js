@@ -1,4 +1,4 @@
-// Gap diagnosis: choose a recording, follow the run beside, and what came out in words. It moves nothing.
+// Gap diagnosis: choose a recording, follow the run, read the result in words. It moves nothing.
 import { send } from "./commands.js";
 import { byId, make, setText, whenChanged } from "./dom.js";
 import { closeIdentify, openIdentify, useButton, waterfall } from "./identify.js";
@@ -20,7 +20,7 @@ export function closeGap() {
 export async function openGap() {
   const recordings = await send("GET", "/v1/panel/recordings", undefined, { quiet: true });
   const names = (recordings.data ?? []).map((one) => ({ name: one.name, text: `${one.name} (${one.size_mb.toFixed(1)} MB)` }));
-  const moved = names.find((one) => !STILL.test(one.name)) ?? names[0]; // a look alone tells next to nothing of a machine
+  const moved = names.find((one) => !STILL.test(one.name)) ?? names[0]; // a look alone shows next to nothing of a machine
   whenChanged("gap-run", names, (box) => {
     box.replaceChildren(...names.map((one) => make("option", { value: one.name }, one.text)));
     if (moved) box.value = moved.name;
@@ -41,7 +41,7 @@ async function follow() {
   byId("gap-missing").hidden = status !== 404;
   byId("gap").hidden = status === 404;
   if (status === 404) return;
-  if (!ok) { // what runs goes on beside: a hiccup of the page must not lose it
+  if (!ok) { // the run continues in the background: a hiccup of the page must not lose it
     setText(byId("gap-why"), t("gap_silent"));
     timer = setTimeout(follow, AGAIN_MS);
     return;
@@ -92,7 +92,7 @@ function stopButton({ diagnosis_id }) {
   return make("button", { type: "button", onclick: stopIt }, t("gap_stop"));
 }
 
-// The verdict first; an answer that is no answer says so before any number.
+// The verdict first; an inconclusive answer says so before any number.
 function answer({ verdict, why, budget, hypotheses, outside_probability, unseen_probability, shrink, next_experiment }) {
   const word = WORDS.has(verdict) ? verdict : "undecided";
   const parts = [make("p", { class: `verdict ${word === "outside" || word === "undecided" ? "bad" : "good"}` }, t(`gap_${word}`)), make("p", {}, why)];
@@ -138,8 +138,8 @@ function effectRows(hypotheses) {
 }
 
 function numbers(parameters) {
-  const told = Object.entries(parameters).filter(([, one]) => typeof one.value === "number" && one.low !== null);
-  return told.map(([name, one]) => `${name} ${Number(one.value.toPrecision(3))} ${one.unit === "1" ? "" : one.unit}`.trim()).join(", ");
+  const fitted = Object.entries(parameters).filter(([, one]) => typeof one.value === "number" && one.low !== null);
+  return fitted.map(([name, one]) => `${name} ${Number(one.value.toPrecision(3))} ${one.unit === "1" ? "" : one.unit}`.trim()).join(", ");
 }
 
 const heading = () => make("thead", {}, make("tr", {}, make("th", { scope: "col" }, t("gap_cause")), make("td"), make("th", { scope: "col" }, t("gap_likely"))));

@@ -26,15 +26,15 @@ export function press(body) {
   socket.onclose = () => end(mine);
 }
 
-function take(mine, told) {
-  if (told.bond !== undefined) mine.bond = told.bond;
-  if (told.challenge && !mine.up) {
-    const { seq, nonce } = told.challenge;
+function take(mine, message) {
+  if (message.bond !== undefined) mine.bond = message.bond;
+  if (message.challenge && !mine.up) {
+    const { seq, nonce } = message.challenge;
     mine.socket.send(JSON.stringify({ seq, reply: ~nonce >>> 0, bond: mine.bond }));
   }
-  if (told.refused !== undefined) notice(t("refused", { why: told.refused }));
+  if (message.refused !== undefined) notice(t("refused", { why: message.refused }));
   // Letting go needs no words, and no line that moves the page under the finger.
-  if (told.ended === "failed" || (told.ended === "stopped" && mine.up !== "button up")) notice(t("hold_ended", { why: told.reason }));
+  if (message.ended === "failed" || (message.ended === "stopped" && mine.up !== "button up")) notice(t("hold_ended", { why: message.reason }));
 }
 
 function end(mine) {
@@ -43,7 +43,7 @@ function end(mine) {
   document.body.classList.remove("holding");
 }
 
-// Every way of letting go. The socket tells the server at once; the plain stop goes out beside it.
+// Every way of letting go. The socket informs the server immediately; the plain stop is sent as well.
 export function release(why) {
   const mine = held;
   if (!mine || mine.up) return;

@@ -7,7 +7,7 @@ import { t } from "./texts.js";
 
 const AGAIN_MS = 1000;
 let timer = 0;
-let plan = null; // as the last plan_identify told it, until it is driven
+let plan = null; // as the last plan_identify reported it, until it is driven
 let driveButton = null;
 
 export function closeIdentify() {
@@ -40,12 +40,12 @@ export async function followIdentify() {
   byId("identify").hidden = session.status === 404;
   if (!session.ok || !versions.ok || !jobs.ok) return again(session.status !== 404);
   const last = jobs.data.findLast((one) => ["identify", "plan_identify"].includes(one.kind));
-  const told = last ? (await send("GET", `/v1/jobs/${last.job_id}`, undefined, { quiet: true })).data : null;
-  const running = ["running", "stopping"].includes(told?.state);
-  if (told?.kind === "plan_identify" && told.state === "done") plan = told.result;
-  if (told?.kind === "identify") plan = null; // a plan fires once
+  const job = last ? (await send("GET", `/v1/jobs/${last.job_id}`, undefined, { quiet: true })).data : null;
+  const running = ["running", "stopping"].includes(job?.state);
+  if (job?.kind === "plan_identify" && job.state === "done") plan = job.result;
+  if (job?.kind === "identify") plan = null; // a plan fires once
   showPlan(running);
-  showProgress(told, session.data, running);
+  showProgress(job, session.data, running);
   showVersions(versions.data);
   again(true);
 }
@@ -56,7 +56,7 @@ function again(wanted) {
 
 function showPlan(running) {
   byId("identify-plan").disabled = running;
-  whenChanged("identify-told", [plan?.plan_hash], (box) => {
+  whenChanged("identify-plan-facts", [plan?.plan_hash], (box) => {
     box.hidden = !plan;
     driveButton = null;
     if (!plan) return box.replaceChildren();
@@ -77,14 +77,14 @@ function showPlan(running) {
   if (driveButton) driveButton.disabled = running && heldKind() !== "identify"; // disabled under the finger it is lost
 }
 
-function showProgress(told, session, running) {
-  const driving = running && told.kind === "identify";
+function showProgress(job, session, running) {
+  const driving = running && job.kind === "identify";
   const all = session.parts_done.length + session.parts_left.length;
   byId("identify-progress").hidden = !driving;
   byId("identify-bar").max = Math.max(1, all);
   byId("identify-bar").value = session.parts_done.length;
-  const failed = told && !running && told.state === "failed" ? told.reason : "";
-  const text = running ? told.events.findLast((one) => one.text)?.text ?? "" : failed || session.next_step;
+  const failed = job && !running && job.state === "failed" ? job.reason : "";
+  const text = running ? job.events.findLast((one) => one.text)?.text ?? "" : failed || session.next_step;
   setText(byId("identify-line"), text);
   byId("identify-rest").hidden = running || !session.next_step.startsWith("paused");
 }

@@ -1,4 +1,4 @@
-// Who is logged in, and the way out. A server without keys knows nobody, and shows no button.
+// Who is logged in, and the way out. A server without keys has no users, and shows no button.
 import { send } from "./commands.js";
 import { byId, setText } from "./dom.js";
 import { t } from "./texts.js";

@@ -9,12 +9,12 @@ let loading = false; // one at a time: the server reads one, and a browser has s
 
 export async function openReplay(name) {
   if (loading) return;
-  told(t("loading"));
+  showLine(t("loading"));
   byId("replay").hidden = true;
   loading = true;
   const { ok, data } = await send("GET", `/v1/panel/recordings/${name}/replay`).finally(() => (loading = false));
-  if (!ok) return told(t("replay_empty", { name }));
-  told("");
+  if (!ok) return showLine(t("replay_empty", { name }));
+  showLine("");
   notice("");
   run = { name, ...data };
   const end = Math.max(0, ...[data.joints, data.lines, data.pictures, data.looks].map((list) => list.at(-1)?.[0] ?? 0));
@@ -26,7 +26,7 @@ export async function openReplay(name) {
   show(0, end);
 }
 
-function told(text) {
+function showLine(text) {
   setText(byId("replay-line"), text);
   byId("replay-line").hidden = !text;
 }

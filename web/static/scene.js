@@ -1,4 +1,4 @@
-// The 3D view in its frame: shown while it runs, loaded anew after it came back, never in the way of anything.
+// The 3D view in its frame: shown while it runs, reloaded after it came back, never in the way of anything.
 import { silence } from "./age.js";
 import { byId, setClass, setText } from "./dom.js";
 import { recall, remember } from "./memory.js";

@@ -31,7 +31,7 @@ function stepButton(kind) {
   const button = make("button", { type: "button", class: "step", "data-kind": kind }, make("b", {}, ""), make("small", { class: "about" }));
   button.onclick = (event) => {
     if (MOVES.has(kind) && mustHold()) return; // held, never clicked
-    if (event.detail > 1) return; // the second half of a double click is no wish of its own
+    if (event.detail > 1) return; // the second half of a double click is not a request of its own
     act(kind);
   };
   if (MOVES.has(kind)) holdButton(button, mustHold, () => bodyOf(kind));
@@ -63,7 +63,7 @@ export function showSteps(now) {
   setText(byId("hint"), hint(next));
   byId("hold-switch").disabled = state.panel.hold.required;
   if (state.panel.hold.required) byId("hold-switch").checked = true;
-  setClass(document.body, "must-hold", mustHold()); // a finger that wanders a little while it holds is no scrolling
+  setClass(document.body, "must-hold", mustHold()); // a finger that wanders a little while it holds does not scroll
   setText(byId("hold-label"), t(state.panel.hold.required ? "hold_forced" : "hold_mode"));
   showPlan(state.plan);
   showGoal(state.panel.goal);
@@ -101,7 +101,7 @@ const jobKind = () => (state.job ? state.job.kind : "");
 const calibrated = () => Boolean(state.calibration?.valid);
 const planFresh = () => Boolean(state.plan) && grown(0) < 1000 && state.plan.expires_in_s - grown(0) / 1000 > 0;
 const lookFresh = () => Boolean(state.look?.error) && !lookOld(state) && !movedSince(state);
-// As the alarms have it: one bad pair between good ones must not make buttons flicker. Other faults the look itself tells.
+// As the alarms have it: one bad pair between good ones must not make buttons flicker. The look itself reports other faults.
 const blind = () => state.panel.alarms.some((one) => one.ended_unix_s === null && (BLIND.has(one.code) || (one.code === "camera_unfit" && stalePicture(state.camera.warnings))));
 const lastLook = () => state.panel.history.at(-1);
 const atGoal = () => lookFresh() && Boolean(lastLook()?.inside);
@@ -116,8 +116,8 @@ function reason(kind) {
   if (kind === "look_again" && !state.panel.history.length) return t("why_first");
   if (["offline", "fault", "local"].includes(state.link.phase)) return t(`why_plc_${state.link.phase}`);
   if (SEES.has(kind) && blind()) return t("why_camera");
-  const told = state.steps[JOB_OF[kind] ?? kind] ?? "";
-  if (told) return told;
+  const refusal = state.steps[JOB_OF[kind] ?? kind] ?? "";
+  if (refusal) return refusal;
   if (["orient", "calibrate", "preview"].includes(kind) && !lookFresh()) return t(!state.look ? "why_no_look" : movedSince(state) ? "why_moved" : "why_look_old");
   if (kind === "preview" && !calibrated()) return t("why_calibrate_first");
   if (kind === "execute" && !planFresh()) return t(state.plan ? "why_expired" : "why_no_plan");

@@ -1,13 +1,13 @@
 // STOP, by itself: it imports nothing and is wired before any other part of the page, so that no defect of another part
-// takes it along. It is sent when the button is touched, not when the finger lifts, and what became of it is told.
+// takes it along. It is sent when the button is touched, not when the finger lifts, and its outcome is shown.
 const AGAIN_MS = 150; // sent twice, in case one is lost on a dying connection
 const PATIENCE_MS = 4000; // the server answers when the job has ended: within three seconds, or 503
-const TOLD_MS = 4000;
+const SHOWN_MS = 4000;
 const SENT = "sent …", HEARD = "STOP received", NOT_HEARD = "NOT CONFIRMED";
 const button = document.getElementById("stop");
-const told = document.getElementById("stop-told");
+const status = document.getElementById("stop-status");
 const unheard = document.getElementById("stop-unheard");
-const calm = told.textContent;
+const calm = status.textContent;
 const LINE_AGAIN_MS = 2000;
 let line = null;
 let latest = 0;
@@ -17,10 +17,10 @@ let calmTimer = 0;
 export async function stop() {
   const mine = ++latest;
   say(SENT, "pressed");
-  const impatient = setTimeout(() => tell(mine, false), PATIENCE_MS);
+  const impatient = setTimeout(() => report(mine, false), PATIENCE_MS);
   const heard = await Promise.any([...[0, AGAIN_MS].map(sent), overLine()]).catch(() => false);
   clearTimeout(impatient);
-  tell(mine, heard);
+  report(mine, heard);
 }
 
 async function sent(wait) {
@@ -47,20 +47,20 @@ function overLine() {
 }
 
 // That it was not heard stays in sight until one is.
-function tell(mine, heard) {
+function report(mine, heard) {
   if (mine !== latest) return;
   unheard.hidden = heard;
   say(heard ? HEARD : NOT_HEARD, heard ? "heard" : "unheard");
-  if (heard) calmTimer = setTimeout(() => say(calm, ""), TOLD_MS);
+  if (heard) calmTimer = setTimeout(() => say(calm, ""), SHOWN_MS);
 }
 
 function say(text, state) {
   clearTimeout(calmTimer);
-  told.textContent = text;
+  status.textContent = text;
   button.dataset.state = state;
 }
 
-// Whoever holds a button lets go by this event; nothing here waits for it.
+// A held button is released by this event; nothing here waits for it.
 function halt() {
   stop();
   dispatchEvent(new Event("stop-pressed"));

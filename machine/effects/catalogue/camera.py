@@ -20,7 +20,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="everything appears larger or smaller by one factor",
-        told_apart_by=(
+        distinguished_by=(
             "marker_size_error scales distances only: the same at one distance, apart at two with known motion; "
             "odometry_scale leaves markers alone"
         ),
@@ -44,7 +44,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         direction=Direction("direction", (1.0, 0.0), "image"),
         looks_like="the whole image is shifted, the same at every distance",
-        told_apart_by=(
+        distinguished_by=(
             "hand_eye_rotation is nearly the same for narrow views, but bends perspective; hand_eye_translation falls "
             "with distance"
         ),
@@ -67,7 +67,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="errors along the radius, growing with its third power, none in the middle",
-        told_apart_by="focal_length_error grows in proportion to the radius",
+        distinguished_by="focal_length_error grows in proportion to the radius",
         source="Brown 1966; 0.002 left after a good calibration",
     ),
     # marker_size_error: the print is larger or smaller than stated.
@@ -87,7 +87,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="marker distances are off by one factor, though the bearing is right",
-        told_apart_by="focal_length_error also scales bearings; stereo tells by its baseline",
+        distinguished_by="focal_length_error also scales bearings; stereo distinguishes them by its baseline",
         source="printer scaling: 0.1 mm of 150",
     ),
     # hand_eye_rotation: the camera is turned on its mount.
@@ -108,7 +108,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         direction=Direction("axis", (0.0, 1.0, 0.0), "cam_left"),
         looks_like="what is seen is turned about the camera; error in proportion to distance",
-        told_apart_by=(
+        distinguished_by=(
             "encoder_bias of the last joint is the same until that joint turns; principal_point_error for narrow views"
         ),
         source="mount tilt 3 to 5 deg in the field",
@@ -132,7 +132,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         direction=Direction("direction", (1.0, 0.0, 0.0), "tcp"),
         looks_like="a constant offset in the camera's frame, whatever the distance; seen only when the wrist turns",
-        told_apart_by=(
+        distinguished_by=(
             "hand_eye_rotation grows with distance; link_length_error of the last link is the same direction until the "
             "wrist turns"
         ),
@@ -157,7 +157,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         direction=Direction("axis", (1.0, 0.0, 0.0), "tool"),
         looks_like="what the tool's marker shows of the tool's direction is wrong by this, wherever the arm is",
-        told_apart_by="hand_eye_rotation turns what is seen of the object, too",
+        distinguished_by="hand_eye_rotation turns what is seen of the object, too",
         source="a marker glued on by hand: 1 deg, millimetres",
         prevalence=0.5,
     ),
@@ -179,7 +179,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         direction=Direction("axis", (1.0, 0.0, 0.0), "tool"),
         looks_like="what the tool's marker shows of the tool's place is wrong by this, wherever the arm is",
-        told_apart_by="hand_eye_translation moves what is seen of the object, too, once the wrist turns",
+        distinguished_by="hand_eye_translation moves what is seen of the object, too, once the wrist turns",
         source="a marker glued on by hand: 1 deg, millimetres",
         prevalence=0.5,
     ),
@@ -201,7 +201,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         direction=Direction("axis", (0.0, 1.0, 0.0), "cam_right"),
         looks_like="rows disagree (about x), depth is off with its square (about y), or rows tilt (about z)",
-        told_apart_by="focal_length_error scales depth evenly in both eyes; needs both eyes",
+        distinguished_by="focal_length_error scales depth evenly in both eyes; needs both eyes",
         source="rig drift after shocks; 0.1 px disparity bias",
     ),
     # camera_latency: images are stamped later than exposed.
@@ -221,7 +221,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="while moving, the seen pose trails the encoders; nothing at rest",
-        told_apart_by="the same as clock_offset unless the clocks are tied by a round trip",
+        distinguished_by="the same as clock_offset unless the clocks are tied by a round trip",
         source="40 to 80 ms of USB stereo cameras",
         prevalence=0.3,
     ),
@@ -247,13 +247,13 @@ EFFECTS: tuple[Effect, ...] = (
                 high=1.0,
                 start=0.0,
                 prior=Prior("uniform"),
-                meaning="what the stamp tells: 0 the middle row's exposure, 1 the first row's, -1 the last row's",
+                meaning="what the stamp states: 0 the middle row's exposure, 1 the first row's, -1 the last row's",
                 role="shape",
                 integer=True,
             ),
         ),
         looks_like="while moving, the upper half of the image trails the lower or leads it: markers shear",
-        told_apart_by="camera_latency shifts all rows alike",
+        distinguished_by="camera_latency shifts all rows alike",
         source="11 ms readout of CMOS stereo cameras",
         prevalence=0.05,
     ),
@@ -274,7 +274,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="odometry's translations are off by one factor, rotations are right",
-        told_apart_by="focal_length_error also changes marker poses and rotations",
+        distinguished_by="focal_length_error also changes marker poses and rotations",
         source="0.3 % with a stereo baseline; free with one eye",
     ),
 )

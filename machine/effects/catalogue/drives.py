@@ -20,7 +20,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="valve command over tracking error has another slope, at every speed",
-        told_apart_by="flow_gain_error shows behind the valve command; controller_lag_error changes fast parts only",
+        distinguished_by="flow_gain_error shows behind the valve command; controller_lag_error changes fast parts only",
         source="contract of the gap diagnosis",
     ),
     # controller_lag_error: the controller's PT-1 filter has another time constant.
@@ -40,7 +40,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="valve command follows the tracking error later or sooner; slow parts agree",
-        told_apart_by="controller_gain_error changes slow parts too; valve_lag acts behind the logged command",
+        distinguished_by="controller_gain_error changes slow parts too; valve_lag acts behind the logged command",
         source="contract of the gap diagnosis",
     ),
     # controller_saturation: the controller clips its output below full command.
@@ -61,7 +61,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="the valve command is cut flat at one size, both signs",
-        told_apart_by="reference_rate_limit cuts the reference's speed; supply_droop leaves the command alone",
+        distinguished_by="reference_rate_limit cuts the reference's speed; supply_droop leaves the command alone",
         source="contract of the gap diagnosis",
         prevalence=0.05,
     ),
@@ -85,7 +85,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         choice=Choice("full_flow", ("kept", "lost"), "whether a full command still gives the full flow"),
         looks_like="no motion for small commands, either sign; the joint stops short of its target",
-        told_apart_by=(
+        distinguished_by=(
             "valve_hysteresis depends on the direction of change, stiction on whether the joint moves already, "
             "flow_gain_error acts on large commands too; needs slow passes through zero"
         ),
@@ -114,7 +114,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="speed follows the command rounded off; steady speeds agree",
-        told_apart_by=(
+        distinguished_by=(
             "transport_delay shifts without rounding and shows before the valve command; needs steps, not slow sines"
         ),
         source="pilot stages of proportional valves, 20 to 100 ms",
@@ -138,7 +138,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="speed depends on whether the command rises or falls; a lag that does not vanish at slow motion",
-        told_apart_by=(
+        distinguished_by=(
             "backlash shows behind the encoder; valve_deadband is the same for rising and falling commands; needs "
             "reversals of small and of large commands"
         ),
@@ -163,7 +163,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="speed over command has another slope for positive commands",
-        told_apart_by=(
+        distinguished_by=(
             "flow_gain_error scales both signs; internal_leakage shifts both signs the same way, also at rest"
         ),
         source="area ratio of single-rod cylinders (bore 80, rod 45 mm: 0.68)",
@@ -185,7 +185,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="speed over command has another slope, both signs, every load",
-        told_apart_by=(
+        distinguished_by=(
             "load_droop changes with the load: another posture or payload tells; supply_droop only shows while other "
             "joints move"
         ),
@@ -210,7 +210,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="joints slow down together once their summed flow exceeds a limit",
-        told_apart_by="flow_gain_error and load_droop act on one joint alone; needs several joints moving at once",
+        distinguished_by="flow_gain_error and load_droop act on one joint alone; needs several joints moving together",
         source="pump sharing of open-centre and load-sensing cranes: 60 l/min for all functions",
     ),
     # internal_leakage: oil leaks across the piston and the load sinks.
@@ -230,7 +230,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="slow drift along gravity's pull, also at zero command; grows with the load",
-        told_apart_by="valve_asymmetry needs a command; encoder_bias is constant; needs a hold under load of a minute",
+        distinguished_by="valve_asymmetry needs a command; encoder_bias is constant; needs a hold under load of a minute",
         source="piston seal leakage; cylinder drift tests of crane standards",
     ),
     # load_droop: a load that pulls speeds the joint up, one that resists slows it down.
@@ -250,7 +250,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="speed at the same command depends on load and direction",
-        told_apart_by="in one posture it is flow_gain_error plus valve_asymmetry: drive another posture or payload",
+        distinguished_by="in one posture it is flow_gain_error plus valve_asymmetry: drive another posture or payload",
         source="orifice flow sqrt(pS - pL); no pressure compensator",
     ),
     # stiction: a resting joint sticks until the command is large enough, then jumps.
@@ -272,7 +272,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         choice=Choice("sticks_again", ("below_a_fifth", "at_reversals"), "where a moving joint sticks again"),
         looks_like="starts late and with a jump; runs on below the command that it needed to start",
-        told_apart_by=(
+        distinguished_by=(
             "valve_deadband also stops the joint early and starts it softly; valve_hysteresis needs no standstill"
         ),
         source="LuGre and Stribeck friction: static 300 N, Coulomb 210 N on the PATU 655's cylinders",
@@ -299,7 +299,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="a joint starts late after each reversal, by an oil volume and not by a command",
-        told_apart_by=(
+        distinguished_by=(
             "valve_deadband and stiction go with the command: reverse slowly and fast; backlash is not in the encoder"
         ),
         source="Coulomb friction on a compressible oil column: a play operator between oil and joint",
@@ -335,7 +335,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="the joint itself rings after each change of speed",
-        told_apart_by="link_flexibility rings behind the encoder; valve_lag does not ring",
+        distinguished_by="link_flexibility rings behind the encoder; valve_lag does not ring",
         source="hydraulic natural frequency of a valve-controlled actuator (Merritt 1967)",
         prevalence=0.3,
     ),

@@ -23,7 +23,7 @@ EFFECTS: tuple[Effect, ...] = (
             "after each reversal the link stands still while the encoder moves; two values of the link for one encoder "
             "angle"
         ),
-        told_apart_by=(
+        distinguished_by=(
             "gravity_sag is the same from both sides; valve_hysteresis shows in the encoder; needs approaches from "
             "both sides"
         ),
@@ -47,7 +47,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="a constant joint error: the tip errs along one direction that turns with the arm",
-        told_apart_by=(
+        distinguished_by=(
             "gravity_sag changes with posture; hand_eye_rotation turns with the wrist only; encoder_scale grows with "
             "the angle"
         ),
@@ -71,7 +71,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="a joint error in proportion to the joint's angle",
-        told_apart_by="encoder_bias is constant; needs the joint's whole range, measured from outside",
+        distinguished_by="encoder_bias is constant; needs the joint's whole range, measured from outside",
         source="wrong gear ratio or linear sensor calibration",
         prevalence=0.05,
     ),
@@ -114,7 +114,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="a joint error that waves with the angle, once or twice a turn",
-        told_apart_by=(
+        distinguished_by=(
             "gravity_sag also waves once a turn of lift but follows the load; other orders are gears, not the encoder"
         ),
         source="off-centre code discs: eccentricity over grating radius",

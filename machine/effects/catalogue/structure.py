@@ -21,7 +21,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="the tip hangs lower, more so at long reach; the same from both sides of approach",
-        told_apart_by=(
+        distinguished_by=(
             "encoder_bias is the same in every posture; base_compliance turns the whole arm about the base; in one "
             "family of poses sag and bias are equal: vary the reach"
         ),
@@ -46,7 +46,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         choice=Choice("of", ("a", "d"), "which DH length"),
         looks_like="the tip errs by a constant along that link's direction",
-        told_apart_by=(
+        distinguished_by=(
             "encoder_bias errs across the link; a along x of one link and d along z of the next may be the same "
             "direction"
         ),
@@ -73,7 +73,7 @@ EFFECTS: tuple[Effect, ...] = (
             "axis", (1.0, 0.0, 0.0), "base", fitted=2
         ),  # about the upright it is the first encoder's bias
         looks_like="the whole arm is turned about the base: height error in proportion to reach, once a turn of slew",
-        told_apart_by="without an outside frame that is level it cannot be seen; base_compliance changes with the load",
+        distinguished_by="without an outside frame that is level it cannot be seen; base_compliance changes with the load",
         source="set-up of a crane on a vehicle or floor",
         prevalence=0.3,
     ),
@@ -95,7 +95,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="the whole arm leans towards its load, wherever slew points",
-        told_apart_by=(
+        distinguished_by=(
             "base_tilt stays fixed in the base; gravity_sag of lift bends about the lift axis, not about the base"
         ),
         source="stabiliser legs and sub-frame",
@@ -117,7 +117,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="all that depends on gravity's torque grows together: sag, leakage, droop",
-        told_apart_by="by itself invisible on a rigid arm; a single gravity_sag changes one joint only",
+        distinguished_by="by itself invisible on a rigid arm; a single gravity_sag changes one joint only",
         source="contract of the gap diagnosis",
     ),
     # link_flexibility: the boom swings behind the encoder after each change of speed.
@@ -159,7 +159,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="a decaying oscillation of the tip that the encoder does not show",
-        told_apart_by="backlash does not ring; clock errors follow speed, this one follows acceleration",
+        distinguished_by="backlash does not ring; clock errors follow speed, this one follows acceleration",
         source="first mode 2.3 to 3.5 Hz at full reach, damping 3 to 5 %",
         prevalence=0.05,
     ),
@@ -181,7 +181,7 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         choice=Choice("about", ("x", "y"), "which axis of the joint's own frame, before its motion"),
         looks_like="the tip moves on a tilted circle when this joint turns",
-        told_apart_by="base_tilt is the same for all joints; encoder_bias stays in the joint's plane",
+        distinguished_by="base_tilt is the same for all joints; encoder_bias stays in the joint's plane",
         source="Hayati 1983 for near-parallel axes",
         prevalence=0.15,
     ),

@@ -20,7 +20,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="while moving, the seen pose trails or leads the encoders by speed times offset; nothing at rest",
-        told_apart_by=(
+        distinguished_by=(
             "the same as camera_latency unless one of the two is known by a round trip or a flash; clock_drift grows "
             "with time; link delays show between sent and received reference"
         ),
@@ -54,7 +54,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="an offset between camera and encoders that grows evenly with time",
-        told_apart_by="clock_offset is constant; needs motion early and late in the recording",
+        distinguished_by="clock_offset is constant; needs motion early and late in the recording",
         source="crystal oscillators: 20 to 100 ppm",
         prevalence=0.02,
     ),
@@ -75,7 +75,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="the received reference is the sent one, shifted in time, whatever its shape",
-        told_apart_by=(
+        distinguished_by=(
             "valve_lag rounds steps off, a delay only shifts them; a constant error of the PLC-to-PC clock offset "
             "looks the same in one direction and needs a round trip"
         ),
@@ -102,9 +102,9 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like=(
-            "single steps of the received reference are missing at random, all joints at once; skipped sequence numbers"
+            "single steps of the received reference are missing at random, in all joints together; skipped sequence numbers"
         ),
-        told_apart_by="reference_quantisation depends on the value, not on time; transport_delay shifts every sample",
+        distinguished_by="reference_quantisation depends on the value, not on time; transport_delay shifts every sample",
         source="UDP link without repeats",
         prevalence=0.1,
         threshold=True,
@@ -126,7 +126,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="the received reference moves in equal stairs, most visible at slow motion",
-        told_apart_by=(
+        distinguished_by=(
             "packet_loss gives stairs of unequal height at random times; a gap that depends on the value only"
         ),
         source="integer set-points of field buses",
@@ -151,7 +151,7 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="fast parts of the received reference become straight lines; slow parts are untouched",
-        told_apart_by=(
+        distinguished_by=(
             "transport_delay also shifts slow parts; controller_saturation limits the valve command, not the reference"
         ),
         source="ramp limits of PLC axis blocks",

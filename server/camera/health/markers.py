@@ -59,7 +59,7 @@ class MarkerMonitor:
         which = "" if worst is None else f", most of it at marker {worst.marker_id} ({worst.residual_rms_px:.2f} px)"
         text = (
             f"the {found.on}'s markers contradict their layout: residual {found.residual_rms_px:.2f} px rms (limit "
-            f"{limit_px:.2f} px){which}; a marker has moved on its board: fix it, then measure the layout anew"
+            f"{limit_px:.2f} px){which}; a marker has moved on its board: fix it, then measure the layout again"
         )
         return (Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False),)
 
@@ -121,6 +121,6 @@ def _of_view(view: MarkerView) -> Finding | None:
     if TWICE in view.reason:
         return Finding(FaultCode.MARKER_TWICE, view.reason, forbids_odometry=False)
     if MOVED in view.reason:
-        text = f"{view.reason}: fix it, then measure the layout anew"
+        text = f"{view.reason}: fix it, then measure the layout again"
         return Finding(FaultCode.MARKER_MOVED, text, forbids_odometry=False)
     return None

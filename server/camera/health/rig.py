@@ -130,7 +130,7 @@ def _bow(kept: Sequence[Array], camera: StereoCamera) -> tuple[Finding, ...]:
     if effect_px <= BOW_MAX_PX or abs(bow) < BOW_SIGMAS * max(rest_px, 0.1) / np.sqrt(weight):
         return ()
     rectified = camera.distortion[0] * bow < 0.0
-    what = "the images are rectified, the file says raw" if rectified else "the images are not rectified"
+    what = "the images are rectified, but the file states raw" if rectified else "the images are not rectified"
     text = (
         f"rows of the two eyes differ by {effect_px:.1f} px in a lens's pattern (limit {BOW_MAX_PX:g} px; k1 is off by "
         f"{bow:+.2f}); {what}, or it is another camera's file: load the file of this stream"

@@ -143,5 +143,5 @@ def silence(t_last_receive_mono_ns: int, t_now_mono_ns: int) -> tuple[Finding, .
     silent_s = (t_now_mono_ns - t_last_receive_mono_ns) * 1e-9
     if silent_s <= SILENCE_MAX_S:
         return ()
-    text = f"no picture for {silent_s:.1f} s (limit {SILENCE_MAX_S:g} s); check the camera, its power and its cable"
+    text = f"no image for {silent_s:.1f} s (limit {SILENCE_MAX_S:g} s); check the camera, its power and its cable"
     return (Finding(FaultCode.SILENT, text),)

@@ -51,7 +51,7 @@ def assured_preview(
     previewed = preview(ctx, taken, t_now_ns)
     require_judgeable(ctx, taken)
     if why := map_refused(ctx):
-        yield Progress("assure", 0, 3, "", f"the learnt map is not used, the move goes by the look alone: {why}")
+        yield Progress("assure", 0, 3, "", f"the learnt map is not used; the move is based on the look alone: {why}")
     if fits(ctx, previewed.predicted_sigma_mm):
         return Assured(taken, previewed, paths)
     if _look_matters(ctx, taken, previewed.predicted_sigma_mm):
@@ -124,9 +124,9 @@ def _closer_look_or_refuse(
     spare_mm = goal.stand_off_mm - goal.wall_clearance_mm
     may = 2.0 * max(sigma_mm) <= CLOSER_LOOK_MAX * goal.tolerance_mm and 2.0 * sigma_mm[2] <= spare_mm
     if moves_left > 0 and may:
-        yield Progress("assure", 3, 3, "", f"{told(ctx, sigma_mm)}: driven as a closer look, to be corrected after it")
+        yield Progress("assure", 3, 3, "", f"{told(ctx, sigma_mm)}: moving closer to look again, then correcting")
         return
-    why = "no move is left to correct it" if may else "that is too little to approach by"
+    why = "no move is left to correct it" if may else "that is too little for an approach"
     raise JobFailedError(
         f"{told(ctx, sigma_mm)}, after {len(ctx.knowledge.runs)} calibration paths, and {why}; "
         f"{previewed.largest_source}; or start nearer to the target, or allow a wider tolerance",

@@ -42,7 +42,7 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     before = side_now(ctx)
     plan, trajectory = possible_path(ctx, reading)
     forget_expired(ctx, reading)
-    text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s while the camera measures its own way"
+    text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s while the camera measures its own motion"
     yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
     yield Arm()
     yield StartOdometry()

@@ -46,7 +46,7 @@ def integrate(ctx: PlanContext, plan: PathPlan, purpose: str) -> Generator[Reque
         step = off_the_wall(ctx.machine, step, [reading.q_rad, plan.q_end], ctx.wall)
         if step.trajectory is None:
             raise JobFailedError(f"{purpose}: integration of the error: {step.reason}", "trim_refused")
-        text = f"{purpose}: integrating, encoders lack up to {np.rad2deg(np.abs(lacking).max()):.2f} deg"
+        text = f"{purpose}: integrating, joints short of target by up to {np.rad2deg(np.abs(lacking).max()):.2f} deg"
         yield Progress("integrate", count + 1, STEPS_MAX, "steps", text)
         yield Move(step.trajectory, f"{purpose}: integration step {count + 1}")
     return STEPS_MAX
@@ -73,11 +73,11 @@ def drive(
         q_ref, q, settings = reading.q_ref_rad, reading.q_rad, trim_settings(ctx)
         again = plan_trim(ctx.machine, q_ref, q, plan.q_end, stall, play_rad, settings, ctx.wall)
         if again.trajectory is None:
-            raise JobFailedError(f"{purpose}: trim: {again.reason}", "trim_refused")
+            raise JobFailedError(f"{purpose}: correction: {again.reason}", "trim_refused")
         worst = float(np.rad2deg(np.abs(residual).max()))
-        text = f"{purpose}: coming again, encoders lack up to {worst:.2f} deg"
+        text = f"{purpose}: re-approaching: joints up to {worst:.2f} deg"
         yield Progress("trim", count, trims_max, "trims", text)
-        yield Move(again.trajectory, f"{purpose}: trim {count}")
+        yield Move(again.trajectory, f"{purpose}: correction {count}")
         direction = last_direction(again.trajectory)
 
 

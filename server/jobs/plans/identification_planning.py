@@ -141,12 +141,12 @@ def _motion_part(ctx: PlanContext, part: MotionPart, here: Array, q_home: Array)
 
 
 def _small(size: float) -> str:
-    return "" if size == 1.0 else f"{100 * size:.0f} % of its size, for the room there is: it shows less"
+    return "" if size == 1.0 else f"{100 * size:.0f} % of its size, to fit the free space: it identifies less"
 
 
 def _looks_part(ctx: PlanContext, drive: Drive, here: Array) -> tuple[PlannedPart | None, list[str]]:
     if drive.seen is None:
-        text = "no marker of the object is seen, so nothing can be looked at: zeros, lengths, sag and mount stay open"
+        text = "no marker of the object is visible, so no look is possible: zeros, lengths, sag and mount stay open"
         return None, [f"{text}; begin where the camera sees it"]
     count = max(POSTURES_MIN, round(POSTURES * min(1.0, drive.share / 0.66)))
     margin_rad = drive_settings(ctx).joint_margin_rad + float(play_of(ctx.chain.n).max())
@@ -186,7 +186,9 @@ def _look_steps(ctx: PlanContext, postures: Array, here: Array) -> tuple[tuple[S
 def _stay_open(found: Postures) -> list[str]:
     """Numbers that looks from these postures leave about as open as they were."""
     left = [_word(name, joint) for name, joint, ratio in found.known if ratio > OPEN_SHARE]
-    return [f"the looks cannot tell {', '.join(dict.fromkeys(left))} from where object and camera are"] if left else []
+    return (
+        [f"the looks cannot separate {', '.join(dict.fromkeys(left))} from where object and camera are"] if left else []
+    )
 
 
 def _word(name: str, joint: int | None) -> str:

@@ -28,7 +28,7 @@ from server.motion.contracts import PlanStatus
 
 Sigmas = tuple[float, float, float]
 
-BY_LOOK_ALONE = "the move would go by the look alone, without a learnt map; calibrate"
+BY_LOOK_ALONE = "the move would be based on the look alone, without a learnt map; calibrate"
 FAR_M = 0.25  # after a longer move the camera has more to correct than the encoders can show
 
 

@@ -29,9 +29,7 @@ class PairGate:
             return "no encoders at the pair's exposure"
         sigma_mm, limit_mm = 1e3 * self.sigma_m(seen), self.ctx.settings.closed_loop.sigma_max_mm
         if not sigma_mm <= limit_mm:
-            return (
-                f"one pair knows the error to {sigma_mm:.1f} mm only (limit {limit_mm:g} mm); come nearer or add light"
-            )
+            return f"the error of one pair is only known to {sigma_mm:.1f} mm (limit {limit_mm:g} mm); come nearer"
         return ""
 
     def sigma_m(self, seen: PairSeen) -> float:

@@ -67,7 +67,7 @@ def _drop_expired(ctx: PlanContext, taken: LookTaken) -> Generator[Request, obje
     if found.status is ValidityStatus.SLIPPED:
         require_valid(found, "calibration")
     if not found.ok:
-        yield Progress("calibrate", 0.0, 1.0, "", f"calibrating anew: {found.reason}")
+        yield Progress("calibrate", 0.0, 1.0, "", f"calibrating again: {found.reason}")
         ctx.knowledge.forget_calibration()
 
 

@@ -79,7 +79,7 @@ def _reliable(ctx: PlanContext) -> Generator[Request, object, None]:
     yield Progress("servo", 0.0, wanted, "pairs", f"waiting for {wanted} good pairs in a row")
     while in_a_row < wanted:
         if tries >= 3 * wanted:
-            raise JobFailedError(f"vision is not reliable enough to move by it: {fault}", "vision_unreliable")
+            raise JobFailedError(f"vision is not reliable enough for closed-loop motion: {fault}", "vision_unreliable")
         asked = next_pair(ctx, number)
         seen = expect((yield asked if in_a_row else replace(asked, silence_max_s=PATIENCE_S)), PairSeen)
         late, number = seen.number == number, seen.number
@@ -151,7 +151,7 @@ def _follow(ctx: PlanContext, steered: Steered) -> Generator[Request, object, No
         number = seen.number
         fault = gate.fault(seen) or off_goal(ctx, steered, seen)
         if fault:
-            text = f"closed loop stopped at the first lost look: {fault}"
+            text = f"closed loop stopped at the first invalid look: {fault}"
             yield StopMove(text)
             raise JobFailedError(f"{text}; clear the view, then look again", LOST_CODE)
         note_tail(steered, seen)

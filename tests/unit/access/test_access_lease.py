@@ -32,7 +32,7 @@ def test_the_fencing_number_grows_with_each_holder_also_across_a_restart():
 
 def test_stale_is_not_lost_its_holder_revives_it_until_somebody_else_acquires():
     book, lease = held_by()
-    with pytest.raises(LeaseStaleError, match=r"not kept alive for 10\.0 s"):
+    with pytest.raises(LeaseStaleError, match=r"not renewed for 10\.0 s"):
         book.check(lease.lease_id, lease.fencing, TTL_S)
     assert "stale" in book.lost(lease.fencing, TTL_S)
     revived = book.keep_alive(lease.lease_id, 25.0)

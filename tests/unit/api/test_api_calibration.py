@@ -113,7 +113,7 @@ async def test_without_any_it_says_what_to_do(tmp_path):
     service = served(tmp_path / "calibration.json")
     service.cell.knowledge = Knowledge()
     async with client_of(service) as client:
-        assert "run the job calibrate" in (await client.get("/v1/calibration/export")).json()["detail"]
+        assert "run the job 'calibrate'" in (await client.get("/v1/calibration/export")).json()["detail"]
 
 
 async def test_the_closed_loop_is_off_until_switched_on(tmp_path):

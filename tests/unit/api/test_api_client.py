@@ -120,7 +120,7 @@ def test_a_stop_that_nobody_confirms_is_said(address):
     with JobClient(url, kind="fleet", key=made.keys["fleet"]) as client, pytest.raises(KeyboardInterrupt) as ending:
         client.run({"kind": "park"}, end)
     assert "STOP is not confirmed" in ending.value.__notes__[0]
-    assert "control lapses within 15 s" in ending.value.__notes__[0]
+    assert "control expires within 15 s" in ending.value.__notes__[0]
 
 
 def test_a_refused_client_stops_nobody_elses_job(address):

@@ -119,7 +119,7 @@ async def test_what_cannot_be_written_down_does_not_move_and_readiness_says_so(o
         refused = await client.post("/v1/jobs", json=PARK, headers=headers)
         assert (refused.status_code, refused.json()["code"]) == (503, "store")
         assert "readonly" in refused.json()["detail"]
-        assert any("written down" in reason for reason in (await client.get("/readyz")).json()["reasons"])
+        assert any("cannot be written" in reason for reason in (await client.get("/readyz")).json()["reasons"])
         assert "store" in [fault["fault_id"] for fault in (await client.get("/v1/faults")).json()]
         lease = await client.post("/v1/lease/take", json={"owner": "anna", "reason": "look at it"})
         assert (lease.status_code, lease.json()["code"]) == (503, "store")

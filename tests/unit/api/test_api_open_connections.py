@@ -131,7 +131,7 @@ async def test_a_revoked_key_loses_its_control_and_its_job_is_stopped(guarded):
         assert not guarded.service.engine.current.ended
         revoke(guarded, "fleet 1")
         await until(lambda: guarded.service.engine.current.ended)
-    assert "the key of truck 7 is out of force" in guarded.service.engine.current.reason
+    assert "the key of truck 7 is no longer valid" in guarded.service.engine.current.reason
     assert guarded.service.engine.leases.held is None
 
 
@@ -141,7 +141,7 @@ async def test_logging_out_gives_up_control(guarded):
         await leased_and_parking(guarded, client)
         await client.delete("/v1/session")
         await until(lambda: guarded.service.engine.current.ended)
-    assert "their session has ended" in guarded.service.engine.current.reason
+    assert "the session has ended" in guarded.service.engine.current.reason
 
 
 async def test_control_kept_alive_by_another_key_outlives_the_first(guarded):

@@ -102,7 +102,7 @@ async def test_a_reader_goes_on_where_it_was_and_is_told_of_a_gap():
     assert [line.split("\n")[0] for line in resumed[1:]] == ["id: life-4", "id: life-5"]
     new = await events_of(log, "before-3", 7)
     assert "event: gap" in new[1]
-    assert "started anew" in new[1]
+    assert "restarted" in new[1]
     assert len(new) == 7
     for _ in range(KEPT):
         log.add("job", {})

@@ -151,7 +151,7 @@ async def test_readiness_names_its_reasons(client, service):
     answer = await client.get("/readyz")
     assert answer.status_code == 503
     assert "PLC does not answer" in answer.json()["reasons"][0]
-    assert "camera gives no images" in answer.json()["reasons"][1]
+    assert "camera delivers no images" in answer.json()["reasons"][1]
 
 
 def test_an_old_picture_is_told_with_its_age():

@@ -47,4 +47,4 @@ def test_while_it_waits_it_says_for_what() -> None:
 def test_nobody_is_sent_to_look_for_a_cable_while_a_simulated_camera_is_compiled() -> None:
     status = Status("starting", console=Console(quiet=True))
     demo._starting(Started().processes, status, 40.0, camera_reason(None) or "")
-    assert str(status.status) == "starting, 40 s: no picture of the simulated camera yet"
+    assert str(status.status) == "starting, 40 s: no image from the simulated camera yet"

@@ -33,10 +33,10 @@ def test_a_file_that_could_not_be_written_in_the_end(tmp_path: Path, option: str
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--fit-baseline", "--json", "FILE"], "--json does nothing beside --fit-baseline"),
-        (["--fit-baseline", "--html", "FILE"], "--html does nothing beside --fit-baseline"),
-        (["--fit-baseline", "--machine-out", "FILE"], "--machine-out does nothing beside --fit-baseline"),
-        (["--fit-baseline", "--without", "no such"], "--without does nothing beside --fit-baseline"),
+        (["--fit-baseline", "--json", "FILE"], "--json has no effect with --fit-baseline"),
+        (["--fit-baseline", "--html", "FILE"], "--html has no effect with --fit-baseline"),
+        (["--fit-baseline", "--machine-out", "FILE"], "--machine-out has no effect with --fit-baseline"),
+        (["--fit-baseline", "--without", "no such"], "--without has no effect with --fit-baseline"),
         (["--out", "FILE"], "--out is where --fit-baseline writes; give it as well"),
     ],
 )
@@ -63,7 +63,7 @@ def test_an_answer_of_an_earlier_run_is_not_left_for_this_ones(tmp_path: Path) -
 def test_a_folder_of_recordings_is_no_recording(tmp_path: Path) -> None:
     (tmp_path / "20260131T101500-look.mcap").write_bytes(b"")
     told = said(["diagnose", str(tmp_path)], 2)
-    assert "is no recording but holds 1: name one of them" in told
+    assert "is not a recording but holds 1: name one of them" in told
     assert "20260131T101500-look.mcap" in told
 
 
@@ -169,7 +169,10 @@ def test_settings_of_the_command_line_are_judged_as_those_of_a_file(arguments: l
 
 def test_an_address_without_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("longreach.fleet_client.time.sleep", lambda _s: pytest.fail("it waits for nobody"))
-    with JobClient("foo") as client, pytest.raises(JobRefusedError, match=r"'foo/?' is no address; give one as http"):
+    with (
+        JobClient("foo") as client,
+        pytest.raises(JobRefusedError, match=r"'foo/?' is not an address; give one such as http"),
+    ):
         client.wait_ready(30.0)
 
 

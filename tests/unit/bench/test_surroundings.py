@@ -104,7 +104,8 @@ def test_a_proxys_page_in_place_of_an_answer_is_named(monkeypatch: pytest.Monkey
         page = httpx.MockTransport(lambda _request: httpx.Response(403, text="<html>denied</html>"))
         client._http = httpx.Client(base_url="http://crane-7:8080", transport=page)
         with pytest.raises(
-            JobRefusedError, match=r"answers 403 Forbidden, and not as longreach does; it was asked .*3128"
+            JobRefusedError,
+            match=r"answers 403 Forbidden, which is no longreach answer; the request went .*3128",
         ):
             client.wait_ready(0.1)
         with pytest.raises(JobRefusedError, match="403 Forbidden"):

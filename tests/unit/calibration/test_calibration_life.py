@@ -182,8 +182,8 @@ def broken(**changed):
     [
         ("", "damaged"),
         ("{", "damaged"),
-        ("[]", "no 'longreach"),
-        ("{}", "no 'longreach"),
+        ("[]", "not a 'longreach"),
+        ("{}", "not a 'longreach"),
         (broken(version=0), "version 0"),
         (broken(version=2), "version 2"),
         (broken(version="1"), "version '1'"),
@@ -191,7 +191,7 @@ def broken(**changed):
         (broken(n_used="many"), "n_used"),
         (broken(R_tcp_cam=[[1, 0, 0], [0, 1, 0], [0, 0, -1]]), "mirrored"),
         (broken(R_tcp_cam=[[1, 0], [0, 1]]), "shape"),
-        (broken(R_tcp_cam=[[1, 0, 0], [0, 1], [0, 0, 1]]), "calibrate anew"),
+        (broken(R_tcp_cam=[[1, 0, 0], [0, 1], [0, 0, 1]]), "calibrate again"),
         (broken(covariance_rad2=[[-1, 0, 0], [0, 1, 0], [0, 0, 1]]), "positive"),
         (broken(p_tcp_cam_m=[0.0]), "p_tcp_cam_m"),
         (
@@ -233,4 +233,4 @@ def test_exports_hold_the_mount():
 
 def test_the_weakest_axis_is_named():
     assert "weakest about y of the TCP, 0.50 deg" in observability_text(calibration())
-    assert "nearly a line" in observability_text(calibration(observability=0.003))
+    assert "nearly a straight line" in observability_text(calibration(observability=0.003))

@@ -162,7 +162,7 @@ def test_an_old_picture_is_said_to_be_old_and_a_stall_is_no_jump() -> None:
 
 def test_silence() -> None:
     assert silence(1_000 * MS, 1_400 * MS) == ()
-    assert "no picture for 0.6 s" in silence(1_000 * MS, 1_600 * MS)[0].text
+    assert "no image for 0.6 s" in silence(1_000 * MS, 1_600 * MS)[0].text
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,7 @@ def test_figures_of_nan_are_outside_even_without_the_other_limit():
 def test_steps_are_chosen_by_number_in_the_lists_order():
     assert [step.number for step in chosen_steps("4, 1")] == [1, 4]
     assert len(chosen_steps("")) == 8
-    with pytest.raises(SettingsError, match="9 is no step"):
+    with pytest.raises(SettingsError, match="9 is not a step"):
         chosen_steps("1,9")
 
 

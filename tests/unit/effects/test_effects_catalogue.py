@@ -92,9 +92,14 @@ def test_every_file_of_the_catalogue_is_registered() -> None:
 def test_each_effect_is_complete(effect) -> None:
     assert effect.size.neutral == NEUTRAL.get(effect.name, 0.0)
     assert sum(one.role == "size" for one in effect.parameters) == 1
-    for text in (effect.looks_like, effect.told_apart_by, effect.source, *(one.meaning for one in effect.parameters)):
+    for text in (
+        effect.looks_like,
+        effect.distinguished_by,
+        effect.source,
+        *(one.meaning for one in effect.parameters),
+    ):
         assert len(text) > 3
-    named = [name for name in NAMES if name in effect.told_apart_by and name != effect.name]
+    named = [name for name in NAMES if name in effect.distinguished_by and name != effect.name]
     assert named or effect.name in (
         "base_tilt",
         "payload_error",

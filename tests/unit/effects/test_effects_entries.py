@@ -138,7 +138,7 @@ def test_a_second_swing_of_a_joint_keeps_its_own_frequency_and_a_third_is_refuse
     both = pack(swings, 3).joint[0, 1]
     assert both[[FLEX_GAIN, FLEX_HZ, KNOWN_GAIN, KNOWN_HZ]] == pytest.approx([0.2, 2.1, 0.9, 3.8])
     assert read(entries_to_toml(swings)) == tuple(swings)
-    with pytest.raises(MachineFileError, match="link_flexibility, joint 2: a third swing"):
+    with pytest.raises(MachineFileError, match="link_flexibility, joint 2: a third oscillation"):
         read(entries_to_toml([*swings, swings[0]]))
 
 

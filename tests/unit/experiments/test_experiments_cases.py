@@ -22,7 +22,7 @@ from machine.rotations import rotation_from_rotvec
 from recording.rows import StaticPoint
 
 
-def test_bias_and_sag_are_told_apart_by_the_proposed_postures():
+def test_bias_and_sag_are_distinguished_by_the_proposed_postures():
     found = run_case("sag-bias", 1)
     assert found.ambiguous
     assert set(found.separates) == {"gravity_sag", "encoder_bias"}

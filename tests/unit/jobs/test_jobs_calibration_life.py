@@ -87,7 +87,7 @@ def test_an_old_one_is_renewed_by_the_job_and_refused_by_a_single_step():
     assert result.reached
     assert world.paths == before + 1
     assert ctx.knowledge.life is not kept
-    assert any("calibrating anew" in getattr(item, "text", "") for item in story)
+    assert any("calibrating again" in getattr(item, "text", "") for item in story)
 
 
 def slipped(world):
@@ -155,7 +155,7 @@ def test_a_camera_that_turned_a_little_is_calibrated_anew_and_nobody_is_called(d
     about_the_marker = MACHINE.T_tcp_tool @ pose(rotation_from_rotvec(np.deg2rad([0.0, deg, 0.0])), np.zeros(3))
     world.T_tcp_cam = about_the_marker @ np.linalg.inv(MACHINE.T_tcp_tool) @ world.T_tcp_cam
     taken, _ = run(good_look(ctx), world)
-    with pytest.raises(JobFailedError, match=r"a little, but beyond chance.*calibrate") as refused:
+    with pytest.raises(JobFailedError, match=r"small, but significant.*calibrate") as refused:
         preview(ctx, taken, world.t_ns)
     assert refused.value.code == "calibration_shifted"
     result, story = again(world, ctx)
@@ -299,7 +299,7 @@ def test_too_near_for_a_further_path_the_move_is_driven_all_the_same(monkeypatch
 def test_what_is_no_more_than_a_guess_is_refused_even_with_moves_left(monkeypatch):
     world, ctx, taken = calibrated()
     predict(monkeypatch, 8.0)
-    with pytest.raises(JobFailedError, match="too little to approach by"):
+    with pytest.raises(JobFailedError, match="too little for an approach"):
         run(assured_preview(ctx, taken, 0, 3), world)
     assert world.moved == 2  # the two calibration paths
 

@@ -318,7 +318,7 @@ async def test_once_it_is_closing_the_running_job_ends_and_none_begins():
     job = engine.submit("position", plan(Settle()), "operator")
     await asyncio.sleep(0.05)
     await engine.close()
-    assert (job.state, job.reason) == (JobState.STOPPED, "server is closing")
-    with pytest.raises(JobFailedError, match="the server is closing"):
+    assert (job.state, job.reason) == (JobState.STOPPED, "server is shutting down")
+    with pytest.raises(JobFailedError, match="the server is shutting down"):
         engine.submit("look", plan(Settle()), "fleet")
     assert engine.current is job

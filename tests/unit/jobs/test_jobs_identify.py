@@ -122,7 +122,7 @@ def test_where_no_marker_is_seen_the_plan_says_what_stays_open(stage):
     told = planned(stage.ctx, stage.world, stage.desk, wall_free=True)
     assert told.looks == 0
     assert [part.name for part in told.parts] == list(ALL_PARTS[:-1])
-    assert any("no marker of the object is seen" in text for text in told.cannot)
+    assert any("no marker of the object is visible" in text for text in told.cannot)
     assert "no wall is known" in told.caution
 
 

@@ -93,7 +93,7 @@ WRONG = [
     (
         'on = "ooi"\nsquares',
         'on = "wall"\nsquares',
-        "markers.board.0.on = 'wall': Input should be 'tool' or 'ooi'; say",
+        "markers.board.0.on = 'wall': Input should be 'tool' or 'ooi'; state",
     ),
     ("squares_x = 5", "squares_x = 2", "markers.board.0.squares_x = 2 is below 3 squares"),
     (

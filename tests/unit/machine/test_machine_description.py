@@ -89,7 +89,7 @@ def test_every_number_of_a_file_is_needed_or_has_a_default():
     assert max(len(fault) for fault in faults) < 500
 
 
-def test_machines_of_one_name_are_told_apart_by_their_serial_number():
+def test_machines_of_one_name_are_distinguished_by_their_serial_number():
     assert MACHINE.serial == ""
     numbered = parse_machine_toml(TEXT.replace('name = "hiab033"', 'name = "hiab033"\nserial = "HC-0042 b"', 1))
     assert (numbered.name, numbered.serial) == (MACHINE.name, "HC-0042 b")

@@ -152,7 +152,7 @@ def test_out_of_reach_names_distance_limit_and_remedy():
     inside = pose(tcp_pose(CHAIN, np.zeros(6))[:3, :3], [0.55, 0.0, 3.5])  # the wrist centre on the slew axis
     beside = inverse_nearest(shifted, inside, np.zeros(6))
     assert beside.status is InverseStatus.OUT_OF_REACH
-    assert "0.050 m beside it" in beside.reason
+    assert "0.050 m off it" in beside.reason
 
 
 @pytest.mark.parametrize("index", range(6))

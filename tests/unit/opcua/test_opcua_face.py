@@ -230,4 +230,4 @@ async def test_a_face_that_dies_is_told(service, caplog):
     task.add_done_callback(face_module._tell)
     await asyncio.wait({task})
     await asyncio.sleep(0)
-    assert "no values any more" in caplog.text
+    assert "values are no longer updated" in caplog.text

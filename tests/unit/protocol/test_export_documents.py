@@ -51,7 +51,7 @@ def test_the_eap_sheet_holds_what_both_ends_need():
 @pytest.mark.parametrize("path", ["README.md", "docs/commissioning.md"])
 def test_what_is_not_verified_is_said(path):
     text = page(path)
-    assert "Nothing here has met a real TwinCAT runtime" in text
+    assert "Nothing here has run on a real TwinCAT runtime" in text
     for subject in ("VarState", "TF6311", "XAE imports", "longest cycle"):
         assert subject in text.partition("## What is not verified")[2]
 

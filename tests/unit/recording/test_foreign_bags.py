@@ -170,4 +170,4 @@ def test_a_message_of_an_unknown_type_is_said_and_the_rest_is_used(tmp_path: Pat
         bag._writer.write(broken, 1_700_000_001_000_000_000, b"\x00\x01\x00\x00" + b"\xff" * 40)
     done = convert_foreign(tmp_path / "bag", tmp_path / "out", urdf, None, yes)
     why = {entry.name: entry.why for entry in done.found.entries}
-    assert "not what its type says" in why["/broken_states"]
+    assert "does not match its type" in why["/broken_states"]

@@ -115,7 +115,7 @@ def test_a_mapping_file_says_what_names_do_not(tmp_path: Path) -> None:
     assert points[-1].point == "tip"
     assert points[-1].z_m == pytest.approx(1e-3 * T[-1])
     mapping.write_text(text.replace('"mm"', '"inch"'), encoding="utf-8")
-    with pytest.raises(RecordingError, match="unit 'inch' is none of a column of x; give one of"):
+    with pytest.raises(RecordingError, match="unit 'inch' does not fit a column of x; give one of"):
         convert_foreign(path, tmp_path / "never", None, mapping, yes)
 
 

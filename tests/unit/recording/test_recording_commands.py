@@ -21,7 +21,7 @@ def test_a_check_is_a_table_with_units_and_says_what_is_missing_and_the_remedy(t
     told = said(["check", str(tmp_path)])
     assert "rate [Hz]" in told
     assert any(line.split()[1:4] == ["plc", "│", "200"] for line in told.splitlines()), told
-    assert "without sent.csv: stage link cannot be looked at" in told
+    assert "without sent.csv: the link stage cannot be examined" in told
     assert "CheckReport(" not in told
 
 
@@ -39,7 +39,7 @@ def test_a_target_that_was_not_saved_is_not_in_the_next_ones_way(tmp_path: Path)
     nowhere = tmp_path / "none" / "out.mcap"
     told = said(["recover", str(source), str(nowhere)], 2)
     assert "cannot be written: No such file or directory; choose a folder that can be written" in told
-    assert "nothing was broken" in said(["recover", str(source), str(target)])
+    assert "nothing was damaged" in said(["recover", str(source), str(target)])
     before = target.read_bytes()
     assert "exists already" in said(["recover", str(source), str(target)], 2)
     assert target.read_bytes() == before
@@ -48,7 +48,7 @@ def test_a_target_that_was_not_saved_is_not_in_the_next_ones_way(tmp_path: Path)
 def test_units_and_odd_paths_are_told_as_they_are(tmp_path: Path) -> None:
     segment = '[[segment]]\nkind = "hold"\nt_start_plc_s = 1\nt_end_plc_s = "3"\n'
     (tmp_path / "run.toml").write_text(segment, encoding="utf-8")
-    assert "t_end_plc_s = '3' is no number between -1e+20 and 1e+20 [s]" in said(["check", str(tmp_path)], 2)
+    assert "t_end_plc_s = '3' is not a number between -1e+20 and 1e+20 [s]" in said(["check", str(tmp_path)], 2)
     odd = tmp_path / "[" / "b]"
     assert "[/b]" in said(["check", str(odd)], 2)
     source = tmp_path / "run[/b].mcap"

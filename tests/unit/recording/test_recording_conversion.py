@@ -53,7 +53,7 @@ def test_a_foreign_folder_with_few_columns(tmp_path: Path) -> None:
     assert rows[0].seq_received == -1
     assert math.isnan(rows[0].p_supply_pa)
     report = check_recording(tmp_path)
-    lacking = {lack.signal for lack in report.lacks}
+    lacking = {missing.signal for missing in report.missing}
     assert {"sent.csv", "plc.csv u", "machine.toml"} <= lacking
     assert "plc.csv q" not in lacking
     assert not any("p_a" in one or "p_supply" in one for one in lacking)  # the diagnosis reads no pressure
@@ -97,7 +97,7 @@ def test_an_infinite_count_in_a_folder_is_named(tmp_path: Path) -> None:
     cells = lines[1].split(",")
     cells[column] = "inf"
     path.write_text("\n".join([lines[0], ",".join(cells), *lines[2:]]), encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"sent\.csv.*'inf' is no count"):
+    with pytest.raises(RecordingError, match=r"sent\.csv.*'inf' is not a count"):
         read_run(tmp_path / "run")
 
 
@@ -121,7 +121,7 @@ def test_a_row_that_mcap_cannot_hold_is_named_and_nothing_is_written(
 
 def test_an_offset_before_all_time_is_named(tmp_path: Path) -> None:
     run = RunInfo("odd", pc_to_utc_offset_s=-1000.0)
-    with pytest.raises(RecordingError, match=r"plc\.csv, row 1: its time is -900 s in UTC.*mend .* \[clocks\]"):
+    with pytest.raises(RecordingError, match=r"plc\.csv, row 1: its time is -900 s in UTC.*fix .* \[clocks\]"):
         write_mcap(Recording("folder", run, "", (plc_state(0),)), tmp_path / "run.mcap")
 
 

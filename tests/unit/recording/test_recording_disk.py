@@ -93,7 +93,7 @@ def test_a_live_recording_never_waits_for_its_disk(tmp_path: Path, monkeypatch: 
     hold_up(writer, stalled)
     for number in range(20):
         writer.row(plc_state(number), SECOND_NS)
-    assert "5 entries wait for the disk, and no more are taken" in writer.error
+    assert "5 entries wait for the disk, and no more are accepted" in writer.error
     stalled.set()
     assert "wait for the disk" in writer.close().error
 
@@ -111,7 +111,7 @@ def test_nobody_waits_for_a_thread_that_has_ended(tmp_path: Path, monkeypatch: p
     writer._thread.join()
     for number in range(4):
         writer.row(plc_state(number), SECOND_NS)
-    assert "the thread that writes it has ended" in writer.close().error
+    assert "the writer thread has ended" in writer.close().error
 
 
 def test_a_disk_that_is_late_holds_the_closing_no_longer_than_asked(tmp_path: Path) -> None:

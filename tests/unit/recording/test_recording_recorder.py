@@ -305,7 +305,7 @@ def test_a_plc_that_was_switched_off_and_on_costs_no_recording(tmp_path: Path) -
     assert len(found.of(PlcState)) == 100
     assert [one.name for one in found.run.segments] == ["first"]
     assert found.run.segments[0].t_end_plc_s == pytest.approx(1000.49)
-    assert "began anew" in " ".join(entry.text for entry in found.log)
+    assert "restarted" in " ".join(entry.text for entry in found.log)
 
 
 @pytest.mark.parametrize("broken", ["plc_row", "report_rows", "finding", "urdf_text"])
@@ -323,7 +323,7 @@ def test_a_defect_ends_the_recording_with_a_fault_and_nothing_else(
         recorder.report(report(0))
         recorder.result("done")
         assert recorder.stop() is None
-    assert "recording of x ended by a defect: UnicodeEncodeError" in recorder.problem
+    assert "recording of x ended with an internal error: UnicodeEncodeError" in recorder.problem
     recorder.start("y", "{}", MACHINE_TOML)
     assert recorder.problem == ""
     recorder.finish()

@@ -78,7 +78,7 @@ def test_check_of_a_full_recording(tmp_path: Path) -> None:
     signals = {signal.name: signal for signal in report.signals}
     assert signals["plc"].rate_hz == pytest.approx(100.0, rel=1e-6)
     assert signals["plc"].gaps == 0
-    assert {lack.signal for lack in report.lacks} == {"tracker.csv or static.csv"}
+    assert {missing.signal for missing in report.missing} == {"tracker.csv or static.csv"}
 
 
 def test_rows_without_csv_form_stay_in_mcap() -> None:

@@ -1,4 +1,4 @@
-"""What the pages tell to type exists: commands with their options, settings, files, links."""
+"""What README.md and the pages of docs say to type exists: commands with their options, settings, files, links."""
 
 import re
 import shlex
@@ -15,12 +15,14 @@ from server.settings import ServerSettings
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGES = ("tutorial.md", "scale.md", "rest.md", "security.md", "docker.md")
+README = DOCS.parent / "README.md"
+RECORDS = {"evidence-ledger.md"}  # what was measured at its time, by commands of its time
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.M | re.S)
 
 
-def said(page: str) -> list[str]:
+def said(page: Path) -> list[str]:
     """Every command line of a page that calls longreach: in blocks, indented, or as code in a sentence."""
-    text = (DOCS / page).read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
     lines = [line.strip() for _, block in BLOCK.findall(text) for line in block.splitlines()]
     lines += [line.strip() for line in text.splitlines() if line.startswith("    ")]
     lines += re.findall(r"`(longreach [^`]+)`", text)
@@ -32,9 +34,13 @@ def line_of_python(line: str) -> bool:
     return line.startswith(("import ", "from ", "#"))
 
 
+WITH_COMMANDS = [page for page in (README, *sorted(DOCS.glob("*.md"))) if page.name not in RECORDS and said(page)]
+
+
 def unknown(line: str) -> str:
     """What of a command line there is not; empty when all of it is."""
     command = typer.main.get_command(app)
+    line = re.sub(r"[][']", " ", re.split(r"[|>;]", line)[0])  # brackets around optional parts
     words = [word for word in shlex.split(line, comments=True) if word != "..."]
     while words and (children := getattr(command, "commands", None)):
         if words[0] not in children:
@@ -45,10 +51,9 @@ def unknown(line: str) -> str:
     return f"no option {wrong[0]}" if wrong else ""
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.name)
 def test_every_command_exists(page):
     lines = said(page)
-    assert lines
     assert {line: told for line in lines if (told := unknown(line))} == {}
 
 
@@ -66,11 +71,18 @@ def test_settings_are_taken(page):
             ServerSettings.model_validate(tomllib.loads(block))
 
 
-@pytest.mark.parametrize("page", [*PAGES, "diagnosis.md", "diagnosis-answer.md", "reference.md"])
+@pytest.mark.parametrize("page", [README, *sorted(DOCS.rglob("*.md"))], ids=lambda page: page.name)
 def test_links_lead_somewhere(page):
-    text = (DOCS / page).read_text(encoding="utf-8")
-    links = [target.split("#")[0] for target in re.findall(r"\]\(([^)]+)\)", text) if "://" not in target]
-    assert [target for target in links if target and not (DOCS / target).exists()] == []
+    links = re.findall(r"\]\(([^)`\s]+)\)", page.read_text(encoding="utf-8"))
+    targets = [target.split("#")[0] for target in links if "://" not in target]
+    assert [target for target in targets if target and not (page.parent / target).exists()] == []
+
+
+def test_the_python_example_of_the_readme_runs(monkeypatch, capsys):
+    monkeypatch.chdir(README.parent)
+    (code,) = [block for kind, block in BLOCK.findall(README.read_text(encoding="utf-8")) if kind == "python"]
+    exec(compile(code, "README.md", "exec"), {})
+    assert "50 mm up: ok" in capsys.readouterr().out
 
 
 def uneven(text: str) -> list[str]:

@@ -195,7 +195,7 @@ def test_teach_refuses_one_view_and_says_why(scene, tmp_path):
     [
         (["--on", "wall"], "give tool or ooi"),
         (["--ids", "1,x"], "give whole numbers"),
-        (["--ids", "1,50"], "50 is not in DICT_4X4_50, which ends at 49"),
+        (["--ids", "1,50"], "50 is not in DICT_4X4_50, whose last id is 49"),
         (["--side-mm", "wide"], "give 150, or"),
         (["--side-mm", "1=4000"], "between 5 and 2000"),
         (["--frame", "base"], "give present, reference or middle"),
@@ -276,7 +276,7 @@ def test_a_camera_that_sends_nothing_is_told_of_after_half_a_minute_not_at_the_e
     clock = [0.0]
     monkeypatch.setattr("longreach.target_sources.time.monotonic", lambda: clock[-1])
     search = MarkerSearch(machine().camera, dictionary_by_name("DICT_4X4_50"), (1, 2, 3))
-    with pytest.raises(TargetError, match="no picture within 30 s; no connection to http://camera"):
+    with pytest.raises(TargetError, match="no image within 30 s; no connection to http://camera"):
         live_views(Silent(), search, TeachSettings(), 4, 600.0, lambda *_: None)
     assert clock[-1] == 30.0
 

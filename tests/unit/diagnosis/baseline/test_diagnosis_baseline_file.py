@@ -56,7 +56,7 @@ def test_what_is_no_recording_is_told(fitted: list[int], tmp_path: Path) -> None
 def test_every_recording_that_cannot_be_used_is_named_at_once(fitted: list[int], tmp_path: Path) -> None:
     sound = folder(tmp_path, recording())
     given = [sound, tmp_path / "first", sound, tmp_path / "second"]
-    with pytest.raises(fit_baseline.BaselineError, match=r"leave out or mend: .*/first: .*\n.*/second: "):
+    with pytest.raises(fit_baseline.BaselineError, match=r"leave out or fix: .*/first: .*\n.*/second: "):
         fit_baseline.make_baseline(given, None, tmp_path / "out.toml", SCREEN)
     assert fitted == []
 

@@ -78,7 +78,7 @@ def test_a_folder_a_pipe_and_a_broken_link_are_no_files(tmp_path: Path, name: st
     (path / name).unlink()
     for make in (Path.mkdir, os.mkfifo, lambda place: place.symlink_to("nowhere")):
         make(path / name)
-        assert f"{name} is no file" in fatal_of(read(path))
+        assert f"{name} is a folder, a pipe or a broken link" in fatal_of(read(path))
         (path / name).rmdir() if (path / name).is_dir() else (path / name).unlink()
 
 

@@ -68,7 +68,7 @@ def test_a_share_never_goes_back_and_is_never_all_before_the_end() -> None:
     shown.heard("localising", 30.0, 30.0)
     shown.also("next experiment")
     assert [share for _, share in said] == [0.01, 0.5, 0.5, 0.99, 0.99]
-    assert said[0][0] == "searching structure: 1 % done, how long is not known yet"
+    assert said[0][0] == "searching structure: 1 % done, remaining time unknown"
     assert said[2][0] == "searching structure: 50 % done, 15 to 60 s left"
 
 

@@ -1,0 +1,160 @@
+"""Language lint: words that the field does not use, loop variables without a name, long lines and sentences in docs.
+
+Run by `make check`. A finding reads `file:line: found -> better`. `[tool.language.allowed]` in pyproject.toml holds the
+number of findings that each directory may still have; it may only fall. `--count` prints the numbers of today.
+"""
+
+import argparse
+import re
+import subprocess
+import sys
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PRODUCT = ("server", "longreach", "recording", "protocol", "machine", "sim_plc", "web", "diagnosis")
+SUFFIXES = {".py", ".js", ".html", ".st", ".md"}
+GENERATED = {"docs/reference.md"}  # its words come from the code, where they are checked; its table rows may be long
+LINE_MAX = 160  # characters of a line in docs
+ROW_MAX = 500  # characters of a table row, which cannot be wrapped
+SENTENCE_MAX = 40  # words
+SUBJECT_MAX = 72  # characters of a commit subject, git's convention
+
+_NOT_IN_A_NAME = r"(?<![A-Za-z]){}(?![A-Za-z])"  # an underscore ends a word, so that identifiers are read as well
+WORDS = [
+    (re.compile(_NOT_IN_A_NAME.format(f"(?:{pattern})")), better)
+    for pattern, better in (
+        (r"[Tt]old apart|[Tt]ells? apart", "distinguished, distinguish"),
+        (r"[Tt]old|[Tt]ells?|[Uu]ntold", "reported, report, given, show"),
+        (r"[Ff]oretells?|[Ff]oretold|[Ff]oretelling", "predict, predicted, predictive"),
+        (r"[Ll]acking|[Ll]acks?", "missing, without"),
+        (r"[Bb]eside", "in addition to, next to, given (a baseline)"),
+        (r"[Ww]hoever", "the caller, the client, the user"),
+        (r"[Nn]obody|[Ss]omebody|[Aa]nybody", "no client, no one; a user, a client, anyone"),
+        (r"[Aa]new", "again"),
+        (r"[Aa]t once", "immediately; simultaneously"),
+        (r"[Uu]ndisturbed", "baseline"),
+        (r"(?<![Tt]here )(?:is|are) none", "is not one of, is not"),
+        (r"(?<![Tt]here )is no(?! (?:longer|more|less))", "is not a, is without"),
+        (r"[Mm]end(?:s|ed|ing)?|[Cc]ure[sd]?", "fix"),
+        (r"[Ww]ish(?:es|ed)?", "request, requested"),
+        (r"asked for", "requested"),
+        (r"[Ss]wings?", "oscillation, oscillates"),
+        (r"[Dd]rills?", "fault-injection test"),
+        (r"coming again", "re-approaching"),
+        (r"comes? from below", "approaches from below"),
+        (r"on the dot|at its step|on their line", "on schedule, at the controller period, on the common clock"),
+        (r"steel moves", "the real machine moves"),
+        (r"for (?:\w+, )*one(?:, \w+)* in", "name the loop variable after the thing"),
+    )
+]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One place to improve."""
+
+    path: str
+    line: int
+    text: str
+
+    @property
+    def directory(self) -> str:
+        """Top-level directory of the place; README.md counts as docs."""
+        return self.path.partition("/")[0] if "/" in self.path else "docs"
+
+
+def words_in(text: str) -> Iterator[tuple[int, str]]:
+    """Line number and message of every word that has a better one."""
+    for number, line in enumerate(text.splitlines(), 1):
+        rest = line
+        for pattern, better in WORDS:
+            for match in pattern.finditer(rest):
+                yield number, f"'{match[0]}' -> {better}"
+            rest = pattern.sub(lambda match: "." * len(match[0]), rest)
+
+
+def long_lines_in(text: str) -> Iterator[tuple[int, str]]:
+    """Line number and message of every Markdown line that is too long to read, outside code blocks."""
+    code = False
+    for number, line in enumerate(text.splitlines(), 1):
+        code ^= line.lstrip().startswith("```")
+        limit = ROW_MAX if line.startswith("|") else LINE_MAX
+        if not code and len(line) > limit:
+            yield number, f"line of {len(line)} characters -> at most {limit}"
+
+
+def long_sentences_in(text: str) -> Iterator[tuple[int, str]]:
+    """Line number and message of every sentence of a Markdown text that is too long, outside tables and code blocks."""
+    code, paragraph, first, before = False, [], 0, ""
+    for number, line in enumerate([*text.splitlines(), ""], 1):
+        fence = line.lstrip().startswith("```") or (line.startswith("    ") and not before.strip() and not code)
+        code ^= line.lstrip().startswith("```")
+        before = line if not line.startswith("    ") or paragraph else ""
+        if code or fence or not line.strip() or re.match(r"\s*([-*+]|\d+\.) |\s*[|#>!]", line):
+            yield from ((first, message) for message in _too_long(" ".join(paragraph)))
+            paragraph, first = [], number
+        if not (code or fence or re.match(r"\s*[|#!]", line)):
+            paragraph.append(line.strip())
+
+
+def _too_long(paragraph: str) -> Iterator[str]:
+    for sentence in re.split(r"(?<=[.!?:;])\s+", re.sub(r"`[^`]*`", "code", paragraph)):
+        words = len(sentence.split())
+        if words > SENTENCE_MAX:
+            yield f"sentence of {words} words ('{sentence[:40]}...') -> at most {SENTENCE_MAX}"
+
+
+def findings_in(path: str, text: str) -> list[Finding]:
+    """Everything to improve in one file, in the order of the checks."""
+    found = [] if path in GENERATED else list(words_in(text))
+    if path.endswith(".md") and path not in GENERATED:
+        found += [*long_lines_in(text), *long_sentences_in(text)]
+    return [Finding(path, number, message) for number, message in found]
+
+
+def all_findings() -> list[Finding]:
+    """Everything to improve in the product's code and texts, README.md and docs."""
+    listed = subprocess.run(
+        ["git", "ls-files", "README.md", "docs", *PRODUCT], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
+    files = [path for path in listed if Path(path).suffix in SUFFIXES and (ROOT / path).exists()]
+    return [finding for path in files for finding in findings_in(path, (ROOT / path).read_text(encoding="utf-8"))]
+
+
+def long_subjects() -> list[str]:
+    """Commit subjects of this branch, beyond main, that are too long."""
+    log = subprocess.run(["git", "log", "--format=%s", "main..HEAD"], cwd=ROOT, capture_output=True, text=True)
+    return [subject for subject in log.stdout.splitlines() if len(subject) > SUBJECT_MAX]
+
+
+def main() -> int:
+    """0: no directory has more findings than it may."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--count", action="store_true", help="print only the number of findings of each directory")
+    parser.add_argument("directory", nargs="*", help="print every finding in these, however many are allowed")
+    asked = parser.parse_args()
+    found = all_findings()
+    counts = Counter(finding.directory for finding in found)
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"].get("language", {})
+    allowed = Counter(settings.get("allowed", {}))
+    if asked.count:
+        print("\n".join(f"{directory} = {counts[directory]}" for directory in ("docs", *PRODUCT)))
+        return 0
+    bad = {directory for directory in counts if counts[directory] > allowed[directory]}
+    for finding in found:
+        if finding.directory in (asked.directory or bad):
+            print(f"{finding.path}:{finding.line}: {finding.text}")
+    for directory in sorted(bad):
+        print(f"{directory}: {counts[directory]} findings, allowed {allowed[directory]}", file=sys.stderr)
+    subjects = long_subjects()
+    for subject in subjects:
+        print(f"commit subject of {len(subject)} characters -> at most {SUBJECT_MAX}: {subject}", file=sys.stderr)
+    return 1 if bad or subjects else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
