@@ -111,12 +111,14 @@ class AnchoredTarget:
 
     reference_left, reference_right: the raw grey pair (h, w) it was measured in. T_ref_target (4, 4): target in the left
     camera there. covariance_target (6, 6): of the anchored pose against the true surface, target axes, as SurfacePatch.
+    sigma_scale_frac: what a disparity bias s does to all distances at the reference range Z, s Z / (f B), one sigma.
     """
 
     target_id: int
     patch: SurfacePatch
     T_ref_target: Array
     covariance_target: Array
+    sigma_scale_frac: float
     reference_left: Image
     reference_right: Image
     surroundings: Landmarks
