@@ -16,7 +16,7 @@ from machine.description import parse_machine_toml
 from recording.clock import mono_ns
 from recording.spawn import out_of_the_terminals_reach
 from sim_plc.diagnosed import with_effects
-from sim_plc.draw_scene import with_structure
+from sim_plc.draw_scene import with_bare_rock, with_structure
 from sim_plc.draw_world import draw_world
 from sim_plc.machine_loop import MS, MachineLoop, plc_framing
 from sim_plc.plc import path
@@ -50,7 +50,7 @@ def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda worl
     with _StopFlag() as stopped:
         drawn = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
         shown = with_structure(with_effects(drawn), settings.structure_frac, settings.structure_contrast_frac)
-        world = place(shown)
+        world = place(with_bare_rock(shown) if settings.bare_rock else shown)
         panel = LocalPanel(cast(EnableMode, settings.enable))
         _panel_signals(panel)
         return _run(settings, world, panel, stopped)

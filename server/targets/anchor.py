@@ -43,8 +43,8 @@ def anchor_target(
     if near.sum() < LANDMARKS_MIN:
         reason = (
             f"Patch at ({patch.pixel[0]:.0f}, {patch.pixel[1]:.0f}) px has {near.sum()} landmarks within "
-            f"{1e3 * settings.surroundings_m:.0f} mm (limit {LANDMARKS_MIN}); it could not be found again. Choose a place "
-            "with more texture around it, or add light"
+            f"{1e3 * settings.surroundings_m:.0f} mm (limit {LANDMARKS_MIN}); it could not be found again. "
+            "Choose a place with more texture around it, or add light"
         )
         return replace(patch, status=PatchStatus.NO_SURROUNDINGS, reason=reason, T_cam_target=None, covariance=None)
     surroundings = _landmarks(
@@ -118,3 +118,16 @@ def _in_target_axes(patch: SurfacePatch) -> Array:
         raise ValueError("the patch was refused; anchor measured patches only")
     R = np.kron(np.eye(2), patch.T_cam_target[:3, :3].T)
     return R @ patch.covariance @ R.T
+
+
+def anchor_covariance(target: AnchoredTarget, T_cam_target: Array) -> Array:
+    """Covariance (6, 6) of a target's pose in camera axes that all its looks have in common.
+
+    Model:   the first measurement's noise, turned with the target, and the scale of its surroundings: a share of all
+             distances, so it shifts the target along its place in the camera.
+    """
+    R = np.kron(np.eye(2), T_cam_target[:3, :3])
+    C = R @ target.covariance_target @ R.T
+    place = T_cam_target[:3, 3]
+    C[3:, 3:] += target.sigma_scale_frac**2 * np.outer(place, place)
+    return C

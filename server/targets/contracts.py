@@ -83,9 +83,7 @@ class SurfacePatch:
 def refused_patch(status: PatchStatus, reason: str, pixel: tuple[float, float]) -> SurfacePatch:
     """A patch that could not be measured, with its reason."""
     none = np.zeros((0, 2))
-    return SurfacePatch(
-        status, reason, pixel, None, None, none, np.zeros((0, 3)), 0.0, "plane", 0, float("nan")
-    )
+    return SurfacePatch(status, reason, pixel, None, None, none, np.zeros((0, 3)), 0.0, "plane", 0, float("nan"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +107,9 @@ class Landmarks:
 class AnchoredTarget:
     """A target with all that is needed to find it again.
 
-    reference_left, reference_right: the raw grey pair (h, w) it was measured in. T_ref_target (4, 4): target in the left
-    camera there. covariance_target (6, 6): of the anchored pose against the true surface, target axes, as SurfacePatch.
+    reference_left, reference_right: the raw grey pair (h, w) it was measured in. T_ref_target (4, 4): target in the
+    left camera there. covariance_target (6, 6): of the anchored pose against the true surface, target axes,
+    as SurfacePatch.
     sigma_scale_frac: what a disparity bias s does to all distances at the reference range Z, s Z / (f B), one sigma.
     """
 

@@ -19,7 +19,7 @@ PEAK_PX = 4  # nearer to the best disparity is the same peak of the correlation
 
 @dataclass(frozen=True, slots=True)
 class CoarseMatch:
-    """Best disparity [px of focal length], its correlation, and the ratio of its dissimilarity to the next best peak."""
+    """Best disparity [px of focal length], its correlation, and its dissimilarity over that of the next best peak."""
 
     disparity_px: float
     correlation: float

@@ -1,6 +1,6 @@
 """The surface around a pixel: stereo samples, plane or curved patch, position and normal with covariance."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -9,7 +9,7 @@ import numpy as np
 from machine.camera import project, undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import pose
-from machine.rotations import rotvec_from_rotation
+from machine.rotations import rotation_about, rotvec_from_rotation
 from server.targets.contracts import (
     BoolArray,
     PatchStatus,
@@ -83,9 +83,7 @@ def measure_patch(
     return found
 
 
-def _image_problem(
-    image: Image, pixel: tuple[float, float], at: str, settings: TargetSettings
-) -> SurfacePatch | None:
+def _image_problem(image: Image, pixel: tuple[float, float], at: str, settings: TargetSettings) -> SurfacePatch | None:
     height, width = image.shape
     margin = min(pixel[0], pixel[1], width - 1 - pixel[0], height - 1 - pixel[1])
     if not margin >= CENTRE_HALF_PX:
@@ -134,7 +132,7 @@ def _measured(
             f"{1e3 * settings.position_max_m:.1f} mm); choose a rougher place, add light or come nearer"
         )
         return refused_patch(PatchStatus.NO_TEXTURE, reason, pixel)
-    fit, right_px, good = _fitted(left, right, camera, samples, uv, guess, radius_px, settings)
+    fit, good = _fitted(left, right, camera, samples, uv, guess, radius_px, settings)
     if fit is None or good.mean() < ON_SURFACE_MIN_FRAC:
         reason = (
             f"{at}: only {100 * good.mean():.0f} % of it is found in the right eye (limit "
@@ -186,11 +184,10 @@ def _fitted(
     guess: Array,
     radius_px: float,
     settings: TargetSettings,
-) -> tuple[_Fit | None, Array, BoolArray]:
+) -> tuple[_Fit | None, BoolArray]:
     """Fine disparities by the plane of the coarse ones, then the surface through them."""
     start = _robust_plane(uv, guess)
     good = np.zeros(len(samples), dtype=bool)
-    fine = np.zeros((len(samples), 2))
     fit: _Fit | None = None
     for _ in range(2):  # the second time with the slopes of the first
         expected = _terms(uv, "plane") @ start
@@ -198,12 +195,12 @@ def _fitted(
         found = fine_disparities(
             camera, left, right, samples, np.where(near, expected, guess), np.tile(start[1:3], (len(uv), 1))
         )
-        good, fine = found.good, found.right_px
+        good = found.good
         if good.sum() < 12:
-            return None, fine, good
+            return None, good
         fit = _surface(uv, found.disparity_px, good, radius_px, settings)
         start = fit.coefficients[:3]
-    return fit, fine, good
+    return fit, good
 
 
 def _terms(uv: Array, shape: Shape) -> Array:
@@ -227,7 +224,9 @@ def _robust_plane(uv: Array, disparity: Array) -> Array:
         if median < best_median:
             best, best_median = plane, median
     close = np.abs(A @ best - d) < 1.0
-    return np.linalg.lstsq(A[close], d[close], rcond=None)[0] if close.sum() >= 6 else best
+    if close.sum() >= 6:
+        best = np.linalg.lstsq(A[close], d[close], rcond=None)[0]
+    return np.asarray(best, dtype=np.float64)
 
 
 def _surface(uv: Array, disparity: Array, good: BoolArray, radius_px: float, settings: TargetSettings) -> _Fit:
@@ -287,7 +286,7 @@ def target_frame(normal: Array, origin: Array) -> Array:
     z = normal / np.linalg.norm(normal)
     x = np.array([1.0, 0.0, 0.0]) - z[0] * z
     x /= np.linalg.norm(x)
-    return pose(np.column_stack([x, np.cross(z, x), z]), origin)
+    return pose(np.array([x, np.cross(z, x), z], dtype=np.float64).T, origin)
 
 
 def _frame_of(camera: StereoCamera, ray: Array, abc: Array) -> Array:
@@ -348,6 +347,13 @@ def _judged(
         int(on.sum()),
         fit.residual_px,
     )
+
+
+def with_roll(patch: SurfacePatch, roll_rad: float) -> SurfacePatch:
+    """The same place, turned about its normal: positive turns x towards y."""
+    if patch.T_cam_target is None or roll_rad == 0.0:
+        return patch
+    return replace(patch, T_cam_target=patch.T_cam_target @ pose(rotation_about("z", roll_rad), np.zeros(3)))
 
 
 def uncertainty_95(covariance: Array) -> tuple[float, float]:

@@ -121,7 +121,9 @@ class TargetTracker:
         if len(points) < FIX_MIN:
             return None
         rays = undistort_to_rays(self._camera, pixels)
-        rvec, tvec = (None, None) if start is None else (cv2.Rodrigues(start[:3, :3])[0], start[:3, 3].reshape(3, 1).copy())
+        rvec, tvec = (
+            (None, None) if start is None else (cv2.Rodrigues(start[:3, :3])[0], start[:3, 3].reshape(3, 1).copy())
+        )
         good, rvec, tvec, inliers = cv2.solvePnPRansac(
             points.reshape(-1, 1, 3),
             rays.reshape(-1, 1, 2),
@@ -189,7 +191,7 @@ def _quadratic(rays: Array) -> Array:
 
 
 def _inside(pixels: Array, shape: tuple[int, ...]) -> BoolArray:
-    return (pixels >= 0.0).all(axis=1) & (pixels < [shape[1], shape[0]]).all(axis=1)
+    return np.asarray((pixels >= 0.0).all(axis=1) & (pixels < [shape[1], shape[0]]).all(axis=1))
 
 
 def _disc_mask(target: AnchoredTarget, camera: StereoCamera, settings: TargetSettings, size: tuple[int, int]) -> Image:
@@ -230,7 +232,7 @@ def _align_marks(
     indices = np.flatnonzero(known)
     if not len(indices):
         return _Seen(indices, np.zeros((0, 4))), 0
-    warps = np.linalg.inv(growth[indices] * scale)
+    warps = np.asarray(np.linalg.inv(growth[indices] * scale), dtype=np.float64)
     found = []
     references = (target.reference_left, target.reference_right)
     for eye, places, guesses in ((0, marks.left_px, left_px), (1, marks.right_px, right_px)):
