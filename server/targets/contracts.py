@@ -29,18 +29,21 @@ class PatchStatus(Enum):
 class TargetSettings:
     """Limits of a target.
 
-    radii_m: radii of the measured patch, tried from the smallest until the normal is known well enough.
-    normal_max_deg, position_max_m: a target is refused when its 95 % uncertainty of normal or position exceeds this.
-    The tolerances of a move are 1 deg and 5 mm; the limits leave the rest of the budget to tool and motion.
+    radii_m: radii of the measured patch, tried from the smallest until the normal's 95 % uncertainty is below
+    normal_wanted_deg: the tolerance of a move is 1 deg by two sigma, tool and camera included.
+    normal_max_deg, position_max_m: a target is refused when its 95 % uncertainty of normal or position exceeds this at
+    the largest radius; 4 mm leave the rest of a move's 5 mm to tool and motion.
     oblique_max_deg: at 60 deg a surface is foreshortened to half, which also halves the texture that can be matched.
     clipped_max_frac: share of clipped pixels in the patch that cannot be measured.
     depth_min_m, depth_max_m: range of the stereo search along the epipolar line.
-    sigma_px: smallest standard deviation of one aligned coordinate (0.05 px: docs/vision.md, odometry alignment).
+    sigma_px: standard deviation of one aligned coordinate of a landmark (0.05 px: docs/vision.md, odometry alignment).
+    sigma_floor_px: what interpolation leaves of a disparity error without image noise; in part alike all over a patch.
     sigma_disparity_px: disparity bias left after camera calibration, the prior of the lens model.
     surroundings_m: radius of the landmarks around the target.
     """
 
-    radii_m: tuple[float, ...] = (0.03, 0.045, 0.06, 0.08)
+    radii_m: tuple[float, ...] = (0.03, 0.045, 0.06, 0.08, 0.1)
+    normal_wanted_deg: float = 0.8
     normal_max_deg: float = 2.0
     position_max_m: float = 0.004
     oblique_max_deg: float = 60.0
@@ -48,6 +51,7 @@ class TargetSettings:
     depth_min_m: float = 0.25
     depth_max_m: float = 3.0
     sigma_px: float = 0.05
+    sigma_floor_px: float = 0.02
     sigma_disparity_px: float = 0.1
     surroundings_m: float = 0.4
 

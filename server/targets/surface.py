@@ -71,8 +71,13 @@ def measure_patch(
         return refused_patch(PatchStatus.NO_TEXTURE, f"{at} has no texture; choose a rougher place or add light", pixel)
     found = refused_patch(PatchStatus.NO_TEXTURE, "", pixel)
     for radius_m in settings.radii_m:
-        found = _measured(left, right, camera, pixel, ray, coarse.disparity_px, radius_m, at, settings)
-        if found.ok or found.status not in (PatchStatus.TOO_FAR, PatchStatus.NO_TEXTURE):
+        larger = _measured(left, right, camera, pixel, ray, coarse.disparity_px, radius_m, at, settings)
+        if found.ok and not larger.ok:
+            break  # the smaller patch lies on one surface, the larger one reaches beyond it
+        found = larger
+        if found.status not in (PatchStatus.OK, PatchStatus.TOO_FAR, PatchStatus.NO_TEXTURE):
+            break
+        if found.covariance is not None and uncertainty_95(found.covariance)[0] <= settings.normal_wanted_deg:
             break
     if not coarse.is_unique and found.status is not PatchStatus.NO_TEXTURE:
         reason = (
@@ -132,7 +137,9 @@ def _measured(
             f"{1e3 * settings.position_max_m:.1f} mm); choose a rougher place, add light or come nearer"
         )
         return refused_patch(PatchStatus.NO_TEXTURE, reason, pixel)
-    fit, good = _fitted(left, right, camera, samples, uv, guess, radius_px, settings)
+    per_sample_px = sigma_texture * np.sqrt(np.pi) * radius_px / SIZE_PX  # the bound of one sample's smaller patch
+    sampled = replace(settings, sigma_px=float(np.hypot(per_sample_px, settings.sigma_floor_px)))
+    fit, good = _fitted(left, right, camera, samples, uv, guess, radius_px, sampled)
     if fit is None or good.mean() < ON_SURFACE_MIN_FRAC:
         reason = (
             f"{at}: only {100 * good.mean():.0f} % of it is found in the right eye (limit "
@@ -146,6 +153,8 @@ def _measured(
             f"{100 * ON_SURFACE_MIN_FRAC:.0f} %); choose a place farther from the edge"
         )
         return refused_patch(PatchStatus.DEPTH_EDGE, reason, pixel)
+    coherent = settings.sigma_floor_px * np.array([1.0, 1.0 / radius_px, 1.0 / radius_px])
+    fit.covariance[:3, :3] += np.diag(coherent**2)  # interpolation errs alike where the sub-pixel phase is alike
     return _judged(camera, pixel, ray, fit, samples, uv, radius_m, at, settings)
 
 
