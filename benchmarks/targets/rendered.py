@@ -22,6 +22,7 @@ from sim_plc.world import World
 
 PRESET = "realistic"
 READY_S = 420.0
+CAMERA_HZ = 6.0  # so that renderer, vision and plant keep real time on two shared cores
 SHOWN_S = 2.0  # the newest image is then one of a machine at rest
 TRIES = 5  # clicks until one is accepted; a refused one is counted
 STAND_OFF_M = 0.1
@@ -70,6 +71,7 @@ def point_case(machine: Machine, seed: int, folder: Path) -> PointCase:
         runs=own / "runs",
         settings_file=settings,
         log_folder=own / "logs",
+        camera_rate_hz=CAMERA_HZ,
         sim_options=("--bare-rock",),
     )
     none = PointCase(seed, "refused", "", 0, np.nan, np.nan, (), (), (), False, 0.0)
@@ -86,7 +88,9 @@ def point_case(machine: Machine, seed: int, folder: Path) -> PointCase:
         return replace(none, reason=str(error))
     if finished.result is None:
         return replace(none, state=finished.state, reason=finished.reason, refused_clicks=refused)
-    return _judged(draw_world(machine, PRESET, seed), seed, patch, refused, finished, read_truth(own / "truth/truth.csv"))
+    return _judged(
+        draw_world(machine, PRESET, seed), seed, patch, refused, finished, read_truth(own / "truth/truth.csv")
+    )
 
 
 def _choose(rest: httpx.Client, rng: np.random.Generator) -> tuple[dict[str, Any] | None, int]:

@@ -14,6 +14,7 @@ from server.vision.odometry_align import align
 from server.vision.odometry_recognition import UNIQUE_RATIO_MAX
 
 ROWS_OFF_PX = 1  # EPIPOLAR_MAX_PX of the odometry: rows of the two eyes agree to one pixel
+NOISE_MIN_GREY = 1.0  # standard deviation of the least noise that an 8-bit image has
 PEAK_PX = 4  # nearer to the best disparity is the same peak of the correlation
 
 
@@ -61,7 +62,9 @@ def coarse_disparity(
     best = int(scores.argmax())
     apart = np.abs(np.arange(len(scores)) - best) > PEAK_PX
     rival = float(scores[apart].max(initial=-1.0))
-    ambiguity = (1.0 - max(float(scores[best]), 0.0) ** 2) / max(1.0 - max(rival, 0.0) ** 2, 1e-9)
+    floor = 2.0 * NOISE_MIN_GREY**2 / float(template.var())  # two windows of one place are no more alike than that
+    unlike = [1.0 - max(score, 0.0) ** 2 + floor for score in (float(scores[best]), rival)]
+    ambiguity = unlike[0] / unlike[1]
     return CoarseMatch(float(most - best), float(scores[best]), float(ambiguity))
 
 

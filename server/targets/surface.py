@@ -20,7 +20,7 @@ from server.targets.contracts import (
 from server.targets.stereo_match import coarse_disparity, fine_disparities
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
-from server.vision.odometry_align import HALF_PX, SIZE_PX
+from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, SIZE_PX
 
 CENTRE_HALF_PX = 20  # window of the first match: wide enough to be unique on natural texture
 SAMPLE_HALF_PX = 7  # as the fine alignment's patch
@@ -79,6 +79,12 @@ def measure_patch(
             break
         if found.covariance is not None and uncertainty_95(found.covariance)[0] <= settings.normal_wanted_deg:
             break
+    if not coarse.is_unique and coarse.correlation < CORRELATION_MIN and not found.ok:
+        reason = (
+            f"{at} covers a depth edge: no single depth explains it (correlation {coarse.correlation:.2f}, limit "
+            f"{CORRELATION_MIN:.2f}); choose a place farther from the edge"
+        )
+        return refused_patch(PatchStatus.DEPTH_EDGE, reason, pixel)
     if not coarse.is_unique and found.status is not PatchStatus.NO_TEXTURE:
         reason = (
             f"{at} repeats along the row: dissimilarity of the best to the second-best match {coarse.ambiguity:.2f} "
