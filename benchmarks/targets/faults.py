@@ -48,7 +48,7 @@ def covered(pair: Pair, scene: _Scene) -> Pair:
     """A textured sheet lies over the target."""
     half = round(COVER_M * scene.scale_px_m)
     sheet = cv2.GaussianBlur(scene.rng.integers(0, 255, (2 * half, 2 * half)).astype(np.uint8), (0, 0), 1.5)
-    return _laid_over(pair, scene, np.asarray(sheet))
+    return _laid_over(pair, scene, np.asarray(sheet, dtype=np.uint8))
 
 
 def moved(pair: Pair, scene: _Scene) -> Pair:
@@ -58,7 +58,7 @@ def moved(pair: Pair, scene: _Scene) -> Pair:
     step = np.array([[1.0, 0.0, shift * np.cos(angle)], [0.0, 1.0, shift * np.sin(angle)]])
     out = []
     for image, pixel in zip(pair, scene.pixels, strict=True):
-        gone = np.asarray(cv2.warpAffine(image, step, image.shape[::-1]))
+        gone = np.asarray(cv2.warpAffine(image, step, image.shape[::-1]), dtype=np.uint8)
         out.append(_pasted(image, gone, pixel, half))
     return out[0], out[1]
 
@@ -72,7 +72,7 @@ def light_switched(pair: Pair, scene: _Scene) -> Pair:
 def dirty_lens(pair: Pair, scene: _Scene) -> Pair:
     """Mud on the left lens over the target and what is around it."""
     left = pair[0].copy()
-    blurred = np.asarray(cv2.GaussianBlur(left, (0, 0), 25.0))
+    blurred = np.asarray(cv2.GaussianBlur(left, (0, 0), 25.0), dtype=np.uint8)
     return _pasted(left, blurred, scene.pixels[0], round(0.08 * scene.scale_px_m)), pair[1]
 
 

@@ -17,7 +17,7 @@ def tiled_pair(camera: StereoCamera, rng: np.random.Generator) -> tuple[Image, I
     height, width = camera.height_px, camera.width_px
     rough = rng.integers(0, 255, (2 * height, period)).astype(np.uint8)
     tile = cv2.GaussianBlur(rough, (0, 0), 2.0, borderType=cv2.BORDER_WRAP)
-    tile = np.asarray(cv2.normalize(tile, None, 20, 235, cv2.NORM_MINMAX))
+    tile = np.interp(tile, (float(tile.min()), float(tile.max())), (20.0, 235.0)).astype(np.uint8)
     wall = np.tile(tile, (1, 4 * width // period))
     u, v = np.meshgrid(np.arange(float(width)), np.arange(float(height)))
     rays = undistort_to_rays(camera, np.column_stack([u.ravel(), v.ravel()]))

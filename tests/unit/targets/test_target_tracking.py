@@ -79,10 +79,10 @@ def test_another_wall_is_not_taken_for_the_target():
 def test_the_own_tool_over_the_patch_does_not_count_against_it():
     (left, right), T_ooi_cam = pair_at(0.5, 6)
     u, v = pixel_of(T_ooi_cam)
-    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float) * 110.0
+    square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], dtype=float) * 110.0 + np.array([u, v])
     left = left.copy()
-    cv2.fillPoly(left, [np.round(square + [u, v]).astype(np.int32)], 30)
-    hidden = tracker().find(left, right, ([square + [u, v]], []))
+    cv2.fillPoly(left, [np.round(square).astype(np.int32)], 30)
+    hidden = tracker().find(left, right, ([square], []))
     assert hidden.ok, hidden.reason
     assert np.isnan(hidden.agree_frac)
 
