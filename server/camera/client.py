@@ -46,7 +46,7 @@ QUIT_S = 4.0
 RESTART_S = 1.0
 HUNG_LOOKS = 30  # so many seconds in which a process that had begun says nothing: it is ended, and begun anew
 ODOMETRY_START_S = 20.0
-MEASURE_S = 15.0  # until a target is measured
+MEASURE_S = 30.0  # until a target is measured
 MAP_S = 10.0  # until the map of an odometry run is there
 PROCESS_START_S = 240.0  # on a new machine everything is compiled first
 

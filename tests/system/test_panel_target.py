@@ -15,6 +15,10 @@ pytestmark = [
 ]
 READY_S = 300.0
 SLOW_MS = 60_000
+ANSWERED = (
+    "() => /known|Not measured/.test(document.getElementById('target-line').textContent)"
+    " || !document.getElementById('notice').hidden"
+)
 
 
 @pytest.fixture(scope="module")
@@ -47,9 +51,9 @@ def test_a_click_measures_a_place_and_the_next_uses_it(anna, stack, tmp_path):
     page.click("#target-choose")
     box = page.locator("#picture").bounding_box()
     page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.4 * box["height"])
-    page.wait_for_function(
-        "() => /known|Not measured/.test(document.getElementById('target-line').textContent)", timeout=SLOW_MS
-    )
+    page.wait_for_function(ANSWERED, timeout=SLOW_MS)
+    keep(page, "target-0-answered", folder)
+    assert page.inner_text("#notice") == ""
     assert page.locator("#target-use").is_visible(), page.inner_text("#target-line")
     candidate = httpx.get(f"{stack.url}/v1/target", timeout=30.0).json()["candidate"]
     assert candidate["status"] == "ok"
