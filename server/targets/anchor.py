@@ -17,7 +17,7 @@ from server.vision.odometry_sight import ImageSight, StereoMatches
 
 CELL_PX = 22  # one landmark a cell: neighbours' patches of 15 px do not overlap; about 150 within reach
 LANDMARKS_MIN = 24  # twice what a fix needs, so that half of them may be covered
-PATCH_SAMPLES_MAX = 49
+PATCH_SAMPLES_MAX = 100
 
 
 def anchor_target(

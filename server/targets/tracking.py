@@ -21,6 +21,7 @@ from server.vision.odometry_recognition import recognise
 FIX_MIN = 12  # landmarks in both eyes: half of them may be wrong, and six still overdetermine the pose
 FOUND_MIN_FRAC = 0.3  # of the visible landmarks: fewer, and the surroundings are not those of the reference
 AGREE_MIN_FRAC = 0.75  # of the visible patch samples, as for the first measurement
+MIDDLE_M = 0.045  # radius of what the operator pointed at: half of a tool's width
 VISIBLE_MIN = 5  # patch samples: fewer visible ones cannot outvote a wrong one
 MOVED_SIGMAS = 3.0
 MOVED_MIN_M = 0.001  # a look calls 1 mm rest
@@ -303,19 +304,49 @@ def _patch_verdict(
     fit: _Pose,
     settings: TargetSettings,
 ) -> tuple[float, str]:
-    """Share of the visible patch that agrees with its surroundings, and why the target must not be used, if so."""
-    seen, visible = _align_marks(target, target.surface, images, masks, camera, fit.T)
+    """Share of the visible patch that agrees with its surroundings, and why the target must not be used, if so.
+
+    The middle of the patch is judged first, by itself: an object smaller than the patch may lie on it or have moved.
+    """
+    for marks in (_middle_of(target.surface), target.surface):
+        share, problem = _marks_verdict(target, marks, images, masks, camera, fit, settings)
+        if problem:
+            return share, problem
+    return share, ""
+
+
+def _middle_of(marks: Landmarks) -> Landmarks:
+    near = np.linalg.norm(marks.points_target, axis=1) <= MIDDLE_M
+    return Landmarks(
+        marks.left_px[near],
+        marks.right_px[near],
+        marks.points_target[near],
+        marks.covariances_target[near],
+        marks.support_target[near],
+    )
+
+
+def _marks_verdict(
+    target: AnchoredTarget,
+    marks: Landmarks,
+    images: tuple[Image, Image],
+    masks: tuple[Image, Image],
+    camera: StereoCamera,
+    fit: _Pose,
+    settings: TargetSettings,
+) -> tuple[float, str]:
+    seen, visible = _align_marks(target, marks, images, masks, camera, fit.T)
     if visible < VISIBLE_MIN:
         return float("nan"), ""  # under our own tool; the surroundings speak for it
     share = len(seen.indices) / visible
-    if share < AGREE_MIN_FRAC:
+    if share < AGREE_MIN_FRAC or len(seen.indices) < VISIBLE_MIN - 1:
         reason = (
             f"target: {100 * share:.0f} % of its visible surface looks as it did (limit {100 * AGREE_MIN_FRAC:.0f} %); "
             "it is covered, has moved or has changed. Clear it, or choose the target again"
         )
         return share, reason
-    own = _solve(camera, target.surface, seen, fit.T, settings)
-    middle = target.surface.points_target[seen.indices].mean(axis=0)
+    own = _solve(camera, marks, seen, fit.T, settings)
+    middle = marks.points_target[seen.indices].mean(axis=0)
     moved = transform_points(own.T, middle[None])[0] - transform_points(fit.T, middle[None])[0]
     sigma = _sigma_at(own, fit, middle) + np.sqrt(target.covariance_target[5, 5]) * np.abs(fit.T[:3, 2])
     limit = np.maximum(MOVED_SIGMAS * sigma, MOVED_MIN_M)
