@@ -16,7 +16,7 @@ from server.api.views import Problem, Strict, View
 from server.jobs.service import JobService
 from server.jobs.targets import TargetChoice
 from server.targets.contracts import AnchoredTarget, SurfacePatch
-from server.targets.surface import CHI2_2_95, outline_px, uncertainty_95
+from server.targets.surface import CHI2_2_95, uncertainty_95
 from server.vision.contracts import Array
 
 AXIS_M = 0.05
@@ -148,7 +148,7 @@ def patch_view(found: AnchoredTarget | SurfacePatch, image: int, camera: StereoC
         radius_mm=1e3 * patch.radius_m,
         shape=patch.shape,
         oblique_deg=float(np.rad2deg(np.arccos(np.clip(-view @ T[:3, 2], -1.0, 1.0)))),
-        outline_px=_rounded(outline_px(patch, camera)),
+        outline_px=_rounded(_outline_px(T, patch.radius_m, camera)),
         ellipse_px=_rounded(_ellipse_px(T, C, camera)),
         axes_px=_rounded(project(camera, transform_points(T, ends))),
     )
@@ -168,3 +168,10 @@ def _ellipse_px(T: Array, C: Array, camera: StereoCamera) -> Array:
 
 def _rounded(points: Array) -> list[list[float]]:
     return np.round(points, 1).tolist()
+
+
+def _outline_px(T: Array, radius_m: float, camera: StereoCamera, n: int = 24) -> Array:
+    """Raw left pixels (n, 2) of the patch's rim."""
+    angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    circle = np.column_stack([radius_m * np.cos(angle), radius_m * np.sin(angle), np.zeros(n)])
+    return project(camera, transform_points(T, circle))

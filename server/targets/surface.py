@@ -6,7 +6,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from machine.camera import project, undistort_to_rays
+from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from machine.poses import pose
 from machine.rotations import rotation_about, rotvec_from_rotation
@@ -393,13 +393,3 @@ def _pose_covariance(
     C[:3, :3] += ROLL_SIGMA_RAD**2 * np.eye(3)
     C[3:, 3:] += (settings.sigma_px * T[2, 3] / camera.fx_px) ** 2 * np.eye(3)
     return 0.5 * (C + C.T)
-
-
-def outline_px(patch: SurfacePatch, camera: StereoCamera, radius_m: float | None = None, n: int = 24) -> Array:
-    """Raw left pixels (n, 2) of a circle on the patch; empty when refused."""
-    if patch.T_cam_target is None:
-        return np.zeros((0, 2))
-    angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
-    radius = patch.radius_m if radius_m is None else radius_m
-    circle = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(n)])
-    return project(camera, circle @ patch.T_cam_target[:3, :3].T + patch.T_cam_target[:3, 3])
