@@ -34,6 +34,11 @@ BENCHES = (
         "Marker poses over the two-view Cramer-Rao bound, planar flips and covariances, beside OpenCV's.",
     ),
     Lazy(
+        "targets",
+        "benchmarks.targets.command:targets",
+        "Targets without markers: patch errors against stated ellipses, faults found, and point-and-go jobs.",
+    ),
+    Lazy(
         "hand-eye",
         "benchmarks.hand_eye.command:hand_eye",
         "A X = Y B on real and simulated arms, trajectories beside evo, and kinhec's tracks beside its own solvers.",

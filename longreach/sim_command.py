@@ -41,6 +41,7 @@ def sim(
     structure_contrast_frac: Annotated[
         float | None, typer.Option(help="texture of what the crane shows of itself, 0 plain to 1; else the preset's")
     ] = None,
+    bare_rock: Annotated[bool, typer.Option("--bare-rock", help="show the wall without the object's markers")] = False,
     enable: Annotated[str, typer.Option(help="auto, or panel: SIGUSR1 presses the local enable")] = "auto",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="play everything, but leave the valves neutral")] = False,
     auth_key_file: Annotated[str | None, typer.Option(help="hexadecimal key: only signed commands are taken")] = None,
@@ -85,6 +86,7 @@ def sim(
                 camera_time_code=camera_time_code,
                 structure_frac=structure_frac,
                 structure_contrast_frac=structure_contrast_frac,
+                bare_rock=bare_rock,
                 enable=enable,
                 dry_run=dry_run,
                 key=read_key(auth_key_file),

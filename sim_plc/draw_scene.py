@@ -95,6 +95,11 @@ def with_structure(world: World, cover_frac: float | None, contrast_frac: float 
     return replace(world, scene=replace(world.scene, structure=structure))
 
 
+def with_bare_rock(world: World) -> World:
+    """The same wall without the object's markers and boards: the OOI's frame stays as the truth's reference."""
+    return replace(world, scene=replace(world.scene, ooi_markers=(), ooi_boards=()))
+
+
 def draw_scene(
     machine: Machine,
     preset: str,

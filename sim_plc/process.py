@@ -20,7 +20,7 @@ from protocol.framing import parse_net_id
 from recording.clock import mono_ns
 from recording.spawn import out_of_the_terminals_reach
 from sim_plc.diagnosed import with_effects
-from sim_plc.draw_scene import with_structure
+from sim_plc.draw_scene import with_bare_rock, with_structure
 from sim_plc.draw_world import draw_world
 from sim_plc.machine_loop import MS, MachineLoop, plc_framing
 from sim_plc.plc import path
@@ -74,6 +74,7 @@ class SimSettings:
     camera_time_code: bool = False  # the exposure's time painted into the left picture, for latency measurements
     structure_frac: float | None = None  # of the picture, covered by the crane itself; None: as the preset draws it
     structure_contrast_frac: float | None = None  # of its texture, 0: plain paint; None: as the preset draws it
+    bare_rock: bool = False  # the wall without the object's markers and boards
     dry_run: bool = False  # everything is played, but the valves stay neutral
     key: bytes = b""  # 16..64 bytes: take only signed commands, and sign states
     enable: str = "auto"  # or "panel": SIGUSR1 presses and releases the enable, SIGUSR2 the lever, SIGRTMIN the E-stop
@@ -114,7 +115,7 @@ def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda worl
     with _StopFlag() as stopped:
         drawn = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
         shown = with_structure(with_effects(drawn), settings.structure_frac, settings.structure_contrast_frac)
-        world = place(shown)
+        world = place(with_bare_rock(shown) if settings.bare_rock else shown)
         panel = LocalPanel(cast(EnableMode, settings.enable))
         _panel_signals(panel)
         return _run(settings, world, panel, stopped)

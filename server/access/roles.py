@@ -36,7 +36,7 @@ COMMANDERS = PERSONS | {Role.FLEET}
 OPEN = {("GET", "/healthz"), ("GET", "/readyz"), ("GET", "/login"), ("POST", "/v1/session"), ("POST", "/v1/stop")}
 SAFE_METHODS = {"GET", "HEAD", "OPTIONS"}
 METHODS = SAFE_METHODS | {"POST", "PUT", "PATCH", "DELETE"}
-COMMANDS = ("/v1/jobs", "/v1/lease", "/v1/disarm", "/v1/reset")
+COMMANDS = ("/v1/jobs", "/v1/lease", "/v1/disarm", "/v1/reset", "/v1/target")
 
 
 def needed(method: str, path: str) -> frozenset[Role]:

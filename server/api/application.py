@@ -30,6 +30,7 @@ from server.api.runs import runs_router
 from server.api.session import session_router
 from server.api.state import state_router
 from server.api.state_cache import StateCache, straight_route
+from server.api.targets import target_router
 from server.inner_faults import KEYS_UNREADABLE, PART_FAILED
 from server.jobs.diagnosing import Diagnoses
 from server.jobs.keeper import Keeper
@@ -129,6 +130,7 @@ def application(app: FastAPI, served: Served) -> Running:
         identification_router(service.identification),
         machine_router(service),
         oversight_router(service, log.life),
+        target_router(service),
         session_router(served.gatekeeper, secure=served.secure_cookie),
         metrics_router(service, lambda: log.readers),
     ):

@@ -55,7 +55,8 @@ PANEL_FILES = {  # what the panel's own routes answer, beside the guard: media t
     "/v1/panel/recordings/{name}/pictures/{start}-{end}": ("image/jpeg", ("404",)),
 }
 _PANEL = ("PUT /v1/goal", "POST /v1/accept", "POST /v1/alarms/{code}/acknowledge")
-_COMMANDS = ("POST /v1/jobs", "POST /v1/disarm", "POST /v1/reset", *_PANEL)
+_TARGET = ("POST /v1/target", "DELETE /v1/target")
+_COMMANDS = ("POST /v1/jobs", "POST /v1/disarm", "POST /v1/reset", *_TARGET, *_PANEL)
 LINKS: dict[tuple[str, str], tuple[dict[str, str], tuple[str, ...]]] = {
     ("/v1/lease", "201"): (_CONTROL, (*_HELD, *_COMMANDS)),
     ("/v1/lease/take", "201"): (_CONTROL, (*_HELD, *_COMMANDS)),

@@ -18,12 +18,15 @@ from recording.spawn import out_of_the_terminals_reach
 from server.calibration.contracts import CameraTrack
 from server.camera.contracts import (
     FrameReport,
+    MeasureTargetCommand,
     OdometryCommand,
     OdometryMap,
     PoseSourceCommand,
     PoseSourceName,
     QuitCommand,
     SignOfLife,
+    TargetMeasured,
+    UseTargetCommand,
     VisionCommand,
     VisionMessage,
     VisionSettings,
@@ -33,6 +36,7 @@ from server.camera.looking import LookCollector, TrackCollector
 from server.camera.process import LIFE_S, run_vision
 from server.listeners import Listeners
 from server.supervised_tasks import whole_in_thread
+from server.targets.contracts import AnchoredTarget, SurfacePatch
 from server.vision.contracts import Array, Look, OdometryPose
 
 KEEP_REPORTS = 600  # 40 s at 15 Hz
@@ -41,6 +45,7 @@ QUIT_S = 4.0
 RESTART_S = 1.0
 HUNG_LOOKS = 30  # so many seconds in which a process that had begun says nothing: it is ended, and begun anew
 ODOMETRY_START_S = 20.0
+MEASURE_S = 30.0  # until a target is measured
 MAP_S = 10.0  # until the map of an odometry run is there
 PROCESS_START_S = 240.0  # on a new machine everything is compiled first
 
@@ -68,6 +73,9 @@ class VisionClient:
         self._begun = self._heard = False
         self._pose_source: PoseSourceName = "stereo"
         self._track: TrackCollector | None = None
+        self._target: AnchoredTarget | None = None
+        self._measured: TargetMeasured | None = None
+        self._requests = 0
         self._runs = self._map_wanted = 0  # of odometry
         self.stream_text = STARTING
         self.latest_preview: tuple[bytes, int] | None = None
@@ -167,6 +175,33 @@ class VisionClient:
         finally:
             collected()
 
+    async def measure_target(
+        self, sequence: int, pixel: tuple[float, float], roll_rad: float
+    ) -> AnchoredTarget | SurfacePatch:
+        """Measure the surface at a raw left pixel of a pair that was shown.
+
+        Raises: CameraError: the vision process does not answer.
+        """
+        self._requests += 1
+        number = self._requests
+        self._send(MeasureTargetCommand(number, sequence, pixel, roll_rad))
+        try:
+            async with asyncio.timeout(MEASURE_S):
+                await self._until(lambda: self._measured is not None and self._measured.request >= number)
+        except TimeoutError:
+            raise CameraError(f"target was not measured within {MEASURE_S:.0f} s; try again") from None
+        if self._measured is None or self._measured.request != number:
+            raise CameraError("another target was measured in the meantime; choose again")
+        return self._measured.found
+
+    def use_target(self, target: AnchoredTarget | None) -> None:
+        """Serve this target as the object of interest, also after a restart of the process; None: its markers.
+
+        Raises: CameraError: the vision process is not running.
+        """
+        self._send(UseTargetCommand(target))
+        self._target = target
+
     async def start_odometry(self, masks: bool = False) -> None:
         """Start the camera's own trajectory; returns with its first pose. `masks`: for `odometry_map`.
 
@@ -259,6 +294,7 @@ class VisionClient:
         theirs.close()
         with contextlib.suppress(OSError):  # it has ended at once: its reader will say so
             ours.send(PoseSourceCommand(self._pose_source))  # as asked for, perhaps of the process before it
+            ours.send(UseTargetCommand(self._target))
         self._process, self._pipe, self._begun = process, ours, False
         threading.Thread(target=self._read, args=(ours, process), name="vision-reports", daemon=True).start()
 
@@ -302,6 +338,9 @@ class VisionClient:
             return
         if isinstance(message, FrameReport):
             self._take(message)
+        elif isinstance(message, TargetMeasured):
+            self._measured = message
+            self._arrived.set()
         elif isinstance(message, OdometryMap):
             if message.run == self._map_wanted:
                 self.last_map = message

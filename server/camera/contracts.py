@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 from server.camera.sources.settings import SourceSettings
+from server.targets.contracts import AnchoredTarget, SurfacePatch
 from server.vision.contracts import Array, Image, OdometryPose, PairObservation
 
 PoseSourceName = Literal["stereo", "mono"]
@@ -152,5 +153,30 @@ class QuitCommand:
     """End the vision process."""
 
 
-VisionCommand = OdometryCommand | PoseSourceCommand | QuitCommand
-VisionMessage = FrameReport | StreamNotice | OdometryMap | SignOfLife
+@dataclass(frozen=True, slots=True)
+class MeasureTargetCommand:
+    """Measure the surface at a raw left pixel of the pair with that sequence number. request: echoed in the answer."""
+
+    request: int
+    sequence: int
+    pixel: tuple[float, float]
+    roll_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class UseTargetCommand:
+    """Serve this target as the object of interest; None: its markers again."""
+
+    target: AnchoredTarget | None
+
+
+@dataclass(frozen=True, slots=True)
+class TargetMeasured:
+    """The answer to a MeasureTargetCommand: a target that can be used, or the refused patch."""
+
+    request: int
+    found: AnchoredTarget | SurfacePatch
+
+
+VisionCommand = OdometryCommand | PoseSourceCommand | MeasureTargetCommand | UseTargetCommand | QuitCommand
+VisionMessage = FrameReport | StreamNotice | OdometryMap | TargetMeasured | SignOfLife

@@ -9,11 +9,21 @@ from typing import Protocol
 import cv2
 
 from machine.description import StereoCamera
-from server.camera.contracts import FrameReport, OdometryMap, PoseSourceName, StereoFrame, VisionSettings
+from server.camera.contracts import (
+    FrameReport,
+    MeasureTargetCommand,
+    OdometryMap,
+    PoseSourceName,
+    StereoFrame,
+    TargetMeasured,
+    UseTargetCommand,
+    VisionSettings,
+)
 from server.camera.health import ImageHealth, sharpness
 from server.camera.masking import ToolMask
 from server.camera.own_structure import SpreadPairs
 from server.camera.smallest_offset import SmallestOffset, aged
+from server.camera.target_measuring import TargetMeasuring
 from server.vision.contracts import Array, Image, ObjectPoseSource, OdometryPose
 
 MAP_POINTS = 600  # told at the end of a run, for the 3D view
@@ -115,8 +125,10 @@ class VisionPipeline:
         pose_sources: Mapping[PoseSourceName, ObjectPoseSource],
         make_odometry: Callable[[], Odometry],
         camera: StereoCamera | None = None,
+        targets: TargetMeasuring | None = None,
     ) -> None:
         self._settings = settings
+        self._targets = targets
         self._pose_sources = pose_sources
         self._make_odometry = make_odometry
         self._pose_source: PoseSourceName = "stereo"
@@ -146,9 +158,20 @@ class VisionPipeline:
         still = (None, None) if pictures is None else pictures.masks()
         return OdometryMap(ended.map_points(MAP_POINTS), ended_run, still)
 
+    def obey_target(self, command: MeasureTargetCommand | UseTargetCommand) -> None:
+        """Measure a target, or serve one; without a target source nothing happens."""
+        if self._targets is not None:
+            self._targets.obey(command)
+
+    def targets_measured(self) -> list[TargetMeasured]:
+        """Measured targets that are ready, each once."""
+        return [] if self._targets is None else self._targets.finished()
+
     def close(self) -> None:
-        """End the odometry's thread."""
+        """End the threads."""
         self._beside.shutdown()
+        if self._targets is not None:
+            self._targets.close()
 
     def process(self, frame: StereoFrame, skipped: int) -> FrameReport:
         """Everything this pair tells. Never raises on what the images show."""
@@ -221,4 +244,6 @@ class VisionPipeline:
         size = (width_px, round(frame.left.shape[0] * width_px / frame.left.shape[1]))
         small = cv2.resize(frame.left, size, interpolation=cv2.INTER_AREA)
         good, jpeg = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, settings.preview_quality])
+        if self._targets is not None:
+            self._targets.keep(frame)
         return jpeg.tobytes() if good else None

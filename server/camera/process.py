@@ -14,6 +14,7 @@ import numpy as np
 from machine.description import Machine
 from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
 from server.camera.contracts import (
+    MeasureTargetCommand,
     OdometryCommand,
     PoseSourceCommand,
     PoseSourceName,
@@ -22,14 +23,18 @@ from server.camera.contracts import (
     StereoFrame,
     StereoSource,
     StreamNotice,
+    UseTargetCommand,
     VisionCommand,
     VisionSettings,
 )
 from server.camera.errors import CameraError
 from server.camera.health import ImageHealth
+from server.camera.masking import ToolMask
 from server.camera.pipeline import Odometry, VisionPipeline
 from server.camera.sources.opening import open_ahead
 from server.camera.sources.side_by_side import decode_grey
+from server.camera.target_measuring import TargetMeasuring
+from server.targets.source import TargetPoseSource
 from server.vision.contracts import ObjectPoseSource
 
 HANDOVER_S = 0.0005  # how soon a thread hands the interpreter on; Python's 5 ms are a third of a pair's time
@@ -51,17 +56,17 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
     def make_odometry() -> Odometry:
         return StereoOdometry(machine.camera)
 
-    sources: dict[PoseSourceName, ObjectPoseSource] = {
-        "stereo": ArucoPoseSource(machine),
-        "mono": MonoArucoPoseSource(machine),
-    }
-    _warm_up(machine, sources["stereo"], make_odometry(), ImageHealth(machine.camera))
+    markers = ArucoPoseSource(machine)
+    _warm_up(machine, markers, make_odometry(), ImageHealth(machine.camera))
     tool_ids = {marker.marker_id: 1.0 for marker in machine.markers_on("tool")}
     for board in machine.boards_on("tool"):
         if board.kind == "charuco":  # its inner corners are seen; a grid's markers are told one by one
             fewest = min(board.squares_x, board.squares_y)
             tool_ids[board.first_id] = fewest / max(fewest - 2, 1)
-    return VisionPipeline(settings, tool_ids, sources, make_odometry, machine.camera)
+    source = TargetPoseSource(markers, machine.camera, ToolMask(tool_ids, settings.mask_scale))
+    sources: dict[PoseSourceName, ObjectPoseSource] = {"stereo": source, "mono": MonoArucoPoseSource(machine)}
+    targets = TargetMeasuring(machine.camera, source)
+    return VisionPipeline(settings, tool_ids, sources, make_odometry, machine.camera, targets)
 
 
 def _warm_up(machine: Machine, source: ObjectPoseSource, odometry: Odometry, health: ImageHealth) -> None:
@@ -140,6 +145,8 @@ class VisionLoop:
             return
         if frame is not None:
             self._pipe.send(self._pipeline.process(frame, self._source.skipped))
+        for answer in self._pipeline.targets_measured():
+            self._pipe.send(answer)
         if mono_s() - self._life_s >= LIFE_S:
             self._life_s = mono_s()
             self._pipe.send(SignOfLife())
@@ -159,6 +166,8 @@ class VisionLoop:
                     self._pipe.send(ended)
             case PoseSourceCommand(name=name):
                 self._pipeline.use_pose_source(name)
+            case MeasureTargetCommand() | UseTargetCommand():
+                self._pipeline.obey_target(command)
             case QuitCommand():
                 self._quit = True
         return self._quit

@@ -13,6 +13,25 @@ let shownAt = -Infinity; // when it was exposed, on this page's clock
 let waiting = null;
 let drawn = 0;
 
+const extras = []; // drawn over every picture
+
+export const afterDrawing = (draw) => extras.push(draw);
+export const shownHeader = () => shown;
+
+// Call `act` with a clicked place, in px of the eye's full resolution.
+export function pictureClick(act) {
+  canvas.addEventListener("click", (event) => {
+    if (!shown) return;
+    const box = canvas.getBoundingClientRect();
+    const scale = Math.min(box.width / canvas.width, box.height / canvas.height); // the picture is fitted into its box
+    const u = (event.clientX - box.left - (box.width - canvas.width * scale) / 2) / scale;
+    const v = (event.clientY - box.top - (box.height - canvas.height * scale) / 2) / scale;
+    const full = shown.width_px / canvas.width;
+    const at = [u * full - 0.5, v * full - 0.5];
+    if (at[0] >= 0 && at[1] >= 0 && at[0] <= shown.width_px - 1 && at[1] <= shown.height_px - 1) act(at);
+  });
+}
+
 export function startCamera() {
   const socket = new WebSocket(address("/v1/video"));
   socket.binaryType = "arraybuffer";
@@ -58,6 +77,7 @@ function draw() {
   for (const marker of header.markers) drawMarker(marker, scale);
   if (header.goal) drawCross(header.goal, scale, t("legend_goal"), "#ffd84d", true);
   if (header.tool) drawCross(header.tool, scale, t("legend_tool"), "#ff8ad8", false);
+  for (const extra of extras) extra(context, place(scale));
   context.restore();
   drawn += 1;
   Object.assign(canvas.dataset, { number: header.number, drawn });

@@ -16,6 +16,7 @@ import { watchHold } from "./hold.js";
 import { showScene, startScene } from "./scene.js";
 import { buildSteps, showSteps } from "./steps.js";
 import { startTabs } from "./tabs.js";
+import { startTarget } from "./target.js";
 import { fillTexts, t } from "./texts.js";
 import { startTour } from "./tour.js";
 
@@ -52,6 +53,6 @@ const live = new Live((fresh) => {
   show();
 });
 const fillPage = () => fillTexts(document);
-const STARTED = [fillPage, buildErrors, buildSteps, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startScene, startLogin];
+const STARTED = [fillPage, buildErrors, buildSteps, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startTarget, startScene, startLogin];
 STARTED.forEach((part) => guarded(part, live));
 setInterval(show, AGES_MS);

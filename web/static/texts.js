@@ -24,6 +24,10 @@ export const TEXTS = {
   // camera
   camera_title: "Camera, left eye", frame_age: "{fps} pairs/s · {age} old", veil_old: "old: {age}", veil_none: "no image yet",
   veil_camera: "no new images: check the camera and its cable", veil_server: "the server does not answer", veil_way: "images arrive late: this computer or its network is overloaded",
+  target_choose: "Choose target", target_cancel: "Do not choose", target_use: "Use this target", target_clear: "Back to markers",
+  target_click: "Click a place on the rock.", target_measuring: "Measuring …", target_markers: "Target: the object's markers",
+  target_found: "{mm} mm away, known to ± {place} mm and ± {deg}° (95 %), patch of {radius} mm", target_in_use: "Target: a chosen place, normal known to ± {deg}° (95 %)",
+  target_refused: "Not measured: {why}",
   legend_tool: "tool", legend_goal: "goal", 
   picture_label: "Camera image. {n} markers detected. {text}", frozen: "FROZEN for {age}",
   // scene

@@ -21,6 +21,7 @@ from server.calibration.nuisances import LAYOUT, Contribution, contributions, la
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
+from server.targets.anchor import anchor_covariance
 from server.vision.contracts import Look
 from server.vision.goal_error import error_jacobian, pose_error_covariance
 
@@ -79,7 +80,10 @@ def corrected_poses(ctx: PlanContext, T_cam_tool: Array, T_cam_ooi: Array) -> tu
 
 def common_of(ctx: PlanContext, T_cam_tool: Array, T_cam_ooi: Array) -> Array:
     """Covariance (12, 12) of a look from camera, prints and layout; no further pair lessens it."""
-    return common_covariance(ctx.machine, T_cam_tool, T_cam_ooi, lens_prior(ctx), _lens_covariance(ctx))
+    C = common_covariance(ctx.machine, T_cam_tool, T_cam_ooi, lens_prior(ctx), _lens_covariance(ctx))
+    if ctx.knowledge.target is not None:
+        C[6:, 6:] += anchor_covariance(ctx.knowledge.target, T_cam_ooi)
+    return C
 
 
 def require_judgeable(ctx: PlanContext, taken: LookTaken) -> None:

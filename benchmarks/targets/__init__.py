@@ -1,0 +1,1 @@
+"""Targets without markers: measured patches, faults, and whole jobs on bare rock."""

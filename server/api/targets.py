@@ -1,0 +1,177 @@
+"""Choosing a target without markers: measured at a pixel of an image, accepted, cleared."""
+
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Depends
+from fastapi.responses import JSONResponse, Response
+from pydantic import Field
+
+from machine.camera import project
+from machine.description import StereoCamera
+from machine.poses import transform_points
+from server.api.lease import leased
+from server.api.problems import problem
+from server.api.views import Problem, Strict, View
+from server.jobs.service import JobService
+from server.jobs.targets import TargetChoice
+from server.targets.contracts import AnchoredTarget, SurfacePatch
+from server.targets.surface import CHI2_2_95, uncertainty_95
+from server.vision.contracts import Array
+
+AXIS_M = 0.05
+IMAGE: dict[int | str, dict[str, Any]] = {
+    200: {"description": "the newest image of the left eye", "content": {"image/jpeg": {"schema": {"type": "string"}}}},
+    404: {"model": Problem},
+}
+
+
+class MeasureTargetRequest(Strict):
+    """A pixel of the left eye in full resolution, in the image with that number (video header, GET /v1/target)."""
+
+    image: Annotated[int, Field(ge=0, le=2**53)]
+    u_px: Annotated[float, Field(ge=0.0, le=16384.0)]
+    v_px: Annotated[float, Field(ge=0.0, le=16384.0)]
+    roll_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0
+
+
+class TargetRequest(Strict):
+    """Which measured candidate is meant: one that has been replaced meanwhile is refused."""
+
+    target_id: Annotated[int, Field(ge=1, le=2**53)]
+
+
+class PatchView(View):
+    """A measured surface patch; figures are 0 and lists empty when it was refused. Uncertainties at 95 %."""
+
+    target_id: int
+    status: str
+    reason: str
+    image: int
+    u_px: float
+    v_px: float
+    distance_mm: float
+    normal_deg: float = Field(description="uncertainty of the normal")
+    position_mm: float = Field(description="uncertainty of the position along its worst axis")
+    radius_mm: float
+    shape: str
+    oblique_deg: float = Field(description="view ray against the normal")
+    outline_px: list[list[float]] = Field(description="rim of the measured patch in the left image")
+    ellipse_px: list[list[float]] = Field(description="95 % ellipse of the position in the surface, magnified 10 times")
+    axes_px: list[list[float]] = Field(description="origin and the ends of x, y and the normal (50 mm)")
+
+
+class TargetView(View):
+    """The target in use, the candidate that was measured last, and the number of the newest image."""
+
+    target: PatchView | None
+    candidate: PatchView | None
+    image: int
+
+
+def target_router(service: JobService) -> APIRouter:
+    """Routes under /v1/target."""
+    router = APIRouter(prefix="/v1/target", tags=["target"])
+    cell = service.cell
+    choice = TargetChoice(cell.vision, cell.knowledge, service.engine)
+    control = Depends(leased(service.engine.leases))
+    refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 409, 422)}
+
+    def view() -> TargetView:
+        camera, latest = cell.machine.camera, cell.vision.latest
+        return TargetView(
+            target=None if choice.target is None else patch_view(choice.target, 0, camera),
+            candidate=None if choice.candidate is None else patch_view(choice.candidate, choice.image, camera),
+            image=0 if latest is None else latest.sequence,
+        )
+
+    @router.get("", response_model=TargetView)
+    async def read_target() -> TargetView:
+        """The target in use and the last candidate."""
+        return view()
+
+    @router.get("/image", response_model=None, response_class=Response, responses=IMAGE)
+    async def read_target_image() -> Response:
+        """The newest image; the header Longreach-Image holds its number, Longreach-Scale its size over the eye's."""
+        shown = next((one for one in reversed(cell.vision.reports_since(0)) if one.preview_jpeg is not None), None)
+        if shown is None or shown.preview_jpeg is None:
+            return problem(404, "No image", "no image has come yet; check the camera", "no_image")
+        scale = shown.preview_width_px / cell.machine.camera.width_px
+        headers = {"Longreach-Image": str(shown.sequence), "Longreach-Scale": f"{scale:.6f}"}
+        return Response(shown.preview_jpeg, media_type="image/jpeg", headers=headers)
+
+    @router.post("/measure", response_model=PatchView, responses=refused)
+    async def measure_target(body: MeasureTargetRequest) -> PatchView:
+        """Measure the surface at a pixel; nothing moves and nothing is used yet. A refusal is in `status`, `reason`."""
+        found = await choice.measure(body.image, (body.u_px, body.v_px), body.roll_deg)
+        return patch_view(found, body.image, cell.machine.camera)
+
+    @router.post("", response_model=TargetView, responses=refused, dependencies=[control])
+    async def use_target(body: TargetRequest) -> TargetView | JSONResponse:
+        """Use the measured candidate as the object of interest: look at it before anything moves."""
+        choice.accept(body.target_id)
+        return view()
+
+    @router.delete("", response_model=TargetView, responses=refused, dependencies=[control])
+    async def clear_target() -> TargetView:
+        """Use the object's markers again."""
+        choice.clear()
+        return view()
+
+    return router
+
+
+def patch_view(found: AnchoredTarget | SurfacePatch, image: int, camera: StereoCamera) -> PatchView:
+    """A candidate as it is shown: in px of its own image."""
+    patch = found.patch if isinstance(found, AnchoredTarget) else found
+    target_id = found.target_id if isinstance(found, AnchoredTarget) else 0
+    T, C = patch.T_cam_target, patch.covariance
+    common = {
+        "target_id": target_id,
+        "status": patch.status.value,
+        "reason": patch.reason,
+        "image": image,
+        "u_px": patch.pixel[0],
+        "v_px": patch.pixel[1],
+    }
+    if T is None or C is None:
+        zero = dict.fromkeys(("distance_mm", "normal_deg", "position_mm", "radius_mm", "oblique_deg"), 0.0)
+        return PatchView(**common, **zero, shape="", outline_px=[], ellipse_px=[], axes_px=[])
+    normal_deg, position_m = uncertainty_95(C)
+    view = T[:3, 3] / np.linalg.norm(T[:3, 3])
+    ends = np.vstack([np.zeros(3), AXIS_M * np.eye(3)])
+    return PatchView(
+        **common,
+        distance_mm=float(1e3 * np.linalg.norm(T[:3, 3])),
+        normal_deg=normal_deg,
+        position_mm=1e3 * position_m,
+        radius_mm=1e3 * patch.radius_m,
+        shape=patch.shape,
+        oblique_deg=float(np.rad2deg(np.arccos(np.clip(-view @ T[:3, 2], -1.0, 1.0)))),
+        outline_px=_rounded(_outline_px(T, patch.radius_m, camera)),
+        ellipse_px=_rounded(_ellipse_px(T, C, camera)),
+        axes_px=_rounded(project(camera, transform_points(T, ends))),
+    )
+
+
+ELLIPSE_SHOWN = 10.0  # times its size: a tenth of a millimetre would not be visible
+
+
+def _ellipse_px(T: Array, C: Array, camera: StereoCamera) -> Array:
+    """Section (24, 2) [px] of the position's 95 % ellipsoid with the surface's x and the depth, projected."""
+    values, vectors = np.linalg.eigh(C[3:, 3:])
+    half = np.sqrt(CHI2_2_95 * np.maximum(values[[2, 1]], 0.0)) * ELLIPSE_SHOWN
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    ring = np.cos(angle)[:, None] * half[0] * vectors[:, 2] + np.sin(angle)[:, None] * half[1] * vectors[:, 1]
+    return project(camera, T[:3, 3] + ring)
+
+
+def _rounded(points: Array) -> list[list[float]]:
+    return np.round(points, 1).tolist()
+
+
+def _outline_px(T: Array, radius_m: float, camera: StereoCamera, n: int = 24) -> Array:
+    """Raw left pixels (n, 2) of the patch's rim."""
+    angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    circle = np.column_stack([radius_m * np.cos(angle), radius_m * np.sin(angle), np.zeros(n)])
+    return project(camera, transform_points(T, circle))

@@ -1,0 +1,1 @@
+"""Targets without markers: a place on a surface is measured, found again, and served as the object of interest."""

@@ -1,0 +1,369 @@
+"""Finds an anchored target in a later pair: surroundings recognised, aligned, and the patch compared with them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from machine.camera import project_stereo, projection_jacobian, undistort_to_rays
+from machine.description import StereoCamera
+from machine.poses import pose, transform_points
+from machine.rotations import rotation_from_rotvec, skew
+from server.targets.contracts import AnchoredTarget, BoolArray, Landmarks, TargetFix, TargetSettings
+from server.vision.contracts import Array, Image
+from server.vision.object_pose import fitted_variance
+from server.vision.odometry_align import align
+from server.vision.odometry_features import allowed_mask, inside_mask
+from server.vision.odometry_flow import flow
+from server.vision.odometry_recognition import recognise
+
+FIX_MIN = 12  # landmarks in both eyes: half of them may be wrong, and six still overdetermine the pose
+FOUND_MIN_FRAC = 0.3  # of the visible landmarks: fewer, and the surroundings are not those of the reference
+AGREE_MIN_FRAC = 0.75  # of the visible patch samples, as for the first measurement
+MIDDLE_M = 0.045  # radius of what the operator pointed at: half of a tool's width
+VISIBLE_MIN = 5  # patch samples: fewer visible ones cannot outvote a wrong one
+MOVED_SIGMAS = 3.0
+MOVED_MIN_M = 0.001  # a look calls 1 mm rest
+AREA_MAX = 2.5  # of a patch against its reference: beyond, the images are compared at half size
+AREA_MIN = 0.4
+LEVELS = 3
+PNP_PX = 3.0
+GUESS_MAX_PX = 3.0  # the alignment's basin
+TUKEY = 4.685
+STEPS, STEP_MIN = 8, 1e-7  # rad and m: a hundredth of what noise moves
+DEPTH_MIN_M = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Landmarks found in both eyes: numbers (n,), raw pixels (n, 4) left and right."""
+
+    indices: np.ndarray
+    pixels: Array
+
+
+@dataclass(frozen=True, slots=True)
+class _Pose:
+    """T_cam_target, its covariance, which of the seen landmarks agree (n,), residual rms [px]."""
+
+    T: Array
+    covariance: Array
+    agree: BoolArray
+    residual_px: float
+
+
+class TargetTracker:
+    """Keeps the last image and pose of one target; each call takes the next pair."""
+
+    def __init__(self, target: AnchoredTarget, camera: StereoCamera, settings: TargetSettings | None = None) -> None:
+        self._target, self._camera = target, camera
+        self._settings = settings or TargetSettings()
+        self._last: tuple[Image, Array] | None = (target.reference_left, target.T_ref_target)
+        size = (camera.height_px, camera.width_px)
+        self._mask_reference = _disc_mask(target, camera, self._settings, size)
+        self._lost = 0
+
+    def find(
+        self, left: Image, right: Image, masks_px: tuple[Sequence[Array], Sequence[Array]] = ((), ())
+    ) -> TargetFix:
+        """Where the target is in this raw pair (h, w), or why that is not known.
+
+        Args:    masks_px: polygons (k, 2) [px] of the own tool in the left and the right image; what lies under them is
+                 covered by us and counts neither for nor against the target.
+        """
+        size = (self._camera.height_px, self._camera.width_px)
+        masks = allowed_mask(size, masks_px[0]), allowed_mask(size, masks_px[1])
+        guess = self._by_flow(left, masks[0])
+        fix, T = self._aligned(left, right, masks, guess) if guess is not None else (_LOST, None)
+        if T is None and self._lost % RECOGNISE_EVERY == 0:
+            guess = self._recognised(left, masks[0])
+            if guess is not None:
+                fix, T = self._aligned(left, right, masks, guess)
+        self._lost = 0 if T is not None else self._lost + 1
+        self._last = None if T is None else (left.copy(), T)
+        return fix
+
+    def _by_flow(self, left: Image, mask: Image) -> Array | None:
+        """The pose by landmarks that moved on from the last image."""
+        if self._last is None:
+            return None
+        image, T = self._last
+        points = self._target.surroundings.points_target
+        before = project_stereo(self._camera, transform_points(T, points))[0]
+        indices = np.flatnonzero(np.isfinite(before).all(axis=1) & _inside(before, left.shape))
+        found = flow(image, left, before[indices])
+        good = found.good & inside_mask(mask, found.points_px)
+        return self._pnp(points[indices[good]], found.points_px[good], T)
+
+    def _recognised(self, left: Image, mask: Image) -> Array | None:
+        """The pose by features of the reference, wherever the camera is."""
+        target = self._target
+        first, second = recognise(target.reference_left, self._mask_reference, left, mask)
+        if len(first) < FIX_MIN:
+            return None
+        return self._pnp(self._lifted(first), second, None)
+
+    def _lifted(self, left_px: Array) -> Array:
+        """Places (n, 3) in target axes of reference pixels, on a curved surface through the landmarks.
+
+        The disparity of a surface of second order is fitted: good to millimetres, which a first guess needs no better.
+        """
+        marks, camera = self._target.surroundings, self._camera
+        rays = undistort_to_rays(camera, marks.left_px)
+        disparity = rays[:, 0] - undistort_to_rays(camera, marks.right_px)[:, 0]
+        found = np.linalg.lstsq(_quadratic(rays), disparity, rcond=None)[0]
+        wanted = undistort_to_rays(camera, left_px)
+        depth = camera.baseline_m / np.maximum(_quadratic(wanted) @ found, 1e-3)
+        T = self._target.T_ref_target
+        return (np.column_stack([wanted, np.ones(len(wanted))]) * depth[:, None] - T[:3, 3]) @ T[:3, :3]
+
+    def _pnp(self, points: Array, pixels: Array, start: Array | None) -> Array | None:
+        if len(points) < FIX_MIN:
+            return None
+        rays = undistort_to_rays(self._camera, pixels)
+        rvec, tvec = (
+            (None, None) if start is None else (cv2.Rodrigues(start[:3, :3])[0], start[:3, 3].reshape(3, 1).copy())
+        )
+        good, rvec, tvec, inliers = cv2.solvePnPRansac(
+            points.reshape(-1, 1, 3),
+            rays.reshape(-1, 1, 2),
+            np.eye(3),
+            None,
+            rvec,
+            tvec,
+            useExtrinsicGuess=start is not None,
+            iterationsCount=200,
+            reprojectionError=PNP_PX / self._camera.fx_px,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_ITERATIVE,
+        )
+        if not good or inliers is None or len(inliers) < FIX_MIN:
+            return None
+        return pose(np.asarray(cv2.Rodrigues(rvec)[0], dtype=float), np.asarray(tvec, dtype=float).reshape(3))
+
+    def _aligned(
+        self, left: Image, right: Image, masks: tuple[Image, Image], guess: Array
+    ) -> tuple[TargetFix, Array | None]:
+        """The fix from a guess; the pose None where the surroundings were not found."""
+        target, camera = self._target, self._camera
+        T, seen, fit, visible = guess, None, None, 0
+        for _ in range(2):  # the second time from the better guess
+            seen, visible = _align_marks(target, target.surroundings, (left, right), masks, camera, T)
+            if len(seen.indices) < FIX_MIN:
+                return _not_found(len(seen.indices), visible), None
+            fit = _solve(camera, target.surroundings, seen, T, self._settings)
+            T = fit.T
+        if seen is None or fit is None:
+            return _LOST, None
+        n = int(fit.agree.sum())
+        if n < FIX_MIN or n < FOUND_MIN_FRAC * visible:
+            return _not_found(n, visible), None
+        agree, problem = _patch_verdict(target, (left, right), masks, camera, fit, self._settings)
+        if problem:
+            return TargetFix(False, problem, None, None, n, agree, fit.residual_px), fit.T
+        return TargetFix(True, "", fit.T, fit.covariance, n, agree, fit.residual_px), fit.T
+
+
+RECOGNISE_EVERY = 3  # lost pairs: recognition takes as long as two pairs
+_LOST = TargetFix(
+    False,
+    "target: its surroundings are not recognised in the left eye; bring it into view, or clear what covers it",
+    None,
+    None,
+    0,
+    float("nan"),
+    float("nan"),
+    seen=False,
+)
+
+
+def _not_found(n: int, visible: int) -> TargetFix:
+    reason = (
+        f"target: {n} of {visible} visible landmarks found in both eyes (limits {FIX_MIN} and "
+        f"{100 * FOUND_MIN_FRAC:.0f} %); clear the view, restore the light, or choose the target again"
+    )
+    return TargetFix(False, reason, None, None, n, float("nan"), float("nan"), seen=False)
+
+
+def _quadratic(rays: Array) -> Array:
+    x, y = rays[:, 0], rays[:, 1]
+    return np.column_stack([np.ones(len(rays)), x, y, x * x, x * y, y * y])
+
+
+def _inside(pixels: Array, shape: tuple[int, ...]) -> BoolArray:
+    return np.asarray((pixels >= 0.0).all(axis=1) & (pixels < [shape[1], shape[0]]).all(axis=1))
+
+
+def _disc_mask(target: AnchoredTarget, camera: StereoCamera, settings: TargetSettings, size: tuple[int, int]) -> Image:
+    mask = np.zeros(size, np.uint8)
+    pixel = target.patch.pixel
+    radius_px = settings.surroundings_m * camera.fx_px / float(target.T_ref_target[2, 3])
+    cv2.circle(mask, (round(pixel[0]), round(pixel[1])), round(radius_px), 255, -1)
+    return mask
+
+
+def _align_marks(
+    target: AnchoredTarget,
+    marks: Landmarks,
+    images: tuple[Image, Image],
+    masks: tuple[Image, Image],
+    camera: StereoCamera,
+    T: Array,
+) -> tuple[_Seen, int]:
+    """Landmarks found in both eyes, and how many should be visible at this pose.
+
+    Where the reference is magnified by more than the alignment allows, the new images are halved: their places are then
+    good to 0.1 px instead of 0.05, at a range where a pixel is that much smaller.
+    """
+    points = transform_points(T, marks.points_target)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        left_px, right_px = project_stereo(camera, points)
+        sides = [project_stereo(camera, transform_points(T, marks.support_target[:, k]))[0] - left_px for k in range(2)]
+    growth = np.stack(sides, axis=2)  # d(new px) / d(reference px)
+    area = growth[:, 0, 0] * growth[:, 1, 1] - growth[:, 0, 1] * growth[:, 1, 0]
+    known = (points[:, 2] > DEPTH_MIN_M) & np.isfinite(area) & np.isfinite(right_px).all(axis=1)
+    known[known] = inside_mask(masks[0], left_px[known]) & inside_mask(masks[1], right_px[known])
+    known &= area > AREA_MIN
+    if not known.any():
+        return _Seen(np.zeros(0, dtype=np.int64), np.zeros((0, 4))), 0
+    level = int(np.clip(np.ceil(0.5 * np.log2(max(float(np.median(area[known])) / AREA_MAX, 1.0))), 0, LEVELS - 1))
+    scale = 0.5**level
+    known &= area * scale**2 < AREA_MAX * 2.0
+    indices = np.flatnonzero(known)
+    if not len(indices):
+        return _Seen(indices, np.zeros((0, 4))), 0
+    warps = np.asarray(np.linalg.inv(growth[indices] * scale), dtype=np.float64)
+    found = []
+    references = (target.reference_left, target.reference_right)
+    for eye, places, guesses in ((0, marks.left_px, left_px), (1, marks.right_px, right_px)):
+        small = _halved(images[eye], level)
+        at = align(references[eye], places[indices], warps, small, (guesses[indices] + 0.5) * scale - 0.5)
+        found.append(((at.points_px + 0.5) / scale - 0.5, at.good))
+    good = found[0][1] & found[1][1]
+    return _Seen(indices[good], np.hstack([found[0][0][good], found[1][0][good]])), len(indices)
+
+
+def _halved(image: Image, level: int) -> Image:
+    """The image at 1 / 2^level of its size; pixel centres at (u + 0.5) / 2^level - 0.5."""
+    if level == 0:
+        return image
+    factor = 0.5**level
+    return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _solve(camera: StereoCamera, marks: Landmarks, seen: _Seen, start: Array, settings: TargetSettings) -> _Pose:
+    """Pose by iteratively reweighted least squares over both eyes.
+
+    Model:   residual (4,) = projection in both eyes minus seen, raw px; covariance sigma^2 I + J C J^T, with the
+             landmark's own covariance C; Tukey's biweight on the whitened norm, its scale from the median.
+    Returns: _Pose with the covariance of noise and landmarks, larger where the residuals say so.
+    """
+    points, C = marks.points_target[seen.indices], marks.covariances_target[seen.indices]
+    T, shift = start, np.array([camera.baseline_m, 0.0, 0.0])
+    weights, white, J = np.ones(len(points)), np.zeros((len(points), 4)), np.zeros((len(points), 4, 6))
+    for _ in range(STEPS):
+        cam = transform_points(T, points)
+        both = [projection_jacobian(camera, cam), projection_jacobian(camera, cam - shift)]
+        J_point = np.concatenate(both, axis=1)
+        turned = _turned(cam - T[:3, 3])
+        R = T[:3, :3]
+        noise = settings.sigma_px**2 * np.eye(4) + J_point @ (R @ C @ R.T) @ J_point.transpose(0, 2, 1)
+        root = np.linalg.inv(np.linalg.cholesky(noise))
+        residual = np.hstack(project_stereo(camera, cam)) - seen.pixels
+        white = np.einsum("nij,nj->ni", root, residual)
+        J = root @ np.concatenate([J_point @ turned, J_point], axis=2)
+        norm = np.linalg.norm(white, axis=1) / 2.0
+        spread = max(1.4826 * float(np.median(norm)) / 1.4, 1.0)
+        weights = np.clip(1.0 - (norm / (TUKEY * spread)) ** 2, 0.0, None) ** 2
+        information = np.einsum("n,nki,nkj->ij", weights, J, J) + 1e-12 * np.eye(6)
+        step = -np.linalg.solve(information, np.einsum("n,nki,nk->i", weights, J, white))
+        T = pose(rotation_from_rotvec(step[:3]) @ T[:3, :3], T[:3, 3] + step[3:])
+        if float(np.abs(step).max()) < STEP_MIN:
+            break
+    agree = weights > 0.05
+    information = np.einsum("nki,nkj->ij", J[agree], J[agree]) + 1e-12 * np.eye(6)
+    variance = fitted_variance(float(np.sum(white[agree] ** 2)), 4 * int(agree.sum()) - 6, 1.0)
+    covariance = variance * np.linalg.inv(information)
+    shown = np.hstack(project_stereo(camera, transform_points(T, points)))[agree] - seen.pixels[agree]
+    return _Pose(T, 0.5 * (covariance + covariance.T), agree, float(np.sqrt(np.mean(shown**2))) if len(shown) else 0.0)
+
+
+def _turned(arms: Array) -> Array:
+    """d(exp(w) arm)/dw (n, 3, 3) of arms (n, 3)."""
+    x, y, z = arms.T
+    zero = np.zeros_like(x)
+    return np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
+
+
+def _patch_verdict(
+    target: AnchoredTarget,
+    images: tuple[Image, Image],
+    masks: tuple[Image, Image],
+    camera: StereoCamera,
+    fit: _Pose,
+    settings: TargetSettings,
+) -> tuple[float, str]:
+    """Share of the visible patch that agrees with its surroundings, and why the target must not be used, if so.
+
+    The middle of the patch is judged first, by itself: an object smaller than the patch may lie on it or have moved.
+    """
+    for marks in (_middle_of(target.surface), target.surface):
+        share, problem = _marks_verdict(target, marks, images, masks, camera, fit, settings)
+        if problem:
+            return share, problem
+    return share, ""
+
+
+def _middle_of(marks: Landmarks) -> Landmarks:
+    near = np.linalg.norm(marks.points_target, axis=1) <= MIDDLE_M
+    return Landmarks(
+        marks.left_px[near],
+        marks.right_px[near],
+        marks.points_target[near],
+        marks.covariances_target[near],
+        marks.support_target[near],
+    )
+
+
+def _marks_verdict(
+    target: AnchoredTarget,
+    marks: Landmarks,
+    images: tuple[Image, Image],
+    masks: tuple[Image, Image],
+    camera: StereoCamera,
+    fit: _Pose,
+    settings: TargetSettings,
+) -> tuple[float, str]:
+    seen, visible = _align_marks(target, marks, images, masks, camera, fit.T)
+    if visible < VISIBLE_MIN:
+        return float("nan"), ""  # under our own tool; the surroundings speak for it
+    share = len(seen.indices) / visible
+    if share < AGREE_MIN_FRAC or len(seen.indices) < VISIBLE_MIN - 1:
+        reason = (
+            f"target: {100 * share:.0f} % of its visible surface looks as it did (limit {100 * AGREE_MIN_FRAC:.0f} %); "
+            "it is covered, has moved or has changed. Clear it, or choose the target again"
+        )
+        return share, reason
+    own = _solve(camera, marks, seen, fit.T, settings)
+    middle = marks.points_target[seen.indices].mean(axis=0)
+    moved = transform_points(own.T, middle[None])[0] - transform_points(fit.T, middle[None])[0]
+    sigma = _sigma_at(own, fit, middle) + np.sqrt(target.covariance_target[5, 5]) * np.abs(fit.T[:3, 2])
+    limit = np.maximum(MOVED_SIGMAS * sigma, MOVED_MIN_M)
+    worst = int(np.argmax(np.abs(moved) / limit))
+    if abs(moved[worst]) > limit[worst]:
+        reason = (
+            f"target has moved against its surroundings by {1e3 * np.linalg.norm(moved):.1f} mm (limit "
+            f"{1e3 * limit[worst]:.1f} mm); choose the target again"
+        )
+        return share, reason
+    return share, ""
+
+
+def _sigma_at(own: _Pose, fit: _Pose, point_target: Array) -> Array:
+    """Standard deviation (3,) [m] of a point's place, both poses together, camera axes."""
+    total = np.zeros((3, 3))
+    for one in (own, fit):
+        J = np.hstack([-skew(one.T[:3, :3] @ point_target), np.eye(3)])
+        total += J @ one.covariance @ J.T
+    return np.sqrt(np.diag(total))
