@@ -15,8 +15,8 @@ from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
 from server.vision.odometry_align import align
 from server.vision.odometry_features import allowed_mask, inside_mask
-from server.vision.odometry_flow import flow
 from server.vision.odometry_recognition import recognise
+from server.vision.odometry_sight import flow
 
 FIX_MIN = 12  # landmarks in both eyes: half of them may be wrong, and six still overdetermine the pose
 FOUND_MIN_FRAC = 0.3  # of the visible landmarks: fewer, and the surroundings are not those of the reference

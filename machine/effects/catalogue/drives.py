@@ -230,7 +230,9 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like="slow drift along gravity's pull, also at zero command; grows with the load",
-        distinguished_by="valve_asymmetry needs a command; encoder_bias is constant; needs a hold under load of a minute",
+        distinguished_by=(
+            "valve_asymmetry needs a command; encoder_bias is constant; needs a hold under load of a minute"
+        ),
         source="piston seal leakage; cylinder drift tests of crane standards",
     ),
     # load_droop: a load that pulls speeds the joint up, one that resists slows it down.

@@ -73,7 +73,9 @@ EFFECTS: tuple[Effect, ...] = (
             "axis", (1.0, 0.0, 0.0), "base", fitted=2
         ),  # about the upright it is the first encoder's bias
         looks_like="the whole arm is turned about the base: height error in proportion to reach, once a turn of slew",
-        distinguished_by="without an outside frame that is level it cannot be seen; base_compliance changes with the load",
+        distinguished_by=(
+            "without an outside frame that is level it cannot be seen; base_compliance changes with the load"
+        ),
         source="set-up of a crane on a vehicle or floor",
         prevalence=0.3,
     ),

@@ -102,9 +102,12 @@ EFFECTS: tuple[Effect, ...] = (
             ),
         ),
         looks_like=(
-            "single steps of the received reference are missing at random, in all joints together; skipped sequence numbers"
+            "single steps of the received reference are missing at random, in all joints together; "
+            "skipped sequence numbers"
         ),
-        distinguished_by="reference_quantisation depends on the value, not on time; transport_delay shifts every sample",
+        distinguished_by=(
+            "reference_quantisation depends on the value, not on time; transport_delay shifts every sample"
+        ),
         source="UDP link without repeats",
         prevalence=0.1,
         threshold=True,
