@@ -39,7 +39,7 @@ def diagnose(
     ] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the full result here (JSON)")] = None,
     html_file: Annotated[Path | None, typer.Option("--html", help="write a report here")] = None,
-    lacking: Annotated[
+    left_out: Annotated[
         list[str] | None,
         typer.Option("--without", help="leave this effect out of the catalogue, to test how the diagnosis rejects"),
     ] = None,
@@ -58,12 +58,12 @@ def diagnose(
     screen = Console(stderr=True)
     for place in (json_file, html_file, machine_out, out):
         _within_reach(place, screen)  # before minutes of work, not after
-    others = {"--json": json_file, "--html": html_file, "--without": lacking, "--machine-out": machine_out}
+    others = {"--json": json_file, "--html": html_file, "--without": left_out, "--machine-out": machine_out}
     _require_sense(fitting, out, [name for name, given in others.items() if given], screen)
     if fitting:
         _fit_baseline(recordings, machine_file, out, screen)
         return
-    unknown = sorted(set(lacking or ()) - set(NAMES))
+    unknown = sorted(set(left_out or ()) - set(NAMES))
     if unknown:
         raise typer.BadParameter(f"--without {unknown[0]}: no such effect; see docs/effects.md")
     recordings = as_recordings(recordings, urdf, mapping, yes, screen)
@@ -79,7 +79,7 @@ def diagnose(
         text = machine_text(recording, machine_file) if machine_out is not None else ""
         if machine_out is not None:
             require_room(text)
-        found, result, curves = _diagnosed(whole, screen, tuple(lacking or ()))
+        found, result, curves = _diagnosed(whole, screen, tuple(left_out or ()))
     except (DiagnosisError, MachineOutError) as error:
         _set_aside((json_file, html_file, machine_out), screen)
         raise _refused(error, screen) from error

@@ -45,7 +45,9 @@ def reason_in(answer: httpx.Response) -> str:
         return "; ".join(problem.get("reasons") or filter(None, (problem["detail"], problem.get("hint", ""))))
     except (ValueError, KeyError, AttributeError):
         url = str(answer.request.url)
-        return f"{url} answers {answer.status_code} {answer.reason_phrase}, which is no longreach answer{by_proxy(url)}"
+        return (
+            f"{url} answers {answer.status_code} {answer.reason_phrase}, which is not a longreach answer{by_proxy(url)}"
+        )
 
 
 def by_proxy(url: str) -> str:

@@ -42,7 +42,7 @@ def fault_bits() -> str:
     return table(("bit", "fault"), [(str(bit.value.bit_length() - 1), code(str(bit.name))) for bit in FaultBit])
 
 
-# Every subcommand with its arguments and options, as the command line itself tells them.
+# Every subcommand with its arguments and options, as the command line itself describes them.
 
 
 def commands() -> str:

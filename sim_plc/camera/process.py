@@ -32,7 +32,7 @@ _FPS_WINDOW_S = 2.0
 _SHUTDOWN_S = 1
 
 
-# A time code painted into the picture, so that a screenshot tells when what it shows was exposed.
+# A time code painted into the picture, so that a screenshot shows its exposure time.
 #
 # 42 cells in one row at the top: a white and a black one to find grey levels by, then 40 bits of the exposure on the
 # monotonic clock, in units of 0.1 ms, the highest first; wraps after 30 h.

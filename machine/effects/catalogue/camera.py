@@ -114,7 +114,7 @@ EFFECTS: tuple[Effect, ...] = (
         source="mount tilt 3 to 5 deg in the field",
         prevalence=0.5,
     ),
-    # hand_eye_translation: the camera sits beside its nominal place.
+    # hand_eye_translation: the camera is displaced from its nominal place.
     Effect(
         name="hand_eye_translation",
         stage="camera",

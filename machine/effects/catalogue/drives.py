@@ -186,13 +186,13 @@ EFFECTS: tuple[Effect, ...] = (
         ),
         looks_like="speed over command has another slope, both signs, every load",
         distinguished_by=(
-            "load_droop changes with the load: another posture or payload tells; supply_droop only shows while other "
+            "load_droop changes with the load: another posture or payload shows it; supply_droop only while other "
             "joints move"
         ),
         source="valve size and supply pressure tolerance; oil temperature",
         prevalence=0.3,
     ),
-    # supply_droop: the pump cannot serve all joints at once.
+    # supply_droop: the pump cannot serve all joints together.
     Effect(
         name="supply_droop",
         stage="actuator",
@@ -308,7 +308,7 @@ EFFECTS: tuple[Effect, ...] = (
         prevalence=0.3,
         threshold=True,
     ),
-    # oil_compliance: the load swings on the oil column between valve and joint, and the encoder shows it.
+    # oil_compliance: the load oscillates on the oil column between valve and joint, and the encoder shows it.
     Effect(
         name="oil_compliance",
         stage="actuator",

@@ -122,7 +122,7 @@ EFFECTS: tuple[Effect, ...] = (
         distinguished_by="by itself invisible on a rigid arm; a single gravity_sag changes one joint only",
         source="contract of the gap diagnosis",
     ),
-    # link_flexibility: the boom swings behind the encoder after each change of speed.
+    # link_flexibility: the boom oscillates behind the encoder after each change of speed.
     Effect(
         name="link_flexibility",
         stage="structure",
