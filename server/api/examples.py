@@ -347,27 +347,28 @@ EXAMPLES: dict[str, Example] = {
 
 FREE_FORM: dict[str, Example] = {
     "GET /v1/diagnoses/{diagnosis_id}/result": {  # of a real answer, shortened: docs/diagnosis-answer.md
-        "format_version": 1,
+        "format_version": 2,
         "verdict": "effects",
-        "why": "catalogue effects explain the gap",
-        "hypotheses": [
-            {
-                "effects": [
-                    {
-                        "name": "valve_lag",
-                        "joint": 2,
-                        "stage": "actuator",
-                        "parameters": {
-                            "time_constant_s": {"value": 0.0296517, "unit": "s", "low": 0.0290358, "high": 0.0302959}
-                        },
-                    }
-                ],
-                "probability": 0.877339,
-                "probability_with_equals": 0.877339,
-            }
-        ],
-        "outside_probability": 0.0399,
-        "unseen_probability": 0.0827606,
+        "why": "confirmed effects explain 97 % of it",
+        "budget": {
+            "sentence": "The model misses the tool by 7.1 mm. With the 1 confirmed effects it misses by 1.2 mm.",
+            "miss_mm": 7.1,
+            "left_mm": 1.2,
+            "effects": [
+                {
+                    "name": "valve_lag",
+                    "joint": 2,
+                    "stage": "actuator",
+                    "parameters": {
+                        "time_constant_s": {"value": 0.0296517, "unit": "s", "low": 0.0290358, "high": 0.0302959}
+                    },
+                    "column": "gets_there",
+                    "tool_mm": 7.0,
+                    "probability": 0.98,
+                    "status": "confirmed",
+                }
+            ],
+        },
         "indistinguishable": [],
         "missing": [
             {

@@ -92,16 +92,11 @@ function stopButton({ diagnosis_id }) {
   return make("button", { type: "button", onclick: stopIt }, t("gap_stop"));
 }
 
-// The verdict first; an inconclusive answer says so before any number.
-function answer({ verdict, why, budget, hypotheses, outside_probability, unseen_probability, shrink, next_experiment }) {
+// The verdict first.
+function answer({ verdict, why, budget, next_experiment }) {
   const word = WORDS.has(verdict) ? verdict : "undecided";
-  const parts = [make("p", { class: `verdict ${word === "outside" || word === "undecided" ? "bad" : "good"}` }, t(`gap_${word}`)), make("p", {}, why)];
-  if (budget) return [...parts, ...inMillimetres(budget), ...following(next_experiment)];
-  const others = [likelihoodRow(t("gap_unseen"), unseen_probability), likelihoodRow(t("gap_foreign"), outside_probability)];
-  if (hypotheses.length && word !== "none") parts.push(make("table", {}, heading(), make("tbody", {}, ...effectRows(hypotheses), ...others)));
-  const closed = shrink.overall?.closed_frac;
-  if (closed !== null && closed !== undefined) parts.push(make("p", {}, t(word === "effects" || word === "none" ? "gap_shrink" : "gap_shrink_doubted", { pct: (100 * closed).toFixed(0) })));
-  return [...parts, ...following(next_experiment)];
+  const mood = word === "outside" || word === "undecided" ? "bad" : "good";
+  return [make("p", { class: `verdict ${mood}` }, t(`gap_${word}`)), make("p", {}, why), ...inMillimetres(budget), ...following(next_experiment)];
 }
 
 function following(experiment) {
@@ -120,31 +115,4 @@ function inMillimetres(budget) {
   };
   const columns = ["gap_cause", "", "gap_tool", "gap_likely"].map((key) => make("th", { scope: "col" }, key ? t(key) : ""));
   return [make("p", {}, sentence), ...waterfall(budget), make("table", {}, make("thead", {}, make("tr", {}, ...columns)), make("tbody", {}, ...effects.slice(0, SHOWN).map(row)))];
-}
-
-// Each effect with the probability of all hypotheses that hold it; its numbers are those of the most likely one.
-function effectRows(hypotheses) {
-  const rows = new Map();
-  for (const { effects, probability } of hypotheses) {
-    for (const { name, joint, parameters } of effects) {
-      const text = joint ? t("gap_joint", { name, joint }) : name;
-      const row = rows.get(text) ?? { text: `${text}: ${numbers(parameters)}`, probability: 0 };
-      row.probability += probability ?? 0;
-      rows.set(text, row);
-    }
-  }
-  const sorted = [...rows.values()].sort((a, b) => b.probability - a.probability);
-  return sorted.slice(0, SHOWN).map((row) => likelihoodRow(row.text, row.probability));
-}
-
-function numbers(parameters) {
-  const fitted = Object.entries(parameters).filter(([, one]) => typeof one.value === "number" && one.low !== null);
-  return fitted.map(([name, one]) => `${name} ${Number(one.value.toPrecision(3))} ${one.unit === "1" ? "" : one.unit}`.trim()).join(", ");
-}
-
-const heading = () => make("thead", {}, make("tr", {}, make("th", { scope: "col" }, t("gap_cause")), make("td"), make("th", { scope: "col" }, t("gap_likely"))));
-
-function likelihoodRow(text, probability) {
-  const pct = 100 * (probability ?? 0);
-  return make("tr", {}, make("td", {}, text), make("td", {}, make("meter", { min: 0, max: 100, value: pct, "aria-label": `${pct.toFixed(0)} %` })), make("td", {}, `${pct.toFixed(0)} %`));
 }

@@ -84,7 +84,6 @@ export const TEXTS = {
   gap_partly: "PARTLY EXPLAINED: the listed effects are confirmed; the cause of the remaining gap is unknown", gap_tool: "at the tool",
   gap_outside: "OUTSIDE: there is a gap that no effect of the catalogue explains; do not act on the effects below",
   gap_undecided: "UNDECIDED: the recording cannot distinguish the candidates; do not act on the effects below",
-  gap_foreign: "an effect outside the catalogue", gap_unseen: "a further effect, too small to detect here", gap_shrink_doubted: "The effects below reduce the gap by {pct} %, but are not confirmed: wrong effects can reduce it too.", gap_shrink: "The most likely effects together reduce the gap by {pct} %, on data they were not fitted to.",
   gap_next: "Record next: {what} ({minutes} min), because {why}.", gap_intro: "Where model and machine differ, from one recording. Runs in the background; nothing moves.",
   identify_title: "Identify this machine", identify_about: "One test drive measures what the model leaves out: dead bands, gains, sag, encoder zeros, the camera mount. Nothing moves before you have seen the plan.",
   identify_plan: "Identify this machine", identify_minutes: "minutes", identify_free: "there is no wall within reach", identify_rest: "Plan the remaining parts", identify_drive: "Execute", identify_held: "hold to move; release to pause at rest", identify_clicked: "STOP pauses it; the recording stays usable",
