@@ -86,14 +86,6 @@ def localise(
     return Localisation(_shared(places, evidence or {}), merged_stages(whole), bool(groups))
 
 
-def speed_floors(found: Localisation) -> dict[int, float]:
-    """By how much repeats of one command differ in speed (RMS), by joint; nothing without repeats."""
-    if not found.floor_known:
-        return {}
-    own = [one for one in found.places if one.stage == "actuator" and one.regime == "all"]
-    return {one.joint: one.floor for one in own if one.joint is not None}
-
-
 def _dynamic(
     replayer: Replayer,
     stage: str,

@@ -72,12 +72,6 @@ def stood_still(stretches: tuple[Stretch, ...]) -> bool:
     return bool(stretches)
 
 
-def encoder_steps(stretches: tuple[Stretch, ...]) -> dict[int, float]:
-    """The coarsest resolution [rad] that each joint's encoder (from 1) shows in the log."""
-    steps = [one.enc_step for one in stretches if one.enc_step is not None]
-    return dict(enumerate(np.max(steps, axis=0).tolist(), start=1)) if steps else {}
-
-
 def stretches_of(tables: Tables, plant: Actuators | None = None) -> tuple[tuple[Stretch, ...], list[Finding]]:
     """All usable stretches in the order of time, and what had to be left out.
 

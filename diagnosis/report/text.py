@@ -26,21 +26,3 @@ def lines(result: dict[str, Any]) -> list[str]:
 def place_text(one: dict[str, Any]) -> str:
     """An effect and its joint."""
     return one["name"] + (f" on joint {one['joint']}" if one["joint"] is not None else "")
-
-
-def effects_text(effects: list[dict[str, Any]]) -> str:
-    """A hypothesis in words."""
-    return " + ".join(f"{place_text(one)} ({_numbers(one['parameters'])})" for one in effects) or "no effect"
-
-
-def _numbers(parameters: dict[str, Any]) -> str:
-    return "; ".join(f"{name} = {_number(one)}" for name, one in parameters.items())
-
-
-def _number(one: dict[str, Any]) -> str:
-    if not isinstance(one["value"], int | float) or one["low"] is None:
-        return str(one["value"])
-    if one["low"] == one["high"] == one["value"]:
-        return f"{one['value']:.4g}"
-    unit = "" if one["unit"] == "1" else f" {one['unit']}"
-    return f"{one['value']:.4g}{unit}, 90 % {one['low']:.4g} to {one['high']:.4g}"

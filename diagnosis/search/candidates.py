@@ -23,8 +23,6 @@ DROOP = "supply_droop"  # couples all joints
 SEEN_BY_ENCODER = ("encoder_scale", "encoder_eccentricity")
 #: Effects of the joint stage that points or markers behind the encoder show.
 SEEN_BEHIND_ENCODER = ("encoder_bias", "encoder_scale", "encoder_eccentricity", "backlash")
-#: Entered as a number at every mounting; lengths and axes come from a machine tool, and are the rarer fault.
-SET_BY_HAND = ("encoder_bias",)
 #: Effects that need the encoders' course in time.
 SEEN_IN_MOTION = ("backlash", "link_flexibility")
 
