@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from diagnosis.baseline.left_over import cells_of, forms_of, remainders_of, with_baseline, with_mosts, with_wanders
-from diagnosis.baseline.usual import Gains, usual_gains
 from diagnosis.cells.behind import joined
 from diagnosis.errors import DiagnosisError
 from diagnosis.known.days import JUDGED_ENOUGH
@@ -17,10 +16,34 @@ from diagnosis.known.form import TOGETHER_MIN
 from diagnosis.reading.read import Read
 from diagnosis.search.cell import DRIVEN_STAGES, Cell
 from diagnosis.search.fit import Fit, entries_of, fit
+from diagnosis.whole_model.linear import Term, linearised
 from diagnosis.whole_model.parts import library_of
-from diagnosis.whole_model.solve import fit_of, solve
+from diagnosis.whole_model.solve import fit_of, solve, trusted
 from machine.effects.entries import EffectEntry
 from machine.remainder import Remainder
+
+# What each effect gains on recordings of the undisturbed machine, by chance and by what its model is wrong by.
+Gains = dict[tuple[str, int | None], dict[str, float]]
+
+
+def usual_gains(checked: list[Read]) -> Gains:
+    """By stage and joint, the most that each effect gains when it is the only one [nats], over all recordings.
+
+    What was measured behind the encoders counts as one place, without a joint; so does the link.
+    """
+    most: Gains = {}
+    for cell in (cell for whole in checked for cell in cells_of(whole)):
+        terms = tuple(Term(effect, np.zeros(len(effect.slots)), False) for effect in library_of(cell))
+        lin = linearised(cell, terms)
+        problem = lin.problem(trusted(cell, ()))
+        none = problem.score(np.zeros(len(terms), dtype=bool))
+        place = cell.stage, cell.joint if cell.stage in DRIVEN_STAGES else None
+        gains = most.setdefault(place, {})
+        for k, term in enumerate(terms):
+            gain = problem.score(np.arange(len(terms)) == k) - none - float(problem.log_odds[k])
+            gains[term.effect.name] = max(gains.get(term.effect.name, 0.0), float(gain))
+    return most
+
 
 PASSES = 3  # at most, each by the floor that the one before it left
 CHECKED_MIN = 2  # recordings that the baseline is judged on

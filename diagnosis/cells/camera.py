@@ -14,7 +14,6 @@ from diagnosis.behind.saturated import saturated_noise
 from diagnosis.behind.seen_corners import MARGIN_S, ROWS_MIN, seen_rows
 from diagnosis.behind.views import mean_pose, views_of
 from diagnosis.behind.views_one_eye import one_eye_views
-from diagnosis.cells.camera_clock import UNTOLD, late_by_motion_s
 from diagnosis.cells.points import rows_of
 from diagnosis.datagrams.clocks import camera_to_plc_s, guessed
 from diagnosis.log.nominal import Nominal
@@ -23,9 +22,31 @@ from diagnosis.noise.of_corners import AXES, PLAIN, CornerNoise, noise_of_visits
 from diagnosis.reading.read import Read
 from diagnosis.search.candidates import candidates_of
 from diagnosis.search.cell import Cell, Rows
+from diagnosis.search.fit import costs, evaluated
 from machine.effects.layout import ParameterSets
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array
+
+# By how much a camera's stamps are late where nobody gave its clock's offset: pictures move with the joints.
+CLOCK = "clock_offset"
+UNTOLD = (CLOCK, "camera_latency")
+SPAN_S, STEP_S = 0.3, 0.005
+FINER, ROUNDS = 10, 2
+
+
+def late_by_motion_s(cell: Cell) -> float:
+    """By how much the camera's stamps are late by what is seen while the arm moves; 0 where nothing tells."""
+    clock = next((one for one in cell.candidates if one.name == CLOCK), None)
+    if clock is None:
+        return 0.0
+    best, step = 0.0, STEP_S
+    tried = np.arange(-SPAN_S, SPAN_S + 0.5 * STEP_S, STEP_S)
+    for _ in range(1 + ROUNDS):
+        total = costs(evaluated(cell, (clock,), tried[:, None])).sum(axis=1)
+        best = float(tried[int(np.argmin(total))])
+        tried, step = best + step * np.linspace(-1.0, 1.0, 2 * FINER + 1), step / FINER
+    return best
+
 
 FRAMES_MAX = 160
 TIME_TOLERANCE_S = 1e-6

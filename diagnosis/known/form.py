@@ -15,8 +15,16 @@ from numpy.typing import NDArray
 from diagnosis.behind.link_angles import Path
 from diagnosis.behind.point_residual import PointResidual
 from diagnosis.errors import DiagnosisError
-from diagnosis.known.courses import Course, courses_of, hats, modelled_of, moving_families, white_columns
-from diagnosis.known.responses import RESPONSES, responses
+from diagnosis.known.courses import (
+    RESPONSES,
+    Course,
+    courses_of,
+    hats,
+    modelled_of,
+    moving_families,
+    responses,
+    white_columns,
+)
 from diagnosis.log.nominal import Nominal
 from diagnosis.replay.stage_replay import Replay
 from diagnosis.search.cell import Cell

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.errors import DiagnosisError
 from diagnosis.log.tables import filled
@@ -10,6 +11,7 @@ from diagnosis.noise.floor import (
     Floor,
     Whitener,
     deviations,
+    fit_whitener,
     floor_of_repeats,
     floor_without_repeats,
     increments,
@@ -17,11 +19,41 @@ from diagnosis.noise.floor import (
 )
 from diagnosis.replay.repeats import overlaid
 from diagnosis.replay.replayer import Prepared, Replayer
-from diagnosis.replay.steady_repeats import steadied
 from diagnosis.replay.stretches import Stretch, repeat_groups
 from machine.effects.layout import ParameterSets
 from machine.remainder import Remainder
 from machine.rotations import Array
+
+# Repeats between which the machine itself changed: a gain that drifts is no noise.
+SURE = 30.0  # chi2 for each repeat's own gain: five standard errors and more
+TOO_FEW = 3  # two repeats have one difference, which is noise as well as anything
+
+
+def steadied(repeats: Array, motion: Array, dt_s: float, where: NDArray[np.bool_]) -> Array:
+    """Residuals of repeats (R, m, n) without what each has in proportion to the motion, if that is no chance.
+
+    Model: d_r = g_r M + noise over white increments; chi2 = sum (g_r / its error)^2, by the noise that still holds it.
+    Args:  motion: (R, m, n), what was measured of the same output. where: columns (n,) that are asked.
+    """
+    if len(repeats) < TOO_FEW:
+        return repeats
+    out = repeats.copy()
+    steps = [increments(one, dt_s) for one in deviations(repeats)]
+    mean = increments(motion.mean(axis=0), dt_s)
+    for j in np.nonzero(where)[0]:
+        white = fit_whitener([one[:, [j]] for one in steps])
+        moved = white.whiten(mean[:, [j]])[:, 0]
+        power = float(moved @ moved)
+        if power <= 0.0:
+            continue
+        gains = np.array([float(moved @ white.whiten(one[:, [j]])[:, 0]) for one in steps]) / power
+        if float(gains @ gains) * power > SURE * (len(repeats) - 1):
+            course = motion[:, :, j].mean(axis=0)
+            out[:, :, j] -= np.outer(
+                (gains - gains.mean()) / np.sqrt(len(repeats) / (len(repeats) - 1.0)), course - course[0]
+            )
+    return out
+
 
 NO_NOISE = 0.2  # of the least sigma: below it repeats are equal but for rounding, and their filter means nothing
 SIGMA_MIN = {"link": 2e-5, "controller": 2e-4, "actuator": 2e-6}  # nothing smaller moves the tcp by 0.1 mm

@@ -12,9 +12,8 @@ from typer.testing import CliRunner
 
 from diagnosis.baseline.left_over import cells_of, forms_of, with_baseline, with_mosts
 from diagnosis.errors import DiagnosisError
-from diagnosis.known.courses import Course
+from diagnosis.known.courses import DAMPING, RESPONSES, SWINGS_HZ, Course, responses
 from diagnosis.known.form import form_of, with_form
-from diagnosis.known.responses import DAMPING, RESPONSES, SWINGS_HZ, responses
 from diagnosis.reading.read import Read, examine
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import neutral_fit

@@ -11,8 +11,8 @@ from benchmarks.diagnosis.links.recorded import Link, arrived, over
 from diagnosis.answer import answer
 from diagnosis.budget import budget_of
 from diagnosis.datagrams.arrivals import Arrivals, arrivals
-from diagnosis.datagrams.by_value import by_value
 from diagnosis.datagrams.lost import never_received
+from diagnosis.datagrams.sent import by_value
 from diagnosis.reading.read import examine
 
 CYCLE_S = 1e-3

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from diagnosis.answer import _number, _vector, answer
 from diagnosis.budget import Budget, budget_of
+from diagnosis.fleet.summary import equals_of
 from diagnosis.reading.read import read
-from diagnosis.report.equals import equals_of
 from diagnosis.report.page import page
 from diagnosis.report.text import lines
 from diagnosis.search.candidates import named
