@@ -79,7 +79,11 @@ def measure_patch(
             break
         if found.covariance is not None and uncertainty_95(found.covariance)[0] <= settings.normal_wanted_deg:
             break
-    if not coarse.is_unique and coarse.correlation < CORRELATION_MIN and not found.ok:
+    if (
+        not coarse.is_unique
+        and coarse.correlation < CORRELATION_MIN
+        and found.status not in (PatchStatus.OK, PatchStatus.NO_TEXTURE)
+    ):
         reason = (
             f"{at} covers a depth edge: no single depth explains it (correlation {coarse.correlation:.2f}, limit "
             f"{CORRELATION_MIN:.2f}); choose a place farther from the edge"

@@ -153,18 +153,20 @@ def test_no_limit_is_larger_beside_less_noise() -> None:
 
 
 def answered(verdict: str, *names: tuple[str, int | None]) -> dict:
-    effects = [{"name": name, "joint": joint, "stage": "", "parameters": {}} for name, joint in names]
+    status = "confirmed" if verdict == "effects" else "likely"
+    fixed = {"stage": "", "parameters": {}, "status": status, "probability": 0.9}
+    effects = [{"name": name, "joint": joint, **fixed} for name, joint in names]
     return {
         "verdict": verdict,
         "why": "",
         "hypotheses": [{"effects": effects, "probability": 0.9}],
         "outside_probability": 0.02,
-        "unseen_probability": 0.0,
         "credible_set_90": [{"effects": effects, "probability": 0.9}],
         "indistinguishable": [],
         "localisation": [],
         "shrink": {},
         "detection_limits": [],
+        "budget": {"effects": effects},
     }
 
 
@@ -185,13 +187,13 @@ def test_a_name_that_the_scorer_can_tell_apart_is_false(monkeypatch: pytest.Monk
     truth = {"number": 0, "seed": 1, "mix": "single", "noise": 0, "effects": [drawn], "lacking": ""}
     number = {"value": 0.1, "low": 0.09, "high": 0.11, "unit": "s"}
     right = answered("effects", ("valve_lag", 1))
-    right["hypotheses"][0]["effects"][0]["parameters"] = {"time_constant_s": number}
+    right["budget"]["effects"][0]["parameters"] = {"time_constant_s": number}
     good = judged(truth, right, ())
     assert good["exact"]
     assert good["values"][0]["inside"]
     assert good["closed_true"] == pytest.approx(1.0)
     small = answered("effects", ("flow_gain_error", 1))
-    small["hypotheses"][0]["effects"][0]["parameters"] = {"gain_frac": {**number, "value": 0.01}}
+    small["budget"]["effects"][0]["parameters"] = {"gain_frac": {**number, "value": 0.01}}
     for T, exact in ((100.0, False), (1.0, True)):
         monkeypatch.setattr(Equal, "separation", lambda _self, _true, _named, T=T: T)
         other = judged(truth, small, ())
@@ -213,26 +215,6 @@ def test_what_is_named_for_a_lacking_effect_is_false_and_told_apart_where_it_can
         assert not found["refused"]
         assert found["twin"] is twin
     assert judged(truth, answered("outside"), ())["twin"] is False
-
-
-@pytest.mark.parametrize(("T", "twin"), [(100.0, False), (1.0, True)])
-def test_what_is_named_for_the_true_name_left_out_is_told_apart_where_it_can_be(
-    T: float, twin: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(Equal, "separation", lambda _self, _true, _named: T)
-    monkeypatch.setattr(Equal, "strength", lambda _self, _true: 10.0)
-    effect = {"name": "valve_lag", "joint": 1, "values": {"time_constant_s": 0.1}, "option": "", "direction": []}
-    drawn = {"effect": effect, "limit": 0.01, "factor": 10.0, "stage": "actuator"}
-    truth = {"number": 0, "seed": 1, "mix": "single", "noise": 0, "effects": [drawn], "lacking": ""}
-    other = answered("effects", ("flow_gain_error", 1))
-    named = other["hypotheses"][0]["effects"]
-    said = {"without": "valve_lag", "verdict": "effects", "named": named, "localisation": other["localisation"]}
-    said["lost_nats"] = 3.5
-    (row,) = judged(truth, {**answered("outside"), "left_out": [said]}, ())["left_out"]
-    assert row["claimed"] == [["flow_gain_error", 1]]
-    assert not row["refused"]
-    assert row["twin"] is twin
-    assert row["lost_nats"] == 3.5
 
 
 def _imported(folder: Path) -> set[str]:

@@ -49,7 +49,7 @@ async def test_a_plc_of_another_version_is_told_from_a_silent_one(raw_plc: PlcTh
     await link.start()
     try:
         assert await until(lambda: bool(link.health.error), 10.0)
-        with pytest.raises(LinkSilentError, match="the PLC answers, but not for this PC: VERSION"):
+        with pytest.raises(LinkSilentError, match="the PLC answers, but rejects this PC: VERSION"):
             await link.arm(timeout_s=1.0)
     finally:
         await link.close()

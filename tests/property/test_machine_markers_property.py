@@ -62,7 +62,7 @@ BAD_MARKER = st.one_of(
     st.tuples(st.just("side_m"), POSITIVE_TO_2, st.just("[m]; measure")),
     st.tuples(st.just("id"), st.integers(-(10**6), -1), st.just("; give the number")),
     st.tuples(st.just("id"), st.integers(SIZE, 10**6), st.just("ends at 49; give the number")),
-    st.tuples(st.just("on"), st.text(max_size=8).filter(lambda t: t not in ("tool", "ooi")), st.just("; say what")),
+    st.tuples(st.just("on"), st.text(max_size=8).filter(lambda t: t not in ("tool", "ooi")), st.just("; state what")),
     st.tuples(st.just("T_on_marker"), st.lists(st.floats(-1, 1), max_size=15), st.just("; give 16 numbers")),
 )
 BAD_BOARD = st.one_of(

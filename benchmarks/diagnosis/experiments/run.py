@@ -94,32 +94,23 @@ def run_case(pair: str, seed: int) -> Outcome:
         alone(both, truth),
         [
             f"{one['name']} {one['joint'] or ''}".strip()
-            for one in (both["hypotheses"] or [{"effects": []}])[0]["effects"]
+            for one in both["budget"]["effects"]
+            if one["status"] == "confirmed"
         ],
     )
 
 
 def apart(result: dict[str, Any], truth: Truth, rivals: set[Key]) -> float:
-    """Probability of the true effect without any of its rivals, among all that the catalogue explains."""
-    true = (truth.name, truth.joint)
-    return _share(result, [names for names in _names(result) if true in names and not rivals & set(names)])
+    """Probability of the true effect without any of its rivals."""
+    stated = _stated(result)
+    without = [1.0 - p for key, p in stated.items() if key in rivals]
+    return float(np.prod([stated.get((truth.name, truth.joint), 0.0), *without]))
 
 
 def alone(result: dict[str, Any], truth: Truth) -> float:
-    """Probability of the true effect and nothing else, among all that the catalogue explains."""
-    return _share(result, [[(truth.name, truth.joint)]])
+    """Probability of the true effect and nothing else."""
+    return apart(result, truth, set(_stated(result)) - {(truth.name, truth.joint)})
 
 
-def _names(result: dict[str, Any]) -> list[list[Key]]:
-    return [[(effect["name"], effect["joint"]) for effect in one["effects"]] for one in result["hypotheses"]]
-
-
-def _share(result: dict[str, Any], wanted: list[list[Key]]) -> float:
-    """Of these hypotheses, among all that the catalogue explains.
-
-    Why among those: an experiment is to tell one name from its rivals. What may be at work beside them, outside the
-    catalogue or too small to be seen, is as likely after it as before.
-    """
-    probabilities = [one["probability"] for one in result["hypotheses"]]
-    found = sum(p for p, names in zip(probabilities, _names(result), strict=True) if names in wanted)
-    return float(found / (1.0 - result["outside_probability"] - result["unseen_probability"]))
+def _stated(result: dict[str, Any]) -> dict[Key, float]:
+    return {(one["name"], one["joint"]): float(one["probability"]) for one in result["budget"]["effects"]}

@@ -37,24 +37,13 @@ def test_even_seeds_have_the_first_effect_of_a_pair_and_odd_ones_the_second(pair
     assert tuple((one.name, one.joint) for one in truths) == NAMES[pair]
 
 
-def test_a_name_beside_the_true_one_leaves_the_rival_apart():
+def test_an_effect_next_to_the_true_one_leaves_the_rival_apart():
     truth = Truth("flow_gain_error", 2)
-    result = {
-        "hypotheses": [
-            _told(0.4, ("flow_gain_error", 2)),
-            _told(0.2, ("valve_lag", 1), ("flow_gain_error", 2)),
-            _told(0.1, ("load_droop", 2), ("flow_gain_error", 2)),
-            _told(0.1, ("load_droop", 2)),
-        ],
-        "outside_probability": 0.1,
-        "unseen_probability": 0.1,
-    }
-    assert apart(result, truth, {("load_droop", 2)}) == pytest.approx(0.75)
-    assert alone(result, truth) == pytest.approx(0.5)
-
-
-def _told(probability: float, *names: tuple[str, int | None]) -> dict[str, object]:
-    return {"probability": probability, "effects": [{"name": name, "joint": joint} for name, joint in names]}
+    stated = {("flow_gain_error", 2): 0.9, ("valve_lag", 1): 0.5, ("load_droop", 2): 0.2}
+    effects = [{"name": name, "joint": joint, "probability": p} for (name, joint), p in stated.items()]
+    result = {"budget": {"effects": effects}}
+    assert apart(result, truth, {("load_droop", 2)}) == pytest.approx(0.72)
+    assert alone(result, truth) == pytest.approx(0.36)
 
 
 def test_without_reference_and_command_link_controller_and_actuator_are_one_cell():

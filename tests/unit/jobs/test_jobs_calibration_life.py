@@ -163,7 +163,7 @@ def test_a_camera_that_turned_a_little_is_calibrated_anew_and_nobody_is_called(d
     assert np.abs(world.error_mm()).max() < 3.0
     assert world.paths == paths + 1
     assert len(ctx.knowledge.runs) == 1
-    assert any("calibrating anew: the tool marker moved" in getattr(item, "text", "") for item in story)
+    assert any("calibrating again: the tool marker moved" in getattr(item, "text", "") for item in story)
 
 
 def test_why_the_learnt_map_is_not_used_is_told():
@@ -217,7 +217,7 @@ def test_a_number_that_cannot_be_written_ends_no_job(tmp_path):
     _, ctx = positioned()
     ctx.knowledge.life = replace(ctx.knowledge.life, residual_rms_mm=float("nan"))
     CalibrationStore(tmp_path / "calibration.json").keep(ctx.knowledge)
-    assert "not kept" in ctx.knowledge.calibration_note
+    assert "not saved" in ctx.knowledge.calibration_note
 
 
 def test_the_papers_method_knows_no_slip():
@@ -278,7 +278,7 @@ def test_what_stays_unsure_is_a_closer_look_while_a_move_is_left_and_refused_aft
     predict(monkeypatch, 3.0)
     assured, story = run(assured_preview(ctx, taken, 0, 1), world)
     assert max(assured.previewed.predicted_sigma_mm) == 3.0
-    assert any("closer look" in getattr(item, "text", "") for item in story)
+    assert any("moving closer to look again" in getattr(item, "text", "") for item in story)
     with pytest.raises(
         JobFailedError, match=r"y known to \+-6\.0 mm .*2 calibration paths.*no move is left"
     ) as refused:
@@ -359,7 +359,7 @@ def test_a_disk_that_takes_nothing_is_noted_and_ends_no_job(tmp_path):
     _, ctx = positioned()
     (tmp_path / "file").write_text("")
     CalibrationStore(tmp_path / "file" / "calibration.json").keep(ctx.knowledge)
-    assert "not kept" in ctx.knowledge.calibration_note
+    assert "not saved" in ctx.knowledge.calibration_note
 
 
 def test_the_engine_s_clock_gives_the_age_in_calendar_time():

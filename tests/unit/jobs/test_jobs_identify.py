@@ -84,7 +84,7 @@ def test_a_pause_keeps_what_was_driven_and_only_the_rest_is_planned(stage, tmp_p
     stopped = Job("a" * 12, "identify", "anna", JobState.STOPPED, reason="button up")
     stage.desk.follow(stopped, tmp_path / "one.mcap")
     assert stage.desk.session.done == ["repeats", "slow passes"]
-    assert "6 of 8 parts are left (multisine" in stage.desk.next_step
+    assert "6 of 8 parts remain (multisine" in stage.desk.next_step
     assert stage.diagnoses.asked == []
     rest = planned(stage.ctx, stage.world, stage.desk, resume=True)
     assert [part.name for part in rest.parts] == list(ALL_PARTS[2:])

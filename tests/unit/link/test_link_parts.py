@@ -68,7 +68,7 @@ def test_a_listener_that_raises_keeps_no_sample_from_the_others_and_is_a_fault()
     ring.subscribe(lambda s: heard.append(s.t_mono_ns))
     ring.extend(sample(t) for t in range(5))
     assert heard == [0, 1, 2, 3, 4]
-    assert "broken took no note of a PLC sample: ValueError('a defect')" in ring.listeners.problem
+    assert "broken failed to handle a PLC sample: ValueError('a defect')" in ring.listeners.problem
 
 
 def test_lateness_percentiles() -> None:

@@ -102,7 +102,9 @@ def test_a_trim_is_told_of_the_wall():
     now = cell.perform(Settle())
     plan = plan_to(ctx, now, ctx.tcp(now.q_rad - [0.0, 0.01, 0.0, 0.0, 0.0, 0.0]))
     ctx.knowledge.T_base_ooi = pose(np.eye(3), ctx.tcp(plan.q_end)[:3, 3] - [0.0, 0.0, 0.051])
-    with pytest.raises(JobFailedError, match=r"move: trim: tool comes to \d+ mm from the wall, limit 50 mm") as failure:
+    with pytest.raises(
+        JobFailedError, match=r"move: correction: tool comes to \d+ mm from the wall, limit 50 mm"
+    ) as failure:
         short_of_it(drive(ctx, plan, "move"), reading(plan.q_end - 5e-3, plan.q_end))
     assert failure.value.code == "trim_refused"
 

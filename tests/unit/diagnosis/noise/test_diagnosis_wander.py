@@ -18,7 +18,7 @@ from diagnosis.search.cell import Cell
 from diagnosis.search.fit import neutral_fit
 from diagnosis.whole_model.parts import library_of
 from diagnosis.whole_model.solve import solve
-from longreach.fit_baseline import told
+from longreach.fit_baseline import report_of
 from machine.effects.entries import EffectEntry, make_entry
 from machine.effects.registry import effect_named
 from machine.remainder import Remainder, parse_remainders, remainders_to_toml
@@ -114,6 +114,6 @@ def test_an_experiment_is_foretold_with_the_wander_along(known: tuple[Remainder,
 
 def test_the_command_says_what_wanders_and_in_which_unit() -> None:
     left = Remainder("actuator", 2, "", 1e-5, 2e-5, wander=(("flow_gain_error", 0.0042), ("valve_lag", 1.1e-3)))
-    text = told(Baseline((), (left,), ()), 3, 18)
+    text = report_of(Baseline((), (left,), ()), 3, 18)
     assert "actuator 2: flow_gain_error wanders by 0.0042 from day to day" in text
     assert "actuator 2: valve_lag wanders by 0.0011 s from day to day" in text
