@@ -10,12 +10,13 @@ from starlette.routing import compile_path
 
 from server.access.errors import AccessError
 from server.api.views import Problem
+from server.camera.errors import CameraError
 from server.errors import BusyError, JobFailedError, PlanRefusedError, ServerError
 from server.link.errors import LinkError
 from server.store.errors import StoreError
 
 log = logging.getLogger(__name__)
-STATUS = {BusyError: 409, PlanRefusedError: 409, JobFailedError: 409}
+STATUS = {CameraError: 503, BusyError: 409, PlanRefusedError: 409, JobFailedError: 409}
 HTTP_CODES = {400: "unreadable_body", 404: "unknown_path", 405: "method_not_allowed"}
 HINTS = {
     400: "send JSON in UTF-8 with Content-Type: application/json",

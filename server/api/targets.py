@@ -75,7 +75,7 @@ def target_router(service: JobService) -> APIRouter:
     cell = service.cell
     choice = TargetChoice(cell.vision, cell.knowledge, service.engine)
     control = Depends(leased(service.engine.leases))
-    refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 409, 422)}
+    refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 409, 422, 503)}
 
     def view() -> TargetView:
         camera, latest = cell.machine.camera, cell.vision.latest

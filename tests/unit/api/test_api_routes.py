@@ -15,6 +15,7 @@ from server.api.jobs import jobs_router
 from server.api.problems import install_problem_handlers
 from server.api.state import camera_reason, state_router
 from server.api.state_cache import FRESH_S
+from server.camera.errors import CameraError
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
@@ -48,6 +49,12 @@ class StandInVision:
 
     def on_report(self, callback):
         self.told = callback
+
+    def reports_since(self, t_mono_ns):
+        return []
+
+    async def measure_target(self, image, pixel, roll_rad):
+        raise CameraError("the vision process does not answer")
 
 
 class StandInRecorder:
