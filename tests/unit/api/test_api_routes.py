@@ -15,7 +15,6 @@ from server.api.jobs import jobs_router
 from server.api.problems import install_problem_handlers
 from server.api.state import camera_reason, state_router
 from server.api.state_cache import FRESH_S
-from server.camera.errors import CameraError
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
@@ -25,6 +24,7 @@ from server.jobs.service import JobService
 from server.link.contracts import LinkHealth, LinkPhase
 from server.motion.contracts import PathPlan, PlanStatus
 from server.settings import ServerSettings, read_machine
+from server.targets.contracts import PatchStatus, refused_patch
 
 MACHINE = read_machine("hiab033")
 ERROR = ErrorMm(1, 2, 300, 4, 0.7, 0.7, 0.7, 0.2, 300, 0, 0, 400)
@@ -54,7 +54,7 @@ class StandInVision:
         return []
 
     async def measure_target(self, image, pixel, roll_rad):
-        raise CameraError("the vision process does not answer")
+        return refused_patch(PatchStatus.NO_TEXTURE, "this stand-in sees nothing", pixel)
 
 
 class StandInRecorder:

@@ -105,7 +105,7 @@ def test_a_proxys_page_in_place_of_an_answer_is_named(monkeypatch: pytest.Monkey
         client._http = httpx.Client(base_url="http://crane-7:8080", transport=page)
         with pytest.raises(
             JobRefusedError,
-            match=r"answers 403 Forbidden, which is no longreach answer; the request went .*3128",
+            match=r"answers 403 Forbidden, which is not a longreach answer; the request went .*3128",
         ):
             client.wait_ready(0.1)
         with pytest.raises(JobRefusedError, match="403 Forbidden"):
