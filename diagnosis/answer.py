@@ -13,7 +13,7 @@ from diagnosis.experiments.prediction import held
 from diagnosis.localise import Place, merged_stages, totals_of
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.fit import Fit
-from diagnosis.shrink import closed_share, rms_of, shrinks, together
+from diagnosis.shrink import closed_share, rms_of, together
 from diagnosis.sliding import in_metres
 from diagnosis.whole_model.evidence import EQUAL_T, detectable
 from diagnosis.whole_model.linear import Term
@@ -38,24 +38,22 @@ def answer(found: Budget) -> dict[str, Any]:
         "budget": _budget(found),
         "stages": [
             {
-                "stage": one.stage,
-                "joint": one.joint,
-                "verdict": one.verdict,
-                "before_mm": _mm(one.before_mm),
-                "after_mm": _mm(one.after_mm),
-                "would_measure": one.why if one.verdict == "not_measured" else "",
+                "stage": line.stage,
+                "joint": line.joint,
+                "verdict": line.verdict,
+                "before_mm": _mm(line.before_mm),
+                "after_mm": _mm(line.after_mm),
+                "would_measure": line.why if line.verdict == "not_measured" else "",
             }
-            for one in found.stages
+            for line in found.stages
         ],
         "hypotheses": hypotheses,
         "outside_probability": 1.0 if found.verdict == "outside" else 0.0,
         "indistinguishable": [
-            [_key(line.evidence.term), *(_key(one) for one in members)]
-            for line in found.lines
-            for members in line.evidence.equals
+            [_key(line.evidence.term), *map(_key, members)] for line in found.lines for members in line.evidence.equals
         ],
         "credible_set_90": [
-            {"effects": _keys(one["effects"]), "probability": one["probability"]} for one in hypotheses
+            {"effects": _keys(row["effects"]), "probability": row["probability"]} for row in hypotheses
         ],
         "localisation": _localisation(found.before.places),
         "merged_stages": [{"stages": list(stages), "missing": why} for stages, why in merged_stages(found.whole)],
@@ -63,14 +61,14 @@ def answer(found: Budget) -> dict[str, Any]:
         "unexplained": [
             {
                 "test": "miss left at the tool [mm]",
-                "stage": one.stage,
-                "joint": one.joint,
-                "size": _mm(one.after_mm),
+                "stage": line.stage,
+                "joint": line.joint,
+                "size": _mm(line.after_mm),
                 "p_value": None,
-                "lead": one.why,
+                "lead": line.why,
             }
-            for one in found.stages
-            if one.verdict in ("partly", "unexplained")
+            for line in found.stages
+            if line.verdict in ("partly", "unexplained")
         ],
         "detection_limits": list(_detection_limits(found)),
         "missing": _missing(found),
@@ -87,11 +85,11 @@ def sentence(budget: dict[str, Any]) -> str:
     """What the model misses by, how much of it is explained, what is left."""
     if not budget["columns"]:
         return "Nothing in this recording says what the effects do at the tool."
-    sure = [one for one in budget["effects"] if one["status"] == "confirmed" and one["column"] != "sees"]
+    sure = [row for row in budget["effects"] if row["status"] == "confirmed" and row["column"] != "sees"]
     out = f"The model misses the tool by {budget['miss_mm']:.3g} mm."
     if sure:
         out += f" With the {len(sure)} confirmed effects it misses by {budget['left_mm']:.3g} mm."
-    seen = next((one for one in budget["columns"] if one["column"] == "sees"), None)
+    seen = next((column for column in budget["columns"] if column["column"] == "sees"), None)
     if seen is not None:
         out += f" The camera misplaces what it sees by {seen['before_mm']:.3g} mm"
         out += f", with the confirmed effects by {seen['after_mm']:.3g} mm."
@@ -221,7 +219,8 @@ METRICS = {  # by stage and unit
 
 def _shrink(found: Budget) -> dict[str, Any]:
     """How far the gap shrinks on motions that nothing was fitted to: each part, and overall the parts with effects."""
-    parts = [(one, *part) for one in found.held_out for part in shrinks(one)]
+    closing = zip(found.held_out, found.shrinks, strict=True)
+    parts = [(prediction, *part) for prediction, own in closing for part in own]
     stages = [
         {
             "stage": row.stage,

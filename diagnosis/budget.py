@@ -14,7 +14,7 @@ from diagnosis.replay.repeats import overlaid
 from diagnosis.replay.stretches import repeat_groups, stood_still
 from diagnosis.search.fit import entries_of as entries_of_fit
 from diagnosis.search.work import Progress, Work, silent
-from diagnosis.shrink import UNKNOWN, shrinks
+from diagnosis.shrink import UNKNOWN, Shrink, Squares, shrinks
 from diagnosis.whole_model.evidence import QUANTILE_95, Evidence, evidence_of
 from diagnosis.whole_model.held_out import HeldOut, held_out
 from diagnosis.whole_model.linear import Term
@@ -89,7 +89,7 @@ class StageLine:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The whole answer. `miss_mm`: of the nominal model; `left_mm`: with the confirmed effects."""
+    """The whole answer. `shrinks`: by part of `held_out`, how far its gap closes on motions that were left out."""
 
     whole: Read
     fits: tuple[WholeFit, ...]
@@ -99,6 +99,7 @@ class Budget:
     before: Localisation
     after: Localisation
     held_out: tuple[HeldOut, ...]
+    shrinks: tuple[tuple[tuple[Shrink, Squares], ...], ...]
     verdict: Verdict
     why: str
 
@@ -150,9 +151,10 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
     work.conclude("held-out data", 0.8)
     predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
-    stages = _stages(whole, lines, columns, (before, after), fits, predicted)
+    closing = tuple(tuple(shrinks(prediction)) for prediction in predicted)
+    stages = _stages(whole, lines, columns, (before, after), fits, closing)
     verdict, why = verdict_of(whole, lines, columns, stages, fits)
-    return Budget(whole, fits, lines, columns, stages, before, after, predicted, verdict, why)
+    return Budget(whole, fits, lines, columns, stages, before, after, predicted, closing, verdict, why)
 
 
 def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:
@@ -280,13 +282,13 @@ def _stages(
     columns: tuple[Column, ...],
     places: tuple[Localisation, Localisation],
     fits: tuple[WholeFit, ...],
-    predicted: tuple[HeldOut, ...],
+    closing: tuple[tuple[tuple[Shrink, Squares], ...], ...],
 ) -> tuple[StageLine, ...]:
     """Every stage, and of those that drive joints every joint, judged by itself."""
     beyond_noise = {
         (row.stage, row.joint)
-        for one in predicted
-        for row, sums in shrinks(one)
+        for parts in closing
+        for row, sums in parts
         if row.closed != UNKNOWN and sums.before.sum() > sums.rows  # more than the least noise that is believed
     }
     before, after = places

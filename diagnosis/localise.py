@@ -60,16 +60,8 @@ class Localisation:
     floor_known: bool
 
 
-def localise(
-    whole: Read, energy: Mapping[str, float] | None = None, evidence: Mapping[str, float] | None = None
-) -> Localisation:
-    """The gap of the nominal machine (with its baseline, if its file has one) on every stage that can be judged.
-
-    Args: energy: mean squared residual in floors of static, tracker, ooi, tool; what of it is floor is no gap.
-          evidence: by stage, what was found to be wrong there [nats]; it divides the gap among the stages, since the
-          RMS of a stage swings by more than a small effect adds. None or empty: the stages' motions at the tcp do.
-    """
-    energy = {} if energy is None else energy
+def localise(whole: Read) -> Localisation:
+    """The gap of the nominal machine (with its baseline, if its file has one) on every stage that can be judged."""
     nominal, tables = whole.nominal, whole.tables
     if nominal is None or tables is None or not whole.usable:
         return Localisation((), (), False)
@@ -82,8 +74,8 @@ def localise(
         for stage in STAGE_UNITS:
             places += _dynamic(replayer, stage, prepared, groups, sets, lever)
         places += _dynamic(replayer, MERGED_UNDER, merged_drives(replayer, whole.stretches), groups, sets, lever)
-    places += _structure(whole, nominal, sets, energy) + _camera(whole, nominal, sets, energy)
-    return Localisation(_shared(places, evidence or {}), merged_stages(whole), bool(groups))
+    places += _structure(whole, nominal, sets) + _camera(whole, nominal, sets)
+    return Localisation(_shared(places), merged_stages(whole), bool(groups))
 
 
 def _dynamic(
@@ -200,7 +192,7 @@ def levers_mm(nominal: Nominal, stretches: tuple[Stretch, ...]) -> Array:
     return np.array([1e3 * np.sqrt(np.mean(np.sum((one - at) ** 2, axis=1))) / MOVE_RAD for one in moved])
 
 
-def _structure(whole: Read, nominal: Nominal, sets: ParameterSets, energy: Mapping[str, float]) -> list[Place]:
+def _structure(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
     tables, places = whole.tables, []
     if tables is None or nominal.arm is None:
         return []
@@ -209,18 +201,17 @@ def _structure(whole: Read, nominal: Nominal, sets: ParameterSets, energy: Mappi
     for regime, data in (("at rest", static), ("tracked", tracked)):
         if data is not None and len(data.xyz) >= 4:
             residual = fit_points(nominal, sets, data).residual
-            floor = _floor_share(residual, energy.get("static" if regime == "at rest" else "tracker"), np.zeros(3))
-            places += _axes("structure", regime, residual, floor)
+            places += _axes("structure", regime, residual, np.zeros(3))
     return places
 
 
-def _camera(whole: Read, nominal: Nominal, sets: ParameterSets, energy: Mapping[str, float]) -> list[Place]:
+def _camera(whole: Read, nominal: Nominal, sets: ParameterSets) -> list[Place]:
     tables, places = whole.tables, []
     if tables is None or tables.markers is None or nominal.camera is None:
         return []
     tool = tool_residual(nominal, views_of(nominal, tables.markers, "tool"))
     if tool is not None:
-        places += _axes("camera", "tool marker", tool, _floor_share(tool, energy.get("tool"), _scatter(tool)))
+        places += _axes("camera", "tool marker", tool, _scatter(tool))
     views = views_of(nominal, tables.markers, "ooi")
     shift_s = camera_to_plc_s(tables)
     q, inside = _encoders_at(whole.stretches, views.t_s + shift_s, nominal.n)
@@ -228,7 +219,7 @@ def _camera(whole: Read, nominal: Nominal, sets: ParameterSets, energy: Mapping[
         seen = replace(views, t_s=views.t_s[inside], Ts_cam_object=views.Ts_cam_object[inside])
         ooi = ooi_residual(nominal, sets, seen, q[inside])
         if ooi is not None:
-            places += _axes("camera", "ooi", ooi, _floor_share(ooi, energy.get("ooi"), _scatter(ooi)))
+            places += _axes("camera", "ooi", ooi, _scatter(ooi))
     return places
 
 
@@ -241,14 +232,6 @@ def _encoders_at(stretches: tuple[Stretch, ...], t_s: Array, n: int) -> tuple[Ar
             q[now] = np.stack([np.interp(t_s[now], one.t_s, column) for column in one.enc.T], axis=1)
             inside |= now
     return q, np.asarray(inside & np.isfinite(q).all(axis=1), dtype=bool)
-
-
-def _floor_share(error: Array, energy: float | None, otherwise: Array) -> Array:
-    """The floor's part of errors (m, k): all but what the whitened residual has beyond one floor; (k,)."""
-    if energy is None:
-        return otherwise
-    rms = np.sqrt(np.mean(error**2, axis=0))
-    return np.asarray(np.maximum(otherwise, rms / np.sqrt(max(1.0, energy))), dtype=float)
 
 
 def _scatter(error: Array) -> Array:
@@ -268,28 +251,25 @@ def _axes(stage: str, regime: str, error: Array, floor: Array) -> list[Place]:
     return places
 
 
-def _shared(places: list[Place], evidence: Mapping[str, float]) -> tuple[Place, ...]:
+def _shared(places: list[Place]) -> tuple[Place, ...]:
     """Shares of the sum over stages of their tcp motion (root sum of squares within a stage), largest first; those of
     all places, without the regimes inside "all", sum to one.
     """
     whole = [place for place in places if place.regime not in PARTS]
     moved = {p.stage: math.hypot(*(q.tcp_mm for q in whole if q.stage == p.stage)) for p in whole}
-    weight = {stage: evidence.get(stage, 0.0) for stage in moved} if any(map(evidence.get, moved)) else moved
-    total = sum(weight.values())
-    shared = [replace(place, share_frac=_part(place, whole, moved, weight, total)) for place in places]
+    total = sum(moved.values())
+    shared = [replace(place, share_frac=_part(place, whole, moved, total)) for place in places]
     return tuple(sorted(shared, key=lambda place: (place.regime in PARTS, -place.share_frac)))
 
 
-def _part(
-    place: Place, whole: list[Place], moved: Mapping[str, float], weight: Mapping[str, float], total: float
-) -> float:
+def _part(place: Place, whole: list[Place], moved: Mapping[str, float], total: float) -> float:
     """A place's share: its stage's, by its part of the stage's motion; in equal parts where nothing stands out."""
     if total <= 0.0 or place.stage not in moved:
         return 0.0
     of_stage = sum(one.tcp_mm for one in whole if one.stage == place.stage)
     if of_stage > 0.0:
-        return weight[place.stage] / total * place.tcp_mm / of_stage
-    return weight[place.stage] / total / sum(one.stage == place.stage for one in whole)
+        return moved[place.stage] / total * place.tcp_mm / of_stage
+    return moved[place.stage] / total / sum(one.stage == place.stage for one in whole)
 
 
 def totals_of(places: tuple[Place, ...]) -> tuple[Place, ...]:

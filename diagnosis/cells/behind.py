@@ -90,7 +90,6 @@ def joined(parts: list[Cell]) -> Cell:
         scale=np.concatenate([part.scale for part in parts]),
         quiet=float(np.average([part.quiet for part in parts], weights=[part.rows.count for part in parts])),
         floor_known=2 * sum(part.rows.count for part in parts if part.floor_known) >= sum(p.rows.count for p in parts),
-        same_kind=all(part.same_kind for part in parts),
         regressors=(),
         t_s=np.concatenate([part.t_s for part in parts]),
         restless=next((part.restless for part in parts if part.restless), ""),

@@ -162,7 +162,6 @@ def _cell(
             scale=np.hypot(noise.own, noise.shared)[rows.channel % 2],
             quiet=1.0,
             floor_known=known is not None,
-            same_kind=False,
             regressors=(("time", t_s),),
             t_s=t_s,
             restless="" if loose is None else loose.told(frames.markers[loose.number].marker_id),

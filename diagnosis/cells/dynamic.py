@@ -123,7 +123,7 @@ def cell_of(
     replay = Replay(stage, joints, parts, white)
     kinds = [part.stretch.kind for part in parts]
     per_channel = [white_rows(part, white.order) for part in parts]
-    blocks_by_part, folds_by_part, same = layout_of(kinds, per_channel)
+    blocks_by_part, folds_by_part = layout_of(kinds, per_channel)
     spread = [np.tile(one, len(chosen)) for one in blocks_by_part]
     folds = [np.tile(one, len(chosen)) for one in folds_by_part]
     channel = [np.repeat(np.arange(len(chosen)), rows) for rows in per_channel]
@@ -152,7 +152,6 @@ def cell_of(
         scale=scale,
         quiet=float(np.mean(floor.rms[chosen] ** 2)),
         floor_known=floor.known,
-        same_kind=same,
         regressors=regressors,
         t_s=t_s,
         usual=usual_of(known),
@@ -170,12 +169,12 @@ def usual_of(known: Sequence[Remainder | None]) -> tuple[tuple[str, float], ...]
     return tuple(most.items()) if some else None
 
 
-def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]], bool]:
-    """Blocks and folds of each piece, and whether the folds are of one kind."""
+def layout_of(kinds: list[str], lengths: list[int]) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
+    """Blocks and folds of each piece."""
     blocks, _ = blocks_of(lengths)
-    folds, same = folds_of(kinds, lengths, blocks)
+    folds, _ = folds_of(kinds, lengths, blocks)
     cuts = np.cumsum(lengths)[:-1]
-    return np.split(blocks, cuts), np.split(folds, cuts), same
+    return np.split(blocks, cuts), np.split(folds, cuts)
 
 
 def _candidates(
@@ -187,9 +186,7 @@ def _candidates(
         found = read_off(found, tuple(one.stretch for one in prepared))
         plant = replayer.plant
         cycles = (plant.cycle_s, plant.transport_delay_s)
-        drift_s = max(0.0 if one.stretch.sent is None else one.stretch.sent.drift_s for one in prepared)
-        delay = {"cycles": cycles, "drift_s": drift_s}
-        found = tuple(replace(one, **delay) if one.name == "transport_delay" else one for one in found)
+        found = tuple(replace(one, cycles=cycles) if one.name == "transport_delay" else one for one in found)
     if stage == "controller":
         found = reached(found, tuple(one.stretch for one in prepared))
     if stage == "actuator":

@@ -59,7 +59,6 @@ def odometry_cells(whole: Read, base: ParameterSets, paths: tuple[Path, ...]) ->
             scale=np.full(count, sigma),
             quiet=1.0,
             floor_known=False,
-            same_kind=False,
             regressors=(),
             t_s=rough.start_s,
         )

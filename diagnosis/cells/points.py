@@ -99,7 +99,6 @@ def _cell(
         quiet=1.0,
         floor_known=found.known,
         restless=found.restless,
-        same_kind=False,
         regressors=tuple(q.items()),
         t_s=np.repeat(data.when, 3),
     )

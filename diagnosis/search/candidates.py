@@ -35,8 +35,7 @@ class Candidate:
 
     `read_off`: the log itself shows its size, and nothing of it is fitted. `counted`: that size is a share seen among
     so many; 0: it is none. `cycles`: of a delay, a PLC's cycle and what the nominal machine has of it [s]: whole cycles
-    are where its cost has a kink that no gradient finds. `drift_s`: by how much it grows over the recording, as the
-    clocks run apart, from where it is least.
+    are where its cost has a kink that no gradient finds.
     """
 
     name: str
@@ -48,7 +47,6 @@ class Candidate:
     counted: int = 0
     read_off: bool = False
     cycles: tuple[float, float] | None = None
-    drift_s: float = 0.0
 
     def settled(self, theta: Array) -> Array:
         """Numbers (slots,) with the delay at the nearest whole number of cycles."""

@@ -68,7 +68,6 @@ class Cell:
     scale: Array
     quiet: float
     floor_known: bool
-    same_kind: bool
     regressors: tuple[tuple[str, Array], ...]
     t_s: Array
     usual: tuple[tuple[str, float], ...] | None = None

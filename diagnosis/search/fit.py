@@ -25,14 +25,13 @@ Hypothesis = tuple[Candidate, ...]
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Where a hypothesis fits best. `theta` (k,), residual (N,), J (N, k), `cost` [nats], `at_bound` (k,)."""
+    """Where a hypothesis fits best. `theta` (k,), residual (N,), J (N, k), `cost` [nats]."""
 
     hypothesis: Hypothesis
     theta: Array
     residual: Array
     J: Array
     cost: float
-    at_bound: tuple[bool, ...]
 
     @property
     def k(self) -> int:
@@ -74,7 +73,7 @@ def evaluated_at(cell: Cell, sets: ParameterSets) -> Array:
 def neutral_fit(cell: Cell) -> Fit:
     """No effect at all."""
     residual = evaluated(cell, (), np.zeros((1, 0)))[0]
-    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)), float(costs(residual).sum()), ())
+    return Fit((), np.zeros(0), residual, np.zeros((len(residual), 0)), float(costs(residual).sum()))
 
 
 def bounds(hypothesis: Hypothesis) -> tuple[Array, Array]:
@@ -136,9 +135,7 @@ def fit(cell: Cell, hypothesis: Hypothesis, start: Array, rounds: int = ROUNDS) 
         if float(costs(there).sum()) < cost:
             theta, residual, cost = kinks, there, float(costs(there).sum())
             J = jacobian(cell, hypothesis, theta, residual)
-    edge = 1e-3 * spans(hypothesis)
-    at_bound = tuple(bool(b) for b in (theta > high - edge) | ((theta < low + edge) & (low != 0.0)))
-    return Fit(hypothesis, theta, residual, J, cost, at_bound)
+    return Fit(hypothesis, theta, residual, J, cost)
 
 
 def _at_kinks(hypothesis: Hypothesis, theta: Array) -> Array:

@@ -126,7 +126,7 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
     residual = np.zeros(0) if lin is None else lin.residual
     J = np.zeros((0, len(theta))) if lin is None else lin.J[:, cols]
     effects = tuple(term.effect for term in some)
-    return Fit(effects, theta, residual, J, float(costs(residual).sum()), tuple(False for _ in theta))
+    return Fit(effects, theta, residual, J, float(costs(residual).sum()))
 
 
 def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:

@@ -93,9 +93,9 @@ def run_case(pair: str, seed: int) -> Outcome:
         apart(both, truth, rivals),
         alone(both, truth),
         [
-            f"{one['name']} {one['joint'] or ''}".strip()
-            for one in both["budget"]["effects"]
-            if one["status"] == "confirmed"
+            f"{effect['name']} {effect['joint'] or ''}".strip()
+            for effect in both["budget"]["effects"]
+            if effect["status"] == "confirmed"
         ],
     )
 
@@ -113,4 +113,4 @@ def alone(result: dict[str, Any], truth: Truth) -> float:
 
 
 def _stated(result: dict[str, Any]) -> dict[Key, float]:
-    return {(one["name"], one["joint"]): float(one["probability"]) for one in result["budget"]["effects"]}
+    return {(row["name"], row["joint"]): float(row["probability"]) for row in result["budget"]["effects"]}

@@ -84,7 +84,7 @@ def by_factor(cases: Cases) -> list[Line]:
 
 def reliability(cases: Cases) -> list[tuple[str, int, float, float]]:
     """Probabilities of effects in five bins: bin, how many, mean stated, share that is there."""
-    stated = [(float(p), bool(right)) for one in cases for p, right in one["probabilities"]]
+    stated = [(float(p), bool(right)) for case in cases for p, right in case["probabilities"]]
     out = []
     for low, high in pairwise((0.0, 0.5, 0.9, 0.95, 0.98, 1.0001)):
         own = [(p, right) for p, right in stated if low <= p < high]

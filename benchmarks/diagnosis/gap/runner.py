@@ -159,8 +159,8 @@ def _case(asked: Campaign, number: int, folder: Path, hands: Hands) -> bool:
     size = ["--factor", str(asked.factor)] if asked.factor is not None else []
     if _stage(hands, GENERATE, [*case, *machine, *size], folder).code != 0:
         return False
-    lacking = (folder / "lacking.txt").read_text(encoding="utf-8").strip()  # no secret: the tool has to do without it
-    how = ["--without", lacking] if lacking else []
+    left_out = (folder / "lacking.txt").read_text(encoding="utf-8").strip()  # no secret: the tool has to do without it
+    how = ["--without", left_out] if left_out else []
     answer = folder / "answer.json"
     told = _stage(
         hands, "longreach.cli", ["diagnose", str(folder / "recording"), "--json", str(answer), *how], folder

@@ -150,7 +150,7 @@ def judged(
         answer = {**UNREAD, "why": answer["refused_to_read"]}
     catalogue = truth["mix"] in ("single", "double")
     equal = Equal(truth, remainders, plant)
-    named = {(one["name"], one["joint"]): one for one in answer["budget"]["effects"] if one["status"] == "confirmed"}
+    named = {(row["name"], row["joint"]): row for row in answer["budget"]["effects"] if row["status"] == "confirmed"}
     pairs = matched(true, list(named.values()), equal.separation) if catalogue else {}
     refused = answer["verdict"] in ("outside", "undecided")
     claimed = list(named)
@@ -280,7 +280,7 @@ def _probabilities(true: list[Injected], answer: dict[str, Any], separation_of: 
     """Of each effect of the budget its probability, and whether it is there; equals count as there."""
     rows = answer["budget"]["effects"]
     there = set(matched(true, rows, separation_of).values())
-    return [(one["probability"], (one["name"], one["joint"]) in there) for one in rows]
+    return [(row["probability"], (row["name"], row["joint"]) in there) for row in rows]
 
 
 def main() -> None:

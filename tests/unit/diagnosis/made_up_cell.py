@@ -36,7 +36,6 @@ def made_up(truth: tuple[float, float, float], seed: int = 4, noise: float = 1.0
         scale=np.ones(N),
         quiet=1.0,
         floor_known=True,
-        same_kind=False,
         regressors=(("command", np.sin(1.9 * T)),),
         t_s=T,
     )

@@ -131,7 +131,7 @@ def test_whatever_a_fit_names_can_be_written_to_a_machine_file_and_is_the_same_t
     (one, *_) = named((effect.name,), (1,))
     inside = [0.3 * slot.high if one.vector else slot.low + 0.6 * min(slot.high - slot.low, 1.0) for slot in one.slots]
     theta = np.array(inside)
-    found = Fit((one,), theta, np.zeros(0), np.zeros((0, len(theta))), 0.0, (False,) * len(theta))
+    found = Fit((one,), theta, np.zeros(0), np.zeros((0, len(theta))), 0.0)
     back = parse_entries(tomllib.loads(entries_to_toml(entries_of(found))).get("effect"), 1)
     wanted, packed = put(neutral_sets(1), (one,), theta), pack(back, 1)
     np.testing.assert_allclose(packed.joint, wanted.joint, rtol=1e-9)
