@@ -78,7 +78,7 @@ def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
     if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
         return found
     work.again()
-    return solve(by_noise_of(cell, cell.at_noise(again)), library_of(cell))
+    return solve(by_noise_of(cell, cell.at_noise(again)), (), found.best.terms)
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
