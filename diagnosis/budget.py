@@ -171,7 +171,7 @@ def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float],
         one = by_term[id(term)]
         sizes = term.theta[: term.sizes]
         size = float(np.linalg.norm(sizes)) if not term.limits else 1.0
-        sd = float(np.linalg.norm(one.sd[: term.sizes] * sizes) / size) if not term.limits and size > 0.0 else 0.0
+        sd = float(np.linalg.norm(one.size_sd * sizes) / size) if not term.limits and size > 0.0 else 0.0
         spread = QUANTILE_95 * sd / size if size > 0.0 else 0.0
         out.append(
             Line(

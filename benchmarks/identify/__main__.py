@@ -41,7 +41,7 @@ def record(machine_text: str, preset: str, seed: int, minutes: float, folder: Pa
 
 
 def record_jobs(machine_text: str, preset: str, seed: int, jobs: int, folder: Path) -> None:
-    """Positioning jobs one after the other, each from the start and with a calibration: FOLDER/recording/job1 and on."""
+    """Positioning jobs in turn, each from the start and with a calibration: FOLDER/recording/job1 and on."""
     world = draw_world(parse_machine_toml(machine_text), preset, seed)
     cell, ctx = recorded_cell(world, fitted_noise()), context_of(world, "ours")
     for job in range(1, jobs + 1):

@@ -29,7 +29,7 @@ class Evidence:
     or postures, beyond noise; a cause has one size. `equals`: sets of effects that take its place at a distance T
     below 9. `left`: mean squared residual of its part in noise floors. `noise_known`: from repeats or stated accuracy.
     `above`: what it alone explains, as a share of that and what its part leaves beyond noise.
-    `alone`: its size over its deviation with every effect of the part in the model; with its equals where they share it.
+    `alone`: its size over its deviation with every effect of the part in the model; with its equals if they share it.
     `wide`: (sizes, 2) its 90 % limits in that model, where the data do not determine it by itself; else None.
     """
 
@@ -45,6 +45,12 @@ class Evidence:
     noise_known: bool
     alone: float
     wide: Array | None
+
+    @property
+    def size_sd(self) -> Array:
+        """Standard deviations of its sizes (sizes,) by its limits, where the data do not determine it by itself."""
+        sd = self.sd[: self.term.sizes]
+        return sd if self.wide is None else np.maximum(sd, 0.5 * np.ptp(self.wide, axis=1) / QUANTILE_95)
 
     @property
     def limits(self) -> tuple[Array, Array]:
