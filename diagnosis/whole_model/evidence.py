@@ -10,6 +10,7 @@ from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs
 from diagnosis.whole_model.linear import Term, linearised
 from diagnosis.whole_model.solve import Fitted, WholeFit, alike_delays
+from diagnosis.whole_model.subsets import best_set
 from machine.rotations import Array
 
 QUANTILE_95 = 1.6448536269514722
@@ -24,10 +25,11 @@ EQUAL_T = 9.0  # least squared distance below which two sets are not distinguish
 class Evidence:
     """What speaks for one effect of the best set of its part.
 
-    `gain_nats`: what the best set without it loses. `sd`: (slots,) of its numbers, with what its definition leaves
-    open. `z`: its size over that. `scatter`: by what share its size differs between kinds of motion, times, amplitudes
-    or postures, beyond noise; a cause has one size. `equals`: sets of effects that take its place at a distance T
-    below 9. `left`: mean squared residual of its part in noise floors. `noise_known`: from repeats or stated accuracy.
+    `gain_nats`: what the best set without it and its equals loses. `sd`: (slots,) of its numbers, with what its
+    definition leaves open. `z`: its size over that. `scatter`: by what share its size differs between kinds of motion,
+    times, amplitudes or postures, beyond noise; a cause has one size. `equals`: sets of effects that take its place at
+    a distance T below 9. `left`: mean squared residual of its part in noise floors. `noise_known`: from repeats or
+    stated accuracy.
     `above`: what it alone explains, as a share of that and what its part leaves beyond noise.
     `alone`: its size over its deviation with every effect of the part in the model; with its equals if they share it.
     `wide`: (sizes, 2) its 90 % limits in that model, where the data do not determine it by itself; else None.
@@ -95,16 +97,17 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
         if term.effect.cycles is not None:
             run = alike_delays(fit.cell, lin, len(out), fit.trust)
             sd = np.hypot(sd, 0.5 * (float(np.ptp(run)) + term.effect.cycles[0]) / QUANTILE_95)  # limits: the tread
+        gain_nats, equals = _rivals_of(fit, int(k))
         alone, sharing, wide = _alone(fit, int(k), everything)
         out.append(
             Evidence(
                 term=term,
                 part=fit.cell.label,
-                gain_nats=_gain(fit, int(k)),
+                gain_nats=gain_nats,
                 sd=sd,
                 z=z,
                 scatter=_share_of_size(term, scatter(J, residual, own[: term.sizes], groupings)),
-                equals=_with_sharing(fit, _equals(fit, int(k)), sharing),
+                equals=_with_sharing(fit, equals, sharing),
                 left=left,
                 above=_share_above(lin.x[own], S[np.ix_(own, own)], max(left - 1.0, 0.0) * len(residual)),
                 noise_known=fit.cell.floor_known,
@@ -159,27 +162,29 @@ def _with_open(term: Term, sd: Array) -> Array:
     return np.hypot(sd, open_part)
 
 
-def _gain(fit: WholeFit, k: int) -> float:
+def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[Term, ...], ...]]:
+    """What the best set loses without an effect and its equals [nats], and these: terms with the same column, and what
+    takes its place where T is below 9, as often as something else does.
+    """
+    problem, present, terms = fit.best.problem, fit.best.present, fit.best.terms
+    equals: list[tuple[Term, ...]] = [(terms[out],) for kept, out in fit.twins if kept == k]
+    allowed = np.ones(len(terms), dtype=bool)
+    allowed[[k, *(out for _, out in fit.twins)]] = False
     rival = fit.rivals.get(k)
-    if rival is not None:
-        return fit.best.score - rival.score
-    problem, members = fit.best.problem, fit.best.present.copy()
-    members[k] = False
-    return problem.score(fit.best.present) - problem.score(members)
-
-
-def _equals(fit: WholeFit, k: int) -> tuple[tuple[Term, ...], ...]:
-    """What may stand in an effect's place: terms with the same column, and what enters its rival where T is below 9."""
-    found: list[tuple[Term, ...]] = [(fit.best.terms[out],) for kept, out in fit.twins if kept == k]
-    rival = fit.rivals.get(k)
-    if rival is not None:
-        distance = 2.0 * float(_cost(rival, fit) - _cost(fit.best, fit))
-        entered = tuple(
-            one for one, before in zip(rival.terms, fit.best.terms, strict=True) if one.present and not before.present
-        )
-        if entered and distance < EQUAL_T:
-            found.append(entered)
-    return tuple(found)
+    at = problem.misfit(problem.estimate(present)[0])
+    for _ in range(SHARING_MOST):
+        if rival is not None:
+            gain, entered = fit.best.score - rival.score, rival.present & ~present
+            distance = 2.0 * (_cost(rival, fit) - _cost(fit.best, fit))
+        else:
+            members = best_set(problem, present & allowed, allowed)
+            gain, entered = problem.score(present) - problem.score(members), members & ~present
+            distance = 2.0 * (problem.misfit(problem.estimate(members)[0]) - at)
+        if distance >= EQUAL_T or not entered.any():
+            break
+        equals.append(tuple(terms[t] for t in np.nonzero(entered)[0]))
+        allowed, rival = allowed & ~entered, None
+    return gain, tuple(equals)
 
 
 def _with_everything(fit: WholeFit) -> tuple[Array, Array]:

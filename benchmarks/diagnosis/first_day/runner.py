@@ -113,8 +113,9 @@ def _case(campaign: Campaign, number: int) -> Scored | None:
         return None
     (given, truth), answer = made, folder / "answer.json"
     began = time.monotonic()
+    machine_out = ["--machine-out", str(folder / "identified.toml")] if kind == REALISTIC else []
     parts = sorted(path for path in given.iterdir() if path.is_dir()) or [given]
-    code = _run(["-m", "longreach.cli", "diagnose", *map(str, parts), "--json", str(answer)], folder)
+    code = _run(["-m", "longreach.cli", "diagnose", *map(str, parts), "--json", str(answer), *machine_out], folder)
     if code not in (0, BAD_INPUT):
         return None
     seconds = time.monotonic() - began
