@@ -84,7 +84,7 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
     J, residual = lin.J * np.sqrt(w)[:, None], lin.residual * np.sqrt(w)
     spread = deviations(J, residual, lin.slab, fit.cell.rows.together)
     left = float(np.mean(lin.weight * lin.residual**2))
-    S = np.linalg.inv((lin.J * lin.weight[:, None]).T @ lin.J + np.diag(lin.slab**-2.0))
+    S = np.asarray(np.linalg.inv((lin.J * lin.weight[:, None]).T @ lin.J + np.diag(lin.slab**-2.0)), dtype=float)
     groupings = groupings_of(fit.cell)
     everything = _with_everything(fit)
     out = []
@@ -170,7 +170,7 @@ def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[Term, ...], ..
     equals: list[tuple[Term, ...]] = [(terms[out],) for kept, out in fit.twins if kept == k]
     allowed = np.ones(len(terms), dtype=bool)
     allowed[[k, *(out for _, out in fit.twins)]] = False
-    rival = fit.rivals.get(k)
+    rival, gain = fit.rivals.get(k), 0.0
     at = problem.misfit(problem.estimate(present)[0])
     for _ in range(SHARING_MOST):
         if rival is not None:

@@ -136,7 +136,7 @@ class _Inflated:
     times: Array
 
     def __call__(self, sets: ParameterSets) -> Array:
-        return self.whitened(sets) / self.times
+        return np.asarray(self.whitened(sets) / self.times, dtype=float)
 
 
 def _by_part(cell: Cell, terms: tuple[Term, ...]) -> Array:
