@@ -165,6 +165,15 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
     return Fit(effects, theta, residual, J, float(costs(residual).sum()))
 
 
+def only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Some present terms of a fit (the same objects), fitted again as if nothing else were there."""
+    kept = [any(term is one for one in terms) for term in fit.best.terms]
+    if (np.array(kept) == fit.best.present).all():
+        return tuple(term for term in fit.best.terms if term.present)
+    alone = tuple(replace(term, present=keep) for term, keep in zip(fit.best.terms, kept, strict=True))
+    return tuple(term for term in refined(fit.cell, alone, fit.trust) if term.present)
+
+
 def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:
     lin = linearised(cell, terms, absent=absent)
     return Fitted(lin, lin.problem(trust), score_at(lin, trust))
