@@ -309,7 +309,7 @@ def _searched(fit: WholeFit) -> dict[str, Any]:
         "stage": fit.cell.stage,
         "joint": fit.cell.joint,
         "rows": fit.cell.rows.count,
-        "hypotheses": len(fit.posterior.probability),
+        "rivals": sum(rival is not None for rival in fit.rivals.values()),
         "candidates": len(fit.best.terms),
         "spread": rounded(float(np.mean(fit.best.lin.residual**2))),
         "trust": rounded(float(np.mean(fit.trust))),

@@ -13,10 +13,8 @@ from diagnosis.whole_model.linear import Linearised, Term, about, linearised, pa
 from diagnosis.whole_model.subsets import (
     LinearProblem,
     Members,
-    SetPosterior,
     best_set,
     best_set_without,
-    posterior_over_sets,
 )
 from machine.effects.layout import ParameterSets
 from machine.rotations import Array
@@ -54,7 +52,7 @@ class Fitted:
 
 @dataclass(frozen=True, slots=True)
 class WholeFit:
-    """The best set of one part with its rivals and the posterior over sets about it.
+    """The best set of one part with its rivals.
 
     `trust`: (N,) how far each row speaks for itself, since what the model leaves is correlated. `rivals`: by present
     term, the best set found without it, refitted, with columns of its own terms only; None where the linear model
@@ -64,7 +62,6 @@ class WholeFit:
 
     cell: Cell
     best: Fitted
-    posterior: SetPosterior
     trust: Array
     rivals: dict[int, Fitted | None]
     twins: tuple[tuple[int, int], ...]
@@ -102,8 +99,7 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
             settled = True
             break
         fitted = _fitted(cell, better.terms, trust)
-    posterior = posterior_over_sets(fitted.problem, fitted.present, own)
-    return WholeFit(cell, fitted, posterior, trust, rivals, twins, settled)
+    return WholeFit(cell, fitted, trust, rivals, twins, settled)
 
 
 def _approached(cell: Cell, terms: tuple[Term, ...], own: Members) -> tuple[Term, ...]:
