@@ -34,6 +34,7 @@ SMALL_MM, SMALL_SHARE = 0.5, 0.05  # at the tool, of the whole miss: a remainder
 EXPLAINED = 0.9  # of the squared miss: then the effects explain the gap
 MM = 1e3
 
+Closing = tuple[tuple[tuple[Shrink, Squares], ...], ...]
 Status = Literal["confirmed", "likely", "doubtful"]
 Verdict = Literal["none", "effects", "partly", "outside", "undecided"]
 StageVerdict = Literal["none", "explained", "partly", "unexplained", "not_measured"]
@@ -102,7 +103,7 @@ class Budget:
     before: Localisation
     after: Localisation
     held_out: tuple[HeldOut, ...]
-    shrinks: tuple[tuple[tuple[Shrink, Squares], ...], ...]
+    shrinks: Closing
     verdict: Verdict
     why: str
 
@@ -151,15 +152,15 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     errors = tool_errors(whole, [found.term for found in evidence], [fit.cell for fit in fits], sure)
     work.conclude("localising", 0.6)
     before, after = localise(whole), localise(_with_effects(whole, entries_of(sure)))
-    columns = tuple(_column(whole, error, confirmed, after, fits) for error in errors)
+    work.conclude("held-out data", 0.8)
+    predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
+    closing = tuple(tuple(shrinks(prediction)) for prediction in predicted)
+    columns = tuple(_column(whole, error, confirmed, after, fits, closing) for error in errors)
     total = sum(column.before_mm**2 for column in columns)
     lines = tuple(line for error in errors for line in _lines(error, evidence, chance, total)) + _unplaced(
         evidence, errors, chance
     )
     lines = tuple(sorted(lines, key=lambda line: (-line.share_frac, -line.mm)))
-    work.conclude("held-out data", 0.8)
-    predicted = tuple(held_out(fit.cell, fit_of(fit.best.terms, fit.best.lin)) for fit in fits)
-    closing = tuple(tuple(shrinks(prediction)) for prediction in predicted)
     stages = _stages(whole, lines, columns, (before, after), fits, closing)
     verdict, why = verdict_of(whole, lines, columns, stages, fits)
     return Budget(whole, fits, lines, machine, columns, stages, before, after, predicted, closing, verdict, why)
@@ -213,7 +214,12 @@ def _unplaced(evidence: list[Evidence], errors: tuple[ToolError, ...], chance: d
 
 
 def _column(
-    whole: Read, error: ToolError, confirmed: list[Term], after: Localisation, fits: tuple[WholeFit, ...]
+    whole: Read,
+    error: ToolError,
+    confirmed: list[Term],
+    after: Localisation,
+    fits: tuple[WholeFit, ...],
+    closing: Closing,
 ) -> Column:
     """One column's miss before and after; measured where the recording measured it."""
     chosen = [k for k, term in enumerate(error.terms) if any(term is known for known in confirmed)]
@@ -228,7 +234,15 @@ def _column(
     left = _measured_mm(after, "structure")
     if left is None:  # nothing measured it: all that is known is what the confirmed effects do
         return Column(error.column, explained, 0.0, 0.0, False)
-    return Column(error.column, float(np.hypot(explained, left)), left, 0.0, True)
+    beyond = left * _beyond_noise(closing, "structure")
+    return Column(error.column, float(np.hypot(explained, beyond)), beyond, float(np.sqrt(left**2 - beyond**2)), True)
+
+
+def _beyond_noise(closing: Closing, stage: str) -> float:
+    """Which part of what a stage leaves (RMS, 0 to 1) its noise, a baseline's remainder with it, does not explain."""
+    own = [sums for parts in closing for row, sums in parts if row.stage == stage]
+    left, rows = sum(float(sums.after.sum()) for sums in own), sum(sums.rows for sums in own)
+    return float(np.sqrt(max(0.0, 1.0 - rows / left))) if left > 0.0 else 1.0
 
 
 def _corners_left_mm(fits: tuple[WholeFit, ...]) -> float:
@@ -293,7 +307,7 @@ def _stages(
     columns: tuple[Column, ...],
     places: tuple[Localisation, Localisation],
     fits: tuple[WholeFit, ...],
-    closing: tuple[tuple[tuple[Shrink, Squares], ...], ...],
+    closing: Closing,
 ) -> tuple[StageLine, ...]:
     """Every stage, and of those that drive joints every joint, judged by itself."""
     beyond_noise = {
@@ -302,6 +316,7 @@ def _stages(
         for row, sums in parts
         if row.closed != UNKNOWN and sums.before.sum() > sums.rows  # more than the least noise that is believed
     }
+    judged = {(row.stage, row.joint) for parts in closing for row, _ in parts}
     before, after = places
     present = stages_present(whole)
     small = small_mm(columns)
@@ -316,7 +331,7 @@ def _stages(
         for joint in joints:
             confirmed = any(_belongs(line, stage, joint) and line.status == "confirmed" for line in lines)
             was, left = _stage_mm(columns, before, stage, joint), _stage_mm(columns, after, stage, joint, after=True)
-            seen = bool({(stage, joint), (stage, None)} & beyond_noise) or joint is None
+            seen = bool({(stage, joint), (stage, None)} & beyond_noise) or (stage, joint) not in judged or confirmed
             verdict = stage_verdict(was if seen else 0.0, left, confirmed, small)
             own = [fit for fit in fits if fit.cell.stage == stage and fit.cell.joint in (None, joint)]
             lead = next(map(lead_of, own), "") if verdict in ("partly", "unexplained") else ""

@@ -40,7 +40,13 @@ def features(evidence: Evidence) -> Array:
 
 
 def probability(evidence: Evidence) -> float:
-    """Probability that the effect is there with this size, equals counted as it."""
+    """Probability that the effect is there with this size, equals counted as it.
+
+    Beside a baseline the noise, what the machine's usual state leaves, and the prior odds are known: then the posterior
+    odds are those of the gain. Without one they are not, and the calibration takes their place.
+    """
+    if evidence.baseline:
+        return float(logistic(evidence.gain_nats))
     return probability_of(features(evidence))
 
 
