@@ -12,6 +12,7 @@ SPRING_OF = {2: 0, 3: 2}  # joints (1-based) with a spring about their own axis
 #: What the fine plant has in terms of its own: no number of the catalogue can be held against it.
 UNSIZED = (
     *(("joint_friction", joint) for joint in range(1, 7)),
+    *(("stiction", joint) for joint in range(1, 7)),
     *(("oil_compliance", joint) for joint in range(1, 7)),
     *(("link_flexibility", joint) for joint in range(1, 4)),
     *((name, joint) for name in ("valve_asymmetry", "load_droop", "flow_gain_error") for joint in (2, 3)),  # cylinders

@@ -32,7 +32,7 @@ class Evidence:
     stated accuracy.
     `above`: what it alone explains, as a share of that and what its part leaves beyond noise.
     `alone`: its size over its deviation with every effect of the part in the model; with its equals if they share it.
-    `baseline`: whether the machine's usual remainder is known, so that the gain is all that speaks for a change.
+    `prior_nats`: beside a baseline its prior log odds, of which the gain is the rest; else None.
     `wide`: (sizes, 2) its 90 % limits in that model, where the data do not determine it by itself; else None.
     """
 
@@ -47,7 +47,7 @@ class Evidence:
     above: float
     noise_known: bool
     alone: float
-    baseline: bool
+    prior_nats: float | None
     wide: Array | None
 
     @property
@@ -114,7 +114,7 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
                 above=_share_above(lin.x[own], S[np.ix_(own, own)], max(left - 1.0, 0.0) * len(residual)),
                 noise_known=fit.cell.floor_known,
                 alone=alone,
-                baseline=fit.cell.usual is not None,
+                prior_nats=None if fit.cell.usual is None else float(fit.best.lin.log_odds[k]),
                 wide=wide,
             )
         )

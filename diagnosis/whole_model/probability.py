@@ -43,10 +43,12 @@ def probability(evidence: Evidence) -> float:
     """Probability that the effect is there with this size, equals counted as it.
 
     Beside a baseline the noise, what the machine's usual state leaves, and the prior odds are known: then the posterior
-    odds are those of the gain. Without one they are not, and the calibration takes their place.
+    odds are those of the gain, with what the size scatters by taken as part of its deviation. Without a baseline they
+    are not, and the calibration takes their place.
     """
-    if evidence.baseline:
-        return float(logistic(evidence.gain_nats))
+    if evidence.prior_nats is not None:
+        share = 1.0 if np.isinf(evidence.z) else 1.0 / (1.0 + (evidence.scatter * evidence.z) ** 2)
+        return float(logistic(evidence.prior_nats + share * (evidence.gain_nats - evidence.prior_nats)))
     return probability_of(features(evidence))
 
 

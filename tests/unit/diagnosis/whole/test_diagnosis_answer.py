@@ -67,7 +67,7 @@ def _fields(told: Any) -> Iterator[str]:
     if isinstance(told, dict):
         yield from told
         for key, value in told.items():
-            named = isinstance(value, dict) and key in ("parameters", "alternatives")
+            named = isinstance(value, dict) and key in ("parameters", "used", "alternatives")
             yield from _fields(list(value.values()) if named else value)
 
 
