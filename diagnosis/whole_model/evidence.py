@@ -33,7 +33,7 @@ class Evidence:
     `above`: what it alone explains, as a share of that and what its part leaves beyond noise.
     `alone`: its size over its deviation with every effect of the part in the model; with its equals if they share it.
     `prior_nats`: beside a baseline its prior log odds, of which the gain is the rest; else None.
-    `wide`: (sizes, 2) its 90 % limits in that model, where the data do not determine it by itself; else None.
+    `wide`: (sizes, 2) 90 % limits in that model of sizes that the data do not determine by themselves; None without.
     """
 
     term: Term
@@ -214,10 +214,14 @@ def _alone(fit: WholeFit, k: int, everything: tuple[Array, Array]) -> tuple[floa
         return float(x[cols] @ np.linalg.solve(S[np.ix_(cols, cols)], x[cols])) if len(cols) else 0.0
 
     T = distance(own)
-    if T >= EQUAL_T or terms[k].limits or not terms[k].smooth:
+    if terms[k].limits or not terms[k].smooth:
         return float(np.sqrt(T)), (), None
     half = QUANTILE_95 * np.sqrt(np.diag(S)[own])
-    wide = np.stack([x[own] - half, x[own] + half], axis=1)
+    clear = x[own] ** 2 >= EQUAL_T * np.diag(S)[own]
+    limits = np.stack([x[own] - half, x[own] + half], axis=1)
+    wide = np.where(clear[:, None], terms[k].theta[: len(own), None], limits)
+    if T >= EQUAL_T:
+        return float(np.sqrt(T)), (), None if clear.all() else wide
     columns = [np.arange(first[t], first[t + 1]) for t in range(len(terms))]
     open_terms = [t for t, term in enumerate(terms) if t != k and term.smooth and distance(columns[t]) < EQUAL_T]
     sharing: list[int] = []

@@ -81,16 +81,19 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
     terms = start or _approached(cell, terms, own)
     trust = trusted(cell, terms)
     fitted = _fitted(cell, terms, trust)
+    if (
+        not start
+    ):  # from nothing upwards as well: a shape (a swing's period) may be seen only while little else is there
+        nothing = linearised(cell, tuple(replace(term, present=False) for term in terms))
+        even = nothing.problem(np.ones(cell.rows.count))
+        fitted, trust, _ = _better(cell, fitted, trust, nothing, best_set(even, np.zeros(len(terms), dtype=bool), own))
     settled, rivals = False, dict[int, Fitted | None]()
     for _ in range(ROUNDS):
         problem = fitted.problem
         best = best_set(problem, fitted.present, own)
         if not (best == fitted.present).all():
-            tried_terms = refined(cell, _chosen(fitted.lin, problem, best), trust)
-            tried_trust = trusted(cell, tried_terms)
-            tried = _fitted(cell, tried_terms, tried_trust)
-            if tried.score > score_at(fitted.lin, tried_trust):
-                fitted, trust = tried, tried_trust
+            fitted, trust, changed = _better(cell, fitted, trust, fitted.lin, best)
+            if changed:
                 continue
         columns = _tangents(cell, fitted)
         rivals = {int(k): _rival(cell, fitted, int(k), own, trust, columns) for k in np.nonzero(fitted.present)[0]}
@@ -100,6 +103,15 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
             break
         fitted = _fitted(cell, better.terms, trust)
     return WholeFit(cell, fitted, trust, rivals, twins, settled)
+
+
+def _better(cell: Cell, fitted: Fitted, trust: Array, lin: Linearised, members: Members) -> tuple[Fitted, Array, bool]:
+    """The fit of another set, from columns `lin`, with its trust, where it is better by that; else the one at hand."""
+    terms = refined(cell, _chosen(lin, lin.problem(trust), members), trust)
+    own_trust = trusted(cell, terms)
+    tried = _fitted(cell, terms, own_trust)
+    better = tried.score > score_at(fitted.lin, own_trust)
+    return (tried, own_trust, True) if better else (fitted, trust, False)
 
 
 def _approached(cell: Cell, terms: tuple[Term, ...], own: Members) -> tuple[Term, ...]:
