@@ -56,6 +56,11 @@ COMMANDS = (
         "longreach.hand_eye_command:hand_eye",
         "Hand-eye calibration from poses of hand and target. Exit code 0: found, 1: not found; the reason is printed.",
     ),
+    Lazy(
+        "compile",
+        "longreach.compile_command:compile_numerics",
+        "Compile the numerics once, so that no start waits for them.",
+    ),
     Lazy("demo", "longreach.demo:demo", "Start everything on this computer and show where the panel is."),
     Lazy(
         "diagnose",

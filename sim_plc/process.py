@@ -181,6 +181,17 @@ def _cycle_start(offset_ns: int) -> int:
     return (mono_ns() + offset_ns) // MS * MS
 
 
+def warm_up_all(machine_text: str) -> None:
+    """Compile what the plant, the PLC and the camera of a simulated machine call, each preset's effects included."""
+    from sim_plc.camera.renderer import StereoRenderer
+
+    for preset in ("ideal", "realistic"):
+        world = with_effects(draw_world(parse_machine_toml(machine_text), preset, 1))
+        _warm_up(world)
+    machine = MachineLoop(world, plc_framing("raw", "", ""), 1000 * MS, lambda: 1)
+    StereoRenderer(world).render_static(machine.plant.T_base_tcp())
+
+
 def _warm_up(world: World) -> None:
     """Compile, or load from the cache, everything the cycle calls, before the clock counts."""
     machine = MachineLoop(world, plc_framing("raw", "", ""), 1000 * MS, lambda: 1)
