@@ -9,19 +9,24 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from longreach.cli import COMPILED, cache_folder
+
+if TYPE_CHECKING:
+    from numba.core.registry import CPUDispatcher
+
+_ROOT = Path(__file__).resolve().parent.parent
 PACKAGES = ("machine", "server", "sim_plc", "diagnosis")  # those of the product that hold compiled code
-MARK = "longreach-compiled.json"
 
 
 def compile_numerics(
@@ -66,19 +71,12 @@ def key() -> str:
 
 def kernel_files() -> list[Path]:
     """Every source file of the product with a compiled function."""
-    root = Path(__file__).resolve().parent.parent
-    files = (file for package in PACKAGES for file in sorted((root / package).rglob("*.py")))
+    files = (file for package in PACKAGES for file in sorted((_ROOT / package).rglob("*.py")))
     return [file for file in files if b"from numba import" in file.read_bytes()]
 
 
 def _mark_file() -> Path:
-    """Beside the compiled code of the machine package: numba's own rule for where that is."""
-    if given := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(given) / MARK
-    beside = Path(__file__).resolve().parent.parent / "machine" / "__pycache__"
-    if beside.is_dir() and os.access(beside, os.W_OK):
-        return beside / MARK
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "numba" / MARK
+    return (cache_folder() or Path()) / COMPILED  # prepare() has seen to it that there is one
 
 
 # The stages: what each of the system's processes compiles, in a process of its own, by what that process itself runs.
@@ -91,12 +89,11 @@ def clear(_machine: str) -> None:
             kernel._cache.flush()
 
 
-def kernels_of(file: Path) -> Iterable["object"]:
+def kernels_of(file: Path) -> "list[CPUDispatcher]":
     """The compiled functions that a source file defines."""
     from numba.core.registry import CPUDispatcher
 
-    root = Path(__file__).resolve().parent.parent
-    module = import_module(".".join(file.relative_to(root).with_suffix("").parts))
+    module = import_module(".".join(file.relative_to(_ROOT).with_suffix("").parts))
     return [
         value
         for value in vars(module).values()

@@ -158,6 +158,8 @@ class JobService:
         Raises: BusyError, PlanRefusedError, JobFailedError, StoreError when it may not start; nothing moves then.
         """
         self._note_resume()
+        if self.cell.starting:
+            raise JobFailedError(self.cell.starting, "starting")
         plan = self._plan(body)
         owner = body.owner or (lease.owner if lease else "server")
         plan_hash = getattr(body, "plan_hash", "")
