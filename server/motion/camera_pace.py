@@ -62,18 +62,15 @@ def camera_paced(
             f"{min(followed_s, counted_s):.2f} s on); relieve the computer, or raise the camera's rate"
         )
         return refused_plan(Refusal(PlanStatus.TOO_FAST, text), plan.q_end, plan.Ts_base_tcp)
-    return replace(
-        plan,
-        trajectory=stretched(plan.trajectory, longer, settings.knot_s),
-        duration_s=duration_s,
-        tcp_speed_max_m_s=plan.tcp_speed_max_m_s / longer,
-    )
+    slower = stretched(plan.trajectory, longer, settings.knot_s)
+    speed_m_s = plan.tcp_speed_max_m_s * plan.trajectory.duration_s / slower.duration_s
+    return replace(plan, trajectory=slower, duration_s=slower.duration_s, tcp_speed_max_m_s=speed_m_s)
 
 
 def stretched(trajectory: JointTrajectory, longer: float, knot_s: float) -> JointTrajectory:
-    """The same way in `longer` times the time; knots no further apart than `knot_s`."""
-    duration_s = longer * trajectory.duration_s
-    t_s = np.linspace(0.0, duration_s, max(2, int(np.ceil(duration_s / knot_s)) + 1))
+    """The same way in at least `longer` times the time; knots `knot_s` apart."""
+    t_s = knot_s * np.arange(int(np.ceil(longer * trajectory.duration_s / knot_s)) + 1)
+    longer = t_s[-1] / trajectory.duration_s
     motion = evaluate(trajectory, t_s / longer)
     for ours, theirs in ((motion.q, trajectory.q), (motion.qd, trajectory.qd), (motion.qdd, trajectory.qdd)):
         ours[[0, -1]] = theirs[[0, -1]]  # at rest to the last bit, as the PLC wants both ends
