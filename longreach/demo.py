@@ -61,7 +61,8 @@ def demo(
             with console.status("starting") as status, JobClient(stack.url) as client:
                 stages = Stages(console, stack.url)
                 client.wait_ready(
-                    START_S, lambda waited_s, why: _starting(stack.processes, status, waited_s, stages.seen(waited_s, why))
+                    START_S,
+                    lambda waited_s, why: _starting(stack.processes, status, waited_s, stages.seen(waited_s, why)),
                 )
         except JobRefusedError as error:
             console.print(f"[bold red]not started:[/] {error}; see {logs}")

@@ -57,8 +57,8 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
     def make_odometry() -> Odometry:
         return StereoOdometry(machine.camera)
 
+    _warm_up(machine, ArucoPoseSource(machine), make_odometry(), ImageHealth(machine.camera))  # they remember pairs
     markers = ArucoPoseSource(machine)
-    _warm_up(machine, markers, make_odometry(), ImageHealth(machine.camera))
     tool_ids = {marker.marker_id: 1.0 for marker in machine.markers_on("tool")}
     for board in machine.boards_on("tool"):
         if board.kind == "charuco":  # its inner corners are seen; a grid's markers are told one by one

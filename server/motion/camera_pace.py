@@ -69,7 +69,7 @@ def camera_paced(
 
 def stretched(trajectory: JointTrajectory, longer: float, knot_s: float) -> JointTrajectory:
     """The same way in at least `longer` times the time; knots `knot_s` apart."""
-    t_s = knot_s * np.arange(int(np.ceil(longer * trajectory.duration_s / knot_s)) + 1)
+    t_s = knot_s * np.arange(int(np.ceil(longer * trajectory.duration_s / knot_s)) + 1, dtype=np.float64)
     longer = t_s[-1] / trajectory.duration_s
     motion = evaluate(trajectory, t_s / longer)
     for ours, theirs in ((motion.q, trajectory.q), (motion.qd, trajectory.qd), (motion.qdd, trajectory.qdd)):

@@ -54,7 +54,9 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     plan, trajectory = driven_path(ctx, reading, plan)
     text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s"
     if plan.duration_s > nominal.duration_s:
-        text = f"{text}, slowed from {nominal.duration_s:.0f} s: the camera gives a pair every {timing.interval_s:.2f} s"
+        text = (
+            f"{text}, slowed from {nominal.duration_s:.0f} s: the camera gives a pair every {timing.interval_s:.2f} s"
+        )
     yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
     yield Move(trajectory, "calibration path")
     rested = expect((yield Settle()), MachineReading)
