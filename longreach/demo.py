@@ -24,7 +24,6 @@ from server.errors import SettingsError
 _SERVER = "server does not answer"
 _PARTS = {  # what /readyz says while it is missing -> when it is there
     "numerics": "the numerics are loaded",
-    "PLC does not answer": "the simulated machine answers",
     "camera": "pictures arrive",
 }
 START_S = 1800.0  # a busy computer of two cores takes minutes to compile; a process that ends is reported immediately
@@ -77,18 +76,21 @@ def demo(
 
 
 class Stages:
-    """A line for each stage of the start as it ends: the panel answers, then what was still missing is there."""
+    """A line for each stage of the start, once, as it ends: the panel answers, then what was still missing is there."""
 
     def __init__(self, console: Console, url: str) -> None:
-        self._console, self._url, self._missing = console, url, ()
+        self._console, self._ended, self._stages = (
+            console,
+            set[str](),
+            {_SERVER: f"the panel answers: {url}/", **_PARTS},
+        )
 
     def seen(self, waited_s: float, why: str) -> str:
         """The reason itself, after a line for all that has ended since the last one."""
-        missing = (_SERVER, *_PARTS) if why.startswith(_SERVER) else tuple(part for part in _PARTS if part in why)
-        for part in self._missing:
-            if part not in missing:
-                self._console.print(f"{waited_s:4.0f} s  {_PARTS.get(part, f'the panel answers: {self._url}/')}")
-        self._missing = missing
+        for missing, there in self._stages.items():
+            if missing not in why and not why.startswith(_SERVER) and missing not in self._ended:
+                self._ended.add(missing)
+                self._console.print(f"{waited_s:4.0f} s  {there}")
         return why
 
 

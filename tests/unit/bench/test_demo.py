@@ -56,12 +56,14 @@ def test_each_stage_of_the_start_is_told_once_when_it_has_ended() -> None:
     for waited_s, why in (
         (0.2, "server does not answer (refused)"),
         (3.0, "the server is starting: it loads its numerics; the PLC does not answer; camera: process is starting"),
+        (3.5, "server does not answer (timed out)"),
         (4.0, "camera: vision process is starting"),
+        (4.2, "the PLC does not answer"),
     ):
         assert stages.seen(waited_s, why) == why
     told = [line.split("s  ")[1] for line in console.export_text().splitlines()]
     assert told == [
         "the panel answers: http://127.0.0.1:1/",
         "the numerics are loaded",
-        "the simulated machine answers",
+        "pictures arrive",
     ]
