@@ -86,7 +86,7 @@ def clear(_machine: str) -> None:
     """Forget all compiled code of the product in the cache."""
     for file in kernel_files():
         for kernel in kernels_of(file):
-            kernel._cache.flush()
+            kernel._cache.flush()  # pyright: ignore[reportAttributeAccessIssue] # numba has no public way
 
 
 def kernels_of(file: Path) -> "list[CPUDispatcher]":

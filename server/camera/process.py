@@ -94,7 +94,7 @@ def made_up_pairs(machine: Machine) -> list[tuple[Image, Image]]:
         )
         for place, marker in enumerate(markers):
             drawn = cv2.aruco.generateImageMarker(dictionary, marker.marker_id, side)
-            print_out = cv2.copyMakeBorder(drawn, *(4 * [side // 6]), cv2.BORDER_CONSTANT, value=255)
+            print_out = np.pad(np.asarray(drawn, np.uint8), side // 6, constant_values=255)
             x, y = camera.width_px // 2 + (2 * place - 1) * side - side // 2, (camera.height_px - len(print_out)) // 2
             disparity = round(camera.baseline_m * side / marker.side_m)
             for eye, shift in ((left, 0), (right, disparity)):
