@@ -22,7 +22,9 @@ $(VENV)/docs.stamp: pyproject.toml $(VENV)/run.stamp
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
 	touch $@
 
+# What is compiled already, for these sources and this processor, is not compiled again.
 demo: $(VENV)/run.stamp  ## simulated machine, server and panel; prints the address
+	$(BIN)/longreach compile
 	$(BIN)/longreach demo
 
 # One thread each: workers that share the cores wait for each other's BLAS threads.

@@ -1,5 +1,6 @@
 """`longreach`: one command with a subcommand per task; each subcommand's imports are loaded on call."""
 
+import contextlib
 import logging
 import os
 import stat
@@ -56,6 +57,11 @@ COMMANDS = (
         "longreach.hand_eye_command:hand_eye",
         "Hand-eye calibration from poses of hand and target. Exit code 0: found, 1: not found; the reason is printed.",
     ),
+    Lazy(
+        "compile",
+        "longreach.compile_command:compile_numerics",
+        "Compile the numerics once, so that no start waits for them.",
+    ),
     Lazy("demo", "longreach.demo:demo", "Start everything on this computer and show where the panel is."),
     Lazy(
         "diagnose",
@@ -93,6 +99,7 @@ COMMANDS = (
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 CACHE = "NUMBA_CACHE_DIR"
+COMPILED = "longreach-compiled.json"  # which sources, libraries and processor the compiled code in that folder is of
 
 
 def prepare() -> None:
@@ -101,7 +108,10 @@ def prepare() -> None:
     for name in ("no_proxy", "NO_PROXY"):  # urllib reads the first of them that is there
         given = os.environ.get(name, "")
         os.environ[name] = ",".join(dict.fromkeys([*filter(None, given.split(",")), *LOOPBACK]))
-    if not any(_writable(folder) for folder in _cache_folders()):
+    given = os.environ.get(CACHE, "")
+    if given and os.path.isfile(os.path.join(given, COMPILED)) and not _writable(Path(given)):
+        os.environ[CACHE] = str(_linked(Path(given), _temporary_cache()))
+    elif cache_folder() is None:
         os.environ[CACHE] = str(_temporary_cache())
         sys.stderr.write(
             f"longreach: compiled code is kept in {os.environ[CACHE]}, because neither the program's folder nor a "
@@ -118,6 +128,11 @@ def _cache_folders() -> Iterator[Path]:
     yield Path(os.path.expanduser(user)) / "numba"
 
 
+def cache_folder() -> Path | None:
+    """Where compiled code is kept: numba's first folder that can be written."""
+    return next((folder for folder in _cache_folders() if _writable(folder)), None)
+
+
 def _writable(folder: Path) -> bool:
     if not folder.is_absolute():  # a home that is not known
         return False
@@ -127,6 +142,19 @@ def _writable(folder: Path) -> bool:
             return True
     except OSError:
         return False
+
+
+def _linked(compiled: Path, folder: Path) -> Path:
+    """A folder with links to all compiled code of one that can only be read (an image's): numba requires one that can
+    be written, and replaces a link by what it compiles itself.
+    """
+    for file in compiled.rglob("*"):
+        link = folder / file.relative_to(compiled)
+        if not file.is_dir() and not link.exists():
+            link.parent.mkdir(parents=True, exist_ok=True)
+            with contextlib.suppress(FileExistsError):  # another process of this user was first
+                link.symlink_to(file)
+    return folder
 
 
 def _temporary_cache() -> Path:

@@ -16,10 +16,16 @@ from rich.markup import escape
 from rich.status import Status
 
 from longreach.addresses import Address, require_bindable
+from longreach.compile_command import is_compiled
 from longreach.fleet_client import JobClient, JobRefusedError
 from longreach.processes import Stack, StackPorts
 from server.errors import SettingsError
 
+_SERVER = "server does not answer"
+_PARTS = {  # what /readyz says while it is missing -> when it is there
+    "numerics": "the numerics are loaded",
+    "camera": "pictures arrive",
+}
 START_S = 1800.0  # a busy computer of two cores takes minutes to compile; a process that ends is reported immediately
 
 
@@ -46,13 +52,17 @@ def demo(
     started = time.monotonic()
     runs = Path("runs") / f"{preset}-{seed}"  # what was calibrated on one machine says nothing of another
     logs = runs / "logs"
-    console.print(
-        "starting simulator, server and camera; the first start compiles the numerics, which takes some minutes"
-    )
+    console.print("starting simulator, server and camera")
+    if not is_compiled():
+        console.print(f"the numerics are not compiled yet: one to three minutes, once; `{_command()} compile` does it")
     with Stack(ports, preset=preset, seed=seed, log_folder=logs, runs=runs) as stack:
         try:
             with console.status("starting") as status, JobClient(stack.url) as client:
-                client.wait_ready(START_S, lambda waited_s, why: _starting(stack.processes, status, waited_s, why))
+                stages = Stages(console, stack.url)
+                client.wait_ready(
+                    START_S,
+                    lambda waited_s, why: _starting(stack.processes, status, waited_s, stages.seen(waited_s, why)),
+                )
         except JobRefusedError as error:
             console.print(f"[bold red]not started:[/] {error}; see {logs}")
             raise typer.Exit(1) from error
@@ -65,6 +75,25 @@ def demo(
         _wait(stack, seconds, logs)
 
 
+class Stages:
+    """A line for each stage of the start, once, as it ends: the panel answers, then what was still missing is there."""
+
+    def __init__(self, console: Console, url: str) -> None:
+        self._console, self._ended, self._stages = (
+            console,
+            set[str](),
+            {_SERVER: f"the panel answers: {url}/", **_PARTS},
+        )
+
+    def seen(self, waited_s: float, why: str) -> str:
+        """The reason itself, after a line for all that has ended since the last one."""
+        for missing, there in self._stages.items():
+            if missing not in why and not why.startswith(_SERVER) and missing not in self._ended:
+                self._ended.add(missing)
+                self._console.print(f"{waited_s:4.0f} s  {there}")
+        return why
+
+
 def _starting(processes: Mapping[str, Popen[bytes]], status: Status, waited_s: float, why: str) -> None:
     """How far it is; what has ended will never be ready."""
     if ended := _ended(processes):
@@ -74,7 +103,7 @@ def _starting(processes: Mapping[str, Popen[bytes]], status: Status, waited_s: f
 
 def _while_starting(why: str) -> str:
     """What a server waits for means something else while everything only starts: no cable is loose here."""
-    if why.startswith("server does not answer"):
+    if why.startswith(_SERVER):
         return "the server is not up yet"
     return "no image from the simulated camera yet" if "the camera" in why else why
 

@@ -48,6 +48,7 @@ DATABASE_NAME = "longreach.sqlite3"
 # Control is kept alive every 5 s (a third of its time to live), and 5 s are also uvicorn's default: a renewal could
 # meet a connection just closing. PatientProtocol ends an idle one after 10 to 20 s; this is the outer bound.
 KEEP_ALIVE_S = 20
+NUMERICS_LOAD = "the server is starting: it loads its numerics; where they are not compiled yet, this takes minutes"
 STOP_S = 5.0  # longest wait for a running job's end before everything else is closed
 
 
@@ -104,8 +105,6 @@ def build_app(settings: ServerSettings) -> FastAPI:
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         # OPC UA first: its address space is seconds of work, done before any sample waits for this loop.
         async with opcua_face(service, settings.opcua), machine_side():
-            gc.collect()
-            gc.freeze()  # a quarter of a million things that stay: looking through them held every answer for 0.2 s
             yield
             gc.unfreeze()
 
@@ -117,11 +116,11 @@ def build_app(settings: ServerSettings) -> FastAPI:
         async with AsyncExitStack() as ending:  # in turn from the last one, whatever fails
             ending.push_async_callback(asyncio.to_thread, keeper.database.close)
             ending.push_async_callback(asyncio.to_thread, cell.recorder.finish)
+            ending.push_async_callback(cell.vision.close)
+            await cell.vision.start()  # first: it loads the longest, and does so in a process of its own
             ending.push_async_callback(cell.link.close)
             await cell.link.start()
-            ending.push_async_callback(cell.vision.close)
-            await cell.vision.start()
-            await warmed_up(cell.machine, cell.chain)
+            ending.push_async_callback(ended, asyncio.create_task(prepared(cell), name="prepare"))
             ending.push_async_callback(await install_panel_tasks(app))
             await ending.enter_async_context(running.tasks())
             ending.push_async_callback(engine.close)  # first of all: the lease guard is there as long as a job is
@@ -139,6 +138,26 @@ def build_app(settings: ServerSettings) -> FastAPI:
     running = application(app, Served(service, keeper, gatekeeper, secure_cookie=settings.http.behind_proxy))
     install_panel_tasks = install_panel(app, service)
     return app
+
+
+async def prepared(cell: Cell) -> None:
+    """Numerics loaded, or compiled, while the panel already answers; until then no job begins."""
+    cell.starting = NUMERICS_LOAD
+    try:
+        await warmed_up(cell.machine, cell.chain)
+    except Exception as error:  # without it a job would compile, or fail, during a motion
+        log.exception("the numerics could not be prepared")
+        cell.starting = f"the numerics could not be prepared ({error}); see the server's log, then start it again"
+    else:
+        cell.starting = ""
+    gc.collect()
+    gc.freeze()  # a quarter of a million things that stay: looking through them held every answer for 0.2 s
+
+
+async def ended(task: asyncio.Task[None]) -> None:
+    """Cancel the task and wait for it."""
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
 
 
 def serve(settings: ServerSettings, listening: Callable[[], None] = lambda: None) -> None:

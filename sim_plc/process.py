@@ -14,6 +14,8 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Literal, Self, cast
 
+import numpy as np
+
 from machine.description import parse_machine_toml
 from protocol.errors import LocalProtocolError
 from protocol.framing import parse_net_id
@@ -25,6 +27,7 @@ from sim_plc.draw_world import draw_world
 from sim_plc.machine_loop import MS, MachineLoop, plc_framing
 from sim_plc.plc import path
 from sim_plc.plc.local_panel import EnableMode, LocalPanel
+from sim_plc.plc.servo import Servo
 from sim_plc.pose_feed import PoseFeed
 from sim_plc.real_time import LoopHealth, RealTimeLoop, UdpPort
 from sim_plc.truth_log import TruthLog
@@ -179,6 +182,18 @@ def new_epoch_offset_ns() -> int:
 
 def _cycle_start(offset_ns: int) -> int:
     return (mono_ns() + offset_ns) // MS * MS
+
+
+def warm_up_all(machine_text: str) -> None:
+    """Compile what the plant, the PLC and the camera of a simulated machine call, each preset's effects included."""
+    from sim_plc.camera.renderer import StereoRenderer
+
+    for preset in ("ideal", "realistic"):
+        world = with_effects(draw_world(parse_machine_toml(machine_text), preset, 1))
+        _warm_up(world)
+    machine = MachineLoop(world, plc_framing("raw", "", ""), 1000 * MS, lambda: 1)
+    Servo(machine.plc.settings).step(np.zeros((3, machine.plc.settings.n)), 1.0, 0)
+    StereoRenderer(world).render_static(machine.plant.T_base_tcp())
 
 
 def _warm_up(world: World) -> None:

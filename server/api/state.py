@@ -9,6 +9,7 @@ from server.api.problems import problem
 from server.api.state_cache import StateCache
 from server.api.state_view import CAMERA_SILENT_MS, state_view
 from server.api.views import Problem, StateView, View
+from server.camera.client import STARTING
 from server.jobs.service import JobService
 
 PICTURE: dict[int | str, dict[str, Any]] = {
@@ -58,7 +59,8 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
         """Whether a job could start now; 503 with the reasons when not."""
         view = state_view(service.cell, service.engine, service.context)  # the store's reason comes by itself
         reasons = [reason for reason in [view.steps["look"]] if reason]
-        if (camera := camera_reason(view.camera.age_ms)) is not None:
+        stream = service.cell.vision.stream_text
+        if (camera := camera_reason(view.camera.age_ms, stream)) is not None:
             reasons.append(camera)
         if service.store_problem:
             reasons.append(f"the database cannot be written: {service.store_problem}")
@@ -71,8 +73,12 @@ def state_router(service: JobService, cache: StateCache | None = None) -> APIRou
     return router
 
 
-def camera_reason(age_ms: float | None) -> str | None:
-    """Why no look could be taken with a newest picture of this age [ms]; None: it could."""
+def camera_reason(age_ms: float | None, stream: str = "") -> str | None:
+    """Why no look could be taken with a newest picture of this age [ms]; None: it could. `stream`: what its source
+    reports of itself.
+    """
+    if age_ms is None and stream == STARTING:
+        return stream
     if age_ms is None:
         return "the camera delivers no images: check its cable and [camera] settings"
     if age_ms > CAMERA_SILENT_MS:

@@ -132,6 +132,8 @@ def _blocked(cell: Cell, engine: JobEngine) -> str:
     job = engine.current
     if job is not None and not job.ended:
         return f"{job.kind} of {job.owner} is {job.state.value}"
+    if cell.starting:
+        return cell.starting
     health = cell.link.health
     phase = health.phase.value
     if phase in ("offline", "fault", "local"):

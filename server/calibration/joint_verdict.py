@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from server.calibration.contracts import Array, CalibrationStatus
 from server.calibration.joint_lens import N_LENS
@@ -91,7 +91,7 @@ def _runs(fitted: Fitted) -> str:
 
 
 def _mount(fitted: Fitted) -> str:
-    limit = float(chi2.ppf(MOUNT_SURE, 3))
+    limit = float(chdtri(3, 1.0 - MOUNT_SURE))
     if fitted.mount_chi2 <= limit:
         return ""
     return (
@@ -101,7 +101,7 @@ def _mount(fitted: Fitted) -> str:
 
 
 def _seeing(fitted: Fitted) -> str:
-    limit = float(chi2.ppf(MOUNT_SURE, SEEING_FREEDOMS))
+    limit = float(chdtri(SEEING_FREEDOMS, 1.0 - MOUNT_SURE))
     if fitted.seeing_chi2 <= limit:
         return ""
     return (
@@ -111,4 +111,4 @@ def _seeing(fitted: Fitted) -> str:
 
 
 def _bound(freedoms: int) -> float:
-    return float(chi2.ppf(SURE, freedoms))
+    return float(chdtri(freedoms, 1.0 - SURE))

@@ -35,7 +35,8 @@ from server.camera.sources.opening import open_ahead
 from server.camera.sources.side_by_side import decode_grey
 from server.camera.target_measuring import TargetMeasuring
 from server.targets.source import TargetPoseSource
-from server.vision.contracts import ObjectPoseSource
+from server.vision.contracts import Image, ObjectPoseSource
+from server.vision.marker_search import dictionary_by_name
 
 HANDOVER_S = 0.0005  # how soon a thread hands the interpreter on; Python's 5 ms are a third of a pair's time
 WARM_UP_STEP_NS = 66_000_000
@@ -56,8 +57,8 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
     def make_odometry() -> Odometry:
         return StereoOdometry(machine.camera)
 
+    _warm_up(machine, ArucoPoseSource(machine), make_odometry(), ImageHealth(machine.camera))  # they remember pairs
     markers = ArucoPoseSource(machine)
-    _warm_up(machine, markers, make_odometry(), ImageHealth(machine.camera))
     tool_ids = {marker.marker_id: 1.0 for marker in machine.markers_on("tool")}
     for board in machine.boards_on("tool"):
         if board.kind == "charuco":  # its inner corners are seen; a grid's markers are told one by one
@@ -70,19 +71,37 @@ def build_pipeline(settings: VisionSettings, machine: Machine) -> VisionPipeline
 
 
 def _warm_up(machine: Machine, source: ObjectPoseSource, odometry: Odometry, health: ImageHealth) -> None:
-    """Compile what is compiled on first use now, on a made-up wall, and not in the midst of the first motion."""
-    camera = machine.camera
-    coarse = np.random.default_rng(0).integers(40, 220, (camera.height_px // 8, camera.width_px // 8 + 8))
+    """Compile what is compiled on first use now, on a made-up wall with markers, and not during the first motion."""
+    for number, (left, right) in enumerate(made_up_pairs(machine)):
+        decode_grey(cv2.imencode(".jpg", left)[1].reshape(-1))
+        t_ns = number * WARM_UP_STEP_NS
+        health.inspect(StereoFrame(left, right, t_ns, t_ns, number), source.observe(left, right, t_ns))
+        odometry.process(left, right, t_ns)
+
+
+def made_up_pairs(machine: Machine) -> list[tuple[Image, Image]]:
+    """Three pairs of a wall that moves by 2 px, with one marker of the tool and one of the OOI that face the camera."""
+    camera, dictionary = machine.camera, dictionary_by_name(machine.dictionary)
+    coarse = np.random.default_rng(0).integers(40, 220, (camera.height_px // 8 + 1, camera.width_px // 8 + 8))
     wall = cv2.resize(coarse.astype(np.uint8), None, fx=8.0, fy=8.0, interpolation=cv2.INTER_CUBIC)
-    decode_grey(cv2.imencode(".jpg", wall)[1].reshape(-1))
+    markers = (*machine.markers_on("tool")[:1], *machine.markers_on("ooi")[:1])
+    side = camera.height_px // 8
+    pairs = []
     for number in range(3):
         left, right = (
             np.ascontiguousarray(wall[: camera.height_px, start : start + camera.width_px], np.uint8)
             for start in (2 * number, 2 * number + 24)
         )
-        t_ns = number * WARM_UP_STEP_NS
-        health.inspect(StereoFrame(left, right, t_ns, t_ns, number), source.observe(left, right, t_ns))
-        odometry.process(left, right, t_ns)
+        for place, marker in enumerate(markers):
+            drawn = cv2.aruco.generateImageMarker(dictionary, marker.marker_id, side)
+            print_out = np.pad(np.asarray(drawn, np.uint8), side // 6, constant_values=255)
+            x, y = camera.width_px // 2 + (2 * place - 1) * side - side // 2, (camera.height_px - len(print_out)) // 2
+            disparity = round(camera.baseline_m * side / marker.side_m)
+            for eye, shift in ((left, 0), (right, disparity)):
+                start = max(0, x - shift)
+                eye[y : y + len(print_out), start : start + len(print_out)] = print_out
+        pairs.append((left, right))
+    return pairs
 
 
 def run_vision(pipe: Connection, settings: VisionSettings, machine: Machine) -> None:

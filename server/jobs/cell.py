@@ -23,3 +23,4 @@ class Cell:
     vision: VisionClient
     recorder: Recorder
     knowledge: Knowledge = field(default_factory=Knowledge)
+    starting: str = ""  # what the server still prepares, and so no job may begin; empty when it is done

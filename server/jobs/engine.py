@@ -90,6 +90,8 @@ class JobEngine:
         self._told_to_stop: Job | None = None
         self._closing = False
         self._listeners = Listeners[[Job, JobEvent]]("a job's event")
+        #: Why a job that failed could not go on, where that is known better than its error says (a suspended PC).
+        self.interruption: Callable[[Job], str] = lambda _job: ""
         self.not_noted = ""  # what of the running job, or else of the last one, could not be written down
         # a thread of its own: a step of a plan must not queue behind file lists and results in the default executor
         self._planner = ThreadPoolExecutor(1, thread_name_prefix="plan")
@@ -223,8 +225,11 @@ class JobEngine:
             raise
         except (ServerError, LinkError) as error:
             await self._stop_safely(str(error))
-            job.code = getattr(error, "code", "link")
-            self._end(job, JobState.FAILED, str(error))
+            if interruption := self.interruption(job):
+                self._end(job, JobState.STOPPED, interruption)
+            else:
+                job.code = getattr(error, "code", "link")
+                self._end(job, JobState.FAILED, str(error))
         except Exception as error:  # outermost loop of the shell: a defect must still leave the machine holding
             log.exception("job %s (%s) failed with an internal error", job.job_id, job.kind)
             await self._stop_safely("internal error")

@@ -20,6 +20,7 @@ from server.jobs.requests import (
     EndSegment,
     MachineReading,
     Move,
+    PairTiming,
     ReadMachine,
     Record,
     Request,
@@ -27,6 +28,7 @@ from server.jobs.requests import (
     StartOdometry,
     StopOdometry,
     TakeLook,
+    TimePairs,
 )
 from server.jobs.steer_requests import Correct, EndMove, NextPair, StartMove, Steer, StopMove
 from server.jobs.steering import Steering
@@ -34,7 +36,7 @@ from server.jobs.watching import StartWatching, StopWatching, sighted_of
 from server.link.contracts import LinkPhase, PlcSample, oil_told_c
 from server.link.standing import stood_still
 from server.motion.contracts import JointTrajectory
-from server.vision.contracts import PairObservation
+from server.vision.contracts import OdometryStatus, PairObservation
 
 READING_S = 0.1
 SILENT_S = 1.0  # a job gives up then; motion is stopped by link process and PLC, both after 250 ms
@@ -42,6 +44,7 @@ REST_WINDOW_S = 0.4
 REST_SPEED_RAD_S = 2e-4  # 0.8 mm/s at 4 m
 REST_LAG_RAD_S = 1e-4
 WATCHED_MAX = 180 * 60  # pairs: as long as encoders are kept to join them with, at 60 a second
+PAIRS_SEEN_S, TIMING_MAX_S = 0.05, 6.0  # at the slowest camera of use, one pair a second, it is six pairs
 ARMING_RAD = 1e-4  # four counts of an 18-bit encoder: 0.4 mm at 4 m
 
 
@@ -74,6 +77,8 @@ class Performer:
                 return await self._look(request)
             case StartOdometry():
                 return await self._start_odometry()
+            case TimePairs():
+                return await self._time_pairs(request.pairs)
             case StopOdometry():
                 return await self._stop_odometry()
             case StartWatching():
@@ -212,6 +217,21 @@ class Performer:
     async def _start_odometry(self) -> None:
         self._odometry_from_ns, self._odometry_on = mono_ns(), True
         await self._cell.vision.start_odometry()
+
+    async def _time_pairs(self, pairs: int) -> PairTiming:
+        """The longest but one: a single late pair is followed by optical flow."""
+        began_ns = mono_ns()
+        while True:
+            await asyncio.sleep(PAIRS_SEEN_S)
+            times_s = [
+                report.t_exposure_mapped_ns * 1e-9
+                for report in self._cell.vision.reports_since(began_ns)
+                if report.odometry is not None and report.odometry.status is not OdometryStatus.LOST
+            ]
+            waited_s = (mono_ns() - began_ns) * 1e-9
+            if len(times_s) >= pairs or waited_s > TIMING_MAX_S:
+                intervals_s = np.sort(np.diff(times_s))
+                return PairTiming(float(intervals_s[-2]) if len(intervals_s) > 1 else waited_s / max(1, len(times_s)))
 
     async def _stop_odometry(self) -> object:
         camera = await self._cell.vision.stop_odometry()

@@ -71,6 +71,20 @@ class StartOdometry:
 
 
 @dataclass(frozen=True, slots=True)
+class TimePairs:
+    """Watch some pairs of the odometry that is on. Reply: PairTiming."""
+
+    pairs: int = 8
+
+
+@dataclass(frozen=True, slots=True)
+class PairTiming:
+    """Time between two pairs with the camera's pose [s]: the longest but one of those watched."""
+
+    interval_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class StopOdometry:
     """Reply: (CameraTrack, EncoderTrack) since StartOdometry, both on the PC clock."""
 
@@ -114,6 +128,7 @@ Request = (
     | Settle
     | TakeLook
     | StartOdometry
+    | TimePairs
     | StopOdometry
     | StartWatching
     | StopWatching

@@ -93,7 +93,8 @@ class JobService:
         self.context = self._context()
         self.diagnoses = Diagnoses(Path(cell.settings.recording.folder))
         self.identification = Identification(self.diagnoses)
-        self._suspend, self._resumed = SuspendWatch(), False
+        self._suspend, self._resumed, self._resumed_mono_s = SuspendWatch(), False, float("-inf")
+        engine.interruption = self._interruption
         cell.knowledge.unix_minus_mono_s = time.time() - mono_s()
         expiry = cell.settings.calibration.expiry()
         self._store.restore(cell.knowledge, self.context.machine_id, cell.chain.n, time.time(), expiry)
@@ -158,6 +159,8 @@ class JobService:
         Raises: BusyError, PlanRefusedError, JobFailedError, StoreError when it may not start; nothing moves then.
         """
         self._note_resume()
+        if self.cell.starting:
+            raise JobFailedError(self.cell.starting, "starting")
         plan = self._plan(body)
         owner = body.owner or (lease.owner if lease else "server")
         plan_hash = getattr(body, "plan_hash", "")
@@ -188,10 +191,15 @@ class JobService:
         """
         if self._suspend.resumed():
             log.warning(SUSPENDED)
-            self._resumed = True
+            self._resumed, self._resumed_mono_s = True, mono_s()
             self.cell.knowledge.forget_sight()
             self.identification.forget()
             self.engine.leases.expel(SUSPENDED)
+
+    def _interruption(self, job: Job) -> str:
+        """That the PC was suspended while the job ran, whether the silent PLC was noticed before or after it."""
+        self._note_resume()
+        return SUSPENDED if self._resumed_mono_s >= job.started_mono_s else ""
 
     def _plan(self, body: JobBody) -> Plan:
         ctx = self.context

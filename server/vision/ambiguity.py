@@ -5,11 +5,10 @@ import math
 import numpy as np
 from numba import njit
 
-from machine.poses import pose
-from machine.rotations import rotation_from_rotvec, rotvec_from_rotation, skew
+from machine.rotations import rotvec_from_rotation
 from server.vision.contracts import Array
 from server.vision.pose_refinement import PointObservations, kernel_arrays, sum_squares
-from server.vision.small_algebra import rotated, solve_positive
+from server.vision.small_algebra import apply, rotated, solve_positive
 
 PROFILE_STEPS = 6
 REACH_SIGMAS = 2.45
@@ -26,19 +25,31 @@ def mirrored_pose(T_cam_object: Array, points_object: Array, eye_x_m: Array, sha
     Args:    share: of the way to the mirrored pose; 0.5 is the frontal one.
     Source:  Schweighofer and Pinz 2006, section 4.
     """
-    middle_object = points_object.mean(axis=0)
-    rotation = T_cam_object[:3, :3]
-    middle = rotation @ middle_object + T_cam_object[:3, 3]
-    sight = middle - np.array([float(np.mean(eye_x_m)), 0.0, 0.0])
-    sight = -sight / np.linalg.norm(sight)
-    normal = rotation[:, 2]
-    axis = skew(normal) @ sight
-    sine = float(np.linalg.norm(axis))
+    return _mirrored(
+        np.ascontiguousarray(T_cam_object, dtype=np.float64),
+        np.ascontiguousarray(points_object.mean(axis=0)),
+        float(np.mean(eye_x_m)),
+        share,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _mirrored(T_cam_object: Array, middle_object: Array, eye_x_m: float, share: float) -> Array:
+    rotation = T_cam_object[:3, :3].copy()
+    middle = apply(rotation, middle_object) + T_cam_object[:3, 3]
+    sight = -middle
+    sight[0] += eye_x_m
+    sight /= math.sqrt(sight[0] ** 2 + sight[1] ** 2 + sight[2] ** 2)
+    nx, ny, nz = rotation[0, 2], rotation[1, 2], rotation[2, 2]
+    axis = np.array([ny * sight[2] - nz * sight[1], nz * sight[0] - nx * sight[2], nx * sight[1] - ny * sight[0]])
+    sine = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    T = T_cam_object.copy()
     if sine < 1e-12:
-        return T_cam_object.copy()
-    angle = 2.0 * share * float(np.arctan2(sine, normal @ sight))
-    mirrored = rotation_from_rotvec(axis / sine * angle) @ rotation
-    return pose(mirrored, middle - mirrored @ middle_object)
+        return T
+    angle = 2.0 * share * math.atan2(sine, nx * sight[0] + ny * sight[1] + nz * sight[2])
+    mirrored = rotated(rotation, axis * (angle / sine))
+    T[:3, :3], T[:3, 3] = mirrored, middle - apply(mirrored, middle_object)
+    return T
 
 
 def covariance_of_both(T_best: Array, T_rival: Array, margin_chi2: float, covariance: Array) -> Array:

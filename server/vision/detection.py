@@ -3,10 +3,12 @@
 Most pairs need no search at all. A whole-frame search comes round all the same: it finds what is new, and an id that is
 at two places. While those that are known are large it runs on the picture at half size."""
 
+import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from machine.description import StereoCamera
@@ -69,7 +71,7 @@ class MarkerFollower:
         expected = known.corners_px if known.before_px is None else 2.0 * known.corners_px - known.before_px
         sags = self._sags(known, expected)
         fit, corners = fit_corners(image, expected, cells_along_side(self._dictionary), sags)
-        if fit is not SideFit.CLEAN or not _same_shape(corners, known.corners_px):
+        if fit is not SideFit.CLEAN or not _same_shape(corners, np.ascontiguousarray(known.corners_px)):
             return None
         if wrong_cells(image, np.ascontiguousarray(corners), self._printed(marker_id)) > WRONG_CELLS_MAX:
             return None
@@ -107,9 +109,15 @@ class MarkerFollower:
         return self._patterns[marker_id]
 
 
+@njit(cache=True, nogil=True)
 def _same_shape(corners_px: Array, before_px: Array) -> bool:
-    sides, before = (np.linalg.norm(np.roll(c, -1, axis=0) - c, axis=1) for c in (corners_px, before_px))
-    return bool(np.all(np.abs(sides - before) <= SHAPE_CHANGE_MAX_FRAC * before + 1.0))
+    for i in range(4):
+        j = (i + 1) % 4
+        side = math.hypot(corners_px[j, 0] - corners_px[i, 0], corners_px[j, 1] - corners_px[i, 1])
+        before = math.hypot(before_px[j, 0] - before_px[i, 0], before_px[j, 1] - before_px[i, 1])
+        if not abs(side - before) <= SHAPE_CHANGE_MAX_FRAC * before + 1.0:
+            return False
+    return True
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from scipy.special import ndtr
 
-from machine.camera import project, undistort_to_rays
+from machine.camera import undistort_to_rays
 from machine.description import StereoCamera
 from server.vision.contracts import Array, Image
 from server.vision.small_algebra import solve_positive
@@ -36,14 +36,33 @@ def side_sags(camera: StereoCamera | None, corners_px: Array) -> Array:
     """
     if camera is None or not any(camera.distortion):
         return np.zeros((4, 2))
-    rays = undistort_to_rays(camera, corners_px)
-    ahead = np.roll(rays, -1, axis=0)
-    on_sides = np.concatenate([0.75 * rays + 0.25 * ahead, 0.25 * rays + 0.75 * ahead])
-    bowed = project(camera, np.column_stack([on_sides, np.ones(8)])).reshape(2, 4, 2) - corners_px
-    along = np.roll(corners_px, -1, axis=0) - corners_px
-    outward = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
-    first, second = np.sum(bowed * outward, axis=2)  # 4 t (1-t) is 3/4 at both, 2t-1 is -+1/2
-    return np.column_stack([(first + second) / 1.5, (second - first) / 0.75])
+    corners, lens = np.ascontiguousarray(corners_px, dtype=np.float64), camera.distortion
+    rays, out = undistort_to_rays(camera, corners), np.empty((4, 2))
+    _sags(corners, rays, np.array(lens), camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _sags(
+    corners: Array, rays: Array, coefficients: Array, fx: float, fy: float, cx: float, cy: float, out: Array
+) -> None:
+    k1, k2, p1, p2, k3 = coefficients
+    bow = np.empty(2)
+    for i in range(4):
+        j = (i + 1) % 4
+        along_x, along_y = corners[j, 0] - corners[i, 0], corners[j, 1] - corners[i, 1]
+        length = max(math.hypot(along_x, along_y), 1e-9)
+        for k in range(2):
+            t = 0.25 + 0.5 * k
+            x = (1.0 - t) * rays[i, 0] + t * rays[j, 0]
+            y = (1.0 - t) * rays[i, 1] + t * rays[j, 1]
+            r2 = x * x + y * y
+            radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            u = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+            v = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+            bow[k] = ((u * fx + cx - corners[i, 0]) * along_y - (v * fy + cy - corners[i, 1]) * along_x) / length
+        out[i, 0] = (bow[0] + bow[1]) / 1.5  # 4 t (1-t) is 3/4 at both, 2t-1 is -+1/2
+        out[i, 1] = (bow[1] - bow[0]) / 0.75
 
 
 def corner_search(image: Image, corners_px: Array, cells: int) -> Array:
@@ -211,7 +230,18 @@ def _refine(image: Image, corners: Array, bows_px: Array, half_px: float, statio
 
 def side_length_min(corners_px: Array) -> float:
     """Shortest side of a quadrilateral (4, 2) [px]."""
-    return float(np.min(np.linalg.norm(corners_px - np.roll(corners_px, -1, axis=0), axis=1)))
+    return _shortest(np.ascontiguousarray(corners_px, dtype=np.float64))
+
+
+@njit(cache=True, nogil=True)
+def _shortest(corners: Array) -> float:
+    shortest = np.inf
+    for i in range(4):
+        j = (i + 1) % 4
+        length = math.hypot(corners[j, 0] - corners[i, 0], corners[j, 1] - corners[i, 1])
+        if not length >= shortest:  # also a length that is not a number
+            shortest = length
+    return shortest
 
 
 class SideFit(Enum):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from machine.description import StereoCamera
 from server.camera.contracts import StereoFrame
@@ -113,7 +114,7 @@ class JumpMonitor:
             for eye, corners in (("left", view.corners_left_px), ("right", view.corners_right_px)):
                 if not view.used or corners is None:
                     continue
-                key, found = (view.marker_id, eye), np.asarray(corners, dtype=float)
+                key, found = (view.marker_id, eye), np.ascontiguousarray(corners, dtype=np.float64)
                 if key not in before:
                     self._seen[key] = _Seen(found)
                     continue
@@ -135,11 +136,18 @@ class JumpMonitor:
         return (Finding(FaultCode.JUMPED, text, forbids_odometry=False),)
 
 
+@njit(cache=True, nogil=True)
 def _off(found: Array, predicted: Array) -> Array:
     """From the predicted corners to the nearest found ones (2,) [px], the median: a board's sets may differ."""
-    between = found[:, None] - predicted[None]
-    nearest = np.linalg.norm(between, axis=2).argmin(axis=1)
-    return np.median(between[np.arange(len(found)), nearest], axis=0)
+    between = np.empty((2, len(found)))
+    for i in range(len(found)):
+        nearest = np.inf
+        for k in range(len(predicted)):
+            dx, dy = found[i, 0] - predicted[k, 0], found[i, 1] - predicted[k, 1]
+            square = dx * dx + dy * dy
+            if square < nearest or k == 0:
+                nearest, between[0, i], between[1, i] = square, dx, dy
+    return np.array([np.median(between[0]), np.median(between[1])])
 
 
 class ImageHealth:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numba import njit
 
 from machine.description import StereoCamera
 from server.camera.contracts import StereoFrame
@@ -17,7 +18,7 @@ RESIDUAL_MAX_PX = 0.3
 LAYOUT_MAX_M = 0.00075  # residual of a carefully measured layout, printed sides included
 ROWS = "rows of the two eyes differ"
 BESIDE_FRAC = 0.06  # of a side: half a cell outside of it, where a print has its white margin
-CLIPPED_GREY, CLIPPED_FRAC = 254, 0.8
+CLIPPED_GREY, CLIPPED_FRAC, CLIPPED_PLACES = 254, 0.8, 17
 
 
 class MarkerMonitor:
@@ -78,7 +79,7 @@ def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
     ):
         if corners is None or len(corners) != 4:
             continue
-        share = float(_clipped_fracs(image, corners).max())
+        share = _clipped_frac(image, np.ascontiguousarray(corners, dtype=np.float64))
         if share > CLIPPED_FRAC:
             text = (
                 f"marker {view.marker_id}'s white is over-exposed in the {eye} eye: {100 * share:.0f} % of it beside a "
@@ -88,15 +89,27 @@ def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
     return ()
 
 
-def _clipped_fracs(image: Image, corners: Array) -> Array:
-    """Share of the white just outside each side (4,) that has the highest grey; 0 of a side that leaves the picture."""
-    along = np.roll(corners, -1, axis=0) - corners
-    beside = corners + BESIDE_FRAC * np.stack([along[:, 1], -along[:, 0]], axis=1)
-    places = beside[:, None] + np.linspace(0.1, 0.9, 17)[:, None] * along[:, None]  # (4, 17, 2)
-    x, y = np.moveaxis(np.rint(places).astype(int), 2, 0)
-    inside = ((x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])).all(axis=1)
-    clipped = np.mean(image[np.where(inside[:, None], y, 0), np.where(inside[:, None], x, 0)] >= CLIPPED_GREY, axis=1)
-    return np.where(inside, clipped, 0.0)
+@njit(cache=True, nogil=True)
+def _clipped_frac(image: Image, corners: Array) -> float:
+    """Share of the white just outside a side that has the highest grey, at the side with the most; a side that leaves
+    the picture does not count.
+    """
+    height, width = image.shape
+    most = 0.0
+    for i in range(4):
+        x0, y0 = corners[i, 0], corners[i, 1]
+        dx, dy = corners[(i + 1) % 4, 0] - x0, corners[(i + 1) % 4, 1] - y0
+        clipped = 0
+        for k in range(CLIPPED_PLACES):
+            t = 0.1 + 0.8 * k / (CLIPPED_PLACES - 1)
+            x, y = np.rint(x0 + BESIDE_FRAC * dy + t * dx), np.rint(y0 - BESIDE_FRAC * dx + t * dy)
+            if not (x >= 0 and y >= 0 and x < width and y < height):
+                clipped = 0
+                break
+            if image[int(y), int(x)] >= CLIPPED_GREY:
+                clipped += 1
+        most = max(most, clipped / CLIPPED_PLACES)
+    return most
 
 
 def _misfit(found: ObjectPose, limit_px: float) -> Finding:

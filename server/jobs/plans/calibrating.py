@@ -8,7 +8,7 @@ import numpy as np
 from machine.rotations import geodesic_angle
 from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate, CameraTrack, EncoderTrack
 from server.calibration.fusion import prior_from_tool_marker
-from server.calibration.trajectory_matching import estimate_camera_rotation
+from server.calibration.trajectory_matching import DEFAULT_SETTINGS, estimate_camera_rotation
 from server.calibration.trajectory_matching_paper import estimate_camera_rotation_paper
 from server.errors import JobFailedError
 from server.jobs.context import PlanContext
@@ -23,16 +23,20 @@ from server.jobs.requests import (
     Arm,
     MachineReading,
     Move,
+    PairTiming,
     Progress,
     Record,
     Request,
     Settle,
     StartOdometry,
     StopOdometry,
+    TimePairs,
     expect,
 )
 from server.motion.calibration_paths import plan_calibration_path
+from server.motion.camera_pace import CameraNeeds, camera_paced
 from server.motion.contracts import JointTrajectory, PathPlan, PlanStatus
+from server.vision.odometry_align import AWAY_MAX_PX
 
 
 def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, CalibrationRecord]:
@@ -40,12 +44,20 @@ def calibrate(ctx: PlanContext, taken: LookTaken) -> Generator[Request, object, 
     reading = expect((yield Settle()), MachineReading)
     remember_side(ctx, reading)
     before = side_now(ctx)
-    plan, trajectory = possible_path(ctx, reading)
+    nominal, _ = possible_path(ctx, reading)
     forget_expired(ctx, reading)
-    text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s while the camera measures its own motion"
-    yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
+    yield Progress("calibrate", 0.0, nominal.duration_s, "s", "the camera begins to measure its own motion")
     yield Arm()
     yield StartOdometry()
+    timing = expect((yield TimePairs()), PairTiming)
+    plan = camera_paced(ctx.machine, nominal, timing.interval_s, camera_needs(ctx, taken), plan_settings(ctx))
+    plan, trajectory = driven_path(ctx, reading, plan)
+    text = f"driving a {plan.length_m:.2f} m path in {plan.duration_s:.0f} s"
+    if plan.duration_s > nominal.duration_s:
+        text = (
+            f"{text}, slowed from {nominal.duration_s:.0f} s: the camera gives a pair every {timing.interval_s:.2f} s"
+        )
+    yield Progress("calibrate", 0.0, plan.duration_s, "s", text)
     yield Move(trajectory, "calibration path")
     rested = expect((yield Settle()), MachineReading)
     tracks = expect((yield StopOdometry()), tuple)
@@ -77,23 +89,43 @@ def _with_focal(ctx: PlanContext, record: CalibrationRecord) -> CalibrationRecor
 
 
 def possible_path(ctx: PlanContext, reading: MachineReading) -> tuple[PathPlan, JointTrajectory]:
-    """The calibration path from where the machine stands, and its motion.
+    """The calibration path from where the machine stands, at full speed, and its motion.
 
     Raises: JobFailedError: none is possible here.
     """
     plan = plan_path(ctx, reading)
+    return plan, driven_path(ctx, reading, plan)[1]
+
+
+def driven_path(ctx: PlanContext, reading: MachineReading, nominal: PathPlan) -> tuple[PathPlan, JointTrajectory]:
+    """The same path as a path of the reference, and its motion.
+
+    Raises: JobFailedError: the plan is a refusal.
+    """
+    plan = onto_reference(ctx, nominal, reading)
     if plan.status is not PlanStatus.OK or plan.trajectory is None:
         raise JobFailedError(f"calibration path: {plan.reason}", f"plan_{plan.status.value}")
     return plan, plan.trajectory
 
 
 def plan_path(ctx: PlanContext, reading: MachineReading) -> PathPlan:
-    """The calibration path of the method, from where the machine stands, back to it."""
+    """The calibration path of the method for the encoders, from where the machine stands, back to it."""
     kind = "paper" if ctx.method == "paper" else "folded"
-    plan = plan_calibration_path(
+    return plan_calibration_path(
         ctx.machine, reading.q_rad, kind, plan_settings(ctx), ctx.wall, ctx.knowledge.T_base_ooi
     )
-    return onto_reference(ctx, plan, reading)
+
+
+def camera_needs(ctx: PlanContext, taken: LookTaken) -> CameraNeeds:
+    """What odometry and matching need of the pairs here: what is looked at is as far away as the OOI."""
+    T_cam_ooi = taken.look.T_cam_ooi
+    return CameraNeeds(
+        shift_max_px=AWAY_MAX_PX,
+        focal_px=ctx.machine.camera.fx_px,
+        depth_m=ctx.settings.position.stand_off_mm * 1e-3 if T_cam_ooi is None else float(T_cam_ooi[2, 3]),
+        chord_m=DEFAULT_SETTINGS.chord_m,
+        chords_min=DEFAULT_SETTINGS.chords_min,
+    )
 
 
 def match(ctx: PlanContext, taken: LookTaken, camera: CameraTrack, encoder: EncoderTrack) -> CameraRotationEstimate:

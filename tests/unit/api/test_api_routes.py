@@ -15,6 +15,7 @@ from server.api.jobs import jobs_router
 from server.api.problems import install_problem_handlers
 from server.api.state import camera_reason, state_router
 from server.api.state_cache import FRESH_S
+from server.camera.client import STARTING
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
@@ -45,6 +46,7 @@ class StandInLink:
 
 class StandInVision:
     latest = None
+    stream_text = ""
     latest_preview = None
 
     def on_report(self, callback):
@@ -159,6 +161,22 @@ async def test_readiness_names_its_reasons(client, service):
     assert answer.status_code == 503
     assert "PLC does not answer" in answer.json()["reasons"][0]
     assert "camera delivers no images" in answer.json()["reasons"][1]
+
+
+async def test_no_job_begins_while_the_numerics_load(client, service):
+    service.cell.starting = "the server is starting: it loads its numerics"
+    assert service.cell.starting in (await client.get("/readyz")).json()["reasons"]
+    refused = await client.post("/v1/jobs", json={"kind": "look"})
+    assert (refused.status_code, refused.json()["code"]) == (409, "starting")
+    assert not service.engine.jobs
+    service.cell.starting = ""
+    assert (await client.post("/v1/jobs", json={"kind": "look"})).status_code == 202
+    await asyncio.wait({service.engine._task}, timeout=5.0)
+
+
+def test_a_camera_process_that_starts_is_no_loose_cable():
+    assert camera_reason(None, STARTING) == STARTING
+    assert "cable" in (camera_reason(None, "stream: not found") or "")
 
 
 def test_an_old_picture_is_told_with_its_age():

@@ -17,6 +17,7 @@ from recording.clock import SUSPENDED, SuspendWatch, mono_ns, suspended_ns
 from server.camera.contracts import StreamNotice
 from server.camera.process import VisionLoop
 from server.link.contracts import ArmRequest
+from server.link.errors import LinkError
 from server.link.process import LinkProcess
 from server.link.settings import LinkSettings
 
@@ -109,6 +110,28 @@ async def test_the_running_job_is_stopped(tmp_path, sleeper):
         await asyncio.wait({made.service.engine._task})
         watching.cancel()
     assert (job.state.value, job.reason) == ("stopped", SUSPENDED)
+    made.keeper.database.close()
+
+
+@pytest.mark.parametrize("slept_ns", [0, NIGHT_NS])
+async def test_a_plc_that_is_silent_after_a_night_is_no_failure_of_its_own(tmp_path, sleeper, slept_ns):
+    """The link may lose the PLC before anything else has noticed the resume."""
+    made = bench(tmp_path)
+    waiting = asyncio.Event()
+
+    async def lost(_request):
+        await waiting.wait()
+        raise LinkError("no state from PLC")
+
+    made.performer.perform = lost
+    async with made.client(**made.control()) as client, asyncio.timeout(20.0):
+        assert (await client.post("/v1/jobs", json={"kind": "look"})).status_code == 202
+        job = made.service.engine.current
+        sleeper.slept_ns += slept_ns
+        waiting.set()
+        await asyncio.wait({made.service.engine._task})
+    expected = ("stopped", SUSPENDED) if slept_ns else ("failed", "no state from PLC")
+    assert (job.state.value, job.reason) == expected
     made.keeper.database.close()
 
 

@@ -48,3 +48,22 @@ def test_nobody_is_sent_to_look_for_a_cable_while_a_simulated_camera_is_compiled
     status = Status("starting", console=Console(quiet=True))
     demo._starting(Started().processes, status, 40.0, camera_reason(None) or "")
     assert str(status.status) == "starting, 40 s: no image from the simulated camera yet"
+
+
+def test_each_stage_of_the_start_is_told_once_when_it_has_ended() -> None:
+    console = Console(record=True, width=120, quiet=False)
+    stages = demo.Stages(console, "http://127.0.0.1:1")
+    for waited_s, why in (
+        (0.2, "server does not answer (refused)"),
+        (3.0, "the server is starting: it loads its numerics; the PLC does not answer; camera: process is starting"),
+        (3.5, "server does not answer (timed out)"),
+        (4.0, "camera: vision process is starting"),
+        (4.2, "the PLC does not answer"),
+    ):
+        assert stages.seen(waited_s, why) == why
+    told = [line.split("s  ")[1] for line in console.export_text().splitlines()]
+    assert told == [
+        "the panel answers: http://127.0.0.1:1/",
+        "the numerics are loaded",
+        "pictures arrive",
+    ]

@@ -143,6 +143,30 @@ def test_code_is_compiled_into_a_temporary_cache_where_nothing_can_be_written(
     assert os.environ[surroundings.CACHE] != str(made)
 
 
+def test_an_images_compiled_code_is_used_from_where_it_can_only_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    image = tmp_path / "image"
+    (image / "kinematics_1a").mkdir(parents=True)
+    (image / "kinematics_1a" / "tcp_pose.nbi").write_bytes(b"index")
+    (image / surroundings.COMPILED).write_text("{}")
+    for name in ("no_proxy", "NO_PROXY", "PYTHONSAFEPATH"):
+        monkeypatch.setenv(name, "")
+    monkeypatch.setenv(surroundings.CACHE, str(image))
+    monkeypatch.setattr(surroundings.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(surroundings, "_writable", lambda folder: image not in (folder, *folder.parents))
+    for _ in range(2):  # a second process finds what the first one made
+        monkeypatch.setenv(surroundings.CACHE, str(image))
+        prepare()
+        used = Path(os.environ[surroundings.CACHE])
+        assert used != image
+        assert (used / "kinematics_1a" / "tcp_pose.nbi").read_bytes() == b"index"
+        assert (used / surroundings.COMPILED).is_file()
+    (used / "kinematics_1a" / "tcp_pose.nbi").unlink()  # numba replaces it by what it compiles
+    assert (image / "kinematics_1a" / "tcp_pose.nbi").read_bytes() == b"index"
+    assert capsys.readouterr().err == ""
+
+
 MASKED = """
 import multiprocessing, signal
 from recording.spawn import out_of_the_terminals_reach

@@ -16,6 +16,7 @@ from server.calibration.contracts import CameraTrack, EncoderTrack
 from server.errors import JobFailedError, PlanRefusedError
 from server.jobs.context import PlanContext
 from server.jobs.knowledge import Knowledge
+from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.looking import good_look, take_look
 from server.jobs.plans.moving import check_executable, execute, preview
 from server.jobs.plans.positioning import position
@@ -24,6 +25,7 @@ from server.jobs.plans.unmoved import require_unmoved
 from server.jobs.requests import (
     MachineReading,
     Move,
+    PairTiming,
     Progress,
     ReadMachine,
     Record,
@@ -31,6 +33,7 @@ from server.jobs.requests import (
     StartOdometry,
     StopOdometry,
     TakeLook,
+    TimePairs,
 )
 from server.motion.trajectory import evaluate
 from server.settings import ServerSettings
@@ -56,7 +59,7 @@ class World:
         self.T_base_ooi = self.tool() @ inverse_pose(T_ooi_tool)
         self.trace = []
         self.look_status = LookStatus.OK
-        self.moved = 0
+        self.moved, self.pair_s = 0, 1.0 / 15.0
 
     def tool(self):
         return tcp_pose(CHAIN, self.q) @ MACHINE.T_tcp_tool
@@ -76,6 +79,8 @@ class World:
             case StartOdometry():
                 self.trace.clear()
                 return None
+            case TimePairs():
+                return PairTiming(self.pair_s)
             case StopOdometry():
                 return self.tracks()
             case _:
@@ -141,6 +146,23 @@ def test_the_whole_loop_reaches_the_goal_despite_mount_error_and_stall():
     assert result.calibration.from_nominal_deg == pytest.approx(4.15, abs=0.3)
     assert 1 <= sum(move.kind == "move" for move in result.moves) <= 3
     assert [name for name, _ in result.seconds_by_step][:3] == ["look", "orient", "calibrate"]
+
+
+def test_a_slow_camera_slows_the_calibration_and_a_standing_one_refuses_it_before_it_is_driven():
+    taken, _ = run(good_look(context()), World())
+    durations = {}
+    for pair_s in (1.0 / 15.0, 0.33):
+        world, ctx = World(), context()
+        world.pair_s = pair_s
+        record, story = run(calibrate(ctx, taken), world)
+        durations[pair_s] = record.duration_s
+        assert ("slowed from" in " ".join(getattr(told, "text", "") for told in story)) == (pair_s > 0.1)
+    assert durations[0.33] > 1.5 * durations[1.0 / 15.0]
+    world, ctx = World(), context()
+    world.pair_s = 4.0
+    with pytest.raises(JobFailedError, match=r"a pair every 4\.00 s.*relieve the computer"):
+        run(calibrate(ctx, taken), world)
+    assert world.moved == 0
 
 
 def test_the_papers_method_trusts_the_mount_and_misses_first():

@@ -1,0 +1,74 @@
+"""`longreach compile`: done once for these sources, this compiler and this processor, and then complete."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from longreach import compile_command
+from longreach.cli import CACHE, COMPILED, app
+
+ROOT = Path(__file__).parents[3]
+#: Compiled when a diagnosis, an identification or a compensation first needs them, in a process of its own or at rest.
+LATER = ("diagnosis/", "machine/effects/", "sim_plc/recorded_drive.py")
+MISSING = """
+import json
+from longreach.compile_command import kernel_files, kernels_of
+from pathlib import Path
+print(json.dumps([
+    f"{file.relative_to(Path.cwd())}:{kernel.py_func.__name__}"
+    for file in kernel_files() for kernel in kernels_of(file) if not kernel._cache._cache_file._load_index()
+]))
+"""
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(CACHE, str(tmp_path))
+    return tmp_path
+
+
+def test_what_is_compiled_of_other_sources_another_processor_or_not_at_all_is_not_taken(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert not compile_command.is_compiled()
+    (cache / COMPILED).write_text("not json")
+    assert not compile_command.is_compiled()
+    (cache / COMPILED).write_text(json.dumps({"key": compile_command.key()}))
+    assert compile_command.is_compiled()
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    assert not compile_command.is_compiled()
+    monkeypatch.delenv("NUMBA_CPU_NAME")
+    files = compile_command.kernel_files()
+    assert ROOT / "machine" / "kinematics.py" in files
+    (changed := cache / "kinematics.py").write_bytes(files[0].read_bytes() + b"\n")
+    monkeypatch.setattr(compile_command, "kernel_files", lambda: [changed, *files[1:]])
+    assert not compile_command.is_compiled()
+
+
+def test_a_second_call_compiles_nothing_and_a_check_answers_by_its_exit_code(
+    cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran: list[str] = []
+    monkeypatch.setattr(compile_command, "_run_stages", lambda machine, _report: ran.append(machine))
+    codes = [CliRunner().invoke(app, ["compile", *more]).exit_code for more in (["--check"], [], [], ["--check"])]
+    assert codes == [1, 0, 0, 0]
+    assert ran == ["hiab033"]
+    assert CliRunner().invoke(app, ["compile", "--again"]).exit_code == 0
+    assert ran == ["hiab033"] * 2
+
+
+@pytest.mark.slow
+def test_after_it_no_process_of_the_system_compiles(cache: Path) -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    for arguments in (["-m", "longreach.cli", "compile"], ["-c", MISSING]):
+        done = subprocess.run(
+            [sys.executable, "-P", *arguments], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+    missing = [place for place in json.loads(done.stdout) if not place.startswith(LATER)]
+    assert missing == []
