@@ -20,6 +20,7 @@ from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
 from server.api.application import Served, application
 from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog
+from server.api.hold_rule import why_not_commissioned
 from server.api.panel import install_panel
 from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
@@ -54,6 +55,7 @@ STOP_S = 5.0  # longest wait for a running job's end before everything else is c
 def build_cell(settings: ServerSettings) -> Cell:
     """Everything for one machine, not yet started."""
     machine_text = read_machine_text(settings.machine_file)
+    not_commissioned = why_not_commissioned(settings.jog.commissioning_report, machine_text)
     source, machine = source_and_machine(settings.camera, parse_machine_toml(machine_text))
     if settings.camera.calibration is not None:
         machine_text = machine_text_with(machine_text, machine.camera)  # recordings say what their pictures were
@@ -65,6 +67,7 @@ def build_cell(settings: ServerSettings) -> Cell:
         link=LinkClient(link_settings(settings), machine),
         vision=VisionClient(vision_settings(source, settings.camera, machine.camera), machine),
         recorder=Recorder(Path(settings.recording.folder), machine, images=settings.recording.images),
+        not_commissioned=not_commissioned,
     )
 
 

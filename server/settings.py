@@ -25,6 +25,7 @@ __all__ = [
     "FileCameraSettings",
     "HttpCameraSettings",
     "HttpSettings",
+    "JogSettings",
     "LookSettings",
     "OpcUaSettings",
     "PlcSettings",
@@ -127,6 +128,14 @@ class ClosedLoopSettings(Strict):
     passes_max: Annotated[int, Field(ge=1, le=5)] = 3
 
 
+class JogSettings(Strict):
+    """Jog, one joint or one tool axis while a button is held. A REAL machine jogs only with a passed commissioning."""
+
+    speed_mm_s: Annotated[float, Field(gt=0.0, le=50.0)] = 30.0  # of the tool
+    turn_speed_deg_s: Annotated[float, Field(gt=0.0, le=5.0)] = 2.0  # of a joint, and of the tool's turn
+    commissioning_report: str | None = None  # the .json of `longreach commission`: all steps passed on this machine
+
+
 class CompensationSettings(Strict):
     """A diagnosed machine whose effects are compensated; off without a file."""
 
@@ -162,6 +171,7 @@ class ServerSettings(Strict):
     position: PositionSettings = PositionSettings()
     calibration: CalibrationSettings = CalibrationSettings()
     closed_loop: ClosedLoopSettings = ClosedLoopSettings()
+    jog: JogSettings = JogSettings()
     compensation: CompensationSettings = CompensationSettings()
     recording: RecordingSettings = RecordingSettings()
     opcua: OpcUaSettings = OpcUaSettings()

@@ -23,3 +23,4 @@ class Cell:
     vision: VisionClient
     recorder: Recorder
     knowledge: Knowledge = field(default_factory=Knowledge)
+    not_commissioned: str = "no commissioning report was read"  # why it may not jog where it is REAL; empty: it may
