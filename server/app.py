@@ -26,6 +26,7 @@ from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.errors import SettingsError
+from server.foxglove.face import check_foxglove, foxglove_face
 from server.inner_faults import PART_FAILED
 from server.jobs.calibration_store import FILE_NAME, CalibrationStore
 from server.jobs.cell import Cell
@@ -92,6 +93,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     """The ASGI application; link and vision processes live as long as it does."""
     gatekeeper = gatekeeper_of(settings.http)
     check_opcua(settings.opcua)
+    check_foxglove(settings.foxglove)
     cell = build_cell(settings)
     folder = Path(settings.recording.folder)
     keeper = Keeper(Database(folder / DATABASE_NAME), result_data)
@@ -106,7 +108,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         # OPC UA first: its address space is seconds of work, done before any sample waits for this loop.
-        async with opcua_face(service, settings.opcua), machine_side():
+        async with opcua_face(service, settings.opcua), foxglove_face(service, settings.foxglove), machine_side():
             gc.collect()
             gc.freeze()  # a quarter of a million things that stay: looking through them held every answer for 0.2 s
             yield

@@ -23,6 +23,7 @@ __all__ = [
     "CompensationSettings",
     "DeviceCameraSettings",
     "FileCameraSettings",
+    "FoxgloveSettings",
     "HttpCameraSettings",
     "HttpSettings",
     "JogSettings",
@@ -159,6 +160,15 @@ class OpcUaSettings(Strict):
     without_keys: bool = False  # whoever reaches the port may read joints, faults and the running job
 
 
+class FoxgloveSettings(Strict):
+    """Read-only live stream to Foxglove. It has no authentication; binding to other hosts must be enabled explicitly."""
+
+    enabled: bool = False
+    host: str = "127.0.0.1"
+    port: LocalPort = 8765
+    without_keys: bool = False  # whoever reaches the port may see joints, images and the running job
+
+
 class ServerSettings(Strict):
     """Everything the server needs to know before it starts."""
 
@@ -175,6 +185,7 @@ class ServerSettings(Strict):
     compensation: CompensationSettings = CompensationSettings()
     recording: RecordingSettings = RecordingSettings()
     opcua: OpcUaSettings = OpcUaSettings()
+    foxglove: FoxgloveSettings = FoxgloveSettings()
 
 
 def read_settings(path: Path | None) -> ServerSettings:
