@@ -161,7 +161,7 @@ class OpcUaSettings(Strict):
 
 
 class FoxgloveSettings(Strict):
-    """Read-only live stream to Foxglove. It has no authentication; binding to other hosts must be enabled explicitly."""
+    """Read-only live stream to Foxglove. It has no authentication; other hosts must be enabled explicitly."""
 
     enabled: bool = False
     host: str = "127.0.0.1"

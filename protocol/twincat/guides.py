@@ -60,7 +60,8 @@ itself when the PC falls silent. **This link is not a safety channel**: emergenc
 ## From here to the first dry run
 
 1. **Import**: open `twincat/HmPlc.sln`, or take `twincat/` into a PLC project of your own, as docs/import.md says.
-2. **Task**: PlcTask calls MAIN every {p.cycle_ns / 1e6:g} ms. For another cycle change the machine file and export again.
+2. **Task**: PlcTask calls MAIN every {p.cycle_ns / 1e6:g} ms. For another cycle change the machine file and
+   export again.
 3. **Layout**: build, run, look at `MAIN.fbPlc.bLayoutOk`. FALSE latches fault LAYOUT: a struct has another layout than
    here, or limits were edited without a new export. `MAIN.fbPlc.fbSelfCheck` shows which check fails. If none fails and
    `nOddCycles` is 100, the task's cycle is not that of step 2.
@@ -93,8 +94,8 @@ def import_page() -> str:
 twincat/, the task PlcTask at this machine's cycle calling MAIN, and the references Tc2_Standard and Tc2_System.
 
 1. Open twincat/HmPlc.sln. Choose the target system.
-2. FB_HmUdpTf6310 and FB_HmUdpTf6311 are listed and excluded from the build: they need TF6310 (Tc2_TcpIp) and TF6311 with
-   their libraries. To use one, add its library and clear Exclude from build in its properties.
+2. FB_HmUdpTf6310 and FB_HmUdpTf6311 are listed and excluded from the build: they need TF6310 (Tc2_TcpIp) and TF6311
+   with their libraries. To use one, add its library and clear Exclude from build in its properties.
 3. Real-Time: give PlcTask a core of its own where there is one.
 
 Into a project of your own instead (also without the three project files, should your XAE refuse them):

@@ -44,7 +44,7 @@ def mode_of(set_mode: Mode, latest: PlcSample | None) -> Mode:
 
 
 def require_hold(mode: str, body: JobBody, lease: Lease, caller: Caller) -> None:
-    """Whether this may move without being pressed over /v1/hold: only a program may, under a fleet's lease. Never a jog.
+    """Whether this may move without being pressed over /v1/hold: a program may, under a fleet's lease; a jog never.
 
     A person's key is a person, whatever lease it found; without keys the lease alone says what it is.
 
@@ -59,7 +59,11 @@ def require_hold(mode: str, body: JobBody, lease: Lease, caller: Caller) -> None
 
 def jog_refused(mode: Mode, not_commissioned: str) -> str:
     """Why this machine may not jog; empty when it may."""
-    return f"a REAL machine jogs after its commissioning only: {not_commissioned}" if mode == "REAL" and not_commissioned else ""
+    return (
+        f"a REAL machine jogs after its commissioning only: {not_commissioned}"
+        if mode == "REAL" and not_commissioned
+        else ""
+    )
 
 
 def require_commissioned(mode: Mode, body: JobBody, not_commissioned: str) -> None:
@@ -82,7 +86,9 @@ def why_not_commissioned(report_file: str | None, machine_text: str) -> str:
     try:
         text = read_text(Path(report_file))
     except OSError as error:
-        raise SettingsError(f"[jog] commissioning_report {report_file}: {error.strerror}; give a report's .json") from error
+        raise SettingsError(
+            f"[jog] commissioning_report {report_file}: {error.strerror}; give a report's .json"
+        ) from error
     report = from_json(text, f"[jog] commissioning_report {report_file}")
     digest = hashlib.sha256(machine_text.encode()).hexdigest()
     return why_not_passed(report, [step.name for step in STEPS], digest)

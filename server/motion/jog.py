@@ -16,7 +16,20 @@ from server.motion.refusal import Refusal, refused_plan, require_joints
 from server.motion.settings import PlanSettings
 
 JogAxis = Literal[
-    "joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6", "joint_7", "joint_8", "x", "y", "z", "rx", "ry", "rz"
+    "joint_1",
+    "joint_2",
+    "joint_3",
+    "joint_4",
+    "joint_5",
+    "joint_6",
+    "joint_7",
+    "joint_8",
+    "x",
+    "y",
+    "z",
+    "rx",
+    "ry",
+    "rz",
 ]
 TOOL_AXES: tuple[JogAxis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 PRESS_S = 30.0  # of even speed in one press: a button that is stuck does not move the machine for ever

@@ -1,4 +1,4 @@
-"""Jog: in every direction the longest path that ranges, wall and singularity allow, never faster than the jog's speed."""
+"""Jog: the longest path that ranges, wall and singularity allow, never faster than the jog's speed."""
 
 from dataclasses import replace
 
