@@ -166,7 +166,7 @@ class FoxgloveSettings(Strict):
     enabled: bool = False
     host: str = "127.0.0.1"
     port: LocalPort = 8765
-    without_keys: bool = False  # whoever reaches the port may see joints, images and the running job
+    without_keys: bool = False  # any client that reaches the port may see joints, images and the running job
 
 
 class ServerSettings(Strict):

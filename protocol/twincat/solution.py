@@ -23,7 +23,7 @@ _CONFIGURATIONS = tuple(f"{kind}|TwinCAT RT ({cpu})" for kind in ("Debug", "Rele
 
 
 def solution_files(parameters: PlcParameters, paths: Iterable[str]) -> dict[str, bytes]:
-    """The files beside the program's own, path to bytes: task, PLC project, TwinCAT project, solution.
+    """The files in addition to the program's own, path to bytes: task, PLC project, TwinCAT project, solution.
 
     Args: paths: the program's files, such as "POUs/MAIN.TcPOU", with "/".
     """

@@ -28,7 +28,7 @@ class HoldRequiredError(AccessError):
 
 
 class NotCommissionedError(AccessError):
-    """A real machine that nobody has checked does not jog."""
+    """A real machine without a passed commissioning does not jog."""
 
     code = "not_commissioned"
     status = 409
@@ -79,7 +79,7 @@ def require_commissioned(mode: Mode, body: JobBody, not_commissioned: str) -> No
 def why_not_commissioned(report_file: str | None, machine_text: str) -> str:
     """Why the report of the settings does not show that this machine is commissioned; empty when it does.
 
-    Raises: SettingsError: the file cannot be read, or is no report.
+    Raises: SettingsError: the file cannot be read, or is not a report.
     """
     if report_file is None:
         return "[jog] commissioning_report is not set"

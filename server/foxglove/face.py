@@ -92,7 +92,7 @@ class FoxgloveFace:
             await asyncio.sleep(PERIOD_S)
 
     def publish(self, now_ns: int, utc_ns: int) -> None:
-        """What has come since the last call. Returns at once, however slow a viewer is."""
+        """What has come since the last call. Returns immediately, however slow a viewer is."""
         cell, offset_ns = self._service.cell, utc_ns - now_ns
         latest, preview = cell.link.latest, cell.vision.latest_preview
         if latest is not None and latest.t_mono_ns != self._sample_ns:

@@ -33,7 +33,7 @@ JogAxis = Literal[
 ]
 TOOL_AXES: tuple[JogAxis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 PRESS_S = 30.0  # of even speed in one press: a button that is stuck does not move the machine for ever
-RESOLUTION_M, RESOLUTION_RAD = 1e-3, 5e-4  # where the path is cut at what limits it; less than this is no motion
+RESOLUTION_M, RESOLUTION_RAD = 1e-3, 5e-4  # where the path is cut at what limits it; a shorter path is refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class JogSpeed:
 
 @dataclass(frozen=True, slots=True)
 class JogPlan:
-    """The path, or why there is none; `ends_by`: what limits it, empty when only the length of one press does."""
+    """The path, or the reason for a refusal; `ends_by`: what limits it, empty when only the length of one press does."""
 
     path: PathPlan
     ends_by: str
