@@ -46,7 +46,7 @@ class JogSpeed:
 
 @dataclass(frozen=True, slots=True)
 class JogPlan:
-    """The path, or the reason for a refusal; `ends_by`: what limits it, empty when only the length of one press does."""
+    """The path, or the reason for a refusal; `ends_by`: what limits it, empty when only one press's length does."""
 
     path: PathPlan
     ends_by: str
