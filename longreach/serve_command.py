@@ -67,13 +67,15 @@ def addresses_of(settings: "ServerSettings") -> "tuple[Address, ...]":
     """All that the server listens on."""
     from longreach.addresses import Address
 
-    http, plc, opcua = settings.http, settings.plc, settings.opcua
+    http, plc = settings.http, settings.plc
     taken_by = "another program, perhaps another server or `longreach commission`; give another one"
     found = (
         Address(http.host, http.port, "--host", "--port"),
         Address.of_plc_link(plc.local_host, plc.local_port, taken_by),
     )
-    return (*found, Address(opcua.host, opcua.port, "[opcua] host", "[opcua] port")) if opcua.enabled else found
+    faces = (("opcua", settings.opcua), ("foxglove", settings.foxglove))
+    wanted = (Address(f.host, f.port, f"[{name}] host", f"[{name}] port") for name, f in faces if f.enabled)
+    return (*found, *wanted)
 
 
 def _with_options(settings: "ServerSettings", options: dict[str, dict[str, object]]) -> "ServerSettings":

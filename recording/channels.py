@@ -7,8 +7,9 @@ from collections import Counter
 
 from mcap.records import Channel, McapRecord, Message, Schema
 
+from recording.foxglove import STRING_NAME
 from recording.messages import CODECS
-from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, LOG_TOPIC, TRANSFORM_TOPIC
+from recording.writer import CALIBRATION_TOPIC, IMAGE_TOPIC, JOINT_TOPIC, LOG_TOPIC, ROBOT_TOPIC, TRANSFORM_TOPIC
 
 ENCODING = "protobuf"
 SCHEMAS = {topic: codec.schema_name for topic, codec in CODECS.items()} | {
@@ -16,7 +17,10 @@ SCHEMAS = {topic: codec.schema_name for topic, codec in CODECS.items()} | {
     CALIBRATION_TOPIC: "foxglove.CameraCalibration",
     TRANSFORM_TOPIC: "foxglove.FrameTransforms",
     LOG_TOPIC: "foxglove.Log",
+    JOINT_TOPIC: "foxglove.JointStates",
+    ROBOT_TOPIC: STRING_NAME,
 }
+ENCODINGS = {ROBOT_TOPIC: ("json", "jsonschema")}  # of message and schema; all others are protobuf
 
 
 class Channels:
@@ -43,7 +47,8 @@ class Channels:
         channel = self._channels[message.channel_id]
         schema = self._schemas.get(channel.schema_id)
         encodings = (channel.message_encoding, "" if schema is None else schema.encoding)
-        ours = SCHEMAS.get(channel.topic) == (schema and schema.name) and encodings == (ENCODING, ENCODING)
+        expected = ENCODINGS.get(channel.topic, (ENCODING, ENCODING))
+        ours = SCHEMAS.get(channel.topic) == (schema and schema.name) and encodings == expected
         if ours and schema is not None and self._fits(channel.topic, schema):
             return channel.topic
         self._foreign[message.channel_id] += 1

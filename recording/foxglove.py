@@ -1,5 +1,6 @@
 """Foxglove's well-known messages, so that Foxglove and Rerun open a recording without any plug-in."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -7,6 +8,7 @@ import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
@@ -15,6 +17,8 @@ from machine.description import StereoCamera
 from machine.rotations import Array
 
 LEFT_FRAME = "cam_left"
+STRING_NAME = "std_msgs/String"  # by this name viewers know a robot's description; no protobuf name may hold a slash
+STRING_SCHEMA = b'{"type": "object", "properties": {"data": {"type": "string"}}}'
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 
 
@@ -51,6 +55,19 @@ def transforms_message(poses: Sequence[FramePose], t_utc_ns: int) -> Message:
         edge.translation.x, edge.translation.y, edge.translation.z = pose.position_m
         edge.rotation.w, edge.rotation.x, edge.rotation.y, edge.rotation.z = pose.quat_wxyz
     return message
+
+
+def joint_states_message(names: Sequence[str], q_rad: Sequence[float], t_utc_ns: int) -> Message:
+    """Encoder angles by the URDF's joint names [rad]."""
+    message = JointStates(timestamp=_stamp(t_utc_ns))
+    for name, position in zip(names, q_rad, strict=True):
+        message.joints.add(name=name, position=position)
+    return message
+
+
+def description_json(urdf: str) -> str:
+    """The robot's description, as JSON of `STRING_SCHEMA`."""
+    return json.dumps({"data": urdf})
 
 
 def calibration_message(camera: StereoCamera, t_utc_ns: int, width_px: int) -> Message:

@@ -24,7 +24,17 @@ from machine.description import StereoCamera
 from recording.clock import mono_ns, mono_s
 from recording.content import Attachment
 from recording.errors import RecordingError
-from recording.foxglove import FramePose, calibration_message, image_message, log_message, transforms_message
+from recording.foxglove import (
+    STRING_NAME,
+    STRING_SCHEMA,
+    FramePose,
+    calibration_message,
+    description_json,
+    image_message,
+    joint_states_message,
+    log_message,
+    transforms_message,
+)
 from recording.messages import CODECS
 from recording.rows import Row
 from recording.run import RunInfo, run_to_toml
@@ -43,6 +53,8 @@ IMAGE_TOPIC = "/camera/left"
 CALIBRATION_TOPIC = "/camera/left/calibration"
 TRANSFORM_TOPIC = "/tf"
 LOG_TOPIC = "/log"
+JOINT_TOPIC = "/joint_states"
+ROBOT_TOPIC = "/robot_description"
 
 _log = logging.getLogger(__name__)
 
@@ -50,7 +62,7 @@ _log = logging.getLogger(__name__)
 @dataclass(frozen=True, slots=True)
 class _Entry:
     topic: str
-    content: Row | Message
+    content: Row | Message | str  # text: JSON, of the robot's description
     log_ns: int
     publish_ns: int
 
@@ -139,6 +151,14 @@ class RunWriter:
         """Write edges of the transform tree."""
         self._put_number(TRANSFORM_TOPIC, transforms_message(poses, self._utc(t_mono_ns)), t_mono_ns)
 
+    def joint_states(self, names: Sequence[str], q_rad: Sequence[float], t_mono_ns: int) -> None:
+        """Write encoder angles by the URDF's joint names [rad]: a viewer moves the robot of `robot` by them."""
+        self._put_number(JOINT_TOPIC, joint_states_message(names, q_rad, self._utc(t_mono_ns)), t_mono_ns)
+
+    def robot(self, urdf: str, t_mono_ns: int) -> None:
+        """Write the robot's description, for viewers that draw it."""
+        self._put_number(ROBOT_TOPIC, description_json(urdf), t_mono_ns)
+
     def log(self, level: str, text: str, t_mono_ns: int) -> None:
         """Write one line of the log; level is debug, info, warning or error."""
         self._put_number(LOG_TOPIC, log_message(level, text, self._utc(t_mono_ns)), t_mono_ns)
@@ -214,7 +234,7 @@ class RunWriter:
         return t_mono_ns + self._mono_to_utc_ns
 
     def _put_number(
-        self, topic: str, content: Row | Message, t_mono_ns: int, t_source_mono_ns: int | None = None
+        self, topic: str, content: Row | Message | str, t_mono_ns: int, t_source_mono_ns: int | None = None
     ) -> None:
         if self._error or self._closing.is_set():
             return
@@ -287,7 +307,7 @@ class RunWriter:
 
     def _write(self, entry: _Entry) -> None:
         content = entry.content
-        data = CODECS[entry.topic].encode(content) if isinstance(content, Row) else content.SerializeToString()
+        data = _bytes_of(entry.topic, content)
         if not 0 <= entry.log_ns <= TIME_MOST_NS:
             limits = f"outside 0 .. {TIME_MOST_NS} ns since 1970"
             raise RecordingError(f"channel {entry.topic}: log time {entry.log_ns} ns is {limits}; set the PC's clock")
@@ -306,8 +326,9 @@ class RunWriter:
     def _channel(self, entry: _Entry) -> int:
         if entry.topic not in self._channels:
             name, schema = _schema_of(entry.topic, entry.content)
-            schema_id = self._writer.register_schema(name, "protobuf", schema)
-            self._channels[entry.topic] = self._writer.register_channel(entry.topic, "protobuf", schema_id)
+            message, described = ("json", "jsonschema") if isinstance(entry.content, str) else ("protobuf", "protobuf")
+            schema_id = self._writer.register_schema(name, described, schema)
+            self._channels[entry.topic] = self._writer.register_channel(entry.topic, message, schema_id)
         return self._channels[entry.topic]
 
     def _attach(self, attachment: Attachment) -> None:
@@ -315,7 +336,15 @@ class RunWriter:
         self._writer.add_attachment(now_ns, now_ns, attachment.name, attachment.media_type, attachment.data)
 
 
-def _schema_of(topic: str, content: Row | Message) -> tuple[str, bytes]:
+def _bytes_of(topic: str, content: Row | Message | str) -> bytes:
+    if isinstance(content, str):
+        return content.encode()
+    return CODECS[topic].encode(content) if isinstance(content, Row) else content.SerializeToString()
+
+
+def _schema_of(topic: str, content: Row | Message | str) -> tuple[str, bytes]:
+    if isinstance(content, str):
+        return STRING_NAME, STRING_SCHEMA
     if isinstance(content, Row):
         codec = CODECS[topic]
         return codec.schema_name, codec.schema

@@ -20,11 +20,13 @@ from server.access.hosts import is_loopback
 from server.access.keys import KeyRing
 from server.api.application import Served, application
 from server.api.connection_limit import BACKLOG, QUEUE, ExhaustionLog
+from server.api.hold_rule import why_not_commissioned
 from server.api.panel import install_panel
 from server.api.slow_clients import PatientProtocol
 from server.api.state_view import result_data
 from server.camera.client import VisionClient
 from server.errors import SettingsError
+from server.foxglove.face import check_foxglove, foxglove_face
 from server.inner_faults import PART_FAILED
 from server.jobs.calibration_store import FILE_NAME, CalibrationStore
 from server.jobs.cell import Cell
@@ -55,6 +57,7 @@ STOP_S = 5.0  # longest wait for a running job's end before everything else is c
 def build_cell(settings: ServerSettings) -> Cell:
     """Everything for one machine, not yet started."""
     machine_text = read_machine_text(settings.machine_file)
+    not_commissioned = why_not_commissioned(settings.jog.commissioning_report, machine_text)
     source, machine = source_and_machine(settings.camera, parse_machine_toml(machine_text))
     if settings.camera.calibration is not None:
         machine_text = machine_text_with(machine_text, machine.camera)  # recordings say what their pictures were
@@ -66,6 +69,7 @@ def build_cell(settings: ServerSettings) -> Cell:
         link=LinkClient(link_settings(settings), machine),
         vision=VisionClient(vision_settings(source, settings.camera, machine.camera), machine),
         recorder=Recorder(Path(settings.recording.folder), machine, images=settings.recording.images),
+        not_commissioned=not_commissioned,
     )
 
 
@@ -90,6 +94,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     """The ASGI application; link and vision processes live as long as it does."""
     gatekeeper = gatekeeper_of(settings.http)
     check_opcua(settings.opcua)
+    check_foxglove(settings.foxglove)
     cell = build_cell(settings)
     folder = Path(settings.recording.folder)
     keeper = Keeper(Database(folder / DATABASE_NAME), result_data)
@@ -104,7 +109,7 @@ def build_app(settings: ServerSettings) -> FastAPI:
     @asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncIterator[None]:
         # OPC UA first: its address space is seconds of work, done before any sample waits for this loop.
-        async with opcua_face(service, settings.opcua), machine_side():
+        async with opcua_face(service, settings.opcua), foxglove_face(service, settings.foxglove), machine_side():
             yield
             gc.unfreeze()
 

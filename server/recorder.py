@@ -114,14 +114,16 @@ class Recorder:
         self._run = RunInfo(run_id, now.isoformat(timespec="seconds"), seed, pc_to_utc_offset_s=utc_minus_mono_s)
         self._plc_offset_ns = self._camera_offset_ns = self._first_plc_ns = None
         self._segments, self._open_segment, self._marks = [], None, ((), 0)
+        urdf = urdf_text(self._machine)
         attachments = [
             Attachment("machine.toml", "application/toml", machine_toml.encode()),
             Attachment("settings.json", "application/json", settings_json.encode()),
-            Attachment("machine.urdf", "application/xml", urdf_text(self._machine).encode()),
+            Attachment("machine.urdf", "application/xml", urdf.encode()),
         ]
         path = self._folder / f"{now:%Y%m%dT%H%M%S}-{run_id}.mcap"
         try:
             self._writer = RunWriter(path, self._run, attachments, self._metadata(seed), open_wait_s=DISK_WAIT_S)
+            self._writer.robot(urdf, mono_ns())
             self._problem, self._last = "", None
         except RecordingError as error:
             self._problem = str(error)
@@ -152,6 +154,8 @@ class Recorder:
         writer.row(plc_row(sample), sample.t_mono_ns, sample.t_plc_ns + self._plc_offset_ns)
         if sample.t_mono_ns - self._transforms_ns >= TRANSFORM_PERIOD_NS:
             self._transforms_ns = sample.t_mono_ns
+            names = [joint.name for joint in self._machine.joints]
+            writer.joint_states(names, sample.q_rad[: len(names)], sample.t_mono_ns)
             writer.transforms(frame_poses(self._chain, self._machine.T_tcp_cam_left, sample.q_rad), sample.t_mono_ns)
 
     def _begin_anew(self) -> None:

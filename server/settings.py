@@ -23,8 +23,10 @@ __all__ = [
     "CompensationSettings",
     "DeviceCameraSettings",
     "FileCameraSettings",
+    "FoxgloveSettings",
     "HttpCameraSettings",
     "HttpSettings",
+    "JogSettings",
     "LookSettings",
     "OpcUaSettings",
     "PlcSettings",
@@ -127,6 +129,14 @@ class ClosedLoopSettings(Strict):
     passes_max: Annotated[int, Field(ge=1, le=5)] = 3
 
 
+class JogSettings(Strict):
+    """Jog, one joint or one tool axis while a button is held. A REAL machine jogs only with a passed commissioning."""
+
+    speed_mm_s: Annotated[float, Field(gt=0.0, le=50.0)] = 30.0  # of the tool
+    turn_speed_deg_s: Annotated[float, Field(gt=0.0, le=5.0)] = 2.0  # of a joint, and of the tool's turn
+    commissioning_report: str | None = None  # the .json of `longreach commission`: all steps passed on this machine
+
+
 class CompensationSettings(Strict):
     """A diagnosed machine whose effects are compensated; off without a file."""
 
@@ -150,6 +160,15 @@ class OpcUaSettings(Strict):
     without_keys: bool = False  # whoever reaches the port may read joints, faults and the running job
 
 
+class FoxgloveSettings(Strict):
+    """Read-only live stream to Foxglove. It has no authentication; other hosts must be enabled explicitly."""
+
+    enabled: bool = False
+    host: str = "127.0.0.1"
+    port: LocalPort = 8765
+    without_keys: bool = False  # any client that reaches the port may see joints, images and the running job
+
+
 class ServerSettings(Strict):
     """Everything the server needs to know before it starts."""
 
@@ -162,9 +181,11 @@ class ServerSettings(Strict):
     position: PositionSettings = PositionSettings()
     calibration: CalibrationSettings = CalibrationSettings()
     closed_loop: ClosedLoopSettings = ClosedLoopSettings()
+    jog: JogSettings = JogSettings()
     compensation: CompensationSettings = CompensationSettings()
     recording: RecordingSettings = RecordingSettings()
     opcua: OpcUaSettings = OpcUaSettings()
+    foxglove: FoxgloveSettings = FoxgloveSettings()
 
 
 def read_settings(path: Path | None) -> ServerSettings:

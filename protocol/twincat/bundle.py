@@ -20,6 +20,7 @@ from protocol.twincat.golden_pages import golden_json, golden_page
 from protocol.twincat.gvl import gvls
 from protocol.twincat.parameters import PlcParameters
 from protocol.twincat.pou import Pou, parse_pou
+from protocol.twincat.solution import solution_files
 from protocol.wireshark import lua_dissector
 
 MANIFEST = "MANIFEST.txt"
@@ -200,7 +201,9 @@ def bundle(parameters: PlcParameters, sources: Mapping[str, str]) -> dict[str, b
     files = {path: text.encode("utf-8") for path, text in texts.items()}
     files["vectors/eap.pcap"] = golden_pcap(parameters, eap=True)
     files["vectors/raw.pcap"] = golden_pcap(parameters, eap=False)
-    files |= {f"twincat/{path}": data for path, data in project(parameters, sources).items()}
+    program = project(parameters, sources)
+    program |= solution_files(parameters, program)
+    files |= {f"twincat/{path}": data for path, data in program.items()}
     files = {path: files[path] for path in sorted(files)}
     return {**files, MANIFEST: _manifest(parameters, files)}
 

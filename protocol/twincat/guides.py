@@ -13,7 +13,8 @@ Nothing here has run on a real TwinCAT runtime or a real machine. Verified: test
 parallel with the simulated PLC, and it sends the same bytes; an independent parser reads every file; Wireshark's own
 dissector decodes the EAP frames. To be confirmed on the machine:
 
-- that XAE imports the files as they are and compiles them, and that every SIZEOF is as here (`bLayoutOk`);
+- that XAE imports the files as they are and compiles them, that it opens HmPlc.sln (never tried: two other readers list
+  every file of it), and that every SIZEOF is as here (`bLayoutOk`);
 - the EAP state-machine byte (we send 0 and ignore it), the meaning of VarState's bits, whether TwinCAT checks the
   frame's length;
 - FB_HmUdpTf6310 and FB_HmUdpTf6311, which have been parsed but never run; the size limit of TF6311 (1304 bytes are
@@ -58,8 +59,9 @@ itself when the PC falls silent. **This link is not a safety channel**: emergenc
 
 ## From here to the first dry run
 
-1. **Import** `twincat/` into a PLC project, as docs/import.md says.
-2. **Task**: call MAIN every {p.cycle_ns / 1e6:g} ms. For another cycle change the machine file and export again.
+1. **Import**: open `twincat/HmPlc.sln`, or take `twincat/` into a PLC project of your own, as docs/import.md says.
+2. **Task**: PlcTask calls MAIN every {p.cycle_ns / 1e6:g} ms. For another cycle change the machine file and
+   export again.
 3. **Layout**: build, run, look at `MAIN.fbPlc.bLayoutOk`. FALSE latches fault LAYOUT: a struct has another layout than
    here, or limits were edited without a new export. `MAIN.fbPlc.fbSelfCheck` shows which check fails. If none fails and
    `nOddCycles` is 100, the task's cycle is not that of step 2.
@@ -72,7 +74,7 @@ itself when the PC falls silent. **This link is not a safety channel**: emergenc
 {_WATCH_LIST}
 ## What is in the folder
 
-- `twincat/`: data types and constants (generated), blocks and MAIN (written by hand);
+- `twincat/`: data types and constants (generated), blocks and MAIN (written by hand), task, project and solution;
 - `eap/configuration-sheet.md`: what to type into XAE;
 - `wireshark/hmlink.lua`: shows every field, in raw datagrams and inside EAP frames;
 - `c/hmlink.h`: the messages for C and C++;
@@ -88,16 +90,23 @@ def import_page() -> str:
     return """\
 # Import into TwinCAT
 
-There is no project file: add the files to a PLC project of your own (TwinCAT 3.1, build 4024 or newer).
+`twincat/HmPlc.sln` opens in TwinCAT XAE (3.1, build 4024 or newer) as a whole: one PLC project with every file of
+twincat/, the task PlcTask at this machine's cycle calling MAIN, and the references Tc2_Standard and Tc2_System.
 
-1. Create a Standard PLC Project, or take yours. Delete its MAIN, or keep it and leave our MAIN.TcPOU out: then call
-   FB_HmPlc from yours as our MAIN does.
-2. Right-click DUTs > Add > Existing Item: all files in twincat/DUTs.
-3. Right-click GVLs > Add > Existing Item: all files in twincat/GVLs.
-4. Right-click POUs > Add > Existing Item: all files in twincat/POUs. But leave FB_HmUdpTf6310 out without TF6310's
-   library (Tc2_TcpIp), and FB_HmUdpTf6311 without TF6311's libraries: they do not compile without.
+1. Open twincat/HmPlc.sln. Choose the target system.
+2. FB_HmUdpTf6310 and FB_HmUdpTf6311 are listed and excluded from the build: they need TF6310 (Tc2_TcpIp) and TF6311
+   with their libraries. To use one, add its library and clear Exclude from build in its properties.
+3. Real-Time: give PlcTask a core of its own where there is one.
+
+Into a project of your own instead (also without the three project files, should your XAE refuse them):
+
+4. Right-click DUTs, GVLs, POUs > Add > Existing Item: all files in twincat/DUTs, twincat/GVLs, twincat/POUs. Leave MAIN
+   out where you have one, and call FB_HmPlc from yours as our MAIN does. Leave out the two blocks of step 2.
 5. References: Tc2_Standard, Tc2_System.
 6. PlcTask calls MAIN; set its cycle as in README.md.
+
+Then, either way:
+
 7. Bind GVL_HmIo: the EAP variables as in eap/configuration-sheet.md; bEnable, bLeverTaken and bEstop to their switches;
    until MAIN sets bPanelValid from the state of their terminal nothing arms. In MAIN, where it says "here", scale this
    machine's encoders and pressures into stSample, and aValves to its valves.

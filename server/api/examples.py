@@ -277,6 +277,7 @@ EXAMPLES: dict[str, Example] = {
     "VersionView": _VERSION,
     "VersionsView": {"in_use": VERSION_ID, "problem": "", "versions": [_VERSION], "compared": [_COMPARED]},
     "LeaseRequest": {"owner": "fleet 1", "kind": "fleet", "ttl_s": 15.0},
+    "JogRequest": {"kind": "jog", "axis": "joint_2", "direction": 1},
     "LeaseView": _LEASE,
     "LineRequest": {"kind": "line", "variant": "fit"},
     "LinkView": _LINK,

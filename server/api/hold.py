@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from recording.clock import mono_ns
 from server.api.callers import caller_of, request_id_of
+from server.api.hold_rule import mode_of, require_commissioned
 from server.api.panel_memory import PanelMemory
 from server.api.panel_origin import accepted
 from server.errors import ServerError
@@ -88,6 +89,8 @@ async def _serve(socket: WebSocket, service: JobService, memory: PanelMemory) ->
             text = await socket.receive_text()
         press = Press.model_validate_json(text)
         lease = service.engine.leases.check(press.lease_id, press.fencing)
+        cell = service.cell
+        require_commissioned(mode_of(cell.settings.mode, cell.link.latest), press.press, cell.not_commissioned)
         job = await service.start(press.press, lease, Command(caller_of(socket), request_id_of(socket)))
     except (ServerError, LinkError) as error:
         return await _tell(socket, refused=str(error), code=getattr(error, "code", "link"))

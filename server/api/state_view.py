@@ -7,7 +7,7 @@ import numpy as np
 
 from recording.clock import mono_ns
 from server.api.calibration_view import calibration_view
-from server.api.hold_rule import mode_of
+from server.api.hold_rule import jog_refused, mode_of
 from server.api.lease_views import control_view
 from server.api.views import (
     CameraView,
@@ -103,6 +103,7 @@ def steps(cell: Cell, engine: JobEngine, store_problem: str = "") -> dict[str, s
     """For each step the reason why it is not possible now; empty when it is."""
     common = _blocked(cell, engine) or (f"the database cannot be written: {store_problem}" if store_problem else "")
     look = cell.knowledge.last_look
+    mode = mode_of(cell.settings.mode, cell.link.latest)
     no_look = "" if look is not None and look.error is not None else "look first"
     return {
         "look": common,
@@ -114,6 +115,7 @@ def steps(cell: Cell, engine: JobEngine, store_problem: str = "") -> dict[str, s
         "retract": common,
         "return": common or ("" if cell.knowledge.q_start is not None else "no run has begun yet"),
         "park": common or why_no_park(cell.machine) or ("" if cell.knowledge.looked else "look first"),
+        "jog": common or jog_refused(mode, cell.not_commissioned),
         "stop": "",
     }
 

@@ -71,6 +71,22 @@ def from_json(text: str, subject: str) -> Report:
     return report
 
 
+def why_not_passed(report: Report, steps: Sequence[str], machine_sha256: str) -> str:
+    """Why a report does not show that this machine is commissioned; empty when it does.
+
+    Args: steps: names of all steps of the check list; machine_sha256: of the machine file in use.
+    """
+    if report.machine_sha256 != machine_sha256:
+        return f"the report is of another machine file ({report.machine_sha256[:12]}, in use {machine_sha256[:12]})"
+    if report.simulation:
+        return "the report is of a simulated machine"
+    passed = {result.name for result in report.all_results if result.verdict is Verdict.PASS}
+    open_steps = [name for name in steps if name not in passed]
+    if open_steps:
+        return f"{len(open_steps)} of {len(steps)} steps have not passed: {', '.join(open_steps)}"
+    return "" if report.complete else "the report was interrupted"
+
+
 def to_markdown(report: Report) -> str:
     """The report for people: verdicts first, then every step with its figures."""
     rows = "\n".join(

@@ -4,6 +4,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from server.motion.jog import JogAxis
+
 
 class JobRequest(BaseModel):
     """Body of a job request without parameters of its own: exact types, nothing undeclared, no NaN or infinity."""
@@ -90,6 +92,14 @@ class RetractRequest(JobRequest):
 
     kind: Literal["retract"]
     distance_mm: float = Field(default=300.0, ge=10.0, le=1000.0)
+
+
+class JogRequest(JobRequest):
+    """Move one joint, or along (x, y, z) or about (rx, ry, rz) one axis of the tool, slowly: over /v1/hold only."""
+
+    kind: Literal["jog"]
+    axis: JogAxis = Field(description="`joint_1` is the first from the base; the tool's axes are those of the tcp")
+    direction: Literal[-1, 1]
 
 
 class ReturnRequest(JobRequest):

@@ -25,6 +25,7 @@ from server.jobs.keeper import FindingLog, Keeper
 from server.jobs.knowledge import LookTaken, PreviewedPlan
 from server.jobs.plans.calibrating import calibrate
 from server.jobs.plans.identifying import drive_identification, plan_identification
+from server.jobs.plans.jogging import jog
 from server.jobs.plans.line import line_run
 from server.jobs.plans.looking import take_look
 from server.jobs.plans.moving import check_executable, execute, preview
@@ -37,6 +38,7 @@ from server.jobs.request_bodies import (
     CalibrateRequest,
     ExecuteRequest,
     IdentifyRequest,
+    JogRequest,
     LineRequest,
     LookRequest,
     OrientRequest,
@@ -66,6 +68,7 @@ JobBody = (
     | PlanIdentifyRequest
     | IdentifyRequest
     | RetractRequest
+    | JogRequest
     | ReturnRequest
     | ParkRequest
 )
@@ -228,6 +231,8 @@ class JobService:
                 return drive_identification(ctx, *self.identification.executable(body, mono_ns()))
             case RetractRequest():
                 return retract(ctx, body.distance_mm)
+            case JogRequest():
+                return jog(ctx, body.axis, body.direction)
             case ReturnRequest():
                 return return_to_start(ctx)
             case ParkRequest():

@@ -12,29 +12,27 @@ import pytest
 
 from longreach.export_command import plc_parameters, st_sources
 from protocol.twincat.bundle import project
+from protocol.twincat.solution import NAME, solution_files
 from server.settings import read_machine
 
 pytestmark = [
     pytest.mark.slow,  # blark takes seconds a block
     pytest.mark.skipif(find_spec("blark") is None, reason="blark is not installed (pip install blark)"),
 ]
-FILES = project(plc_parameters(read_machine("hiab033"), "192.168.0.10.1.1", "192.168.0.20.1.1"), st_sources())
+PARAMETERS = plc_parameters(read_machine("hiab033"), "192.168.0.10.1.1", "192.168.0.20.1.1")
+FILES = project(PARAMETERS, st_sources())
 LONG_BYTES = 7500  # longer blocks take seconds each: in make test-slow
 _LIST = re.compile(rb"(?:16#[0-9A-F_]+,\s*){100,}")
 
 
 def written(folder: Path, files: Iterable[str]) -> Path:
-    """A project file around the exported files, so that one call reads all of them."""
+    """The project file as delivered, around some of the exported files, so that one call reads all of them."""
     folder.mkdir(exist_ok=True)
-    items = []
-    for path in files:
+    chosen = {path: shortened(FILES[path]) for path in files}
+    for path, data in (chosen | solution_files(PARAMETERS, chosen)).items():
         (folder / path).parent.mkdir(exist_ok=True)
-        (folder / path).write_bytes(shortened(FILES[path]))
-        items.append(f'<Compile Include="{path.replace("/", chr(92))}"/>')
-    scheme = 'xmlns="http://schemas.microsoft.com/developer/msbuild/2003"'
-    target = folder / "all.plcproj"
-    target.write_text(f"<Project {scheme}><ItemGroup>{''.join(items)}</ItemGroup></Project>")
-    return target
+        (folder / path).write_bytes(data)
+    return folder / f"{NAME}.plcproj"
 
 
 def shortened(data: bytes) -> bytes:
@@ -61,6 +59,13 @@ def assert_read(folder: Path, paths: Iterable[str]) -> None:
 def test_some_of_every_kind_is_read(tmp_path: Path) -> None:
     kinds = ("DUTs/ST_HmCmd.TcDUT", "DUTs/U_HmCmd.TcDUT", "DUTs/E_HmReject.TcDUT", "GVLs/GVL_HmIo.TcGVL")
     assert_read(tmp_path, (*kinds, "POUs/FB_HmJointPT1.TcPOU", "POUs/F_HmClamp.TcPOU"))
+
+
+def test_the_solution_leads_to_the_files(tmp_path: Path) -> None:
+    paths = ["POUs/F_HmClamp.TcPOU", "GVLs/GVL_HmIo.TcGVL", "DUTs/ST_HmCmd.TcDUT"]
+    code, read, text = blark(written(tmp_path, paths).with_suffix(".sln"))
+    assert code == 0, text
+    assert read == set(paths)
 
 
 @pytest.mark.timeout(1800)

@@ -13,6 +13,7 @@ import { buildErrors, showErrors } from "./errors.js";
 import { showHistory, showJoints, showStory } from "./history.js";
 import { startLogin } from "./login.js";
 import { watchHold } from "./hold.js";
+import { showJog, startJog } from "./jog.js";
 import { showScene, startScene } from "./scene.js";
 import { buildSteps, showSteps } from "./steps.js";
 import { startTabs } from "./tabs.js";
@@ -21,7 +22,7 @@ import { fillTexts, t } from "./texts.js";
 import { startTour } from "./tour.js";
 
 const AGES_MS = 200;
-const PARTS = [showBar, showControl, showErrors, showSteps, showHistory, showStory, showJoints, showAlarms, showDrawer, showScene, describePicture];
+const PARTS = [showBar, showControl, showErrors, showSteps, showJog, showHistory, showStory, showJoints, showAlarms, showDrawer, showScene, describePicture];
 let state = null;
 
 function show() {
@@ -53,6 +54,6 @@ const live = new Live((fresh) => {
   show();
 });
 const fillPage = () => fillTexts(document);
-const STARTED = [fillPage, buildErrors, buildSteps, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startTarget, startScene, startLogin];
+const STARTED = [fillPage, buildErrors, buildSteps, startJog, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startTarget, startScene, startLogin];
 STARTED.forEach((part) => guarded(part, live));
 setInterval(show, AGES_MS);

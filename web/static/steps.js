@@ -107,7 +107,7 @@ const lastLook = () => state.panel.history.at(-1);
 const atGoal = () => lookFresh() && Boolean(lastLook()?.inside);
 const accepted = () => Boolean(lastLook()?.accepted_by);
 
-function reason(kind) {
+export function reason(kind) {
   if (serverSilent()) return t("why_server");
   if (!haveControl(state)) return state.control.owner && !state.control.stale ? t("other_control", { owner: state.control.owner }) : t("no_control");
   if (running()) return jobKind() === (JOB_OF[kind] ?? kind) ? t("why_running") : t("busy_short", { kind: jobKind() });

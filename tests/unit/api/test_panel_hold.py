@@ -2,7 +2,9 @@
 
 import asyncio
 import contextlib
+import hashlib
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -14,12 +16,16 @@ from server.access.lease import LeaseKind
 from server.access.roles import PERSONS, Caller
 from server.api import hold as module
 from server.api.hold import hold_router
-from server.api.hold_rule import HoldRequiredError, mode_of, require_hold
+from server.api.hold_rule import HoldRequiredError, mode_of, require_hold, why_not_commissioned
 from server.api.panel_memory import PanelMemory
+from server.commissioning.check_list import STEPS
+from server.commissioning.contracts import StepResult, Verdict
+from server.commissioning.report import Report, to_json
+from server.errors import SettingsError
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.hold import reply_to
-from server.jobs.request_bodies import ExecuteRequest, LookRequest, ParkRequest, PreviewRequest
+from server.jobs.request_bodies import ExecuteRequest, JogRequest, LookRequest, ParkRequest, PreviewRequest
 from server.jobs.requests import MachineReading
 from server.jobs.service import JobService
 from server.settings import RecordingSettings, ServerSettings
@@ -255,3 +261,96 @@ async def test_the_page_is_told_to_hold_when_the_plc_drives_no_simulation(servic
     assert not memory._hold_state().required
     service.cell.link.latest = SimpleNamespace(simulation=False)
     assert memory._hold_state().required
+
+
+JOG = {"kind": "jog", "axis": "joint_2", "direction": 1}
+
+
+@pytest.mark.parametrize("ending", ["button up", "window lost focus", "page left", "closed tab", "dead network"])
+async def test_a_jog_ends_as_every_hold_does(service, clock, ending):
+    """A hundred presses each, held for 0 to 2 answers."""
+    memory = PanelMemory(service)
+    lease = service.engine.leases.acquire("anna", ttl_s=3600.0)
+    (route,) = hold_router(service, memory).routes
+    for number in range(100):
+        socket = Socket()
+        serving = asyncio.create_task(route.endpoint(socket))
+        socket.say(press=JOG, lease_id=lease.lease_id, fencing=lease.fencing)
+        bond = (await socket.hear("held"))["bond"]
+        for _ in range(number % 3):
+            asked = (await socket.hear("challenge"))["challenge"]
+            socket.say(seq=asked["seq"], reply=reply_to(asked["nonce"]), bond=bond)
+        if ending == "closed tab":
+            socket.vanish()
+        elif ending == "dead network":  # it says nothing more, and time passes
+            clock.ns += 260_000_000
+        else:
+            socket.say(release=ending)
+        await serving
+        job = service.engine.current
+        assert (job.kind, job.state.value) == ("jog", "stopped")
+        assert {"closed tab": "socket closed", "dead network": "silent"}.get(ending, ending) in job.reason
+        assert len(service.cell.link.stops) >= number + 1
+    assert service.cell.link.held_until[-1] is None
+
+
+@pytest.mark.parametrize("mode", ["SIM", "REAL"])
+@pytest.mark.parametrize("kind", LeaseKind)
+def test_a_jog_is_never_a_click_not_even_of_a_program_in_a_simulation(service, mode, kind):
+    lease = service.engine.leases.acquire("anna", kind, 60.0)
+    with pytest.raises(HoldRequiredError, match="held"):
+        require_hold(mode, JogRequest(**JOG), lease, Caller("truck 7", "fleet", by_key=True))
+
+
+async def test_a_real_machine_jogs_only_after_its_commissioning(service):
+    service.cell.link.latest = SimpleNamespace(simulation=False)
+    lease = service.engine.leases.acquire("anna", ttl_s=60.0)
+    (route,) = hold_router(service, PanelMemory(service)).routes
+    pressed = {"press": JOG, "lease_id": lease.lease_id, "fencing": lease.fencing}
+    socket = Socket()
+    socket.say(**pressed)
+    await route.endpoint(socket)
+    assert (await socket.hear("refused"))["code"] == "not_commissioned"
+    assert service.engine.current is None
+    service.cell.not_commissioned = ""
+    socket = Socket()
+    serving = asyncio.create_task(route.endpoint(socket))
+    socket.say(**pressed)
+    await socket.hear("held")
+    socket.vanish()
+    await serving
+    assert service.engine.current.kind == "jog"
+
+
+def a_report(**changed):
+    results = tuple(StepResult(step.name, Verdict.PASS, "", duration_s=1.0) for step in STEPS)
+    digest = hashlib.sha256(b"the machine file").hexdigest()
+    report = Report("crane", "2026-11-29T10:00:00+00:00", "1", "link", 1, digest, False, results, (), {}, complete=True)
+    return replace(report, **changed)
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        ({}, ""),
+        ({"simulation": True}, "simulated"),
+        ({"machine_sha256": "0" * 64}, "another machine file"),
+        ({"complete": False}, "interrupted"),
+        ({"results": ()}, "8 of 8 steps have not passed"),
+        ({"results": (StepResult(STEPS[0].name, Verdict.FAIL, "no"),)}, "link dry run"),
+    ],
+)
+def test_a_commissioning_counts_when_all_of_it_passed_on_this_machine(tmp_path, changed, why):
+    file = tmp_path / "report.json"
+    file.write_text(to_json(a_report(**changed)), encoding="utf-8")
+    found = why_not_commissioned(str(file), "the machine file")
+    assert (why in found) if why else found == ""
+
+
+def test_without_a_report_a_machine_is_not_commissioned_and_a_bad_file_is_refused(tmp_path):
+    assert "not set" in why_not_commissioned(None, "")
+    with pytest.raises(SettingsError, match="commissioning_report"):
+        why_not_commissioned(str(tmp_path / "none.json"), "")
+    (tmp_path / "other.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(SettingsError, match="not a report"):
+        why_not_commissioned(str(tmp_path / "other.json"), "")

@@ -12,6 +12,7 @@ from longreach.export_command import plc_parameters, st_sources
 from protocol.errors import LocalProtocolError
 from protocol.twincat.bundle import bundle, project
 from protocol.twincat.pou import parse_pou
+from protocol.twincat.solution import NAME
 
 SOURCE = """\
 (* purpose; METHOD and END_VAR in a comment are text *)
@@ -175,3 +176,56 @@ def test_no_name_is_one_of_the_compilers_own():
     assert len(declared) > 500
     assert {pair for pair in declared if pair[1].upper() in KEPT} == set()
     assert DECLARED.findall("    nE : DWORD;\nMETHOD Add") == [("", "nE"), ("Add", "")]
+
+
+# The project around the files, read as XML and as text.
+
+MSBUILD = "{http://schemas.microsoft.com/developer/msbuild/2003}"
+
+
+def plc_project():
+    return ElementTree.fromstring(exported()[f"twincat/{NAME}.plcproj"])
+
+
+def test_the_project_lists_every_file_of_the_program_and_no_other():
+    listed = [item.get("Include").replace("\\", "/") for item in plc_project().iter(f"{MSBUILD}Compile")]
+    exported_files = {path.removeprefix("twincat/") for path in exported() if path.startswith("twincat/")}
+    own = {f"{NAME}.plcproj", f"{NAME}.tsproj", f"{NAME}.sln"}
+    assert len(listed) == len(set(listed))
+    assert set(listed) == exported_files - own
+    folders = {item.get("Include") for item in plc_project().iter(f"{MSBUILD}Folder")}
+    assert folders == {path.partition("/")[0] for path in listed if "/" in path}
+
+
+def test_only_the_blocks_that_need_a_product_are_left_out_of_the_build():
+    left_out = {
+        item.get("Include").rpartition("\\")[2].partition(".")[0]
+        for item in plc_project().iter(f"{MSBUILD}Compile")
+        if item.findtext(f"{MSBUILD}ExcludeFromBuild") == "true"
+    }
+    assert left_out == {"FB_HmUdpTf6310", "FB_HmUdpTf6311"}
+    built = "".join(data.decode() for path, data in exported().items() if path.endswith(".TcPOU"))
+    assert len(re.findall(r"FB_HmUdpTf631[01]", built)) > 0
+
+
+def test_the_task_has_the_machines_cycle_and_calls_main():
+    task = ElementTree.fromstring(exported()["twincat/PlcTask.TcTTO"]).find("Task")
+    assert int(task.findtext("CycleTime")) * 1000 == PARAMETERS.cycle_ns
+    assert task.findtext("PouCall/Name") == "MAIN"
+    assert "twincat/POUs/MAIN.TcPOU" in exported()
+
+
+def test_solution_project_and_task_agree():
+    solution = exported()[f"twincat/{NAME}.sln"].decode()
+    (found,) = re.findall(r'^Project\("(\{[^"]+\})"\) = "\w+", "([^"]+)", "(\{[^"]+\})"$', solution, re.MULTILINE)
+    root = ElementTree.fromstring(exported()[f"twincat/{found[1]}"])
+    assert root.find("Project").get("ProjectGUID").upper() == found[2]
+    plc = root.find("Project/Plc/Project")
+    assert f"twincat/{plc.get('PrjFilePath')}" in exported()
+    assert plc.get("GUID") == plc_project().findtext(f"{MSBUILD}PropertyGroup/{MSBUILD}ProjectGuid")
+    task = root.find("Project/System/Tasks/Task")
+    context = plc.find("Instance/Contexts/Context")
+    assert int(task.get("CycleTime")) * 100 == int(context.findtext("CycleTime")) == PARAMETERS.cycle_ns
+    assert task.findtext("Name") == context.findtext("Name") == "PlcTask"
+    ids = re.findall(r"\{[0-9a-fA-F-]{36}\}", exported()[f"twincat/{NAME}.plcproj"].decode())
+    assert len(ids) == len(set(ids))

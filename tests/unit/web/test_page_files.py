@@ -13,7 +13,7 @@ PAGE = (STATIC_FOLDER / "index.html").read_text(encoding="utf-8")
 STYLE = (STATIC_FOLDER / "style.css").read_text(encoding="utf-8")
 TEXTS = (STATIC_FOLDER / "texts.js").read_text(encoding="utf-8")
 #: names of texts that are put together: t(`step_${kind}`) and the like
-MADE_UP = ("step_", "about_", "tour_", "priority_", "why_plc_", "hint_", "gap_")
+MADE_UP = ("step_", "about_", "tour_", "priority_", "why_plc_", "hint_", "gap_", "jog_")
 
 
 class Tags(HTMLParser):

@@ -1,0 +1,173 @@
+"""Project and solution around the exported TwinCAT files: XAE opens them, and builds, in one step.
+
+The forms are those that TwinCAT 3.1 (build 4024) writes. Ids are fixed, so that a newer export replaces an older one.
+"""
+
+import uuid
+from collections.abc import Iterable
+from xml.sax.saxutils import escape, quoteattr
+
+from protocol.twincat.parameters import PlcParameters
+
+NAME = "HmPlc"
+TASK = "PlcTask"
+PRIORITY = 20  # XAE's own for a first PLC task
+LIBRARIES = (("Tc2_Standard", "Beckhoff Automation GmbH"), ("Tc2_System", "Beckhoff Automation GmbH"))
+#: Blocks of other transports than EAP: listed, but left out of the build until their product's library is added.
+LEFT_OUT = frozenset({"FB_HmUdpTf6310", "FB_HmUdpTf6311"})
+_XAE_PROJECT = "{B1E792BE-AA5F-4E3C-8C82-674BF9C0715B}"  # TwinCAT's kind of project in a Visual Studio solution
+_PLC_CLASS = "{08500001-0000-0000-F000-000000000064}"
+_PLC_INSTANCE, _PLC_TASK_POU, _TASK_OBJECT = "#x08502000", "#x08502001", "#x02010030"  # of the first PLC and task
+_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "solution.hmlink.longreach")
+_CONFIGURATIONS = tuple(f"{kind}|TwinCAT RT ({cpu})" for kind in ("Debug", "Release") for cpu in ("x64", "x86"))
+
+
+def solution_files(parameters: PlcParameters, paths: Iterable[str]) -> dict[str, bytes]:
+    """The files in addition to the program's own, path to bytes: task, PLC project, TwinCAT project, solution.
+
+    Args: paths: the program's files, such as "POUs/MAIN.TcPOU", with "/".
+    """
+    listed = (f"{TASK}.TcTTO", *sorted(paths))
+    texts = {
+        f"{TASK}.TcTTO": _task(parameters),
+        f"{NAME}.plcproj": _plc_project(listed),
+        f"{NAME}.tsproj": _twincat_project(parameters),
+        f"{NAME}.sln": _solution(),
+    }
+    return {path: text.encode("utf-8") for path, text in texts.items()}
+
+
+def _id(what: str) -> str:
+    return "{" + str(uuid.uuid5(_NAMESPACE, what)) + "}"
+
+
+def _task(parameters: PlcParameters) -> str:
+    ids = "".join(f"    <{tag}>{_id(tag)}</{tag}>\n" for tag in ("TaskFBGuid", "Fb_init", "Fb_exit", "CycleUpdate"))
+    return f"""\
+<?xml version="1.0" encoding="utf-8"?>
+<TcPlcObject Version="1.1.0.1">
+  <Task Name={quoteattr(TASK)} Id={quoteattr(_id(TASK))}>
+    <!--CycleTime in micro seconds.-->
+    <CycleTime>{parameters.cycle_ns // 1000}</CycleTime>
+    <Priority>{PRIORITY}</Priority>
+    <PouCall>
+      <Name>MAIN</Name>
+    </PouCall>
+{ids}    <PostCycleUpdate>{_id("PostCycleUpdate")}</PostCycleUpdate>
+  </Task>
+</TcPlcObject>
+"""
+
+
+def _plc_project(listed: Iterable[str]) -> str:
+    files = tuple(listed)
+    folders = sorted({path.rpartition("/")[0] for path in files} - {""})
+    options = ("Application", "TypeSystem", "Implicit_Task_Info", "Implicit_KindOfTask", "Implicit_Jitter_Distribution")
+    ids = "".join(f"    <{tag}>{_id(tag)}</{tag}>\n" for tag in (*options, "LibraryReferences"))
+    compiled = "".join(_compiled(path) for path in files)
+    made = "".join(f"    <Folder Include={quoteattr(folder)} />\n" for folder in folders)
+    libraries = "".join(_library(name, company) for name, company in LIBRARIES)
+    return f"""\
+<?xml version="1.0" encoding="utf-8"?>
+<Project DefaultTargets="Build" xmlns="http://schemas.microsoft.com/developer/msbuild/2003">
+  <PropertyGroup>
+    <FileVersion>1.0.0.0</FileVersion>
+    <SchemaVersion>2.0</SchemaVersion>
+    <ProjectGuid>{_id(NAME)}</ProjectGuid>
+    <SubObjectsSortedByName>True</SubObjectsSortedByName>
+    <Name>{NAME}</Name>
+    <ProgramVersion>3.1.4024.0</ProgramVersion>
+{ids}  </PropertyGroup>
+  <ItemGroup>
+{compiled}  </ItemGroup>
+  <ItemGroup>
+{made}  </ItemGroup>
+  <ItemGroup>
+{libraries}  </ItemGroup>
+</Project>
+"""
+
+
+def _compiled(path: str) -> str:
+    block = path.rpartition("/")[2].partition(".")[0]
+    left_out = "      <ExcludeFromBuild>true</ExcludeFromBuild>\n" if block in LEFT_OUT else ""
+    windows = path.replace("/", "\\")
+    return f"    <Compile Include={quoteattr(windows)}>\n      <SubType>Code</SubType>\n{left_out}    </Compile>\n"
+
+
+def _library(name: str, company: str) -> str:
+    return f"""\
+    <PlaceholderReference Include={quoteattr(name)}>
+      <DefaultResolution>{escape(f"{name}, * ({company})")}</DefaultResolution>
+      <Namespace>{name}</Namespace>
+    </PlaceholderReference>
+"""
+
+
+def _twincat_project(parameters: PlcParameters) -> str:
+    schema = "http://www.beckhoff.com/schemas/2012/07/TcSmProject"
+    files = f'PrjFilePath="{NAME}.plcproj" TmcFilePath="{NAME}.tmc" ReloadTmc="true"'
+    cycle_100ns, cycle_ns = parameters.cycle_ns // 100, parameters.cycle_ns
+    return f"""\
+<?xml version="1.0"?>
+<TcSmProject xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:noNamespaceSchemaLocation="{schema}" \
+TcSmVersion="1.0" TcVersion="3.1.4024.0">
+  <Project ProjectGUID="{_id("tsproj")}" Target64Bit="true" ShowHideConfigurations="#x3c7">
+    <System>
+      <Tasks>
+        <Task Id="3" Priority="{PRIORITY}" CycleTime="{cycle_100ns}" AmsPort="350" AdtTasks="true">
+          <Name>{TASK}</Name>
+        </Task>
+      </Tasks>
+    </System>
+    <Plc>
+      <Project GUID="{_id(NAME)}" Name="{NAME}" {files} AmsPort="851" FileArchiveSettings="#x000e" \
+SymbolicMapping="true">
+        <Instance Id="{_PLC_INSTANCE}" TcSmClass="TComPlcObjDef" KeepUnrestoredLinks="2" TmcPath="{NAME}.tmc">
+          <Name>{NAME} Instance</Name>
+          <CLSID ClassFactory="TcPlc30">{_PLC_CLASS}</CLSID>
+          <Contexts>
+            <Context>
+              <Id>0</Id>
+              <Name>{TASK}</Name>
+              <ManualConfig>
+                <OTCID>{_TASK_OBJECT}</OTCID>
+              </ManualConfig>
+              <Priority>{PRIORITY}</Priority>
+              <CycleTime>{cycle_ns}</CycleTime>
+            </Context>
+          </Contexts>
+          <TaskPouOids>
+            <TaskPouOid Prio="{PRIORITY}" OTCID="{_PLC_TASK_POU}"/>
+          </TaskPouOids>
+        </Instance>
+      </Project>
+    </Plc>
+  </Project>
+</TcSmProject>
+"""
+
+
+def _solution() -> str:
+    project = _id("tsproj").upper()
+    known = "".join(f"\t\t{each} = {each}\n" for each in _CONFIGURATIONS)
+    built = "".join(
+        f"\t\t{project}.{each}.{what} = {each}\n" for each in _CONFIGURATIONS for what in ("ActiveCfg", "Build.0")
+    )
+    return f"""\
+Microsoft Visual Studio Solution File, Format Version 12.00
+# TcXaeShell Solution File, Format Version 11.00
+VisualStudioVersion = 15.0.27130.2036
+MinimumVisualStudioVersion = 10.0.40219.1
+Project("{_XAE_PROJECT}") = "{NAME}", "{NAME}.tsproj", "{project}"
+EndProject
+Global
+\tGlobalSection(SolutionConfigurationPlatforms) = preSolution
+{known}\tEndGlobalSection
+\tGlobalSection(ProjectConfigurationPlatforms) = postSolution
+{built}\tEndGlobalSection
+\tGlobalSection(SolutionProperties) = preSolution
+\t\tHideSolutionNode = FALSE
+\tEndGlobalSection
+EndGlobal
+"""

@@ -1,0 +1,1 @@
+"""Live view for Foxglove: read-only, off by default."""
