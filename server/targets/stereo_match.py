@@ -102,3 +102,27 @@ def fine_disparities(
     row = (rays[:, 1] - seen[:, 1]) * camera.fy_px
     good = found.good & (np.abs(row) < ROWS_OFF_PX)
     return FineMatch((rays[:, 0] - seen[:, 0]) * camera.fx_px, row, found.points_px, good)
+
+
+def noise_grey(image: Image | Array) -> float:
+    """Standard deviation of an image's noise [grey]; fine texture counts as noise.
+
+    Source:  the Laplacian mask of Immerkaer 1996.
+    """
+    mask = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
+    filtered = cv2.filter2D(image.astype(np.float64), -1, mask)[1:-1, 1:-1]
+    return float(np.sqrt(np.pi / 2.0) / 6.0 * np.abs(filtered).mean())
+
+
+def texture_sigma_px(image: Image, pixel: tuple[float, float], radius_px: float) -> float:
+    """Cramer-Rao bound of the disparity of the whole patch from its gradient along the row [px].
+
+    Source:  sigma_d^2 = 2 sigma_n^2 / sum g_x^2.
+    """
+    half = int(np.ceil(min(radius_px, 60.0)))
+    u, v = round(pixel[0]), round(pixel[1])
+    window = image[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1].astype(np.float64)
+    noise = noise_grey(window)
+    gradient = 0.5 * (window[:, 2:] - window[:, :-2])
+    signal = max(float(np.sum(gradient**2)) - 0.5 * noise**2 * gradient.size, 1e-9)  # its own noise taken off
+    return float(np.sqrt(2.0 * max(noise, 0.3) ** 2 / signal))
