@@ -17,7 +17,9 @@ from recording.clock import SUSPENDED, mono_ns
 from recording.spawn import out_of_the_terminals_reach
 from server.calibration.contracts import CameraTrack
 from server.camera.contracts import (
+    FindMarksCommand,
     FrameReport,
+    MarksFound,
     MeasureTargetCommand,
     OdometryCommand,
     OdometryMap,
@@ -74,7 +76,7 @@ class VisionClient:
         self._pose_source: PoseSourceName = "stereo"
         self._track: TrackCollector | None = None
         self._target: AnchoredTarget | None = None
-        self._measured: TargetMeasured | None = None
+        self._measured: TargetMeasured | MarksFound | None = None
         self._requests = 0
         self._runs = self._map_wanted = 0  # of odometry
         self.stream_text = STARTING
@@ -182,9 +184,25 @@ class VisionClient:
 
         Raises: CameraError: the vision process does not answer.
         """
-        self._requests += 1
-        number = self._requests
-        self._send(MeasureTargetCommand(number, sequence, pixel, roll_rad))
+        answer = await self._answered(MeasureTargetCommand(self._requests + 1, sequence, pixel, roll_rad))
+        if not isinstance(answer, TargetMeasured):
+            raise CameraError("another target was measured in the meantime; choose again")
+        return answer.found
+
+    async def find_marks(self, sequence: int, diameters_m: tuple[float, ...]) -> MarksFound:
+        """Find drill holes and rings in a pair that was shown.
+
+        Raises: CameraError: the vision process does not answer.
+        """
+        answer = await self._answered(FindMarksCommand(self._requests + 1, sequence, diameters_m))
+        if not isinstance(answer, MarksFound):
+            raise CameraError("another target was measured in the meantime; search again")
+        self._requests += len(answer.marks)  # the marks' targets have these numbers
+        return answer
+
+    async def _answered(self, command: MeasureTargetCommand | FindMarksCommand) -> TargetMeasured | MarksFound:
+        number = self._requests = command.request
+        self._send(command)
         try:
             async with asyncio.timeout(MEASURE_S):
                 await self._until(lambda: self._measured is not None and self._measured.request >= number)
@@ -192,7 +210,7 @@ class VisionClient:
             raise CameraError(f"target was not measured within {MEASURE_S:.0f} s; try again") from None
         if self._measured is None or self._measured.request != number:
             raise CameraError("another target was measured in the meantime; choose again")
-        return self._measured.found
+        return self._measured
 
     def use_target(self, target: AnchoredTarget | None) -> None:
         """Serve this target as the object of interest, also after a restart of the process; None: its markers.
@@ -338,7 +356,7 @@ class VisionClient:
             return
         if isinstance(message, FrameReport):
             self._take(message)
-        elif isinstance(message, TargetMeasured):
+        elif isinstance(message, TargetMeasured | MarksFound):
             self._measured = message
             self._arrived.set()
         elif isinstance(message, OdometryMap):

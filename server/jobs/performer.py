@@ -27,6 +27,7 @@ from server.jobs.requests import (
     StartOdometry,
     StopOdometry,
     TakeLook,
+    UseTarget,
 )
 from server.jobs.steer_requests import Correct, EndMove, NextPair, StartMove, Steer, StopMove
 from server.jobs.steering import Steering
@@ -82,6 +83,8 @@ class Performer:
                 return self._stop_watching()
             case StartMove() | NextPair() | Correct() | EndMove() | StopMove():
                 return await self._steer(request)
+            case UseTarget():
+                return self._cell.vision.use_target(request.target)
             case BeginSegment():
                 return self._cell.recorder.begin_segment(request.name, request.kind)
             case EndSegment():

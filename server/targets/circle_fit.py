@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import binom
 
 from machine.camera import project, projection_jacobian
@@ -15,8 +16,9 @@ from server.vision.object_pose import fitted_variance
 
 SPACING_PX = 2.0  # of edge points: the point spread correlates nearer ones
 ROUNDNESS_FRAC = 0.01  # of the radius: departure of a rim from a circle, one sigma of each low harmonic
-SHADING_PX = 0.1  # by which light and shade inside a rim displace its edge, alike in both eyes
-N = 11  # unknowns: centre, rotation, radius, and the rim's first and second harmonics
+PAINT_PX = 0.05  # displacement of a painted edge, one sigma: both its sides lie on the surface
+SHADING_PX = 0.2  # of a hole's edge: each eye sees another side of the hole, lit or dark, behind it
+N = 19  # unknowns: centre, rotation, radius, and first and second harmonics of the rim, left shading, right shading
 REACHES_PX = (6.0, 4.0, 3.0, 3.0, 3.0, 3.0)  # of the search along the normals, narrower as the circle settles
 PROFILE_STEP_PX = 0.5
 SMOOTH_PX = 1.0  # Gaussian along the profile, before its derivative
@@ -46,52 +48,60 @@ class Circle:
 
 @dataclass(frozen=True, slots=True)
 class CircleFit:
-    """circle; covariance (7, 7): centre [m], rotation vector [rad], radius [m]; the turn about the axis is a convention. seen_frac: share of the rim whose edge was found, the poorer eye's. log10_nfa: expected
-    number of chance circles that are as well aligned, the poorer eye's. contrast_grey: outside minus inside."""
+    """circle; covariance (7, 7): centre [m], rotation vector [rad], radius [m]; the turn about the axis is a convention.
+
+    log10_nfa: expected number of chance circles that are as well aligned, the poorer eye's. residual_px: rms.
+    """
 
     circle: Circle
     covariance: Array
-    seen_frac: float
     log10_nfa: float
     residual_px: float
-    contrast_grey: float
 
 
 @dataclass(frozen=True, slots=True)
 class _Edges:
-    """Distances (n,) [px] of the found edge outside the predicted rim, their Jacobian (n, 11), which were found (n,)."""
+    """Distances (n,) [px] of the found edge outside the predicted rim, their Jacobian (n, 19), which are found (n,)."""
 
     distance_px: Array
     J: Array
     found: BoolArray
     aligned: BoolArray
-    contrast_grey: Array
 
 
 def fit_circle(
-    left: Image, right: Image, camera: StereoCamera, start: Circle, dark_inside: bool, sigma_px: float, noise_grey: float
+    left: Image,
+    right: Image,
+    camera: StereoCamera,
+    start: Circle,
+    dark_inside: bool,
+    sigma_px: float,
+    noise_grey: float,
 ) -> CircleFit | None:
     """The circle whose projections lie on the edges in both raw images; None where too little of the rim is seen.
 
     Model:   residual = distance of the strongest edge of the right sign from the projected rim along its normal, in
-             both eyes. The visible rim is a circle with small first and second harmonics that both eyes share: chips,
-             and shade inside the edge, must not pass for a tilt. Gauss-Newton with Tukey's biweight, scale from the median. Covariance from the assumed noise
-             `sigma_px`, or from the residuals where they refute it; neighbours' correlation counted.
+             both eyes. The visible rim is a circle with small first and second harmonics: shared ones by chips, and
+             each eye's own by the shade inside, must pass neither for a tilt nor for a depth. Gauss-Newton with
+             Tukey's biweight, scale from the median. Covariance from the assumed noise `sigma_px`, or from the
+             residuals where they refute it; neighbours' correlation counted.
     Returns: CircleFit, see there; the rim's chance alignment is judged as in a-contrario detection.
     Source:  Harris and Stennett 1990 (RAPID); Desolneux, Moisan and Morel 2000 (number of false alarms).
     """
     circle, sign = start, 1.0 if dark_inside else -1.0
+    images = (left.astype(np.float32), right.astype(np.float32))
+    sigma_edge_m = (SHADING_PX if dark_inside else PAINT_PX) * float(start.centre[2]) / camera.fx_px
     eyes: list[_Edges] = []
     weights, J, residual = np.zeros(0), np.zeros((0, N)), np.zeros(0)
-    step, harmonics, scale = np.zeros(N), np.zeros(4), sigma_px
+    step, harmonics, scale = np.zeros(N), np.zeros(N - 7), sigma_px
     for reach in REACHES_PX:
-        eyes = [_edges(image, camera, circle, harmonics, k, sign, reach, noise_grey) for k, image in enumerate((left, right))]
+        eyes = [_edges(image, camera, circle, harmonics, k, sign, reach, noise_grey) for k, image in enumerate(images)]
         if min(eye.found.sum() for eye in eyes) < 12:
             return None
         J = np.vstack([eye.J[eye.found] for eye in eyes])
         residual = np.concatenate([eye.distance_px[eye.found] for eye in eyes])
         scale = max(1.4826 * float(np.median(np.abs(residual))), sigma_px)
-        prior, towards = _prior(circle, camera), np.concatenate([np.zeros(7), harmonics])
+        prior, towards = _prior(circle, sigma_edge_m), np.concatenate([np.zeros(7), harmonics])
         step = np.zeros(N)
         for _ in range(3):
             weights = np.clip(1.0 - ((residual - J @ step) / (TUKEY * scale)) ** 2, 0.0, None) ** 2
@@ -107,26 +117,25 @@ def fit_circle(
     longer = _correlation_factor([residual[:n_left][on[:n_left]], residual[n_left:][on[n_left:]]])
     dof = max(int(on.sum() / longer) - 6, 1)
     variance = fitted_variance(float(np.sum(residual[on] ** 2)) / longer, dof, sigma_px) * longer
-    covariance = np.linalg.inv(J[on].T @ J[on] / variance + _prior(circle, camera))[:7, :7]
+    covariance = np.linalg.inv(J[on].T @ J[on] / variance + _prior(circle, sigma_edge_m))[:7, :7]
+    covariance[6, 6] += sigma_edge_m**2  # all around: a smaller hole
     return CircleFit(
         circle,
         0.5 * (covariance + covariance.T),
-        min(float(np.mean(eye.found & (np.abs(eye.distance_px) < TUKEY * scale))) for eye in eyes),
         max(_log10_nfa(eye.aligned, camera) for eye in eyes),
         float(np.sqrt(np.mean(residual[on] ** 2))),
-        float(np.median(np.concatenate([eye.contrast_grey[eye.found] for eye in eyes]))) * sign,
     )
 
 
 TURN_SIGMA_RAD = 1e-4  # the turn about the axis is a convention; no covariance may be singular
 
 
-def _prior(circle: Circle, camera: StereoCamera) -> Array:
-    """Information (11, 11) on the turn about the axis, which nothing else determines, and on the rim's harmonics."""
+def _prior(circle: Circle, sigma_edge_m: float) -> Array:
+    """Information (19, 19) on the turn about the axis, which nothing else determines, and on the rim's harmonics."""
     out = np.zeros((N, N))
     out[3:6, 3:6] = np.outer(circle.axis, circle.axis) / TURN_SIGMA_RAD**2
-    sigma_m = np.hypot(ROUNDNESS_FRAC * circle.radius_m, SHADING_PX * float(circle.centre[2]) / camera.fx_px)
-    out[7:, 7:] = np.eye(4) / sigma_m**2
+    out[7:11, 7:11] = np.eye(4) / (ROUNDNESS_FRAC * circle.radius_m) ** 2
+    out[11:, 11:] = np.eye(N - 11) / sigma_edge_m**2
     return out
 
 
@@ -136,7 +145,7 @@ def _moved(circle: Circle, step: Array) -> Circle:
 
 
 def _edges(
-    image: Image,
+    image: NDArray[np.float32],
     camera: StereoCamera,
     circle: Circle,
     harmonics: Array,
@@ -152,6 +161,8 @@ def _edges(
     points, outward, tangent = circle.points(n)
     angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
     waves = np.column_stack([np.cos(angle), np.sin(angle), np.cos(2.0 * angle), np.sin(2.0 * angle)])
+    none = np.zeros_like(waves)
+    waves = np.hstack([waves, none, waves] if eye else [waves, waves, none])
     points = points + (waves @ harmonics)[:, None] * outward
     with np.errstate(invalid="ignore"):
         pixels = project(camera, points - shift)
@@ -182,17 +193,15 @@ def _edges(
     lever = np.cross(points - circle.centre, np.einsum("ni,nij->nj", normal, J_point))
     growth = np.einsum("ni,nij,nj->n", normal, J_point, outward)[:, None]
     J = np.hstack([np.einsum("ni,nij->nj", normal, J_point), lever, growth, growth * waves])
-    middle = len(offsets) // 2
-    contrast = profile[:, middle + 4 :].mean(axis=1) - profile[:, : middle - 3].mean(axis=1)
-    return _Edges(distance, J, found, inside & _aligned(image, where, normal, sign), contrast)
+    return _Edges(distance, J, found, inside & _aligned(image, where, normal, sign))
 
 
-def _sampled(image: Image, places: Array) -> np.ndarray:
+def _sampled(image: NDArray[np.float32], places: Array) -> np.ndarray:
     maps = places.astype(np.float32)
-    return np.asarray(cv2.remap(image.astype(np.float32), maps[..., 0], maps[..., 1], cv2.INTER_LINEAR))
+    return np.asarray(cv2.remap(image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR))
 
 
-def _aligned(image: Image, pixels: Array, normal: Array, sign: float) -> BoolArray:
+def _aligned(image: NDArray[np.float32], pixels: Array, normal: Array, sign: float) -> BoolArray:
     """Whether the image's gradient at the rim (Gaussian of 1 px) points along the normal."""
     across = np.column_stack([-normal[:, 1], normal[:, 0]])
     steps = np.array([1.0, -1.0])

@@ -22,7 +22,8 @@ PLANE_DRAWS = 200
 PLANE_MIN = 50  # corners on it
 SPREAD_FRAC = 0.08  # of a radius in the square view: relief of 50 mm at 0.6 m, slopes of 20 deg
 COVER_MIN = 0.3  # of a rim's length that votes: half of it may be lost, and it is thickened by the relief
-RIVALS_MAX = 60  # per diameter and sign; each is then judged by its fit in both eyes
+RADIUS_PX = 14.0  # of the smallest rim in the square view: its votes then still fall together
+RIVALS_MAX = 60  # per sign; each is then judged by its fit in both eyes
 BLUR_PX = 1.0
 SLACK_PX = 12.0  # of a mark's disparity about the plane's: 60 mm of relief at 0.6 m
 
@@ -72,11 +73,9 @@ def find_places(
             f"the wall's plane is not known: fewer than {PLANE_MIN} points on one plane in both eyes; add light, come "
             "nearer or face the wall"
         )
-    view = square_view(left, camera, T, masks[0])
-    places = []
-    for diameter_m in diameters_m:
-        for dark_inside in (True, False):
-            places += _voted(view, 0.5 * diameter_m, dark_inside)
+    view = square_view(left, camera, T, masks[0], 0.5 * min(diameters_m))
+    radii_m = _radii(diameters_m, 1.0 / view.px_m)
+    places = [place for dark_inside in (True, False) for place in _voted(view, radii_m, dark_inside)]
     return [
         CirclePlace(_at_its_depth(left, right, camera, place.circle), place.dark_inside, place.cover_frac)
         for place in sorted(places, key=lambda place: -place.cover_frac)
@@ -111,8 +110,11 @@ def wall_plane(
     return target_frame(-np.sign(normal @ middle) * normal, middle)
 
 
-def square_view(left: Image, camera: StereoCamera, T_cam_plane: Array, mask: Image) -> SquareView:
-    """The left image on the plane, at the resolution of its middle; unknown where the eye or the mask ends."""
+def square_view(left: Image, camera: StereoCamera, T_cam_plane: Array, mask: Image, smallest_m: float) -> SquareView:
+    """The left image on the plane; unknown where the eye or the mask ends.
+
+    Its resolution is that of its middle, or less where the smallest radius [m] still has RADIUS_PX.
+    """
     height, width = left.shape
     rim = np.array([[u, v] for u in (0.0, width / 2, width - 1.0) for v in (0.0, height / 2, height - 1.0)])
     rays = undistort_to_rays(camera, rim)
@@ -122,7 +124,7 @@ def square_view(left: Image, camera: StereoCamera, T_cam_plane: Array, mask: Ima
     hits = rays * ((p @ n) / towards)[:, None]
     xy = ((hits - p) @ T_cam_plane[:3, :3])[:, :2]
     low, high = xy.min(axis=0), xy.max(axis=0)
-    px_m = camera.fx_px / float(p[2])
+    px_m = min(camera.fx_px / float(p[2]), RADIUS_PX / smallest_m)
     size = np.minimum(np.ceil((high - low) * px_m).astype(int), 2 * np.array([width, height]))
     origin = np.array([low[0], high[1]])
     u, v = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
@@ -134,7 +136,15 @@ def square_view(left: Image, camera: StereoCamera, T_cam_plane: Array, mask: Ima
     return SquareView(np.asarray(grey, np.uint8), np.asarray(known, np.uint8), T_cam_plane, origin, px_m)
 
 
-def _voted(view: SquareView, radius_m: float, dark_inside: bool) -> list[CirclePlace]:
+def _radii(diameters_m: Sequence[float], px: float) -> Array:
+    """Radii [m] within the spread of any diameter, a pixel apart."""
+    low, high = 0.5 * (1.0 - SPREAD_FRAC) * min(diameters_m), 0.5 * (1.0 + SPREAD_FRAC) * max(diameters_m)
+    all_m = np.arange(low, high + px, px)
+    near = [np.abs(all_m / (0.5 * one) - 1.0) <= SPREAD_FRAC + px / one for one in diameters_m]
+    return np.asarray(all_m[np.any(near, axis=0)])
+
+
+def _voted(view: SquareView, radii_m: Array, dark_inside: bool) -> list[CirclePlace]:
     """Centres by the share of the rim that votes for them."""
     smooth = cv2.GaussianBlur(view.grey.astype(np.float32), (0, 0), BLUR_PX)
     gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=0.125), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=0.125)
@@ -145,19 +155,18 @@ def _voted(view: SquareView, radius_m: float, dark_inside: bool) -> list[CircleP
     strong = inner & (size > np.median(size[inner])) & _thin(size, gx, gy)
     v, u = np.nonzero(strong)
     towards = -np.column_stack([gx[v, u], gy[v, u]]) / size[v, u][:, None] * (1.0 if dark_inside else -1.0)
-    radius = radius_m * view.px_m
     height, width = view.grey.shape
     best, best_radius = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
-    for r in np.arange(radius * (1.0 - SPREAD_FRAC), radius * (1.0 + SPREAD_FRAC) + 0.5, 1.0):
-        at = np.rint(np.column_stack([u, v]) + r * towards).astype(int)
-        good = ((at >= 0) & (at < [width, height])).all(axis=1)
-        votes = np.bincount(at[good, 1] * width + at[good, 0], minlength=width * height)
+    for r in radii_m * view.px_m:
+        x, y = np.rint(u + r * towards[:, 0]).astype(np.int32), np.rint(v + r * towards[:, 1]).astype(np.int32)
+        good = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        votes = np.bincount(y[good] * width + x[good], minlength=width * height)
         # a rim's votes spread over about 3 px by the relief and the gradients' noise
         cover = cv2.boxFilter(votes.reshape(height, width).astype(np.float32), -1, (5, 5), normalize=False)
         cover /= np.float32(2.0 * np.pi * r)
-        better = cover > best
-        best[better], best_radius[better] = cover[better], r
-    return _peaks(view, best, best_radius, radius, dark_inside)
+        best_radius[cover > best] = r
+        np.maximum(best, cover, out=best)
+    return _peaks(view, best, best_radius, float(radii_m.min()) * view.px_m, dark_inside)
 
 
 def _thin(size: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
@@ -168,7 +177,9 @@ def _thin(size: np.ndarray, gx: np.ndarray, gy: np.ndarray) -> np.ndarray:
     return np.where(across, (size > left) & (size >= right), (size > up) & (size >= down))
 
 
-def _peaks(view: SquareView, cover: np.ndarray, radii: np.ndarray, radius: float, dark_inside: bool) -> list[CirclePlace]:
+def _peaks(
+    view: SquareView, cover: np.ndarray, radii: np.ndarray, radius: float, dark_inside: bool
+) -> list[CirclePlace]:
     kernel = 2 * int(radius) + 1
     top = cv2.dilate(cover, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (kernel, kernel)))
     v, u = np.nonzero((cover >= top) & (cover > COVER_MIN))

@@ -8,7 +8,7 @@ import numpy as np
 from machine.camera import project
 from machine.description import StereoCamera
 from machine.rotations import rotation_from_rotvec
-from server.targets.circle_fit import CircleFit, fit_circle
+from server.targets.circle_fit import Circle, CircleFit, fit_circle
 from server.targets.circle_search import CirclePlace, find_places
 from server.targets.contracts import SurfacePatch, TargetSettings
 from server.targets.stereo_match import noise_grey
@@ -20,7 +20,7 @@ LOG10_NFA_MAX = -2.0  # one chance circle in a hundred pictures
 TOLERANCE_FRAC = 0.02  # one sigma of a true diameter about the nominal one: wear of a bit, a stencil, shade at the rim
 CONCENTRIC_FRAC = 0.4  # of the larger radius: nearer centres belong to one mark
 RIM_FRAC = 1.25  # of the radius: chips and dust end there, the rock around begins
-CHI2_2_999 = 13.8
+CHI2_3_999 = 16.3
 EDGE_FLOOR_PX = 0.05  # of one edge point; larger where the residuals say so
 
 
@@ -57,8 +57,8 @@ def find_round_marks(
     """Every circle of one of the diameters whose rim both eyes see.
 
     Model:   candidates by votes of edges, a circle in space fitted to both eyes' edges, kept where its edges would by
-             chance be so well aligned once in a hundred pictures and its diameter is one of the given ones. The axis
-             combines the rim's and the surrounding surface's, each weighted by its information.
+             chance be so well aligned once in a hundred pictures and its diameter is one of the given ones. Axis
+             and depth combine the rim's with those of the surface around it, each weighted by its information.
     Args:    left, right: raw grey pair (h, w). diameters_m: nominal outer diameters [m]. masks_px: polygons (k, 2) [px]
              of own structure in both images.
     """
@@ -84,8 +84,10 @@ def _accepted(
     left: Image, right: Image, camera: StereoCamera, places: Sequence[CirclePlace], diameters_m: Sequence[float]
 ) -> list[Fitted]:
     noise = max(noise_grey(left), noise_grey(right))
-    kept = []
+    kept: list[Fitted] = []
     for place in places:
+        if any(place.dark_inside == one[2] and _concentric(place.circle, one[0].circle) for one in kept):
+            continue  # the better voted one has the same rim
         fit = fit_circle(left, right, camera, place.circle, place.dark_inside, EDGE_FLOOR_PX, noise)
         if fit is None or fit.log10_nfa > LOG10_NFA_MAX:
             continue
@@ -100,7 +102,7 @@ def _one_of_each(fits: Sequence[Fitted]) -> list[Fitted]:
     """Of concentric circles one: the outer where they differ in size (a ring's two edges), else the better aligned."""
     kept: list[Fitted] = []
     for fit in sorted(fits, key=lambda one: one[0].log10_nfa):
-        rivals = [one for one in kept if _concentric(fit[0], one[0])]
+        rivals = [one for one in kept if _concentric(fit[0].circle, one[0].circle)]
         if not rivals:
             kept.append(fit)
         elif all(fit[2] != one[2] and fit[0].circle.radius_m > 1.05 * one[0].circle.radius_m for one in rivals):
@@ -108,9 +110,9 @@ def _one_of_each(fits: Sequence[Fitted]) -> list[Fitted]:
     return sorted(kept, key=lambda one: float(one[0].circle.centre[0] / one[0].circle.centre[2]))
 
 
-def _concentric(first: CircleFit, second: CircleFit) -> bool:
-    larger = max(first.circle.radius_m, second.circle.radius_m)
-    return float(np.linalg.norm(first.circle.centre - second.circle.centre)) < CONCENTRIC_FRAC * larger
+def _concentric(first: Circle, second: Circle) -> bool:
+    larger = max(first.radius_m, second.radius_m)
+    return float(np.linalg.norm(first.centre - second.centre)) < CONCENTRIC_FRAC * larger
 
 
 def _disc_px(camera: StereoCamera, fit: CircleFit) -> tuple[float, float, float]:
@@ -126,39 +128,37 @@ def _patch(
     avoid: Sequence[tuple[float, float, float]],
     settings: TargetSettings,
 ) -> SurfacePatch:
-    """The mark as a patch: the rim's circle, its axis combined with the surface around it."""
+    """The mark as a patch: the rim's circle, axis and depth combined with the surface around it."""
     u, v, _ = _disc_px(camera, fit)
     around = measure_around(left, right, camera, (u, v), float(fit.circle.centre[2]), avoid, settings)
     if around.T_cam_target is None or around.covariance is None:
         return around
     order = [3, 4, 5, 0, 1, 2]  # rotation first
-    mean, C = combined_axis(
-        fit.circle.axis,
-        fit.circle.centre,
-        fit.covariance[np.ix_(order, order)],
-        around.T_cam_target[:3, 2],
-        around.covariance[:3, :3],
-    )
+    rough_m = around.residual_px * float(fit.circle.centre[2]) ** 2 / (camera.fx_px * camera.baseline_m)
+    axis, centre, C = on_surface(fit.circle, fit.covariance[np.ix_(order, order)], around, rough_m)
     C[:3, :3] += ROLL_SIGMA_RAD**2 * np.eye(3)
-    T = target_frame(mean[0], mean[1])
+    T = target_frame(axis, centre)
     return replace(around, T_cam_target=T, covariance=0.5 * (C + C.T), radius_m=fit.circle.radius_m)
 
 
-def combined_axis(
-    axis: Array, centre: Array, C: Array, normal: Array, C_normal: Array
-) -> tuple[tuple[Array, Array], Array]:
-    """Axis and centre after the surface's normal has been taken in as a second measurement of the axis.
+def on_surface(circle: Circle, C: Array, around: SurfacePatch, rough_m: float) -> tuple[Array, Array, Array]:
+    """Axis, centre and covariance (6, 6) of a rim after the surface around it is taken in as a second measurement.
 
-    Model:   Kalman update of (rotation, centre), covariance C (6, 6), by the rotation from the axis to the normal,
-             covariance C_normal (3, 3) [rad^2], in the two directions across the axis. Where both contradict each other
-             at 99.9 %, the rim's own axis stays.
+    Model:   Kalman update of (rotation, centre) by the surface's normal in the two directions across the axis, and by
+             its height at the centre, which the surface's roughness `rough_m` makes uncertain. Where both contradict
+             each other at 99.9 %, the rim alone counts.
     """
+    if around.T_cam_target is None or around.covariance is None:
+        raise ValueError("the surface around the rim was refused")
+    axis, normal = circle.axis, around.T_cam_target[:3, 2]
     across = np.linalg.svd(axis[None])[2][1:]
-    turn = across @ np.cross(axis, normal)
-    H = np.hstack([across, np.zeros((2, 3))])
-    S = H @ C @ H.T + across @ C_normal @ across.T
-    if float(turn @ np.linalg.solve(S, turn)) > CHI2_2_999:
-        return (axis, centre), C
+    H = np.zeros((3, 6))
+    H[:2, :3], H[2, 3:] = across, normal
+    seen = np.append(across @ np.cross(axis, normal), normal @ (around.T_cam_target[:3, 3] - circle.centre))
+    S = H @ (C + around.covariance) @ H.T
+    S[2, 2] += rough_m**2
+    if float(seen @ np.linalg.solve(S, seen)) > CHI2_3_999:
+        return axis, circle.centre, C
     K = np.linalg.solve(S, H @ C).T
-    step = K @ turn
-    return (rotation_from_rotvec(step[:3]) @ axis, centre + step[3:]), C - K @ H @ C
+    step = K @ seen
+    return rotation_from_rotvec(step[:3]) @ axis, circle.centre + step[3:], C - K @ H @ C

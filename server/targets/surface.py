@@ -17,14 +17,13 @@ from server.targets.contracts import (
     TargetSettings,
     refused_patch,
 )
-from server.targets.stereo_match import coarse_disparity, fine_disparities, texture_sigma_px
+from server.targets.stereo_match import coarse_disparity, fine_disparities, sample_places, texture_sigma_px
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
 from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, SIZE_PX
 
 CENTRE_HALF_PX = 20  # window of the first match: wide enough to be unique on natural texture
 SAMPLE_HALF_PX = 7  # as the fine alignment's patch
-SAMPLES_ACROSS = 11  # grid over the patch's diameter
 SLACK_PX = 8.0  # of a sample's disparity about the centre's: 45 deg of slope over 60 mm at 0.7 m
 AROUND_MIN = 30  # samples around a hole: ten times a plane's unknowns
 CLIPPED_GREY = 254
@@ -117,7 +116,7 @@ def measure_around(
     found = refused_patch(PatchStatus.NO_TEXTURE, "", pixel)
     for radius_m in settings.radii_m:
         radius_px = radius_m * camera.fx_px / depth_m
-        if len(_sample_places(left.shape, pixel, radius_px, avoid)[0]) < AROUND_MIN and radius_m < settings.radii_m[-1]:
+        if len(sample_places(left.shape, pixel, radius_px, avoid)[0]) < AROUND_MIN and radius_m < settings.radii_m[-1]:
             continue
         at = f"Surface around ({pixel[0]:.0f}, {pixel[1]:.0f}) px"
         found = _measured(left, right, camera, pixel, ray, disparity_px, radius_m, at, settings, avoid)
@@ -158,7 +157,7 @@ def _measured(
 ) -> SurfacePatch:
     depth_m = camera.fx_px * camera.baseline_m / disparity_px
     radius_px = max(radius_m * camera.fx_px / depth_m, SIZE_PX / 2.0)
-    samples, wanted = _sample_places(left.shape, pixel, radius_px, avoid)
+    samples, wanted = sample_places(left.shape, pixel, radius_px, avoid)
     if len(samples) < ON_SURFACE_MIN_FRAC * wanted:
         reason = f"{at}: its surroundings of {1e3 * radius_m:.0f} mm leave the image; turn the camera to it"
         return refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, pixel)
@@ -195,22 +194,6 @@ def _measured(
     coherent = settings.sigma_floor_px * np.array([1.0, 1.0 / radius_px, 1.0 / radius_px])
     fit.covariance[:3, :3] += np.diag(coherent**2)  # interpolation errs alike where the sub-pixel phase is alike
     return _judged(camera, pixel, ray, fit, samples, uv, radius_m, at, settings)
-
-
-def _sample_places(
-    shape: tuple[int, ...], pixel: tuple[float, float], radius_px: float, avoid: Sequence[tuple[float, float, float]]
-) -> tuple[Array, int]:
-    """Grid (n, 2) [px] over the disc but for the discs (u, v, radius) to avoid, inside the image; n before the image's
-    border cut it."""
-    steps = np.linspace(-1.0, 1.0, SAMPLES_ACROSS) * radius_px
-    du, dv = (grid.ravel() for grid in np.meshgrid(steps, steps))
-    disc = np.hypot(du, dv) <= radius_px * 1.001
-    places = np.column_stack([du[disc], dv[disc]]) + np.array(pixel)
-    for u, v, r in avoid:
-        places = places[np.hypot(places[:, 0] - u, places[:, 1] - v) > r + HALF_PX]
-    border = HALF_PX + 2
-    inside = (places >= border).all(axis=1) & (places < [shape[1] - border, shape[0] - border]).all(axis=1)
-    return places[inside], len(places)
 
 
 def _fitted(

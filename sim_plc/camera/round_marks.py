@@ -42,7 +42,9 @@ def draw_marks(seed: int, count: int, relief: Relief) -> tuple[RoundMark, ...]:
         diameter_m = float(rng.choice(_RING_DIAMETERS_M if ring else _HOLE_DIAMETERS_M))
         x, y = (float(rng.uniform(*limits)) for limits in _PLACES_M)
         T = _on_relief(relief, x, y, 0.5 * diameter_m)
-        gaps = [np.linalg.norm(T[:3, 3] - m.T_ooi_mark[:3, 3]) - _APART * 0.5 * (diameter_m + m.diameter_m) for m in marks]
+        gaps = [
+            np.linalg.norm(T[:3, 3] - m.T_ooi_mark[:3, 3]) - _APART * 0.5 * (diameter_m + m.diameter_m) for m in marks
+        ]
         if min(gaps, default=1.0) < 0.0:
             continue
         marks.append(
@@ -188,8 +190,18 @@ def _paint(
 def _ray(corners: Array, T: Array, u: int, v: int, fx: float, fy: float, d: Array) -> None:
     """Direction in OOI axes of the ray through a place (fx, fy) of the pixel, into `d`."""
     w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-    rx = w00 * corners[v, u, 0] + w01 * corners[v, u + 1, 0] + w10 * corners[v + 1, u, 0] + w11 * corners[v + 1, u + 1, 0]
-    ry = w00 * corners[v, u, 1] + w01 * corners[v, u + 1, 1] + w10 * corners[v + 1, u, 1] + w11 * corners[v + 1, u + 1, 1]
+    rx = (
+        w00 * corners[v, u, 0]
+        + w01 * corners[v, u + 1, 0]
+        + w10 * corners[v + 1, u, 0]
+        + w11 * corners[v + 1, u + 1, 0]
+    )
+    ry = (
+        w00 * corners[v, u, 1]
+        + w01 * corners[v, u + 1, 1]
+        + w10 * corners[v + 1, u, 1]
+        + w11 * corners[v + 1, u + 1, 1]
+    )
     for i in range(3):
         d[i] = T[i, 0] * rx + T[i, 1] * ry + T[i, 2]
 
@@ -203,9 +215,7 @@ def _meet(heights: Array, mean_z: float, guess: float, origin: Array, d: Array, 
 
 
 @njit(cache=True, nogil=True)
-def _grey(
-    T: Array, figures: Array, light: Array, noise: Field, rim: Array, p: Array, d: Array, base: float
-) -> float:
+def _grey(T: Array, figures: Array, light: Array, noise: Field, rim: Array, p: Array, d: Array, base: float) -> float:
     """Grey that one ray along `d` sees which meets the rock's surface at `p` (mark axes); `base`: of the rock there."""
     px, py, pz = p
     dx, dy, dz = d
