@@ -61,7 +61,7 @@ class CircleFit:
 
 @dataclass(frozen=True, slots=True)
 class _Edges:
-    """Distances (n,) [px] of the found edge outside the predicted rim, their Jacobian (n, 19), which are found (n,)."""
+    """Distances (n,) [px] of the found edge outside the predicted rim, their Jacobian (n, 19), found or not (n,)."""
 
     distance_px: Array
     J: Array

@@ -1,4 +1,4 @@
-"""Drill holes and painted rings on the wall, ray cast: a hole has depth, parallax and shadow, a chipped rim and dust."""
+"""Drill holes and painted rings on the wall, ray cast: holes have depth, parallax, shadow, a chipped rim and dust."""
 
 from dataclasses import dataclass
 
