@@ -96,7 +96,7 @@ class Performer:
         """Returns when pairs come that see the new target: one may still be processed for the former one."""
         since_ns, until_s = mono_ns(), mono_s() + SILENT_S
         self._cell.vision.use_target(request.target)
-        while len(self._cell.vision.reports_since(since_ns)) < SWITCH_PAIRS and mono_s() < until_s:
+        while len(self._cell.vision.reports_since(since_ns)) < SWITCH_PAIRS and mono_s() < until_s:  # noqa: ASYNC110 no event
             await asyncio.sleep(SWITCH_POLL_S)
 
     def record(self, request: Record) -> None:

@@ -48,7 +48,7 @@ class Circle:
 
 @dataclass(frozen=True, slots=True)
 class CircleFit:
-    """circle; covariance (7, 7): centre [m], rotation vector [rad], radius [m]; the turn about the axis is a convention.
+    """circle; covariance (7, 7): centre [m], rotation vector [rad], radius [m]; its turn about the axis is free.
 
     log10_nfa: expected number of chance circles that are as well aligned, the poorer eye's. residual_px: rms.
     """
