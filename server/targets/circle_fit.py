@@ -107,7 +107,8 @@ def fit_circle(
             weights = np.clip(1.0 - ((residual - J @ step) / (TUKEY * scale)) ** 2, 0.0, None) ** 2
             A = J * weights[:, None]
             information = A.T @ J / scale**2 + prior
-            step = np.linalg.solve(information, A.T @ residual / scale**2 - prior @ towards)
+            gradient = A.T @ residual / scale**2 - prior @ towards
+            step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
         circle, harmonics = _moved(circle, step), harmonics + step[7:]
         if not 0.5 < circle.radius_m / start.radius_m < 2.0 or circle.centre[2] < 0.1:
             return None
@@ -172,7 +173,7 @@ def _edges(
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
     normal *= np.sign(np.einsum("ni,nij,nj->n", normal, J_point, outward))[:, None]
     offsets = np.arange(-reach - 3.0, reach + 3.0 + 1e-9, PROFILE_STEP_PX)
-    inside = np.isfinite(pixels).all(axis=1)
+    inside = np.asarray(np.isfinite(pixels).all(axis=1))
     border = reach + 4.0
     inside &= (pixels > border).all(axis=1) & (pixels < [image.shape[1] - border, image.shape[0] - border]).all(axis=1)
     where = np.where(inside[:, None], pixels, border)
@@ -192,7 +193,9 @@ def _edges(
     found = inside & (peak > NOISE_SIGMAS * slope_noise) & (peak > before) & (peak >= after)
     lever = np.cross(points - circle.centre, np.einsum("ni,nij->nj", normal, J_point))
     growth = np.einsum("ni,nij,nj->n", normal, J_point, outward)[:, None]
-    J = np.hstack([np.einsum("ni,nij->nj", normal, J_point), lever, growth, growth * waves])
+    J = np.asarray(
+        np.hstack([np.einsum("ni,nij->nj", normal, J_point), lever, growth, growth * waves]), dtype=np.float64
+    )
     return _Edges(distance, J, found, inside & _aligned(image, where, normal, sign))
 
 

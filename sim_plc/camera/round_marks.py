@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from machine.camera import project
 from machine.poses import inverse_pose, pose, transform_points
@@ -73,8 +74,8 @@ def _on_relief(relief: Relief, x: float, y: float, radius_m: float) -> Array:
         rim = []
         for dx, dy in circle:
             origin = transform_points(T, np.array([[dx, dy, 0.5]]))[0]
-            ray = -T[:3, 2]
-            px, py, h = wall_hit(relief.heights, relief.mean_z_m, T[2, 3] - relief.mean_z_m, origin, *ray, 20)
+            rx, ry, rz = (float(one) for one in -T[:3, 2])
+            px, py, h = wall_hit(relief.heights, relief.mean_z_m, T[2, 3] - relief.mean_z_m, origin, rx, ry, rz, 20)
             rim.append((px, py, relief.mean_z_m + h))
         points = np.array(rim)
         middle = points.mean(axis=0)
@@ -149,7 +150,7 @@ def _region(eye: EyeRays, mark: RoundMark, Ts_ooi_cam: Array) -> tuple[int, int,
 @njit(cache=True, nogil=True)
 def _paint(
     out: Grey,
-    corners: Array,
+    corners: NDArray[np.float32],
     keys: Array,
     heights: Array,
     mean_z: float,
@@ -187,7 +188,7 @@ def _paint(
 
 
 @njit(cache=True, nogil=True)
-def _ray(corners: Array, T: Array, u: int, v: int, fx: float, fy: float, d: Array) -> None:
+def _ray(corners: NDArray[np.float32], T: Array, u: int, v: int, fx: float, fy: float, d: Array) -> None:
     """Direction in OOI axes of the ray through a place (fx, fy) of the pixel, into `d`."""
     w00, w01, w10, w11 = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
     rx = (
