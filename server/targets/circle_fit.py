@@ -24,6 +24,7 @@ PROFILE_STEP_PX = 0.5
 SMOOTH_PX = 1.0  # Gaussian along the profile, before its derivative
 NOISE_SIGMAS = 4.0  # of an edge's contrast over the image's noise
 TUKEY = 4.685
+RIM_PX = 0.5  # an edge this near lies on the rim: ten times the noise of one edge point
 ALIGNED_RAD = np.deg2rad(22.5)  # a gradient this near to the normal counts as aligned; chance gives 45 of 360 deg
 ALIGNED_BY_CHANCE = 2.0 * float(ALIGNED_RAD) / (2.0 * np.pi)
 
@@ -50,12 +51,14 @@ class Circle:
 class CircleFit:
     """circle; covariance (7, 7): centre [m], rotation vector [rad], radius [m]; its turn about the axis is free.
 
-    log10_nfa: expected number of chance circles that are as well aligned, the poorer eye's. residual_px: rms.
+    log10_nfa: expected number of chance circles that are as well aligned. rim_frac: share of the rim with an aligned
+    edge within half a pixel. Of both the poorer eye's. residual_px: rms.
     """
 
     circle: Circle
     covariance: Array
     log10_nfa: float
+    rim_frac: float
     residual_px: float
 
 
@@ -124,6 +127,7 @@ def fit_circle(
         circle,
         0.5 * (covariance + covariance.T),
         max(_log10_nfa(eye.aligned, camera) for eye in eyes),
+        min(float(np.mean(eye.aligned & eye.found & (np.abs(eye.distance_px) < RIM_PX))) for eye in eyes),
         float(np.sqrt(np.mean(residual[on] ** 2))),
     )
 
