@@ -17,6 +17,7 @@ from server.vision.contracts import Array, Image
 from server.vision.odometry_features import allowed_mask
 
 LOG10_NFA_MAX = -2.0  # one chance circle in a hundred pictures
+RIM_MIN_FRAC = 0.5  # of a rim with an edge within half a pixel: a chip of rock is round by and large, never so exactly
 TOLERANCE_FRAC = 0.02  # one sigma of a true diameter about the nominal one: wear of a bit, a stencil, shade at the rim
 CONCENTRIC_FRAC = 0.4  # of the larger radius: nearer centres belong to one mark
 RIM_FRAC = 1.25  # of the radius: chips and dust end there, the rock around begins
@@ -57,7 +58,7 @@ def find_round_marks(
     """Every circle of one of the diameters whose rim both eyes see.
 
     Model:   candidates by votes of edges, a circle in space fitted to both eyes' edges, kept where its edges would by
-             chance be so well aligned once in a hundred pictures and its diameter is one of the given ones. Axis
+             chance be so well aligned once in a hundred pictures and its rim and diameter fit. Axis
              and depth combine the rim's with those of the surface around it, each weighted by its information.
     Args:    left, right: raw grey pair (h, w). diameters_m: nominal outer diameters [m]. masks_px: polygons (k, 2) [px]
              of own structure in both images.
@@ -89,7 +90,7 @@ def _accepted(
         if any(place.dark_inside == one[2] and _concentric(place.circle, one[0].circle) for one in kept):
             continue  # the better voted one has the same rim
         fit = fit_circle(left, right, camera, place.circle, place.dark_inside, EDGE_FLOOR_PX, noise)
-        if fit is None or fit.log10_nfa > LOG10_NFA_MAX:
+        if fit is None or fit.log10_nfa > LOG10_NFA_MAX or fit.rim_frac < RIM_MIN_FRAC:
             continue
         diameter_m, sigma_m = 2.0 * fit.circle.radius_m, 2.0 * float(np.sqrt(fit.covariance[6, 6]))
         nominal_m = min(diameters_m, key=lambda one: abs(one - diameter_m))
