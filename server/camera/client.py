@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection  # on POSIX; Windows has another class of the same face
 from multiprocessing.process import BaseProcess
-from typing import cast
+from typing import TypeVar, cast
 
 from machine.description import Machine
 from recording.clock import SUSPENDED, mono_ns
@@ -48,6 +48,7 @@ RESTART_S = 1.0
 HUNG_LOOKS = 30  # so many seconds in which a process that had begun says nothing: it is ended, and begun anew
 ODOMETRY_START_S = 20.0
 MEASURE_S = 30.0  # until a target is measured
+Answer = TypeVar("Answer", TargetMeasured, MarksFound)
 MAP_S = 10.0  # until the map of an odometry run is there
 PROCESS_START_S = 240.0  # on a new machine everything is compiled first
 
@@ -184,23 +185,19 @@ class VisionClient:
 
         Raises: CameraError: the vision process does not answer.
         """
-        answer = await self._answered(MeasureTargetCommand(self._requests + 1, sequence, pixel, roll_rad))
-        if not isinstance(answer, TargetMeasured):
-            raise CameraError("another target was measured in the meantime; choose again")
-        return answer.found
+        command = MeasureTargetCommand(self._requests + 1, sequence, pixel, roll_rad)
+        return (await self._answered(command, TargetMeasured)).found
 
     async def find_marks(self, sequence: int, diameters_m: tuple[float, ...]) -> MarksFound:
         """Find drill holes and rings in a pair that was shown.
 
         Raises: CameraError: the vision process does not answer.
         """
-        answer = await self._answered(FindMarksCommand(self._requests + 1, sequence, diameters_m))
-        if not isinstance(answer, MarksFound):
-            raise CameraError("another target was measured in the meantime; search again")
+        answer = await self._answered(FindMarksCommand(self._requests + 1, sequence, diameters_m), MarksFound)
         self._requests += len(answer.marks)  # the marks' targets have these numbers
         return answer
 
-    async def _answered(self, command: MeasureTargetCommand | FindMarksCommand) -> TargetMeasured | MarksFound:
+    async def _answered(self, command: MeasureTargetCommand | FindMarksCommand, kind: type[Answer]) -> Answer:
         number = self._requests = command.request
         self._send(command)
         try:
@@ -208,7 +205,7 @@ class VisionClient:
                 await self._until(lambda: self._measured is not None and self._measured.request >= number)
         except TimeoutError:
             raise CameraError(f"target was not measured within {MEASURE_S:.0f} s; try again") from None
-        if self._measured is None or self._measured.request != number:
+        if not isinstance(self._measured, kind) or self._measured.request != number:
             raise CameraError("another target was measured in the meantime; choose again")
         return self._measured
 

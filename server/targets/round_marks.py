@@ -57,9 +57,9 @@ def find_round_marks(
 ) -> RoundMarks:
     """Every circle of one of the diameters whose rim both eyes see.
 
-    Model:   candidates by votes of edges, a circle in space fitted to both eyes' edges, kept where its edges would by
-             chance be so well aligned once in a hundred pictures and its rim and diameter fit. Axis
-             and depth combine the rim's with those of the surface around it, each weighted by its information.
+    Model:   candidates by votes of edges, a circle in space fitted to both eyes' edges; kept where chance would align
+             its edges so well once in a hundred pictures, at least half of the rim lies on an edge, and the diameter is
+             a given one. Axis and depth combine the rim's with those of the surface around it, by their information.
     Args:    left, right: raw grey pair (h, w). diameters_m: nominal outer diameters [m]. masks_px: polygons (k, 2) [px]
              of own structure in both images.
     """

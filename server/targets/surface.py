@@ -107,18 +107,16 @@ def measure_around(
     avoid: Sequence[tuple[float, float, float]],
     settings: TargetSettings,
 ) -> SurfacePatch:
-    """The surface around a hole: as `measure_patch`, from samples outside the discs (u, v, radius) [px] to avoid.
-
-    Args:    depth_m: of the surface at the pixel, known from the hole's rim.
-    """
+    """The surface around a hole whose rim is depth_m away: as `measure_patch`, from samples outside the discs
+    (u, v, radius) [px] to avoid."""
+    at = f"Surface around ({pixel[0]:.0f}, {pixel[1]:.0f}) px"
     ray = undistort_to_rays(camera, np.array([pixel]))[0]
     disparity_px = camera.fx_px * camera.baseline_m / depth_m
-    found = refused_patch(PatchStatus.NO_TEXTURE, "", pixel)
+    found = refused_patch(PatchStatus.NO_TEXTURE, f"{at} was not measured", pixel)
     for radius_m in settings.radii_m:
         radius_px = radius_m * camera.fx_px / depth_m
         if len(sample_places(left.shape, pixel, radius_px, avoid)[0]) < AROUND_MIN and radius_m < settings.radii_m[-1]:
             continue
-        at = f"Surface around ({pixel[0]:.0f}, {pixel[1]:.0f}) px"
         found = _measured(left, right, camera, pixel, ray, disparity_px, radius_m, at, settings, avoid)
         if found.covariance is not None and uncertainty_95(found.covariance)[0] <= settings.normal_wanted_deg:
             break
