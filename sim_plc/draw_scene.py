@@ -103,7 +103,7 @@ def with_bare_rock(world: World) -> World:
 
 
 def with_round_marks(world: World, count: int) -> World:
-    """The same wall with so many drill holes and painted rings, drawn by the wall's own seed; 0: none."""
+    """The same wall with so many boreholes and painted rings, drawn by the wall's own seed; 0: none."""
     scene = world.scene
     relief = wall_relief(scene.texture_seed, scene.wall_relief_m, scene.wall_offset_m)
     return replace(world, scene=replace(scene, round_marks=draw_marks(scene.texture_seed, count, relief)))

@@ -76,7 +76,7 @@ class SimSettings:
     structure_frac: float | None = None  # of the picture, covered by the crane itself; None: as the preset draws it
     structure_contrast_frac: float | None = None  # of its texture, 0: plain paint; None: as the preset draws it
     bare_rock: bool = False  # the wall without the object's markers and boards
-    round_marks: int = 0  # drill holes and painted rings on that wall
+    round_marks: int = 0  # boreholes and painted rings on that wall
     dry_run: bool = False  # everything is played, but the valves stay neutral
     key: bytes = b""  # 16..64 bytes: take only signed commands, and sign states
     enable: str = "auto"  # or "panel": SIGUSR1 presses and releases the enable, SIGUSR2 the lever, SIGRTMIN the E-stop

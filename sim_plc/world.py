@@ -39,7 +39,7 @@ class StructureTruth:
 
 @dataclass(frozen=True, slots=True)
 class RoundMark:
-    """A drill hole or a painted ring on the rock. T_ooi_mark: centre and plane of its rim, z out of the rock.
+    """A borehole or a painted ring on the rock. T_ooi_mark: centre and plane of its rim, z out of the rock.
 
     `line_m` is the width of a ring's paint inside its diameter, `light_ooi` points to the lamp; a wet hole has a dark
     streak below it.

@@ -31,7 +31,7 @@ def targets(
     walls: Annotated[int, typer.Option(help="walls for patches: 24 clicks each")] = 40,
     faults: Annotated[int, typer.Option(help="walls for faults: every fault once each")] = 34,
     rendered: Annotated[int, typer.Option(help="whole jobs in real time, preset realistic")] = 0,
-    holes: Annotated[int, typer.Option(help="walls with 1 to 12 drill holes and rings: two pictures each")] = 30,
+    holes: Annotated[int, typer.Option(help="walls with 1 to 12 boreholes and rings: two pictures each")] = 30,
     seed: Annotated[int, typer.Option(help="first seed")] = 1,
     machine: Annotated[str, typer.Option(help="machine file or name")] = "hiab033",
     folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = FOLDER,

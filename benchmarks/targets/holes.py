@@ -1,4 +1,4 @@
-"""Drill holes and rings against the truth: found, false, error of centre and axis, and whether ellipses hold."""
+"""Boreholes and rings against the truth: found, false, error of centre and axis, and whether ellipses hold."""
 
 from dataclasses import dataclass, replace
 

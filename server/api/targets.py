@@ -37,7 +37,7 @@ class MeasureTargetRequest(Strict):
 
 
 class FindMarksRequest(Strict):
-    """Search that image for drill holes and painted rings of these outer diameters."""
+    """Search that image for boreholes and painted rings of these outer diameters."""
 
     image: Annotated[int, Field(ge=0, le=2**53)]
     diameters_mm: list[Annotated[float, Field(ge=15.0, le=400.0)]] = Field(min_length=1, max_length=8)
@@ -70,7 +70,7 @@ class PatchView(View):
 
 
 class MarkView(View):
-    """One drill hole or ring; `patch.target_id` is what `POST /v1/target` and the job `pattern` take, 0 if refused."""
+    """One borehole or ring; `patch.target_id` is what `POST /v1/target` and the job `pattern` take, 0 if refused."""
 
     number: int
     diameter_mm: float
@@ -135,7 +135,7 @@ def target_router(service: JobService) -> APIRouter:
 
     @router.post("/marks", response_model=MarksView, responses=refused)
     async def find_marks(body: FindMarksRequest) -> MarksView:
-        """Find drill holes and rings of known diameter; nothing moves and nothing is used yet."""
+        """Find boreholes and rings of known diameter; nothing moves and nothing is used yet."""
         found = await choice.find_marks(body.image, tuple(body.diameters_mm))
         return marks_view(found, body.image, cell.machine.camera)
 

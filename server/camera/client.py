@@ -189,7 +189,7 @@ class VisionClient:
         return (await self._answered(command, TargetMeasured)).found
 
     async def find_marks(self, sequence: int, diameters_m: tuple[float, ...]) -> MarksFound:
-        """Find drill holes and rings in a pair that was shown.
+        """Find boreholes and rings in a pair that was shown.
 
         Raises: CameraError: the vision process does not answer.
         """

@@ -166,7 +166,7 @@ class MeasureTargetCommand:
 
 @dataclass(frozen=True, slots=True)
 class FindMarksCommand:
-    """Find drill holes and rings of these diameters [m] in the pair with that sequence number.
+    """Find boreholes and rings of these diameters [m] in the pair with that sequence number.
 
     request: echoed in the answer; the marks' targets are numbered from it on.
     """

@@ -105,7 +105,7 @@ class TargetMeasuring:
 
 def _pair_of(kept: tuple[_Kept, ...], sequence: int) -> _Kept | str:
     """The kept pair of that number, or why there is none."""
-    pair = next((one for one in reversed(kept) if one.sequence == sequence), None)
+    pair = next((pair for pair in reversed(kept) if pair.sequence == sequence), None)
     if pair is not None:
         return pair
     numbers = f"{kept[0].sequence} to {kept[-1].sequence}" if kept else "none"

@@ -33,12 +33,12 @@ class TargetChoice:
         return found
 
     async def find_marks(self, image: int, diameters_mm: tuple[float, ...]) -> MarksFound:
-        """Find drill holes and rings; each can be accepted by its target's number until the next search.
+        """Find boreholes and rings; each can be accepted by its target's number until the next search.
 
         Raises: CameraError: no answer from the vision process.
         """
-        found = await self._vision.find_marks(image, tuple(1e-3 * one for one in diameters_mm))
-        self._knowledge.marks = tuple(one for _, one in found.marks if isinstance(one, AnchoredTarget))
+        found = await self._vision.find_marks(image, tuple(1e-3 * diameter for diameter in diameters_mm))
+        self._knowledge.marks = tuple(target for _, target in found.marks if isinstance(target, AnchoredTarget))
         return found
 
     def accept(self, target_id: int) -> AnchoredTarget:
@@ -48,7 +48,8 @@ class TargetChoice:
         """
         self._require_idle()
         known = (self.candidate, *self._knowledge.marks)
-        found = next((one for one in known if isinstance(one, AnchoredTarget) and one.target_id == target_id), None)
+        targets = (target for target in known if isinstance(target, AnchoredTarget))
+        found = next((target for target in targets if target.target_id == target_id), None)
         if found is None:
             raise JobFailedError(
                 f"target {target_id} is neither the candidate that was measured last nor one of the marks that were "

@@ -140,7 +140,7 @@ def _radii(diameters_m: Sequence[float], px: float) -> Array:
     """Radii [m] within the spread of any diameter, a pixel apart."""
     low, high = 0.5 * (1.0 - SPREAD_FRAC) * min(diameters_m), 0.5 * (1.0 + SPREAD_FRAC) * max(diameters_m)
     all_m = np.arange(low, high + px, px)
-    near = [np.abs(all_m / (0.5 * one) - 1.0) <= SPREAD_FRAC + px / one for one in diameters_m]
+    near = [np.abs(all_m / (0.5 * diameter) - 1.0) <= SPREAD_FRAC + px / diameter for diameter in diameters_m]
     return np.asarray(all_m[np.any(near, axis=0)])
 
 

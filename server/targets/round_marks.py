@@ -1,4 +1,4 @@
-"""Drill holes and painted rings of known diameter in one pair: each a patch that can be anchored, numbered."""
+"""Boreholes and painted rings of known diameter in one pair: each a patch that can be anchored, numbered."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -87,7 +87,7 @@ def _accepted(
     noise = max(noise_grey(left), noise_grey(right))
     kept: list[Fitted] = []
     for place in places:
-        if any(place.dark_inside == one[2] and _concentric(place.circle, one[0].circle) for one in kept):
+        if any(place.dark_inside == dark and _concentric(place.circle, fit.circle) for fit, _, dark in kept):
             continue  # the better voted one has the same rim
         fit = fit_circle(left, right, camera, place.circle, place.dark_inside, EDGE_FLOOR_PX, noise)
         if fit is None or fit.log10_nfa > LOG10_NFA_MAX or fit.rim_frac < RIM_MIN_FRAC:
@@ -103,11 +103,11 @@ def _one_of_each(fits: Sequence[Fitted]) -> list[Fitted]:
     """Of concentric circles one: the outer where they differ in size (a ring's two edges), else the better aligned."""
     kept: list[Fitted] = []
     for fit in sorted(fits, key=lambda one: one[0].log10_nfa):
-        rivals = [one for one in kept if _concentric(fit[0].circle, one[0].circle)]
+        rivals = [rival for rival in kept if _concentric(fit[0].circle, rival[0].circle)]
         if not rivals:
             kept.append(fit)
-        elif all(fit[2] != one[2] and fit[0].circle.radius_m > 1.05 * one[0].circle.radius_m for one in rivals):
-            kept = [one for one in kept if all(one is not rival for rival in rivals)] + [fit]
+        elif all(fit[2] != dark and fit[0].circle.radius_m > 1.05 * rival.circle.radius_m for rival, _, dark in rivals):
+            kept = [other for other in kept if not any(other is rival for rival in rivals)] + [fit]
     return sorted(kept, key=lambda one: float(one[0].circle.centre[0] / one[0].circle.centre[2]))
 
 

@@ -1,4 +1,4 @@
-"""Drill holes and painted rings on the wall, ray cast: holes have depth, parallax, shadow, a chipped rim and dust."""
+"""Boreholes and painted rings on the wall, ray cast: holes have depth, parallax, shadow, a chipped rim and dust."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from sim_plc.world import RoundMark
 
 MARKS_MAX = 12
 _PLACES_M = ((-0.45, 0.45), (-0.12, 0.36))  # x and y in the OOI: in view from about half a metre
-_HOLE_DIAMETERS_M, _RING_DIAMETERS_M = (0.045, 0.051, 0.064, 0.076), (0.08, 0.10)  # drill bits; stencils
+_HOLE_DIAMETERS_M, _RING_DIAMETERS_M = (0.045, 0.051, 0.064, 0.076), (0.08, 0.10)  # bits; stencils
 _RING_SHARE = 0.25
 _APART = 1.6  # of the sum of two radii
 _TRIES = 400
@@ -74,7 +74,7 @@ def _on_relief(relief: Relief, x: float, y: float, radius_m: float) -> Array:
         rim = []
         for dx, dy in circle:
             origin = transform_points(T, np.array([[dx, dy, 0.5]]))[0]
-            rx, ry, rz = (float(one) for one in -T[:3, 2])
+            rx, ry, rz = (float(part) for part in -T[:3, 2])
             px, py, h = wall_hit(relief.heights, relief.mean_z_m, T[2, 3] - relief.mean_z_m, origin, rx, ry, rz, 20)
             rim.append((px, py, relief.mean_z_m + h))
         points = np.array(rim)

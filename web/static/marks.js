@@ -1,9 +1,9 @@
-// Drill holes and rings: found in the shown picture, numbered there, chosen by a click on one.
+// Boreholes and rings: found in the shown picture, numbered there, chosen by a click on one.
 import { shownHeader } from "./camera.js";
 import { send } from "./commands.js";
 import { byId } from "./dom.js";
 
-const NEAR_PX = 12; // a finger's click beside a small mark still means it
+const NEAR_PX = 12; // a finger's click next to a small mark still means it
 let marks = [];
 
 // Search the shown picture for the diameters in the field; returns the answer, or null when the server refused.

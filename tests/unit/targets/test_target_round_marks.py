@@ -1,4 +1,4 @@
-"""Drill holes and painted rings: found by both eyes, with an honest centre and axis; nothing found where none is."""
+"""Boreholes and painted rings: found by both eyes, with an honest centre and axis; nothing found where none is."""
 
 from dataclasses import replace
 from functools import lru_cache
