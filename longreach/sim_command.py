@@ -42,6 +42,7 @@ def sim(
         float | None, typer.Option(help="texture of what the crane shows of itself, 0 plain to 1; else the preset's")
     ] = None,
     bare_rock: Annotated[bool, typer.Option("--bare-rock", help="show the wall without the object's markers")] = False,
+    holes: Annotated[int, typer.Option(help="boreholes and painted rings on the wall, 0 to 12")] = 0,
     enable: Annotated[str, typer.Option(help="auto, or panel: SIGUSR1 presses the local enable")] = "auto",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="play everything, but leave the valves neutral")] = False,
     auth_key_file: Annotated[str | None, typer.Option(help="hexadecimal key: only signed commands are taken")] = None,
@@ -88,6 +89,7 @@ def sim(
                 structure_contrast_frac=structure_contrast_frac,
                 bare_rock=bare_rock,
                 enable=enable,
+                round_marks=holes,
                 dry_run=dry_run,
                 key=read_key(auth_key_file),
                 truth_log=truth_log,

@@ -9,6 +9,8 @@ from machine.description import Machine, Marker
 from machine.kinematics import link_poses
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, rotation_about, rotation_from_rotvec
+from sim_plc.camera.round_marks import draw_marks
+from sim_plc.camera.wall import wall_relief
 from sim_plc.draw_camera import random_axis
 from sim_plc.presets import spread_of
 from sim_plc.world import SceneTruth, StructureTruth, World, rng_for
@@ -98,6 +100,13 @@ def with_structure(world: World, cover_frac: float | None, contrast_frac: float 
 def with_bare_rock(world: World) -> World:
     """The same wall without the object's markers and boards: the OOI's frame stays as the truth's reference."""
     return replace(world, scene=replace(world.scene, ooi_markers=(), ooi_boards=()))
+
+
+def with_round_marks(world: World, count: int) -> World:
+    """The same wall with so many boreholes and painted rings, drawn by the wall's own seed; 0: none."""
+    scene = world.scene
+    relief = wall_relief(scene.texture_seed, scene.wall_relief_m, scene.wall_offset_m)
+    return replace(world, scene=replace(scene, round_marks=draw_marks(scene.texture_seed, count, relief)))
 
 
 def draw_scene(

@@ -21,8 +21,9 @@ from protocol.errors import LocalProtocolError
 from protocol.framing import parse_net_id
 from recording.clock import mono_ns
 from recording.spawn import out_of_the_terminals_reach
+from sim_plc.camera.round_marks import MARKS_MAX
 from sim_plc.diagnosed import with_effects
-from sim_plc.draw_scene import with_bare_rock, with_structure
+from sim_plc.draw_scene import with_bare_rock, with_round_marks, with_structure
 from sim_plc.draw_world import draw_world
 from sim_plc.machine_loop import MS, MachineLoop, plc_framing
 from sim_plc.plc import path
@@ -78,6 +79,7 @@ class SimSettings:
     structure_frac: float | None = None  # of the picture, covered by the crane itself; None: as the preset draws it
     structure_contrast_frac: float | None = None  # of its texture, 0: plain paint; None: as the preset draws it
     bare_rock: bool = False  # the wall without the object's markers and boards
+    round_marks: int = 0  # boreholes and painted rings on that wall
     dry_run: bool = False  # everything is played, but the valves stay neutral
     key: bytes = b""  # 16..64 bytes: take only signed commands, and sign states
     enable: str = "auto"  # or "panel": SIGUSR1 presses and releases the enable, SIGUSR2 the lever, SIGRTMIN the E-stop
@@ -99,6 +101,8 @@ class SimSettings:
         ):
             if share is not None and not 0.0 <= share <= limit:
                 raise SimSettingsError(f"{name} = {share}: must be 0..{limit:g}")
+        if not 0 <= self.round_marks <= MARKS_MAX:
+            raise SimSettingsError(f"round_marks = {self.round_marks}: must be 0..{MARKS_MAX}")
         if self.seed < 0:
             raise SimSettingsError(f"seed = {self.seed}: must be 0 or more")
         for name, net_id in (("pc_net_id", self.pc_net_id), ("plc_net_id", self.plc_net_id)):
@@ -118,7 +122,8 @@ def run_sim(settings: SimSettings, place: Callable[[World], World] = lambda worl
     with _StopFlag() as stopped:
         drawn = draw_world(parse_machine_toml(settings.machine_text), settings.preset, settings.seed)
         shown = with_structure(with_effects(drawn), settings.structure_frac, settings.structure_contrast_frac)
-        world = place(with_bare_rock(shown) if settings.bare_rock else shown)
+        walled = with_bare_rock(shown) if settings.bare_rock else shown
+        world = place(with_round_marks(walled, settings.round_marks))
         panel = LocalPanel(cast(EnableMode, settings.enable))
         _panel_signals(panel)
         return _run(settings, world, panel, stopped)

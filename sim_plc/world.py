@@ -1,6 +1,7 @@
 """One simulated machine in front of one wall: everything that is true and that the server must never see."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -37,6 +38,26 @@ class StructureTruth:
 
 
 @dataclass(frozen=True, slots=True)
+class RoundMark:
+    """A borehole or a painted ring on the rock. T_ooi_mark: centre and plane of its rim, z out of the rock.
+
+    `line_m` is the width of a ring's paint inside its diameter, `light_ooi` points to the lamp; a wet hole has a dark
+    streak below it.
+    """
+
+    kind: Literal["hole", "ring"]
+    T_ooi_mark: Array
+    diameter_m: float
+    depth_m: float
+    line_m: float
+    grey: int
+    dust_frac: float
+    wet: bool
+    light_ooi: Array
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
 class SceneTruth:
     """The wall, the OOI on it and the tool marker, as they truly are (printed sizes and places included)."""
 
@@ -50,6 +71,7 @@ class SceneTruth:
     texture_seed: int
     ooi_boards: tuple[Board, ...] = ()  # chess boards with markers, T_on_board = true T_ooi_board
     structure: StructureTruth | None = None
+    round_marks: tuple[RoundMark, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

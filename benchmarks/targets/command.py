@@ -16,6 +16,7 @@ from scipy.stats import binomtest
 
 from benchmarks.same_options import require_same_options, text_mark
 from benchmarks.targets.faults import KINDS, FaultCase, fault_cases
+from benchmarks.targets.holes import HoleCase, hole_cases
 from benchmarks.targets.patches import PatchCase, wall_cases
 from benchmarks.targets.rendered import PointCase, point_case
 from machine.description import parse_machine_toml
@@ -30,6 +31,7 @@ def targets(
     walls: Annotated[int, typer.Option(help="walls for patches: 24 clicks each")] = 40,
     faults: Annotated[int, typer.Option(help="walls for faults: every fault once each")] = 34,
     rendered: Annotated[int, typer.Option(help="whole jobs in real time, preset realistic")] = 0,
+    holes: Annotated[int, typer.Option(help="walls with 1 to 12 boreholes and rings: two pictures each")] = 30,
     seed: Annotated[int, typer.Option(help="first seed")] = 1,
     machine: Annotated[str, typer.Option(help="machine file or name")] = "hiab033",
     folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = FOLDER,
@@ -44,12 +46,16 @@ def targets(
     found = _saved(
         folder, "faults", range(seed, seed + faults), lambda k: fault_cases(described, k, settings), FaultCase
     )
+    round_marks = _saved(
+        folder, "holes", range(seed, seed + holes), lambda k: hole_cases(described, k, settings), HoleCase
+    )
     driven = _saved(
         folder, "rendered", range(seed, seed + rendered), lambda k: [point_case(described, k, folder)], PointCase
     )
     for rows, title in (
         (patch_rows(seen), f"patches: N = {len(seen)} clicks, {walls} walls"),
         (fault_rows(found), f"faults: N = {len(found)} looks, {faults} walls"),
+        (hole_rows(round_marks), f"holes and rings: N = {len(round_marks)} marks, {holes} walls"),
         (point_rows(driven), f"point and go: N = {len(driven)} jobs"),
     ):
         table = Table("what", "share", "Wilson 95 %", title=f"{title}, seeds from {seed}", title_justify="left")
@@ -120,6 +126,37 @@ def fault_rows(cases: Sequence[FaultCase]) -> list[tuple[str, str, str]]:
 
 def _flags(cases: Sequence[FaultCase], kind: str) -> list[bool]:
     return [case.found if kind != "none" else not case.found for case in cases if case.kind == kind]
+
+
+def hole_rows(cases: Sequence[HoleCase]) -> list[tuple[str, str, str]]:
+    """Found and false shares, errors and coverage, with the camera at about 0.6 m and at about 1 m."""
+    rows = []
+    for near, name in ((True, "about 0.6 m"), (False, "about 1 m")):
+        some = [case for case in cases if case.near == near]
+        seen = [case for case in some if case.visible]
+        found = [case for case in some if case.found]
+        good = [case for case in found if case.status == "ok"]
+        refused = ", ".join(f"{k} {n}" for k, n in Counter(c.status for c in found if c.status != "ok").items())
+        rows += [
+            _share(f"{name}: found of the visible", [case.found for case in seen]),
+            _share(f"{name}: false of the found", [case.kind == "false" for case in found]),
+            _share(f"{name}: measured of the found (refused: {refused or 'none'})", [c.status == "ok" for c in found]),
+        ]
+        good = [case for case in good if case.kind != "false"]
+        rows += [
+            _share(f"{name}: centre within 1 mm", [case.centre_mm <= 1.0 for case in good]),
+            _share(f"{name}: axis within 2 deg", [case.axis_deg <= 2.0 for case in good]),
+            _share(f"{name}: 95 % ellipsoid holds the centre", [case.holds_centre for case in good]),
+            _share(f"{name}: 95 % ellipse holds the axis", [case.holds_axis for case in good]),
+        ]
+        for what, unit in (("centre_mm", "mm"), ("axis_deg", "deg")):
+            values = [getattr(case, what) for case in good]
+            if values:
+                quantiles = ", ".join(f"{value:.2f}" for value in np.quantile(values, [0.5, 0.95, 1.0]))
+                rows.append(
+                    (f"{name}: {what[: -len(unit) - 1]} error, median, 95 % and largest", f"{quantiles} {unit}", "")
+                )
+    return rows
 
 
 def point_rows(cases: Sequence[PointCase]) -> list[tuple[str, str, str]]:

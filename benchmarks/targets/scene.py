@@ -22,6 +22,13 @@ def bare_rock(
     machine: Machine, seed: int, contrast_frac: float = 1.0, noise_grey: float = 2.0, structure_frac: float = 0.0
 ) -> StereoRenderer:
     """A renderer of the nominal camera before a wall without markers; base = OOI frame."""
+    return StereoRenderer(bare_rock_setup(machine, seed, contrast_frac, noise_grey, structure_frac))
+
+
+def bare_rock_setup(
+    machine: Machine, seed: int, contrast_frac: float = 1.0, noise_grey: float = 2.0, structure_frac: float = 0.0
+) -> RenderSetup:
+    """The same, before anything is drawn."""
     camera, scene = demo_world(
         machine,
         noise_grey=noise_grey,
@@ -30,7 +37,7 @@ def bare_rock(
         texture_seed=seed,
         structure_frac=structure_frac,
     )
-    return StereoRenderer(RenderSetup(camera, replace(scene, ooi_markers=(), ooi_boards=())))
+    return RenderSetup(camera, replace(scene, ooi_markers=(), ooi_boards=()))
 
 
 def view(machine: Machine, rng: np.random.Generator, distance_m: float, tilt_deg: float = 4.0) -> Array:

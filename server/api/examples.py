@@ -69,6 +69,14 @@ _PATCH = {
     "ellipse_px": [[656.1, 322.5], [655.0, 321.4], [653.9, 322.5], [655.0, 323.6]],
     "axes_px": [[655.0, 322.5], [677.4, 322.4], [655.1, 300.2], [651.3, 320.7]],
 }
+_MARK = {
+    "number": 1,
+    "diameter_mm": 50.7,
+    "sigma_diameter_mm": 0.4,
+    "nominal_mm": 51.0,
+    "dark_inside": True,
+    "patch": _PATCH,
+}
 _LINK = {
     "phase": "armed",
     "age_ms": 6.2,
@@ -308,6 +316,7 @@ EXAMPLES: dict[str, Example] = {
     "PlanIdentifyRequest": {"kind": "plan_identify", "minutes": 6.0, "wall_free": False, "resume": False},
     "IdentifyRequest": {"kind": "identify", "plan_hash": PLAN_HASH},
     "PlanView": _PLAN,
+    "PatternRequest": {"kind": "pattern", "target_ids": [3, 4, 5]},
     "PositionRequest": {"kind": "position", "method": "ours", "recalibrate": True},
     "PreviewRequest": {"kind": "preview"},
     "Problem": {
@@ -338,6 +347,9 @@ EXAMPLES: dict[str, Example] = {
     "SettingRow": {"name": "position.tolerance_mm", "value": "5.0", "unit": "mm"},
     "StateView": _STATE,
     "TargetRequest": {"target_id": 3},
+    "FindMarksRequest": {"image": 1412, "diameters_mm": [51.0, 64.0]},
+    "MarksView": {"image": 1412, "reason": "", "marks": [_MARK]},
+    "MarkView": _MARK,
     "MeasureTargetRequest": {"image": 1412, "u_px": 655.0, "v_px": 322.5, "roll_deg": 0.0},
     "PatchView": _PATCH,
     "TargetView": {"target": _PATCH, "candidate": None, "image": 1420},

@@ -13,6 +13,7 @@ from machine.poses import transform_points
 from server.api.lease import leased
 from server.api.problems import problem
 from server.api.views import Problem, Strict, View
+from server.camera.contracts import MarksFound
 from server.jobs.service import JobService
 from server.jobs.targets import TargetChoice
 from server.targets.contracts import AnchoredTarget, SurfacePatch
@@ -35,8 +36,15 @@ class MeasureTargetRequest(Strict):
     roll_deg: Annotated[float, Field(ge=-180.0, le=180.0)] = 0.0
 
 
+class FindMarksRequest(Strict):
+    """Search that image for boreholes and painted rings of these outer diameters."""
+
+    image: Annotated[int, Field(ge=0, le=2**53)]
+    diameters_mm: list[Annotated[float, Field(ge=15.0, le=400.0)]] = Field(min_length=1, max_length=8)
+
+
 class TargetRequest(Strict):
-    """Which measured candidate is meant: one that has been replaced meanwhile is refused."""
+    """Which measured candidate or found mark is meant: one that has been replaced meanwhile is refused."""
 
     target_id: Annotated[int, Field(ge=1, le=2**53)]
 
@@ -59,6 +67,25 @@ class PatchView(View):
     outline_px: list[list[float]] = Field(description="rim of the measured patch in the left image")
     ellipse_px: list[list[float]] = Field(description="95 % ellipse of the position in the surface, magnified 10 times")
     axes_px: list[list[float]] = Field(description="origin and the ends of x, y and the normal (50 mm)")
+
+
+class MarkView(View):
+    """One borehole or ring; `patch.target_id` is what `POST /v1/target` and the job `pattern` take, 0 if refused."""
+
+    number: int
+    diameter_mm: float
+    sigma_diameter_mm: float
+    nominal_mm: float
+    dark_inside: bool
+    patch: PatchView
+
+
+class MarksView(View):
+    """Marks from left to right, numbered from 1; reason: why that image could not be searched."""
+
+    image: int
+    reason: str
+    marks: list[MarkView]
 
 
 class TargetView(View):
@@ -106,9 +133,15 @@ def target_router(service: JobService) -> APIRouter:
         found = await choice.measure(body.image, (body.u_px, body.v_px), body.roll_deg)
         return patch_view(found, body.image, cell.machine.camera)
 
+    @router.post("/marks", response_model=MarksView, responses=refused)
+    async def find_marks(body: FindMarksRequest) -> MarksView:
+        """Find boreholes and rings of known diameter; nothing moves and nothing is used yet."""
+        found = await choice.find_marks(body.image, tuple(body.diameters_mm))
+        return marks_view(found, body.image, cell.machine.camera)
+
     @router.post("", response_model=TargetView, responses=refused, dependencies=[control])
     async def use_target(body: TargetRequest) -> TargetView | JSONResponse:
-        """Use the measured candidate as the object of interest: look at it before anything moves."""
+        """Use the measured candidate, or a found mark, as the object of interest: look at it before anything moves."""
         choice.accept(body.target_id)
         return view()
 
@@ -119,6 +152,22 @@ def target_router(service: JobService) -> APIRouter:
         return view()
 
     return router
+
+
+def marks_view(found: MarksFound, image: int, camera: StereoCamera) -> MarksView:
+    """Found marks as they are shown: in px of their image."""
+    marks = [
+        MarkView(
+            number=mark.number,
+            diameter_mm=1e3 * mark.diameter_m,
+            sigma_diameter_mm=1e3 * mark.sigma_diameter_m,
+            nominal_mm=1e3 * mark.nominal_m,
+            dark_inside=mark.dark_inside,
+            patch=patch_view(target, image, camera),
+        )
+        for mark, target in found.marks
+    ]
+    return MarksView(image=image, reason=found.reason, marks=marks)
 
 
 def patch_view(found: AnchoredTarget | SurfacePatch, image: int, camera: StereoCamera) -> PatchView:

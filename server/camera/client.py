@@ -10,14 +10,16 @@ from collections import deque
 from collections.abc import Callable
 from multiprocessing.connection import Connection  # on POSIX; Windows has another class of the same face
 from multiprocessing.process import BaseProcess
-from typing import cast
+from typing import TypeVar, cast
 
 from machine.description import Machine
 from recording.clock import SUSPENDED, mono_ns
 from recording.spawn import out_of_the_terminals_reach
 from server.calibration.contracts import CameraTrack
 from server.camera.contracts import (
+    FindMarksCommand,
     FrameReport,
+    MarksFound,
     MeasureTargetCommand,
     OdometryCommand,
     OdometryMap,
@@ -46,6 +48,7 @@ RESTART_S = 1.0
 HUNG_LOOKS = 30  # so many seconds in which a process that had begun says nothing: it is ended, and begun anew
 ODOMETRY_START_S = 20.0
 MEASURE_S = 30.0  # until a target is measured
+Answer = TypeVar("Answer", TargetMeasured, MarksFound)
 MAP_S = 10.0  # until the map of an odometry run is there
 PROCESS_START_S = 240.0  # on a new machine everything is compiled first
 
@@ -74,7 +77,7 @@ class VisionClient:
         self._pose_source: PoseSourceName = "stereo"
         self._track: TrackCollector | None = None
         self._target: AnchoredTarget | None = None
-        self._measured: TargetMeasured | None = None
+        self._measured: TargetMeasured | MarksFound | None = None
         self._requests = 0
         self._runs = self._map_wanted = 0  # of odometry
         self.stream_text = STARTING
@@ -182,17 +185,29 @@ class VisionClient:
 
         Raises: CameraError: the vision process does not answer.
         """
-        self._requests += 1
-        number = self._requests
-        self._send(MeasureTargetCommand(number, sequence, pixel, roll_rad))
+        command = MeasureTargetCommand(self._requests + 1, sequence, pixel, roll_rad)
+        return (await self._answered(command, TargetMeasured)).found
+
+    async def find_marks(self, sequence: int, diameters_m: tuple[float, ...]) -> MarksFound:
+        """Find boreholes and rings in a pair that was shown.
+
+        Raises: CameraError: the vision process does not answer.
+        """
+        answer = await self._answered(FindMarksCommand(self._requests + 1, sequence, diameters_m), MarksFound)
+        self._requests += len(answer.marks)  # the marks' targets have these numbers
+        return answer
+
+    async def _answered(self, command: MeasureTargetCommand | FindMarksCommand, kind: type[Answer]) -> Answer:
+        number = self._requests = command.request
+        self._send(command)
         try:
             async with asyncio.timeout(MEASURE_S):
                 await self._until(lambda: self._measured is not None and self._measured.request >= number)
         except TimeoutError:
             raise CameraError(f"target was not measured within {MEASURE_S:.0f} s; try again") from None
-        if self._measured is None or self._measured.request != number:
+        if not isinstance(self._measured, kind) or self._measured.request != number:
             raise CameraError("another target was measured in the meantime; choose again")
-        return self._measured.found
+        return self._measured
 
     def use_target(self, target: AnchoredTarget | None) -> None:
         """Serve this target as the object of interest, also after a restart of the process; None: its markers.
@@ -338,7 +353,7 @@ class VisionClient:
             return
         if isinstance(message, FrameReport):
             self._take(message)
-        elif isinstance(message, TargetMeasured):
+        elif isinstance(message, TargetMeasured | MarksFound):
             self._measured = message
             self._arrived.set()
         elif isinstance(message, OdometryMap):

@@ -5,6 +5,7 @@ from typing import Literal, Protocol
 
 from server.camera.sources.settings import SourceSettings
 from server.targets.contracts import AnchoredTarget, SurfacePatch
+from server.targets.round_marks import RoundMark
 from server.vision.contracts import Array, Image, OdometryPose, PairObservation
 
 PoseSourceName = Literal["stereo", "mono"]
@@ -164,6 +165,18 @@ class MeasureTargetCommand:
 
 
 @dataclass(frozen=True, slots=True)
+class FindMarksCommand:
+    """Find boreholes and rings of these diameters [m] in the pair with that sequence number.
+
+    request: echoed in the answer; the marks' targets are numbered from it on.
+    """
+
+    request: int
+    sequence: int
+    diameters_m: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class UseTargetCommand:
     """Serve this target as the object of interest; None: its markers again."""
 
@@ -178,5 +191,15 @@ class TargetMeasured:
     found: AnchoredTarget | SurfacePatch
 
 
-VisionCommand = OdometryCommand | PoseSourceCommand | MeasureTargetCommand | UseTargetCommand | QuitCommand
-VisionMessage = FrameReport | StreamNotice | OdometryMap | TargetMeasured | SignOfLife
+@dataclass(frozen=True, slots=True)
+class MarksFound:
+    """The answer to a FindMarksCommand: each mark with its target, or the patch that cannot be one; or why none."""
+
+    request: int
+    marks: tuple[tuple[RoundMark, AnchoredTarget | SurfacePatch], ...]
+    reason: str
+
+
+TargetCommand = MeasureTargetCommand | FindMarksCommand | UseTargetCommand
+VisionCommand = OdometryCommand | PoseSourceCommand | TargetCommand | QuitCommand
+VisionMessage = FrameReport | StreamNotice | OdometryMap | TargetMeasured | MarksFound | SignOfLife

@@ -11,12 +11,12 @@ import cv2
 from machine.description import StereoCamera
 from server.camera.contracts import (
     FrameReport,
-    MeasureTargetCommand,
+    MarksFound,
     OdometryMap,
     PoseSourceName,
     StereoFrame,
+    TargetCommand,
     TargetMeasured,
-    UseTargetCommand,
     VisionSettings,
 )
 from server.camera.health import ImageHealth, sharpness
@@ -158,13 +158,13 @@ class VisionPipeline:
         still = (None, None) if pictures is None else pictures.masks()
         return OdometryMap(ended.map_points(MAP_POINTS), ended_run, still)
 
-    def obey_target(self, command: MeasureTargetCommand | UseTargetCommand) -> None:
+    def obey_target(self, command: TargetCommand) -> None:
         """Measure a target, or serve one; without a target source nothing happens."""
         if self._targets is not None:
             self._targets.obey(command)
 
-    def targets_measured(self) -> list[TargetMeasured]:
-        """Measured targets that are ready, each once."""
+    def targets_measured(self) -> list[TargetMeasured | MarksFound]:
+        """Measured targets and found marks that are ready, each once."""
         return [] if self._targets is None else self._targets.finished()
 
     def close(self) -> None:

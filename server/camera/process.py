@@ -14,6 +14,7 @@ import numpy as np
 from machine.description import Machine
 from recording.clock import SUSPENDED, SuspendWatch, mono_ns, mono_s
 from server.camera.contracts import (
+    FindMarksCommand,
     MeasureTargetCommand,
     OdometryCommand,
     PoseSourceCommand,
@@ -185,7 +186,7 @@ class VisionLoop:
                     self._pipe.send(ended)
             case PoseSourceCommand(name=name):
                 self._pipeline.use_pose_source(name)
-            case MeasureTargetCommand() | UseTargetCommand():
+            case MeasureTargetCommand() | FindMarksCommand() | UseTargetCommand():
                 self._pipeline.obey_target(command)
             case QuitCommand():
                 self._quit = True

@@ -3,15 +3,24 @@
 from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from machine.description import StereoCamera
-from server.camera.contracts import MeasureTargetCommand, StereoFrame, TargetMeasured, UseTargetCommand
+from server.camera.contracts import (
+    FindMarksCommand,
+    MarksFound,
+    MeasureTargetCommand,
+    StereoFrame,
+    TargetCommand,
+    TargetMeasured,
+    UseTargetCommand,
+)
 from server.targets.anchor import anchor_target
-from server.targets.contracts import PatchStatus, TargetSettings, refused_patch
+from server.targets.contracts import AnchoredTarget, PatchStatus, TargetSettings, refused_patch
+from server.targets.round_marks import find_round_marks
 from server.targets.source import TargetPoseSource
 from server.targets.surface import measure_patch, with_roll
 from server.vision.contracts import Array, Image
@@ -34,19 +43,23 @@ class TargetMeasuring:
         self._camera, self._source, self._settings = camera, source, settings or TargetSettings()
         self._kept: deque[_Kept] = deque(maxlen=KEPT)
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="target")
-        self._running: deque[Future[TargetMeasured]] = deque()
+        self._running: deque[Future[TargetMeasured | MarksFound]] = deque()
 
     def keep(self, frame: StereoFrame) -> None:
         """Keep a pair that is shown to the operator, with the own tool's polygons in it."""
         self._kept.append(_Kept(frame.sequence, frame.left.copy(), frame.right.copy(), self._source.masks_px))
 
-    def obey(self, command: MeasureTargetCommand | UseTargetCommand) -> None:
+    def obey(self, command: TargetCommand) -> None:
         """Serve a target from the next pair on, or begin to measure one; `finished` gives the answer."""
         if isinstance(command, UseTargetCommand):
             return self._source.use(command.target)
-        self._running.append(self._thread.submit(self._measured, command, tuple(self._kept)))
+        if isinstance(command, FindMarksCommand):
+            self._running.append(self._thread.submit(self._marks, command, tuple(self._kept)))
+        else:
+            self._running.append(self._thread.submit(self._measured, command, tuple(self._kept)))
+        return None
 
-    def finished(self) -> list[TargetMeasured]:
+    def finished(self) -> list[TargetMeasured | MarksFound]:
         """Answers that are ready, each once."""
         ready = []
         while self._running and self._running[0].done():
@@ -58,10 +71,9 @@ class TargetMeasuring:
         self._thread.shutdown(cancel_futures=True)
 
     def _measured(self, command: MeasureTargetCommand, kept: tuple[_Kept, ...]) -> TargetMeasured:
-        pair = next((one for one in reversed(kept) if one.sequence == command.sequence), None)
-        if pair is None:
-            numbers = f"{kept[0].sequence} to {kept[-1].sequence}" if kept else "none"
-            reason = f"Image {command.sequence} is not kept any more (kept: {numbers}); choose in a newer image"
+        pair = _pair_of(kept, command.sequence)
+        if isinstance(pair, str):
+            reason = pair
             return TargetMeasured(command.request, refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel))
         if _is_masked(pair.masks_px[0], command.pixel):
             reason = "The own tool is at this pixel; choose a place beside it"
@@ -74,6 +86,30 @@ class TargetMeasuring:
             command.request, patch, pair.left, pair.right, self._camera, self._settings, pair.masks_px
         )
         return TargetMeasured(command.request, found)
+
+    def _marks(self, command: FindMarksCommand, kept: tuple[_Kept, ...]) -> MarksFound:
+        """All marks of a pair, each anchored now: the pair will not be kept until one is chosen."""
+        pair = _pair_of(kept, command.sequence)
+        if isinstance(pair, str):
+            return MarksFound(command.request, (), pair)
+        camera, settings = self._camera, self._settings
+        found = find_round_marks(pair.left, pair.right, camera, command.diameters_m, settings, pair.masks_px)
+        marks = []
+        for number, mark in enumerate(found.marks, command.request):
+            target = anchor_target(number, mark.patch, pair.left, pair.right, camera, settings, pair.masks_px)
+            if isinstance(target, AnchoredTarget):  # one copy of the pair for all
+                target = replace(target, reference_left=pair.left, reference_right=pair.right)
+            marks.append((mark, target))
+        return MarksFound(command.request, tuple(marks), found.reason)
+
+
+def _pair_of(kept: tuple[_Kept, ...], sequence: int) -> _Kept | str:
+    """The kept pair of that number, or why there is none."""
+    pair = next((pair for pair in reversed(kept) if pair.sequence == sequence), None)
+    if pair is not None:
+        return pair
+    numbers = f"{kept[0].sequence} to {kept[-1].sequence}" if kept else "none"
+    return f"Image {sequence} is not kept any more (kept: {numbers}); choose in a newer image"
 
 
 def _is_masked(polygons: Sequence[Array], pixel: tuple[float, float]) -> bool:

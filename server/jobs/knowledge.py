@@ -68,6 +68,7 @@ class Knowledge:
     side: Array | None = None  # where each joint rested in its play (n,), -1 to 1, when the encoders last told it
     life: LocalCalibration | None = None  # the calibration as a thing that is kept, shown and expires
     target: AnchoredTarget | None = None  # the object of interest, where it is a chosen place and not markers
+    marks: tuple[AnchoredTarget, ...] = ()  # holes and rings that were found last, any of which may be the target
     calibration_note: str = ""  # why a kept calibration was not taken up, or is not kept
     unix_minus_mono_s: float = 0.0  # 0 in virtual time
 
@@ -83,6 +84,14 @@ class Knowledge:
     def forget_sight(self) -> None:
         """Nothing seen, and nothing planned from it, is acted upon any more; the wall's place is kept as a limit."""
         self.last_look = self.previewed = None
+
+    def use_target(self, target: AnchoredTarget | None) -> None:
+        """Another object of interest: what was seen of the former one is not used any more."""
+        self.target = target
+        self.forget_sight()
+        self.looks.clear()  # they saw another object
+        self.joint = None
+        self.moves.clear()
 
     def forget_calibration(self) -> None:
         """Nothing learnt about this machine's mount and map is used any more."""

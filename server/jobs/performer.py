@@ -29,6 +29,7 @@ from server.jobs.requests import (
     StopOdometry,
     TakeLook,
     TimePairs,
+    UseTarget,
 )
 from server.jobs.steer_requests import Correct, EndMove, NextPair, StartMove, Steer, StopMove
 from server.jobs.steering import Steering
@@ -43,6 +44,7 @@ SILENT_S = 1.0  # a job gives up then; motion is stopped by link process and PLC
 REST_WINDOW_S = 0.4
 REST_SPEED_RAD_S = 2e-4  # 0.8 mm/s at 4 m
 REST_LAG_RAD_S = 1e-4
+SWITCH_PAIRS, SWITCH_POLL_S = 2, 0.02
 WATCHED_MAX = 180 * 60  # pairs: as long as encoders are kept to join them with, at 60 a second
 PAIRS_SEEN_S, TIMING_MAX_S = 0.05, 6.0  # at the slowest camera of use, one pair a second, it is six pairs
 ARMING_RAD = 1e-4  # four counts of an 18-bit encoder: 0.4 mm at 4 m
@@ -87,11 +89,20 @@ class Performer:
                 return self._stop_watching()
             case StartMove() | NextPair() | Correct() | EndMove() | StopMove():
                 return await self._steer(request)
+            case UseTarget():
+                return await self._use_target(request)
             case BeginSegment():
                 return self._cell.recorder.begin_segment(request.name, request.kind)
             case EndSegment():
                 return self._cell.recorder.end_segment()
         raise TypeError(f"no way to perform {type(request).__name__}")
+
+    async def _use_target(self, request: UseTarget) -> None:
+        """Returns when pairs come that see the new target: one may still be processed for the former one."""
+        since_ns, until_s = mono_ns(), mono_s() + SILENT_S
+        self._cell.vision.use_target(request.target)
+        while len(self._cell.vision.reports_since(since_ns)) < SWITCH_PAIRS and mono_s() < until_s:  # noqa: ASYNC110 no event
+            await asyncio.sleep(SWITCH_POLL_S)
 
     def record(self, request: Record) -> None:
         """Hand a finding to the recorder."""

@@ -112,6 +112,16 @@ class PositionResult:
 
 
 @dataclass(frozen=True, slots=True)
+class PatternResult:
+    """The end of a pattern job: the visited targets and what came of each; it ends at the first one not reached."""
+
+    reached: bool
+    reason: str
+    target_ids: tuple[int, ...]
+    visits: tuple[PositionResult, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class LineLook:
     """One look of a line-equation run: "oriented", "move", "servo 1"; and when it was taken."""
 

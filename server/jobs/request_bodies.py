@@ -1,6 +1,6 @@
 """What a client sends to start a job: one strict model per kind of job, units in every name."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -54,6 +54,15 @@ class PositionRequest(JobRequest):
     kind: Literal["position"]
     method: Literal["ours", "paper"] = "ours"
     recalibrate: bool = True
+
+
+class PatternRequest(JobRequest):
+    """The whole loop at each of the chosen marks in turn, with a return to the start in between."""
+
+    kind: Literal["pattern"]
+    target_ids: list[Annotated[int, Field(ge=1, le=2**53)]] = Field(
+        min_length=1, max_length=12, description="marks of the last search (POST /v1/target/marks), in order"
+    )
 
 
 class LineRequest(JobRequest):

@@ -14,6 +14,7 @@ from server.jobs.steer_requests import Steer
 from server.jobs.watching import StartWatching, StopWatching
 from server.motion.contracts import JointTrajectory, PathPlan
 from server.motion.identification_courses import Mark
+from server.targets.contracts import AnchoredTarget
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,13 @@ class StopOdometry:
 
 
 @dataclass(frozen=True, slots=True)
+class UseTarget:
+    """Serve this target as the object of interest from the next pair on. Reply: None."""
+
+    target: AnchoredTarget
+
+
+@dataclass(frozen=True, slots=True)
 class Progress:
     """Tell everybody how far the job has come. Reply: None."""
 
@@ -133,6 +141,7 @@ Request = (
     | StartWatching
     | StopWatching
     | Steer
+    | UseTarget
     | Progress
     | Record
     | BeginSegment

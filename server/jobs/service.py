@@ -30,6 +30,7 @@ from server.jobs.plans.line import line_run
 from server.jobs.plans.looking import take_look
 from server.jobs.plans.moving import check_executable, execute, preview
 from server.jobs.plans.orienting import orient
+from server.jobs.plans.pattern import marks_of, visit
 from server.jobs.plans.positioning import position
 from server.jobs.plans.returning import park, retract, return_to_start
 from server.jobs.plans.servoing import servo
@@ -43,6 +44,7 @@ from server.jobs.request_bodies import (
     LookRequest,
     OrientRequest,
     ParkRequest,
+    PatternRequest,
     PlanIdentifyRequest,
     PositionRequest,
     PreviewRequest,
@@ -63,6 +65,7 @@ JobBody = (
     | PreviewRequest
     | ExecuteRequest
     | PositionRequest
+    | PatternRequest
     | LineRequest
     | ServoRequest
     | PlanIdentifyRequest
@@ -220,6 +223,8 @@ class JobService:
                 return execute(ctx, previewed, 1 + sum(move.kind == "move" for move in ctx.knowledge.moves))
             case PositionRequest():
                 return position(ctx.with_method(body.method), body.recalibrate)
+            case PatternRequest():
+                return visit(ctx, marks_of(ctx, body.target_ids))
             case LineRequest():
                 return line_run(ctx.with_method("paper"), body.variant)
             case ServoRequest():

@@ -3,6 +3,7 @@
 import numpy as np
 
 from server.camera.client import VisionClient
+from server.camera.contracts import MarksFound
 from server.errors import BusyError, JobFailedError
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import Knowledge
@@ -31,16 +32,29 @@ class TargetChoice:
         self.candidate, self.image = found, image
         return found
 
+    async def find_marks(self, image: int, diameters_mm: tuple[float, ...]) -> MarksFound:
+        """Find boreholes and rings; each can be accepted by its target's number until the next search.
+
+        Raises: CameraError: no answer from the vision process.
+        """
+        found = await self._vision.find_marks(image, tuple(1e-3 * diameter for diameter in diameters_mm))
+        self._knowledge.marks = tuple(target for _, target in found.marks if isinstance(target, AnchoredTarget))
+        return found
+
     def accept(self, target_id: int) -> AnchoredTarget:
         """Use the candidate as the object of interest.
 
-        Raises: BusyError: a job is running. JobFailedError: that candidate is not the one that was measured last.
+        Raises: BusyError: a job is running. JobFailedError: no candidate or mark has that number any more.
         """
         self._require_idle()
-        found = self.candidate
-        if not isinstance(found, AnchoredTarget) or found.target_id != target_id:
+        known = (self.candidate, *self._knowledge.marks)
+        targets = (target for target in known if isinstance(target, AnchoredTarget))
+        found = next((target for target in targets if target.target_id == target_id), None)
+        if found is None:
             raise JobFailedError(
-                f"target {target_id} is not the candidate that was measured last; measure it again", "no_such_target"
+                f"target {target_id} is neither the candidate that was measured last nor one of the marks that were "
+                "found last; measure it again",
+                "no_such_target",
             )
         self._use(found)
         self.candidate = None
@@ -57,12 +71,7 @@ class TargetChoice:
 
     def _use(self, target: AnchoredTarget | None) -> None:
         self._vision.use_target(target)
-        knowledge = self._knowledge
-        knowledge.target = target
-        knowledge.forget_sight()
-        knowledge.looks.clear()  # they saw another object
-        knowledge.joint = None
-        knowledge.moves.clear()
+        self._knowledge.use_target(target)
 
     def _require_idle(self) -> None:
         job = self._engine.current

@@ -1,5 +1,6 @@
 """Disparity of small windows along the epipolar line, and their sub-pixel refinement in raw images."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -10,11 +11,12 @@ from machine.camera import distortion_jacobian, project, undistort_to_rays
 from machine.description import StereoCamera
 from server.targets.contracts import BoolArray
 from server.vision.contracts import Array, Image
-from server.vision.odometry_align import align
+from server.vision.odometry_align import HALF_PX, align
 from server.vision.odometry_recognition import UNIQUE_RATIO_MAX
 
 ROWS_OFF_PX = 1  # EPIPOLAR_MAX_PX of the odometry: rows of the two eyes agree to one pixel
 NOISE_MIN_GREY = 1.0  # standard deviation of the least noise that an 8-bit image has
+SAMPLES_ACROSS = 11  # grid over the patch's diameter
 PEAK_PX = 4  # nearer to the best disparity is the same peak of the correlation
 
 
@@ -102,3 +104,43 @@ def fine_disparities(
     row = (rays[:, 1] - seen[:, 1]) * camera.fy_px
     good = found.good & (np.abs(row) < ROWS_OFF_PX)
     return FineMatch((rays[:, 0] - seen[:, 0]) * camera.fx_px, row, found.points_px, good)
+
+
+def noise_grey(image: Image | Array) -> float:
+    """Standard deviation of an image's noise [grey]; fine texture counts as noise.
+
+    Source:  the Laplacian mask of Immerkaer 1996.
+    """
+    mask = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
+    filtered = cv2.filter2D(image.astype(np.float64), -1, mask)[1:-1, 1:-1]
+    return float(np.sqrt(np.pi / 2.0) / 6.0 * np.abs(filtered).mean())
+
+
+def texture_sigma_px(image: Image, pixel: tuple[float, float], radius_px: float) -> float:
+    """Cramer-Rao bound of the disparity of the whole patch from its gradient along the row [px].
+
+    Source:  sigma_d^2 = 2 sigma_n^2 / sum g_x^2.
+    """
+    half = int(np.ceil(min(radius_px, 60.0)))
+    u, v = round(pixel[0]), round(pixel[1])
+    window = image[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1].astype(np.float64)
+    noise = noise_grey(window)
+    gradient = 0.5 * (window[:, 2:] - window[:, :-2])
+    signal = max(float(np.sum(gradient**2)) - 0.5 * noise**2 * gradient.size, 1e-9)  # its own noise taken off
+    return float(np.sqrt(2.0 * max(noise, 0.3) ** 2 / signal))
+
+
+def sample_places(
+    shape: tuple[int, ...], pixel: tuple[float, float], radius_px: float, avoid: Sequence[tuple[float, float, float]]
+) -> tuple[Array, int]:
+    """Grid (n, 2) [px] over the disc but for the discs (u, v, radius) to avoid, inside the image; n before the image's
+    border cut it."""
+    steps = np.linspace(-1.0, 1.0, SAMPLES_ACROSS) * radius_px
+    du, dv = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    disc = np.hypot(du, dv) <= radius_px * 1.001
+    places = np.column_stack([du[disc], dv[disc]]) + np.array(pixel)
+    for u, v, r in avoid:
+        places = places[np.hypot(places[:, 0] - u, places[:, 1] - v) > r + HALF_PX]
+    border = HALF_PX + 2
+    inside = (places >= border).all(axis=1) & (places < [shape[1] - border, shape[0] - border]).all(axis=1)
+    return places[inside], len(places)

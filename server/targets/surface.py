@@ -1,9 +1,9 @@
 """The surface around a pixel: stereo samples, plane or curved patch, position and normal with covariance."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import cv2
 import numpy as np
 
 from machine.camera import undistort_to_rays
@@ -17,15 +17,15 @@ from server.targets.contracts import (
     TargetSettings,
     refused_patch,
 )
-from server.targets.stereo_match import coarse_disparity, fine_disparities
+from server.targets.stereo_match import coarse_disparity, fine_disparities, sample_places, texture_sigma_px
 from server.vision.contracts import Array, Image
 from server.vision.object_pose import fitted_variance
 from server.vision.odometry_align import CORRELATION_MIN, HALF_PX, SIZE_PX
 
 CENTRE_HALF_PX = 20  # window of the first match: wide enough to be unique on natural texture
 SAMPLE_HALF_PX = 7  # as the fine alignment's patch
-SAMPLES_ACROSS = 11  # grid over the patch's diameter
 SLACK_PX = 8.0  # of a sample's disparity about the centre's: 45 deg of slope over 60 mm at 0.7 m
+AROUND_MIN = 30  # samples around a hole: ten times a plane's unknowns
 CLIPPED_GREY = 254
 RANSAC_DRAWS = 200  # finds a plane of 50 % inliers with a failure rate below 1e-9
 OUTLIER_SIGMAS = 4.0
@@ -98,6 +98,31 @@ def measure_patch(
     return found
 
 
+def measure_around(
+    left: Image,
+    right: Image,
+    camera: StereoCamera,
+    pixel: tuple[float, float],
+    depth_m: float,
+    avoid: Sequence[tuple[float, float, float]],
+    settings: TargetSettings,
+) -> SurfacePatch:
+    """The surface around a hole whose rim is depth_m away: as `measure_patch`, from samples outside the discs
+    (u, v, radius) [px] to avoid."""
+    at = f"Surface around ({pixel[0]:.0f}, {pixel[1]:.0f}) px"
+    ray = undistort_to_rays(camera, np.array([pixel]))[0]
+    disparity_px = camera.fx_px * camera.baseline_m / depth_m
+    found = refused_patch(PatchStatus.NO_TEXTURE, f"{at} was not measured", pixel)
+    for radius_m in settings.radii_m:
+        radius_px = radius_m * camera.fx_px / depth_m
+        if len(sample_places(left.shape, pixel, radius_px, avoid)[0]) < AROUND_MIN and radius_m < settings.radii_m[-1]:
+            continue
+        found = _measured(left, right, camera, pixel, ray, disparity_px, radius_m, at, settings, avoid)
+        if found.covariance is not None and uncertainty_95(found.covariance)[0] <= settings.normal_wanted_deg:
+            break
+    return found
+
+
 def _image_problem(image: Image, pixel: tuple[float, float], at: str, settings: TargetSettings) -> SurfacePatch | None:
     height, width = image.shape
     margin = min(pixel[0], pixel[1], width - 1 - pixel[0], height - 1 - pixel[1])
@@ -126,11 +151,12 @@ def _measured(
     radius_m: float,
     at: str,
     settings: TargetSettings,
+    avoid: Sequence[tuple[float, float, float]] = (),
 ) -> SurfacePatch:
     depth_m = camera.fx_px * camera.baseline_m / disparity_px
     radius_px = max(radius_m * camera.fx_px / depth_m, SIZE_PX / 2.0)
-    samples = _sample_places(left.shape, pixel, radius_px)
-    if len(samples) < SAMPLES_ACROSS * SAMPLES_ACROSS / 2:
+    samples, wanted = sample_places(left.shape, pixel, radius_px, avoid)
+    if len(samples) < ON_SURFACE_MIN_FRAC * wanted:
         reason = f"{at}: its surroundings of {1e3 * radius_m:.0f} mm leave the image; turn the camera to it"
         return refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, pixel)
     rays = undistort_to_rays(camera, samples)
@@ -139,7 +165,7 @@ def _measured(
     coarse = [coarse_disparity(camera, left, right, one, SAMPLE_HALF_PX, limits) for one in rays]
     guess = np.array([one.disparity_px for one in coarse])
     usable = np.isfinite(guess)
-    sigma_texture = _texture_sigma_px(left, pixel, radius_px)
+    sigma_texture = texture_sigma_px(left, pixel, radius_px)
     sigma_depth_m = depth_m**2 / (camera.fx_px * camera.baseline_m) * sigma_texture
     if sigma_depth_m * np.sqrt(CHI2_1_95) > settings.position_max_m or usable.mean() < ON_SURFACE_MIN_FRAC:
         reason = (
@@ -166,32 +192,6 @@ def _measured(
     coherent = settings.sigma_floor_px * np.array([1.0, 1.0 / radius_px, 1.0 / radius_px])
     fit.covariance[:3, :3] += np.diag(coherent**2)  # interpolation errs alike where the sub-pixel phase is alike
     return _judged(camera, pixel, ray, fit, samples, uv, radius_m, at, settings)
-
-
-def _sample_places(shape: tuple[int, ...], pixel: tuple[float, float], radius_px: float) -> Array:
-    """Grid (n, 2) [px] over the disc, inside the image."""
-    steps = np.linspace(-1.0, 1.0, SAMPLES_ACROSS) * radius_px
-    du, dv = (grid.ravel() for grid in np.meshgrid(steps, steps))
-    disc = np.hypot(du, dv) <= radius_px * 1.001
-    places = np.column_stack([du[disc], dv[disc]]) + np.array(pixel)
-    border = HALF_PX + 2
-    inside = (places >= border).all(axis=1) & (places < [shape[1] - border, shape[0] - border]).all(axis=1)
-    return places[inside]
-
-
-def _texture_sigma_px(image: Image, pixel: tuple[float, float], radius_px: float) -> float:
-    """Cramer-Rao bound of the disparity of the whole patch from its gradient along the row [px].
-
-    Source:  noise from the Laplacian mask of Immerkaer 1996; sigma_d^2 = 2 sigma_n^2 / sum g_x^2.
-    """
-    half = int(np.ceil(min(radius_px, 60.0)))
-    u, v = round(pixel[0]), round(pixel[1])
-    window = image[max(v - half, 0) : v + half + 1, max(u - half, 0) : u + half + 1].astype(np.float64)
-    mask = np.array([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
-    noise = np.sqrt(np.pi / 2.0) / 6.0 * np.abs(cv2.filter2D(window, -1, mask)[1:-1, 1:-1]).mean()
-    gradient = 0.5 * (window[:, 2:] - window[:, :-2])
-    signal = max(float(np.sum(gradient**2)) - 0.5 * noise**2 * gradient.size, 1e-9)  # its own noise taken off
-    return float(np.sqrt(2.0 * max(noise, 0.3) ** 2 / signal))
 
 
 def _fitted(

@@ -15,6 +15,7 @@ from machine.poses import inverse_pose
 from machine.rotations import Array
 from sim_plc.camera.boards import Board, chess_board, marker_board, paint_board, shank_board
 from sim_plc.camera.own_structure import EyeView, OwnStructure, eye_views
+from sim_plc.camera.round_marks import drawn_mark, paint_mark
 from sim_plc.camera.sensor import add_noise, motion_blur, noise_bank, point_spread
 from sim_plc.camera.texture import Grey, TextureLevel, best_level, rock_texture, texture_levels
 from sim_plc.camera.wall import Relief, node_map, paint_map, texel_map, wall_relief
@@ -117,6 +118,7 @@ class StereoRenderer:
         self._levels = _levels(scene.texture_seed, scene.texture_contrast_frac)
         self._relief = wall_relief(scene.texture_seed, scene.wall_relief_m, scene.wall_offset_m)
         self._T_ooi_base = inverse_pose(scene.T_base_ooi)
+        self._marks = tuple(drawn_mark(mark) for mark in scene.round_marks)
         markers = tuple(marker_board(dictionary, marker, np.eye(4)) for marker in scene.ooi_markers)
         chess = tuple(chess_board(dictionary, board, np.eye(4)) for board in scene.ooi_boards)
         self._ooi_boards = markers + chess
@@ -180,6 +182,8 @@ class StereoRenderer:
         points = node_map(rays.nodes, rays.step_px, camera.height_px, keys, relief.heights, relief.mean_z_m, flat)
         level = self._levels[best_level(self._levels, self._footprint(camera, keys[len(keys) // 2]))]
         paint_map(texel_map(points, level), rays.step_px, level.image, image)
+        for mark in self._marks:
+            paint_mark(image, rays, mark, keys, relief)
         return image
 
     def _footprint(self, camera: StereoCamera, T_ooi_cam: Array) -> float:

@@ -76,7 +76,7 @@ NOT_COMPENSATED = set(
     ]
 )
 JOBS = {get_args(body.model_fields["kind"].annotation)[0]: body for body in get_args(JobBody)}
-WITHOUT_BUTTON = {"servo"}  # over REST only
+WITHOUT_BUTTON = {"servo", "pattern"}  # over REST only
 SOURCES = {get_args(kind.model_fields["kind"].annotation)[0]: kind for kind in get_args(get_args(CameraSettings)[0])}
 
 

@@ -2,6 +2,7 @@
 import { afterDrawing, pictureClick, shownHeader } from "./camera.js";
 import { send } from "./commands.js";
 import { byId, setText } from "./dom.js";
+import { drawMarks, findMarks, forgetMarks, markAt } from "./marks.js";
 import { t } from "./texts.js";
 
 const AXIS_COLORS = ["#ff6b6b", "#51d88a", "#5aa9ff"];
@@ -12,6 +13,7 @@ let target = null;
 export function startTarget() {
   byId("target-choose").onclick = () => choose(!choosing);
   byId("target-use").onclick = use;
+  byId("marks-find").onclick = find;
   byId("target-clear").onclick = async () => take((await send("DELETE", "/v1/target")).data);
   pictureClick(measure);
   afterDrawing(draw);
@@ -27,16 +29,32 @@ async function read() {
 function choose(on) {
   choosing = on;
   if (!on) candidate = null;
+  if (!on) forgetMarks();
   show();
 }
 
 async function measure([u, v]) {
   const header = shownHeader();
   if (!choosing || !header) return;
+  const mark = markAt([u, v]);
+  if (mark) {
+    candidate = mark.patch;
+    return show();
+  }
   setText(byId("target-line"), t("target_measuring"));
   const answer = await send("POST", "/v1/target/measure", { image: header.number, u_px: u, v_px: v });
   candidate = answer.ok ? answer.data : null;
   show();
+}
+
+async function find() {
+  choosing = true;
+  candidate = null;
+  show();
+  setText(byId("target-line"), t("marks_searching"));
+  const found = await findMarks();
+  show();
+  if (found) setText(byId("target-line"), found.reason || t("marks_found", { n: found.marks.length }));
 }
 
 async function use() {
@@ -50,6 +68,7 @@ function take(view) {
   if (!view) return;
   target = view.target;
   candidate = null;
+  forgetMarks();
   show();
 }
 
@@ -75,6 +94,7 @@ const figures = (patch) => ({
 
 // The candidate in the picture it was measured in: the machine is at rest while a target is chosen.
 function draw(context, place) {
+  drawMarks(context, place, candidate?.target_id);
   if (!candidate) return;
   const [u, v] = place([candidate.u_px, candidate.v_px]);
   const good = candidate.status === "ok";

@@ -27,6 +27,7 @@ export const TEXTS = {
   target_choose: "Choose target", target_cancel: "Do not choose", target_use: "Use this target", target_clear: "Back to markers",
   target_click: "Click a place on the rock.", target_measuring: "Measuring …", target_markers: "Target: the object's markers",
   target_found: "{mm} mm away, known to ± {place} mm and ± {deg}° (95 %), patch of {radius} mm", target_in_use: "Target: a chosen place, normal known to ± {deg}° (95 %)",
+  marks_find: "Find holes", mark_diameters: "diameters, mm", marks_searching: "Searching …", marks_found: "{n} holes or rings found; click one.",
   target_refused: "Not measured: {why}",
   legend_tool: "tool", legend_goal: "goal", 
   picture_label: "Camera image. {n} markers detected. {text}", frozen: "FROZEN for {age}",

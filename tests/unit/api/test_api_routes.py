@@ -16,6 +16,7 @@ from server.api.problems import install_problem_handlers
 from server.api.state import camera_reason, state_router
 from server.api.state_cache import FRESH_S
 from server.camera.client import STARTING
+from server.camera.contracts import MarksFound
 from server.jobs.cell import Cell
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import LookTaken, PreviewedPlan
@@ -54,6 +55,9 @@ class StandInVision:
 
     def reports_since(self, t_mono_ns):
         return []
+
+    async def find_marks(self, image, diameters_m):
+        return MarksFound(1, (), "this stand-in sees nothing")
 
     async def measure_target(self, image, pixel, roll_rad):
         return refused_patch(PatchStatus.NO_TEXTURE, "this stand-in sees nothing", pixel)

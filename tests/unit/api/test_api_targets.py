@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from served import bench
 
+from server.camera.contracts import MarksFound
 from server.errors import BusyError
 from server.jobs.targets import TargetChoice
 from server.targets.contracts import AnchoredTarget, Landmarks, PatchStatus, SurfacePatch, refused_patch
+from server.targets.round_marks import RoundMark
 
 CLICK = {"image": 7, "u_px": 640.0, "v_px": 250.0}
 
@@ -55,6 +57,34 @@ async def test_a_target_is_measured_used_and_cleared(stand):
         assert cleared.json()["target"] is None
         assert knowledge.target is None
         assert [one and one.target_id for one in stand.service.cell.vision.used] == [1, None]
+
+
+async def test_a_mark_is_found_and_chosen_by_its_number(stand):
+    refusal = refused_patch(PatchStatus.TOO_FAR, "come nearer", (100.0, 90.0))
+    found = [(RoundMark(1, target(5).patch, 0.0507, 0.0004, 0.051, True), target(5))]
+    found.append((RoundMark(2, refusal, 0.064, 0.001, 0.064, True), refusal))
+    asked = []
+
+    async def find_marks(image, diameters_m):
+        asked.append((image, diameters_m))
+        return MarksFound(5, tuple(found), "")
+
+    stand.service.cell.vision.find_marks = find_marks
+    held = stand.control()
+    async with stand.client() as client:
+        answer = await client.post("/v1/target/marks", json={"image": 7, "diameters_mm": [51.0, 64.0]})
+        marks = answer.json()["marks"]
+        assert asked == [(7, (pytest.approx(0.051), pytest.approx(0.064)))]
+        assert [(one["number"], one["patch"]["target_id"], one["patch"]["status"]) for one in marks] == [
+            (1, 5, "ok"),
+            (2, 0, "too_far"),
+        ]
+        assert (await client.post("/v1/target", json={"target_id": 6}, headers=held)).status_code == 409
+        used = await client.post("/v1/target", json={"target_id": 5}, headers=held)
+        assert used.json()["target"]["target_id"] == 5
+        job = {"kind": "pattern", "target_ids": [5, 6]}
+        refused = await client.post("/v1/jobs", json=job, headers=held)
+        assert (refused.status_code, refused.json()["code"]) == (409, "no_such_target")
 
 
 async def test_without_control_nothing_is_used(stand):
