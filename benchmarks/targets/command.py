@@ -17,7 +17,7 @@ from scipy.stats import binomtest
 from benchmarks.same_options import require_same_options, text_mark
 from benchmarks.targets.faults import KINDS, FaultCase, fault_cases
 from benchmarks.targets.patches import PatchCase, wall_cases
-from benchmarks.targets.rendered import PointCase, point_case
+from benchmarks.targets.rendered import NOT_CHOSEN, PointCase, point_case
 from machine.description import parse_machine_toml
 from server.settings import read_machine_text
 from server.targets.contracts import TargetSettings
@@ -124,9 +124,11 @@ def _flags(cases: Sequence[FaultCase], kind: str) -> list[bool]:
 
 def point_rows(cases: Sequence[PointCase]) -> list[tuple[str, str, str]]:
     """One-move success, refusals, and jobs that ended sure and wrong."""
-    driven: list[Any] = [case for case in cases if case.true_mm]
+    chosen = [case for case in cases if case.state != NOT_CHOSEN]
+    driven: list[Any] = [case for case in chosen if case.true_mm]
     return [
-        _share("job ended with a look", [bool(case.true_mm) for case in cases]),
+        _share("a measured and reachable place was found by the clicks", [case.state != NOT_CHOSEN for case in cases]),
+        _share("job after an accepted preview ended with a look", [bool(case.true_mm) for case in chosen]),
         _share("truly inside 5 mm on each axis after one move, of those", [case.inside_after_one for case in driven]),
         _share(
             "reached by its own word and truly outside", [case.reached and case.confidently_wrong for case in driven]

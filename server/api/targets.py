@@ -14,7 +14,8 @@ from server.api.lease import leased
 from server.api.problems import problem
 from server.api.views import Problem, Strict, View
 from server.jobs.service import JobService
-from server.jobs.targets import TargetChoice
+from server.jobs.plans.reach import ReachPreview
+from server.jobs.targets import NOT_PREVIEWED, TargetChoice, reach_in_image
 from server.targets.contracts import AnchoredTarget, SurfacePatch
 from server.targets.surface import CHI2_2_95, uncertainty_95
 from server.vision.contracts import Array
@@ -59,6 +60,8 @@ class PatchView(View):
     outline_px: list[list[float]] = Field(description="rim of the measured patch in the left image")
     ellipse_px: list[list[float]] = Field(description="95 % ellipse of the position in the surface, magnified 10 times")
     axes_px: list[list[float]] = Field(description="origin and the ends of x, y and the normal (50 mm)")
+    reach: str = Field(description="reachable, refused or unknown: the planner's check of a whole job, when measured")
+    reach_reason: str = Field(description="which leg the planner refuses and what helps, or why reach is not known")
 
 
 class TargetView(View):
@@ -73,7 +76,12 @@ def target_router(service: JobService) -> APIRouter:
     """Routes under /v1/target."""
     router = APIRouter(prefix="/v1/target", tags=["target"])
     cell = service.cell
-    choice = TargetChoice(cell.vision, cell.knowledge, service.engine)
+    choice = TargetChoice(
+        cell.vision,
+        cell.knowledge,
+        service.engine,
+        lambda image, found: reach_in_image(cell, service.context, image, found),
+    )
     control = Depends(leased(service.engine.leases))
     refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 409, 422, 503)}
 
@@ -81,7 +89,9 @@ def target_router(service: JobService) -> APIRouter:
         camera, latest = cell.machine.camera, cell.vision.latest
         return TargetView(
             target=None if choice.target is None else patch_view(choice.target, 0, camera),
-            candidate=None if choice.candidate is None else patch_view(choice.candidate, choice.image, camera),
+            candidate=None
+            if choice.candidate is None
+            else patch_view(choice.candidate, choice.image, camera, choice.reach),
             image=0 if latest is None else latest.sequence,
         )
 
@@ -104,7 +114,7 @@ def target_router(service: JobService) -> APIRouter:
     async def measure_target(body: MeasureTargetRequest) -> PatchView:
         """Measure the surface at a pixel; nothing moves and nothing is used yet. A refusal is in `status`, `reason`."""
         found = await choice.measure(body.image, (body.u_px, body.v_px), body.roll_deg)
-        return patch_view(found, body.image, cell.machine.camera)
+        return patch_view(found, body.image, cell.machine.camera, choice.reach)
 
     @router.post("", response_model=TargetView, responses=refused, dependencies=[control])
     async def use_target(body: TargetRequest) -> TargetView | JSONResponse:
@@ -121,7 +131,9 @@ def target_router(service: JobService) -> APIRouter:
     return router
 
 
-def patch_view(found: AnchoredTarget | SurfacePatch, image: int, camera: StereoCamera) -> PatchView:
+def patch_view(
+    found: AnchoredTarget | SurfacePatch, image: int, camera: StereoCamera, reach: ReachPreview = NOT_PREVIEWED
+) -> PatchView:
     """A candidate as it is shown: in px of its own image."""
     patch = found.patch if isinstance(found, AnchoredTarget) else found
     target_id = found.target_id if isinstance(found, AnchoredTarget) else 0
@@ -133,6 +145,8 @@ def patch_view(found: AnchoredTarget | SurfacePatch, image: int, camera: StereoC
         "image": image,
         "u_px": patch.pixel[0],
         "v_px": patch.pixel[1],
+        "reach": reach.status,
+        "reach_reason": reach.reason,
     }
     if T is None or C is None:
         zero = dict.fromkeys(("distance_mm", "normal_deg", "position_mm", "radius_mm", "oblique_deg"), 0.0)

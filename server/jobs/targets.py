@@ -1,20 +1,55 @@
 """Choosing the object of interest: measured first, accepted then; what was seen of the former one is forgotten."""
 
+import asyncio
+from collections.abc import Callable
+
 import numpy as np
 
+from recording.clock import mono_ns
 from server.camera.client import VisionClient
 from server.errors import BusyError, JobFailedError
+from server.jobs.cell import Cell
+from server.jobs.context import PlanContext
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import Knowledge
+from server.jobs.performer import SILENT_S
+from server.jobs.plans.reach import ReachPreview, reach_preview
+from server.jobs.plans.unmoved import moved_since_look
+from server.jobs.requests import MachineReading
 from server.targets.contracts import AnchoredTarget, SurfacePatch
+
+NOT_PREVIEWED = ReachPreview("unknown", "")
+Preview = Callable[[int, AnchoredTarget], ReachPreview]
+
+
+def reach_in_image(cell: Cell, ctx: PlanContext, image: int, target: AnchoredTarget) -> ReachPreview:
+    """Whether a job could reach a candidate measured in that image, from where the machine rests."""
+    report = next((one for one in reversed(cell.vision.reports_since(0)) if one.sequence == image), None)
+    if report is None:
+        return ReachPreview("unknown", f"reach is not known: image {image} is not kept; choose in a newer one")
+    latest = cell.link.latest
+    if latest is None or mono_ns() - latest.t_mono_ns > SILENT_S * 1e9:
+        return ReachPreview("unknown", "reach is not known: the PLC is silent; check its connection")
+    then = cell.link.samples_since(report.t_receive_mono_ns)
+    moved = moved_since_look(cell.machine, latest.q_rad, np.array((then or [latest])[0].q_rad))
+    if moved:
+        return ReachPreview("unknown", f"reach is not known: {moved.replace('look again', 'choose in a newer image')}")
+    reading = MachineReading(
+        np.array(latest.q_rad), np.array(latest.q_ref_rad), latest.t_plc_ns, latest.t_mono_ns
+    )
+    return reach_preview(ctx, reading, report.observation.tool, target)
 
 
 class TargetChoice:
     """The candidate that was measured last, and the target in use."""
 
-    def __init__(self, vision: VisionClient, knowledge: Knowledge, engine: JobEngine) -> None:
+    def __init__(
+        self, vision: VisionClient, knowledge: Knowledge, engine: JobEngine, preview: Preview | None = None
+    ) -> None:
         self._vision, self._knowledge, self._engine = vision, knowledge, engine
+        self._preview = preview
         self.candidate: AnchoredTarget | SurfacePatch | None = None
+        self.reach = NOT_PREVIEWED  # of the candidate
         self.image = 0  # sequence number of the candidate's image
 
     @property
@@ -23,12 +58,15 @@ class TargetChoice:
         return self._knowledge.target
 
     async def measure(self, image: int, pixel: tuple[float, float], roll_deg: float) -> AnchoredTarget | SurfacePatch:
-        """Measure a candidate; nothing else changes.
+        """Measure a candidate and preview its reach; nothing else changes.
 
         Raises: CameraError: no answer from the vision process.
         """
         found = await self._vision.measure_target(image, pixel, float(np.deg2rad(roll_deg)))
-        self.candidate, self.image = found, image
+        reach = NOT_PREVIEWED
+        if isinstance(found, AnchoredTarget) and self._preview is not None:
+            reach = await asyncio.to_thread(self._preview, image, found)
+        self.candidate, self.image, self.reach = found, image, reach
         return found
 
     def accept(self, target_id: int) -> AnchoredTarget:

@@ -28,6 +28,7 @@ export const TEXTS = {
   target_click: "Click a place on the rock.", target_measuring: "Measuring …", target_markers: "Target: the object's markers",
   target_found: "{mm} mm away, known to ± {place} mm and ± {deg}° (95 %), patch of {radius} mm", target_in_use: "Target: a chosen place, normal known to ± {deg}° (95 %)",
   target_refused: "Not measured: {why}",
+  target_reach_reachable: "The tool can reach it.", target_reach_refused: "Cannot be reached from here: {why}", target_reach_unknown: "{why}",
   legend_tool: "tool", legend_goal: "goal", 
   picture_label: "Camera image. {n} markers detected. {text}", frozen: "FROZEN for {age}",
   // scene
