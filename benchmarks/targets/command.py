@@ -18,6 +18,7 @@ from benchmarks.same_options import require_same_options, text_mark
 from benchmarks.targets.faults import KINDS, FaultCase, fault_cases
 from benchmarks.targets.patches import PatchCase, wall_cases
 from benchmarks.targets.rendered import NOT_CHOSEN, PointCase, point_case
+from benchmarks.targets.virtual_jobs import virtual_case
 from machine.description import parse_machine_toml
 from server.settings import read_machine_text
 from server.targets.contracts import TargetSettings
@@ -30,6 +31,7 @@ def targets(
     walls: Annotated[int, typer.Option(help="walls for patches: 24 clicks each")] = 40,
     faults: Annotated[int, typer.Option(help="walls for faults: every fault once each")] = 34,
     rendered: Annotated[int, typer.Option(help="whole jobs in real time, preset realistic")] = 0,
+    virtual: Annotated[int, typer.Option(help="whole jobs in virtual time, every look rendered")] = 0,
     seed: Annotated[int, typer.Option(help="first seed")] = 1,
     machine: Annotated[str, typer.Option(help="machine file or name")] = "hiab033",
     folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = FOLDER,
@@ -47,17 +49,23 @@ def targets(
     driven = _saved(
         folder, "rendered", range(seed, seed + rendered), lambda k: [point_case(described, k, folder)], PointCase
     )
+    stood_in = _saved(folder, "virtual", range(seed, seed + virtual), lambda k: _drawn(virtual_case(described, k)), PointCase)
     for rows, title in (
         (patch_rows(seen), f"patches: N = {len(seen)} clicks, {walls} walls"),
         (fault_rows(found), f"faults: N = {len(found)} looks, {faults} walls"),
         (point_rows(driven), f"point and go: N = {len(driven)} jobs"),
+        (point_rows(stood_in), f"point and go in virtual time: N = {len(stood_in)} jobs"),
     ):
         table = Table("what", "share", "Wilson 95 %", title=f"{title}, seeds from {seed}", title_justify="left")
         for row in rows:
             table.add_row(*row)
         console.print(table)
-    if any(case.wrong for case in found) or any(case.confidently_wrong for case in driven):
+    if any(case.wrong for case in found) or any(case.confidently_wrong for case in driven + stood_in):
         raise typer.Exit(1)
+
+
+def _drawn(case: C | None) -> list[C]:
+    return [] if case is None else [case]
 
 
 def _saved(folder: Path, name: str, seeds: range, run: Callable[[int], list[C]], kind: type[C]) -> list[C]:

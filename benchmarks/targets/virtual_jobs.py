@@ -4,8 +4,7 @@ Real time plays no part, so the machine's load does not decide how many jobs the
 camera stream and the odometry's own images (`fast_odometry` stands in for them, with noise fitted to rendered runs).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -13,7 +12,16 @@ from benchmarks.reproduce.fast_camera import FastCamera, Source
 from benchmarks.reproduce.fast_cell import FastCell, context_of, run_plan
 from benchmarks.reproduce.fast_machine import QuasiStaticMachine
 from benchmarks.reproduce.noise_model import NoiseModel, fitted_noise
-from benchmarks.targets.scene import left_eye
+from benchmarks.targets.rendered import (
+    CLICK_U_PX,
+    CLICK_V_PX,
+    NOT_CHOSEN,
+    PRESET,
+    TRIES,
+    UNREACHABLE,
+    PointCase,
+)
+from benchmarks.targets.scene import left_eye, true_target
 from machine.description import Machine
 from machine.poses import inverse_pose, pose
 from machine.rotations import Array, geodesic_angle
@@ -22,19 +30,23 @@ from server.errors import ServerError
 from server.jobs.context import PlanContext
 from server.jobs.plans.positioning import position
 from server.jobs.plans.reach import ReachPreview, reach_preview
-from server.jobs.records import PositionResult
 from server.jobs.requests import MachineReading, Settle
-from server.targets.contracts import AnchoredTarget
+from server.targets.anchor import anchor_target
+from server.targets.contracts import AnchoredTarget, TargetSettings
 from server.targets.source import TargetPoseSource
+from server.targets.surface import measure_patch
 from server.vision.aruco_source import ArucoPoseSource
 from server.vision.contracts import Look, PairObservation
 from server.vision.look import average_look
 from sim_plc.camera.renderer import StereoRenderer
+from sim_plc.draw_scene import with_bare_rock
+from sim_plc.draw_world import draw_world
+from sim_plc.presets import PresetError
 from sim_plc.world import World, rng_for
 
 STEP_S = 0.5  # of the pairs shown to the source between looks: at the fastest path 25 mm apart
 STAND_OFF_M = 0.1
-MASK_SCALE = 1.6
+MASK_SCALE = 2.0  # as `VisionSettings` has it
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,14 +112,13 @@ class VirtualBench:
             raise TypeError("the fast world gave no reading")
         return reach_preview(self.ctx, reading, seen.tool, target)
 
-    def positioned(self, T_ooi_target: Array, noted: Callable[[PositionResult], None] = lambda _: None) -> JobErrors:
+    def positioned(self, T_ooi_target: Array) -> JobErrors:
         """The positioning job on what the source serves, against the target's true place in the OOI's frame."""
         try:
             plan = position(self.ctx, True, lambda: self.cell.clock_ns)
             result = run_plan(plan, self.cell)
         except ServerError as error:
             return JobErrors("refused", str(error))
-        noted(result)
         goal = T_ooi_target @ pose(np.eye(3), np.array([0.0, 0.0, STAND_OFF_M]))
         scene = self.world.scene
         T_goal_base = inverse_pose(goal) @ inverse_pose(scene.T_base_ooi)
@@ -130,6 +141,51 @@ def virtual_bench(world: World) -> VirtualBench:
     camera = RenderedCamera(world, noise, rng, machine)
     cell = FastCell(world, machine, camera, noise, rng, world.camera.latency_s)
     return VirtualBench(world, cell, camera, context_of(world, "ours"))
+
+
+def virtual_case(machine: Machine, seed: int) -> PointCase | None:
+    """One machine, one click among those that the preview accepts, one job; None where no such world can be drawn."""
+    try:
+        bench = virtual_bench(with_bare_rock(draw_world(machine, PRESET, seed)))
+    except PresetError:
+        return None
+    none = PointCase(seed, NOT_CHOSEN, "", 0, 0, np.nan, np.nan, (), (), (), False, 0.0)
+    target, refused = _clicked(bench, np.random.default_rng([seed, 0x636C69636B]), TargetSettings())
+    none = replace(
+        none,
+        refused_clicks=len(refused) - refused.count(UNREACHABLE),
+        unreachable_clicks=refused.count(UNREACHABLE),
+    )
+    if target is None:
+        return replace(none, reason=f"no click was accepted: {sorted(set(refused))}")
+    bench.camera.source.use(target)
+    bench.ctx.knowledge.target = target
+    T_ooi_cam, left = bench.T_ooi_cam, bench.world.camera.left
+    T_cam_target = true_target(bench.camera.renderer.relief, left, T_ooi_cam, target.patch.pixel)
+    apart = np.linalg.norm(target.T_ref_target[:3, 3]) - np.linalg.norm(T_cam_target[:3, 3])
+    done = bench.positioned(T_ooi_cam @ T_cam_target)
+    return replace(none, **asdict(done), place_mm=float(1e3 * abs(apart)), seconds=bench.cell.machine.t_s)
+
+
+def _clicked(
+    bench: VirtualBench, rng: np.random.Generator, settings: TargetSettings
+) -> tuple[AnchoredTarget | None, list[str]]:
+    """As the operator of `rendered`: the first click that is measured and previewed as reachable; why others were not."""
+    refused: list[str] = []
+    seen, left, right = bench.pair()
+    camera = bench.world.nominal.camera
+    for number in range(1, TRIES + 1):
+        pixel = float(rng.uniform(*CLICK_U_PX)), float(rng.uniform(*CLICK_V_PX))
+        found = measure_patch(left, right, camera, pixel, settings)
+        if found.ok:
+            found = anchor_target(number, found, left, right, camera, settings, bench.camera.source.masks_px)
+        if not isinstance(found, AnchoredTarget):
+            refused.append(found.status.value)
+        elif bench.reach(seen, found).status == "reachable":
+            return found, refused
+        else:
+            refused.append(UNREACHABLE)
+    return None, refused
 
 
 def _tool_mask(machine: Machine) -> ToolMask:

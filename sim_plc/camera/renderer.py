@@ -14,6 +14,7 @@ from machine.description import StereoCamera
 from machine.poses import inverse_pose
 from machine.rotations import Array
 from sim_plc.camera.boards import Board, chess_board, marker_board, paint_board, shank_board
+from sim_plc.camera.fixtures import fixture_boards
 from sim_plc.camera.own_structure import EyeView, OwnStructure, eye_views
 from sim_plc.camera.sensor import add_noise, motion_blur, noise_bank, point_spread
 from sim_plc.camera.texture import Grey, TextureLevel, best_level, rock_texture, texture_levels
@@ -119,9 +120,10 @@ class StereoRenderer:
         self._T_ooi_base = inverse_pose(scene.T_base_ooi)
         markers = tuple(marker_board(dictionary, marker, np.eye(4)) for marker in scene.ooi_markers)
         chess = tuple(chess_board(dictionary, board, np.eye(4)) for board in scene.ooi_boards)
+        self._fixture_boards = tuple(board for fixture in scene.fixtures for board in fixture_boards(fixture))
         self._ooi_boards = markers + chess
-        plates = tuple(marker_board(dictionary, marker, scene.T_tcp_tool) for marker in scene.tool_markers)
-        self.tool_boards = tuple(shank_board(plate) for plate in plates) + plates
+        prints = tuple(marker_board(dictionary, marker, scene.T_tcp_tool) for marker in scene.tool_markers)
+        self.tool_boards = tuple(shank_board(plate) for plate in prints) + prints
         self.eyes = eye_views(self._camera, self.tool_boards)
         self.structure = OwnStructure(scene.structure, scene.texture_seed, self.eyes)
         self.times = StageTimes()
@@ -167,7 +169,7 @@ class StereoRenderer:
         keys = self.Ts_ooi_cam(eye, Ts_base_tcp)
         image = self._wall(eye, keys)
         self.times.mark("wall")
-        for board in far_to_near(self._ooi_boards, keys[len(keys) // 2]):
+        for board in (*self._fixture_boards, *far_to_near(self._ooi_boards, keys[len(keys) // 2])):
             paint_board(image, eye.rays, board, keys)
         self.times.mark("markers")
         return image

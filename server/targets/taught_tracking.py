@@ -1,0 +1,213 @@
+"""Finds a taught object in a pair without its marker: features recognised, aligned in both eyes, verified."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from machine.camera import project_stereo, undistort_to_rays
+from machine.description import StereoCamera
+from machine.poses import inverse_pose, pose, transform_points
+from machine.rotations import Array, geodesic_angle
+from server.targets.contracts import TargetFix, TargetSettings
+from server.targets.taught import Descriptors, TaughtObject, TaughtView, features
+from server.targets.tracking import FIX_MIN, MarksPose, align_marks, inside_image, solve_pose
+from server.vision.contracts import Image
+from server.vision.odometry_features import allowed_mask, inside_mask
+from server.vision.odometry_recognition import RATIO_MAX
+from server.vision.odometry_sight import flow
+
+COVER_MAX = 0.4  # of the visible landmarks that something may hide: 30 % cover, and its rim
+RECOGNISE_EVERY = 3  # lost pairs: recognition takes as long as several pairs
+PNP_PX = 3.0
+RIVAL_PX = 2.0 * PNP_PX  # farther apart, two poses place a landmark at two places
+VARIANCE_MAX = 9.0  # residuals three times what noise and landmarks explain: another geometry
+NAN = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class _Candidate:
+    """A pose by one view's matches, how many of them it explains, and the first pose that explains the rest."""
+
+    view: TaughtView
+    T: Array
+    inliers: int
+    rival: int
+
+
+class TaughtTracker:
+    """Keeps the last image and pose of one object; each call takes the next pair."""
+
+    def __init__(self, taught: TaughtObject, camera: StereoCamera, settings: TargetSettings | None = None) -> None:
+        self._taught, self._camera = taught, camera
+        self._settings = settings or TargetSettings()
+        self._last: tuple[Image, Array] | None = None
+        self._lost = 0
+
+    def find(
+        self, left: Image, right: Image, masks_px: tuple[Sequence[Array], Sequence[Array]] = ((), ())
+    ) -> TargetFix:
+        """Where the object is in this raw pair (h, w), or why that is not known.
+
+        Args:    masks_px: polygons (k, 2) [px] of the own tool in the left and the right image.
+        """
+        size = (self._camera.height_px, self._camera.width_px)
+        masks = allowed_mask(size, masks_px[0]), allowed_mask(size, masks_px[1])
+        guess = self._by_flow(left, masks[0])
+        fix = self._not_seen(0)
+        if guess is not None:
+            fix = self._fixed(self._nearest_view(guess), (left, right), masks, guess)
+        if not fix.ok and self._lost % RECOGNISE_EVERY == 0:
+            fix = self._recognised((left, right), masks)
+        self._lost = 0 if fix.ok else self._lost + 1
+        self._last = None if fix.T_cam_target is None else (left.copy(), fix.T_cam_target)
+        return fix
+
+    def _by_flow(self, left: Image, mask: Image) -> Array | None:
+        """The pose by landmarks that moved on from the last image."""
+        if self._last is None:
+            return None
+        image, T = self._last
+        points = self._nearest_view(T).marks.points_target
+        before = project_stereo(self._camera, transform_points(T, points))[0]
+        indices = np.flatnonzero(np.isfinite(before).all(axis=1) & inside_image(before, left.shape))
+        found = flow(image, left, before[indices])
+        good = found.good & inside_mask(mask, found.points_px)
+        solved = _pnp(self._camera, points[indices[good]], found.points_px[good])
+        return None if solved is None else solved[0]
+
+    def _nearest_view(self, T_cam_object: Array) -> TaughtView:
+        """The view from the most similar side and distance."""
+        here = inverse_pose(T_cam_object)
+
+        def unlike(view: TaughtView) -> float:
+            there = inverse_pose(view.T_cam_object)
+            apart = np.linalg.norm(here[:3, 3] - there[:3, 3]) / np.linalg.norm(there[:3, 3])
+            return float(apart) + geodesic_angle(here[:3, :3], there[:3, :3])
+
+        return min(self._taught.views, key=unlike)
+
+    def _recognised(self, images: tuple[Image, Image], masks: tuple[Image, Image]) -> TargetFix:
+        """The fix from features alone, wherever the camera is."""
+        places, descriptors = features(images[0], masks[0])
+        found = [self._candidate(view, places, descriptors) for view in self._taught.views]
+        known = [one for one in found if one is not None]
+        if not known:
+            return self._not_seen(0)
+        best = max(known, key=lambda one: one.inliers)
+        if best.rival >= FIX_MIN:
+            reason = (
+                f"object '{self._taught.name}': {best.inliers} of its features fit one place and {best.rival} fit another "
+                f"(limit {FIX_MIN}); there are two of them in view, or it is a similar one with other measures. Cover the "
+                "other one, or teach this object"
+            )
+            return _refused(reason, best.inliers)
+        return self._fixed(self._nearest_view(best.T), images, masks, best.T)
+
+    def _candidate(self, view: TaughtView, places: Array, descriptors: Descriptors) -> _Candidate | None:
+        pairs = _matched(descriptors, view.descriptors)
+        if len(pairs) < FIX_MIN:
+            return None
+        points, pixels = view.marks.points_target[pairs[:, 1]], places[pairs[:, 0]]
+        solved = _pnp(self._camera, points, pixels)
+        if solved is None:
+            return None
+        T, inliers = solved
+        rest = np.ones(len(pairs), dtype=bool)
+        rest[inliers] = False
+        return _Candidate(view, T, len(inliers), self._rival(points[rest], pixels[rest], T))
+
+    def _rival(self, points: Array, pixels: Array, T: Array) -> int:
+        """How many of the remaining matches another pose explains that is not the same one."""
+        second = _pnp(self._camera, points, pixels)
+        if second is None:
+            return 0
+        own, other = (
+            project_stereo(self._camera, transform_points(one, points[second[1]]))[0] for one in (T, second[0])
+        )
+        apart = np.linalg.norm(own - other, axis=1)
+        return int((apart > RIVAL_PX).sum())
+
+    def _fixed(
+        self, view: TaughtView, images: tuple[Image, Image], masks: tuple[Image, Image], guess: Array
+    ) -> TargetFix:
+        """The fix by one view's landmarks from a guess, verified."""
+        camera, T, fit, visible = self._camera, guess, None, 0
+        for _ in range(2):  # the second time from the better guess
+            seen, visible = align_marks(view, view.marks, images, masks, camera, T)
+            if len(seen.indices) < FIX_MIN:
+                return self._not_seen(len(seen.indices))
+            fit = solve_pose(camera, view.marks, seen, T, self._settings)
+            T = fit.T
+        return self._not_seen(0) if fit is None else self._verdict(fit, visible)
+
+    def _verdict(self, fit: MarksPose, visible: int) -> TargetFix:
+        n = int(fit.agree.sum())
+        share, name = n / max(visible, 1), self._taught.name
+        limit = (1.0 - COVER_MAX) * self._taught.agree_frac
+        if n < FIX_MIN or share < limit:
+            return _refused(
+                f"object '{name}': {n} of {visible} visible landmarks are where they were taught ({100 * share:.0f} %, limits "
+                f"{FIX_MIN} and {100 * limit:.0f} %); it is covered, changed, or a similar one. Clear it, or teach this object",
+                n,
+                share,
+            )
+        if fit.variance > VARIANCE_MAX:
+            return _refused(
+                f"object '{name}': its landmarks fit {np.sqrt(fit.variance):.1f} times worse than their noise (limit "
+                f"{np.sqrt(VARIANCE_MAX):.0f}); it is a similar one with other measures, or bent. Teach this object",
+                n,
+                share,
+            )
+        return TargetFix(True, "", fit.T, fit.covariance, n, share, fit.residual_px)
+
+    def _not_seen(self, n: int) -> TargetFix:
+        reason = (
+            f"object '{self._taught.name}': {n} of its landmarks are recognised (limit {FIX_MIN}); bring it into view, clear "
+            "what covers it, or add light"
+        )
+        return TargetFix(False, reason, None, None, n, NAN, NAN, seen=False)
+
+
+def _refused(reason: str, n: int, share: float = NAN) -> TargetFix:
+    return TargetFix(False, reason, None, None, n, share, NAN)
+
+
+def _matched(seen: Descriptors, taught: Descriptors) -> NDArray[np.int64]:
+    """Pairs (n, 2): image feature, landmark; each landmark once.
+
+    Model:   ratio test among landmarks (Lowe 2004), so that two equal objects in view both match; of the features that
+             match one landmark the most similar.
+    """
+    if len(taught) < 2 or not len(seen):
+        return np.zeros((0, 2), dtype=np.int64)
+    found = cv2.BFMatcher(cv2.NORM_L2).knnMatch(seen.astype(np.float32), taught.astype(np.float32), k=2)
+    good = [(a.distance, a.queryIdx, a.trainIdx) for a, b in found if a.distance < RATIO_MAX * b.distance]
+    best: dict[int, tuple[float, int, int]] = {}
+    for match in sorted(good):
+        best.setdefault(match[2], match)
+    return np.array([(feature, landmark) for _, feature, landmark in best.values()], dtype=np.int64).reshape(-1, 2)
+
+
+def _pnp(camera: StereoCamera, points: Array, pixels: Array) -> tuple[Array, NDArray[np.int64]] | None:
+    """T_cam_object by RANSAC in the left eye, and the inliers' indices; None below the number of a fix."""
+    if len(points) < FIX_MIN:
+        return None
+    rays = undistort_to_rays(camera, pixels)
+    cv2.setRNGSeed(1)
+    good, rvec, tvec, inliers = cv2.solvePnPRansac(
+        points.reshape(-1, 1, 3),
+        rays.reshape(-1, 1, 2),
+        np.eye(3),
+        None,
+        iterationsCount=500,
+        reprojectionError=PNP_PX / camera.fx_px,
+        confidence=0.999,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )
+    if not good or inliers is None or len(inliers) < FIX_MIN or float(tvec[2, 0]) <= 0.0:
+        return None
+    T = pose(np.asarray(cv2.Rodrigues(rvec)[0], dtype=float), np.asarray(tvec, dtype=float).reshape(3))
+    return T, np.asarray(inliers, dtype=np.int64).ravel()
