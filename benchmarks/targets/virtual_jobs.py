@@ -35,6 +35,7 @@ from server.targets.anchor import anchor_target
 from server.targets.contracts import AnchoredTarget, TargetSettings
 from server.targets.source import TargetPoseSource
 from server.targets.surface import measure_patch
+from server.targets.taught import TaughtObject
 from server.vision.aruco_source import ArucoPoseSource
 from server.vision.contracts import Look, PairObservation
 from server.vision.look import average_look
@@ -69,7 +70,7 @@ class RenderedCamera(FastCamera):
         nominal = world.nominal
         self._machine, self._seen_s, self._rng_image = machine, machine.t_s, rng
         self.renderer = StereoRenderer(world)
-        self.source = TargetPoseSource(ArucoPoseSource(nominal), nominal.camera, _tool_mask(nominal))
+        self.source = TargetPoseSource(ArucoPoseSource(nominal), nominal.camera, tool_mask(nominal))
 
     def show(self, T_base_tcp: Array) -> tuple[PairObservation, Array, Array]:
         """One pair at rest and what the source makes of it."""
@@ -105,12 +106,14 @@ class VirtualBench:
         """What the camera shows now."""
         return self.camera.show(self.cell.machine.T_base_tcp())
 
-    def reach(self, seen: PairObservation, target: AnchoredTarget) -> ReachPreview:
+    def reach(
+        self, seen: PairObservation, target: AnchoredTarget | TaughtObject, T_cam_target: Array
+    ) -> ReachPreview:
         """The preview from here."""
         reading = self.cell.perform(Settle())
         if not isinstance(reading, MachineReading):
             raise TypeError("the fast world gave no reading")
-        return reach_preview(self.ctx, reading, seen.tool, target)
+        return reach_preview(self.ctx, reading, seen.tool, target, T_cam_target)
 
     def positioned(self, T_ooi_target: Array) -> JobErrors:
         """The positioning job on what the source serves, against the target's true place in the OOI's frame."""
@@ -181,14 +184,15 @@ def _clicked(
             found = anchor_target(number, found, left, right, camera, settings, bench.camera.source.masks_px)
         if not isinstance(found, AnchoredTarget):
             refused.append(found.status.value)
-        elif bench.reach(seen, found).status == "reachable":
+        elif bench.reach(seen, found, found.T_ref_target).status == "reachable":
             return found, refused
         else:
             refused.append(UNREACHABLE)
     return None, refused
 
 
-def _tool_mask(machine: Machine) -> ToolMask:
+def tool_mask(machine: Machine) -> ToolMask:
+    """As the vision process masks the own tool."""
     return ToolMask([marker.marker_id for marker in machine.markers_on("tool")], MASK_SCALE)
 
 

@@ -26,7 +26,9 @@ from server.camera.contracts import (
     QuitCommand,
     SignOfLife,
     TargetMeasured,
+    TeachViewCommand,
     UseTargetCommand,
+    ViewTaught,
     VisionCommand,
     VisionMessage,
     VisionSettings,
@@ -37,6 +39,7 @@ from server.camera.process import LIFE_S, run_vision
 from server.listeners import Listeners
 from server.supervised_tasks import whole_in_thread
 from server.targets.contracts import AnchoredTarget, SurfacePatch
+from server.targets.taught import ObjectBox, TaughtObject, TaughtView
 from server.vision.contracts import Array, Look, OdometryPose
 
 KEEP_REPORTS = 600  # 40 s at 15 Hz
@@ -73,8 +76,8 @@ class VisionClient:
         self._begun = self._heard = False
         self._pose_source: PoseSourceName = "stereo"
         self._track: TrackCollector | None = None
-        self._target: AnchoredTarget | None = None
-        self._measured: TargetMeasured | None = None
+        self._target: AnchoredTarget | TaughtObject | None = None
+        self._measured: TargetMeasured | ViewTaught | None = None
         self._requests = 0
         self._runs = self._map_wanted = 0  # of odometry
         self.stream_text = STARTING
@@ -183,18 +186,34 @@ class VisionClient:
         Raises: CameraError: the vision process does not answer.
         """
         self._requests += 1
-        number = self._requests
-        self._send(MeasureTargetCommand(number, sequence, pixel, roll_rad))
+        self._send(MeasureTargetCommand(self._requests, sequence, pixel, roll_rad))
+        answer = await self._answer(self._requests)
+        if not isinstance(answer, TargetMeasured):
+            raise CameraError("another target was measured in the meantime; choose again")
+        return answer.found
+
+    async def teach_view(self, sequence: int, box: ObjectBox) -> TaughtView | str:
+        """Landmarks of an object in a pair that was shown, or why that view cannot be used.
+
+        Raises: CameraError: the vision process does not answer.
+        """
+        self._requests += 1
+        self._send(TeachViewCommand(self._requests, sequence, box))
+        answer = await self._answer(self._requests)
+        if not isinstance(answer, ViewTaught):
+            raise CameraError("a target was measured in the meantime; take the view again")
+        return answer.found
+
+    async def _answer(self, number: int) -> TargetMeasured | ViewTaught | None:
+        """The answer with that number; None where a later one came first."""
         try:
             async with asyncio.timeout(MEASURE_S):
                 await self._until(lambda: self._measured is not None and self._measured.request >= number)
         except TimeoutError:
             raise CameraError(f"target was not measured within {MEASURE_S:.0f} s; try again") from None
-        if self._measured is None or self._measured.request != number:
-            raise CameraError("another target was measured in the meantime; choose again")
-        return self._measured.found
+        return self._measured if self._measured is not None and self._measured.request == number else None
 
-    def use_target(self, target: AnchoredTarget | None) -> None:
+    def use_target(self, target: AnchoredTarget | TaughtObject | None) -> None:
         """Serve this target as the object of interest, also after a restart of the process; None: its markers.
 
         Raises: CameraError: the vision process is not running.
@@ -338,7 +357,7 @@ class VisionClient:
             return
         if isinstance(message, FrameReport):
             self._take(message)
-        elif isinstance(message, TargetMeasured):
+        elif isinstance(message, TargetMeasured | ViewTaught):
             self._measured = message
             self._arrived.set()
         elif isinstance(message, OdometryMap):

@@ -5,6 +5,7 @@ from typing import Literal, Protocol
 
 from server.camera.sources.settings import SourceSettings
 from server.targets.contracts import AnchoredTarget, SurfacePatch
+from server.targets.taught import ObjectBox, TaughtObject, TaughtView
 from server.vision.contracts import Array, Image, OdometryPose, PairObservation
 
 PoseSourceName = Literal["stereo", "mono"]
@@ -167,7 +168,24 @@ class MeasureTargetCommand:
 class UseTargetCommand:
     """Serve this target as the object of interest; None: its markers again."""
 
-    target: AnchoredTarget | None
+    target: AnchoredTarget | TaughtObject | None
+
+
+@dataclass(frozen=True, slots=True)
+class TeachViewCommand:
+    """Measure the landmarks of an object in the pair with that sequence number. request: echoed in the answer."""
+
+    request: int
+    sequence: int
+    box: ObjectBox
+
+
+@dataclass(frozen=True, slots=True)
+class ViewTaught:
+    """The answer to a TeachViewCommand: the view, or why it cannot be used."""
+
+    request: int
+    found: TaughtView | str
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,5 +196,5 @@ class TargetMeasured:
     found: AnchoredTarget | SurfacePatch
 
 
-VisionCommand = OdometryCommand | PoseSourceCommand | MeasureTargetCommand | UseTargetCommand | QuitCommand
-VisionMessage = FrameReport | StreamNotice | OdometryMap | TargetMeasured | SignOfLife
+VisionCommand = OdometryCommand | PoseSourceCommand | MeasureTargetCommand | UseTargetCommand | TeachViewCommand | QuitCommand
+VisionMessage = FrameReport | StreamNotice | OdometryMap | TargetMeasured | ViewTaught | SignOfLife

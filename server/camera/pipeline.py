@@ -16,7 +16,9 @@ from server.camera.contracts import (
     PoseSourceName,
     StereoFrame,
     TargetMeasured,
+    TeachViewCommand,
     UseTargetCommand,
+    ViewTaught,
     VisionSettings,
 )
 from server.camera.health import ImageHealth, sharpness
@@ -158,12 +160,12 @@ class VisionPipeline:
         still = (None, None) if pictures is None else pictures.masks()
         return OdometryMap(ended.map_points(MAP_POINTS), ended_run, still)
 
-    def obey_target(self, command: MeasureTargetCommand | UseTargetCommand) -> None:
-        """Measure a target, or serve one; without a target source nothing happens."""
+    def obey_target(self, command: MeasureTargetCommand | UseTargetCommand | TeachViewCommand) -> None:
+        """Measure a target or a view of an object, or serve one; without a target source nothing happens."""
         if self._targets is not None:
             self._targets.obey(command)
 
-    def targets_measured(self) -> list[TargetMeasured]:
+    def targets_measured(self) -> list[TargetMeasured | ViewTaught]:
         """Measured targets that are ready, each once."""
         return [] if self._targets is None else self._targets.finished()
 

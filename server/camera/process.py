@@ -23,6 +23,7 @@ from server.camera.contracts import (
     StereoFrame,
     StereoSource,
     StreamNotice,
+    TeachViewCommand,
     UseTargetCommand,
     VisionCommand,
     VisionSettings,
@@ -166,7 +167,7 @@ class VisionLoop:
                     self._pipe.send(ended)
             case PoseSourceCommand(name=name):
                 self._pipeline.use_pose_source(name)
-            case MeasureTargetCommand() | UseTargetCommand():
+            case MeasureTargetCommand() | UseTargetCommand() | TeachViewCommand():
                 self._pipeline.obey_target(command)
             case QuitCommand():
                 self._quit = True

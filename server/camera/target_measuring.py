@@ -4,18 +4,28 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
 
 from machine.description import StereoCamera
-from server.camera.contracts import MeasureTargetCommand, StereoFrame, TargetMeasured, UseTargetCommand
+from server.camera.contracts import (
+    MeasureTargetCommand,
+    StereoFrame,
+    TargetMeasured,
+    TeachViewCommand,
+    UseTargetCommand,
+    ViewTaught,
+)
 from server.targets.anchor import anchor_target
 from server.targets.contracts import PatchStatus, TargetSettings, refused_patch
 from server.targets.source import TargetPoseSource
 from server.targets.surface import measure_patch, with_roll
-from server.vision.contracts import Array, Image
+from server.targets.taught import ObjectBox, TaughtView, teach_view
+from server.vision.contracts import Array, Image, PairObservation
 
+PRINT_SCALE = 1.5  # a marker's quiet zone, and the edge of its plate
 KEPT = 40  # pairs with a preview: 4 s at 10 a second, 74 MB at 720p
 
 
@@ -25,6 +35,7 @@ class _Kept:
     left: Image
     right: Image
     masks_px: tuple[Sequence[Array], Sequence[Array]]
+    markers: PairObservation | None
 
 
 class TargetMeasuring:
@@ -34,19 +45,23 @@ class TargetMeasuring:
         self._camera, self._source, self._settings = camera, source, settings or TargetSettings()
         self._kept: deque[_Kept] = deque(maxlen=KEPT)
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="target")
-        self._running: deque[Future[TargetMeasured]] = deque()
+        self._running: deque[Future[TargetMeasured | ViewTaught]] = deque()
 
     def keep(self, frame: StereoFrame) -> None:
         """Keep a pair that is shown to the operator, with the own tool's polygons in it."""
-        self._kept.append(_Kept(frame.sequence, frame.left.copy(), frame.right.copy(), self._source.masks_px))
+        source = self._source
+        self._kept.append(
+            _Kept(frame.sequence, frame.left.copy(), frame.right.copy(), source.masks_px, source.markers)
+        )
 
-    def obey(self, command: MeasureTargetCommand | UseTargetCommand) -> None:
+    def obey(self, command: MeasureTargetCommand | UseTargetCommand | TeachViewCommand) -> None:
         """Serve a target from the next pair on, or begin to measure one; `finished` gives the answer."""
         if isinstance(command, UseTargetCommand):
             return self._source.use(command.target)
-        self._running.append(self._thread.submit(self._measured, command, tuple(self._kept)))
+        work = self._view if isinstance(command, TeachViewCommand) else self._measured
+        self._running.append(self._thread.submit(work, command, tuple(self._kept)))  # pyright: ignore[reportArgumentType]
 
-    def finished(self) -> list[TargetMeasured]:
+    def finished(self) -> list[TargetMeasured | ViewTaught]:
         """Answers that are ready, each once."""
         ready = []
         while self._running and self._running[0].done():
@@ -56,6 +71,13 @@ class TargetMeasuring:
     def close(self) -> None:
         """End the thread."""
         self._thread.shutdown(cancel_futures=True)
+
+    def _view(self, command: TeachViewCommand, kept: tuple[_Kept, ...]) -> ViewTaught:
+        pair = next((one for one in reversed(kept) if one.sequence == command.sequence), None)
+        if pair is None or pair.markers is None:
+            reason = f"Image {command.sequence} is not kept any more; take the view in a newer image"
+            return ViewTaught(command.request, reason)
+        return ViewTaught(command.request, view_by_markers(pair, pair.markers, self._camera, command.box, self._settings))
 
     def _measured(self, command: MeasureTargetCommand, kept: tuple[_Kept, ...]) -> TargetMeasured:
         pair = next((one for one in reversed(kept) if one.sequence == command.sequence), None)
@@ -74,6 +96,46 @@ class TargetMeasuring:
             command.request, patch, pair.left, pair.right, self._camera, self._settings, pair.masks_px
         )
         return TargetMeasured(command.request, found)
+
+
+class Pair(Protocol):
+    """A raw grey pair (h, w) and the own tool's polygons in it."""
+
+    @property
+    def left(self) -> Image:
+        """Of the left eye."""
+        ...
+
+    @property
+    def right(self) -> Image:
+        """Of the right eye."""
+        ...
+
+    @property
+    def masks_px(self) -> tuple[Sequence[Array], Sequence[Array]]:
+        """Left and right."""
+        ...
+
+
+def view_by_markers(
+    pair: Pair, markers: PairObservation, camera: StereoCamera, box: ObjectBox, settings: TargetSettings
+) -> TaughtView | str:
+    """One view of an object whose frame the OOI's markers in the picture give, or why it cannot be used."""
+    ooi = markers.ooi
+    if ooi.T_cam_object is None or ooi.covariance is None:
+        return f"the object's markers are not seen ({ooi.reason}); put them beside the object, into both eyes' view"
+    left = (*pair.masks_px[0], *(_print(view.corners_left_px) for view in markers.views))
+    right = (*pair.masks_px[1], *(_print(view.corners_right_px) for view in markers.views))
+    masks = tuple(one for one in left if one is not None), tuple(one for one in right if one is not None)
+    return teach_view(pair.left, pair.right, camera, ooi.T_cam_object, ooi.covariance, box, masks, settings)
+
+
+def _print(corners_px: Array | None) -> Array | None:
+    """Polygon (4, 2) [px] over a marker's whole print."""
+    if corners_px is None:
+        return None
+    middle = corners_px.mean(axis=0)
+    return middle + PRINT_SCALE * (corners_px - middle)
 
 
 def _is_masked(polygons: Sequence[Array], pixel: tuple[float, float]) -> bool:

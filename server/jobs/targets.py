@@ -17,6 +17,7 @@ from server.jobs.plans.reach import ReachPreview, reach_preview
 from server.jobs.plans.unmoved import moved_since_look
 from server.jobs.requests import MachineReading
 from server.targets.contracts import AnchoredTarget, SurfacePatch
+from server.targets.taught import TaughtObject
 
 NOT_PREVIEWED = ReachPreview("unknown", "")
 Preview = Callable[[int, AnchoredTarget], ReachPreview]
@@ -37,7 +38,7 @@ def reach_in_image(cell: Cell, ctx: PlanContext, image: int, target: AnchoredTar
     reading = MachineReading(
         np.array(latest.q_rad), np.array(latest.q_ref_rad), latest.t_plc_ns, latest.t_mono_ns
     )
-    return reach_preview(ctx, reading, report.observation.tool, target)
+    return reach_preview(ctx, reading, report.observation.tool, target, target.T_ref_target)
 
 
 class TargetChoice:
@@ -54,8 +55,24 @@ class TargetChoice:
 
     @property
     def target(self) -> AnchoredTarget | None:
-        """The target in use."""
-        return self._knowledge.target
+        """The chosen place in use; None for markers and for a taught object."""
+        target = self._knowledge.target
+        return target if isinstance(target, AnchoredTarget) else None
+
+    @property
+    def taught(self) -> TaughtObject | None:
+        """The taught object in use."""
+        target = self._knowledge.target
+        return target if isinstance(target, TaughtObject) else None
+
+    def use_object(self, taught: TaughtObject) -> None:
+        """Use a taught object as the object of interest.
+
+        Raises: BusyError: a job is running.
+        """
+        self._require_idle()
+        self.candidate = None
+        self._use(taught)
 
     async def measure(self, image: int, pixel: tuple[float, float], roll_deg: float) -> AnchoredTarget | SurfacePatch:
         """Measure a candidate and preview its reach; nothing else changes.
@@ -93,7 +110,7 @@ class TargetChoice:
         self.candidate = None
         self._use(None)
 
-    def _use(self, target: AnchoredTarget | None) -> None:
+    def _use(self, target: AnchoredTarget | TaughtObject | None) -> None:
         self._vision.use_target(target)
         knowledge = self._knowledge
         knowledge.target = target

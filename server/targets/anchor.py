@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -120,7 +121,21 @@ def _in_target_axes(patch: SurfacePatch) -> Array:
     return R @ patch.covariance @ R.T
 
 
-def anchor_covariance(target: AnchoredTarget, T_cam_target: Array) -> Array:
+class CommonError(Protocol):
+    """What all looks at a target have in common: see AnchoredTarget."""
+
+    @property
+    def covariance_target(self) -> Array:
+        """Of its frame (6, 6), target axes."""
+        ...
+
+    @property
+    def sigma_scale_frac(self) -> float:
+        """Of all distances."""
+        ...
+
+
+def anchor_covariance(target: CommonError, T_cam_target: Array) -> Array:
     """Covariance (6, 6) of a target's pose in camera axes that all its looks have in common.
 
     Model:   the first measurement's noise, turned with the target, and the scale of its surroundings: a share of all

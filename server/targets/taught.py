@@ -21,6 +21,7 @@ from server.vision.odometry_keyframe import triangulated
 from server.vision.odometry_sight import StereoMatches, flow, plausible
 
 CONTRAST_MIN = 0.02  # half of OpenCV's default: worn paint has less contrast than the rock around it
+RIM_PX = 32  # about the features' region: the support of a descriptor
 SPREAD_PX, PER_SPREAD = 32, 8  # features of a whole image: no more in a cell, about 7000 at 720p
 VIEWS_MIN = 2  # a landmark that only one view shows may be a shadow, a highlight or an edge before the background
 CELL_PX = 11  # one landmark a cell: an object is small, so patches of 15 px may overlap by a quarter
@@ -85,12 +86,15 @@ def features(image: Image, mask: Image) -> tuple[Array, Descriptors]:
     Source:  Lowe 2004 (SIFT).
     """
     sift = cv2.SIFT.create(contrastThreshold=CONTRAST_MIN)
-    points = sorted(sift.detect(image, mask), key=lambda point: -point.response)
+    u, v, width, height = cv2.boundingRect(mask)
+    left, top = max(u - RIM_PX, 0), max(v - RIM_PX, 0)
+    part = np.s_[top : v + height + RIM_PX, left : u + width + RIM_PX]
+    points = sorted(sift.detect(image[part], mask[part]), key=lambda point: -point.response) if width else []
     if not points:
         return np.zeros((0, 2)), np.zeros((0, 128), np.uint8)
     chosen = _strongest_by_cell(np.array([point.pt for point in points]), SPREAD_PX, PER_SPREAD)
-    points, found = sift.compute(image, [points[k] for k in chosen])
-    places = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2)
+    points, found = sift.compute(image[part], [points[k] for k in chosen])
+    places = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2) + [left, top]
     return places, np.clip(np.rint(found), 0, 255).astype(np.uint8)
 
 
@@ -204,6 +208,7 @@ def teach_object(
             "more, or of a side with more texture"
         )
     shift, covariance = _frame_shift(views, placed)
+    covariance[3:, 3:] += _lever_covariance(box, settings)
     final = tuple(_reframed(view, shift) for view in some)
     depth = float(np.mean([view.T_cam_object[2, 3] for view in final]))
     scale = depth * settings.sigma_disparity_px / (camera.fx_px * camera.baseline_m)
@@ -291,6 +296,13 @@ def _frame_shift(views: Sequence[TaughtView], placed: Sequence[TaughtView]) -> t
     covariance = np.linalg.inv(information)
     mean = covariance @ right_side
     return pose(rotation_from_rotvec(mean[:3]), mean[3:]), covariance
+
+
+def _lever_covariance(box: ObjectBox, settings: TargetSettings) -> Array:
+    """Of the object's place (3, 3) [m^2]: the markers' frame is turned by print and mounting, in all views alike."""
+    x, y, z = box.centre_m
+    lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+    return settings.sigma_frame_rad**2 * (lever @ lever.T)
 
 
 def _reframed(view: TaughtView, T_frame_mean: Array) -> TaughtView:

@@ -22,6 +22,7 @@ from server.vision.odometry_sight import flow
 COVER_MAX = 0.4  # of the visible landmarks that something may hide: 30 % cover, and its rim
 RECOGNISE_EVERY = 3  # lost pairs: recognition takes as long as several pairs
 PNP_PX = 3.0
+RIVAL_MIN = 8  # four points make a pose; one more agrees with it by chance in about 1 of 1000
 RIVAL_PX = 2.0 * PNP_PX  # farther apart, two poses place a landmark at two places
 VARIANCE_MAX = 9.0  # residuals three times what noise and landmarks explain: another geometry
 NAN = float("nan")
@@ -29,12 +30,12 @@ NAN = float("nan")
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A pose by one view's matches, how many of them it explains, and the first pose that explains the rest."""
+    """A pose by one view's matches, how many of them it explains, and the numbers of those features."""
 
     view: TaughtView
     T: Array
     inliers: int
-    rival: int
+    explained: NDArray[np.int64]
 
 
 class TaughtTracker:
@@ -97,10 +98,11 @@ class TaughtTracker:
         if not known:
             return self._not_seen(0)
         best = max(known, key=lambda one: one.inliers)
-        if best.rival >= FIX_MIN:
+        rival = self._rival(best, places, descriptors)
+        if rival >= RIVAL_MIN:
             reason = (
-                f"object '{self._taught.name}': {best.inliers} of its features fit one place and {best.rival} fit another "
-                f"(limit {FIX_MIN}); there are two of them in view, or it is a similar one with other measures. Cover the "
+                f"object '{self._taught.name}': {best.inliers} of its features fit one place and {rival} fit another "
+                f"(limit {RIVAL_MIN}); there are two of them in view, or it is a similar one with other measures. Cover the "
                 "other one, or teach this object"
             )
             return _refused(reason, best.inliers)
@@ -115,13 +117,16 @@ class TaughtTracker:
         if solved is None:
             return None
         T, inliers = solved
-        rest = np.ones(len(pairs), dtype=bool)
-        rest[inliers] = False
-        return _Candidate(view, T, len(inliers), self._rival(points[rest], pixels[rest], T))
+        return _Candidate(view, T, len(inliers), pairs[inliers, 0])
 
-    def _rival(self, points: Array, pixels: Array, T: Array) -> int:
-        """How many of the remaining matches another pose explains that is not the same one."""
-        second = _pnp(self._camera, points, pixels)
+    def _rival(self, best: _Candidate, places: Array, descriptors: Descriptors) -> int:
+        """How many of the features that the pose leaves unexplained another pose explains."""
+        rest = np.ones(len(places), dtype=bool)
+        rest[best.explained] = False
+        places, T = places[rest], best.T
+        pairs = _matched(descriptors[rest], best.view.descriptors)
+        points, pixels = best.view.marks.points_target[pairs[:, 1]], places[pairs[:, 0]]
+        second = _pnp(self._camera, points, pixels, RIVAL_MIN)
         if second is None:
             return 0
         own, other = (
@@ -191,9 +196,11 @@ def _matched(seen: Descriptors, taught: Descriptors) -> NDArray[np.int64]:
     return np.array([(feature, landmark) for _, feature, landmark in best.values()], dtype=np.int64).reshape(-1, 2)
 
 
-def _pnp(camera: StereoCamera, points: Array, pixels: Array) -> tuple[Array, NDArray[np.int64]] | None:
-    """T_cam_object by RANSAC in the left eye, and the inliers' indices; None below the number of a fix."""
-    if len(points) < FIX_MIN:
+def _pnp(
+    camera: StereoCamera, points: Array, pixels: Array, least: int = FIX_MIN
+) -> tuple[Array, NDArray[np.int64]] | None:
+    """T_cam_object by RANSAC in the left eye, and the inliers' indices; None for fewer than `least`."""
+    if len(points) < least:
         return None
     rays = undistort_to_rays(camera, pixels)
     cv2.setRNGSeed(1)
@@ -207,7 +214,7 @@ def _pnp(camera: StereoCamera, points: Array, pixels: Array) -> tuple[Array, NDA
         confidence=0.999,
         flags=cv2.SOLVEPNP_SQPNP,
     )
-    if not good or inliers is None or len(inliers) < FIX_MIN or float(tvec[2, 0]) <= 0.0:
+    if not good or inliers is None or len(inliers) < least or float(tvec[2, 0]) <= 0.0:
         return None
     T = pose(np.asarray(cv2.Rodrigues(rvec)[0], dtype=float), np.asarray(tvec, dtype=float).reshape(3))
     return T, np.asarray(inliers, dtype=np.int64).ravel()

@@ -58,7 +58,7 @@ def key_poses(poses: PoseHistory, t_mid_ns: int, readout_s: float, n_keys: int) 
 
 
 if TYPE_CHECKING:
-    from sim_plc.world import CameraTruth, SceneTruth, World
+    from sim_plc.world import CameraTruth, FixtureTruth, SceneTruth, World
 
 _N_SHUTTER_KEYS = 5  # poses per exposure; at 11 ms readout 2.75 ms apart, where lines between them are good to 1e-6 rad
 _NOISE_BANK_SEED = 0x6E6F697365
@@ -120,13 +120,18 @@ class StereoRenderer:
         self._T_ooi_base = inverse_pose(scene.T_base_ooi)
         markers = tuple(marker_board(dictionary, marker, np.eye(4)) for marker in scene.ooi_markers)
         chess = tuple(chess_board(dictionary, board, np.eye(4)) for board in scene.ooi_boards)
-        self._fixture_boards = tuple(board for fixture in scene.fixtures for board in fixture_boards(fixture))
+        self._fixture_boards: tuple[Board, ...] = ()
+        self.show_fixtures(scene.fixtures)
         self._ooi_boards = markers + chess
         prints = tuple(marker_board(dictionary, marker, scene.T_tcp_tool) for marker in scene.tool_markers)
         self.tool_boards = tuple(shank_board(plate) for plate in prints) + prints
         self.eyes = eye_views(self._camera, self.tool_boards)
         self.structure = OwnStructure(scene.structure, scene.texture_seed, self.eyes)
         self.times = StageTimes()
+
+    def show_fixtures(self, fixtures: "tuple[FixtureTruth, ...]") -> None:
+        """Replace the fixtures on the wall from the next picture on."""
+        self._fixture_boards = tuple(board for fixture in fixtures for board in fixture_boards(fixture))
 
     @property
     def relief(self) -> Relief:
