@@ -12,6 +12,7 @@ from machine.description import StereoCamera
 from machine.poses import transform_points
 from server.api.lease import leased
 from server.api.problems import problem
+from server.api.taught_objects import taught_object_router
 from server.api.views import Problem, Strict, View
 from server.jobs.service import JobService
 from server.jobs.plans.reach import ReachPreview
@@ -82,6 +83,7 @@ def target_router(service: JobService) -> APIRouter:
         service.engine,
         lambda image, found: reach_in_image(cell, service.context, image, found),
     )
+    router.include_router(taught_object_router(service, choice))
     control = Depends(leased(service.engine.leases))
     refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 409, 422, 503)}
 

@@ -12,14 +12,17 @@ from machine.description import StereoCamera
 from machine.poses import inverse_pose, pose, transform_points
 from machine.rotations import Array, geodesic_angle
 from server.targets.contracts import TargetFix, TargetSettings
+from server.targets.stereo_match import coarse_disparity
+from server.targets.surface import SAMPLE_HALF_PX
 from server.targets.taught import Descriptors, TaughtObject, TaughtView, features
-from server.targets.tracking import FIX_MIN, MarksPose, align_marks, inside_image, solve_pose
+from server.targets.tracking import AGREE_MIN_FRAC, FIX_MIN, MarksPose, align_marks, inside_image, solve_pose
 from server.vision.contracts import Image
+from server.vision.odometry_align import CORRELATION_MIN
 from server.vision.odometry_features import allowed_mask, inside_mask
 from server.vision.odometry_recognition import RATIO_MAX
 from server.vision.odometry_sight import flow
 
-COVER_MAX = 0.4  # of the visible landmarks that something may hide: 30 % cover, and its rim
+NEARER_PX = 3.0  # of disparity: the alignment's basin; what lies that much before the object covers it
 RECOGNISE_EVERY = 3  # lost pairs: recognition takes as long as several pairs
 PNP_PX = 3.0
 RIVAL_MIN = 8  # four points make a pose; one more agrees with it by chance in about 1 of 1000
@@ -139,23 +142,42 @@ class TaughtTracker:
         self, view: TaughtView, images: tuple[Image, Image], masks: tuple[Image, Image], guess: Array
     ) -> TargetFix:
         """The fix by one view's landmarks from a guess, verified."""
-        camera, T, fit, visible = self._camera, guess, None, 0
+        camera, T, fit, seen = self._camera, guess, None, None
         for _ in range(2):  # the second time from the better guess
-            seen, visible = align_marks(view, view.marks, images, masks, camera, T)
+            seen, _ = align_marks(view, view.marks, images, masks, camera, T)
             if len(seen.indices) < FIX_MIN:
                 return self._not_seen(len(seen.indices))
             fit = solve_pose(camera, view.marks, seen, T, self._settings)
             T = fit.T
-        return self._not_seen(0) if fit is None else self._verdict(fit, visible)
+        if seen is None or fit is None:
+            return self._not_seen(0)
+        missing = self._uncovered(view, np.setdiff1d(np.arange(len(view.marks)), seen.indices[fit.agree]), images, masks, T)
+        return self._verdict(fit, int(fit.agree.sum()) + missing)
+
+    def _uncovered(
+        self, view: TaughtView, missing: NDArray[np.int64], images: tuple[Image, Image], masks: tuple[Image, Image], T: Array
+    ) -> int:
+        """How many landmarks that were not found have nothing before them: there the object itself looks different."""
+        camera = self._camera
+        left_px, right_px = project_stereo(camera, transform_points(T, view.marks.points_target[missing]))
+        visible = inside_mask(masks[0], left_px) & inside_mask(masks[1], right_px)
+        rays, others = undistort_to_rays(camera, left_px[visible]), undistort_to_rays(camera, right_px[visible])
+        nearest = camera.fx_px * camera.baseline_m / self._settings.depth_min_m
+        covered = 0
+        for ray, expected in zip(rays, (rays[:, 0] - others[:, 0]) * camera.fx_px, strict=True):
+            found = coarse_disparity(camera, *images, ray, SAMPLE_HALF_PX, (expected - NEARER_PX, nearest))
+            covered += found.correlation > CORRELATION_MIN and found.disparity_px > expected + NEARER_PX
+        return int(visible.sum()) - covered
 
     def _verdict(self, fit: MarksPose, visible: int) -> TargetFix:
         n = int(fit.agree.sum())
         share, name = n / max(visible, 1), self._taught.name
-        limit = (1.0 - COVER_MAX) * self._taught.agree_frac
+        limit = AGREE_MIN_FRAC * self._taught.agree_frac
         if n < FIX_MIN or share < limit:
             return _refused(
-                f"object '{name}': {n} of {visible} visible landmarks are where they were taught ({100 * share:.0f} %, limits "
-                f"{FIX_MIN} and {100 * limit:.0f} %); it is covered, changed, or a similar one. Clear it, or teach this object",
+                f"object '{name}': {n} of {visible} landmarks that nothing covers are where they were taught "
+                f"({100 * share:.0f} %, limits {FIX_MIN} and {100 * limit:.0f} %); it has changed, is lit too little, or is a "
+                "similar one. Clean and light it, or teach this object",
                 n,
                 share,
             )

@@ -14,6 +14,7 @@ import { showHistory, showJoints, showStory } from "./history.js";
 import { startLogin } from "./login.js";
 import { watchHold } from "./hold.js";
 import { showScene, startScene } from "./scene.js";
+import { startObjects } from "./objects.js";
 import { buildSteps, showSteps } from "./steps.js";
 import { startTabs } from "./tabs.js";
 import { startTarget } from "./target.js";
@@ -53,6 +54,6 @@ const live = new Live((fresh) => {
   show();
 });
 const fillPage = () => fillTexts(document);
-const STARTED = [fillPage, buildErrors, buildSteps, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startTarget, startScene, startLogin];
+const STARTED = [fillPage, buildErrors, buildSteps, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startTarget, startObjects, startScene, startLogin];
 STARTED.forEach((part) => guarded(part, live));
 setInterval(show, AGES_MS);
