@@ -54,7 +54,9 @@ def targets(
     driven = _saved(
         folder, "rendered", range(seed, seed + rendered), lambda k: [point_case(described, k, folder)], PointCase
     )
-    stood_in = _saved(folder, "virtual", range(seed, seed + virtual), lambda k: _drawn(virtual_case(described, k)), PointCase)
+    stood_in = _saved(
+        folder, "virtual", range(seed, seed + virtual), lambda k: _drawn(virtual_case(described, k)), PointCase
+    )
     known = _saved(folder, "taught", range(seed, seed + taught), lambda k: taught_cases(described, k), TaughtCase)
     on_taught = _saved(
         folder, "taught-job", range(seed, seed + taught_jobs), lambda k: taught_job(described, k), PointCase
@@ -71,7 +73,11 @@ def targets(
         for row in rows:
             table.add_row(*row)
         console.print(table)
-    if any(case.wrong for case in found) or any(case.taken for case in known) or any(case.confidently_wrong for case in driven + stood_in + on_taught):
+    if (
+        any(case.wrong for case in found)
+        or any(case.taken for case in known)
+        or any(case.confidently_wrong for case in driven + stood_in + on_taught)
+    ):
         raise typer.Exit(1)
 
 

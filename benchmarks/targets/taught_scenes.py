@@ -1,4 +1,4 @@
-"""Taught objects in rendered pairs of drawn worlds: taught beside the markers, then recognised elsewhere without them."""
+"""Taught objects in rendered pairs of drawn worlds: taught beside the markers, recognised elsewhere without them."""
 
 from dataclasses import asdict, dataclass, replace
 
@@ -138,8 +138,14 @@ def _look(
     """The object, or what looks like it, somewhere on the wall, from somewhere before it, in another light."""
     T_ooi_fixture = _place(rng, 0.2)
     machine = ctx.machine
-    distance, tilt = float(rng.uniform(0.2, 0.6)), pose(rotation_from_rotvec(np.deg2rad(rng.uniform(-8, 8, 3))), np.zeros(3))
-    across = float(T_ooi_fixture[0, 3] + rng.uniform(-0.15, 0.15)), float(T_ooi_fixture[1, 3] + rng.uniform(-0.15, 0.05))
+    distance, tilt = (
+        float(rng.uniform(0.2, 0.6)),
+        pose(rotation_from_rotvec(np.deg2rad(rng.uniform(-8, 8, 3))), np.zeros(3)),
+    )
+    across = (
+        float(T_ooi_fixture[0, 3] + rng.uniform(-0.15, 0.15)),
+        float(T_ooi_fixture[1, 3] + rng.uniform(-0.15, 0.05)),
+    )
     fixtures = _fixtures(kind, seed, T_ooi_fixture)
     shown, T_ooi_cam = stage.show(demo_tcp_pose(machine, distance, across) @ tilt, fixtures, rng, True)
     fix = TaughtTracker(taught, machine.camera, settings).find(shown.left, shown.right, shown.masks_px)
@@ -175,9 +181,7 @@ def _relit(left: Image, right: Image, rng: np.random.Generator) -> tuple[Image, 
     return relit[0], relit[1]
 
 
-def _judged(
-    ctx: PlanContext, seed: int, kind: str, fix: TargetFix, truth: Array, seen: PairObservation
-) -> TaughtCase:
+def _judged(ctx: PlanContext, seed: int, kind: str, fix: TargetFix, truth: Array, seen: PairObservation) -> TaughtCase:
     distance = float(np.linalg.norm(truth[:3, 3]))
     T_cam_tool = seen.tool.T_cam_object
     if fix.T_cam_target is None or fix.covariance is None or T_cam_tool is None:

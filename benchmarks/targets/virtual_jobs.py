@@ -1,7 +1,7 @@
 """Whole jobs in virtual time: the fast world's plant and odometry, but every look is of rendered pairs.
 
-Real time plays no part, so the machine's load does not decide how many jobs there are; what is left out is the link, the
-camera stream and the odometry's own images (`fast_odometry` stands in for them, with noise fitted to rendered runs).
+Real time plays no part, so the computer's load does not decide how many jobs there are. Left out are the link, the
+camera stream and the odometry's own images: `fast_odometry` stands in, with noise fitted to rendered runs.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -106,9 +106,7 @@ class VirtualBench:
         """What the camera shows now."""
         return self.camera.show(self.cell.machine.T_base_tcp())
 
-    def reach(
-        self, seen: PairObservation, target: AnchoredTarget | TaughtObject, T_cam_target: Array
-    ) -> ReachPreview:
+    def reach(self, seen: PairObservation, target: AnchoredTarget | TaughtObject, T_cam_target: Array) -> ReachPreview:
         """The preview from here."""
         reading = self.cell.perform(Settle())
         if not isinstance(reading, MachineReading):
@@ -173,7 +171,7 @@ def virtual_case(machine: Machine, seed: int) -> PointCase | None:
 def _clicked(
     bench: VirtualBench, rng: np.random.Generator, settings: TargetSettings
 ) -> tuple[AnchoredTarget | None, list[str]]:
-    """As the operator of `rendered`: the first click that is measured and previewed as reachable; why others were not."""
+    """As the operator of `rendered`: the first click that is measured and reachable; why others were not."""
     refused: list[str] = []
     seen, left, right = bench.pair()
     camera = bench.world.nominal.camera

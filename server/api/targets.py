@@ -14,8 +14,8 @@ from server.api.lease import leased
 from server.api.problems import problem
 from server.api.taught_objects import taught_object_router
 from server.api.views import Problem, Strict, View
-from server.jobs.service import JobService
 from server.jobs.plans.reach import ReachPreview
+from server.jobs.service import JobService
 from server.jobs.targets import NOT_PREVIEWED, TargetChoice, reach_in_image
 from server.targets.contracts import AnchoredTarget, SurfacePatch
 from server.targets.surface import CHI2_2_95, uncertainty_95

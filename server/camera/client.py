@@ -186,11 +186,8 @@ class VisionClient:
         Raises: CameraError: the vision process does not answer.
         """
         self._requests += 1
-        self._send(MeasureTargetCommand(self._requests, sequence, pixel, roll_rad))
-        answer = await self._answer(self._requests)
-        if not isinstance(answer, TargetMeasured):
-            raise CameraError("another target was measured in the meantime; choose again")
-        return answer.found
+        answer = await self._asked(MeasureTargetCommand(self._requests, sequence, pixel, roll_rad))
+        return cast("TargetMeasured", answer).found
 
     async def teach_view(self, sequence: int, box: ObjectBox) -> TaughtView | str:
         """Landmarks of an object in a pair that was shown, or why that view cannot be used.
@@ -198,20 +195,20 @@ class VisionClient:
         Raises: CameraError: the vision process does not answer.
         """
         self._requests += 1
-        self._send(TeachViewCommand(self._requests, sequence, box))
-        answer = await self._answer(self._requests)
-        if not isinstance(answer, ViewTaught):
-            raise CameraError("a target was measured in the meantime; take the view again")
-        return answer.found
+        return cast("ViewTaught", await self._asked(TeachViewCommand(self._requests, sequence, box))).found
 
-    async def _answer(self, number: int) -> TargetMeasured | ViewTaught | None:
-        """The answer with that number; None where a later one came first."""
+    async def _asked(self, command: MeasureTargetCommand | TeachViewCommand) -> TargetMeasured | ViewTaught:
+        """The answer with the command's number, which is of its kind."""
+        number = command.request
+        self._send(command)
         try:
             async with asyncio.timeout(MEASURE_S):
                 await self._until(lambda: self._measured is not None and self._measured.request >= number)
         except TimeoutError:
             raise CameraError(f"target was not measured within {MEASURE_S:.0f} s; try again") from None
-        return self._measured if self._measured is not None and self._measured.request == number else None
+        if self._measured is None or self._measured.request != number:
+            raise CameraError("another target was measured in the meantime; choose again")
+        return self._measured
 
     def use_target(self, target: AnchoredTarget | TaughtObject | None) -> None:
         """Serve this target as the object of interest, also after a restart of the process; None: its markers.

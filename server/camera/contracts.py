@@ -196,5 +196,7 @@ class TargetMeasured:
     found: AnchoredTarget | SurfacePatch
 
 
-VisionCommand = OdometryCommand | PoseSourceCommand | MeasureTargetCommand | UseTargetCommand | TeachViewCommand | QuitCommand
+VisionCommand = (
+    OdometryCommand | PoseSourceCommand | MeasureTargetCommand | UseTargetCommand | TeachViewCommand | QuitCommand
+)
 VisionMessage = FrameReport | StreamNotice | OdometryMap | TargetMeasured | ViewTaught | SignOfLife

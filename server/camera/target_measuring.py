@@ -50,9 +50,7 @@ class TargetMeasuring:
     def keep(self, frame: StereoFrame) -> None:
         """Keep a pair that is shown to the operator, with the own tool's polygons in it."""
         source = self._source
-        self._kept.append(
-            _Kept(frame.sequence, frame.left.copy(), frame.right.copy(), source.masks_px, source.markers)
-        )
+        self._kept.append(_Kept(frame.sequence, frame.left.copy(), frame.right.copy(), source.masks_px, source.markers))
 
     def obey(self, command: MeasureTargetCommand | UseTargetCommand | TeachViewCommand) -> None:
         """Serve a target from the next pair on, or begin to measure one; `finished` gives the answer."""
@@ -77,7 +75,9 @@ class TargetMeasuring:
         if pair is None or pair.markers is None:
             reason = f"Image {command.sequence} is not kept any more; take the view in a newer image"
             return ViewTaught(command.request, reason)
-        return ViewTaught(command.request, view_by_markers(pair, pair.markers, self._camera, command.box, self._settings))
+        return ViewTaught(
+            command.request, view_by_markers(pair, pair.markers, self._camera, command.box, self._settings)
+        )
 
     def _measured(self, command: MeasureTargetCommand, kept: tuple[_Kept, ...]) -> TargetMeasured:
         pair = next((one for one in reversed(kept) if one.sequence == command.sequence), None)

@@ -35,9 +35,7 @@ def reach_in_image(cell: Cell, ctx: PlanContext, image: int, target: AnchoredTar
     moved = moved_since_look(cell.machine, latest.q_rad, np.array((then or [latest])[0].q_rad))
     if moved:
         return ReachPreview("unknown", f"reach is not known: {moved.replace('look again', 'choose in a newer image')}")
-    reading = MachineReading(
-        np.array(latest.q_rad), np.array(latest.q_ref_rad), latest.t_plc_ns, latest.t_mono_ns
-    )
+    reading = MachineReading(np.array(latest.q_rad), np.array(latest.q_ref_rad), latest.t_plc_ns, latest.t_mono_ns)
     return reach_preview(ctx, reading, report.observation.tool, target, target.T_ref_target)
 
 

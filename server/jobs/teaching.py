@@ -44,7 +44,9 @@ class Teaching:
         if self.box is None or not (_equal(self.box.centre_m, box.centre_m) and _equal(self.box.size_m, box.size_m)):
             self.forget()
         if len(self.views) >= VIEWS_MAX:
-            raise JobFailedError(f"{len(self.views)} views are kept (limit {VIEWS_MAX}); teach the object", "too_many_views")
+            raise JobFailedError(
+                f"{len(self.views)} views are kept (limit {VIEWS_MAX}); teach the object", "too_many_views"
+            )
         found = await self._vision.teach_view(image, box)
         if isinstance(found, str):
             raise JobFailedError(found, "view_refused")
@@ -64,9 +66,7 @@ class Teaching:
         """
         if self.box is None:
             raise JobFailedError("no view has been taken; take at least two", "not_taught")
-        found = await asyncio.to_thread(
-            teach_object, name, tuple(self.views), self.box, self._camera, TargetSettings()
-        )
+        found = await asyncio.to_thread(teach_object, name, tuple(self.views), self.box, self._camera, TargetSettings())
         if isinstance(found, str):
             raise JobFailedError(found, "not_taught")
         try:

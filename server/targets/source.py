@@ -44,7 +44,9 @@ class TargetPoseSource:
         self._markers, self._camera, self._mask = markers, camera, tool_mask
         self._settings = settings or TargetSettings()
         self._tracker: TargetTracker | TaughtTracker | None = None
-        self.markers: PairObservation | None = None  # what the markers showed in the last pair, also with a target in use
+        self.markers: PairObservation | None = (
+            None  # what the markers showed in the last pair, also with a target in use
+        )
 
     @property
     def masks_px(self) -> tuple[Sequence[Array], Sequence[Array]]:

@@ -81,7 +81,7 @@ class TaughtObject:
 
 
 def features(image: Image, mask: Image) -> tuple[Array, Descriptors]:
-    """Places (n, 2) [px], strongest first, and descriptors (n, 128); spread evenly, so that rock does not outnumber all.
+    """Places (n, 2) [px], strongest first, and descriptors (n, 128), spread evenly: rock must not outnumber all else.
 
     Source:  Lowe 2004 (SIFT).
     """
@@ -94,7 +94,7 @@ def features(image: Image, mask: Image) -> tuple[Array, Descriptors]:
         return np.zeros((0, 2)), np.zeros((0, 128), np.uint8)
     chosen = _strongest_by_cell(np.array([point.pt for point in points]), SPREAD_PX, PER_SPREAD)
     points, found = sift.compute(image[part], [points[k] for k in chosen])
-    places = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2) + [left, top]
+    places = np.array([point.pt for point in points], dtype=np.float64).reshape(-1, 2) + np.array([left, top])
     return places, np.clip(np.rint(found), 0, 255).astype(np.uint8)
 
 
@@ -130,8 +130,8 @@ def teach_view(
     near = np.all(np.abs(transform_points(inverse_pose(T_cam_object), points)) <= 0.5 * box.size_m, axis=1)
     if near.sum() < LANDMARKS_MIN:
         return (
-            f"{near.sum()} features of the object are seen in both eyes (limit {LANDMARKS_MIN}); come nearer, add light, "
-            "or correct the object's place and size against the marker"
+            f"{near.sum()} features of the object are seen in both eyes (limit {LANDMARKS_MIN}); come nearer, add "
+            "light, or correct the object's place and size against the marker"
         )
     marks = landmarks_of(camera, T_cam_object, left_px[near], right_px[near], points[near], covariances[near])
     carried = _frame_covariance(covariance, T_cam_marker, box)
@@ -158,7 +158,9 @@ def _strongest_by_cell(places: Array, cell_px: float, most: int) -> NDArray[np.i
     return np.flatnonzero(rank < most)
 
 
-def _in_right(left: Image, right: Image, camera: StereoCamera, left_px: Array, depth_m: float) -> tuple[Array, BoolArray]:
+def _in_right(
+    left: Image, right: Image, camera: StereoCamera, left_px: Array, depth_m: float
+) -> tuple[Array, BoolArray]:
     """Right pixels (n, 2) of left places, guessed at the object's depth, and which are good."""
     if not len(left_px):
         return left_px, np.zeros(0, dtype=bool)
@@ -195,8 +197,8 @@ def teach_object(
         found = _seen_in(views[first], view, camera, settings)
         if found is None:
             return (
-                f"view {number + 1} of '{name}' does not show the landmarks of view {first + 1}; the object or the marker "
-                "has moved between them, or they are too far apart: take them again"
+                f"view {number + 1} of '{name}' does not show the landmarks of view {first + 1}; the object or the "
+                "marker has moved between them, or they are too far apart: take them again"
             )
         placed.append(view if number == first else replace(view, marks=_moved(view, found.T), T_cam_object=found.T))
     confirmed, shares = _confirmed(placed, camera, settings)
@@ -204,8 +206,8 @@ def teach_object(
     total = sum(len(view.marks) for view in some)
     if total < LANDMARKS_MIN:
         return (
-            f"{total} landmarks of '{name}' are confirmed by a second view (limit {LANDMARKS_MIN}); take views that overlap "
-            "more, or of a side with more texture"
+            f"{total} landmarks of '{name}' are confirmed by a second view (limit {LANDMARKS_MIN}); take views that "
+            "overlap more, or of a side with more texture"
         )
     shift, covariance = _frame_shift(views, placed)
     covariance[3:, 3:] += _lever_covariance(box, settings)
@@ -317,5 +319,7 @@ def _reframed(view: TaughtView, T_frame_mean: Array) -> TaughtView:
 def outline_px(camera: StereoCamera, T_cam_object: Array, size_m: Array) -> Array:
     """Raw left pixels (4, 2) of the object's face, to be drawn."""
     half = 0.5 * size_m[:2]
-    face = np.array([[-half[0], half[1], 0.0], [half[0], half[1], 0.0], [half[0], -half[1], 0.0], [-half[0], -half[1], 0.0]])
+    face = np.array(
+        [[-half[0], half[1], 0.0], [half[0], half[1], 0.0], [half[0], -half[1], 0.0], [-half[0], -half[1], 0.0]]
+    )
     return project_stereo(camera, transform_points(T_cam_object, face))[0]

@@ -66,7 +66,9 @@ def load_taught(path: Path) -> TaughtObject:
 
 def _view(data: "np.lib.npyio.NpzFile", k: int) -> TaughtView:
     marks = Landmarks(**{name: data[f"{name}_{k}"] for name in _MARKS})
-    if not all(len(getattr(marks, name)) == len(marks) for name in _MARKS) or len(data[f"descriptors_{k}"]) != len(marks):
+    if not all(len(getattr(marks, name)) == len(marks) for name in _MARKS) or len(data[f"descriptors_{k}"]) != len(
+        marks
+    ):
         raise ValueError(f"view {k + 1} has landmarks of unequal number")
     return TaughtView(
         _image(data[f"left_{k}"]),

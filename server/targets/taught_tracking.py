@@ -105,8 +105,8 @@ class TaughtTracker:
         if rival >= RIVAL_MIN:
             reason = (
                 f"object '{self._taught.name}': {best.inliers} of its features fit one place and {rival} fit another "
-                f"(limit {RIVAL_MIN}); there are two of them in view, or it is a similar one with other measures. Cover the "
-                "other one, or teach this object"
+                f"(limit {RIVAL_MIN}); there are two of them in view, or it is a similar one with other measures. "
+                "Cover the other one, or teach this object"
             )
             return _refused(reason, best.inliers)
         return self._fixed(self._nearest_view(best.T), images, masks, best.T)
@@ -151,11 +151,18 @@ class TaughtTracker:
             T = fit.T
         if seen is None or fit is None:
             return self._not_seen(0)
-        missing = self._uncovered(view, np.setdiff1d(np.arange(len(view.marks)), seen.indices[fit.agree]), images, masks, T)
+        missing = self._uncovered(
+            view, np.setdiff1d(np.arange(len(view.marks)), seen.indices[fit.agree]), images, masks, T
+        )
         return self._verdict(fit, int(fit.agree.sum()) + missing)
 
     def _uncovered(
-        self, view: TaughtView, missing: NDArray[np.int64], images: tuple[Image, Image], masks: tuple[Image, Image], T: Array
+        self,
+        view: TaughtView,
+        missing: NDArray[np.int64],
+        images: tuple[Image, Image],
+        masks: tuple[Image, Image],
+        T: Array,
     ) -> int:
         """How many landmarks that were not found have nothing before them: there the object itself looks different."""
         camera = self._camera
@@ -176,8 +183,8 @@ class TaughtTracker:
         if n < FIX_MIN or share < limit:
             return _refused(
                 f"object '{name}': {n} of {visible} landmarks that nothing covers are where they were taught "
-                f"({100 * share:.0f} %, limits {FIX_MIN} and {100 * limit:.0f} %); it has changed, is lit too little, or is a "
-                "similar one. Clean and light it, or teach this object",
+                f"({100 * share:.0f} %, limits {FIX_MIN} and {100 * limit:.0f} %); it has changed, is lit too little, or is "
+                "a similar one. Clean and light it, or teach this object",
                 n,
                 share,
             )
@@ -192,8 +199,8 @@ class TaughtTracker:
 
     def _not_seen(self, n: int) -> TargetFix:
         reason = (
-            f"object '{self._taught.name}': {n} of its landmarks are recognised (limit {FIX_MIN}); bring it into view, clear "
-            "what covers it, or add light"
+            f"object '{self._taught.name}': {n} of its landmarks are recognised (limit {FIX_MIN}); bring it into view, "
+            "clear what covers it, or add light"
         )
         return TargetFix(False, reason, None, None, n, NAN, NAN, seen=False)
 

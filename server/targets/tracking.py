@@ -198,6 +198,7 @@ _LOST = TargetFix(
 
 
 def not_found(n: int, visible: int) -> TargetFix:
+    """The fix of surroundings of which too few landmarks were found."""
     reason = (
         f"target: {n} of {visible} visible landmarks found in both eyes (limits {FIX_MIN} and "
         f"{100 * FOUND_MIN_FRAC:.0f} %); clear the view, restore the light, or choose the target again"
@@ -211,6 +212,7 @@ def _quadratic(rays: Array) -> Array:
 
 
 def inside_image(pixels: Array, shape: tuple[int, ...]) -> BoolArray:
+    """Which pixels (n, 2) lie in an image of that shape."""
     return np.asarray((pixels >= 0.0).all(axis=1) & (pixels < [shape[1], shape[0]]).all(axis=1))
 
 
@@ -271,7 +273,9 @@ def _halved(image: Image, level: int) -> Image:
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def solve_pose(camera: StereoCamera, marks: Landmarks, seen: SeenMarks, start: Array, settings: TargetSettings) -> MarksPose:
+def solve_pose(
+    camera: StereoCamera, marks: Landmarks, seen: SeenMarks, start: Array, settings: TargetSettings
+) -> MarksPose:
     """Pose by iteratively reweighted least squares over both eyes.
 
     Model:   residual (4,) = projection in both eyes minus seen, raw px; covariance sigma^2 I + J C J^T, with the

@@ -13,10 +13,10 @@ from server.jobs.context import PlanContext
 from server.jobs.knowledge import LookTaken
 from server.jobs.plans.calibrating import possible_path
 from server.jobs.plans.diagnosed import goal_from_look
+from server.jobs.plans.living import born, validity_at
 from server.jobs.plans.looking import mount_rotation, ooi_in_base
 from server.jobs.plans.orienting import GOOD_ENOUGH_DEG, orientation_goal
 from server.jobs.plans.planning import plan_to
-from server.jobs.plans.living import born, validity_at
 from server.jobs.plans.seeing import common_of, require_judgeable
 from server.jobs.records import LookRecord
 from server.jobs.requests import MachineReading
@@ -36,14 +36,18 @@ class ReachPreview:
 
 
 def reach_preview(
-    ctx: PlanContext, reading: MachineReading, tool: ObjectPose, target: AnchoredTarget | TaughtObject, T_cam_target: Array
+    ctx: PlanContext,
+    reading: MachineReading,
+    tool: ObjectPose,
+    target: AnchoredTarget | TaughtObject,
+    T_cam_target: Array,
 ) -> ReachPreview:
     """Plans the job on a candidate: orientation step, calibration path, move to the goal. Nothing moves or is kept.
 
     Model:   the legs of `position`, each from where the one before ends; tool and camera are rigidly joined, so a leg
              changes only the target's pose in the camera.
-    Args:    reading: where the machine rests, as in the image that shows the target at T_cam_target (4, 4). tool: as seen
-             there.
+    Args:    reading: where the machine rests, as in the image that shows the target at T_cam_target (4, 4).
+             tool: as seen there.
     Returns: `reachable`; `refused` with the first leg's reason; `unknown` where the tool was not seen.
     """
     if tool.T_cam_object is None or tool.covariance is None:
@@ -65,7 +69,15 @@ def reach_preview(
 def _what_if(ctx: PlanContext, target: AnchoredTarget | TaughtObject) -> PlanContext:
     """The context as it would be with this target in use: a copy, so that nothing of the preview is kept."""
     known = replace(
-        ctx.knowledge, target=target, last_look=None, previewed=None, joint=None, mount=None, moves=[], runs=[], looks=[]
+        ctx.knowledge,
+        target=target,
+        last_look=None,
+        previewed=None,
+        joint=None,
+        mount=None,
+        moves=[],
+        runs=[],
+        looks=[],
     )
     return replace(ctx, knowledge=known)
 
@@ -76,9 +88,7 @@ def _as_if_looked(
     """One pair's poses as a look."""
     t_ns = reading.t_mono_ns
     covariance = target.covariance_target
-    look = Look(
-        LookStatus.OK, "", tool.T_cam_object, T_cam_target, tool.covariance, covariance, 1, 1, t_ns, t_ns, 0.0
-    )
+    look = Look(LookStatus.OK, "", tool.T_cam_object, T_cam_target, tool.covariance, covariance, 1, 1, t_ns, t_ns, 0.0)
     record = LookRecord(look.status.value, "", None, 1, 0.0, reading.t_plc_ns, t_ns)
     return LookTaken(look=look, reading=reading, error=None, record=record, raw=look)
 
@@ -119,7 +129,17 @@ def _as_if_calibrated(ctx: PlanContext, taken: LookTaken) -> None:
     """The calibration path is possible; what it would give holds around the place where it is driven."""
     plan, _ = possible_path(ctx, taken.reading)
     mount = CameraRotationEstimate(
-        CalibrationStatus.OK, "", "preview", mount_rotation(ctx, taken), np.zeros((3, 3)), 0.0, 0.0, 0.0, 0, 1.0, plan.length_m
+        CalibrationStatus.OK,
+        "",
+        "preview",
+        mount_rotation(ctx, taken),
+        np.zeros((3, 3)),
+        0.0,
+        0.0,
+        0.0,
+        0,
+        1.0,
+        plan.length_m,
     )
     born(ctx, mount, taken, taken.reading)
 

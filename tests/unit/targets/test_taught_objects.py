@@ -85,7 +85,8 @@ def test_the_object_is_found_elsewhere_in_another_light_and_partly_covered(cover
 
 
 @pytest.mark.parametrize(
-    ("variant", "why"), [("other", "recognised"), ("scaled", "worse than their noise|another"), ("row", "fit another|limits")]
+    ("variant", "why"),
+    [("other", "recognised"), ("scaled", "worse than their noise|another"), ("row", "fit another|limits")],
 )
 def test_a_look_alike_is_refused_with_its_reason(variant, why):
     fix, _ = found_in(FixtureTruth(SEED, PLACE, variant))
@@ -121,7 +122,7 @@ def test_a_view_without_markers_and_a_single_view_are_refused():
 
 
 def test_a_view_whose_object_moved_is_refused():
-    moved = FixtureTruth(SEED, pose(np.eye(3), BOX.centre_m + [0.03, 0.0, 0.0]))
+    moved = FixtureTruth(SEED, pose(np.eye(3), BOX.centre_m + np.array([0.03, 0.0, 0.0])))
     pair, seen, _ = shown(True, 0.35, (0.2, -0.1), moved)
     third = view_by_markers(pair, seen, machine().camera, BOX, SETTINGS)
     assert "has moved" in teach_object("plate", [*views(), third], BOX, machine().camera, SETTINGS)
