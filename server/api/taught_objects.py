@@ -23,7 +23,7 @@ REFUSED: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for statu
 
 
 class TeachViewRequest(Strict):
-    """One view: the image's number, and where the object is in the axes of the OOI's markers beside it.
+    """One view: the image's number, and where the object is in the axes of the OOI's markers next to it.
 
     The object's frame has the markers' axes and lies at `centre_mm`; the goal's stand-off is along its z axis.
     """
@@ -57,7 +57,7 @@ def taught_object_router(service: JobService, choice: TargetChoice) -> APIRouter
 
     def view() -> ObjectsView:
         return ObjectsView(
-            names=teaching.names(), in_use=teaching.in_use, view_landmarks=[_count(one) for one in teaching.views]
+            names=teaching.names(), in_use=teaching.in_use, view_landmarks=[_count(taken) for taken in teaching.views]
         )
 
     @router.get("", response_model=ObjectsView)
@@ -67,7 +67,7 @@ def taught_object_router(service: JobService, choice: TargetChoice) -> APIRouter
 
     @router.post("/views", response_model=ObjectsView, responses=REFUSED)
     async def take_object_view(body: TeachViewRequest) -> ObjectsView:
-        """Take a view of the object with its markers in the picture; nothing moves. Another box begins anew."""
+        """Take a view of the object with its markers in the picture; nothing moves. Another box starts over."""
         box = ObjectBox(1e-3 * np.array(body.centre_mm), 1e-3 * np.array(body.size_mm))
         await teaching.add_view(body.image, box)
         return view()

@@ -199,14 +199,13 @@ class VisionClient:
 
     async def _asked(self, command: MeasureTargetCommand | TeachViewCommand) -> TargetMeasured | ViewTaught:
         """The answer with the command's number, which is of its kind."""
-        number = command.request
         self._send(command)
         try:
             async with asyncio.timeout(MEASURE_S):
-                await self._until(lambda: self._measured is not None and self._measured.request >= number)
+                await self._until(lambda: self._measured is not None and self._measured.request >= command.request)
         except TimeoutError:
             raise CameraError(f"target was not measured within {MEASURE_S:.0f} s; try again") from None
-        if self._measured is None or self._measured.request != number:
+        if self._measured is None or self._measured.request != command.request:
             raise CameraError("another target was measured in the meantime; choose again")
         return self._measured
 

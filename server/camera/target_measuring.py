@@ -71,7 +71,7 @@ class TargetMeasuring:
         self._thread.shutdown(cancel_futures=True)
 
     def _view(self, command: TeachViewCommand, kept: tuple[_Kept, ...]) -> ViewTaught:
-        pair = next((one for one in reversed(kept) if one.sequence == command.sequence), None)
+        pair = next((held for held in reversed(kept) if held.sequence == command.sequence), None)
         if pair is None or pair.markers is None:
             reason = f"Image {command.sequence} is not kept any more; take the view in a newer image"
             return ViewTaught(command.request, reason)
@@ -80,13 +80,13 @@ class TargetMeasuring:
         )
 
     def _measured(self, command: MeasureTargetCommand, kept: tuple[_Kept, ...]) -> TargetMeasured:
-        pair = next((one for one in reversed(kept) if one.sequence == command.sequence), None)
+        pair = next((held for held in reversed(kept) if held.sequence == command.sequence), None)
         if pair is None:
             numbers = f"{kept[0].sequence} to {kept[-1].sequence}" if kept else "none"
             reason = f"Image {command.sequence} is not kept any more (kept: {numbers}); choose in a newer image"
             return TargetMeasured(command.request, refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel))
         if _is_masked(pair.masks_px[0], command.pixel):
-            reason = "The own tool is at this pixel; choose a place beside it"
+            reason = "The own tool is at this pixel; choose a place next to it"
             return TargetMeasured(command.request, refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel))
         patch = measure_patch(pair.left, pair.right, self._camera, command.pixel, self._settings)
         if not patch.ok:
@@ -123,10 +123,10 @@ def view_by_markers(
     """One view of an object whose frame the OOI's markers in the picture give, or why it cannot be used."""
     ooi = markers.ooi
     if ooi.T_cam_object is None or ooi.covariance is None:
-        return f"the object's markers are not seen ({ooi.reason}); put them beside the object, into both eyes' view"
+        return f"the object's markers are not seen ({ooi.reason}); put them next to the object, into both eyes' view"
     left = (*pair.masks_px[0], *(_print(view.corners_left_px) for view in markers.views))
     right = (*pair.masks_px[1], *(_print(view.corners_right_px) for view in markers.views))
-    masks = tuple(one for one in left if one is not None), tuple(one for one in right if one is not None)
+    masks = tuple(p for p in left if p is not None), tuple(p for p in right if p is not None)
     return teach_view(pair.left, pair.right, camera, ooi.T_cam_object, ooi.covariance, box, masks, settings)
 
 

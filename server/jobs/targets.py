@@ -25,7 +25,7 @@ Preview = Callable[[int, AnchoredTarget], ReachPreview]
 
 def reach_in_image(cell: Cell, ctx: PlanContext, image: int, target: AnchoredTarget) -> ReachPreview:
     """Whether a job could reach a candidate measured in that image, from where the machine rests."""
-    report = next((one for one in reversed(cell.vision.reports_since(0)) if one.sequence == image), None)
+    report = next((shown for shown in reversed(cell.vision.reports_since(0)) if shown.sequence == image), None)
     if report is None:
         return ReachPreview("unknown", f"reach is not known: image {image} is not kept; choose in a newer one")
     latest = cell.link.latest

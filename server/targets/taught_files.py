@@ -61,7 +61,7 @@ def load_taught(path: Path) -> TaughtObject:
             views = tuple(_view(data, k) for k in range(int(data["views"])))
             return TaughtObject(path.stem, data["size_m"], views, data["covariance_target"], scale, agree)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, cv2.error) as error:
-        raise TaughtFileError(f"{path.name} is no taught object: {error}; teach it again") from error
+        raise TaughtFileError(f"{path.name} cannot be read as a taught object: {error}; teach it again") from error
 
 
 def _view(data: "np.lib.npyio.NpzFile", k: int) -> TaughtView:

@@ -97,7 +97,7 @@ class TaughtTracker:
         """The fix from features alone, wherever the camera is."""
         places, descriptors = features(images[0], masks[0])
         found = [self._candidate(view, places, descriptors) for view in self._taught.views]
-        known = [one for one in found if one is not None]
+        known = [candidate for candidate in found if candidate is not None]
         if not known:
             return self._not_seen(0)
         best = max(known, key=lambda one: one.inliers)
@@ -132,9 +132,7 @@ class TaughtTracker:
         second = _pnp(self._camera, points, pixels, RIVAL_MIN)
         if second is None:
             return 0
-        own, other = (
-            project_stereo(self._camera, transform_points(one, points[second[1]]))[0] for one in (T, second[0])
-        )
+        own, other = (project_stereo(self._camera, transform_points(at, points[second[1]]))[0] for at in (T, second[0]))
         apart = np.linalg.norm(own - other, axis=1)
         return int((apart > RIVAL_PX).sum())
 
@@ -183,7 +181,7 @@ class TaughtTracker:
         if n < FIX_MIN or share < limit:
             return _refused(
                 f"object '{name}': {n} of {visible} landmarks that nothing covers are where they were taught "
-                f"({100 * share:.0f} %, limits {FIX_MIN} and {100 * limit:.0f} %); it has changed, is lit too little, or is "
+                f"({100 * share:.0f} %, limits {FIX_MIN} and {100 * limit:.0f} %); it has changed, needs light, or is "
                 "a similar one. Clean and light it, or teach this object",
                 n,
                 share,

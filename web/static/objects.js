@@ -1,4 +1,4 @@
-// Taught objects: views taken of an object beside the markers, taught under a name, chosen without the markers.
+// Taught objects: views taken of an object next to the markers, taught under a name, chosen without the markers.
 import { shownHeader } from "./camera.js";
 import { send } from "./commands.js";
 import { byId, make, setText } from "./dom.js";
