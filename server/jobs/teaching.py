@@ -7,8 +7,9 @@ import numpy as np
 
 from machine.description import StereoCamera
 from server.camera.client import VisionClient
-from server.errors import JobFailedError, StoreError
+from server.errors import JobFailedError
 from server.jobs.targets import TargetChoice
+from server.store.errors import StoreError
 from server.targets.contracts import TargetSettings
 from server.targets.taught import ObjectBox, TaughtObject, TaughtView, teach_object
 from server.targets.taught_files import SUFFIX, TaughtFileError, load_taught, save_taught
