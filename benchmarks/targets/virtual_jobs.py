@@ -37,7 +37,7 @@ from server.targets.source import TargetPoseSource
 from server.targets.surface import measure_patch
 from server.targets.taught import TaughtObject
 from server.vision.aruco_source import ArucoPoseSource
-from server.vision.contracts import Look, PairObservation
+from server.vision.contracts import Image, Look, PairObservation
 from server.vision.look import average_look
 from sim_plc.camera.renderer import StereoRenderer
 from sim_plc.draw_scene import with_bare_rock
@@ -72,7 +72,7 @@ class RenderedCamera(FastCamera):
         self.renderer = StereoRenderer(world)
         self.source = TargetPoseSource(ArucoPoseSource(nominal), nominal.camera, tool_mask(nominal))
 
-    def show(self, T_base_tcp: Array) -> tuple[PairObservation, Array, Array]:
+    def show(self, T_base_tcp: Array) -> tuple[PairObservation, Image, Image]:
         """One pair at rest and what the source makes of it."""
         left, right = self.renderer.render_static(T_base_tcp, self._rng_image)
         return self.source.observe(left, right, 0), left, right
@@ -102,7 +102,7 @@ class VirtualBench:
         """The true left eye now."""
         return left_eye(self.camera.renderer, self.cell.machine.T_base_tcp())
 
-    def pair(self) -> tuple[PairObservation, Array, Array]:
+    def pair(self) -> tuple[PairObservation, Image, Image]:
         """What the camera shows now."""
         return self.camera.show(self.cell.machine.T_base_tcp())
 

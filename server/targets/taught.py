@@ -297,7 +297,7 @@ def _frame_shift(views: Sequence[TaughtView], placed: Sequence[TaughtView]) -> t
         right_side += weight @ twist
     covariance = np.linalg.inv(information)
     mean = covariance @ right_side
-    return pose(rotation_from_rotvec(mean[:3]), mean[3:]), covariance
+    return pose(rotation_from_rotvec(mean[:3]), mean[3:]), np.asarray(covariance, dtype=np.float64)
 
 
 def _lever_covariance(box: ObjectBox, settings: TargetSettings) -> Array:

@@ -26,6 +26,7 @@ NEARER_PX = 3.0  # of disparity: the alignment's basin; what lies that much befo
 RECOGNISE_EVERY = 3  # lost pairs: recognition takes as long as several pairs
 PNP_PX = 3.0
 RIVAL_MIN = 8  # four points make a pose; one more agrees with it by chance in about 1 of 1000
+MOVED_MIN = 5  # one gives the shift; another one within 3 px of it by chance: 1 of 1000
 RIVAL_PX = 2.0 * PNP_PX  # farther apart, two poses place a landmark at two places
 VARIANCE_MAX = 9.0  # residuals three times what noise and landmarks explain: another geometry
 NAN = float("nan")
@@ -102,10 +103,10 @@ class TaughtTracker:
             return self._not_seen(0)
         best = max(known, key=lambda one: one.inliers)
         rival = self._rival(best, places, descriptors)
-        if rival >= RIVAL_MIN:
+        if rival:
             reason = (
-                f"object '{self._taught.name}': {best.inliers} of its features fit one place and {rival} fit another "
-                f"(limit {RIVAL_MIN}); there are two of them in view, or it is a similar one with other measures. "
+                f"object '{self._taught.name}': {best.inliers} of its features fit one place and {rival} fit another; "
+                "there are two of them in view, or it is a similar one with other measures. "
                 "Cover the other one, or teach this object"
             )
             return _refused(reason, best.inliers)
@@ -123,18 +124,20 @@ class TaughtTracker:
         return _Candidate(view, T, len(inliers), pairs[inliers, 0])
 
     def _rival(self, best: _Candidate, places: Array, descriptors: Descriptors) -> int:
-        """How many of the features that the pose leaves unexplained another pose explains."""
+        """How many of the features that the pose leaves unexplained another pose explains, or a part that has moved."""
         rest = np.ones(len(places), dtype=bool)
         rest[best.explained] = False
         places, T = places[rest], best.T
         pairs = _matched(descriptors[rest], best.view.descriptors)
         points, pixels = best.view.marks.points_target[pairs[:, 1]], places[pairs[:, 0]]
+        moved = _moved_alike(project_stereo(self._camera, transform_points(T, points))[0], pixels)
         second = _pnp(self._camera, points, pixels, RIVAL_MIN)
         if second is None:
-            return 0
+            return moved
         own, other = (project_stereo(self._camera, transform_points(at, points[second[1]]))[0] for at in (T, second[0]))
         apart = np.linalg.norm(own - other, axis=1)
-        return int((apart > RIVAL_PX).sum())
+        number = int((apart > RIVAL_PX).sum())
+        return max(moved, number if number >= RIVAL_MIN else 0)
 
     def _fixed(
         self, view: TaughtView, images: tuple[Image, Image], masks: tuple[Image, Image], guess: Array
@@ -205,6 +208,17 @@ class TaughtTracker:
 
 def _refused(reason: str, n: int, share: float = NAN) -> TargetFix:
     return TargetFix(False, reason, None, None, n, share, NAN)
+
+
+def _moved_alike(expected_px: Array, pixels: Array) -> int:
+    """How many features (n, 2) are shifted alike from where their landmarks should be; 0 below MOVED_MIN."""
+    shift = pixels - expected_px
+    shift = shift[np.linalg.norm(shift, axis=1) > RIVAL_PX]
+    if len(shift) < MOVED_MIN:
+        return 0
+    alike = np.linalg.norm(shift[:, None] - shift[None], axis=2) < PNP_PX
+    most = int(alike.sum(axis=1).max())
+    return most if most >= MOVED_MIN else 0
 
 
 def _matched(seen: Descriptors, taught: Descriptors) -> NDArray[np.int64]:

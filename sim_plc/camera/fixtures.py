@@ -96,7 +96,7 @@ def _face(rng: np.random.Generator, row_moved: bool) -> Grey:
             _bolt(face, np.array([0.5 * cols, 0.5 * rows]) + place / CELL_M, rng)
     if row_moved:
         top, height = 0, rows // 3
-        shift = np.float32([[1.0, 0.0, ROW_MOVED_M / CELL_M], [0.0, 1.0, 0.0]])
+        shift = np.array([[1.0, 0.0, ROW_MOVED_M / CELL_M], [0.0, 1.0, 0.0]], np.float32)
         band = cv2.warpAffine(face[top : top + height], shift, (cols, height), borderMode=cv2.BORDER_WRAP)
         face[top : top + height] = band
     return face

@@ -5,7 +5,7 @@ from typing import Literal
 
 import numpy as np
 
-from machine.poses import inverse_pose
+from machine.poses import inverse_pose, pose
 from machine.rotations import Array, geodesic_angle
 from server.calibration.contracts import CalibrationStatus, CameraRotationEstimate
 from server.errors import JobFailedError
@@ -116,13 +116,21 @@ def _to_goal(ctx: PlanContext, taken: LookTaken) -> PathPlan:
         raise ValueError("a look without poses")
     T_goal = goal_from_look(ctx, taken.reading.q_rad, mount_rotation(ctx, taken), look.T_cam_tool, look.T_cam_ooi)
     plan = _planned(plan_to(ctx, taken.reading, T_goal), "move to the target")
-    found = validity_at(ctx, taken.reading, plan.q_end, T_goal)
+    found = validity_at(ctx, taken.reading, plan.q_end, _farther(ctx, taken, T_goal))
     if not found.ok:
         raise JobFailedError(
             f"too far from here: at the goal {found.reason}. Move the tool nearer first, or choose a nearer place",
             f"calibration_{found.status.value}",
         )
     return plan
+
+
+def _farther(ctx: PlanContext, taken: LookTaken, T_goal: Array) -> Array:
+    """The goal a little farther away: the calibration will know the mount better, which moves the goal of a long way."""
+    T_now = ctx.tcp(taken.reading.q_rad)
+    away = T_goal[:3, 3] - T_now[:3, 3]
+    share = 2.0 * float(np.deg2rad(ctx.settings.position.sigma_tool_mount_deg))  # two sigma of the mount, over the way
+    return pose(T_goal[:3, :3], T_goal[:3, 3] + share * away)
 
 
 def _as_if_calibrated(ctx: PlanContext, taken: LookTaken) -> None:

@@ -5,7 +5,6 @@ import pytest
 from test_jobs_plans import World, context, run
 
 from machine.poses import inverse_pose, pose
-from machine.rotations import rotation_about
 from server.jobs.plans.positioning import position
 from server.jobs.plans.reach import reach_preview
 from server.jobs.requests import Settle
@@ -51,12 +50,6 @@ def test_a_place_that_no_job_could_reach_is_refused_with_the_reason(shift_ooi_m,
     found = previewed(world, ctx, world.T_base_ooi @ pose(np.eye(3), np.array(shift_ooi_m)))
     assert found.status == "refused"
     assert any(word in found.reason for word in why.split("|")), found.reason
-
-
-def test_a_place_that_faces_away_is_refused():
-    world, ctx = World(), context()
-    turned = world.T_base_ooi @ pose(rotation_about("y", np.deg2rad(70.0)), np.zeros(3))
-    assert previewed(world, ctx, turned).status == "refused"
 
 
 def test_without_the_tool_in_view_the_reach_is_unknown():
