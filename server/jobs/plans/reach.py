@@ -126,7 +126,7 @@ def _to_goal(ctx: PlanContext, taken: LookTaken) -> PathPlan:
 
 
 def _farther(ctx: PlanContext, taken: LookTaken, T_goal: Array) -> Array:
-    """The goal a little farther away: the calibration will know the mount better, which moves the goal of a long way."""
+    """The goal a little farther away: the calibration will correct the mount, which moves the end of a long way."""
     T_now = ctx.tcp(taken.reading.q_rad)
     away = T_goal[:3, 3] - T_now[:3, 3]
     share = 2.0 * float(np.deg2rad(ctx.settings.position.sigma_tool_mount_deg))  # two sigma of the mount, over the way
