@@ -29,8 +29,10 @@ class TeachViewRequest(Strict):
     """
 
     image: Annotated[int, Field(ge=0, le=2**53)]
-    centre_mm: tuple[Offset, Offset, Offset] = Field(description="x right, y up, z out of the wall")
-    size_mm: tuple[Length, Length, Length] = Field(description="full width, height and depth about the centre")
+    centre_mm: Annotated[
+        list[Offset], Field(min_length=3, max_length=3, description="x right, y up, z out of the wall")
+    ]
+    size_mm: Annotated[list[Length], Field(min_length=3, max_length=3, description="full width, height and depth")]
 
 
 class TeachRequest(Strict):

@@ -131,7 +131,8 @@ async def test_an_object_is_taught_listed_used_and_removed(school):
     knowledge = school.service.cell.knowledge
     async with school.client() as client:
         assert (await client.post("/v1/target/objects", json={"name": "rack"})).json()["code"] == "not_taught"
-        await client.post("/v1/target/objects/views", json=VIEW)
+        first = await client.post("/v1/target/objects/views", json=VIEW)
+        assert first.json()["view_landmarks"] == [30], first.text
         single = await client.post("/v1/target/objects", json={"name": "rack"})
         assert (single.status_code, single.json()["detail"]) == (409, "1 view (limit 2)")
         views = await client.post("/v1/target/objects/views", json=VIEW)
