@@ -58,6 +58,16 @@ class RoundMark:
 
 
 @dataclass(frozen=True, slots=True)
+class FixtureTruth:
+    """A bolt plate that can be taught, or a look-alike of it; `seed` draws its bolts, blocks and rust."""
+
+    seed: int
+    T_ooi_fixture: Array  # origin in the plate's middle, x right, y up, z out of it
+    variant: Literal["taught", "other", "scaled", "row"] = "taught"
+    cover_frac: float = 0.0  # of the plate, by a sheet that hangs before it from one side
+
+
+@dataclass(frozen=True, slots=True)
 class SceneTruth:
     """The wall, the OOI on it and the tool marker, as they truly are (printed sizes and places included)."""
 
@@ -72,6 +82,7 @@ class SceneTruth:
     ooi_boards: tuple[Board, ...] = ()  # chess boards with markers, T_on_board = true T_ooi_board
     structure: StructureTruth | None = None
     round_marks: tuple[RoundMark, ...] = ()
+    fixtures: tuple[FixtureTruth, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

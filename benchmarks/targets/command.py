@@ -18,11 +18,15 @@ from benchmarks.same_options import require_same_options, text_mark
 from benchmarks.targets.faults import KINDS, FaultCase, fault_cases
 from benchmarks.targets.holes import HoleCase, hole_cases
 from benchmarks.targets.patches import PatchCase, wall_cases
-from benchmarks.targets.rendered import PointCase, point_case
+from benchmarks.targets.rendered import NOT_CHOSEN, PointCase, point_case
+from benchmarks.targets.taught_scenes import GENUINE, TaughtCase, taught_cases, taught_job
+from benchmarks.targets.taught_scenes import KINDS as TAUGHT_KINDS
+from benchmarks.targets.virtual_jobs import virtual_case
 from machine.description import parse_machine_toml
 from server.settings import read_machine_text
 from server.targets.contracts import TargetSettings
 
+CHI2_3_95 = 7.815
 FOLDER = Path("runs/bench-targets")
 C = TypeVar("C")
 
@@ -32,6 +36,9 @@ def targets(
     faults: Annotated[int, typer.Option(help="walls for faults: every fault once each")] = 34,
     rendered: Annotated[int, typer.Option(help="whole jobs in real time, preset realistic")] = 0,
     holes: Annotated[int, typer.Option(help="walls with 1 to 12 boreholes and rings: two pictures each")] = 30,
+    virtual: Annotated[int, typer.Option(help="whole jobs in virtual time, every look rendered")] = 0,
+    taught: Annotated[int, typer.Option(help="worlds with a taught object: one look of each kind")] = 0,
+    taught_jobs: Annotated[int, typer.Option(help="whole jobs on a taught object in virtual time")] = 0,
     seed: Annotated[int, typer.Option(help="first seed")] = 1,
     machine: Annotated[str, typer.Option(help="machine file or name")] = "hiab033",
     folder: Annotated[Path, typer.Option(help="where every case is saved; a second run resumes")] = FOLDER,
@@ -52,18 +59,36 @@ def targets(
     driven = _saved(
         folder, "rendered", range(seed, seed + rendered), lambda k: [point_case(described, k, folder)], PointCase
     )
+    stood_in = _saved(
+        folder, "virtual", range(seed, seed + virtual), lambda k: _drawn(virtual_case(described, k)), PointCase
+    )
+    known = _saved(folder, "taught", range(seed, seed + taught), lambda k: taught_cases(described, k), TaughtCase)
+    on_taught = _saved(
+        folder, "taught-job", range(seed, seed + taught_jobs), lambda k: taught_job(described, k), PointCase
+    )
     for rows, title in (
         (patch_rows(seen), f"patches: N = {len(seen)} clicks, {walls} walls"),
         (fault_rows(found), f"faults: N = {len(found)} looks, {faults} walls"),
         (hole_rows(round_marks), f"holes and rings: N = {len(round_marks)} marks, {holes} walls"),
         (point_rows(driven), f"point and go: N = {len(driven)} jobs"),
+        (point_rows(stood_in), f"point and go in virtual time: N = {len(stood_in)} jobs"),
+        (taught_rows(known), f"taught objects: N = {len(known)} looks, {taught} worlds"),
+        (point_rows(on_taught), f"jobs on a taught object in virtual time: N = {len(on_taught)}"),
     ):
         table = Table("what", "share", "Wilson 95 %", title=f"{title}, seeds from {seed}", title_justify="left")
         for row in rows:
             table.add_row(*row)
         console.print(table)
-    if any(case.wrong for case in found) or any(case.confidently_wrong for case in driven):
+    if (
+        any(case.wrong for case in found)
+        or any(case.taken for case in known)
+        or any(case.confidently_wrong for case in driven + stood_in + on_taught)
+    ):
         raise typer.Exit(1)
+
+
+def _drawn(case: C | None) -> list[C]:
+    return [] if case is None else [case]
 
 
 def _saved(folder: Path, name: str, seeds: range, run: Callable[[int], list[C]], kind: type[C]) -> list[C]:
@@ -159,11 +184,32 @@ def hole_rows(cases: Sequence[HoleCase]) -> list[tuple[str, str, str]]:
     return rows
 
 
+def taught_rows(cases: Sequence[TaughtCase]) -> list[tuple[str, str, str]]:
+    """Recall, look-alikes taken, pose errors and whether the stated ellipsoids hold them."""
+    genuine = [case for case in cases if case.kind in GENUINE]
+    rows = [_share("recall: object served", [case.served for case in genuine])]
+    for kind in TAUGHT_KINDS:
+        name = f"{kind}: served" if kind in GENUINE else f"{kind}: taken"
+        rows.append(_share(name, [case.served for case in cases if case.kind == kind]))
+    good = [case for case in genuine if case.served]
+    if good:
+        mm, deg = [case.position_mm for case in good], [case.rotation_deg for case in good]
+        rows += [
+            _share("95 % ellipsoid holds the position", [case.chi2_position <= CHI2_3_95 for case in good]),
+            _share("95 % ellipsoid holds the rotation", [case.chi2_rotation <= CHI2_3_95 for case in good]),
+            ("position error, median and 95 %", f"{np.median(mm):.2f}, {np.quantile(mm, 0.95):.2f} mm", ""),
+            ("rotation error, median and 95 %", f"{np.median(deg):.2f}, {np.quantile(deg, 0.95):.2f} deg", ""),
+        ]
+    return rows
+
+
 def point_rows(cases: Sequence[PointCase]) -> list[tuple[str, str, str]]:
     """One-move success, refusals, and jobs that ended sure and wrong."""
-    driven: list[Any] = [case for case in cases if case.true_mm]
+    chosen = [case for case in cases if case.state != NOT_CHOSEN]
+    driven: list[Any] = [case for case in chosen if case.true_mm]
     return [
-        _share("job ended with a look", [bool(case.true_mm) for case in cases]),
+        _share("a measured and reachable place was found by the clicks", [case.state != NOT_CHOSEN for case in cases]),
+        _share("job after an accepted preview ended with a look", [bool(case.true_mm) for case in chosen]),
         _share("truly inside 5 mm on each axis after one move, of those", [case.inside_after_one for case in driven]),
         _share(
             "reached by its own word and truly outside", [case.reached and case.confidently_wrong for case in driven]

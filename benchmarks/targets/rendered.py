@@ -24,9 +24,10 @@ PRESET = "realistic"
 READY_S = 420.0
 CAMERA_HZ = 6.0  # so that renderer, vision and plant keep real time on two shared cores
 SHOWN_S = 2.0  # the newest image is then one of a machine at rest
-TRIES = 5  # clicks until one is accepted; a refused one is counted
+TRIES = 12  # clicks until one is measured and its reach preview accepts it; the others are counted
 STAND_OFF_M = 0.1
 INSIDE_MM = 5.0
+UNREACHABLE, NOT_CHOSEN = "unreachable", "not chosen"
 CLICK_U_PX, CLICK_V_PX = (480.0, 800.0), (180.0, 400.0)
 
 
@@ -38,6 +39,7 @@ class PointCase:
     state: str
     reason: str
     refused_clicks: int
+    unreachable_clicks: int
     place_mm: float
     stated_normal_deg: float
     true_mm: tuple[tuple[float, float, float], ...]
@@ -74,43 +76,46 @@ def point_case(machine: Machine, seed: int, folder: Path) -> PointCase:
         camera_rate_hz=CAMERA_HZ,
         sim_options=("--bare-rock",),
     )
-    none = PointCase(seed, "refused", "", 0, np.nan, np.nan, (), (), (), False, 0.0)
+    none = PointCase(seed, "refused", "", 0, 0, np.nan, np.nan, (), (), (), False, 0.0)
     try:
         with stack, JobClient(stack.url) as client, httpx.Client(base_url=stack.url, timeout=60.0) as rest:
             client.wait_ready(READY_S)
             time.sleep(SHOWN_S)
             patch, refused = _choose(rest, np.random.default_rng([seed, 0x636C69636B]))
+            none = replace(none, refused_clicks=len(refused) - refused.count(UNREACHABLE))
+            none = replace(none, unreachable_clicks=refused.count(UNREACHABLE))
             if patch is None:
-                return replace(none, reason="no click was accepted", refused_clicks=refused)
+                return replace(none, state=NOT_CHOSEN, reason=f"no click was accepted: {sorted(set(refused))}")
             finished = client.run({"kind": "position", "owner": "bench"})
             time.sleep(0.6)  # the truth log is flushed twice a second
     except JobRefusedError as error:
         return replace(none, reason=str(error))
     if finished.result is None:
-        return replace(none, state=finished.state, reason=finished.reason, refused_clicks=refused)
-    return _judged(
-        draw_world(machine, PRESET, seed), seed, patch, refused, finished, read_truth(own / "truth/truth.csv")
-    )
+        return replace(none, state=finished.state, reason=finished.reason)
+    return _judged(draw_world(machine, PRESET, seed), none, patch, finished, read_truth(own / "truth/truth.csv"))
 
 
-def _choose(rest: httpx.Client, rng: np.random.Generator) -> tuple[dict[str, Any] | None, int]:
-    """Click in the newest image until a patch is measured, then use it."""
-    for number in range(TRIES):
+def _choose(rest: httpx.Client, rng: np.random.Generator) -> tuple[dict[str, Any] | None, list[str]]:
+    """Click in the newest image until a patch is measured and its preview accepted, then use it; why others were not.
+
+    An operator chooses among the places that the panel states to be reachable.
+    """
+    refused: list[str] = []
+    for _ in range(TRIES):
         image = int(rest.get("/v1/target/image").headers["Longreach-Image"])
         click = {"image": image, "u_px": float(rng.uniform(*CLICK_U_PX)), "v_px": float(rng.uniform(*CLICK_V_PX))}
         patch = rest.post("/v1/target/measure", json=click).raise_for_status().json()
-        if patch["status"] == "ok":
+        if patch["status"] == "ok" and patch["reach"] == "reachable":
             lease = rest.post("/v1/lease", json={"owner": "bench", "kind": "operator"}).raise_for_status().json()
             held = {"Longreach-Lease": lease["lease_id"], "Longreach-Fencing": str(lease["fencing"])}
             rest.post("/v1/target", json={"target_id": patch["target_id"]}, headers=held).raise_for_status()
             rest.delete(f"/v1/lease/{lease['lease_id']}", headers=held)
-            return patch, number
-    return None, TRIES
+            return patch, refused
+        refused.append(UNREACHABLE if patch["status"] == "ok" else patch["status"])
+    return None, refused
 
 
-def _judged(
-    world: World, seed: int, patch: dict[str, Any], refused: int, finished: Finished, truth: Array
-) -> PointCase:
+def _judged(world: World, none: PointCase, patch: dict[str, Any], finished: Finished, truth: Array) -> PointCase:
     result = finished.result
     if result is None:
         raise ValueError("the job has no result to judge")
@@ -123,11 +128,10 @@ def _judged(
     T_goal_ooi = inverse_pose(T_ooi_cam @ T_cam_target @ goal)
     moves = [move for move in result["moves"] if move["kind"] == "move" and move["after"] is not None]
     errors = [T_goal_ooi @ _T_ooi_tool(truth, move["t_rest_plc_ns"]) for move in moves]
-    return PointCase(
-        seed=seed,
+    return replace(
+        none,
         state=finished.state,
         reason=result["reason"],
-        refused_clicks=refused,
         place_mm=float(abs(patch["distance_mm"] - 1e3 * np.linalg.norm(T_cam_target[:3, 3]))),
         stated_normal_deg=patch["normal_deg"],
         true_mm=tuple(_three(1e3 * error[:3, 3]) for error in errors),

@@ -142,7 +142,7 @@ class CornerResidual:
         if Ts_tcp_base is None:
             t = true_times(sets, self.frames.t_s, self.t_start_s, k) + later_s
             q = link_angles(self.paths, sets, k, self.at, t) + more_rad
-            Ts_tcp_base = np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k))
+            Ts_tcp_base = np.asarray(np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k)), dtype=float)
             if arms is not None:
                 arms[key] = Ts_tcp_base
         return np.asarray(T_cam_tcp @ Ts_tcp_base, dtype=float)

@@ -68,6 +68,8 @@ _PATCH = {
     "outline_px": [[681.0, 322.4], [655.1, 296.3], [629.2, 322.6], [655.0, 348.8]],
     "ellipse_px": [[656.1, 322.5], [655.0, 321.4], [653.9, 322.5], [655.0, 323.6]],
     "axes_px": [[655.0, 322.5], [677.4, 322.4], [655.1, 300.2], [651.3, 320.7]],
+    "reach": "reachable",
+    "reach_reason": "",
 }
 _MARK = {
     "number": 1,
@@ -346,10 +348,13 @@ EXAMPLES: dict[str, Example] = {
     "ServoRequest": {"kind": "servo"},
     "SettingRow": {"name": "position.tolerance_mm", "value": "5.0", "unit": "mm"},
     "StateView": _STATE,
+    "ObjectsView": {"names": ["bolt-plate"], "in_use": "", "view_landmarks": [231, 204]},
     "TargetRequest": {"target_id": 3},
     "FindMarksRequest": {"image": 1412, "diameters_mm": [51.0, 64.0]},
     "MarksView": {"image": 1412, "reason": "", "marks": [_MARK]},
     "MarkView": _MARK,
+    "TeachRequest": {"name": "bolt-plate"},
+    "TeachViewRequest": {"image": 1412, "centre_mm": [550.0, 100.0, 0.0], "size_mm": [480.0, 380.0, 140.0]},
     "MeasureTargetRequest": {"image": 1412, "u_px": 655.0, "v_px": 322.5, "roll_deg": 0.0},
     "PatchView": _PATCH,
     "TargetView": {"target": _PATCH, "candidate": None, "image": 1420},

@@ -12,10 +12,12 @@ from machine.description import StereoCamera
 from machine.poses import transform_points
 from server.api.lease import leased
 from server.api.problems import problem
+from server.api.taught_objects import taught_object_router
 from server.api.views import Problem, Strict, View
 from server.camera.contracts import MarksFound
+from server.jobs.plans.reach import ReachPreview
 from server.jobs.service import JobService
-from server.jobs.targets import TargetChoice
+from server.jobs.targets import NOT_PREVIEWED, TargetChoice, reach_in_image
 from server.targets.contracts import AnchoredTarget, SurfacePatch
 from server.targets.surface import CHI2_2_95, uncertainty_95
 from server.vision.contracts import Array
@@ -67,6 +69,8 @@ class PatchView(View):
     outline_px: list[list[float]] = Field(description="rim of the measured patch in the left image")
     ellipse_px: list[list[float]] = Field(description="95 % ellipse of the position in the surface, magnified 10 times")
     axes_px: list[list[float]] = Field(description="origin and the ends of x, y and the normal (50 mm)")
+    reach: str = Field(description="reachable, refused or unknown: the planner's check of a whole job, when measured")
+    reach_reason: str = Field(description="which leg the planner refuses and what helps, or why reach is not known")
 
 
 class MarkView(View):
@@ -100,7 +104,13 @@ def target_router(service: JobService) -> APIRouter:
     """Routes under /v1/target."""
     router = APIRouter(prefix="/v1/target", tags=["target"])
     cell = service.cell
-    choice = TargetChoice(cell.vision, cell.knowledge, service.engine)
+    choice = TargetChoice(
+        cell.vision,
+        cell.knowledge,
+        service.engine,
+        lambda image, found: reach_in_image(cell, service.context, image, found),
+    )
+    router.include_router(taught_object_router(service, choice))
     control = Depends(leased(service.engine.leases))
     refused: dict[int | str, dict[str, Any]] = {status: {"model": Problem} for status in (403, 409, 422, 503)}
 
@@ -108,7 +118,9 @@ def target_router(service: JobService) -> APIRouter:
         camera, latest = cell.machine.camera, cell.vision.latest
         return TargetView(
             target=None if choice.target is None else patch_view(choice.target, 0, camera),
-            candidate=None if choice.candidate is None else patch_view(choice.candidate, choice.image, camera),
+            candidate=None
+            if choice.candidate is None
+            else patch_view(choice.candidate, choice.image, camera, choice.reach),
             image=0 if latest is None else latest.sequence,
         )
 
@@ -131,7 +143,7 @@ def target_router(service: JobService) -> APIRouter:
     async def measure_target(body: MeasureTargetRequest) -> PatchView:
         """Measure the surface at a pixel; nothing moves and nothing is used yet. A refusal is in `status`, `reason`."""
         found = await choice.measure(body.image, (body.u_px, body.v_px), body.roll_deg)
-        return patch_view(found, body.image, cell.machine.camera)
+        return patch_view(found, body.image, cell.machine.camera, choice.reach)
 
     @router.post("/marks", response_model=MarksView, responses=refused)
     async def find_marks(body: FindMarksRequest) -> MarksView:
@@ -170,7 +182,9 @@ def marks_view(found: MarksFound, image: int, camera: StereoCamera) -> MarksView
     return MarksView(image=image, reason=found.reason, marks=marks)
 
 
-def patch_view(found: AnchoredTarget | SurfacePatch, image: int, camera: StereoCamera) -> PatchView:
+def patch_view(
+    found: AnchoredTarget | SurfacePatch, image: int, camera: StereoCamera, reach: ReachPreview = NOT_PREVIEWED
+) -> PatchView:
     """A candidate as it is shown: in px of its own image."""
     patch = found.patch if isinstance(found, AnchoredTarget) else found
     target_id = found.target_id if isinstance(found, AnchoredTarget) else 0
@@ -182,6 +196,8 @@ def patch_view(found: AnchoredTarget | SurfacePatch, image: int, camera: StereoC
         "image": image,
         "u_px": patch.pixel[0],
         "v_px": patch.pixel[1],
+        "reach": reach.status,
+        "reach_reason": reach.reason,
     }
     if T is None or C is None:
         zero = dict.fromkeys(("distance_mm", "normal_deg", "position_mm", "radius_mm", "oblique_deg"), 0.0)

@@ -27,8 +27,11 @@ from server.camera.contracts import (
     PoseSourceName,
     QuitCommand,
     SignOfLife,
+    TargetAnswer,
     TargetMeasured,
+    TeachViewCommand,
     UseTargetCommand,
+    ViewTaught,
     VisionCommand,
     VisionMessage,
     VisionSettings,
@@ -39,6 +42,7 @@ from server.camera.process import LIFE_S, run_vision
 from server.listeners import Listeners
 from server.supervised_tasks import whole_in_thread
 from server.targets.contracts import AnchoredTarget, SurfacePatch
+from server.targets.taught import ObjectBox, TaughtObject, TaughtView
 from server.vision.contracts import Array, Look, OdometryPose
 
 KEEP_REPORTS = 600  # 40 s at 15 Hz
@@ -48,7 +52,7 @@ RESTART_S = 1.0
 HUNG_LOOKS = 30  # so many seconds in which a process that had begun says nothing: it is ended, and begun anew
 ODOMETRY_START_S = 20.0
 MEASURE_S = 30.0  # until a target is measured
-Answer = TypeVar("Answer", TargetMeasured, MarksFound)
+Answer = TypeVar("Answer", TargetMeasured, MarksFound, ViewTaught)
 MAP_S = 10.0  # until the map of an odometry run is there
 PROCESS_START_S = 240.0  # on a new machine everything is compiled first
 
@@ -76,8 +80,8 @@ class VisionClient:
         self._begun = self._heard = False
         self._pose_source: PoseSourceName = "stereo"
         self._track: TrackCollector | None = None
-        self._target: AnchoredTarget | None = None
-        self._measured: TargetMeasured | MarksFound | None = None
+        self._target: AnchoredTarget | TaughtObject | None = None
+        self._measured: TargetAnswer | None = None
         self._requests = 0
         self._runs = self._map_wanted = 0  # of odometry
         self.stream_text = STARTING
@@ -197,19 +201,29 @@ class VisionClient:
         self._requests += len(answer.marks)  # the marks' targets have these numbers
         return answer
 
-    async def _answered(self, command: MeasureTargetCommand | FindMarksCommand, kind: type[Answer]) -> Answer:
-        number = self._requests = command.request
+    async def teach_view(self, sequence: int, box: ObjectBox) -> TaughtView | str:
+        """Landmarks of an object in a pair that was shown, or why that view cannot be used.
+
+        Raises: CameraError: the vision process does not answer.
+        """
+        return (await self._answered(TeachViewCommand(self._requests + 1, sequence, box), ViewTaught)).found
+
+    async def _answered(
+        self, command: MeasureTargetCommand | FindMarksCommand | TeachViewCommand, kind: type[Answer]
+    ) -> Answer:
+        """The answer with the command's number, which is of its kind."""
+        self._requests = command.request
         self._send(command)
         try:
             async with asyncio.timeout(MEASURE_S):
-                await self._until(lambda: self._measured is not None and self._measured.request >= number)
+                await self._until(lambda: self._measured is not None and self._measured.request >= command.request)
         except TimeoutError:
             raise CameraError(f"target was not measured within {MEASURE_S:.0f} s; try again") from None
-        if not isinstance(self._measured, kind) or self._measured.request != number:
+        if not isinstance(self._measured, kind) or self._measured.request != command.request:
             raise CameraError("another target was measured in the meantime; choose again")
         return self._measured
 
-    def use_target(self, target: AnchoredTarget | None) -> None:
+    def use_target(self, target: AnchoredTarget | TaughtObject | None) -> None:
         """Serve this target as the object of interest, also after a restart of the process; None: its markers.
 
         Raises: CameraError: the vision process is not running.
@@ -353,7 +367,7 @@ class VisionClient:
             return
         if isinstance(message, FrameReport):
             self._take(message)
-        elif isinstance(message, TargetMeasured | MarksFound):
+        elif isinstance(message, TargetMeasured | MarksFound | ViewTaught):
             self._measured = message
             self._arrived.set()
         elif isinstance(message, OdometryMap):

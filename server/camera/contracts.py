@@ -6,6 +6,7 @@ from typing import Literal, Protocol
 from server.camera.sources.settings import SourceSettings
 from server.targets.contracts import AnchoredTarget, SurfacePatch
 from server.targets.round_marks import RoundMark
+from server.targets.taught import ObjectBox, TaughtObject, TaughtView
 from server.vision.contracts import Array, Image, OdometryPose, PairObservation
 
 PoseSourceName = Literal["stereo", "mono"]
@@ -180,7 +181,24 @@ class FindMarksCommand:
 class UseTargetCommand:
     """Serve this target as the object of interest; None: its markers again."""
 
-    target: AnchoredTarget | None
+    target: AnchoredTarget | TaughtObject | None
+
+
+@dataclass(frozen=True, slots=True)
+class TeachViewCommand:
+    """Measure the landmarks of an object in the pair with that sequence number. request: echoed in the answer."""
+
+    request: int
+    sequence: int
+    box: ObjectBox
+
+
+@dataclass(frozen=True, slots=True)
+class ViewTaught:
+    """The answer to a TeachViewCommand: the view, or why it cannot be used."""
+
+    request: int
+    found: TaughtView | str
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +218,7 @@ class MarksFound:
     reason: str
 
 
-TargetCommand = MeasureTargetCommand | FindMarksCommand | UseTargetCommand
+TargetCommand = MeasureTargetCommand | FindMarksCommand | UseTargetCommand | TeachViewCommand
+TargetAnswer = TargetMeasured | MarksFound | ViewTaught
 VisionCommand = OdometryCommand | PoseSourceCommand | TargetCommand | QuitCommand
-VisionMessage = FrameReport | StreamNotice | OdometryMap | TargetMeasured | MarksFound | SignOfLife
+VisionMessage = FrameReport | StreamNotice | OdometryMap | TargetAnswer | SignOfLife

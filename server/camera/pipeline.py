@@ -11,12 +11,11 @@ import cv2
 from machine.description import StereoCamera
 from server.camera.contracts import (
     FrameReport,
-    MarksFound,
     OdometryMap,
     PoseSourceName,
     StereoFrame,
+    TargetAnswer,
     TargetCommand,
-    TargetMeasured,
     VisionSettings,
 )
 from server.camera.health import ImageHealth, sharpness
@@ -159,12 +158,12 @@ class VisionPipeline:
         return OdometryMap(ended.map_points(MAP_POINTS), ended_run, still)
 
     def obey_target(self, command: TargetCommand) -> None:
-        """Measure a target, or serve one; without a target source nothing happens."""
+        """Measure a target or a view of an object, or serve one; without a target source nothing happens."""
         if self._targets is not None:
             self._targets.obey(command)
 
-    def targets_measured(self) -> list[TargetMeasured | MarksFound]:
-        """Measured targets and found marks that are ready, each once."""
+    def targets_measured(self) -> list[TargetAnswer]:
+        """Measured targets, found marks and taught views that are ready, each once."""
         return [] if self._targets is None else self._targets.finished()
 
     def close(self) -> None:

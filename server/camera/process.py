@@ -24,6 +24,7 @@ from server.camera.contracts import (
     StereoFrame,
     StereoSource,
     StreamNotice,
+    TeachViewCommand,
     UseTargetCommand,
     VisionCommand,
     VisionSettings,
@@ -186,7 +187,7 @@ class VisionLoop:
                     self._pipe.send(ended)
             case PoseSourceCommand(name=name):
                 self._pipeline.use_pose_source(name)
-            case MeasureTargetCommand() | FindMarksCommand() | UseTargetCommand():
+            case MeasureTargetCommand() | FindMarksCommand() | UseTargetCommand() | TeachViewCommand():
                 self._pipeline.obey_target(command)
             case QuitCommand():
                 self._quit = True

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -14,17 +15,22 @@ from server.camera.contracts import (
     MarksFound,
     MeasureTargetCommand,
     StereoFrame,
+    TargetAnswer,
     TargetCommand,
     TargetMeasured,
+    TeachViewCommand,
     UseTargetCommand,
+    ViewTaught,
 )
 from server.targets.anchor import anchor_target
 from server.targets.contracts import AnchoredTarget, PatchStatus, TargetSettings, refused_patch
 from server.targets.round_marks import find_round_marks
 from server.targets.source import TargetPoseSource
 from server.targets.surface import measure_patch, with_roll
-from server.vision.contracts import Array, Image
+from server.targets.taught import ObjectBox, TaughtView, teach_view
+from server.vision.contracts import Array, Image, PairObservation
 
+PRINT_SCALE = 1.5  # a marker's quiet zone, and the edge of its plate
 KEPT = 40  # pairs with a preview: 4 s at 10 a second, 74 MB at 720p
 
 
@@ -34,6 +40,7 @@ class _Kept:
     left: Image
     right: Image
     masks_px: tuple[Sequence[Array], Sequence[Array]]
+    markers: PairObservation | None
 
 
 class TargetMeasuring:
@@ -43,23 +50,27 @@ class TargetMeasuring:
         self._camera, self._source, self._settings = camera, source, settings or TargetSettings()
         self._kept: deque[_Kept] = deque(maxlen=KEPT)
         self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="target")
-        self._running: deque[Future[TargetMeasured | MarksFound]] = deque()
+        self._running: deque[Future[TargetAnswer]] = deque()
 
     def keep(self, frame: StereoFrame) -> None:
         """Keep a pair that is shown to the operator, with the own tool's polygons in it."""
-        self._kept.append(_Kept(frame.sequence, frame.left.copy(), frame.right.copy(), self._source.masks_px))
+        source = self._source
+        self._kept.append(_Kept(frame.sequence, frame.left.copy(), frame.right.copy(), source.masks_px, source.markers))
 
     def obey(self, command: TargetCommand) -> None:
         """Serve a target from the next pair on, or begin to measure one; `finished` gives the answer."""
         if isinstance(command, UseTargetCommand):
             return self._source.use(command.target)
+        kept = tuple(self._kept)
         if isinstance(command, FindMarksCommand):
-            self._running.append(self._thread.submit(self._marks, command, tuple(self._kept)))
+            self._running.append(self._thread.submit(self._marks, command, kept))
+        elif isinstance(command, TeachViewCommand):
+            self._running.append(self._thread.submit(self._view, command, kept))
         else:
-            self._running.append(self._thread.submit(self._measured, command, tuple(self._kept)))
+            self._running.append(self._thread.submit(self._measured, command, kept))
         return None
 
-    def finished(self) -> list[TargetMeasured | MarksFound]:
+    def finished(self) -> list[TargetAnswer]:
         """Answers that are ready, each once."""
         ready = []
         while self._running and self._running[0].done():
@@ -70,13 +81,22 @@ class TargetMeasuring:
         """End the thread."""
         self._thread.shutdown(cancel_futures=True)
 
+    def _view(self, command: TeachViewCommand, kept: tuple[_Kept, ...]) -> ViewTaught:
+        pair = next((held for held in reversed(kept) if held.sequence == command.sequence), None)
+        if pair is None or pair.markers is None:
+            reason = f"Image {command.sequence} is not kept any more; take the view in a newer image"
+            return ViewTaught(command.request, reason)
+        return ViewTaught(
+            command.request, view_by_markers(pair, pair.markers, self._camera, command.box, self._settings)
+        )
+
     def _measured(self, command: MeasureTargetCommand, kept: tuple[_Kept, ...]) -> TargetMeasured:
         pair = _pair_of(kept, command.sequence)
         if isinstance(pair, str):
             reason = pair
             return TargetMeasured(command.request, refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel))
         if _is_masked(pair.masks_px[0], command.pixel):
-            reason = "The own tool is at this pixel; choose a place beside it"
+            reason = "The own tool is at this pixel; choose a place next to it"
             return TargetMeasured(command.request, refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel))
         patch = measure_patch(pair.left, pair.right, self._camera, command.pixel, self._settings)
         if not patch.ok:
@@ -110,6 +130,46 @@ def _pair_of(kept: tuple[_Kept, ...], sequence: int) -> _Kept | str:
         return pair
     numbers = f"{kept[0].sequence} to {kept[-1].sequence}" if kept else "none"
     return f"Image {sequence} is not kept any more (kept: {numbers}); choose in a newer image"
+
+
+class Pair(Protocol):
+    """A raw grey pair (h, w) and the own tool's polygons in it."""
+
+    @property
+    def left(self) -> Image:
+        """Of the left eye."""
+        ...
+
+    @property
+    def right(self) -> Image:
+        """Of the right eye."""
+        ...
+
+    @property
+    def masks_px(self) -> tuple[Sequence[Array], Sequence[Array]]:
+        """Left and right."""
+        ...
+
+
+def view_by_markers(
+    pair: Pair, markers: PairObservation, camera: StereoCamera, box: ObjectBox, settings: TargetSettings
+) -> TaughtView | str:
+    """One view of an object whose frame the OOI's markers in the picture give, or why it cannot be used."""
+    ooi = markers.ooi
+    if ooi.T_cam_object is None or ooi.covariance is None:
+        return f"the object's markers are not seen ({ooi.reason}); put them next to the object, into both eyes' view"
+    left = (*pair.masks_px[0], *(_print(view.corners_left_px) for view in markers.views))
+    right = (*pair.masks_px[1], *(_print(view.corners_right_px) for view in markers.views))
+    masks = tuple(p for p in left if p is not None), tuple(p for p in right if p is not None)
+    return teach_view(pair.left, pair.right, camera, ooi.T_cam_object, ooi.covariance, box, masks, settings)
+
+
+def _print(corners_px: Array | None) -> Array | None:
+    """Polygon (4, 2) [px] over a marker's whole print."""
+    if corners_px is None:
+        return None
+    middle = corners_px.mean(axis=0)
+    return middle + PRINT_SCALE * (corners_px - middle)
 
 
 def _is_masked(polygons: Sequence[Array], pixel: tuple[float, float]) -> bool:

@@ -14,6 +14,7 @@ from server.jobs.records import CalibrationRecord, ComparedMove, ErrorMm, LookRe
 from server.jobs.requests import MachineReading
 from server.motion.contracts import JointTrajectory, PathPlan
 from server.targets.contracts import AnchoredTarget
+from server.targets.taught import TaughtObject
 from server.vision.contracts import Look
 
 
@@ -67,7 +68,7 @@ class Knowledge:
     lens: tuple[Array, Array] | None = None  # camera and prints as the last estimate found them: mean, covariance
     side: Array | None = None  # where each joint rested in its play (n,), -1 to 1, when the encoders last told it
     life: LocalCalibration | None = None  # the calibration as a thing that is kept, shown and expires
-    target: AnchoredTarget | None = None  # the object of interest, where it is a chosen place and not markers
+    target: AnchoredTarget | TaughtObject | None = None  # the object of interest, where it is not known by markers
     marks: tuple[AnchoredTarget, ...] = ()  # holes and rings that were found last, any of which may be the target
     calibration_note: str = ""  # why a kept calibration was not taken up, or is not kept
     unix_minus_mono_s: float = 0.0  # 0 in virtual time
@@ -85,7 +86,7 @@ class Knowledge:
         """Nothing seen, and nothing planned from it, is acted upon any more; the wall's place is kept as a limit."""
         self.last_look = self.previewed = None
 
-    def use_target(self, target: AnchoredTarget | None) -> None:
+    def use_target(self, target: AnchoredTarget | TaughtObject | None) -> None:
         """Another object of interest: what was seen of the former one is not used any more."""
         self.target = target
         self.forget_sight()

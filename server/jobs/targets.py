@@ -1,35 +1,88 @@
 """Choosing the object of interest: measured first, accepted then; what was seen of the former one is forgotten."""
 
+import asyncio
+from collections.abc import Callable
+
 import numpy as np
 
+from recording.clock import mono_ns
 from server.camera.client import VisionClient
 from server.camera.contracts import MarksFound
 from server.errors import BusyError, JobFailedError
+from server.jobs.cell import Cell
+from server.jobs.context import PlanContext
 from server.jobs.engine import JobEngine
 from server.jobs.knowledge import Knowledge
+from server.jobs.performer import SILENT_S
+from server.jobs.plans.reach import ReachPreview, reach_preview
+from server.jobs.plans.unmoved import moved_since_look
+from server.jobs.requests import MachineReading
 from server.targets.contracts import AnchoredTarget, SurfacePatch
+from server.targets.taught import TaughtObject
+
+NOT_PREVIEWED = ReachPreview("unknown", "")
+Preview = Callable[[int, AnchoredTarget], ReachPreview]
+
+
+def reach_in_image(cell: Cell, ctx: PlanContext, image: int, target: AnchoredTarget) -> ReachPreview:
+    """Whether a job could reach a candidate measured in that image, from where the machine rests."""
+    report = next((shown for shown in reversed(cell.vision.reports_since(0)) if shown.sequence == image), None)
+    if report is None:
+        return ReachPreview("unknown", f"reach is not known: image {image} is not kept; choose in a newer one")
+    latest = cell.link.latest
+    if latest is None or mono_ns() - latest.t_mono_ns > SILENT_S * 1e9:
+        return ReachPreview("unknown", "reach is not known: the PLC is silent; check its connection")
+    then = cell.link.samples_since(report.t_receive_mono_ns)
+    moved = moved_since_look(cell.machine, latest.q_rad, np.array((then or [latest])[0].q_rad))
+    if moved:
+        return ReachPreview("unknown", f"reach is not known: {moved.replace('look again', 'choose in a newer image')}")
+    reading = MachineReading(np.array(latest.q_rad), np.array(latest.q_ref_rad), latest.t_plc_ns, latest.t_mono_ns)
+    return reach_preview(ctx, reading, report.observation.tool, target, target.T_ref_target)
 
 
 class TargetChoice:
     """The candidate that was measured last, and the target in use."""
 
-    def __init__(self, vision: VisionClient, knowledge: Knowledge, engine: JobEngine) -> None:
+    def __init__(
+        self, vision: VisionClient, knowledge: Knowledge, engine: JobEngine, preview: Preview | None = None
+    ) -> None:
         self._vision, self._knowledge, self._engine = vision, knowledge, engine
+        self._preview = preview
         self.candidate: AnchoredTarget | SurfacePatch | None = None
+        self.reach = NOT_PREVIEWED  # of the candidate
         self.image = 0  # sequence number of the candidate's image
 
     @property
     def target(self) -> AnchoredTarget | None:
-        """The target in use."""
-        return self._knowledge.target
+        """The chosen place in use; None for markers and for a taught object."""
+        target = self._knowledge.target
+        return target if isinstance(target, AnchoredTarget) else None
+
+    @property
+    def taught(self) -> TaughtObject | None:
+        """The taught object in use."""
+        target = self._knowledge.target
+        return target if isinstance(target, TaughtObject) else None
+
+    def use_object(self, taught: TaughtObject) -> None:
+        """Use a taught object as the object of interest.
+
+        Raises: BusyError: a job is running.
+        """
+        self._require_idle()
+        self.candidate = None
+        self._use(taught)
 
     async def measure(self, image: int, pixel: tuple[float, float], roll_deg: float) -> AnchoredTarget | SurfacePatch:
-        """Measure a candidate; nothing else changes.
+        """Measure a candidate and preview its reach; nothing else changes.
 
         Raises: CameraError: no answer from the vision process.
         """
         found = await self._vision.measure_target(image, pixel, float(np.deg2rad(roll_deg)))
-        self.candidate, self.image = found, image
+        reach = NOT_PREVIEWED
+        if isinstance(found, AnchoredTarget) and self._preview is not None:
+            reach = await asyncio.to_thread(self._preview, image, found)
+        self.candidate, self.image, self.reach = found, image, reach
         return found
 
     async def find_marks(self, image: int, diameters_mm: tuple[float, ...]) -> MarksFound:
@@ -69,7 +122,7 @@ class TargetChoice:
         self.candidate = None
         self._use(None)
 
-    def _use(self, target: AnchoredTarget | None) -> None:
+    def _use(self, target: AnchoredTarget | TaughtObject | None) -> None:
         self._vision.use_target(target)
         self._knowledge.use_target(target)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -47,7 +48,7 @@ def anchor_target(
             "Choose a place with more texture around it, or add light"
         )
         return replace(patch, status=PatchStatus.NO_SURROUNDINGS, reason=reason, T_cam_target=None, covariance=None)
-    surroundings = _landmarks(
+    surroundings = landmarks_of(
         camera, T_ref_target, found.left_px[near], found.right_px[near], points[near], covariances[near]
     )
     return AnchoredTarget(
@@ -83,7 +84,7 @@ def _around(
     return sight.match_eyes(camera, count, np.zeros((0, 2)))
 
 
-def _landmarks(
+def landmarks_of(
     camera: StereoCamera, T_ref_target: Array, left_px: Array, right_px: Array, points_cam: Array, covariances: Array
 ) -> Landmarks:
     """In target axes; the surface at a landmark is taken as parallel to the target's plane."""
@@ -109,7 +110,7 @@ def _surface_samples(patch: SurfacePatch, camera: StereoCamera, T_ref_target: Ar
     step = max(1, int(np.ceil(len(patch.samples_px) / PATCH_SAMPLES_MAX)))
     left_px, points = patch.samples_px[::step], patch.samples_cam[::step]
     _, right_px = project_stereo(camera, points)
-    return _landmarks(camera, T_ref_target, left_px, right_px, points, np.zeros((len(points), 3, 3)))
+    return landmarks_of(camera, T_ref_target, left_px, right_px, points, np.zeros((len(points), 3, 3)))
 
 
 def _in_target_axes(patch: SurfacePatch) -> Array:
@@ -120,7 +121,21 @@ def _in_target_axes(patch: SurfacePatch) -> Array:
     return R @ patch.covariance @ R.T
 
 
-def anchor_covariance(target: AnchoredTarget, T_cam_target: Array) -> Array:
+class CommonError(Protocol):
+    """What all looks at a target have in common: see AnchoredTarget."""
+
+    @property
+    def covariance_target(self) -> Array:
+        """Of its frame (6, 6), target axes."""
+        ...
+
+    @property
+    def sigma_scale_frac(self) -> float:
+        """Of all distances."""
+        ...
+
+
+def anchor_covariance(target: CommonError, T_cam_target: Array) -> Array:
     """Covariance (6, 6) of a target's pose in camera axes that all its looks have in common.
 
     Model:   the first measurement's noise, turned with the target, and the scale of its surroundings: a share of all

@@ -40,6 +40,8 @@ class TargetSettings:
     sigma_floor_px: what interpolation leaves of a disparity error without image noise; in part alike all over a patch.
     sigma_disparity_px: disparity bias left after camera calibration, the prior of the lens model.
     surroundings_m: radius of the landmarks around the target.
+    sigma_frame_rad: rotation of the markers' frame that an object is taught with, by print and mounting, one sigma: as
+    the layout prior of the position settings.
     """
 
     radii_m: tuple[float, ...] = (0.03, 0.045, 0.06, 0.08, 0.1)
@@ -54,6 +56,7 @@ class TargetSettings:
     sigma_floor_px: float = 0.02
     sigma_disparity_px: float = 0.1
     surroundings_m: float = 0.4
+    sigma_frame_rad: float = float(np.deg2rad(0.1))
 
 
 @dataclass(frozen=True, slots=True)

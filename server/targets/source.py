@@ -6,6 +6,8 @@ from typing import Protocol
 
 from machine.description import StereoCamera
 from server.targets.contracts import AnchoredTarget, TargetFix, TargetSettings
+from server.targets.taught import TaughtObject
+from server.targets.taught_tracking import TaughtTracker
 from server.targets.tracking import TargetTracker
 from server.vision.contracts import Array, Image, MarkerView, ObjectPose, ObjectPoseSource, PairObservation, PoseStatus
 from server.vision.object_pose import NO_RIVAL
@@ -41,20 +43,27 @@ class TargetPoseSource:
     ) -> None:
         self._markers, self._camera, self._mask = markers, camera, tool_mask
         self._settings = settings or TargetSettings()
-        self._tracker: TargetTracker | None = None
+        self._tracker: TargetTracker | TaughtTracker | None = None
+        self.markers: PairObservation | None = (
+            None  # what the markers showed in the last pair, also with a target in use
+        )
 
     @property
     def masks_px(self) -> tuple[Sequence[Array], Sequence[Array]]:
         """Where the own tool was in the last pair, left and right."""
         return self._mask.left, self._mask.right
 
-    def use(self, target: AnchoredTarget | None) -> None:
+    def use(self, target: AnchoredTarget | TaughtObject | None) -> None:
         """Serve this target as the OOI from the next pair on; None: the OOI's markers again."""
-        self._tracker = None if target is None else TargetTracker(target, self._camera, self._settings)
+        if isinstance(target, TaughtObject):
+            self._tracker = TaughtTracker(target, self._camera, self._settings)
+        else:
+            self._tracker = None if target is None else TargetTracker(target, self._camera, self._settings)
 
     def observe(self, left: Image, right: Image, t_exposure_ns: int) -> PairObservation:
         """Tool by its markers, OOI by the target; what the images do not show is a status with its reason."""
         seen = self._markers.observe(left, right, t_exposure_ns)
+        self.markers = seen
         self._mask.update(seen.views)
         if self._tracker is None:
             return seen

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -36,7 +37,7 @@ DEPTH_MIN_M = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class SeenMarks:
     """Landmarks found in both eyes: numbers (n,), raw pixels (n, 4) left and right."""
 
     indices: np.ndarray
@@ -44,13 +45,31 @@ class _Seen:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pose:
-    """T_cam_target, its covariance, which of the seen landmarks agree (n,), residual rms [px]."""
+class MarksPose:
+    """T_cam_target, its covariance, which of the seen landmarks agree (n,), residual rms [px].
+
+    variance: of the residuals over what noise and landmarks explain; 1 unless they refute it.
+    """
 
     T: Array
     covariance: Array
     agree: BoolArray
     residual_px: float
+    variance: float = 1.0
+
+
+class ReferencePair(Protocol):
+    """What was kept of the images of a target: the raw grey pair (h, w) of its landmarks."""
+
+    @property
+    def reference_left(self) -> Image:
+        """Of the left eye."""
+        ...
+
+    @property
+    def reference_right(self) -> Image:
+        """Of the right eye."""
+        ...
 
 
 class TargetTracker:
@@ -91,7 +110,7 @@ class TargetTracker:
         image, T = self._last
         points = self._target.surroundings.points_target
         before = project_stereo(self._camera, transform_points(T, points))[0]
-        indices = np.flatnonzero(np.isfinite(before).all(axis=1) & _inside(before, left.shape))
+        indices = np.flatnonzero(np.isfinite(before).all(axis=1) & inside_image(before, left.shape))
         found = flow(image, left, before[indices])
         good = found.good & inside_mask(mask, found.points_px)
         return self._pnp(points[indices[good]], found.points_px[good], T)
@@ -149,16 +168,16 @@ class TargetTracker:
         target, camera = self._target, self._camera
         T, seen, fit, visible = guess, None, None, 0
         for _ in range(2):  # the second time from the better guess
-            seen, visible = _align_marks(target, target.surroundings, (left, right), masks, camera, T)
+            seen, visible = align_marks(target, target.surroundings, (left, right), masks, camera, T)
             if len(seen.indices) < FIX_MIN:
-                return _not_found(len(seen.indices), visible), None
-            fit = _solve(camera, target.surroundings, seen, T, self._settings)
+                return not_found(len(seen.indices), visible), None
+            fit = solve_pose(camera, target.surroundings, seen, T, self._settings)
             T = fit.T
         if seen is None or fit is None:
             return _LOST, None
         n = int(fit.agree.sum())
         if n < FIX_MIN or n < FOUND_MIN_FRAC * visible:
-            return _not_found(n, visible), None
+            return not_found(n, visible), None
         agree, problem = _patch_verdict(target, (left, right), masks, camera, fit, self._settings)
         if problem:
             return TargetFix(False, problem, None, None, n, agree, fit.residual_px), fit.T
@@ -178,7 +197,8 @@ _LOST = TargetFix(
 )
 
 
-def _not_found(n: int, visible: int) -> TargetFix:
+def not_found(n: int, visible: int) -> TargetFix:
+    """The fix of surroundings of which too few landmarks were found."""
     reason = (
         f"target: {n} of {visible} visible landmarks found in both eyes (limits {FIX_MIN} and "
         f"{100 * FOUND_MIN_FRAC:.0f} %); clear the view, restore the light, or choose the target again"
@@ -191,7 +211,8 @@ def _quadratic(rays: Array) -> Array:
     return np.column_stack([np.ones(len(rays)), x, y, x * x, x * y, y * y])
 
 
-def _inside(pixels: Array, shape: tuple[int, ...]) -> BoolArray:
+def inside_image(pixels: Array, shape: tuple[int, ...]) -> BoolArray:
+    """Which pixels (n, 2) lie in an image of that shape."""
     return np.asarray((pixels >= 0.0).all(axis=1) & (pixels < [shape[1], shape[0]]).all(axis=1))
 
 
@@ -203,14 +224,14 @@ def _disc_mask(target: AnchoredTarget, camera: StereoCamera, settings: TargetSet
     return mask
 
 
-def _align_marks(
-    target: AnchoredTarget,
+def align_marks(
+    target: ReferencePair,
     marks: Landmarks,
     images: tuple[Image, Image],
     masks: tuple[Image, Image],
     camera: StereoCamera,
     T: Array,
-) -> tuple[_Seen, int]:
+) -> tuple[SeenMarks, int]:
     """Landmarks found in both eyes, and how many should be visible at this pose.
 
     Where the reference is magnified by more than the alignment allows, the new images are halved: their places are then
@@ -226,13 +247,13 @@ def _align_marks(
     known[known] = inside_mask(masks[0], left_px[known]) & inside_mask(masks[1], right_px[known])
     known &= area > AREA_MIN
     if not known.any():
-        return _Seen(np.zeros(0, dtype=np.int64), np.zeros((0, 4))), 0
+        return SeenMarks(np.zeros(0, dtype=np.int64), np.zeros((0, 4))), 0
     level = int(np.clip(np.ceil(0.5 * np.log2(max(float(np.median(area[known])) / AREA_MAX, 1.0))), 0, LEVELS - 1))
     scale = 0.5**level
     known &= area * scale**2 < AREA_MAX * 2.0
     indices = np.flatnonzero(known)
     if not len(indices):
-        return _Seen(indices, np.zeros((0, 4))), 0
+        return SeenMarks(indices, np.zeros((0, 4))), 0
     warps = np.asarray(np.linalg.inv(growth[indices] * scale), dtype=np.float64)
     found = []
     references = (target.reference_left, target.reference_right)
@@ -241,7 +262,7 @@ def _align_marks(
         at = align(references[eye], places[indices], warps, small, (guesses[indices] + 0.5) * scale - 0.5)
         found.append(((at.points_px + 0.5) / scale - 0.5, at.good))
     good = found[0][1] & found[1][1]
-    return _Seen(indices[good], np.hstack([found[0][0][good], found[1][0][good]])), len(indices)
+    return SeenMarks(indices[good], np.hstack([found[0][0][good], found[1][0][good]])), len(indices)
 
 
 def _halved(image: Image, level: int) -> Image:
@@ -252,12 +273,14 @@ def _halved(image: Image, level: int) -> Image:
     return np.asarray(cv2.resize(image, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _solve(camera: StereoCamera, marks: Landmarks, seen: _Seen, start: Array, settings: TargetSettings) -> _Pose:
+def solve_pose(
+    camera: StereoCamera, marks: Landmarks, seen: SeenMarks, start: Array, settings: TargetSettings
+) -> MarksPose:
     """Pose by iteratively reweighted least squares over both eyes.
 
     Model:   residual (4,) = projection in both eyes minus seen, raw px; covariance sigma^2 I + J C J^T, with the
              landmark's own covariance C; Tukey's biweight on the whitened norm, its scale from the median.
-    Returns: _Pose with the covariance of noise and landmarks, larger where the residuals say so.
+    Returns: MarksPose with the covariance of noise and landmarks, larger where the residuals say so.
     """
     points, C = marks.points_target[seen.indices], marks.covariances_target[seen.indices]
     T, shift = start, np.array([camera.baseline_m, 0.0, 0.0])
@@ -286,7 +309,8 @@ def _solve(camera: StereoCamera, marks: Landmarks, seen: _Seen, start: Array, se
     variance = fitted_variance(float(np.sum(white[agree] ** 2)), 4 * int(agree.sum()) - 6, 1.0)
     covariance = variance * np.linalg.inv(information)
     shown = np.hstack(project_stereo(camera, transform_points(T, points)))[agree] - seen.pixels[agree]
-    return _Pose(T, 0.5 * (covariance + covariance.T), agree, float(np.sqrt(np.mean(shown**2))) if len(shown) else 0.0)
+    rms = float(np.sqrt(np.mean(shown**2))) if len(shown) else 0.0
+    return MarksPose(T, 0.5 * (covariance + covariance.T), agree, rms, variance)
 
 
 def _turned(arms: Array) -> Array:
@@ -301,7 +325,7 @@ def _patch_verdict(
     images: tuple[Image, Image],
     masks: tuple[Image, Image],
     camera: StereoCamera,
-    fit: _Pose,
+    fit: MarksPose,
     settings: TargetSettings,
 ) -> tuple[float, str]:
     """Share of the visible patch that agrees with its surroundings, and why the target must not be used, if so.
@@ -332,10 +356,10 @@ def _marks_verdict(
     images: tuple[Image, Image],
     masks: tuple[Image, Image],
     camera: StereoCamera,
-    fit: _Pose,
+    fit: MarksPose,
     settings: TargetSettings,
 ) -> tuple[float, str]:
-    seen, visible = _align_marks(target, marks, images, masks, camera, fit.T)
+    seen, visible = align_marks(target, marks, images, masks, camera, fit.T)
     if visible < VISIBLE_MIN:
         return float("nan"), ""  # under our own tool; the surroundings speak for it
     share = len(seen.indices) / visible
@@ -345,7 +369,7 @@ def _marks_verdict(
             "it is covered, has moved or has changed. Clear it, or choose the target again"
         )
         return share, reason
-    own = _solve(camera, marks, seen, fit.T, settings)
+    own = solve_pose(camera, marks, seen, fit.T, settings)
     middle = marks.points_target[seen.indices].mean(axis=0)
     moved = transform_points(own.T, middle[None])[0] - transform_points(fit.T, middle[None])[0]
     sigma = _sigma_at(own, fit, middle) + np.sqrt(target.covariance_target[5, 5]) * np.abs(fit.T[:3, 2])
@@ -360,7 +384,7 @@ def _marks_verdict(
     return share, ""
 
 
-def _sigma_at(own: _Pose, fit: _Pose, point_target: Array) -> Array:
+def _sigma_at(own: MarksPose, fit: MarksPose, point_target: Array) -> Array:
     """Standard deviation (3,) [m] of a point's place, both poses together, camera axes."""
     total = np.zeros((3, 3))
     for one in (own, fit):

@@ -14,6 +14,7 @@ from machine.description import StereoCamera
 from machine.poses import inverse_pose
 from machine.rotations import Array
 from sim_plc.camera.boards import Board, chess_board, marker_board, paint_board, shank_board
+from sim_plc.camera.fixtures import fixture_boards
 from sim_plc.camera.own_structure import EyeView, OwnStructure, eye_views
 from sim_plc.camera.round_marks import drawn_mark, paint_mark
 from sim_plc.camera.sensor import add_noise, motion_blur, noise_bank, point_spread
@@ -58,7 +59,7 @@ def key_poses(poses: PoseHistory, t_mid_ns: int, readout_s: float, n_keys: int) 
 
 
 if TYPE_CHECKING:
-    from sim_plc.world import CameraTruth, SceneTruth, World
+    from sim_plc.world import CameraTruth, FixtureTruth, SceneTruth, World
 
 _N_SHUTTER_KEYS = 5  # poses per exposure; at 11 ms readout 2.75 ms apart, where lines between them are good to 1e-6 rad
 _NOISE_BANK_SEED = 0x6E6F697365
@@ -121,12 +122,18 @@ class StereoRenderer:
         self._marks = tuple(drawn_mark(mark) for mark in scene.round_marks)
         markers = tuple(marker_board(dictionary, marker, np.eye(4)) for marker in scene.ooi_markers)
         chess = tuple(chess_board(dictionary, board, np.eye(4)) for board in scene.ooi_boards)
+        self._fixture_boards: tuple[Board, ...] = ()
+        self.show_fixtures(scene.fixtures)
         self._ooi_boards = markers + chess
-        plates = tuple(marker_board(dictionary, marker, scene.T_tcp_tool) for marker in scene.tool_markers)
-        self.tool_boards = tuple(shank_board(plate) for plate in plates) + plates
+        prints = tuple(marker_board(dictionary, marker, scene.T_tcp_tool) for marker in scene.tool_markers)
+        self.tool_boards = tuple(shank_board(plate) for plate in prints) + prints
         self.eyes = eye_views(self._camera, self.tool_boards)
         self.structure = OwnStructure(scene.structure, scene.texture_seed, self.eyes)
         self.times = StageTimes()
+
+    def show_fixtures(self, fixtures: "tuple[FixtureTruth, ...]") -> None:
+        """Replace the fixtures on the wall from the next picture on."""
+        self._fixture_boards = tuple(board for fixture in fixtures for board in fixture_boards(fixture))
 
     @property
     def relief(self) -> Relief:
@@ -169,7 +176,7 @@ class StereoRenderer:
         keys = self.Ts_ooi_cam(eye, Ts_base_tcp)
         image = self._wall(eye, keys)
         self.times.mark("wall")
-        for board in far_to_near(self._ooi_boards, keys[len(keys) // 2]):
+        for board in (*self._fixture_boards, *far_to_near(self._ooi_boards, keys[len(keys) // 2])):
             paint_board(image, eye.rays, board, keys)
         self.times.mark("markers")
         return image

@@ -15,6 +15,7 @@ import { startLogin } from "./login.js";
 import { watchHold } from "./hold.js";
 import { showJog, startJog } from "./jog.js";
 import { showScene, startScene } from "./scene.js";
+import { startObjects } from "./objects.js";
 import { buildSteps, showSteps } from "./steps.js";
 import { startTabs } from "./tabs.js";
 import { startTarget } from "./target.js";
@@ -54,6 +55,6 @@ const live = new Live((fresh) => {
   show();
 });
 const fillPage = () => fillTexts(document);
-const STARTED = [fillPage, buildErrors, buildSteps, startJog, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startTarget, startScene, startLogin];
+const STARTED = [fillPage, buildErrors, buildSteps, startJog, startControl, startDrawer, startTabs, startTour, watchHold, startCamera, startTarget, startObjects, startScene, startLogin];
 STARTED.forEach((part) => guarded(part, live));
 setInterval(show, AGES_MS);

@@ -83,10 +83,12 @@ function show() {
 
 function line() {
   if (candidate && candidate.status !== "ok") return t("target_refused", { why: candidate.reason });
-  if (candidate) return t("target_found", figures(candidate));
+  if (candidate) return `${t("target_found", figures(candidate))}. ${reach(candidate)}`;
   if (choosing) return t("target_click");
   return target ? t("target_in_use", figures(target)) : t("target_markers");
 }
+
+const reach = (patch) => t(`target_reach_${patch.reach}`, { why: patch.reach_reason });
 
 const figures = (patch) => ({
   mm: patch.distance_mm.toFixed(0), place: patch.position_mm.toFixed(1), deg: patch.normal_deg.toFixed(1), radius: patch.radius_mm.toFixed(0),
@@ -98,7 +100,7 @@ function draw(context, place) {
   if (!candidate) return;
   const [u, v] = place([candidate.u_px, candidate.v_px]);
   const good = candidate.status === "ok";
-  context.strokeStyle = good ? "#ffd84d" : "#ff6b6b";
+  context.strokeStyle = good ? (candidate.reach === "refused" ? "#ff9f43" : "#ffd84d") : "#ff6b6b";
   context.lineWidth = 2.5;
   for (const ring of [candidate.outline_px, candidate.ellipse_px]) {
     if (!ring.length) continue;

@@ -29,6 +29,11 @@ export const TEXTS = {
   target_found: "{mm} mm away, known to ± {place} mm and ± {deg}° (95 %), patch of {radius} mm", target_in_use: "Target: a chosen place, normal known to ± {deg}° (95 %)",
   marks_find: "Find holes", mark_diameters: "diameters, mm", marks_searching: "Searching …", marks_found: "{n} holes or rings found; click one.",
   target_refused: "Not measured: {why}",
+  objects_title: "Taught objects", object_which: "object", object_use: "Use this object", object_remove: "Remove", object_view: "Take a view", object_forget: "Forget views",
+  object_about: "To teach: markers next to the object, both in the picture; take a view from three or four sides, then give it a name.",
+  object_centre: "centre from the markers, mm: x, y, z", object_size: "width, height, depth, mm", object_name: "name", object_teach: "Teach",
+  object_views: "{n} views, landmarks: {marks}", object_no_views: "No view taken.", object_in_use: "Target: the object {name}. Back to markers ends it.",
+  target_reach_reachable: "The tool can reach it.", target_reach_refused: "Cannot be reached from here: {why}", target_reach_unknown: "{why}",
   legend_tool: "tool", legend_goal: "goal", 
   picture_label: "Camera image. {n} markers detected. {text}", frozen: "FROZEN for {age}",
   // scene

@@ -9,6 +9,7 @@ from server.errors import BusyError
 from server.jobs.targets import TargetChoice
 from server.targets.contracts import AnchoredTarget, Landmarks, PatchStatus, SurfacePatch, refused_patch
 from server.targets.round_marks import RoundMark
+from server.targets.taught import TaughtObject, TaughtView
 
 CLICK = {"image": 7, "u_px": 640.0, "v_px": 250.0}
 
@@ -125,3 +126,75 @@ async def test_a_viewer_may_not_measure(tmp_path):
         assert (await viewer.post("/v1/target/measure", json=CLICK)).status_code == 403
 
     keyed.keeper.database.close()
+
+
+VIEW = {"image": 7, "centre_mm": [550.0, 100.0, 0.0], "size_mm": [480.0, 380.0, 140.0]}
+
+
+def taught_view() -> TaughtView:
+    marks = Landmarks(*[np.zeros((30, 2))] * 2, np.zeros((30, 3)), np.zeros((30, 3, 3)), np.zeros((30, 2, 3)))
+    image = np.zeros((72, 128), np.uint8)
+    return TaughtView(image, image, np.eye(4), np.eye(6), marks, np.zeros((30, 128), np.uint8), ((), ()))
+
+
+@pytest.fixture
+def school(stand, monkeypatch):
+    """A bench whose vision answers views; what is taught of them is one of those views."""
+    vision = stand.service.cell.vision
+    vision.views = [taught_view(), taught_view(), "17 features of the object are seen in both eyes (limit 24)"]
+
+    async def teach_view(image, box):
+        assert (image, box.size_m.tolist()) == (7, [0.48, 0.38, 0.14])
+        return vision.views.pop(0)
+
+    def teach_object(name, views, box, camera, settings):
+        return (
+            TaughtObject(name, box.size_m, tuple(views), np.eye(6), 1e-3, 0.8) if len(views) > 1 else "1 view (limit 2)"
+        )
+
+    vision.teach_view = teach_view
+    monkeypatch.setattr("server.jobs.teaching.teach_object", teach_object)
+    return stand
+
+
+async def test_an_object_is_taught_listed_used_and_removed(school):
+    knowledge = school.service.cell.knowledge
+    async with school.client() as client:
+        assert (await client.post("/v1/target/objects", json={"name": "rack"})).json()["code"] == "not_taught"
+        first = await client.post("/v1/target/objects/views", json=VIEW)
+        assert first.json()["view_landmarks"] == [30], first.text
+        single = await client.post("/v1/target/objects", json={"name": "rack"})
+        assert (single.status_code, single.json()["detail"]) == (409, "1 view (limit 2)")
+        views = await client.post("/v1/target/objects/views", json=VIEW)
+        assert views.json()["view_landmarks"] == [30, 30]
+        refused = await client.post("/v1/target/objects/views", json=VIEW)
+        assert (refused.status_code, refused.json()["code"]) == (409, "view_refused")
+        made = await client.post("/v1/target/objects", json={"name": "rack"})
+        assert (made.json()["names"], made.json()["view_landmarks"]) == (["rack"], [])
+        assert (await client.post("/v1/target/objects/rack/use")).status_code == 403  # needs control
+        held = school.control()
+        used = await client.post("/v1/target/objects/rack/use", headers=held)
+        assert used.json()["in_use"] == "rack"
+        assert knowledge.target.name == "rack"
+        assert school.service.cell.vision.used[-1] is knowledge.target
+        removed = await client.request("DELETE", "/v1/target/objects/rack", headers=held)
+        assert removed.json()["code"] == "object_in_use"
+        another = await client.post("/v1/target/objects/views", json=VIEW)
+        assert another.json()["code"] == "not_markers"
+        await client.request("DELETE", "/v1/target", headers=held)
+        assert (await client.request("DELETE", "/v1/target/objects/rack", headers=held)).json()["names"] == []
+        unknown = await client.post("/v1/target/objects/rack/use", headers=held)
+        assert unknown.json()["code"] == "no_such_object"
+
+
+@pytest.mark.parametrize("name", ["..", "a/b", "", "a" * 41])
+async def test_a_name_that_is_no_plain_file_name_is_refused(school, name):
+    async with school.client() as client:
+        assert (await client.post("/v1/target/objects", json={"name": name})).status_code == 422
+
+
+async def test_reach_is_unknown_without_the_image(stand):
+    async with stand.client() as client:
+        patch = (await client.post("/v1/target/measure", json=CLICK)).json()
+    assert patch["reach"] == "unknown"
+    assert "image 7 is not kept" in patch["reach_reason"]

@@ -31,7 +31,7 @@ def test_a_served_wrong_pose_is_counted_and_a_faultless_look_must_be_served():
 
 
 def test_a_job_that_is_sure_and_wrong_is_counted():
-    wrong = PointCase(1, "done", "", 0, 1.0, 0.8, ((1.0, 6.0, 0.0),), ((0.0, 0.0, 0.0),), (0.5,), True, 80.0)
+    wrong = PointCase(1, "done", "", 0, 0, 1.0, 0.8, ((1.0, 6.0, 0.0),), ((0.0, 0.0, 0.0),), (0.5,), True, 80.0)
     rows = {name: share for name, share, _ in point_rows([wrong])}
     assert rows["truly inside 5 mm on each axis after one move, of those"].startswith("0 of 1")
     assert rows["reached by its own word and truly outside"].startswith("1 of 1")
