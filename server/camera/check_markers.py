@@ -181,7 +181,7 @@ def _is_on(view: MarkerView, markers: Mapping[int, Marker], name: ObjectName) ->
 def check_markers(tallies: Mapping[ObjectName, ObjectTally], rig_is_sound: bool = True) -> list[CheckFinding]:
     """Findings `tool`, `ooi` (seen, how well known), and `tool_view`, `ooi_view` (size, contrast, tilt, place).
 
-    Args:    rig_is_sound: where it is not, poor poses are the rig's doing, and no place or light mends them.
+    Args:    rig_is_sound: where it is not, poor poses come from the rig, and no other place or light helps.
     """
     findings = []
     for name, one in tallies.items():
@@ -209,7 +209,7 @@ def _seen(name: ObjectName, one: ObjectTally) -> CheckFinding:
 
 
 def _remedy_unseen(name: ObjectName, one: ObjectTally) -> str:
-    """What to do about an object that is rarely measured: the reason's own remedy, unless the views tell more."""
+    """What to do about an object that is rarely measured: the reason's own remedy, unless the views show more."""
     aim = _aim(one)
     if aim:
         return aim

@@ -58,13 +58,13 @@ class TargetMeasuring:
         self._thread.shutdown(cancel_futures=True)
 
     def _measured(self, command: MeasureTargetCommand, kept: tuple[_Kept, ...]) -> TargetMeasured:
-        pair = next((one for one in reversed(kept) if one.sequence == command.sequence), None)
+        pair = next((held for held in reversed(kept) if held.sequence == command.sequence), None)
         if pair is None:
             numbers = f"{kept[0].sequence} to {kept[-1].sequence}" if kept else "none"
             reason = f"Image {command.sequence} is not kept any more (kept: {numbers}); choose in a newer image"
             return TargetMeasured(command.request, refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel))
         if _is_masked(pair.masks_px[0], command.pixel):
-            reason = "The own tool is at this pixel; choose a place beside it"
+            reason = "The own tool is at this pixel; choose a place next to it"
             return TargetMeasured(command.request, refused_patch(PatchStatus.OUTSIDE_IMAGE, reason, command.pixel))
         patch = measure_patch(pair.left, pair.right, self._camera, command.pixel, self._settings)
         if not patch.ok:
@@ -77,6 +77,5 @@ class TargetMeasuring:
 
 
 def _is_masked(polygons: Sequence[Array], pixel: tuple[float, float]) -> bool:
-    return any(
-        cv2.pointPolygonTest(np.asarray(one, dtype=np.float32).reshape(-1, 1, 2), pixel, False) >= 0 for one in polygons
-    )
+    contours = [np.asarray(polygon, dtype=np.float32).reshape(-1, 1, 2) for polygon in polygons]
+    return any(cv2.pointPolygonTest(contour, pixel, False) >= 0 for contour in contours)

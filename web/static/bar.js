@@ -3,7 +3,7 @@ import { LIMITS_MS, ageText, crossOut, grown, isOld, pictureOld, serverSilent, s
 import { byId, setClass, setText } from "./dom.js";
 import { t } from "./texts.js";
 
-const NOT_REPORTED = "not told"; // the value of the REST interface
+const NOT_REPORTED = "not reported"; // the value of the REST interface
 
 export function showBar(state) {
   const real = state.mode === "REAL";

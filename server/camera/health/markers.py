@@ -16,7 +16,7 @@ SWAPPED = "eye are swapped"
 RESIDUAL_MAX_PX = 0.3
 LAYOUT_MAX_M = 0.00075  # residual of a carefully measured layout, printed sides included
 ROWS = "rows of the two eyes differ"
-BESIDE_FRAC = 0.06  # of a side: half a cell outside of it, where a print has its white margin
+OUTSIDE_FRAC = 0.06  # of a side: half a cell outside of it, where a print has its white margin
 CLIPPED_GREY, CLIPPED_FRAC = 254, 0.8
 
 
@@ -35,7 +35,7 @@ class MarkerMonitor:
         if pair.observation is None:
             return ()
         findings = [finding for view in pair.observation.views if (finding := _of_view(view)) is not None]
-        findings += [one for view in pair.observation.views if view.used for one in _over_exposed(view, pair.frame)]
+        findings += [over for view in pair.observation.views if view.used for over in _over_exposed(view, pair.frame)]
         for found in (pair.observation.tool, pair.observation.ooi):
             if found.status is PoseStatus.REJECTED:
                 findings.append(_rejected(found.reason))
@@ -71,7 +71,7 @@ def _by_both_eyes(view: MarkerView) -> bool:
 
 
 def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
-    """White that is cut off at the top grows over the black beside it: the marker looks smaller, with clean sides."""
+    """White that is cut off at the top grows over the black next to it: the marker looks smaller, with clean sides."""
     for eye, corners, image in (
         ("left", view.corners_left_px, frame.left),
         ("right", view.corners_right_px, frame.right),
@@ -81,7 +81,7 @@ def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
         share = float(_clipped_fracs(image, corners).max())
         if share > CLIPPED_FRAC:
             text = (
-                f"marker {view.marker_id}'s white is over-exposed in the {eye} eye: {100 * share:.0f} % of it beside a "
+                f"marker {view.marker_id}'s white is over-exposed in the {eye} eye: {100 * share:.0f} % of it along a "
                 f"side is at its end (limit {100 * CLIPPED_FRAC:.0f} %); lower the exposure or shade it"
             )
             return (Finding(FaultCode.SATURATED, text, forbids_odometry=False),)
@@ -91,8 +91,8 @@ def _over_exposed(view: MarkerView, frame: StereoFrame) -> tuple[Finding, ...]:
 def _clipped_fracs(image: Image, corners: Array) -> Array:
     """Share of the white just outside each side (4,) that has the highest grey; 0 of a side that leaves the picture."""
     along = np.roll(corners, -1, axis=0) - corners
-    beside = corners + BESIDE_FRAC * np.stack([along[:, 1], -along[:, 0]], axis=1)
-    places = beside[:, None] + np.linspace(0.1, 0.9, 17)[:, None] * along[:, None]  # (4, 17, 2)
+    outside = corners + OUTSIDE_FRAC * np.stack([along[:, 1], -along[:, 0]], axis=1)
+    places = outside[:, None] + np.linspace(0.1, 0.9, 17)[:, None] * along[:, None]  # (4, 17, 2)
     x, y = np.moveaxis(np.rint(places).astype(int), 2, 0)
     inside = ((x >= 0) & (y >= 0) & (x < image.shape[1]) & (y < image.shape[0])).all(axis=1)
     clipped = np.mean(image[np.where(inside[:, None], y, 0), np.where(inside[:, None], x, 0)] >= CLIPPED_GREY, axis=1)
