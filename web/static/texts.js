@@ -1,10 +1,12 @@
-// Every English text of the page. {name} is filled in by t().
+// Every English text of the page. {name} is filled in by t(). Other languages: texts.<code>.json, with the same keys.
 export const TEXTS = {
   sim: "SIM", real: "REAL",
   sim_long: "simulated machine", real_long: "REAL MACHINE: motion is physical",
   footer: "STOP here is software. The emergency stop is hardware, at the machine; this page can only show its state.",
   server_silent: "The server does not answer (silent for {age}). The values on this page are out of date. The PLC stops the machine by itself when the link is silent.",
   reconnecting: "Connecting to the server …",
+  stop_button: "Stop motion (software)", stop_hint: "or key Esc", stop_sent: "sent …", stop_heard: "STOP received", stop_not_heard: "NOT CONFIRMED",
+  stop_unheard: "The server did not confirm the STOP. Use the emergency stop at the machine.", language: "Language",
   logged_out: "You are logged out: the server restarted, or the session expired after 12 hours. The values on this page are out of date.", log_in: "Log in again", log_out: "Log out {name}",
   // control
   control_none: "No one has control", control_you: "You have control", control_other: "{owner} has control",
@@ -12,7 +14,7 @@ export const TEXTS = {
   control_lost: "Control was lost: {why}",
   take_control: "Take control", take_over: "Take over", ask: "Request control", release: "Release", hand_over: "Hand over to {owner}",
   asked: "{owner} requests control", asked_sent: "Request sent to {owner}.", offered: "Control is offered to you",
-  take_reason: "taken over at the panel", your_name: "Your name", name_hint: "visible to all viewers",
+  your_name: "Your name", name_hint: "visible to all viewers",
   no_control: "take control first",
   other_control: "{owner} has control",
   // chips
@@ -106,11 +108,19 @@ export const TEXTS = {
   refused: "Refused: {why}",
 };
 
+let catalogue = { panel: {}, alarms: {}, phrases: {} };
+export const useCatalogue = (other) => { catalogue = other; };
+
+// English where the chosen language has no text.
 export function t(key, values = {}) {
-  const text = TEXTS[key];
+  const text = catalogue.panel[key] ?? TEXTS[key];
   if (text === undefined) throw new Error(`no text for ${key}`);
   return text.replace(/\{(\w+)\}/g, (_, name) => values[name] ?? "");
 }
+
+// The server's own words: a fixed phrase, and the text of an alarm (title, cause, remedy).
+export const phrase = (english) => catalogue.phrases[english] ?? english;
+export const alarmText = (alarm, part) => catalogue.alarms[alarm.code]?.[part] ?? alarm[part];
 
 export function fillTexts(root) {
   for (const element of root.querySelectorAll("[data-t]")) element.textContent = t(element.dataset.t);
