@@ -49,7 +49,9 @@ def english():
 
 def fixed_phrases():
     """What the server sends as a fixed word or sentence, and the page shows."""
-    states = {str(value) for field in ("estop", "enable") for value in get_args(SafetyView.model_fields[field].annotation)}
+    states = {
+        str(value) for field in ("estop", "enable") for value in get_args(SafetyView.model_fields[field].annotation)
+    }
     return states | {phase.value for phase in LinkPhase} | {kind.clears for kind in CATALOGUE.values()}
 
 
