@@ -17,7 +17,7 @@ pytestmark = [
 ]
 READY_S = 180.0
 TABS = ("link", "vision", "calibration", "gap", "recordings", "settings")
-#: Texts that do not fit: wider than their box where the box hides the rest, or beyond the window with nothing to scroll.
+#: Texts that do not fit: wider or higher than their box, or beyond the window where nothing scrolls.
 CUT_OFF = """() => {
   const scrolls = (element) => {
     for (let at = element; at && at !== document.body; at = at.parentElement) {
@@ -31,10 +31,12 @@ CUT_OFF = """() => {
     if (!own || element.closest(".unseen") || element.tagName === "OPTION" || !element.checkVisibility()) continue;
     const box = element.getBoundingClientRect();
     const inline = getComputedStyle(element).display === "inline";
+    const hides = getComputedStyle(element).overflowY === "hidden";
     const narrow = !inline && element.scrollWidth > element.clientWidth + 1;
-    const low = !inline && getComputedStyle(element).overflowY === "hidden" && element.scrollHeight > element.clientHeight + 1;
+    const low = !inline && hides && element.scrollHeight > element.clientHeight + 1;
     const outside = (box.right > innerWidth + 1 || box.left < -1) && !scrolls(element);
-    if (narrow || low || outside) found.push(`${element.tagName} ${element.id}: ${element.textContent.trim().slice(0, 60)}`);
+    const text = element.textContent.trim().slice(0, 60);
+    if (narrow || low || outside) found.push(`${element.tagName} ${element.id}: ${text}`);
   }
   return found;
 }"""
