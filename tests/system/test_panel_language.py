@@ -19,11 +19,12 @@ from server.api.panel_view import LiveView
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: make test installs it")
 pytestmark = [
     pytest.mark.system,
-    pytest.mark.timeout(300),
+    pytest.mark.timeout(600),
     pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this computer: install Debian's package chromium"),
 ]
 STATIC = Path(web.__file__).parent / "static"
 TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html", ".json": "application/json"}
+VIEWS = ("history", "alarms", "joints", "story")
 TABS = ("link", "vision", "calibration", "gap", "recordings", "settings")
 ANSWERS = {
     "/v1/session": EXAMPLES["WhoView"],
@@ -55,7 +56,8 @@ class Socket extends EventTarget {
 Socket.OPEN = 1;
 window.WebSocket = Socket;
 """
-#: Texts that do not fit: wider or higher than their box, or beyond the window where nothing scrolls.
+#: Texts that do not fit: wider or higher than their box, or beyond the window where nothing scrolls. The chip of the
+#: newest alarm is left out: it shows two lines of any title, all of it as a tooltip and in the list.
 CUT_OFF = """() => {
   const scrolls = (element) => {
     for (let at = element; at && at !== document.body; at = at.parentElement) {
@@ -66,7 +68,7 @@ CUT_OFF = """() => {
   const found = [];
   for (const element of document.body.querySelectorAll("*")) {
     const own = [...element.childNodes].some((node) => node.nodeType === Node.TEXT_NODE && node.data.trim());
-    if (!own || element.closest(".unseen, svg") || element.tagName === "OPTION" || !element.checkVisibility()) continue;
+    if (!own || element.closest(".unseen, svg, option, #alarm-chip b") || !element.checkVisibility()) continue;
     const box = element.getBoundingClientRect();
     const inline = getComputedStyle(element).display === "inline";
     const hides = getComputedStyle(element).overflowY === "hidden";
@@ -86,7 +88,8 @@ def alarms():
         {
             "code": kind.code, "level": kind.level, "title": kind.title, "detail": "", "cause": kind.cause,
             "remedy": kind.remedy, "clears": kind.clears, "since_unix_s": 1795348769.0,
-            "ended_unix_s": 1795348779.0 if number % 3 == 1 else None, "acknowledged_by": "anna" if number % 3 == 2 else "",
+            "ended_unix_s": 1795348779.0 if number % 3 == 1 else None,
+            "acknowledged_by": "anna" if number % 3 == 2 else "",
         }
         for number, kind in enumerate(CATALOGUE.values())
     ]  # fmt: skip
@@ -112,7 +115,8 @@ def made_up(*, required, phase="armed", alarmed=True):
             "video_viewers": 1, "tool": "ok", "target": "ok",
         },
         "calibration": {
-            "covariance_deg2": [[0.01, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.03]], "weakest_axis_tcp": [0.0, 0.0, 1.0],
+            "covariance_deg2": [[0.01, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.03]],
+            "weakest_axis_tcp": [0.0, 0.0, 1.0],
         },
         "scene": {"running": False, "problem": "off", "process_id": None, "scrub_frac": 1.0},
         "hold": {"required": required, "held_by": "", "limit_ms": 250.0},
@@ -122,7 +126,8 @@ def made_up(*, required, phase="armed", alarmed=True):
     state = EXAMPLES["StateView"] | {
         "job": None,
         "steps": {"look": "", "park": "look first", "return": "no run has begun yet"},
-        "control": EXAMPLES["ControlView"] | {"owner": "anna", "kind": "operator", "fencing": EXAMPLES["LeaseView"]["fencing"]},
+        "control": EXAMPLES["ControlView"]
+        | {"owner": "anna", "kind": "operator", "fencing": EXAMPLES["LeaseView"]["fencing"]},
         "mode": "REAL" if required else "SIM",
         "link": EXAMPLES["StateView"]["link"] | {"phase": phase},
         "panel": panel,
@@ -180,7 +185,7 @@ def test_a_german_browser_opens_the_page_in_german_and_the_page_can_choose_engli
     page = opened("de-DE", made_up(required=False))
     assert page.locator("html").get_attribute("lang") == "de"
     assert look_button(page) == "1 Messen"
-    assert page.inner_text("#stop b") == "Bewegung stoppen (Software)"
+    assert page.inner_text("#stop b") == "STOPP (Software)"
     assert page.inner_text("#link b") == "scharf"
     assert page.inner_text("#alarm-chip b") == "Die SPS antwortet nicht"
     page.select_option("#language", "en")
@@ -197,8 +202,11 @@ def test_a_language_that_the_page_does_not_have_gives_english(opened):
     assert look_button(page) == "1 Look"
 
 
-@pytest.mark.parametrize(("name", "required", "phase"), [("sim", False, "armed"), ("real", True, "fault")])
-def test_nothing_is_cut_off_in_german(opened, tmp_path, name, required, phase):
+@pytest.mark.parametrize(
+    ("name", "required", "phase", "views"),
+    [("sim", False, "armed", (*VIEWS, *TABS)), ("real", True, "fault", VIEWS[:1])],
+)
+def test_nothing_is_cut_off_in_german(opened, tmp_path, name, required, phase, views):
     page, folder = opened("de-DE", made_up(required=required, phase=phase)), picture_folder(tmp_path)
     page.click("#control-buttons button >> text=Übernehmen")
     page.wait_for_function("() => document.getElementById('control').classList.contains('mine')")
@@ -206,16 +214,17 @@ def test_nothing_is_cut_off_in_german(opened, tmp_path, name, required, phase):
     found = {}
     for label, (width, height) in SIZES.items():
         page.set_viewport_size({"width": width, "height": height})
-        for view in ("history", "alarms", *TABS):
+        for view in views:
             if view in TABS:
                 if page.locator("#drawer").is_hidden():
                     page.click("#open-drawer")
                 page.click(f"#drawer button[data-tab={view}]")
             else:
                 page.click(f"#tab-{view}")
-            page.wait_for_timeout(300)
+            page.wait_for_timeout(250)  # two states and a redraw
             if cut := page.evaluate(CUT_OFF):
                 found[f"{view} at {label}"] = cut
-            page.screenshot(path=folder / f"de-{name}-{view}-{label}.png", full_page=view not in TABS)
-        page.click("#close-drawer")
+            page.screenshot(path=folder / f"de-{name}-{view}-{label}.png")
+        if page.locator("#drawer").is_visible():
+            page.click("#close-drawer")
     assert found == {}
