@@ -187,7 +187,7 @@ def test_a_german_browser_opens_the_page_in_german_and_the_page_can_choose_engli
     assert look_button(page) == "1 Messen"
     assert page.inner_text("#stop b") == "STOPP (Software)"
     assert page.inner_text("#link b") == "scharf"
-    assert page.inner_text("#alarm-chip b") == "Die SPS antwortet nicht"
+    assert page.inner_text("#alarm-chip b") == "SPS antwortet nicht"
     page.select_option("#language", "en")
     for _ in range(2):  # it is remembered
         page.wait_for_function("() => document.querySelector('button[data-kind=look] b')?.textContent === '1 Look'")

@@ -30,7 +30,7 @@ export const TEXTS = {
   target_click: "Click a place on the rock.", target_measuring: "Measuring …", target_markers: "Target: the object's markers",
   target_found: "{mm} mm away, known to ± {place} mm and ± {deg}° (95 %), patch of {radius} mm", target_in_use: "Target: a chosen place, normal known to ± {deg}° (95 %)",
   target_refused: "Not measured: {why}",
-  legend_tool: "tool", legend_goal: "goal", 
+  marker_unused: "not used", legend_tool: "tool", legend_goal: "goal", 
   picture_label: "Camera image. {n} markers detected. {text}", frozen: "FROZEN for {age}",
   // scene
   scene_title: "Machine", scene_sub: "solid: now · blue: plan · green: remaining error, × 10",
@@ -78,7 +78,7 @@ export const TEXTS = {
   sharpness: "sharpness", process: "processing time per pair", skipped: "pairs skipped", restarts: "restarts of the vision process", tool_seen: "tool", target_seen: "target", warnings: "warnings",
   not_calibrated: "Not calibrated.", cal_known: "camera rotation, 1σ", cal_residual: "residual", cal_age: "age", cal_place: "distance from where it was made",
   cal_valid: "valid here", cal_expired: "EXPIRED: {why}", cal_offset: "camera time offset", cal_nominal: "deviation from the nominal mount", cal_weakest: "least certain axis (TCP)",
-  cal_ellipse: "1σ ellipses of the rotation, degrees", cal_pairs: "pairs used",
+  cal_limit: "{value} (limit {limit})", cal_ellipse: "1σ ellipses of the rotation, degrees", cal_pairs: "pairs used",
   gap_empty: "No diagnosis yet. Choose the recording of a job that moved all joints: a calibration, an execution, or Automatic. It takes one to three minutes.",
   gap_missing: "Not available: this server offers no diagnosis (/v1/diagnoses).", gap_silent: "no answer from server; asking again", gap_run: "Diagnose", gap_report: "Full report", gap_stop: "Cancel", gap_one: "one at a time", gap_after: "{s} s", gap_cause: "effect", gap_likely: "probability",
   gap_state_running: "Running", gap_state_done: "Done", gap_state_failed: "Failed", gap_state_stopped: "Cancelled", gap_joint: "{name}, joint {joint}",
