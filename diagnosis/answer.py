@@ -110,7 +110,7 @@ def _budget(found: Budget) -> dict[str, Any]:
             }
             for one in found.columns
         ],
-        "effects": [_line(line) for line in found.lines],
+        "effects": [_line(line, found.machine) for line in found.lines],
         "unexplained_mm": [
             {"stage": one.stage, "joint": one.joint, "mm": _mm(one.after_mm)}
             for one in found.stages
@@ -119,8 +119,9 @@ def _budget(found: Budget) -> dict[str, Any]:
     }
 
 
-def _line(line: Line) -> dict[str, Any]:
+def _line(line: Line, machine: tuple[Term, ...]) -> dict[str, Any]:
     evidence = line.evidence
+    used = next((term for term in machine if term.effect == evidence.term.effect), None)
     return {
         **_effect(line),
         "column": line.column,
@@ -131,6 +132,7 @@ def _line(line: Line) -> dict[str, Any]:
         "share_frac": rounded(line.share_frac),
         "probability": rounded(line.probability),
         "status": line.status,
+        "used": None if used is None else _used(used),
         "equals": [[_key(one) for one in members] for members in evidence.equals],
         "evidence": {
             "gain_nats": rounded(evidence.gain_nats),
@@ -141,6 +143,12 @@ def _line(line: Line) -> dict[str, Any]:
             "figures": dict(zip(FEATURES, [rounded(float(x)) for x in features(evidence)], strict=True)),
         },
     }
+
+
+def _used(term: Term) -> dict[str, Any]:
+    """A machine file's numbers of an effect, fitted without the doubtful ones."""
+    table = _effect_table(term.effect, np.stack([term.theta] * 3, axis=1))
+    return {name: {"value": one["value"], "unit": one["unit"]} for name, one in table["parameters"].items()}
 
 
 def _effect(line: Line) -> dict[str, Any]:
@@ -301,7 +309,7 @@ def _searched(fit: WholeFit) -> dict[str, Any]:
         "stage": fit.cell.stage,
         "joint": fit.cell.joint,
         "rows": fit.cell.rows.count,
-        "hypotheses": len(fit.posterior.probability),
+        "rivals": sum(rival is not None for rival in fit.rivals.values()),
         "candidates": len(fit.best.terms),
         "spread": rounded(float(np.mean(fit.best.lin.residual**2))),
         "trust": rounded(float(np.mean(fit.trust))),

@@ -21,7 +21,7 @@ from diagnosis.whole_model.linear import Term
 from diagnosis.whole_model.parts import fit_machine
 from diagnosis.whole_model.probability import probability
 from diagnosis.whole_model.remainder import lead_of
-from diagnosis.whole_model.solve import WholeFit, fit_of
+from diagnosis.whole_model.solve import WholeFit, fit_of, only
 from diagnosis.whole_model.tool_error import ToolError, tool_errors
 from machine.effects.entries import EffectEntry
 from machine.effects.layout import neutral_sets
@@ -89,11 +89,14 @@ class StageLine:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The whole answer. `shrinks`: by part of `held_out`, how far its gap closes on motions that were left out."""
+    """The whole answer. `machine`: what a machine file gets, the effects that are more likely there than not, fitted as
+    if there were no other. `shrinks`: by part of `held_out`, how far its gap closes on motions that were left out.
+    """
 
     whole: Read
     fits: tuple[WholeFit, ...]
     lines: tuple[Line, ...]
+    machine: tuple[Term, ...]
     columns: tuple[Column, ...]
     stages: tuple[StageLine, ...]
     before: Localisation
@@ -118,9 +121,13 @@ class Budget:
         """Effects that are confirmed."""
         return tuple(line for line in self.lines if line.status == "confirmed")
 
-    def entries(self, statuses: tuple[Status, ...] = ("confirmed",)) -> tuple[EffectEntry, ...]:
-        """Effects of these statuses as entries of a machine file."""
-        return entries_of([line.evidence.term for line in self.lines if line.status in statuses])
+    def entries(self) -> tuple[EffectEntry, ...]:
+        """The effects of a machine file that predicts as well as this recording allows.
+
+        Why not the confirmed ones alone: the model of all effects with a probability of at least a half predicts best.
+        Source: median probability model, Barbieri, Berger 2004.
+        """
+        return entries_of(self.machine)
 
 
 def entries_of(terms: Sequence[Term]) -> tuple[EffectEntry, ...]:
@@ -138,11 +145,12 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     fits = fit_machine(whole, work, left_out)
     work.conclude("weighing", 0.0)
     evidence = [found for fit in fits for found in evidence_of(fit)]
-    errors = tool_errors(whole, [found.term for found in evidence], [fit.cell for fit in fits])
     chance = {id(found.term): probability(found) for found in evidence}
     confirmed = [found.term for found in evidence if chance[id(found.term)] >= CONFIRMED]
+    sure, machine = (_machine_of(fits, chance, least) for least in (CONFIRMED, LIKELY))
+    errors = tool_errors(whole, [found.term for found in evidence], [fit.cell for fit in fits], sure)
     work.conclude("localising", 0.6)
-    before, after = localise(whole), localise(_with_effects(whole, entries_of(confirmed)))
+    before, after = localise(whole), localise(_with_effects(whole, entries_of(sure)))
     columns = tuple(_column(whole, error, confirmed, after, fits) for error in errors)
     total = sum(column.before_mm**2 for column in columns)
     lines = tuple(line for error in errors for line in _lines(error, evidence, chance, total)) + _unplaced(
@@ -154,7 +162,13 @@ def budget_of(whole: Read, progress: Progress = silent, left_out: tuple[str, ...
     closing = tuple(tuple(shrinks(prediction)) for prediction in predicted)
     stages = _stages(whole, lines, columns, (before, after), fits, closing)
     verdict, why = verdict_of(whole, lines, columns, stages, fits)
-    return Budget(whole, fits, lines, columns, stages, before, after, predicted, closing, verdict, why)
+    return Budget(whole, fits, lines, machine, columns, stages, before, after, predicted, closing, verdict, why)
+
+
+def _machine_of(fits: Iterable[WholeFit], chance: dict[int, float], least: float) -> tuple[Term, ...]:
+    """The effects of at least this probability, each part's fitted as if it had no other."""
+    some = [term for fit in fits for term in fit.best.terms if chance.get(id(term), 0.0) >= least]
+    return tuple(term for fit in fits for term in only(fit, some))
 
 
 def _with_effects(whole: Read, entries: tuple[EffectEntry, ...]) -> Read:
@@ -171,7 +185,7 @@ def _lines(error: ToolError, evidence: list[Evidence], chance: dict[int, float],
         one = by_term[id(term)]
         sizes = term.theta[: term.sizes]
         size = float(np.linalg.norm(sizes)) if not term.limits else 1.0
-        sd = float(np.linalg.norm(one.sd[: term.sizes] * sizes) / size) if not term.limits and size > 0.0 else 0.0
+        sd = float(np.linalg.norm(one.size_sd * sizes) / size) if not term.limits and size > 0.0 else 0.0
         spread = QUANTILE_95 * sd / size if size > 0.0 else 0.0
         out.append(
             Line(
@@ -206,10 +220,7 @@ def _column(
     explained = _rms_mm(error.by_effect[chosen].sum(axis=0)) if chosen else 0.0
     floor = _tracking_floor_mm(whole) if error.column == "gets_there" else 0.0
     if error.measured is not None and error.left is not None:
-        unconfirmed = error.total - error.by_effect[chosen].sum(axis=0)
-        left_mm = _rms_mm(error.left + unconfirmed, floor)
-        before_mm = float(np.hypot(explained, left_mm)) if chosen else _rms_mm(error.measured, floor)
-        return Column(error.column, before_mm, left_mm, floor, True)
+        return Column(error.column, _rms_mm(error.measured, floor), _rms_mm(error.left, floor), floor, True)
     unconfirmed = _rms_mm(error.total - error.by_effect[chosen].sum(axis=0))
     if error.column == "sees":
         left_mm = float(np.hypot(unconfirmed, _corners_left_mm(fits)))

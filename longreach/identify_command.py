@@ -1,4 +1,4 @@
-"""`longreach identify`: plan and execute the test drive, wait for its budget, use the confirmed effects, over REST."""
+"""`longreach identify`: plan and execute the test drive, wait for its budget, use its effects, over REST."""
 
 import time
 from pathlib import Path
@@ -24,7 +24,9 @@ def identify(
         bool, typer.Option(help="there is no wall within reach; required where none is measured")
     ] = False,
     resume: Annotated[bool, typer.Option(help="only the remaining parts of a paused drive")] = False,
-    use: Annotated[bool, typer.Option("--use", help="use all confirmed effects from now on")] = False,
+    use: Annotated[
+        bool, typer.Option("--use", help="use all effects found, confirmed and likely, from now on")
+    ] = False,
     only_plan: Annotated[bool, typer.Option("--plan", help="show the plan without moving")] = False,
     machine_out: Annotated[Path | None, typer.Option(help="write the machine file with the effects here")] = None,
     owner: Annotated[str, typer.Option(help="who asks")] = "cli",

@@ -30,7 +30,7 @@ def require_room(text: str) -> None:
 
 
 def machine_with_effects(text: str, found: Budget) -> str:
-    """A machine file's text with the confirmed effects behind it; its baseline, if it has one, stays.
+    """A machine file's text with the effects found, confirmed and likely, behind it; its baseline, if it has one, stays.
 
     Raises: MachineOutError: no effect is confirmed though there is a gap; or the text cannot be added to.
     """

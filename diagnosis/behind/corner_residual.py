@@ -10,7 +10,7 @@ from diagnosis.behind.link_angles import Path, link_angles, without_encoders
 from diagnosis.log.nominal import Nominal
 from diagnosis.noise.of_a_day import DayNoise, day_noise
 from diagnosis.noise.of_corners import CornerNoise, groups_of
-from machine.effects.layout import READOUT, ParameterSets
+from machine.effects.layout import CAMERA_COLUMNS, READOUT, ParameterSets
 from machine.effects.seen import camera_mount, seen_corners, tool_place, true_times
 from machine.effects.structure import tcp_poses
 from machine.rotations import Array, rotation_from_rotvec
@@ -69,7 +69,8 @@ class CornerResidual:
         """One row per set."""
         plain = without_encoders(sets)
         white = self.noise.white(self.nuisance.T, self.frames.groups).T
-        rows = [self._one(sets, plain, k, white) for k in range(sets.sets)]
+        arms: dict[bytes, Array] = {}
+        rows = [self._one(sets, plain, k, white, arms) for k in range(sets.sets)]
         out = self.noise.white(np.array(rows), self.frames.groups)
         return out if self.layout is None else self.layout.white(out)
 
@@ -88,10 +89,11 @@ class CornerResidual:
                 columns.append(other.difference(plain, 0, Ts, None, self.T_base_ooi) - here)
         return replace(self, layout=day_noise(self.placeless(np.array(columns).T)))
 
-    def _one(self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array) -> Array:
+    def _one(self, sets: ParameterSets, plain: ParameterSets, k: int, white: Array, arms: dict[bytes, Array]) -> Array:
         """Not yet whitened (N,); `white`: the whitened nuisance (N, 6 or 7), which the parameters do not change."""
         later = bool(sets.machine[k, READOUT])
-        T, T_later = self.poses(sets, plain, k, 0.0), self.poses(sets, plain, k, 0.01) if later else None
+        T = self.poses(sets, plain, k, 0.0, arms=arms)
+        T_later = self.poses(sets, plain, k, 0.01, arms=arms) if later else None
         if self.on == "tool":
             return self.difference(plain, k, T, T_later, tool_place(sets, self.T_base_ooi, k))
         residual = self.difference(plain, k, T, T_later, self.T_base_ooi)
@@ -115,18 +117,35 @@ class CornerResidual:
         return left * (np.linalg.norm(left, axis=0) > OF_PLACE * np.linalg.norm(white, axis=0))
 
     def poses(
-        self, sets: ParameterSets, plain: ParameterSets, k: int, later_s: float, more_rad: Array | float = 0.0
+        self,
+        sets: ParameterSets,
+        plain: ParameterSets,
+        k: int,
+        later_s: float,
+        more_rad: Array | float = 0.0,
+        arms: dict[bytes, Array] | None = None,
     ) -> Array:
-        """Ts_cam_base (m, 4, 4), or Ts_cam_tcp where the tool is looked at. `more_rad`: on top of the angles (n,)."""
+        """Ts_cam_base (m, 4, 4), or Ts_cam_tcp where the tool is looked at. `more_rad`: on top of the angles (n,).
+
+        `arms`: Ts_tcp_base that were computed for other sets, which most sets share: they differ in the camera only.
+        """
         mount = self.nominal.T_tcp_cam_left
         if mount is None or self.nominal.arm is None:
             return np.tile(np.eye(4), (len(self.frames.t_s), 1, 1))
         T_cam_tcp = np.asarray(np.linalg.inv(camera_mount(sets, mount, k)), dtype=float)
         if self.on == "tool":
             return np.tile(T_cam_tcp, (len(self.frames.t_s), 1, 1))
-        t = true_times(sets, self.frames.t_s, self.t_start_s, k) + later_s
-        q = link_angles(self.paths, sets, k, self.at, t) + more_rad
-        return np.asarray(T_cam_tcp @ np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k)), dtype=float)
+        machine = sets.machine[k].copy()
+        machine[CAMERA_COLUMNS] = 0.0
+        key = sets.joint[k].tobytes() + machine.tobytes() + np.float64(later_s).tobytes()
+        Ts_tcp_base = None if arms is None else arms.get(key)
+        if Ts_tcp_base is None:
+            t = true_times(sets, self.frames.t_s, self.t_start_s, k) + later_s
+            q = link_angles(self.paths, sets, k, self.at, t) + more_rad
+            Ts_tcp_base = np.linalg.inv(tcp_poses(self.nominal.arm, plain, q, k))
+            if arms is not None:
+                arms[key] = Ts_tcp_base
+        return np.asarray(T_cam_tcp @ Ts_tcp_base, dtype=float)
 
     def moved_by_each(self, sets: ParameterSets) -> Array:
         """How far an angle more at each joint takes each number (n, N) [px/rad]: the residual of such an error."""

@@ -4,6 +4,7 @@ from html import escape
 from math import sqrt
 from typing import Any
 
+from diagnosis.budget import SMALL_MM
 from diagnosis.report.html import section, table, wide
 from diagnosis.report.text import place_text
 
@@ -19,14 +20,24 @@ VERDICTS = {
 ROW, LABEL, WIDTH, RIGHT = 24, 300, 720, 60
 LISTED = 12  # effects drawn; the table has them all
 SEEN_MM = 0.05  # a step that is narrower than a line is not drawn
+OTHERS = 3  # sets in an effect's place that a line names; the JSON has them all
 
 
 def budget_lines(result: dict[str, Any]) -> list[str]:
     """The budget for a terminal."""
     out = [result["budget"]["sentence"]]
-    for one in result["budget"]["effects"]:
+    effects = result["budget"]["effects"]
+    small = [one for one in effects if one["column"] and one["tool_mm"] < SMALL_MM]
+    for one in effects:
+        if one in small:
+            continue
         size = f"{one['tool_mm']:7.2f} mm [{one['tool_low_mm']:.2f}, {one['tool_high_mm']:.2f}]"
         out.append(f"  {place_text(one):34} {size:28} p {one['probability']:.2f}  {one['status']}{_or(one)}")
+    if small:
+        sure = sum(one["status"] == "confirmed" for one in small)
+        out.append(
+            f"  {len(small)} further effects below {SMALL_MM:g} mm each, {sure} of them confirmed (see the report)"
+        )
     for one in result["budget"]["unexplained_mm"]:
         where = f"{one['stage']} {one['joint']}" if one["joint"] else one["stage"]
         out.append(f"  {'unexplained, ' + where:34} {one['mm'] or 0.0:7.2f} mm")
@@ -35,7 +46,8 @@ def budget_lines(result: dict[str, Any]) -> list[str]:
 
 def _or(one: dict[str, Any]) -> str:
     others = [" + ".join(place_text(member) for member in members) for members in one["equals"]]
-    return f"  (or {', or '.join(others)})" if others else ""
+    more = [f"{len(others) - OTHERS} more"] if len(others) > OTHERS else []
+    return f"  (or {', or '.join([*others[:OTHERS], *more])})" if others else ""
 
 
 def budget_head(result: dict[str, Any], name: str) -> str:

@@ -8,8 +8,13 @@ NAMES_MAX = 5
 def lines(result: dict[str, Any]) -> list[str]:
     """What a person reads after the budget."""
     out = [f"verdict: {result['verdict']} ({result['why']})"]
-    for members in result["indistinguishable"]:
-        out.append("this recording cannot distinguish: " + ", ".join(place_text(one) for one in members))
+    places = list(dict.fromkeys(place_text(members[0]) for members in result["indistinguishable"]))
+    for place in places[:NAMES_MAX]:
+        rows = [members[1:] for members in result["indistinguishable"] if place_text(members[0]) == place]
+        others = dict.fromkeys(" + ".join(place_text(one) for one in row) for row in rows)
+        out.append(f"this recording cannot distinguish {place} from {', or '.join(others)}")
+    if len(places) > NAMES_MAX:
+        out.append(f"{len(places) - NAMES_MAX} further effects cannot be distinguished from others: see the report")
     closed = result["shrink"].get("overall", {}).get("closed_frac")
     if closed is not None:
         out.append(f"gap closed on held-out motions: {100 * closed:.3g} %")

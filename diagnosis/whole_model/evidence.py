@@ -10,12 +10,14 @@ from diagnosis.search.cell import Cell
 from diagnosis.search.fit import costs
 from diagnosis.whole_model.linear import Term, linearised
 from diagnosis.whole_model.solve import Fitted, WholeFit, alike_delays
+from diagnosis.whole_model.subsets import best_set
 from machine.rotations import Array
 
 QUANTILE_95 = 1.6448536269514722
 FOUND_90_OF_98 = 3.3354  # deviations: found with 90 % probability at 2 % false alarms
 RANK = 1e-6  # of the largest power: below, columns of finite steps are the same to rounding
 QUARTERS, HALVES = (0.25, 0.5, 0.75), (0.5,)
+SHARING_MOST = 4  # terms in whose place an effect may stand: a longer list helps nobody
 EQUAL_T = 9.0  # least squared distance below which two sets are not distinguished (contract)
 
 
@@ -23,10 +25,14 @@ EQUAL_T = 9.0  # least squared distance below which two sets are not distinguish
 class Evidence:
     """What speaks for one effect of the best set of its part.
 
-    `gain_nats`: what the best set without it loses. `sd`: (slots,) of its numbers, with what its definition leaves
-    open. `z`: its size over that. `scatter`: by what share its size differs between kinds of motion, times, amplitudes
-    or postures, beyond noise; a cause has one size. `equals`: sets of effects that take its place at a distance T
-    below 9. `left`: mean squared residual of its part in noise floors. `noise_known`: from repeats or stated accuracy.
+    `gain_nats`: what the best set without it and its equals loses. `sd`: (slots,) of its numbers, with what its
+    definition leaves open. `z`: its size over that. `scatter`: by what share its size differs between kinds of motion,
+    times, amplitudes or postures, beyond noise; a cause has one size. `equals`: sets of effects that take its place at
+    a distance T below 9. `left`: mean squared residual of its part in noise floors. `noise_known`: from repeats or
+    stated accuracy.
+    `above`: what it alone explains, as a share of that and what its part leaves beyond noise.
+    `alone`: its size over its deviation with every effect of the part in the model; with its equals if they share it.
+    `wide`: (sizes, 2) its 90 % limits in that model, where the data do not determine it by itself; else None.
     """
 
     term: Term
@@ -37,17 +43,30 @@ class Evidence:
     scatter: float
     equals: tuple[tuple[Term, ...], ...]
     left: float
+    above: float
     noise_known: bool
+    alone: float
+    wide: Array | None
+
+    @property
+    def size_sd(self) -> Array:
+        """Standard deviations of its sizes (sizes,) by its limits, where the data do not determine it by itself."""
+        sd = self.sd[: self.term.sizes]
+        return sd if self.wide is None else np.maximum(sd, 0.5 * np.ptp(self.wide, axis=1) / QUANTILE_95)
 
     @property
     def limits(self) -> tuple[Array, Array]:
         """90 % limits of its numbers (slots,)."""
         slots = self.term.effect.slots
         half = QUANTILE_95 * self.sd
+        least, most = self.term.theta - half, self.term.theta + half
         if self.term.effect.counted:
-            return self.term.theta - half, self.term.theta + half
+            return least, most
+        if self.wide is not None:
+            own = slice(0, len(self.wide))
+            least[own], most[own] = np.minimum(least[own], self.wide[:, 0]), np.maximum(most[own], self.wide[:, 1])
         low, high = np.array([slot.low for slot in slots]), np.array([slot.highest for slot in slots])
-        return np.maximum(self.term.theta - half, low), np.minimum(self.term.theta + half, high)
+        return np.maximum(least, low), np.minimum(most, high)
 
 
 def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
@@ -65,7 +84,9 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
     J, residual = lin.J * np.sqrt(w)[:, None], lin.residual * np.sqrt(w)
     spread = deviations(J, residual, lin.slab, fit.cell.rows.together)
     left = float(np.mean(lin.weight * lin.residual**2))
+    S = np.asarray(np.linalg.inv((lin.J * lin.weight[:, None]).T @ lin.J + np.diag(lin.slab**-2.0)), dtype=float)
     groupings = groupings_of(fit.cell)
+    everything = _with_everything(fit)
     out = []
     for term, k, own in zip(lin.terms, present, np.split(np.arange(J.shape[1]), lin.first[1:-1]), strict=True):
         sd = _with_open(term, spread[own])
@@ -76,17 +97,22 @@ def evidence_of(fit: WholeFit) -> tuple[Evidence, ...]:
         if term.effect.cycles is not None:
             run = alike_delays(fit.cell, lin, len(out), fit.trust)
             sd = np.hypot(sd, 0.5 * (float(np.ptp(run)) + term.effect.cycles[0]) / QUANTILE_95)  # limits: the tread
+        gain_nats, equals = _rivals_of(fit, int(k))
+        alone, sharing, wide = _alone(fit, int(k), everything)
         out.append(
             Evidence(
                 term=term,
                 part=fit.cell.label,
-                gain_nats=_gain(fit, int(k)),
+                gain_nats=gain_nats,
                 sd=sd,
                 z=z,
                 scatter=_share_of_size(term, scatter(J, residual, own[: term.sizes], groupings)),
-                equals=_equals(fit, int(k)),
+                equals=_with_sharing(fit, equals, sharing),
                 left=left,
+                above=_share_above(lin.x[own], S[np.ix_(own, own)], max(left - 1.0, 0.0) * len(residual)),
                 noise_known=fit.cell.floor_known,
+                alone=alone,
+                wide=wide,
             )
         )
     return tuple(out)
@@ -116,6 +142,12 @@ def _z(term: Term, sd: Array) -> float:
     return float(np.linalg.norm(term.theta[: term.sizes] / np.maximum(sd, 1e-300)))
 
 
+def _share_above(x: Array, S: Array, beyond: float) -> float:
+    """What numbers x (k,) of covariance S (k, k) alone explain, over that and what is left beyond noise."""
+    explained = float(x @ np.linalg.lstsq(S, x, rcond=None)[0])
+    return explained / (explained + beyond) if explained > 0.0 else 0.0
+
+
 def _share_of_size(term: Term, spread: float) -> float:
     size = 1.0 if term.limits else float(np.linalg.norm(term.theta[: term.sizes]))
     return spread / size if size > 0.0 else 0.0
@@ -130,27 +162,82 @@ def _with_open(term: Term, sd: Array) -> Array:
     return np.hypot(sd, open_part)
 
 
-def _gain(fit: WholeFit, k: int) -> float:
-    rival = fit.rivals.get(k)
-    if rival is not None:
-        return fit.best.score - rival.score
-    problem, members = fit.best.problem, fit.best.present.copy()
-    members[k] = False
-    return problem.score(fit.best.present) - problem.score(members)
+def _rivals_of(fit: WholeFit, k: int) -> tuple[float, tuple[tuple[Term, ...], ...]]:
+    """What the best set loses without an effect and its equals [nats], and these: terms with the same column, and what
+    takes its place where T is below 9, as often as something else does.
+    """
+    problem, present, terms = fit.best.problem, fit.best.present, fit.best.terms
+    equals: list[tuple[Term, ...]] = [(terms[out],) for kept, out in fit.twins if kept == k]
+    allowed = np.ones(len(terms), dtype=bool)
+    allowed[[k, *(out for _, out in fit.twins)]] = False
+    rival, gain = fit.rivals.get(k), 0.0
+    at = problem.misfit(problem.estimate(present)[0])
+    for _ in range(SHARING_MOST):
+        if rival is not None:
+            gain, entered = fit.best.score - rival.score, rival.present & ~present
+            distance = 2.0 * (_cost(rival, fit) - _cost(fit.best, fit))
+        else:
+            members = best_set(problem, present & allowed, allowed)
+            gain, entered = problem.score(present) - problem.score(members), members & ~present
+            distance = 2.0 * (problem.misfit(problem.estimate(members)[0]) - at)
+        if distance >= EQUAL_T or not entered.any():
+            break
+        equals.append(tuple(terms[t] for t in np.nonzero(entered)[0]))
+        allowed, rival = allowed & ~entered, None
+    return gain, tuple(equals)
 
 
-def _equals(fit: WholeFit, k: int) -> tuple[tuple[Term, ...], ...]:
-    """What may stand in an effect's place: terms with the same column, and what enters its rival where T is below 9."""
-    found: list[tuple[Term, ...]] = [(fit.best.terms[out],) for kept, out in fit.twins if kept == k]
-    rival = fit.rivals.get(k)
-    if rival is not None:
-        distance = 2.0 * float(_cost(rival, fit) - _cost(fit.best, fit))
-        entered = tuple(
-            one for one, before in zip(rival.terms, fit.best.terms, strict=True) if one.present and not before.present
-        )
-        if entered and distance < EQUAL_T:
-            found.append(entered)
-    return tuple(found)
+def _with_everything(fit: WholeFit) -> tuple[Array, Array]:
+    """The numbers (k,) and their covariance (k, k) with every effect that has a slope in the model, under its prior."""
+    members = np.array([term.present or term.smooth for term in fit.best.terms])
+    members[[out for _, out in fit.twins]] = False
+    return fit.best.problem.estimate(members)
+
+
+def _alone(fit: WholeFit, k: int, everything: tuple[Array, Array]) -> tuple[float, tuple[int, ...], Array | None]:
+    """How clearly the data determine an effect when any other may be there, the terms that share this with it, and its
+    90 % limits where it is not clear by itself.
+
+    Model: T = x'S^-1 x of the sizes of some terms is the squared distance at which all of them may be absent; less that
+           of the others it is the distance of this one where they are absent. Others join, the one first that raises
+           it most, of those that are not clear by themselves, until it is clear that one of them is there.
+    """
+    x, S = everything
+    first, terms = fit.best.lin.first, fit.best.terms
+    own = np.arange(first[k], first[k] + min(terms[k].sizes, first[k + 1] - first[k]))
+
+    def distance(cols: NDArray[np.int64]) -> float:
+        cols = cols[np.diag(S)[cols] > 0.0]
+        return float(x[cols] @ np.linalg.solve(S[np.ix_(cols, cols)], x[cols])) if len(cols) else 0.0
+
+    T = distance(own)
+    if T >= EQUAL_T or terms[k].limits or not terms[k].smooth:
+        return float(np.sqrt(T)), (), None
+    half = QUANTILE_95 * np.sqrt(np.diag(S)[own])
+    wide = np.stack([x[own] - half, x[own] + half], axis=1)
+    columns = [np.arange(first[t], first[t + 1]) for t in range(len(terms))]
+    open_terms = [t for t, term in enumerate(terms) if t != k and term.smooth and distance(columns[t]) < EQUAL_T]
+    sharing: list[int] = []
+    others = np.zeros(0, dtype=np.int64)
+    for _ in range(SHARING_MOST):
+        besides = [(t, np.concatenate([others, columns[t]])) for t in open_terms if t not in sharing]
+        tried = [(distance(np.concatenate([own, beside])) - distance(beside), t) for t, beside in besides]
+        if not tried:
+            break
+        shared, best = max(tried)
+        sharing.append(best)
+        others = np.concatenate([others, columns[best]])
+        if shared >= EQUAL_T:
+            return float(np.sqrt(shared)), tuple(sharing), wide
+    return float(np.sqrt(T)), (), wide
+
+
+def _with_sharing(
+    fit: WholeFit, equals: tuple[tuple[Term, ...], ...], sharing: tuple[int, ...]
+) -> tuple[tuple[Term, ...], ...]:
+    """Equals, and each term that shares the evidence of an effect."""
+    known = {id(one[0]) for one in equals if len(one) == 1}
+    return (*equals, *((fit.best.terms[t],) for t in sharing if id(fit.best.terms[t]) not in known))
 
 
 def _cost(one: Fitted, fit: WholeFit) -> float:

@@ -78,7 +78,7 @@ def _solved_by_its_noise(cell: Cell, work: Work) -> WholeFit:
     if again is None or float(np.abs(np.log(again.sigma / noise.sigma)).max()) < SETTLED:
         return found
     work.again()
-    return solve(by_noise_of(cell, cell.at_noise(again)), library_of(cell))
+    return solve(by_noise_of(cell, cell.at_noise(again)), (), found.best.terms)
 
 
 def library_of(cell: Cell) -> tuple[Candidate, ...]:
@@ -88,7 +88,7 @@ def library_of(cell: Cell) -> tuple[Candidate, ...]:
 
 def _in_other_form(found: WholeFit) -> WholeFit:
     """The fit with dead bands that keep the full flow, where such a one explains as much as one that loses flow and a
-    gain that makes up for it.
+    gain that makes up for it. With a gain besides, both forms are the same.
     """
     kept = {one.joint: one for one in found.cell.candidates if (one.name, one.option) == OTHER_FORM}
     for k, term in enumerate(found.best.terms):
@@ -98,8 +98,12 @@ def _in_other_form(found: WholeFit) -> WholeFit:
         others = tuple(
             replace(one, present=one.present and one.effect.key != (GAIN, joint)) for one in found.best.terms
         )
+        if sum(one.present for one in others) == sum(one.present for one in found.best.terms):
+            continue
         terms = (*others[:k], replace(term, effect=kept[joint]), *others[k + 1 :])
         tried = solve(found.cell, (), terms)
+        if any(one.present and one.effect.key == (GAIN, joint) for one in tried.best.terms):
+            continue
         if score_at(tried.best.lin, found.trust) > score_at(found.best.lin, found.trust):
             found = tried
     return found

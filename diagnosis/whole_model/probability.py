@@ -17,9 +17,10 @@ from diagnosis.whole_model.evidence import FOUND_90_OF_98, Evidence
 from machine.rotations import Array
 
 #: Figures of the evidence, each the better the larger.
-FEATURES = ("gain", "size", "detectable", "agreement", "remainder", "noise_known")
+FEATURES = ("gain", "size", "alone", "detectable", "agreement", "remainder", "noise_known")
 CAP = 1e3
 AGREES = 0.01  # a size that is the same to a hundredth is the same
+LEAST_SHARE = 1e-4  # of what is left: below, an effect is lost in it
 RIDGE = 2.5**-2.0
 
 
@@ -29,9 +30,10 @@ def features(evidence: Evidence) -> Array:
         [
             np.log1p(np.clip(evidence.gain_nats, 0.0, CAP)),
             np.log1p(min(evidence.z, CAP)),
+            np.log1p(min(evidence.alone, CAP)),
             min(evidence.z / FOUND_90_OF_98, 1.0),
             -np.log(AGREES + min(evidence.scatter, 1.0)),
-            -np.log(max(evidence.left, 1.0)),
+            np.log(max(evidence.above, LEAST_SHARE)),
             float(evidence.noise_known),
         ]
     )

@@ -1,12 +1,11 @@
 """From the whole model down: all smooth effects are fitted at once, then the best set is chosen and refined in turn."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.errors import DiagnosisError
 from diagnosis.search.candidates import Candidate
 from diagnosis.search.cell import Cell
 from diagnosis.search.fit import STEP_SHARE, Fit, costs, evaluated_at, weights
@@ -14,15 +13,15 @@ from diagnosis.whole_model.linear import Linearised, Term, about, linearised, pa
 from diagnosis.whole_model.subsets import (
     LinearProblem,
     Members,
-    SetPosterior,
     best_set,
     best_set_without,
-    posterior_over_sets,
 )
+from machine.effects.layout import ParameterSets
 from machine.rotations import Array
 
 ROUNDS = 6
 STEPS = 10  # of Gauss-Newton between two choices
+FALLS = 0.9  # of the noise: a round that lowers it less ends the approach
 NEARLY_NATS = 0.5  # a step that gains less by tangents that were kept is followed by one of fresh ones
 SHARES = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
 SETTLED_NATS = 0.05
@@ -53,7 +52,7 @@ class Fitted:
 
 @dataclass(frozen=True, slots=True)
 class WholeFit:
-    """The best set of one part with its rivals and the posterior over sets about it.
+    """The best set of one part with its rivals.
 
     `trust`: (N,) how far each row speaks for itself, since what the model leaves is correlated. `rivals`: by present
     term, the best set found without it, refitted, with columns of its own terms only; None where the linear model
@@ -63,7 +62,6 @@ class WholeFit:
 
     cell: Cell
     best: Fitted
-    posterior: SetPosterior
     trust: Array
     rivals: dict[int, Fitted | None]
     twins: tuple[tuple[int, int], ...]
@@ -76,26 +74,23 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
     Model: rounds of (columns about where the terms stand; best set of the linear model; Gauss-Newton of that set). At
            the end the best set without each term is refitted; where one of these is better, it takes the place.
     """
-    trust = np.ones(cell.rows.count)
     terms = start or tuple(Term(effect, np.zeros(len(effect.slots)), False) for effect in library)
     twins = _twins(cell, terms)
     own = np.ones(len(terms), dtype=bool)
     own[[out for _, out in twins]] = False
-    if not start:
-        begun = (replace(term, present=bool(term.smooth and own[k])) for k, term in enumerate(terms))
-        terms = refined(cell, tuple(begun), trust)
-    lin = linearised(cell, terms)
+    terms = start or _approached(cell, terms, own)
+    trust = trusted(cell, terms)
+    fitted = _fitted(cell, terms, trust)
     settled, rivals = False, dict[int, Fitted | None]()
-    fitted: Fitted | None = None
     for _ in range(ROUNDS):
-        problem = lin.problem(trust)
-        best = best_set(problem, own if fitted is None else lin.present, own)
-        if fitted is None or not (best == lin.present).all():
-            terms = refined(cell, _chosen(lin, problem, best), trust)
-            trust = trusted(cell, terms)
-            tried = _fitted(cell, terms, trust)
-            if fitted is None or tried.score > score_at(fitted.lin, trust):
-                fitted, lin = tried, tried.lin
+        problem = fitted.problem
+        best = best_set(problem, fitted.present, own)
+        if not (best == fitted.present).all():
+            tried_terms = refined(cell, _chosen(fitted.lin, problem, best), trust)
+            tried_trust = trusted(cell, tried_terms)
+            tried = _fitted(cell, tried_terms, tried_trust)
+            if tried.score > score_at(fitted.lin, tried_trust):
+                fitted, trust = tried, tried_trust
                 continue
         columns = _tangents(cell, fitted)
         rivals = {int(k): _rival(cell, fitted, int(k), own, trust, columns) for k in np.nonzero(fitted.present)[0]}
@@ -104,11 +99,48 @@ def solve(cell: Cell, library: tuple[Candidate, ...], start: tuple[Term, ...] = 
             settled = True
             break
         fitted = _fitted(cell, better.terms, trust)
-        lin = fitted.lin
-    if fitted is None:
-        raise DiagnosisError(f"{cell.label}: no round of the fit was run")
-    posterior = posterior_over_sets(fitted.problem, fitted.present, own)
-    return WholeFit(cell, fitted, posterior, trust, rivals, twins, settled)
+    return WholeFit(cell, fitted, trust, rivals, twins, settled)
+
+
+def _approached(cell: Cell, terms: tuple[Term, ...], own: Members) -> tuple[Term, ...]:
+    """The best set of the terms `own` that may enter, found from far away: all smooth effects together, then pruned.
+
+    Model: each part's noise is taken for as large as what the terms leave of it, until that falls no more. So the
+           priors hold what the data cannot tell apart, and no residual is an outlier just because nothing fits yet.
+    Source: graduated non-convexity by the scale of the noise: Black, Rangarajan 1996, sec. 5.
+    """
+    even = np.ones(cell.rows.count)
+    terms = tuple(replace(term, present=bool(term.smooth and own[k])) for k, term in enumerate(terms))
+    left = _by_part(cell, tuple(replace(term, present=False) for term in terms))
+    for k in range(ROUNDS):
+        near = replace(cell, whitened=_Inflated(cell.whitened, left))
+        terms = refined(near, terms, even)
+        lin = linearised(near, terms)
+        problem = lin.problem(even)
+        terms = refined(near, _chosen(lin, problem, best_set(problem, own if k == 0 else lin.present, own)), even)
+        before, left = left, _by_part(cell, terms)
+        if (left > FALLS * before).all():
+            break
+    return terms
+
+
+@dataclass(frozen=True, slots=True)
+class _Inflated:
+    """Residuals by a noise that is larger by `times` (N,)."""
+
+    whitened: Callable[[ParameterSets], Array]
+    times: Array
+
+    def __call__(self, sets: ParameterSets) -> Array:
+        return np.asarray(self.whitened(sets) / self.times, dtype=float)
+
+
+def _by_part(cell: Cell, terms: tuple[Term, ...]) -> Array:
+    """By how much what terms leave exceeds the noise, of each row's part (N,), at least 1."""
+    residual = evaluated_at(cell, packed(cell, terms))[0]
+    return np.concatenate(
+        [np.full(len(own), max(1.0, float(np.sqrt(np.mean(own**2))))) for _, own in cell.by_part(residual)]
+    )
 
 
 def _twins(cell: Cell, terms: tuple[Term, ...]) -> tuple[tuple[int, int], ...]:
@@ -127,6 +159,15 @@ def fit_of(terms: Sequence[Term], lin: Linearised | None = None) -> Fit:
     J = np.zeros((0, len(theta))) if lin is None else lin.J[:, cols]
     effects = tuple(term.effect for term in some)
     return Fit(effects, theta, residual, J, float(costs(residual).sum()))
+
+
+def only(fit: WholeFit, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Some present terms of a fit (the same objects), fitted again as if nothing else were there."""
+    kept = [any(term is one for one in terms) for term in fit.best.terms]
+    if (np.array(kept) == fit.best.present).all():
+        return tuple(term for term in fit.best.terms if term.present)
+    alone = tuple(replace(term, present=keep) for term, keep in zip(fit.best.terms, kept, strict=True))
+    return tuple(term for term in refined(fit.cell, alone, fit.trust) if term.present)
 
 
 def _fitted(cell: Cell, terms: tuple[Term, ...], trust: Array, absent: bool = True) -> Fitted:

@@ -1,10 +1,9 @@
-"""Which sets of effects a linear model supports: spike and slab over subsets, explored from the best one outwards.
+"""Which set of effects a linear model supports best: spike and slab over subsets.
 
 Model:  y = J x + e, e ~ N(0, I); a term is in the set (slab, x_j ~ N(0, slab_j^2)) or not (spike, x_j = 0).
         The evidence of a set has a closed form, so sets are compared without sampling.
-Search: from the whole set downwards, then by the best of all additions, removals and exchanges. The posterior sums over
-        Occam's window: the best sets and those that each of them turns into by one such step.
-Source: George, McCulloch 1993 (spike and slab); Madigan, Raftery 1994 (Occam's window).
+Search: from the whole set downwards, then by the best of all additions, removals and exchanges.
+Source: George, McCulloch 1993 (spike and slab).
 """
 
 from dataclasses import dataclass
@@ -15,9 +14,8 @@ from numpy.typing import NDArray
 
 from machine.rotations import Array
 
-WINDOW_NATS = 7.0  # sets less likely than 1 to 1000 against the best one do not change a probability's third digit
+AT_BOUND_NATS = 7.0  # price of a number that would be negative and cannot: the set without it is always better
 TRIED = 200  # exchanges that are tried with the bounds
-WINDOW_SETS = 60  # sets whose neighbours are looked at
 Members = NDArray[np.bool_]
 
 
@@ -59,58 +57,10 @@ class LinearProblem:
         return float(0.5 * x @ self.H @ x - self.c @ x)
 
 
-@dataclass(frozen=True, slots=True)
-class SetPosterior:
-    """Sets (m, terms), best first, with their probabilities (m,); `inclusion`: (terms,) probability of each term."""
-
-    sets: Members
-    probability: Array
-    score: Array
-
-    @property
-    def best(self) -> Members:
-        """The most probable set (terms,)."""
-        return self.sets[0]
-
-    @property
-    def inclusion(self) -> Array:
-        """Probability that a term is in the set (terms,)."""
-        return np.asarray(self.probability @ self.sets, dtype=float)
-
-
 def best_set(problem: LinearProblem, start: Members, allowed: Members) -> Members:
     """The set at which no addition, removal or exchange of one term helps, from `start`; only `allowed` terms enter."""
     given = (problem.H, problem.c, problem.slab, problem.first, problem.nonnegative, problem.log_odds)
     return np.asarray(_climbed(*given, start & allowed, allowed))
-
-
-def posterior_over_sets(problem: LinearProblem, top: Members, allowed: Members) -> SetPosterior:
-    """The probable sets of allowed terms, by what one step from the best set and from the best without each of its
-    terms reaches.
-    """
-    seeds = [top] + [best_set_without(problem, top, int(t), allowed) for t in np.nonzero(top)[0]]
-    found: dict[bytes, tuple[float, Members]] = {}
-    for one in seeds:
-        found[one.tobytes()] = (problem.score(one), one)
-    expanded: set[bytes] = set()
-    for _ in range(WINDOW_SETS):
-        best = max(score for score, _ in found.values())
-        waiting = [
-            (score, key) for key, (score, _) in found.items() if key not in expanded and score > best - WINDOW_NATS
-        ]
-        if not waiting:
-            break
-        key = max(waiting)[1]
-        expanded.add(key)
-        for score, members in _neighbours(problem, found[key][1], best - WINDOW_NATS):
-            if (members & ~allowed).any():
-                continue
-            found.setdefault(members.tobytes(), (score, members))
-    best = max(score for score, _ in found.values())
-    kept = sorted((row for row in found.values() if row[0] > best - WINDOW_NATS), key=lambda row: -row[0])
-    score = np.array([row[0] for row in kept])
-    weight = np.exp(score - best)
-    return SetPosterior(np.array([row[1] for row in kept]), weight / weight.sum(), score)
 
 
 def best_set_without(problem: LinearProblem, members: Members, term: int, allowed: Members) -> Members:
@@ -118,12 +68,6 @@ def best_set_without(problem: LinearProblem, members: Members, term: int, allowe
     others = allowed.copy()
     others[term] = False
     return best_set(problem, members, others)
-
-
-def _neighbours(problem: LinearProblem, members: Members, least: float) -> list[tuple[float, Members]]:
-    args = (problem.H, problem.c, problem.slab, problem.first, problem.nonnegative, problem.log_odds)
-    scores, sets = _around(*args, members, least)
-    return [(float(s), one) for s, one in zip(scores, sets, strict=True) if s > least]
 
 
 @njit(cache=True)
@@ -134,7 +78,7 @@ def _solved(H, c, slab, nonnegative, cols):
         own = cols[keep]
         m = own.shape[0]
         if m == 0:
-            return -WINDOW_NATS * cols.shape[0], own, np.zeros(0)
+            return -AT_BOUND_NATS * cols.shape[0], own, np.zeros(0)
         A, b = np.empty((m, m)), np.empty(m)
         for i in range(m):
             b[i] = c[own[i]] * slab[own[i]]
@@ -149,7 +93,7 @@ def _solved(H, c, slab, nonnegative, cols):
             if nonnegative[own[i]] and x[i] < worst:
                 worst, at = x[i], i
         if at < 0:
-            value = 0.5 * np.sum(z * z) - WINDOW_NATS * (cols.shape[0] - m)
+            value = 0.5 * np.sum(z * z) - AT_BOUND_NATS * (cols.shape[0] - m)
             for i in range(m):
                 value -= np.log(L[i, i])
             return value, own, x
@@ -212,7 +156,7 @@ def _with_each(G, b, first, nonnegative, log_odds, P, own, members):
                     S[i, j] -= row[q] * G[own[q], first[t] + j]
             S[i, i] += 1.0
         if m == 1 and nonnegative[first[t]] and r[0] < 0.0:
-            out[t] = log_odds[t] - WINDOW_NATS
+            out[t] = log_odds[t] - AT_BOUND_NATS
             continue
         values, vectors = np.linalg.eigh(0.5 * (S + S.T))
         values = np.maximum(values, 1.0)  # less is rounding
@@ -316,30 +260,3 @@ def _climbed(H, c, slab, first, nonnegative, log_odds, start, allowed):
         if not found:
             break
     return members
-
-
-@njit(cache=True)
-def _around(H, c, slab, first, nonnegative, log_odds, members, least):
-    """Scores and sets one addition, removal or exchange away, of those that the linear model sees above `least`."""
-    terms = members.shape[0]
-    given = (H, c, slab, first, nonnegative, log_odds)
-    now = _score(*given, members)
-    G, b, own, P = _in_slabs(H, c, slab, first, nonnegative, members)
-    flips = _flips(G, b, first, nonnegative, log_odds, P, own, members)
-    swaps = _swaps(G, b, first, nonnegative, log_odds, P, own, members, flips)
-    count = np.sum(now + flips > least) + np.sum(now + swaps > least)
-    sets, scores = np.empty((count, terms), np.bool_), np.empty(count)
-    row = 0
-    for t in range(terms):
-        if now + flips[t] > least:
-            sets[row] = members
-            sets[row, t] = not members[t]
-            scores[row] = _score(*given, sets[row])
-            row += 1
-        for u in range(terms):
-            if now + swaps[t, u] > least:
-                sets[row] = members
-                sets[row, t], sets[row, u] = False, True
-                scores[row] = _score(*given, sets[row])
-                row += 1
-    return scores, sets

@@ -39,7 +39,7 @@ CAMERA_STAGES = ("camera", "time")
 @dataclass(frozen=True, slots=True)
 class ToolError:
     """One column of the budget. `by_effect`: (effects, m, 3) [m], in the order of `terms`; `measured`: the nominal
-    model's miss (m, 3) as it was measured, `left`: with the effects; None where only the model says it.
+    model's miss (m, 3) as it was measured, `left`: with the effects that are kept; None where only the model says it.
     """
 
     column: str
@@ -64,10 +64,15 @@ class ToolError:
         return np.asarray((self.by_effect * self.total).sum(axis=2).mean(axis=1), dtype=float)
 
 
-def tool_errors(whole: Read, terms: Sequence[Term], cells: Sequence[Cell]) -> tuple[ToolError, ...]:
-    """The columns that the recording and the machine file allow, for the present terms."""
+def tool_errors(
+    whole: Read, terms: Sequence[Term], cells: Sequence[Cell], kept: Sequence[Term] | None = None
+) -> tuple[ToolError, ...]:
+    """The columns that the recording and the machine file allow, for the present terms.
+
+    `kept`: the terms with which a machine file is left, in place of all.
+    """
     some = tuple(term for term in terms if term.present)
-    found = (stands(whole, some), gets_there(whole, some), sees(cells, some))
+    found = (stands(whole, some), gets_there(whole, some, some if kept is None else kept), sees(cells, some))
     return tuple(one for one in found if one is not None)
 
 
@@ -106,7 +111,7 @@ def stands(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
     return ToolError("stands", own, shared_out(base, own, tools))
 
 
-def gets_there(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
+def gets_there(whole: Read, terms: tuple[Term, ...], kept: Sequence[Term]) -> ToolError | None:
     """How the tool follows what was sent, the loop closed: simulated, and against the encoders as recorded."""
     nominal = whole.nominal
     replayer = replayer_of(nominal, whole.stretches) if nominal is not None and whole.stretches else None
@@ -125,8 +130,9 @@ def gets_there(whole: Read, terms: tuple[Term, ...]) -> ToolError | None:
         return [tcp_poses(arm, plain, np.concatenate([row[k] for row in rows]))[:, :3, 3] for k in range(sets.sets)]
 
     measured = tcp_poses(arm, plain, np.concatenate([encoders[::step] for _, _, encoders in runs]))[:, :3, 3]
-    without, with_all = tool(base)[0], tool(_with(base, own))[0]
-    return ToolError("gets_there", own, shared_out(base, own, tool), measured - without, measured - with_all)
+    stays = [term for term in kept if term.effect.stage in DRIVEN_STAGES]
+    without, with_kept = tool(base)[0], tool(_with(base, stays))[0]
+    return ToolError("gets_there", own, shared_out(base, own, tool), measured - without, measured - with_kept)
 
 
 def sees(cells: Sequence[Cell], terms: tuple[Term, ...]) -> ToolError | None:

@@ -20,6 +20,7 @@ FOCAL, PRINCIPAL, K1, MARKER_SIZE = 10, slice(11, 13), 13, 14
 HAND_EYE_ROTATION, HAND_EYE_TRANSLATION, STEREO = slice(15, 18), slice(18, 21), slice(21, 24)
 LATENCY, READOUT, ODOMETRY_SCALE, STAMP_ROW, CLOCK_ZERO = 24, 25, 26, 27, 28
 TOOL_MARKER_ROTATION, TOOL_MARKER_TRANSLATION = slice(29, 32), slice(32, 35)
+CAMERA_COLUMNS = [*range(FOCAL, STEREO.stop), READOUT, ODOMETRY_SCALE, STAMP_ROW, *range(29, 35)]  # no pose of the arm
 MACHINE_COLUMNS = 35
 
 # (effect, parameter, option or "") -> column; a direction's size stands in as many columns as the vector has.

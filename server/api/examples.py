@@ -366,6 +366,7 @@ FREE_FORM: dict[str, Example] = {
                     "tool_mm": 7.0,
                     "probability": 0.98,
                     "status": "confirmed",
+                    "used": {"time_constant_s": {"value": 0.0296517, "unit": "s"}},
                 }
             ],
         },

@@ -91,7 +91,7 @@ def machine_router(service: JobService) -> APIRouter:
 
     @router.post("/versions", status_code=201, response_model=VersionView, responses=REFUSED)
     async def make_version(body: NewVersion) -> JSONResponse:
-        """Save the confirmed effects of a finished diagnosis as a version, without using it."""
+        """Save the effects found by a finished diagnosis, confirmed and likely, as a version, without using it."""
         one = service.diagnoses.find(body.diagnosis_id)
         if one is None:
             return problem(404, "Unknown diagnosis", f"no diagnosis {body.diagnosis_id}", "unknown_diagnosis")

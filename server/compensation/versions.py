@@ -79,14 +79,14 @@ class MachineVersions:
         return self._read(self._path(version_id))
 
     def make(self, answer: dict[str, Any], diagnosis_id: str) -> MachineVersion:
-        """A version of the confirmed effects of a budget, all switched on; it is kept, not used yet.
+        """A version of the effects that a budget takes for a machine file, all switched on; it is kept, not used yet.
 
         Raises: CompensationError: the answer holds no confirmed effect, or was found with another machine file.
         """
         budget = answer.get("budget") or {}
         lines = budget.get("effects", [])
-        effects = tuple(_found(line) for line in lines if line.get("status") == "confirmed")
-        if not effects:
+        effects = tuple(_found(line, used) for line in lines if (used := _used(line)))
+        if not any(line.get("status") == "confirmed" for line in lines):
             raise CompensationError(
                 f"diagnosis {diagnosis_id} confirms no effect: there is nothing to use; identify again, or do the "
                 "experiment that it proposes"
@@ -204,18 +204,22 @@ def base_id_of(machine: Machine) -> str:
     return hashlib.sha256(json.dumps(parts, default=np.ndarray.tolist, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def _found(line: dict[str, Any]) -> FoundEffect:
+def _used(line: dict[str, Any]) -> dict[str, Any] | None:
+    """The numbers of a budget's line for a machine file; of an answer from before these: those of confirmed effects."""
+    return line["used"] if "used" in line else line["parameters"] if line.get("status") == "confirmed" else None
+
+
+def _found(line: dict[str, Any], used: dict[str, Any]) -> FoundEffect:
     """A line of a budget as an effect. Raises: CompensationError: the catalogue does not know it."""
     effect = effect_named(str(line.get("name")))
     if effect is None:
         raise CompensationError(f"effect {line.get('name')!r} is not in this program's catalogue; update the program")
-    values = {name: parameter["value"] for name, parameter in line["parameters"].items()}
+    values = {name: parameter["value"] for name, parameter in used.items()}
     try:
         entry = make_entry(effect, line.get("joint"), values)
     except MachineFileError as error:
         raise CompensationError(f"the answer's effect cannot be used: {error}") from error
-    used = sort_effects((entry,)).used
-    does = COMPENSATED[entry.name] if used else ""
+    does = COMPENSATED[entry.name] if sort_effects((entry,)).used else ""
     mm, probability = float(line.get("tool_mm") or 0.0), float(line.get("probability") or 0.0)
     return FoundEffect(entry, str(line.get("stage", "")), mm, probability, does, True)
 

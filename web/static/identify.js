@@ -123,7 +123,7 @@ function comparison(compared) {
 
 const nameOf = ({ name, joint }) => (joint ? t("gap_joint", { name, joint }) : name);
 
-// For a finished budget: keep its confirmed effects as a version, and use it.
+// For a finished budget: keep its effects as a version, and use it.
 export function useButton({ diagnosis_id }, { budget }) {
   if (!budget?.effects.some((one) => one.status === "confirmed")) return [];
   const use = async () => {

@@ -21,6 +21,7 @@ from longreach.one_thread import ONE_THREAD
 PLANT = "benchmarks.diagnosis.sealed.third_plant"
 DRAWN = "benchmarks.identify"
 REALISTIC = "realistic"  # the fine plant with every number of the preset drawn, driven by `identify`
+FIVE_JOBS = "five_jobs"  # of such a machine: what a normal day records, in place of `identify`
 CASE_S = 3600.0  # a process that takes longer is stopped, and its case is run again next time
 BAD_INPUT = 2  # exit code of a recording that the diagnosis does not take: an answer, not a crash
 POORER = ("no_repeats", "one_job", "no_tracker", "camera_only", "static_only")
@@ -112,12 +113,14 @@ def _case(campaign: Campaign, number: int) -> Scored | None:
         return None
     (given, truth), answer = made, folder / "answer.json"
     began = time.monotonic()
-    code = _run(["-m", "longreach.cli", "diagnose", str(given), "--json", str(answer)], folder)
+    machine_out = ["--machine-out", str(folder / "identified.toml")] if kind == REALISTIC else []
+    parts = sorted(path for path in given.iterdir() if path.is_dir()) or [given]
+    code = _run(["-m", "longreach.cli", "diagnose", *map(str, parts), "--json", str(answer), *machine_out], folder)
     if code not in (0, BAD_INPUT):
         return None
     seconds = time.monotonic() - began
     said = json.loads(answer.read_text(encoding="utf-8")) if code == 0 else {"verdict": "refused"}
-    for file in given.glob("*.csv"):
+    for file in given.rglob("*.csv"):
         file.unlink()  # the third plant makes it again from its numbers
     return {
         "kind": kind,
@@ -147,9 +150,10 @@ def _third_plant(campaign: Campaign, number: int, folder: Path) -> tuple[Path, S
 
 
 def _drawn_machine(campaign: Campaign, number: int, folder: Path) -> tuple[Path, Scored] | None:
-    """A machine of preset `realistic`, identified in virtual time; what its truth says, in the third plant's form."""
+    """A machine of preset `realistic`, driven in virtual time; what its truth says, in the third plant's form."""
     seed = 1000 * campaign.seed + number
-    if _run(["-m", DRAWN, str(folder), "--seed", str(seed)], folder) != 0:
+    jobs = ["--jobs", "5"] if campaign.recording == FIVE_JOBS else []
+    if _run(["-m", DRAWN, str(folder), "--seed", str(seed), *jobs], folder) != 0:
         return None
     own = folder / f"seed{seed}"
     return own / "recording", json.loads((own / "truth.json").read_text(encoding="utf-8"))

@@ -86,6 +86,7 @@ def score_of(case: Scored) -> Score:
     truth, answer = case["truth"], case["answer"]
     budget = answer.get("budget", {})
     effects = [effect for effect in truth["effects"] if effect["catalogue"]]
+    keys = [{"name": effect["name"], "joint": effect["joint"]} for effect in effects]
     entries: list[Entry] = budget.get("effects", [])
     total = sum(float(entry["tool_mm"] or 0.0) ** 2 for entry in entries)
     true_total = sum(_true_mm2(effect) for effect in truth["effects"])
@@ -97,7 +98,7 @@ def score_of(case: Scored) -> Score:
             effect["joint"],
             float(effect["tip_mm"] or 0.0),
             float(effect["seen_mm"] or 0.0),
-            any(_holds(entry, effect) for entry in confirmed),
+            any(_holds(entry, effect, keys) for entry in confirmed),
         )
         for effect in effects
     )
@@ -116,7 +117,8 @@ def score_of(case: Scored) -> Score:
 
 def _compared(entry: Entry, effects: Sequence[Entry], total: float, true_total: float) -> Reported:
     same = next((effect for effect in effects if _is(entry, effect)), None)
-    equal = next((effect for effect in effects if _holds(entry, effect)), None)
+    keys = [{"name": effect["name"], "joint": effect["joint"]} for effect in effects]
+    equal = next((effect for effect in effects if _holds(entry, effect, keys)), None)
     figures = np.array([float(entry["evidence"]["figures"].get(name, 0.0)) for name in FEATURES])
     mm = float(entry["tool_mm"] or 0.0)
     return Reported(
@@ -146,10 +148,11 @@ def _is(entry: Entry, effect: Entry) -> bool:
     return all(entry["parameters"].get(key, {"value": value})["value"] == value for key, value in forms.items())
 
 
-def _holds(entry: Entry, effect: Entry) -> bool:
-    """Whether it, or one of the sets that may take its place, is or holds this true effect."""
+def _holds(entry: Entry, effect: Entry, keys: Sequence[Entry]) -> bool:
+    """Whether it is this true effect, or one of the sets in its place holds it and is true as a whole."""
     key = {"name": effect["name"], "joint": effect["joint"]}
-    return _is(entry, effect) or any(key in members for members in entry["equals"])
+    true = (members for members in entry["equals"] if all(member in keys for member in members))
+    return _is(entry, effect) or any(key in members for members in true)
 
 
 def _size_is_right(entry: Entry, effect: Entry) -> bool:
