@@ -138,9 +138,8 @@ def made_up(*, required, phase="armed", alarmed=True):
 def serve(route):
     path = urlsplit(route.request.url).path
     if path.startswith("/v1/"):
-        data = ANSWERS.get(path)
-        status = 404 if data is None else 200
-        return route.fulfill(status=status, content_type="application/json", body=json.dumps(data or {"detail": path}))
+        status, data = (200, ANSWERS[path]) if path in ANSWERS else (404, {"detail": path})
+        return route.fulfill(status=status, content_type="application/json", body=json.dumps(data))
     file = STATIC / ("index.html" if path == "/" else path.removeprefix("/static/"))
     if not file.is_file():
         return route.fulfill(status=404, body="")
